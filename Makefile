@@ -2,11 +2,18 @@
 
 BIN := .venv/bin
 
-.PHONY: help setup demo mix test lint types check bench lock clean
+.PHONY: help setup demo mix bench-peers test test-fast test-all lint types check bench lock clean
 .DEFAULT_GOAL := help
 
+# a file at a time to each process; bytecode is kept, or each process would compile all tests and all programs again
+pytest = PYTHONDONTWRITEBYTECODE= PYTHONPYCACHEPREFIX='$(CURDIR)/.cache/bytecode' $(BIN)/python -m pytest \
+    -p no:cacheprovider --dist loadfile --no-loadscope-reorder
+
+# the files with tests of a marker: to collect all tests takes longer than to run some
+marked = $$(grep -rlF --include='*.py' 'mark.$(1)' tests)
+
 help: ## list the targets
-	@sed -n 's/^\([a-z]*\):.*## /\1\t/p' $(MAKEFILE_LIST) | expand -t 8
+	@sed -n 's/^\([a-z-]*\):.*## /\1\t/p' $(MAKEFILE_LIST) | expand -t 12
 
 setup: ## install what is missing; done by the others
 	@scripts/setup.sh
@@ -17,25 +24,37 @@ demo: setup ## a simulated R1 sent to rooms by YARP, ROS 1 and ROS 2 clients (ST
 mix: setup ## clients of all four sides over three kinds of planners (JSON=FILE writes the table)
 	@$(BIN)/python -m tests.interop.mix_table $(if $(JSON),--json '$(JSON)')
 
-test: setup ## all tests, on the real middlewares (ARGS='tests/hub -k latched' for some)
-	@$(BIN)/python -m pytest -p no:cacheprovider -n 3 --dist loadfile --no-loadscope-reorder -m 'not alone' $(ARGS) || [ $$? -eq 5 ] # 5: none chosen
-	@$(BIN)/python -m pytest -p no:cacheprovider -m alone $(ARGS) || [ $$? -eq 5 ]
+test: setup ## what tells whether Midspan works here, with the real middlewares (ARGS='tests/hub -k latched' for some)
+	@$(pytest) -n 3 -m 'not thorough and not long and not beside' $(ARGS)
 
-lint: setup ## ruff: rules and format
+test-fast: setup ## what needs no middleware, for the edit loop
+	@$(pytest) -n 2 --fast -m 'not thorough and not long and not alone' $(ARGS)
+
+test-all: setup ## all there is; the last part is a first run in a bare clone, beside fuzzing
+	@$(pytest) -n $(if $(CI),4,3) -m 'not long$(if $(CI),, and not beside)' $(ARGS) || [ $$? -eq 5 ] # 5: none chosen
+	@$(pytest) -n 2 -m '$(if $(CI),long,long or beside)' $(or $(ARGS),$(call marked,long)) || [ $$? -eq 5 ]
+
+lint: setup ## ruff (rules and format), import circles and sizes
 	@$(BIN)/ruff check .
 	@$(BIN)/ruff format --check .
+	@$(BIN)/python scripts/house.py --check
 
 types: setup ## mypy
 	@$(BIN)/mypy
 
 check: lint types test ## lint, types and tests
 
-bench: setup ## every benchmark, one after the other
+bench-peers: setup ## install the libraries that benchmarks compare with
+	@$(BIN)/python -m pip install -q --disable-pip-version-check -c requirements.lock $$($(BIN)/python -c \
+	    "import tomllib; print(*tomllib.load(open('pyproject.toml', 'rb'))['project']['optional-dependencies']['bench'])")
+
+bench: bench-peers ## every benchmark, one after the other
 	@set -e; for file in $$(grep -l __main__ benchmarks/*.py); do echo "== $$file"; $(BIN)/python $$file; done
 
 lock: setup ## choose the newest versions that fit, and write the lock files
 	@$(BIN)/python scripts/lock.py
 
-clean: ## remove the virtual environment and what tools left behind (built message packages stay in their cache)
-	rm -rf .venv build dist *.egg-info .mypy_cache .ruff_cache .pytest_cache .hypothesis
+clean: ## remove the virtual environment, compiled kernels and what tools left behind (built message packages stay in their cache)
+	rm -rf .venv .cache build dist bridge/kernels.json *.egg-info .mypy_cache .ruff_cache .pytest_cache .hypothesis
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +
+	find bridge navigation sim -name '*.so' -delete

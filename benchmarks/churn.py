@@ -33,6 +33,8 @@ BATCH = FRESH + KEPT + FED + STREAMED
 WARM = 3
 """Batches before what the processes hold counts."""
 SETTLE_SECONDS, IDLE_SECONDS = 40.0, 12.0
+FLOW = 4.0
+"""Messages a second of a stream: not so quick that it stays on the hub while nobody listens (`hub_to_side.QUICK`)."""
 FEEDER = {"ros1": "ros2", "ros2": "ros1", "zenoh": "ros1"}
 """The side from which each side's subscriptions hear."""
 
@@ -70,7 +72,7 @@ class Churn:
         make = [deployment.topic(feeder, name, kind, latched=latched) for name, kind, latched in fed + streams]
         deployment.ask(feeder, "publish", topics=make)
         deployment.ask(feeder, "put", topics=[name for name, _, _ in fed])
-        deployment.ask(feeder, "flow", rates={name: 5.0 for name, _, _ in streams})
+        deployment.ask(feeder, "flow", rates={name: FLOW for name, _, _ in streams})
         self._feeds = [deployment.topic(side, name, kind, latched=latched) for name, kind, latched in fed + streams]
 
     def run(self, endpoints: int, warm: int = WARM) -> Churned:

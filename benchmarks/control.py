@@ -23,11 +23,11 @@ if not __package__:  # run as a file
 
 from benchmarks.localiser import Tour, simulated
 from benchmarks.rows import Row, add_json_option, report
+from bridge.config.sections.localization_server import LocaliserSection
 from navigation.localization_server.localizer import Localizer
-from navigation.localization_server.scan import scan_points
-from navigation.localization_server.settings import Settings
 from navigation.pose import Pose
 from navigation.robot_goto.driver import Driver
+from navigation.scan import scan_points
 
 STEP, TURN = 10.0, 100.0
 """Periods: of RobotGoto's step and of the laser, ms."""
@@ -63,7 +63,7 @@ def measure(seconds: float) -> list[Row]:
     tour = Tour(simulated("apartment", 0), 0)
     there = tour.there
     # an update for each scan, so that it is the update that is measured
-    localizer = Localizer(tour.grid, Settings(particles=1000, beams=360, update_distance=1e-9, update_angle=1e-9))
+    localizer = Localizer(tour.grid, LocaliserSection(update_min_d=1e-9, update_min_a=1e-9))
     localizer.initial(Pose(*there.base.pose()))
     driver = Driver()
     steps, scans, updates = Clock(), Clock(), Clock()

@@ -106,7 +106,7 @@ def ours() -> dict[str, Measure]:
 def tf2() -> dict[str, Measure]:
     """The cases with tf2; a batch is a loop."""
     import genpy  # the system's Python alone has these
-    import tf2_py  # type: ignore[import-not-found]
+    import tf2_py
     from geometry_msgs.msg import Quaternion, TransformStamped, Vector3
     from tf2_msgs.msg import TFMessage
 

@@ -24,13 +24,13 @@ if not __package__:  # run as a file
     sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from benchmarks.rows import Row, add_json_option, report
+from bridge.config.sections.localization_server import LocaliserSection
 from bridge.config.sections.sim import EncodersSection, LaserSection, SimSection
 from navigation.algorithms.astar import astar
 from navigation.algorithms.distance_transform import distance_transform
 from navigation.localization_server.localizer import Localizer
-from navigation.localization_server.scan import scan_points
-from navigation.localization_server.settings import Settings
 from navigation.pose import Pose, wrapped
+from navigation.scan import scan_points
 from sim import export
 from sim.base import Twist
 from sim.simulation import Simulation
@@ -150,7 +150,9 @@ def drive(tour: Tour, localizer: Localizer, seconds: float, costs: list[float]) 
         yield (there.time_ns - begun) / 1e9, metres, abs(math.degrees(wrapped(pose.theta - truth.yaw)))
 
 
-def held(world: str, seed: int, minutes: float, settings: Settings) -> tuple[np.ndarray, list[float], Localizer]:
+def held(
+    world: str, seed: int, minutes: float, settings: LocaliserSection
+) -> tuple[np.ndarray, list[float], Localizer]:
     """The errors (n, 3: s, m, degrees) over a drive that began right."""
     tour = Tour(simulated(world, seed), seed)
     localizer = Localizer(tour.grid, settings, seed)
@@ -159,7 +161,7 @@ def held(world: str, seed: int, minutes: float, settings: Settings) -> tuple[np.
     return np.array(list(drive(tour, localizer, minutes * 60.0, costs))), costs, localizer
 
 
-def recovered(world: str, seed: int, settings: Settings) -> float:
+def recovered(world: str, seed: int, settings: LocaliserSection) -> float:
     """Seconds of driving from a start that is wrong by 3 m and 30 degrees, after which the limits hold for 30 s."""
     rng = np.random.default_rng(1000 + seed)
     tour = Tour(simulated(world, seed), seed)
@@ -179,7 +181,7 @@ def recovered(world: str, seed: int, settings: Settings) -> float:
     return math.inf
 
 
-def rows(minutes: float, seeds: int, starts: int, settings: Settings) -> Iterator[Row]:
+def rows(minutes: float, seeds: int, starts: int, settings: LocaliserSection) -> Iterator[Row]:
     """All figures."""
     for world in WORLDS:
         if seeds:
@@ -191,7 +193,7 @@ def rows(minutes: float, seeds: int, starts: int, settings: Settings) -> Iterato
                 yield Row(f"{world}, {starts} wrong starts: found after, {share} %", found, RECOVERY, "s")
 
 
-def _held_rows(world: str, minutes: float, seeds: int, settings: Settings) -> Iterator[Row]:
+def _held_rows(world: str, minutes: float, seeds: int, settings: LocaliserSection) -> Iterator[Row]:
     runs = [held(world, seed, minutes, settings) for seed in range(seeds)]
     errors = np.concatenate([run[0] for run in runs])
     costs = np.concatenate([run[1] for run in runs]) * 1e3
@@ -212,7 +214,7 @@ def main() -> None:
     parser.add_argument("--seeds", type=int, default=3, help="drives in each world")
     parser.add_argument("--starts", type=int, default=10, help="wrong starts in each world")
     options = parser.parse_args()
-    report(list(rows(options.minutes, options.seeds, options.starts, Settings())), options.json)
+    report(list(rows(options.minutes, options.seeds, options.starts, LocaliserSection())), options.json)
 
 
 if __name__ == "__main__":

@@ -17,11 +17,11 @@ from pathlib import Path
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
 from benchmarks.rows import Row, add_json_option, report
-from bridge.adapters.base import MadeBy
 from bridge.config.sections.routing import RoutingSection
-from bridge.hub.qos import Qos
 from bridge.hub.session import Hub
+from bridge.hub.wire.qos import Qos
 from bridge.messages.registry import Registry
+from bridge.routing.edge import MadeBy
 from bridge.routing.engine import Engine
 from tests.support.fake import FakeEdge, FakeNetwork
 from tests.support.hub import HubNetwork

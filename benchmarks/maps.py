@@ -26,11 +26,9 @@ from benchmarks.rows import Row, add_json_option, report
 from benchmarks.transcode import compare
 from bridge.adapters.memory import keep_memory
 from bridge.messages.registry import Registry
-from bridge.messages.values import Reader
-from navigation.maps.cdr import to_cdr
-from navigation.maps.grid import from_grid
-from yarp_compat.dev.mapcolours import picture_of_flags
-from yarp_compat.dev.mapflag import UNKNOWN, MapFlag, occupancy_of
+from bridge.messages.values import MessageReader
+from navigation.maps.grid import from_grid, to_cdr
+from yarp_compat.dev.mapflag import UNKNOWN, MapFlag, occupancy_of, picture_of_flags
 from yarp_compat.dev.mapgrid import MapGrid2D
 from yarp_compat.wire.profile import Profile
 
@@ -115,7 +113,7 @@ def payloads(grid: MapGrid2D) -> dict[str, Pair]:
         bytes(to_cdr(grid)),
     )
     assert MapGrid2D.from_bytes(wire, Profile.YARP4) == grid
-    assert (from_grid(Reader(schema, cdr).message(), "office").occupancy == grid.occupancy).all()
+    assert (from_grid(MessageReader(schema, cdr).message(), "office").occupancy == grid.occupancy).all()
     source = [bytes(grid.occupancy.data), bytes(grid.flags.data)]
     deflated = [zlib.compress(cells) for cells in source]
 
@@ -132,7 +130,7 @@ def payloads(grid: MapGrid2D) -> dict[str, Pair]:
             lambda: [zlib.decompress(cells) for cells in deflated],
         ),
         "to CDR": (lambda: to_cdr(grid), copy),
-        "from CDR": (lambda: from_grid(Reader(schema, cdr).message(), "office"), copy),
+        "from CDR": (lambda: from_grid(MessageReader(schema, cdr).message(), "office"), copy),
     }
 
 

@@ -1,19 +1,17 @@
 """Ways on grids: Midspan's A* beside scipy, w9-pathfinding and pyastar2d, with and without building the peer's graph.
 
 The optimum without cutting corners is w9-pathfinding's and scipy's; pyastar2d counts a diagonal as one and cuts
-corners, so its way is another one. Peers that are not installed are left out, and named: ``pip install scipy
-w9-pathfinding pyastar2d``.
+corners, so its way is another one. `make bench-peers` installs the peers.
 """
 
 from __future__ import annotations
 
 import argparse
-import importlib
 import math
 import random
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -23,7 +21,7 @@ from numpy.typing import NDArray
 if not __package__:  # run as a file
     sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from benchmarks.rows import Row, add_json_option, report
+from benchmarks.rows import Row, add_json_option, need_peers, report
 from navigation.algorithms.astar import astar
 from navigation.algorithms.shortcut import shortcut
 
@@ -31,7 +29,6 @@ Grid = NDArray[np.uint8]
 Cell = tuple[int, int]
 SIZES = (500, 1000, 4000)
 MAPS = ("rooms", "maze", "random20", "random30")
-PEERS = {"scipy": "scipy.sparse.csgraph", "w9-pathfinding": "w9_pathfinding.pf", "pyastar2d": "pyastar2d"}
 
 
 class Found(NamedTuple):
@@ -194,20 +191,23 @@ def smoothed(grid: Grid, start: Cell, goal: Cell) -> float:
     return time.perf_counter() - begin
 
 
-def measured(sizes: list[int], maps: list[str], rounds: int, peers: dict[str, Callable[..., Found]]) -> Iterator[Row]:
+PEERS = {"scipy": by_scipy, "w9-pathfinding": by_w9, "pyastar2d": by_pyastar2d}
+
+
+def measured(sizes: list[int], maps: list[str], rounds: int) -> Iterator[Row]:
     """All rows: the best of some rounds of each, in turns."""
     for size in sizes:
         for name in maps:
             grid, (start, goal) = made(name, size), ends(name, size)
-            ours(grid, start, goal)  # compiled
+            ours(grid, start, goal)  # memory is there
             smoothed(grid, start, goal)
-            found: dict[str, list[Found]] = {who: [] for who in peers}
+            found: dict[str, list[Found]] = {who: [] for who in PEERS}
             own: list[Found] = []
             whole: list[float] = []
             for _ in range(rounds):
                 own.append(ours(grid, start, goal))
                 whole.append(smoothed(grid, start, goal))
-                for who, plan in peers.items():
+                for who, plan in PEERS.items():
                     found[who].append(plan(grid, start, goal))
             mine = min(one.search for one in own)
             for who, all_ in found.items():
@@ -229,16 +229,8 @@ def main() -> int:
     parser.add_argument("--rounds", type=int, default=3)
     add_json_option(parser)
     args = parser.parse_args()
-    planners = {"scipy": by_scipy, "w9-pathfinding": by_w9, "pyastar2d": by_pyastar2d}
-    peers: dict[str, Callable[..., Found]] = {}
-    for name, module in PEERS.items():
-        try:
-            importlib.import_module(module)
-        except ImportError:
-            print(f"{name} is not installed: pip install {name}", file=sys.stderr)
-        else:
-            peers[name] = planners[name]
-    report(list(measured(args.sizes, args.maps, max(1, args.rounds), peers)), args.json)
+    need_peers("scipy", "w9_pathfinding", "pyastar2d")
+    report(list(measured(args.sizes, args.maps, max(1, args.rounds))), args.json)
     return 0
 
 

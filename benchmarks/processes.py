@@ -13,10 +13,10 @@ from types import TracebackType
 from typing import Any, Self
 
 import benchmarks
-from bridge.demo import requirements
-from bridge.demo.child import Child, guarded
-from bridge.demo.place import Place
-from bridge.demo.traces import marked, remove_unused, shared_memory, sweep
+from bridge.demo import sandbox
+from bridge.demo.leftovers import erase, marked, remove_unused, shared_memory
+from bridge.demo.processes import DemoChild, guarded
+from bridge.demo.sandbox import Sandbox
 
 UP_SECONDS = 60.0
 
@@ -26,15 +26,17 @@ class Processes:
 
     Args:
         config: the daemon's configuration, but for what names the place.
+        template: a configuration file over which it is laid.
+        yarp: whether there is a YARP network, whose worker carries every topic too.
     """
 
-    def __init__(self, config: Mapping[str, Any]) -> None:
-        self._children: dict[str, Child] = {}
+    def __init__(self, config: Mapping[str, Any], template: Path | None = None, *, yarp: bool = False) -> None:
+        self._children: dict[str, DemoChild] = {}
         self._memory: set[Path] = set()
-        self.place = place = Place(None, config, yarp=False)  # whose worker would carry every topic too
+        self.place = place = Sandbox(template, config, yarp=yarp)
         try:
             (place.system_path / "benchmarks").symlink_to(Path(benchmarks.__path__[0]))
-            self._ros1 = place.ros1_environment(requirements.ros1_packages(place.config))
+            self._ros1 = place.ros1_environment()
         except BaseException:
             place.close()
             raise
@@ -43,7 +45,7 @@ class Processes:
     def start_master(self) -> None:
         """Start roscore and wait until it answers."""
         place = self.place
-        command = guarded(requirements.SYSTEM_PYTHON, requirements.roscore(place.config), "-p", str(place.master_port))
+        command = guarded(sandbox.SYSTEM_PYTHON, sandbox.roscore(place.config), "-p", str(place.master_port))
         self._spawn("roscore", command, self._ros1)
         self.until(place.master_answers, "roscore answers")
 
@@ -52,7 +54,7 @@ class Processes:
         command = guarded(sys.executable, "-m", "bridge.cli.main", "run", "--config", self.place.config_file)
         self._spawn("daemon", command, self.place.environment())
 
-    def launch(self, name: str, module: str, *arguments: str, system: bool = False) -> Child:
+    def launch(self, name: str, module: str, *arguments: str, system: bool = False) -> DemoChild:
         """Start a program.
 
         Args:
@@ -61,11 +63,11 @@ class Processes:
             arguments: the module's.
             system: on the system's Python with ROS 1's packages, instead of Midspan's own.
         """
-        python, env = (requirements.SYSTEM_PYTHON, self._ros1) if system else (sys.executable, self._own)
+        python, env = (sandbox.SYSTEM_PYTHON, self._ros1) if system else (sys.executable, self._own)
         return self._spawn(name, [python, "-m", module, *arguments], env)
 
-    def _spawn(self, name: str, command: Sequence[str | Path], env: Mapping[str, str]) -> Child:
-        child = self._children[name] = Child(name, command, env, self.place.folder)
+    def _spawn(self, name: str, command: Sequence[str | Path], env: Mapping[str, str]) -> DemoChild:
+        child = self._children[name] = DemoChild(name, command, env, self.place.folder)
         return child
 
     def command(self, name: str, do: str, event: str, **params: Any) -> dict[str, Any]:
@@ -112,7 +114,7 @@ class Processes:
 
     def remember_memory(self) -> set[Path]:
         """Files in shared memory that a process of this run uses, or used when this was called before."""
-        self._memory |= shared_memory(self.place.folder, self.place.domain_ports)
+        self._memory |= shared_memory(self.place.folder, self.place.domain_ports)[0]
         return self._memory
 
     def close(self) -> None:
@@ -126,7 +128,7 @@ class Processes:
                 child.begin_stop()
             for child in children:
                 child.finish_stop(9.0)
-        sweep(self.place.folder)
+        erase(self.place.folder, self.place.domain_ports)
         remove_unused(self._memory)
         self.place.close()
 

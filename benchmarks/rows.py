@@ -7,6 +7,7 @@ more of it is better.
 from __future__ import annotations
 
 import argparse
+import importlib.util
 import json
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
@@ -33,6 +34,13 @@ class Row:
 def add_json_option(parser: argparse.ArgumentParser) -> None:
     """Give a benchmark the option ``--json FILE``."""
     parser.add_argument("--json", type=Path, metavar="FILE", help="also write the rows to this file as JSON")
+
+
+def need_peers(*modules: str) -> None:
+    """End with an error where a library that is compared with is missing: a table without its rows would mislead."""
+    missing = [module for module in modules if importlib.util.find_spec(module) is None]
+    if missing:
+        raise SystemExit(f"missing peers: {', '.join(missing)}; 'make bench-peers' installs them")
 
 
 def report(rows: Sequence[Row], file: Path | None = None) -> None:

@@ -25,7 +25,7 @@ from benchmarks.rows import Row, add_json_option, report
 from bridge.config.sections.sim import LaserSection, SimSection
 from sim import bodies
 from sim.base import STEP_NS, Twist
-from sim.dart import dartpy
+from sim.environment import dartpy
 from sim.laser_kernel import cast
 from sim.plan import Box, Floor, Plan
 from sim.simulation import Simulation
@@ -86,8 +86,8 @@ def scans(count: int, seconds: float) -> tuple[float, float]:
     step = 2 * math.pi / BEAMS
     angles = -math.pi + np.arange(BEAMS) * step
     beams = np.ascontiguousarray(np.stack([np.cos(angles), np.sin(angles)], axis=1))
-    out, kernel = np.empty(BEAMS), cast()
-    ours = rate(lambda: kernel(segments, circles, 0.1, 0.2, 0.3, beams, -math.pi, step, 20.0, out), seconds)
+    out = np.empty(BEAMS)
+    ours = rate(lambda: cast(segments, circles, 0.1, 0.2, 0.3, beams, -math.pi, step, 20.0, out), seconds)
     dart = dartpy()
     skeleton, nodes = bodies.fixed(there.world.pieces)
     group = dart.collision.BulletCollisionDetector().createCollisionGroup()

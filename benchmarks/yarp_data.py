@@ -21,7 +21,7 @@ if not __package__:  # run as a file
 from benchmarks.rows import Row, add_json_option, report
 from benchmarks.transcode import compare
 from bridge.adapters.memory import keep_memory
-from yarp_compat.dev.laserscan import LaserScan2D
+from yarp_compat.dev.rangefinder import LaserScan2D
 from yarp_compat.sig.image import FlexImage, Image, ImageFloat, ImageMono, ImageRgb
 from yarp_compat.sig.matrix import Matrix
 from yarp_compat.sig.pointcloud import LAYOUTS, PointCloud, PointType

@@ -26,10 +26,10 @@ from pathlib import Path
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
 from benchmarks.rows import Row, add_json_option, report
-from yarp_compat.ports.message import Message
+from yarp_compat.ports.message import PortMessage
 from yarp_compat.ports.naming import LocalNaming
 from yarp_compat.ports.port import PortCore
-from yarp_compat.wire import message
+from yarp_compat.wire import framing
 from yarp_compat.wire.binary import encode
 from yarp_compat.wire.profile import Profile
 
@@ -37,7 +37,7 @@ _EMPTY = encode([], Profile.YARP3)
 _NUMBERS = encode([i + 0.5 for i in range(10)], Profile.YARP3)
 _VECTOR = encode([float(i) for i in range(1000)], Profile.YARP3)
 _IMAGE = bytes(60) + bytes(range(256)) * (640 * 480 * 3 // 256)
-_BARRIER = message.prefix(len(_EMPTY), "d") + _EMPTY
+_BARRIER = framing.prefix(len(_EMPTY), "d") + _EMPTY
 _REQUESTS = 1000
 _PLACES = {"one": ", one core", "two": ", two cores", "any": ""}
 """On which cores this process and the other one run, in the rows' words; ``any``: where the system puts them."""
@@ -65,7 +65,7 @@ _STREAMS = (
 def _serve_port() -> None:
     """A port that answers requests of RPC with what they said, until standard input ends."""
 
-    def answer(incoming: Message) -> None:
+    def answer(incoming: PortMessage) -> None:
         if incoming.wants_reply:
             incoming.reply(bytes(incoming.payload))
 
@@ -166,7 +166,7 @@ class Bare:
         self._process = process
         self._sock = socket.create_connection(("127.0.0.1", number))
         self._sock.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-        self._ack = len(message.ACK) if carrier == "tcp" else 0
+        self._ack = len(framing.ACK) if carrier == "tcp" else 0
 
     def _expect(self, size: int, times: int, reply: int) -> None:
         assert self._process.stdin is not None
@@ -180,13 +180,13 @@ class Bare:
 
     def round_trips(self, count: int) -> float:
         """The median round trip, in microseconds."""
-        request, reply = message.prefix(len(_NUMBERS), "d") + _NUMBERS, len(_NUMBERS) + self._ack
+        request, reply = framing.prefix(len(_NUMBERS), "d") + _NUMBERS, len(_NUMBERS) + self._ack
         self._expect(len(request), count, reply)
         return _median(lambda: self._call(request, reply), count)
 
     def stream(self, stream: Stream, count: int) -> float:
         """Microseconds for each message of a stream."""
-        sent = message.prefix(len(stream.payload)) + stream.payload
+        sent = framing.prefix(len(stream.payload)) + stream.payload
         self._expect(len(sent), count, self._ack)
         self._expect(len(_BARRIER), 1, len(_EMPTY) + self._ack)
         start = time.perf_counter()

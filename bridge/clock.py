@@ -24,11 +24,7 @@ Jumped = Callable[[], None]
 
 
 class RunClock:
-    """Says the time. Safe to use from any thread.
-
-    Args:
-        simulated: the time is what `hear` was told last; else the system's.
-    """
+    """Says the time: the system's, or where ``simulated`` what `hear` took last. Safe to use from any thread."""
 
     def __init__(self, *, simulated: bool = False) -> None:
         self.simulated = simulated
@@ -70,12 +66,7 @@ class RunClock:
         return lambda: _discard(self._jumped, jumped)
 
     def on_time(self, heard: Callable[[int], None], *, last: bool = False) -> Callable[[], None]:
-        """Tell each time of a simulation, until the returned function is called; on the thread that hears it.
-
-        Args:
-            heard: hears it, in nanoseconds.
-            last: after all others have.
-        """
+        """Report each time of a simulation in ns until the returned function is called; ``last``: after all others."""
         among = self._after if last else self._heard
         among.append(heard)
         return lambda: _discard(among, heard)

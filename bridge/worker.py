@@ -13,12 +13,7 @@ from bridge.config.model import Config
 
 @dataclass(frozen=True, slots=True)
 class Health:
-    """A worker's own word on how it is.
-
-    Attributes:
-        state: ``running``; ``waiting`` where its network is away; ``standby`` where another daemon is active on it.
-        text: a short line for people, for example ``12 routes, 340 msg/s``.
-    """
+    """How a worker is: ``waiting`` where its network is away, ``standby`` where another daemon is active on it."""
 
     state: Literal["running", "waiting", "standby"]
     text: str

@@ -17,7 +17,7 @@ from rclpy.qos import DurabilityPolicy, QoSProfile
 from rclpy.task import Future
 from visualization_msgs.msg import Marker, MarkerArray
 
-SECONDS = 30.0
+SECONDS = 60.0
 MARKED = "location "
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 

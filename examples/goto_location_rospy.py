@@ -15,7 +15,7 @@ from geometry_msgs.msg import PoseStamped
 from move_base_msgs.msg import MoveBaseAction, MoveBaseGoal
 from visualization_msgs.msg import Marker, MarkerArray
 
-SECONDS = 30.0
+SECONDS = 60.0
 MARKED = "location "
 
 

@@ -17,38 +17,20 @@ _WORDS = {"true": True, "false": False}
 
 @dataclass(frozen=True)
 class Constraints:
-    """What holds for one goal. None, or the empty text: as the navigator's own parameters say.
+    """What holds for one goal, None or  meaning the navigator's own; raises `ValueError` if a value cannot be."""
 
-    Attributes:
-        max_lin_speed: m/s.
-        min_lin_speed: m/s.
-        max_ang_speed: deg/s.
-        min_ang_speed: deg/s.
-        lin_speed_gain: (m/s) / m.
-        ang_speed_gain: (deg/s) / deg.
-        tolerance_lin: m.
-        tolerance_ang: degrees.
-        on_obstacle: ``wait`` until it is gone, or go ``around`` it.
-        heading: whether the goal's heading matters; with False any will do.
-        through: whether it is a waypoint, passed without a stop.
-        map: the goal's map, where it is not the one that the planner is on.
-
-    Raises:
-        ValueError: a value cannot be.
-    """
-
-    max_lin_speed: float | None = None
-    min_lin_speed: float | None = None
-    max_ang_speed: float | None = None
-    min_ang_speed: float | None = None
-    lin_speed_gain: float | None = None
-    ang_speed_gain: float | None = None
-    tolerance_lin: float | None = None
-    tolerance_ang: float | None = None
-    on_obstacle: str = ""
-    heading: bool = True
-    through: bool = False
-    map: str = ""
+    max_lin_speed: float | None = None  #: m/s
+    min_lin_speed: float | None = None  #: m/s
+    max_ang_speed: float | None = None  #: deg/s
+    min_ang_speed: float | None = None  #: deg/s
+    lin_speed_gain: float | None = None  #: (m/s) / m
+    ang_speed_gain: float | None = None  #: (deg/s) / deg
+    tolerance_lin: float | None = None  #: m
+    tolerance_ang: float | None = None  #: degrees
+    on_obstacle: str = ""  #: ``wait`` until it is gone, or go ``around`` it
+    heading: bool = True  #: whether the goal's heading matters; with False any will do
+    through: bool = False  #: whether it is a waypoint, passed without a stop
+    map: str = ""  #: the goal's map, where it is not the one that the planner is on
 
     def __post_init__(self) -> None:
         for name in _NUMBERS:
@@ -61,20 +43,14 @@ class Constraints:
             raise ValueError(f"a map's name has no spaces: '{self.map}'")
 
     def to_text(self) -> str:
-        """The text of what is not left to the navigator; empty where all is."""
-        said = [f"{one.name}={_word(getattr(self, one.name))}" for one in fields(self) if self._says(one.name)]
+        """The constraints as text; empty if there are none."""
+        values = {name: value for name, value in vars(self).items() if value != getattr(_NOTHING, name)}
+        said = [f"{name}={str(value).lower() if isinstance(value, bool) else value}" for name, value in values.items()]
         return " ".join((PREFIX, *said)) if said else ""
-
-    def _says(self, name: str) -> bool:
-        return bool(getattr(self, name) != getattr(_NOTHING, name))
 
     @classmethod
     def from_text(cls, text: str) -> Constraints:
-        """What a goal's text says; a text that is not ours (the name of a behaviour tree) says nothing.
-
-        Raises:
-            ValueError: it is ours, and something in it cannot be.
-        """
+        """What a goal's text says, nothing where it is not ours; raises `ValueError` if something of ours cannot be."""
         if not text.startswith(PREFIX):
             return cls()
         given: dict[str, Any] = {}
@@ -84,10 +60,6 @@ class Constraints:
                 raise ValueError(f"'{name}' is no constraint; there are {', '.join(_NAMES)}")
             given[name] = _value(name, word)
         return cls(**given)
-
-
-def _word(value: Any) -> str:
-    return str(value).lower() if isinstance(value, bool) else str(value)
 
 
 def _value(name: str, word: str) -> Any:

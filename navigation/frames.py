@@ -1,25 +1,26 @@
-"""Where the robot is, from the frames of all sides."""
+"""Where the robot is, by the frames of all sides, and whether the localisation relies on it."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from functools import partial
 from itertools import takewhile
+from typing import Any
 
-from bridge.hub.qos import Durability, Qos
+from bridge.hub.wire.qos import LATCHED, Durability, Qos
 from bridge.modules.host import Host
 from bridge.tf.buffer import TransformBuffer
 from bridge.tf.errors import TransformError
 from bridge.tf.stamped import TF, TF_STATIC, TF_TYPE
 from bridge.tf.transform import LATEST, Transform
+from navigation.messages import STRING
 from navigation.pose import Pose
 
 LATE = 0.2
 """Seconds by which a stamp may be newer than what was said of frames."""
 
-_DEPTH = 1000
-"""Messages of `/tf` that may wait: every publisher of a robot sends its own at the same time."""
-
+_DEPTH = 1000  # messages of `/tf` that may wait: every publisher of a robot sends its own at the same time
 _STATIC = Qos(durability=Durability.TRANSIENT_LOCAL, depth=100)
 
 
@@ -27,27 +28,18 @@ class FramesError(RuntimeError):
     """It is not known where something is; the text says why."""
 
 
-class Frames:
-    """Hears `/tf` and `/tf_static` for one module.
-
-    Args:
-        host: the module's.
-        map_frame: the fixed frame of maps.
-        base_frame: the robot's.
-        odom_frame: between the two, where odometry and localisation each say one part.
-        odometry_age: seconds after which odometry that is not said again is of no use.
-        localization_age: the same of map to odom; localisers say it less often.
-    """
+class RobotFrames:
+    """Follows `/tf` and `/tf_static` for one module."""
 
     def __init__(
         self,
         host: Host,
-        map_frame: str = "map",
-        base_frame: str = "base_link",
-        odom_frame: str = "odom",
+        map_frame: str = "map",  # the fixed frame of maps
+        base_frame: str = "base_link",  # the robot's
+        odom_frame: str = "odom",  # between the two, where odometry and localisation each say one part
         *,
-        odometry_age: float = 0.5,
-        localization_age: float = 2.0,
+        odometry_age: float = 0.5,  # seconds after which odometry that is not said again is of no use
+        localization_age: float = 2.0,  # the same of map to odom; localisers say it less often
     ) -> None:
         self.map_frame, self.base_frame, self.odom_frame = (
             name.lstrip("/") for name in (map_frame, base_frame, odom_frame)
@@ -55,42 +47,32 @@ class Frames:
         self._odometry_age, self._localization_age = odometry_age, localization_age
         self._now_ns = host.clock.now_ns
         self.buffer = TransformBuffer(now=self._now_ns)
-        host.node.subscription_cdr(TF, TF_TYPE, lambda cdr: self._hear(cdr, static=False), Qos(depth=_DEPTH))
-        host.node.subscription_cdr(TF_STATIC, TF_TYPE, lambda cdr: self._hear(cdr, static=True), _STATIC)
-        host.on_jump(self.buffer.clear)
+        # at once: a base says its odometry a hundred times a second, and each module would be woken for it
+        hear = host.node.subscription_cdr
+        hear(TF, TF_TYPE, partial(self._hear, static=False), Qos(depth=_DEPTH), at_once=True)
+        hear(TF_STATIC, TF_TYPE, partial(self._hear, static=True), _STATIC, at_once=True)
+        host.clock.on_jump(self.buffer.clear)
 
     def _hear(self, cdr: bytes, *, static: bool) -> None:
         self.buffer.set_message(cdr, static=static)
 
     def pose(self) -> Pose:
-        """Where the robot is on the map now: the newest of odometry in the newest of localisation.
-
-        Raises:
-            FramesError: nobody says so, or has not for too long; the text says who.
-        """
+        """The robot on the map now, newest odometry in newest localisation; raises `FramesError` with who is silent."""
         try:
             odometry = self.odometry()
         except FramesError:
-            if self._knows(self.odom_frame):
+            if any(self.odom_frame in (info.name, info.parent) for info in self.buffer.frames()):
                 raise
             # no odometry frame at all: somebody says at once where the robot is on the map
             return self._fresh(self.map_frame, self.base_frame, self._localization_age, "localisation")
         return self.correction() @ odometry
 
     def odometry(self) -> Pose:
-        """Where the robot is in the odometry's frame.
-
-        Raises:
-            FramesError: as `pose`.
-        """
+        """Where the robot is in the odometry's frame; raises `FramesError` as `pose`."""
         return self._fresh(self.odom_frame, self.base_frame, self._odometry_age, "odometry")
 
     def correction(self) -> Pose:
-        """Where the odometry's frame is on the map.
-
-        Raises:
-            FramesError: as `pose`.
-        """
+        """Where the odometry's frame is on the map; raises `FramesError` as `pose`."""
         return self._fresh(self.map_frame, self.odom_frame, self._localization_age, "localisation")
 
     def hangs(self, frame: str) -> bool:
@@ -102,11 +84,7 @@ class Frames:
         return x * x + y * y > 0.5
 
     def on_map(self, frame: str) -> Pose:
-        """Where a frame is on the map now, for what is said in it: of what moves with the robot, where that is now.
-
-        Raises:
-            FramesError: it is not known, or what is known of the robot is too old.
-        """
+        """A frame on the map now, the robot's own as the robot is now; raises `FramesError` if unknown or too old."""
         if frame == self.odom_frame:
             return self.correction()
         if self._moves_with_robot(frame):
@@ -146,9 +124,6 @@ class Frames:
         robot = set(takewhile(lambda one: one not in still, _upwards(self.base_frame, parents)))
         return not robot.isdisjoint(_upwards(frame, parents))
 
-    def _knows(self, frame: str) -> bool:
-        return any(frame in (info.name, info.parent) for info in self.buffer.frames())
-
 
 def _upwards(frame: str, parents: Mapping[str, str]) -> list[str]:
     """A frame, its parent and so on."""
@@ -164,3 +139,41 @@ def flat(transform: Transform) -> Pose:
     x, y, z, w = transform.rotation
     yaw = math.atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
     return Pose(transform.translation[0], transform.translation[1], yaw, transform.stamp)
+
+
+STATUS, REASON = "/localization/status", "/localization/reason"
+_BELIEVED = ("", "localized_ok")
+
+
+class Localized:
+    """Follows the status of a localisation, if it publishes one. On the module's thread."""
+
+    def __init__(self, host: Host) -> None:
+        self._said = {STATUS: "", REASON: ""}
+        for topic in self._said:
+            host.node.subscription(topic, STRING, partial(self._hear, topic), LATCHED)
+
+    def check(self) -> None:
+        """Raise `FramesError` with why the pose is not to be believed."""
+        status, reason = self._said.values()
+        if status not in _BELIEVED:
+            raise FramesError(f"the localisation says '{status}'" + (f": {reason}" if reason else ""))
+
+    def _hear(self, topic: str, message: dict[str, Any]) -> None:
+        self._said[topic] = message["data"]
+
+
+def laser_pose(frames: RobotFrames, frame: str) -> Pose:
+    """Where a laser is on the base; raises `FramesError` if that is not known."""
+    return Pose(0.0, 0.0, 0.0) if frame.lstrip("/") == frames.base_frame else frames.transform(frames.base_frame, frame)
+
+
+def moved_at(frames: RobotFrames, stamp_ns: int) -> Pose:
+    """The base in the odometry's frame, or on the map without odometry; raises `FramesError` if neither is known."""
+    try:
+        return frames.transform(frames.odom_frame, frames.base_frame, stamp_ns, extrapolate=LATE)
+    except FramesError as err:
+        try:
+            return frames.transform(frames.map_frame, frames.base_frame, stamp_ns, extrapolate=LATE)
+        except FramesError:
+            raise err from None

@@ -1,15 +1,17 @@
-"""Configuration files of existing robots, read as they are, with what is odd in them named by file and line."""
+"""Reads configuration files of existing robots as they are, and notes oddities by file and line."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from collections.abc import Set as AbstractSet
 from pathlib import Path
 from typing import Any, TypeVar
 
+from bridge.config.sections.section import Section
 from yarp_compat.os import config_text
-from yarp_compat.os.property import Property
+from yarp_compat.os.data.bottle import Property
+from yarp_compat.os.resource_places import find_in_context
 from yarp_compat.wire.text import plain_text
 
 
@@ -17,45 +19,44 @@ class IniError(ValueError):
     """A file that cannot be used; the text names file and line of all that is wrong."""
 
 
-S = TypeVar("S")
+S = TypeVar("S", bound=Section)
 
 
 def laid_under(
-    section: S, file: Path | None, with_file: Callable[[S, Ini], tuple[S, list[str]]]
+    section: S, file: Path | None, read: Callable[[S, Ini], dict[str, Any]], *, merged: Collection[str] = ()
 ) -> tuple[S, list[str]]:
-    """A section with what the file that it names says laid under it.
+    """A section with the values of its file laid under it: what the section itself sets is stronger.
 
     Args:
         section: what the configuration says.
         file: None for none.
-        with_file: lays what a file says under a section.
+        read: returns the section's fields that a file sets.
+        merged: names of fields in which ``read`` itself lays the file under the section.
 
     Returns:
         the section, and what is odd in the file, each ``file:line: ...``.
 
     Raises:
-        RuntimeError: the file is not there or cannot be used; the text says where and why.
+        RuntimeError: the file is missing or cannot be used; the text says where and why.
     """
     if file is None:
         return section, []
     try:
-        return with_file(section, Ini(file))
+        ini = Ini(file)
+        found = read(section, ini)
+        ini.check()
     except IniError as err:
         raise RuntimeError(str(err)) from None
+    kept = {key: value for key, value in found.items() if key in merged or key not in section.model_fields_set}
+    return section.model_copy(update=kept), ini.notes
 
 
 class Ini:
-    """A YARP configuration file with all that it includes.
-
-    Args:
-        path: the file.
+    """A YARP configuration file with all that it includes; raises `IniError` if there is no such file.
 
     Attributes:
         notes: what is odd but does not stop it: stale keys, values that are not believed, each ``file:line: ...``.
         errors: what does; `check` raises them.
-
-    Raises:
-        IniError: there is no such file.
     """
 
     def __init__(self, path: Path) -> None:
@@ -66,23 +67,25 @@ class Ini:
         self._entries = Property.of(entries)
         self._places: config_text.Places = {}
         self._read: set[tuple[str, ...]] = set()
-        if not config_text.read_file(str(path), entries, None, wipe=True, places=self._places):
+        if not config_text.read_file(
+            str(path), entries, None, wipe=True, places=self._places, find_import=find_in_context
+        ):
             raise IniError(f"{path}: there is no such file, or it cannot be read")
 
     def __contains__(self, group: str) -> bool:
         return (group,) in self._places
 
-    def group(self, name: str, *, needed: bool = False) -> Group:
+    def group(self, name: str, *, needed: bool = False) -> IniGroup:
         """A group of keys; an empty one where it is not there."""
         self._read.add((name,))
         if needed and name not in self:
             self.errors.append(f"{self.path}: the group [{name}] is missing")
-        return Group(self, name)
+        return IniGroup(self, name)
 
     @property
-    def top(self) -> Group:
+    def top(self) -> IniGroup:
         """The keys that stand in no group."""
-        return Group(self, "")
+        return IniGroup(self, "")
 
     def note_unread(self, stale: Mapping[tuple[str, str], str], others: AbstractSet[str] = frozenset()) -> None:
         """Note every key and group that was not asked for.
@@ -121,8 +124,18 @@ class Ini:
         return f"{place.file}:{place.line}" if place else str(self.path)
 
 
-class Group:
-    """One group's keys. What is wrong with them is kept in the file's ``notes`` and ``errors``."""
+def port_name(text: str) -> str:
+    """A port's or topic's name as it is everywhere else: with one slash before it, and none behind."""
+    return "/" + text.strip("/")
+
+
+def frame_name(text: str) -> str:
+    """A frame's name as tf2 has it."""
+    return text.lstrip("/")
+
+
+class IniGroup:
+    """The keys of one group; problems go to the file's ``notes`` and ``errors``."""
 
     def __init__(self, ini: Ini, name: str) -> None:
         self._ini, self._name = ini, name
@@ -183,6 +196,12 @@ class Group:
         """Words."""
         found = self._ini.value(self._keys(key))
         return default if found is None else plain_text(found)
+
+    def take_texts(self, found: dict[str, Any], form: Callable[[str], str], **names: str) -> None:
+        """Put the words that are there into fields: each of ``names`` is a field and its key."""
+        for field, key in names.items():
+            if text := self.text(key, ""):
+                found[field] = form(text)
 
     def has(self, key: str) -> bool:
         """Whether a key is there."""

@@ -1,17 +1,34 @@
-"""Poses as messages."""
+"""Messages and QoS that the modules share: latched topics, headers' stamps, poses."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from typing import Any
 
 from navigation.pose import Pose
 
+GRID, TWIST, STRING = "nav_msgs/msg/OccupancyGrid", "geometry_msgs/msg/Twist", "std_msgs/msg/String"
+NAVIGATE = "nav2_msgs/action/NavigateToPose"
 
-def pose_message(pose: Pose, z: float = 0.0) -> dict[str, Any]:
-    """``geometry_msgs/msg/Pose`` at a height, metres; a heading that is none is 0."""
+Message = dict[str, Any]
+
+
+def stamp_ns(header: Mapping[str, Any]) -> int:
+    """The stamp of a header, nanoseconds."""
+    return int(header["stamp"]["sec"]) * 1_000_000_000 + int(header["stamp"]["nanosec"])
+
+
+def pose_message(pose: Pose, z: float = 0.0) -> Message:
+    """``geometry_msgs/msg/Pose`` at a height, metres; a heading that is not finite becomes 0."""
     theta = pose.theta if math.isfinite(pose.theta) else 0.0
     return {
         "position": {"x": pose.x, "y": pose.y, "z": z},
         "orientation": {"x": 0.0, "y": 0.0, "z": math.sin(theta / 2), "w": math.cos(theta / 2)},
     }
+
+
+def duration(seconds: float) -> dict[str, int]:
+    """``builtin_interfaces/msg/Duration``, within 0 and some 60 years."""
+    whole = min(max(seconds, 0.0), 2e9)
+    return {"sec": int(whole), "nanosec": int(whole % 1 * 1e9)}

@@ -1,61 +1,21 @@
-"""Scans of the hub and of YARP's ports, as all modules take them."""
+"""Laser scans of the hub and of YARP, as all modules take them."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from yarp_compat.dev.laserscan import LaserScan2D
+from bridge.messages.scan import Turn
+from navigation.pose import Pose
+from yarp_compat.dev.rangefinder import LaserScan2D
 
 SCAN = "sensor_msgs/msg/LaserScan"
 
-_LEAST = 1e-3
-"""Metres; nearer is what some lasers say where they saw nothing, and that is not known to be free."""
-
-
-class Beams(Protocol):
-    """A scan: directions in radians, distances in metres (`Turn`, `sim.laser.Scan`)."""
-
-    @property
-    def first(self) -> float:
-        """The first beam's direction on the laser."""
-
-    @property
-    def step(self) -> float:
-        """From each beam to the next."""
-
-    @property
-    def nearest(self) -> float:
-        """What is nearer was not measured."""
-
-    @property
-    def farthest(self) -> float:
-        """What is as far or farther was not measured."""
-
-    @property
-    def ranges(self) -> NDArray[np.floating]:
-        """Metres; infinite where nothing was hit, NaN where nothing is known, minus infinity where it is too near."""
-
-
-@dataclass(frozen=True, eq=False)
-class Turn:
-    """A turn of a laser; see `Beams`. ``time_ns``: when it was made."""
-
-    time_ns: int
-    first: float
-    step: float
-    nearest: float
-    farthest: float
-    ranges: NDArray[np.float64]
-
-    def turned_over(self) -> Turn:
-        """The same of a laser that hangs upside down: seen from above, its beams go round the other way."""
-        return replace(self, first=-self.first, step=-self.step)
+_LEAST = 1e-3  # metres; nearer is what some lasers say where they saw nothing, and that is not known to be free
 
 
 class ScanError(ValueError):
@@ -63,15 +23,12 @@ class ScanError(ValueError):
 
 
 def of_ros(message: Mapping[str, Any], time_ns: int, *, hangs: bool = False) -> Turn:
-    """The turn of a ``sensor_msgs/msg/LaserScan``.
+    """The turn of a ``sensor_msgs/msg/LaserScan``; raises `ScanError` if its angles or limits are none.
 
     Args:
         message: as `bridge.messages.values` has it.
         time_ns: when it was made, on the clock of whoever takes it.
         hangs: whether the laser hangs upside down.
-
-    Raises:
-        ScanError: its angles or limits are none.
     """
     made = _turn(
         time_ns, message["angle_min"], message["angle_increment"], message["range_min"], message["range_max"],
@@ -81,11 +38,7 @@ def of_ros(message: Mapping[str, Any], time_ns: int, *, hangs: bool = False) -> 
 
 
 def of_yarp(scan: LaserScan2D, time_ns: int) -> Turn:
-    """The turn of a YARP laser: degrees, the last angle being one step beyond the last beam.
-
-    Raises:
-        ScanError: its angles or limits are none.
-    """
+    """The turn of a YARP laser, in degrees, its last angle a step beyond the last beam; raises `ScanError`."""
     ranges = np.array(scan.scans, np.float64)
     step = math.radians(scan.angle_max - scan.angle_min) / max(len(ranges), 1)
     return _turn(time_ns, math.radians(scan.angle_min), step, scan.range_min, scan.range_max, ranges)
@@ -103,14 +56,14 @@ def _turn(
     return Turn(time_ns, first, step, max(nearest, _LEAST), farthest, ranges)
 
 
-def is_blind(scan: Beams) -> bool:
+def is_blind(scan: Turn) -> bool:
     """Whether none of its beams says anything: many lasers that are covered or broken say 0 all round."""
     ranges = np.asarray(scan.ranges, np.float64)
     with np.errstate(invalid="ignore"):
         return not ((ranges >= scan.nearest) | (ranges == -np.inf)).any()
 
 
-def believed(scan: Beams) -> NDArray[np.float64]:
+def believed(scan: Turn) -> NDArray[np.float64]:
     """The ranges: NaN where nothing is known, also nearer than is measured; infinite from the farthest on.
 
     A range of just ``range_max`` is no echo: many lasers say it where nothing was hit.
@@ -120,3 +73,27 @@ def believed(scan: Beams) -> NDArray[np.float64]:
         ranges[ranges < scan.nearest] = np.nan
         ranges[ranges >= scan.farthest] = np.inf
     return ranges
+
+
+AT_BASE = Pose(0.0, 0.0, 0.0)
+
+
+def scan_points(scan: Turn, laser: Pose = AT_BASE) -> NDArray[np.float64]:
+    """Where beams ended, (n, 2) in the base's frame, metres. Those that ended nowhere are left out.
+
+    Args:
+        scan: a turn of the laser.
+        laser: where the laser is on the base.
+    """
+    ranges = believed(scan)
+    hit = np.isfinite(ranges)
+    angles = scan.first + np.flatnonzero(hit) * scan.step + laser.theta
+    found = ranges[hit]
+    return np.stack([laser.x + found * np.cos(angles), laser.y + found * np.sin(angles)], axis=1)
+
+
+def thinned(points: NDArray[np.float64], most: int) -> NDArray[np.float64]:
+    """So many of the points at most, taken evenly."""
+    if len(points) <= most:
+        return points
+    return points[np.linspace(0, len(points) - 1, most).round().astype(np.intp)]

@@ -1,6 +1,7 @@
 #!/bin/sh
 # Makes this checkout ready: system packages, virtual environment, locked dependencies, ROS 2 message packages.
-# What is there already is left alone, so a second run takes a second. Knows these variables:
+# What is there already is left alone, so a second run takes a second. What apt, pip and the compilers print goes to
+# .cache/setup.log; here stands what is being done, how long that takes, and how far it is. Knows these variables:
 #   PYTHON         the Python to make the virtual environment with (3.11 or newer)
 #   CI=true        whatever cannot be had is an error
 #   MIDSPAN_CACHE  where built message packages go; default ~/.cache/midspan/interfaces
@@ -18,6 +19,10 @@ if [ "${CI:-}" = true ]; then
     tools="$tools systemd procps" # procps: the units reload by /bin/kill
 fi
 
+log=.cache/setup.log
+began=$(date +%s)
+worked=""
+
 say() {
     printf 'setup: %s\n' "$*" >&2
 }
@@ -25,6 +30,52 @@ say() {
 fail() {
     say "$*"
     exit 1
+}
+
+# Reads what a command prints into the log; shows how many of its lines begin with a word, of how many.
+show_progress() {
+    count=0 total=$2
+    while IFS= read -r line || [ -n "$line" ]; do
+        printf '%s\n' "$line" >>"$log"
+        case "$line" in
+            *" newly installed"*) # apt: each is got, and set up
+                total=${line#*, }
+                total=$((${total%% *} * 2))
+                ;;
+            $1)
+                count=$((count + 1))
+                if [ -t 2 ]; then
+                    printf '\rsetup:   %d of %d ' "$count" "$total" >&2
+                elif [ $((count % 25)) -eq 0 ]; then
+                    say "  $count of $total"
+                fi
+                ;;
+        esac
+    done
+    if [ -t 2 ] && [ "$count" -gt 0 ]; then
+        printf '\n' >&2
+    fi
+}
+
+# Runs a command with its output in the log; where it fails, shows the end of it.
+# logged WORD TOTAL COMMAND...: its progress is told by lines that begin with the word
+logged() {
+    word=$1 total=$2
+    shift 2
+    mkdir -p .cache
+    if [ -z "$worked" ]; then
+        : >"$log" # of this run alone
+    fi
+    worked=yes
+    rm -f .cache/setup-failed
+    { "$@" 2>&1 || touch .cache/setup-failed; } | show_progress "$word*" "$total"
+    if [ -e .cache/setup-failed ]; then
+        rm -f .cache/setup-failed
+        say "failed: $*"
+        tail -n 12 "$log" | sed 's/^/setup: | /' >&2
+        say "the whole output is in $PWD/$log"
+        return 1
+    fi
 }
 
 # Something optional is missing: an error in CI, elsewhere only said.
@@ -74,8 +125,9 @@ system_packages() {
         lacking "neither root nor sudo: ask for: apt-get install $missing"
         return
     fi
-    say "installing with apt: $missing"
-    as_root DEBIAN_FRONTEND=noninteractive apt-get -q update >&2 || lacking "apt-get update failed"
+    # shellcheck disable=SC2086  # a list of words
+    say "installing $(set -- $missing && echo $#) Debian packages and what they need (about a minute): $missing"
+    logged "no progress" 0 as_root DEBIAN_FRONTEND=noninteractive apt-get -q update || lacking "apt-get update failed"
     known=""
     unknown=""
     for package in $missing; do
@@ -89,8 +141,8 @@ system_packages() {
         lacking "not in this system's archive:$unknown"
     fi
     # shellcheck disable=SC2086
-    if [ -n "$known" ] && ! as_root DEBIAN_FRONTEND=noninteractive \
-        apt-get -q install -y --no-install-recommends $known >&2; then
+    if [ -n "$known" ] && ! logged "[GS]et[:t]" 0 as_root DEBIAN_FRONTEND=noninteractive \
+        apt-get -q install -y --no-install-recommends $known; then
         lacking "apt-get could not install:$known"
         return
     fi
@@ -120,15 +172,37 @@ ros2_source() {
     fi
 }
 
+# pip_install TOTAL WHAT...
 pip_install() {
-    .venv/bin/python -m pip install --quiet --disable-pip-version-check --no-input --no-deps --use-pep517 "$@" >&2
+    total=$1
+    shift
+    logged Collecting "$total" .venv/bin/python -m pip install --disable-pip-version-check --no-input --progress-bar off \
+        --no-deps --use-pep517 "$@"
+}
+
+packages_in() {
+    grep -c == "$1"
+}
+
+# The kernels compiled, of the sources that lie here; without a compiler they run as Python, which does not drive.
+kernels() {
+    if .venv/bin/python -P bridge/kernels.py >/dev/null; then
+        return
+    fi
+    say "compiling the kernels, two at a time (half a minute)"
+    logged compiling "$(.venv/bin/python -P bridge/kernels.py count)" .venv/bin/python setup.py -q build_ext --inplace || true
+    if ! left=$(.venv/bin/python -P bridge/kernels.py); then
+        lacking "$left
+setup: MESSAGES ARE CONVERTED SLOWLY AND NOTHING DRIVES until they are compiled:
+setup: install a C compiler and Python's headers (Debian: apt install g++ python3-dev), then run 'make setup' again"
+    fi
 }
 
 # The virtual environment with everything locked in it; remembers in a file what it was made from.
 environment() {
     source=$(ros2_source)
     made_for="$PWD $source"
-    made_from="$made_for $(cat pyproject.toml requirements.lock requirements-ros2.lock | sha256sum)"
+    made_from="$made_for $(cat pyproject.toml setup.py requirements.lock requirements-ros2.lock | sha256sum)"
     if [ -x .venv/bin/midspan ] && [ "$made_from" = "$(cat .venv/midspan-setup 2>/dev/null)" ]; then
         return
     fi
@@ -139,21 +213,29 @@ environment() {
         "$python" -m venv --clear .venv
         printf '%s\n' "$made_for" >.venv/midspan-place
     fi
-    say "installing the locked dependencies (a minute or two)"
-    pip_install -r requirements.lock
+    say "installing $(packages_in requirements.lock) Python packages (half a minute)"
+    pip_install "$(packages_in requirements.lock)" -r requirements.lock || fail "pip could not install requirements.lock"
     if [ "$source" != wheels ]; then
         say "using the ROS 2 that is sourced ($AMENT_PREFIX_PATH)"
-    elif ! pip_install -r requirements-ros2.lock; then
+    elif say "installing ROS 2 Jazzy: $(packages_in requirements-ros2.lock) packages (a minute)" &&
+        ! pip_install "$(packages_in requirements-ros2.lock)" -r requirements-ros2.lock; then
         lacking "the ROS 2 wheels cannot be installed here (see above): ROS 2 (DDS) is left out; or source /opt/ros/jazzy"
         made_from=""
     fi
+    kernels # before pip does it, which tells nothing
     # compat: one line in a .pth file, which also sees packages that are added later
-    pip_install --no-build-isolation --config-settings editable_mode=compat --editable .
+    say "installing Midspan itself, from this folder"
+    pip_install 1 --no-build-isolation --config-settings editable_mode=compat --editable . || fail "pip could not install Midspan"
     printf '%s\n' "$made_from" >.venv/midspan-setup
 }
 
 system_packages
 environment
+kernels
 if .venv/bin/python -c 'import rclpy' 2>/dev/null; then
+    # tells by itself what it builds
     .venv/bin/midspan interfaces build >/dev/null
+fi
+if [ -n "$worked" ]; then
+    say "ready after $(($(date +%s) - began)) s"
 fi

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from sim.dart import dartpy
+from sim.environment import dartpy
 from sim.pieces import Piece
 
 WALL_FRICTION = 0.3

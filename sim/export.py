@@ -1,46 +1,45 @@
-"""Maps, locations and areas of a floor plan for planners: doors stand open, and what moves is left out."""
+"""Maps, locations and areas of a floor plan for planners, and pictures of the floor from above.
+
+On a map doors stand open, and what moves is left out. DART's package draws nothing without a display.
+"""
 
 from __future__ import annotations
 
 import math
 from collections import deque
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from sim import pieces
-from sim.errors import SimError
+from sim.environment import SimError
 from sim.pieces import Piece
 from sim.plan import Floor, Plan
+from sim.simulation import Simulation
+from yarp_compat.dev.extras import MapLink
 from yarp_compat.dev.locations import Map2DArea, Map2DLocation
-from yarp_compat.dev.mapcollection import save_maps
 from yarp_compat.dev.mapgrid import MAX_CELLS, MapFlag, MapGrid2D
-from yarp_compat.dev.maplink import MapLink
-from yarp_compat.dev.places import Places
+from yarp_compat.dev.places import Places, save_maps
 from yarp_compat.sig.vec2d import Vec2D
 
-_MARGIN = 0.5
-"""Metres around what stands on a floor."""
+_MARGIN = 0.5  # metres around what stands on a floor
 
 
 def grid(plan: Plan, floor: str, resolution: float = 0.05) -> MapGrid2D:
-    """A floor's map: walls and what stands fast; free is what can be reached from its places, the rest is unknown.
-
-    Raises:
-        SimError: it would have too many cells.
-    """
+    """A floor's map: walls, what stands fast, free where places lead, else unknown; raises `SimError` if too large."""
     there = plan.floors[floor]
     x0, y0, x1, y1 = there.extent
     left, bottom = (math.floor((v - _MARGIN) / resolution) * resolution for v in (x0, y0))
     width, height = (math.ceil((v + _MARGIN - o) / resolution) for v, o in ((x1, left), (y1, bottom)))
     if width * height > MAX_CELLS:
-        msg = f"the map of {floor} would have {width} by {height} cells; the resolution should be coarser"
-        raise SimError(msg)
+        raise SimError(f"the map of {floor} would have {width} by {height} cells; the resolution should be coarser")
     wall = np.zeros((height, width), np.bool_)
     for piece in _standing(there):
         _mark(wall, piece, left, bottom, resolution)
-    free = _reached(wall, [((x - left) / resolution, (y - bottom) / resolution) for x, y, _ in _inside(there)])
+    inside = (there.start, *there.places.values())
+    free = _reached(wall, [((x - left) / resolution, (y - bottom) / resolution) for x, y, _ in inside])
     flags = np.where(wall, MapFlag.WALL, np.where(free, MapFlag.FREE, MapFlag.UNKNOWN)).astype(np.uint8)
     return MapGrid2D.of(flags[::-1].copy(), name=floor, resolution=resolution, origin=(left, bottom, 0.0))
 
@@ -91,10 +90,6 @@ def _standing(floor: Floor) -> list[Piece]:
     return [*pieces.walls(floor), *boxes, *(pieces.of_round(thing) for thing in floor.rounds)]
 
 
-def _inside(floor: Floor) -> list[tuple[float, float, float]]:
-    return [floor.start, *floor.places.values()]
-
-
 def _mark(wall: NDArray[np.bool_], piece: Piece, left: float, bottom: float, resolution: float) -> None:
     """Mark the cells whose middle is within half a cell of a piece: so a thin wall has no gaps."""
     reach = piece.reach + resolution
@@ -139,3 +134,88 @@ def _reached(wall: NDArray[np.bool_], starts: list[tuple[float, float]]) -> NDAr
                 first = np.flatnonzero(np.diff(np.concatenate(([False], open_)).astype(np.int8)) == 1)
                 ahead.extend((row, begin + int(i)) for i in first)
     return free
+
+
+_LONGEST = 800  # pixels of the picture's longer side
+_PICTURE_MARGIN = 0.3
+_FLOOR, _WALL, _DOOR, _CRATE = (250, 250, 247), (60, 62, 70), (190, 140, 80), (200, 165, 110)
+_PERSON, _ROBOT, _NOSE, _HIT, _BUMP = (60, 120, 200), (40, 160, 90), (255, 255, 255), (220, 60, 60), (255, 120, 0)
+
+
+def draw(simulation: Simulation) -> NDArray[np.uint8]:
+    """The floor as it is now: (height, width, 3) bytes, north up."""
+    canvas = _Canvas(simulation.world.floor.extent)
+    world = simulation.world
+    for piece in (*world.pieces[: world.first_leaf], *world.leaves(is_open=False)):
+        canvas.solid(piece, _DOOR if piece.name in world.doors else _WALL)
+    for piece in world.leaves(is_open=True):
+        canvas.outline(piece, _DOOR)
+    for crate in world.crates.values():
+        canvas.solid(crate.now(), _CRATE)
+    for walker in world.people.values():
+        canvas.disc(walker.x, walker.y, walker.person.radius, _PERSON)
+    canvas.dots(_hits(simulation), _HIT)
+    x, y, yaw = simulation.base.pose()
+    radius = simulation.robot.body.radius
+    canvas.disc(x, y, radius, _ROBOT)
+    canvas.line((x, y), (x + radius * math.cos(yaw), y + radius * math.sin(yaw)), _NOSE)
+    canvas.dots(np.array(simulation.bumps).reshape(-1, 2), _BUMP, 3)
+    return canvas.pixels()
+
+
+def png(simulation: Simulation, file: Any) -> None:
+    """Write the picture as PNG to a path or an open file."""
+    from PIL import Image  # not in each process that knows maps
+
+    Image.fromarray(draw(simulation)).save(file, format="PNG")
+
+
+def _hits(simulation: Simulation) -> NDArray[np.float64]:
+    """Where the laser's beams ended, (n, 2) metres."""
+    scan, (x, y, yaw) = simulation.scan, simulation.base.pose()
+    angles = yaw + scan.first + np.arange(len(scan.ranges)) * scan.step
+    seen = np.isfinite(scan.ranges)
+    far = scan.ranges[seen]
+    return np.stack([x + far * np.cos(angles[seen]), y + far * np.sin(angles[seen])], axis=1)
+
+
+class _Canvas:
+    def __init__(self, extent: tuple[float, float, float, float]) -> None:
+        from PIL import Image, ImageDraw  # as above
+
+        self._left, low, right, self._top = (
+            extent[0] - _PICTURE_MARGIN,
+            extent[1] - _PICTURE_MARGIN,
+            extent[2] + _PICTURE_MARGIN,
+            extent[3] + _PICTURE_MARGIN,
+        )
+        self._scale = _LONGEST / max(right - self._left, self._top - low)
+        size = max(1, round((right - self._left) * self._scale)), max(1, round((self._top - low) * self._scale))
+        self._image = Image.new("RGB", size, _FLOOR)
+        self._draw = ImageDraw.Draw(self._image)
+
+    def _at(self, x: float, y: float) -> tuple[float, float]:
+        return (x - self._left) * self._scale, (self._top - y) * self._scale
+
+    def solid(self, piece: Piece, colour: tuple[int, int, int]) -> None:
+        if piece.radius:
+            self.disc(piece.x, piece.y, piece.radius, colour)
+        else:
+            self._draw.polygon([self._at(float(x), float(y)) for x, y in piece.corners()], fill=colour)
+
+    def outline(self, piece: Piece, colour: tuple[int, int, int]) -> None:
+        self._draw.polygon([self._at(float(x), float(y)) for x, y in piece.corners()], outline=colour)
+
+    def disc(self, x: float, y: float, radius: float, colour: tuple[int, int, int]) -> None:
+        self._draw.ellipse([self._at(x - radius, y + radius), self._at(x + radius, y - radius)], fill=colour)
+
+    def line(self, a: tuple[float, float], b: tuple[float, float], colour: tuple[int, int, int]) -> None:
+        self._draw.line([self._at(*a), self._at(*b)], fill=colour, width=2)
+
+    def dots(self, points: NDArray[np.float64], colour: tuple[int, int, int], size: int = 1) -> None:
+        for x, y in points:
+            px, py = self._at(float(x), float(y))
+            self._draw.rectangle([px - size, py - size, px + size - 1, py + size - 1], fill=colour)
+
+    def pixels(self) -> NDArray[np.uint8]:
+        return np.asarray(self._image)

@@ -3,44 +3,22 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from bridge.config.sections.sim import LaserSection
+from bridge.messages.scan import Turn
 from sim.laser_kernel import blend, cast
 from sim.robot import Mount, Scanner
 
 Floats = NDArray[np.float64]
 
 
-@dataclass(frozen=True)
-class Scan:
-    """One turn.
-
-    Attributes:
-        time_ns: when, on the simulation's clock.
-        first: the first beam's direction on the base, radians.
-        step: between two beams, radians.
-        nearest: the least distance that it measures, metres.
-        farthest: the greatest, metres.
-        ranges: metres; infinite where nothing was hit, NaN where the laser is blind, too near or lost the echo.
-    """
-
-    time_ns: int
-    first: float
-    step: float
-    nearest: float
-    farthest: float
-    ranges: Floats
-
-
 class Laser:
     """Makes scans of a world's segments and circles.
 
     Args:
-        section: what it measures.
         mount: where the robot's own scanners are.
         rng: where noise and lost echoes come from.
     """
@@ -56,9 +34,8 @@ class Laser:
         angles = self.first + np.arange(section.beams) * self.step
         self._beams = np.ascontiguousarray(np.stack([np.cos(angles), np.sin(angles)], axis=1))
         self._blind = [_blind(scanner, np.degrees(angles)) for scanner in self.scanners]
-        self._cast, self._blend = cast(), blend()
 
-    def scan(self, time_ns: int, pose: tuple[float, float, float], segments: Floats, circles: Floats) -> Scan:
+    def scan(self, time_ns: int, pose: tuple[float, float, float], segments: Floats, circles: Floats) -> Turn:
         """One turn from the base's pose (x, y, yaw: metres, radians)."""
         turns = [
             self._turn(s, blind, pose, segments, circles) for s, blind in zip(self.scanners, self._blind, strict=True)
@@ -68,8 +45,8 @@ class Laser:
             ranges = np.full(self.section.beams, math.nan)
             for scanner, turn in zip(self.scanners, turns, strict=True):
                 x, y, yaw = scanner.at
-                self._blend(turn, self.first, self.step, x, y, math.radians(yaw), ranges, self.step)
-        return Scan(time_ns, self.first, self.step, self.section.nearest, self.section.farthest, ranges)
+                blend(turn, self.first, self.step, x, y, math.radians(yaw), ranges, self.step)
+        return Turn(time_ns, self.first, self.step, self.section.nearest, self.section.farthest, ranges)
 
     def _turn(
         self,
@@ -83,7 +60,7 @@ class Laser:
         c, s = math.cos(yaw), math.sin(yaw)
         out = np.empty(section.beams)
         at = (x + c * dx - s * dy, y + s * dx + c * dy, yaw + math.radians(turned))
-        self._cast(segments, circles, *at, self._beams, self.first, self.step, section.farthest, out)
+        cast(segments, circles, *at, self._beams, self.first, self.step, section.farthest, out)
         if section.noise:
             out += self._rng.normal(0.0, section.noise, section.beams)
         if section.resolution:

@@ -1,19 +1,20 @@
-"""What the simulation knows, as messages of ROS 2."""
+"""What the simulation knows, as messages of ROS 2, and the names of its topics and frames."""
 
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
-from sim.base import Encoders, Pose, Twist
-from sim.battery import Charge
-from sim.laser import Scan
-from sim.names import Names
-from sim.odometry import Estimate
+from bridge.messages.scan import Turn
+from sim.base import BasePose, Encoders, Twist
+from sim.robot import RobotDescription
+from sim.sensors import Charge
 
 Message = dict[str, Any]
+_SECOND = 1_000_000_000
 _UNKNOWN = 0  # sensor_msgs/BatteryState
 _DISCHARGING = 2
 _LION = 2
@@ -23,7 +24,7 @@ _POSE_VARIANCE = np.diag([0.01, 0.01, 1e6, 1e6, 1e6, 0.03]).ravel()
 
 def stamp(time_ns: int) -> Message:
     """builtin_interfaces/Time."""
-    seconds, nanoseconds = divmod(time_ns, 1_000_000_000)
+    seconds, nanoseconds = divmod(time_ns, _SECOND)
     return {"sec": seconds, "nanosec": nanoseconds}
 
 
@@ -37,7 +38,7 @@ def turned(yaw: float) -> Message:
     return {"x": 0.0, "y": 0.0, "z": math.sin(yaw / 2), "w": math.cos(yaw / 2)}
 
 
-def odometry(time_ns: int, pose: Pose, twist: Twist, frame: str, child: str, *, sure: bool = False) -> Message:
+def odometry(time_ns: int, pose: BasePose, twist: Twist, frame: str, child: str, *, sure: bool = False) -> Message:
     """nav_msgs/Odometry."""
     linear, angular = {"x": twist.x, "y": twist.y, "z": 0.0}, {"x": 0.0, "y": 0.0, "z": twist.yaw}
     said: Message = {
@@ -51,12 +52,21 @@ def odometry(time_ns: int, pose: Pose, twist: Twist, frame: str, child: str, *, 
     return said
 
 
-def estimate(time_ns: int, found: Estimate, names: Names) -> Message:
-    """The odometry's nav_msgs/Odometry."""
-    return odometry(time_ns, found.pose, found.twist, names.odom_frame, names.base_frame)
+def moving(time_ns: int, pose: BasePose, twist: Twist) -> tuple[float, ...]:
+    """What changes of `odometry`, in its order: ``header.stamp``, ``pose.pose``, ``twist.twist``."""
+    return (*divmod(time_ns, _SECOND), *_placed(pose), twist.x, twist.y, 0.0, 0.0, 0.0, twist.yaw)
 
 
-def transform(time_ns: int, parent: str, child: str, pose: Pose, height: float = 0.0) -> Message:
+def placed(time_ns: int, pose: BasePose) -> tuple[float, ...]:
+    """What changes of `transform`, in its order: the stamp and the transform of a child at the same height."""
+    return (*divmod(time_ns, _SECOND), *_placed(pose))
+
+
+def _placed(pose: BasePose) -> tuple[float, ...]:
+    return pose.x, pose.y, 0.0, 0.0, 0.0, math.sin(pose.yaw / 2), math.cos(pose.yaw / 2)
+
+
+def transform(time_ns: int, parent: str, child: str, pose: BasePose, height: float = 0.0) -> Message:
     """tf2_msgs/TFMessage of one transform."""
     translation = {"x": pose.x, "y": pose.y, "z": height}
     one = {
@@ -77,7 +87,12 @@ def joints(time_ns: int, names: tuple[str, ...], encoders: Encoders) -> Message:
     }
 
 
-def scan(time_ns: int, found: Scan, frame: str, rate: float) -> Message:
+def turning(time_ns: int, encoders: Encoders) -> tuple[float, ...]:
+    """What changes of `joints`, in its order: ``header.stamp``, ``position``, ``velocity``."""
+    return (*divmod(time_ns, _SECOND), *encoders.positions.tolist(), *encoders.velocities.tolist())
+
+
+def scan(time_ns: int, found: Turn, frame: str, rate: float) -> Message:
     """sensor_msgs/LaserScan. All beams are of one moment."""
     return {
         "header": header(time_ns, frame),
@@ -125,3 +140,35 @@ def image(time_ns: int, picture: np.ndarray) -> Message:
 def velocity(message: Message) -> Twist:
     """The velocity of a geometry_msgs/Twist."""
     return Twist(message["linear"]["x"], message["linear"]["y"], message["angular"]["z"])
+
+
+@dataclass(frozen=True)
+class TopicNames:
+    """What is called how."""
+
+    scan: str = "/scan"
+    odometry: str = "/odom"
+    battery: str = "/battery_state"
+    joints: str = "/joint_states"
+    truth: str = "/ground_truth"
+    bumper: str = "/bumper"
+    view: str = "/sim/view"
+    velocity: str = "/cmd_vel"
+    wheels: str = "/wheel_command"
+    odom_frame: str = "odom"
+    map_frame: str = "map"
+    base_frame: str = "base_link"
+    laser_frame: str = "laser"
+
+
+def names_of(kind: str, robot: RobotDescription) -> TopicNames:
+    """The names that the configuration's ``sim.messages`` means."""
+    if kind == "usual":
+        return TopicNames()
+    return TopicNames(
+        scan="/laser",
+        odometry="/odometry",
+        battery="/battery_status",
+        base_frame=robot.frames.base,
+        laser_frame=robot.frames.laser,
+    )

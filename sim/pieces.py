@@ -1,44 +1,33 @@
-"""What stands fast on a floor, as simple solids: DART touches them and the laser sees them."""
+"""What stands on a floor, as simple solids, and people who walk: DART touches them, the laser sees them."""
 
 from __future__ import annotations
 
 import itertools
 import math
+from collections import deque
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.plan import Box, Door, Floor, Person, Point, Round
+from sim.plan import Box, Floor, Person, Point, RoomDoor, Round
 
-_ON_LINE = 0.02
-"""Metres that a door's post may lie beside its wall's middle line."""
+_ON_LINE = 0.02  # metres that a door's post may lie beside its wall's middle line
 
 
 @dataclass(frozen=True)
 class Piece:
-    """An upright solid: a box, or a cylinder where it has a radius.
+    """An upright solid: a box, or a cylinder where it has a radius."""
 
-    Attributes:
-        name: "" for one that nobody names.
-        x: its middle, metres.
-        y: its middle, metres.
-        yaw: radians.
-        length: metres, along its own x.
-        width: metres.
-        height: metres.
-        radius: metres; 0 for a box.
-    """
-
-    name: str
-    x: float
-    y: float
-    yaw: float
-    length: float
-    width: float
-    height: float
-    radius: float = 0.0
+    name: str  #: "" for one that nobody names
+    x: float  #: its middle, metres
+    y: float  #: its middle, metres
+    yaw: float  #: radians
+    length: float  #: metres, along its own x
+    width: float  #: metres
+    height: float  #: metres
+    radius: float = 0.0  #: metres; 0 for a box
 
     @property
     def reach(self) -> float:
@@ -109,7 +98,7 @@ def _cut(a: Point, b: Point, length: float, hole: tuple[Point, Point]) -> tuple[
     return max(along[0], 0.0), min(along[1], length)
 
 
-def leaf(door: Door, floor: Floor) -> Piece:
+def leaf(door: RoomDoor, floor: Floor) -> Piece:
     """A door's leaf when it is closed."""
     return bar(door.name, *door.line, min(floor.thickness, 0.06), floor.height)
 
@@ -128,3 +117,71 @@ def of_round(thing: Round) -> Piece:
 def of_person(person: Person) -> Piece:
     """A person, where the plan has them at the start."""
     return Piece(person.name, *person.at, 0.0, 0.0, 0.0, 1.7, person.radius)
+
+
+_PATIENCE, _REST = 5.0, 20.0
+"""Seconds that somebody waits for a robot in the way before turning to the next point of the path, and rests there."""
+
+
+class Walker:
+    """A person on the way. They are neither pushed nor do they push: they wait where somebody is in the way.
+
+    Who has waited for long turns to the next point of the path: two who wait for one another would do so for ever.
+
+    Attributes:
+        person: who, as the plan has them.
+        x: where, metres.
+        y: where, metres.
+    """
+
+    def __init__(self, person: Person) -> None:
+        self.person = person
+        self.x, self.y = person.at
+        self.send(person.path, loop=person.loop)
+
+    def send(self, path: Iterable[Point], *, loop: bool = False) -> None:
+        """Have the person walk to these points, one after the other, at once."""
+        self._way, self._loop = deque(path), loop
+        self._waited, self._rest, self._gives_way = 0.0, 0.0, False
+
+    def piece(self) -> Piece:
+        """The person as a solid."""
+        return of_person(self.person).moved(self.x, self.y, 0.0)
+
+    def walk(self, seconds: float, robot: Point, room: float) -> bool:
+        """Walk for so long; whether the person moved. Within ``room`` metres of the robot they come no nearer."""
+        if self._rest > 0.0:
+            self._rest -= seconds
+            return False
+        left = self.person.speed * seconds
+        x, y = self.x, self.y
+        while self._way and left > 0.0:
+            goal = self._way[0]
+            away = math.hypot(goal[0] - x, goal[1] - y)
+            if away > left:
+                x, y = x + (goal[0] - x) / away * left, y + (goal[1] - y) / away * left
+                break
+            (x, y), left = goal, left - away
+            self._way.popleft()
+            if self._gives_way:
+                self._gives_way, self._rest, left = False, _REST, 0.0
+            if self._loop:
+                self._way.append(goal)
+            if away == 0.0 and len(self._way) <= 1:
+                break
+        before = math.hypot(self.x - robot[0], self.y - robot[1])
+        after = math.hypot(x - robot[0], y - robot[1])
+        if after < before and after < room + self.person.radius:
+            self._wait(seconds)
+            return False
+        self._waited = 0.0
+        if (x, y) == (self.x, self.y):
+            return False
+        self.x, self.y = x, y
+        return True
+
+    def _wait(self, seconds: float) -> None:
+        self._waited += seconds
+        if self._waited > _PATIENCE and len(self._way) > 1:
+            self._waited, self._gives_way = 0.0, True
+            self._way.rotate(-1)

@@ -1,13 +1,20 @@
-"""Floor plans: what stands where, as one writes it in a YAML file. Metres and degrees."""
+"""Floor plans: what stands where, written in YAML, or made from a map of cells or an image. Metres and degrees."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
+from pathlib import Path
 from typing import Annotated
 
+import numpy as np
+from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
 from bridge.config.sections.section import Section
+from sim.environment import SimError, checked, document, find
+from yarp_compat.dev.mapfile import MapFileError
+from yarp_compat.dev.mapgrid import MAX_CELLS, MapFlag, MapGrid2D
 
 Point = tuple[float, float]
 Pose = tuple[float, float, float]
@@ -15,7 +22,7 @@ Line = tuple[Point, ...]
 Size = Annotated[float, Field(gt=0, le=1000)]
 
 
-class Door(Section):
+class RoomDoor(Section):
     """A door in a wall; the wall has a hole for it by itself."""
 
     name: str
@@ -73,7 +80,7 @@ class Floor(Section):
     height: Size = Field(default=2.0, description="Of the walls.")
     walls: tuple[Line, ...] = Field(default=(), description="Lines through points.")
     openings: tuple[tuple[Point, Point], ...] = Field(default=(), description="Holes in walls that have no door.")
-    doors: tuple[Door, ...] = ()
+    doors: tuple[RoomDoor, ...] = ()
     boxes: tuple[Box, ...] = ()
     rounds: tuple[Round, ...] = ()
     people: tuple[Person, ...] = ()
@@ -83,20 +90,17 @@ class Floor(Section):
 
     @model_validator(mode="after")
     def _names_differ(self) -> Floor:
-        things: tuple[Door | Box | Round | Person, ...] = (*self.doors, *self.boxes, *self.rounds, *self.people)
+        things: tuple[RoomDoor | Box | Round | Person, ...] = (*self.doors, *self.boxes, *self.rounds, *self.people)
         names = [thing.name for thing in things if thing.name]
         twice = next((name for name in names if names.count(name) > 1), None)
         if twice is not None:
-            msg = f"two things are called {twice!r}"
-            raise ValueError(msg)
+            raise ValueError(f"two things are called {twice!r}")
         both = next(iter(self.rooms.keys() & self.locations.keys()), None)
         if both is not None:
-            msg = f"{both!r} is a room and a location"
-            raise ValueError(msg)
+            raise ValueError(f"{both!r} is a room and a location")
         flat = [value for wall in self.walls for point in wall for value in point]
         if not all(math.isfinite(value) and abs(value) < 10_000 for value in flat):
-            msg = "a wall is not within 10 km"
-            raise ValueError(msg)
+            raise ValueError("a wall is not within 10 km")
         return self
 
     @property
@@ -158,6 +162,109 @@ class Plan(Section):
         for link in self.links:
             for floor, place in link.split:
                 if floor not in self.floors or place not in self.floors[floor].places:
-                    msg = f"the link {link.name!r} ends at {floor}/{place}, which is no location of a floor"
-                    raise ValueError(msg)
+                    raise ValueError(f"the link {link.name!r} ends at {floor}/{place}, which is no location of a floor")
         return self
+
+
+_MOST_PIECES = 20_000
+_HEIGHT = 2.0
+_DARK = 128
+
+
+def of_map_file(file: Path) -> Plan:
+    """A plan of a YARP map (.map) or ROS map (.yaml), of its walls alone; raises `SimError` if no map, or too large."""
+    try:
+        grid = MapGrid2D.load(file)
+    except (MapFileError, OSError, ValueError) as err:
+        raise SimError(f"{file}: {err}") from None
+    return of_grid(grid, file.stem)
+
+
+def of_grid(grid: MapGrid2D, name: str) -> Plan:
+    """A plan of a map. Keep-out cells are none of its solids: nothing stands there."""
+    origin = grid.m_origin.to_ros()
+    return _plan(name, grid.flags == MapFlag.WALL, grid.getResolution(), (origin[0], origin[1], origin[2]))
+
+
+def of_image(file: Path, resolution: float) -> Plan:
+    """A plan of an image, metres a pixel: dark is wall, lower left the origin; raises `SimError` if none, or large."""
+    from PIL import Image  # most plans are no image
+
+    try:
+        with Image.open(file) as image:
+            if image.width * image.height > MAX_CELLS:
+                raise SimError(f"{file}: more than {MAX_CELLS} pixels")
+            grey = np.asarray(image.convert("L"))
+    except (OSError, ValueError, Image.DecompressionBombError) as err:
+        raise SimError(f"{file}: no image that can be read: {err}") from None
+    return _plan(file.stem, grey < _DARK, resolution, (0.0, 0.0, 0.0))
+
+
+def _plan(name: str, solid: NDArray[np.bool_], resolution: float, origin: Pose) -> Plan:
+    """A plan of cells, rows from the top one down; the origin (metres, radians) is their lower left corner."""
+    c, s = math.cos(origin[2]), math.sin(origin[2])
+    boxes = []
+    for left, bottom, right, top in rectangles(solid[::-1]):
+        x, y = (left + right) / 2 * resolution, (bottom + top) / 2 * resolution
+        at = (origin[0] + c * x - s * y, origin[1] + s * x + c * y, math.degrees(origin[2]))
+        boxes.append(Box(at=at, size=((right - left) * resolution, (top - bottom) * resolution, _HEIGHT)))
+        if len(boxes) > _MOST_PIECES:
+            raise SimError(f"{name}: more than {_MOST_PIECES} rectangles of solid cells; is it a map?")
+    height, width = solid.shape
+    x, y = width / 2 * resolution, height / 2 * resolution
+    start = (origin[0] + c * x - s * y, origin[1] + s * x + c * y, 0.0)
+    plain = "".join(letter if letter.isascii() and letter.isalnum() else "_" for letter in name)[:60]
+    plain = plain if plain[:1].isalpha() else f"m_{plain}"
+    return Plan(name=plain, floors={plain: Floor(boxes=tuple(boxes), start=start)})
+
+
+def rectangles(solid: NDArray[np.bool_]) -> Iterator[tuple[int, int, int, int]]:
+    """Rectangles that cover the solid cells, each cell once: left, bottom, right, top, the last two not within.
+
+    Runs of a row that go on in the next with the same ends grow upwards.
+    """
+    growing: dict[tuple[int, int], int] = {}
+    for row, cells in enumerate(solid):
+        edges = np.flatnonzero(np.diff(np.concatenate(([False], cells, [False])).astype(np.int8)))
+        runs = set(zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True))
+        for left, right in [run for run in growing if run not in runs]:
+            yield left, growing.pop((left, right)), right, row
+        for run in sorted(runs):
+            growing.setdefault(run, row)
+    for (left, right), bottom in growing.items():
+        yield left, bottom, right, len(solid)
+
+
+_IMAGES = (".png", ".pgm", ".bmp", ".jpg", ".jpeg", ".gif", ".tif", ".tiff")
+
+
+def load_plan(name: str, resolution: float = 0.05) -> Plan:
+    """A plan that comes with Midspan, or a file: a plan or a ROS map (YAML), a YARP map (.map), or an image.
+
+    Args:
+        name: of the plan or the file.
+        resolution: metres per pixel of an image.
+
+    Raises:
+        SimError: there is none of that name, or the file is wrong.
+    """
+    file = find("plans", name)
+    kind = file.suffix.lower()
+    if kind in _IMAGES:
+        return of_image(file, resolution)
+    if kind == ".map":
+        return of_map_file(file)
+    if kind not in (".yaml", ".yml"):
+        raise SimError(f"{name}: what it is is told by its name's end: .yaml, .map, {', '.join(_IMAGES)}")
+    found = document(file)
+    if "image" in found.data:
+        return of_map_file(file)
+    if "floors" in found.data:
+        return checked(found, Plan)
+    return single(file, checked(found, Floor))
+
+
+def single(file: Path, floor: Floor) -> Plan:
+    """A plan of one floor, called as its file is."""
+    name = "".join(c if (c.isalnum() and c.isascii()) or c in "_-" else "_" for c in file.stem)
+    return Plan(name=name if name[:1].isalpha() else f"map_{name}", floors={name: floor})

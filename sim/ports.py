@@ -14,31 +14,23 @@ import numpy as np
 
 from bridge.modules.host import Host
 from sim.simulation import TICK_NS, Simulation
-from yarp_compat.dev.basecontrol import IOdometry2DMsgs
-from yarp_compat.dev.laserscan import LaserScan2D
-from yarp_compat.dev.odometry import OdometryData
-from yarp_compat.dev.rangefinder import DeviceStatus, Rangefinder2D
+from yarp_compat.dev.basecontrol import IOdometry2DMsgs, OdometryData
+from yarp_compat.dev.rangefinder import DeviceStatus, LaserScan2D, Rangefinder2D
 from yarp_compat.dev.returnvalue import OK, ReturnCode, ReturnValue
 from yarp_compat.sig.vector import Vector
 
 _ODOMETRY = 2
-_BATTERY = 100
-"""Ticks between two messages: 50 Hz, 1 Hz."""
-
-_IN_USE = 2
-"""`IBattery::Battery_status`: works, and gives."""
-
+_BATTERY = 100  # ticks between two messages: 50 Hz, 1 Hz
+_IN_USE = 2  # `IBattery::Battery_status`: works, and gives
 _TEMPERATURE = 30.0
 _FIXED = ReturnValue(ReturnCode.NOT_IMPLEMENTED)
 
 
-class Ports:
+class RobotPorts:
     """The ports.
 
     Args:
-        host: who opens them.
         prefix: what their names begin with.
-        simulation: what is told of.
     """
 
     def __init__(self, host: Host, prefix: str, simulation: Simulation) -> None:

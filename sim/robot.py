@@ -5,8 +5,7 @@ from __future__ import annotations
 from pydantic import Field, model_validator
 
 from bridge.config.sections.section import Section
-from sim import files
-from sim.errors import SimError
+from sim.environment import SimError, checked, document, find
 
 Triple = tuple[float, float, float]
 Pair = tuple[float, float]
@@ -83,7 +82,7 @@ class Mount(Section):
     scanners: tuple[Scanner, ...] = Field(default=(Scanner(),), description="They are blended into one.")
 
 
-class Battery(Section):
+class BatteryDescription(Section):
     """The battery."""
 
     capacity: float = Field(default=960.0, gt=0, description="Watt hours.")
@@ -92,14 +91,14 @@ class Battery(Section):
     idle: float = Field(default=60.0, ge=0, description="What the robot takes at rest, watts.")
 
 
-class Frames(Section):
+class FrameNames(Section):
     """Names that differ between robots, for ``names: r1``."""
 
     base: str = Field(default="mobile_base_body_link", description="The base's own frame.")
     laser: str = Field(default="mobile_base_double_lidar", description="The laser's own frame.")
 
 
-class Robot(Section):
+class RobotDescription(Section):
     """A base."""
 
     name: str = Field(description="The robot's name.")
@@ -111,8 +110,8 @@ class Robot(Section):
     motor_timeout: float = Field(default=0.1, gt=0, le=0.5, description="Wheels stop so many seconds after silence.")
     limits: Limits = Limits()
     lasers: Mount = Mount()
-    battery: Battery = Battery()
-    frames: Frames = Frames()
+    battery: BatteryDescription = BatteryDescription()
+    frames: FrameNames = FrameNames()
 
     @property
     def believed(self) -> Belief:
@@ -120,28 +119,21 @@ class Robot(Section):
         return self.belief or Belief(radius=self.wheels.radius, separation=self.wheels.separation)
 
     @model_validator(mode="after")
-    def _fits(self) -> Robot:
+    def _fits(self) -> RobotDescription:
         if self.kinematics not in KINEMATICS:
             msg = f"kinematics {self.kinematics!r} are not written yet; there are {' and '.join(KINEMATICS)}"
             raise ValueError(msg)
         count = 2 if self.kinematics == "differential" else 3
         if len(self.wheels.names) != count:
-            msg = f"{self.kinematics} has {count} wheels, not {len(self.wheels.names)}"
-            raise ValueError(msg)
+            raise ValueError(f"{self.kinematics} has {count} wheels, not {len(self.wheels.names)}")
         if self.body.mass <= count * self.wheels.mass:
-            msg = "the robot's mass is not more than that of its wheels"
-            raise ValueError(msg)
+            raise ValueError("the robot's mass is not more than that of its wheels")
         return self
 
 
-def load(name: str) -> Robot:
-    """A robot that comes with Midspan, or one's own file.
-
-    Raises:
-        SimError: there is none of that name, or the file is wrong.
-    """
-    robot = files.checked(files.document(files.find("robots", name)), Robot)
+def load(name: str) -> RobotDescription:
+    """A robot that comes with Midspan, or one's own file; raises `SimError` if there is none, or the file is wrong."""
+    robot = checked(document(find("robots", name)), RobotDescription)
     if robot.body.low >= robot.body.high:
-        msg = f"{name}: body.low must be less than body.high"
-        raise SimError(msg)
+        raise SimError(f"{name}: body.low must be less than body.high")
     return robot

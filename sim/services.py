@@ -1,4 +1,4 @@
-"""What the simulator is asked for on the hub, under ``/sim/``."""
+"""The simulator's services on the hub, under ``/sim/``: what clients wish, and steps that they ask for one by one."""
 
 from __future__ import annotations
 
@@ -6,12 +6,13 @@ import math
 from collections.abc import Callable
 from typing import Any
 
+from bridge.modules.loop import EventLoop, Timer
 from bridge.modules.services import Answer
-from sim import plan
-from sim.base import Pose
-from sim.errors import SimError
+from sim import messages, plan
+from sim.base import BasePose
+from sim.environment import SimError
 from sim.pieces import of_round
-from sim.simulation import Simulation
+from sim.simulation import TICK_NS, Simulation
 
 Request = dict[str, Any]
 _MOST_POINTS = 1000
@@ -33,11 +34,7 @@ def answered(do: Callable[[Request], str]) -> Callable[[Request, Answer], None]:
 
 
 class Wishes:
-    """Changes to what is simulated.
-
-    Args:
-        simulation: that.
-    """
+    """Changes to what is simulated."""
 
     def __init__(self, simulation: Simulation) -> None:
         self._simulation = simulation
@@ -64,7 +61,7 @@ class Wishes:
 
     def _teleport(self, request: Request) -> str:
         wanted = request["pose"]
-        to = Pose(*_finite(wanted["x"], wanted["y"], wanted["theta"]))
+        to = BasePose(*_finite(wanted["x"], wanted["y"], wanted["theta"]))
         self._simulation.teleport(to)
         return f"the robot is at {to.x:.2f}, {to.y:.2f}"
 
@@ -81,8 +78,7 @@ class Wishes:
         elif kind == _PERSON:
             thing = plan.Person(name=name, at=(x, y), radius=request["radius"] or 0.2)
         else:
-            msg = f"kind {kind} is none of BOX, ROUND and PERSON (0, 1, 2)"
-            raise SimError(msg)
+            raise SimError(f"kind {kind} is none of BOX, ROUND and PERSON (0, 1, 2)")
         self._simulation.world.spawn(thing, name)
         return f"{name} is there"
 
@@ -90,11 +86,9 @@ class Wishes:
         people = self._simulation.world.people
         walker = people.get(request["name"])
         if walker is None:
-            msg = f"there is nobody called {request['name']!r}; people: {', '.join(people) or 'none'}"
-            raise SimError(msg)
+            raise SimError(f"there is nobody called {request['name']!r}; people: {', '.join(people) or 'none'}")
         if len(request["path"]) > _MOST_POINTS:
-            msg = f"a path has {_MOST_POINTS} points at most"
-            raise SimError(msg)
+            raise SimError(f"a path has {_MOST_POINTS} points at most")
         points = [_finite(point["x"], point["y"], 0.0)[:2] for point in request["path"]]
         walker.send(((p[0], p[1]) for p in points), loop=bool(request["loop"]))
         return f"{request['name']} is on the way"
@@ -110,6 +104,92 @@ class Wishes:
 
 def _finite(*values: float) -> tuple[float, ...]:
     if not all(math.isfinite(value) and abs(value) < 10_000 for value in values):
-        msg = f"{values} are not finite numbers within 10 km"
-        raise SimError(msg)
+        raise SimError(f"{values} are not finite numbers within 10 km")
     return values
+
+
+_LONGEST_STEP = 3600.0
+_BUNDLE = 50  # ticks at one go, after which others are heard
+
+
+class Stepping:
+    """Serves ``/sim/step``: a step is answered once all that it names have acknowledged the time it came to.
+
+    One step at a time; all on the module's thread.
+
+    Args:
+        tick: lets one tick pass, and says the time it came to.
+    """
+
+    def __init__(self, loop: EventLoop, tick: Callable[[], int]) -> None:
+        self._loop, self._tick = loop, tick
+        self._answer: Answer | None = None
+        self._left = 0
+        self._now = 0
+        self._wait_for: set[str] = set()
+        self._said: dict[str, int] = {}
+        self._patience = 0.0
+        self._timer: Timer | None = None
+
+    @property
+    def busy(self) -> bool:
+        """Whether a step is under way."""
+        return self._answer is not None
+
+    def serve(self, request: dict[str, Any], answer: Answer) -> None:
+        """Step."""
+        seconds, patience = request["seconds"], request["patience"]
+        if not (math.isfinite(seconds) and 0.0 < seconds <= _LONGEST_STEP and math.isfinite(patience)):
+            answer(_reply(self._now, f"a step is more than 0 and at most {_LONGEST_STEP:g} seconds"))
+            return
+        if self.busy:
+            answer(_reply(self._now, "another step is under way: wait for its reply"))
+            return
+        self._answer, self._left = answer, max(1, round(seconds * 1e9 / TICK_NS))
+        self._wait_for, self._patience = set(request["wait_for"]), max(0.0, patience)
+        self._go()
+
+    def acknowledge(self, message: dict[str, Any]) -> None:
+        """A participant is done with a time."""
+        at = message["stamp"]["sec"] * 1_000_000_000 + message["stamp"]["nanosec"]
+        if message["frame_id"] in self._wait_for:
+            self._said[message["frame_id"]] = at
+            self._finish()
+
+    def give_up(self, why: str) -> None:
+        """End the step that is under way."""
+        answer, self._answer = self._answer, None
+        self._left, self._said = 0, {}
+        if self._timer is not None:
+            self._timer.close()
+        if answer is not None:
+            answer(_reply(self._now, why))
+
+    def _go(self) -> None:
+        if self._answer is None:
+            return
+        count = min(self._left, _BUNDLE)
+        for _ in range(count):
+            self._now = self._tick()
+        self._left -= count
+        if self._left:
+            self._loop.post(self._go)
+            return
+        if self._wait_for:
+            self._timer = self._loop.after(self._patience, self._tired)
+        self._finish()
+
+    def _waiting(self) -> set[str]:
+        return {name for name in self._wait_for if self._said.get(name, -1) < self._now}
+
+    def _finish(self) -> None:
+        if self._answer is not None and not self._left and not self._waiting():
+            self.give_up("")
+
+    def _tired(self) -> None:
+        if self._answer is not None and not self._left and (missing := self._waiting()):
+            self.give_up(f"not acknowledged by {', '.join(sorted(missing))} within {self._patience:g} s")
+
+
+def _reply(time_ns: int, why: str) -> dict[str, Any]:
+    return {"success": not why, "message": why, "stamp": messages.stamp(time_ns)}

@@ -9,16 +9,14 @@ from dataclasses import replace
 import numpy as np
 
 from bridge.config.sections.sim import SimSection
-from sim import plans, robot
-from sim.base import STEP_NS, Encoders, Pose, Twist, make_base
-from sim.battery import Battery
-from sim.commands import Drive
-from sim.errors import SimError
-from sim.faults import Faults
-from sim.laser import Laser, Scan
-from sim.odometry import Estimate, Odometry, Sensed
-from sim.plan import Plan
-from sim.world import World
+from bridge.messages.scan import Turn
+from sim import robot
+from sim.base import STEP_NS, Base, BasePose, Differential, Encoders, Floats, Holonomic, Twist
+from sim.environment import SimError
+from sim.laser import Laser
+from sim.plan import Plan, load_plan
+from sim.sensors import Battery, Estimate, Faults, Odometry, Sensed
+from sim.world import FloorWorld
 
 TICK_NS = 10_000_000
 """Time passes by ticks: between them commands are constant."""
@@ -28,14 +26,10 @@ _LOOK_NS = 50_000_000
 
 
 class Motors:
-    """The wheels' motors: what BaseControl drives (in process; over the hub it is two topics).
-
-    Attributes:
-        names: of the wheels' joints, in the order of all velocities and positions.
-    """
+    """The wheels' motors: what BaseControl drives (in process; over the hub it is two topics)."""
 
     def __init__(self, names: tuple[str, ...], timeout: float) -> None:
-        self.names = names
+        self.names = names  # of the wheels' joints, in the order of all velocities and positions
         self._timeout = round(timeout * 1e9)
         self._wanted = np.zeros(len(names))
         self._until = 0
@@ -45,13 +39,11 @@ class Motors:
     def drive(self, velocities: Sequence[float]) -> None:
         """Turn the wheels so (radians per second) from now on; 0.1 s after the last call they stop.
 
-        Raises:
-            SimError: not as many as there are wheels, or not finite.
+        Raises `SimError` if not as many as there are wheels, or not finite.
         """
         wanted = np.asarray(velocities, float)
         if wanted.shape != (len(self.names),) or not np.isfinite(wanted).all():
-            msg = f"{list(velocities)} are no velocities for the wheels {', '.join(self.names)}"
-            raise SimError(msg)
+            raise SimError(f"{list(velocities)} are no velocities for the wheels {', '.join(self.names)}")
         self._wanted, self._until = wanted, self.now + self._timeout
 
     def encoders(self) -> Encoders:
@@ -73,7 +65,6 @@ class Simulation:
     The same section and the same commands at the same times give the same run, bit for bit.
 
     Args:
-        section: what is simulated.
         plan: the building, where it is not the section's.
         described: the robot, where it is not the section's.
 
@@ -81,9 +72,11 @@ class Simulation:
         SimError: the plan, the robot or where it is to start is wrong; or dartpy is missing.
     """
 
-    def __init__(self, section: SimSection, plan: Plan | None = None, described: robot.Robot | None = None) -> None:
+    def __init__(
+        self, section: SimSection, plan: Plan | None = None, described: robot.RobotDescription | None = None
+    ) -> None:
         self.section = section
-        whole = plan or plans.load(section.plan, section.resolution)
+        whole = plan or load_plan(section.plan, section.resolution)
         self.plan = whole if section.people else whole.without_people
         self.robot = described or robot.load(section.robot)
         self.time_ns = 0
@@ -94,13 +87,13 @@ class Simulation:
         section = self.section
         noise = np.random.default_rng(section.seed)
         encoder_noise, laser_noise = noise.spawn(2)
-        self.base = make_base(self.robot)
+        self.base: Base = (Differential if self.robot.kinematics == "differential" else Holonomic)(self.robot)
         self.floor = self.plan.first
-        self.world = World(self.plan.floors[self.floor], self.base, self.robot.lasers.height)
+        self.world = FloorWorld(self.plan.floors[self.floor], self.base, self.robot.lasers.height)
         self.world.place(pose(*(section.start or self.world.floor.start)))
         self.laser = Laser(section.laser, self.robot.lasers, laser_noise)
         self.motors = Motors(self.base.names, self.robot.motor_timeout)
-        self.drive = Drive(self.base)
+        self.drive = VelocityDrive(self.base)
         self.battery = Battery(self.robot.battery)
         self.stopped = False
         self.faults = Faults()
@@ -117,15 +110,19 @@ class Simulation:
         seconds = TICK_NS / 1e9
         self.motors.now = self.time_ns
         wheels = self.drive.wheels(self.time_ns, seconds) if self.section.drive == "velocity" else self.motors.wheels()
-        self.base.turn((wheels if not self.stopped else np.zeros(len(wheels))).tolist())
+        aims = [0.0] * len(wheels) if self.stopped else wheels.tolist()
+        self.base.turn(aims)
         self.world.walk(seconds)
-        self.world.step(_STEPS)
+        rested = self.world.rests
+        self.world.step(_STEPS, aims_still=not any(aims))
         self.time_ns += TICK_NS
         since = self.time_ns - self._begun
         if since % _LOOK_NS == 0:
-            self.world.look()
+            if self.world.people or not self.world.rests:
+                self.world.look()
             self.battery.use(self.base.load(), _LOOK_NS / 1e9)
-        self.bumps = self.world.bumps()
+        if not (rested and self.world.rests):
+            self.bumps = self.world.bumps()
         self._sense()
         if since % self._turn_ns == 0 and "laser_silent" not in self.faults:
             self.scan = self._scan()
@@ -136,11 +133,7 @@ class Simulation:
             self.tick()
 
     def command(self, twist: Twist) -> None:
-        """Drive so, until the time-out; where the simulator drives by itself.
-
-        Raises:
-            SimError: it is not finite, or absurd.
-        """
+        """Drive so until the time-out, where the simulator drives; raises `SimError` if it is not finite, or absurd."""
         self.drive.command(twist, self.time_ns)
 
     def stop(self, *, on: bool) -> None:
@@ -148,20 +141,12 @@ class Simulation:
         self.stopped = on
         self.drive.halt()
 
-    def teleport(self, to: Pose) -> None:
-        """Stand the robot elsewhere on its floor; its odometry does not notice.
-
-        Raises:
-            SimError: something stands there.
-        """
+    def teleport(self, to: BasePose) -> None:
+        """Stand the robot elsewhere, unnoticed by its odometry; raises `SimError` if something stands there."""
         self.world.place(to)
 
     def ride(self, name: str) -> str:
-        """Take a link to another floor, from near to one of its ends; the floor that it led to.
-
-        Raises:
-            SimError: there is none of that name, or it is not near.
-        """
+        """Take a link from near one of its ends; the floor that it led to. Raises `SimError` if there is none near."""
         link = next((link for link in self.plan.links if link.name == name), None)
         if link is None:
             msg = f"there is no link {name!r}; links: {', '.join(link.name for link in self.plan.links) or 'none'}"
@@ -174,13 +159,12 @@ class Simulation:
                 floor, place = link.split[1 - here]
                 self._enter(floor, pose(*self.plan.floors[floor].places[place]))
                 return floor
-        msg = f"the robot is not within {_LINK_REACH:g} m of an end of the link {name!r}"
-        raise SimError(msg)
+        raise SimError(f"the robot is not within {_LINK_REACH:g} m of an end of the link {name!r}")
 
-    def _enter(self, floor: str, at: Pose) -> None:
+    def _enter(self, floor: str, at: BasePose) -> None:
         old = self.world
         old.leave()
-        self.world = World(self.plan.floors[floor], self.base, self.robot.lasers.height)
+        self.world = FloorWorld(self.plan.floors[floor], self.base, self.robot.lasers.height)
         self.floor = floor
         self.world.place(at)
 
@@ -191,7 +175,7 @@ class Simulation:
         self.motors.read(encoders)
         self.odometry.add(encoders)
 
-    def _scan(self) -> Scan:
+    def _scan(self) -> Turn:
         seen = self.laser.scan(self.time_ns, self.base.pose(), *self.world.seen())
         return replace(seen, ranges=np.full_like(seen.ranges, math.nan)) if "laser_blind" in self.faults else seen
 
@@ -204,6 +188,56 @@ class Simulation:
 _LINK_REACH = 1.0
 
 
-def pose(x: float, y: float, degrees: float) -> Pose:
+def pose(x: float, y: float, degrees: float) -> BasePose:
     """A pose as plans have it."""
-    return Pose(x, y, math.radians(degrees))
+    return BasePose(x, y, math.radians(degrees))
+
+
+_ABSURD = 100.0  # a velocity greater than this, in metres or radians per second, is a mistake and not a wish
+
+
+class VelocityDrive:
+    """Turns velocity commands into wheel velocities, within the robot's limits, when the simulator drives by itself.
+
+    No command outlives its time-out, and none is queued.
+    """
+
+    def __init__(self, base: Base) -> None:
+        self._limits = base.robot.limits
+        believed = base.robot.believed
+        self._matrix = base.matrix(believed.radius, believed.separation)
+        self._greatest = base.robot.wheels.max_velocity
+        self._lateral = base.robot.kinematics != "differential"
+        self._wanted = np.zeros(3)
+        self._until = 0
+        self._now = np.zeros(3)
+
+    def command(self, twist: Twist, now_ns: int) -> None:
+        """Drive so until the time-out; raises `SimError` if it is not finite, or absurd: the last command stays."""
+        if not all(math.isfinite(v) and abs(v) <= _ABSURD for v in twist):
+            raise SimError(f"the velocity {tuple(twist)} is refused: it is not finite, or greater than {_ABSURD:g}")
+        angular = math.radians(self._limits.angular)
+        x, y = twist.x, twist.y if self._lateral else 0.0
+        speed = math.hypot(x, y)
+        share = min(1.0, self._limits.linear / speed) if speed else 1.0
+        self._wanted = np.array([x * share, y * share, min(angular, max(-angular, twist.yaw))])
+        self._until = now_ns + round(self._limits.timeout * 1e9)
+
+    def halt(self) -> None:
+        """Forget what was wanted; the base brakes."""
+        self._until = 0
+
+    def wheels(self, now_ns: int, seconds: float) -> Floats:
+        """The wheels' velocities for the next so many seconds, radians per second."""
+        wanted = self._wanted if now_ns < self._until else np.zeros(3)
+        linear = self._limits.linear_acceleration * seconds
+        change = wanted - self._now
+        along = math.hypot(change[0], change[1])
+        if along > linear:
+            change[:2] *= linear / along
+        angular = math.radians(self._limits.angular_acceleration) * seconds
+        change[2] = min(angular, max(-angular, change[2]))
+        self._now = self._now + change
+        wheels: Floats = self._matrix @ self._now
+        fastest = float(np.abs(wheels).max())
+        return wheels * (self._greatest / fastest) if fastest > self._greatest else wheels

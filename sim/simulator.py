@@ -1,30 +1,32 @@
-"""The simulator as a node of the hub: its time, its commands, its services."""
+"""The simulator as a node of the hub: its pace, its commands, its publishers; and the worker that runs it."""
 
 from __future__ import annotations
 
+import logging
 import time
 from collections.abc import Callable
 from typing import Any
 
-from bridge.clock import DONE_TOPIC, DONE_TYPE
+from bridge.clock import CLOCK_TOPIC, CLOCK_TYPE, DONE_TOPIC, DONE_TYPE
+from bridge.config.model import Config
 from bridge.config.sections.section import Section
 from bridge.config.sections.sim import SimSection
-from bridge.hub.qos import Qos, Reliability
-from bridge.modules.host import Host
+from bridge.hub.wire.qos import LATCHED, Qos, Reliability
+from bridge.messages.registry import Registry
+from bridge.modules.endpoints import Publisher
+from bridge.modules.host import Host, Node
 from bridge.modules.module import Module
-from bridge.worker import Health
+from bridge.modules.worker import Running
+from bridge.worker import Health, Worker
 from sim import messages
-from sim.errors import SimError
-from sim.names import names_of
-from sim.outlets import Outlets
-from sim.pace import Pace
-from sim.services import Wishes, answered
+from sim.base import BasePose, Twist
+from sim.environment import SimError
+from sim.messages import TopicNames, names_of
+from sim.services import Stepping, Wishes, answered
 from sim.simulation import TICK_NS, Simulation
-from sim.stepping import Stepping
 
 _NEWEST = Qos(Reliability.BEST_EFFORT, depth=1)
-_BUNDLE = 5
-"""Ticks at one go where it runs as fast as it can: then others are heard."""
+_BUNDLE = 5  # ticks at one go where it runs as fast as it can: then others are heard
 
 
 class Simulator(Module):
@@ -57,9 +59,9 @@ class Simulator(Module):
         node.server("/sim/step", "midspan_msgs/srv/Step", self._stepping.serve)
         self._ports: Any = None
         if section.yarp:
-            from sim.ports import Ports
+            from sim.ports import RobotPorts
 
-            self._ports = Ports(host, section.yarp, self.simulation)
+            self._ports = RobotPorts(host, section.yarp, self.simulation)
         self._outlets.begin(self._stamp())
         if self._pace is not None:
             self._pace.begin()
@@ -132,8 +134,7 @@ class Simulator(Module):
             raise SimError(msg)
         at = message["header"]["stamp"]["sec"] * 1_000_000_000 + message["header"]["stamp"]["nanosec"]
         if at and self._stamp() - at > self.simulation.robot.motor_timeout * 1e9:
-            msg = "a wheel command is older than the motors' time-out"
-            raise SimError(msg)
+            raise SimError("a wheel command is older than the motors' time-out")
         motors.drive([said[name] for name in motors.names])
 
     def _try(self, do: Callable[[], None]) -> None:
@@ -158,3 +159,186 @@ class Simulator(Module):
     def _pause(self, request: dict[str, Any]) -> str:
         self._paused = bool(request["data"])
         return "paused" if self._paused else "running"
+
+
+_CATCH_UP = 0.05  # seconds for which it catches up at one go: messages are to be heard in between
+_EARLY = 0.002  # seconds before its time that a tick may come: timers are not exact
+_FORGIVEN = 0.25  # seconds behind after which what was missed is left out: a base does not rush to make up for a stop
+
+
+class Pace:
+    """Says how many ticks are due.
+
+    Args:
+        speed: seconds of the simulation in one of ours.
+    """
+
+    def __init__(self, speed: float) -> None:
+        self._seconds = TICK_NS / 1e9 / speed
+        self.begin()
+        self.late = 0  # ticks that came a tick's time or more behind
+        self.left_out = 0  # ticks that never came, since this process stood still
+        self._stood = -_PILED
+
+    def begin(self) -> None:
+        """Begin from now on: after a pause nothing is due."""
+        self._next = time.monotonic() + self._seconds
+
+    def stood_still(self) -> bool:
+        """Whether what is heard now may have waited while this process stood still."""
+        return time.monotonic() - self._stood < _PILED
+
+    def due(self) -> int:
+        """The ticks that are due now; they count as done."""
+        now = time.monotonic()
+        behind = now - self._next
+        if behind > _FORGIVEN:
+            missed = int(behind / self._seconds)
+            self.left_out += missed
+            self._stood = now
+            self._next += missed * self._seconds
+            behind = now - self._next
+        count = int(behind / self._seconds) + 1 if behind > -_EARLY else 0
+        count = min(count, max(1, int(_CATCH_UP / self._seconds)))
+        self.late += max(0, min(count, int(behind / self._seconds))) if self._seconds >= _TICK_WAIT else 0
+        self._next += count * self._seconds
+        return count
+
+
+_PILED = 0.5  # seconds after a stop in which what piled up meanwhile is still being heard
+_TICK_WAIT = 0.005  # ticks that follow each other closer than this, in seconds, come in bundles: that is no lateness
+
+
+_ODOMETRY = 2
+_BUMPER = 10
+_BATTERY = 100  # ticks between two messages: 50 Hz, 10 Hz, 1 Hz
+
+
+class Outlets:
+    """The simulator's publishers.
+
+    Args:
+        clock: whether ``/clock`` is said.
+    """
+
+    def __init__(self, node: Node, names: TopicNames, simulation: Simulation, *, clock: bool) -> None:
+        self._names, self._simulation = names, simulation
+        section = simulation.section
+        self._drives = section.drive == "velocity"
+        self._joints = node.publisher(names.joints, "sensor_msgs/msg/JointState")
+        self._scan = node.publisher(names.scan, "sensor_msgs/msg/LaserScan")
+        self._truth = node.publisher(names.truth, "nav_msgs/msg/Odometry")
+        self._battery = node.publisher(names.battery, "sensor_msgs/msg/BatteryState")
+        self._bumper = node.publisher(names.bumper, "std_msgs/msg/Bool")
+        self._static = node.publisher("/tf_static", "tf2_msgs/msg/TFMessage", LATCHED, priority="state")
+        self._odometry = node.publisher(names.odometry, "nav_msgs/msg/Odometry") if self._drives else None
+        self._tf = node.publisher("/tf", "tf2_msgs/msg/TFMessage") if self._drives else None
+        self._clock = node.publisher(CLOCK_TOPIC, CLOCK_TYPE) if clock else None
+        self._view = node.publisher(names.view, "sensor_msgs/msg/Image") if section.view else None
+        self._every_view = max(1, round(1e9 / section.view / TICK_NS)) if section.view else 0
+        self._ticks = 0
+        self._scanned = -1
+        self._bumped = False
+        self._prepare()
+
+    def _prepare(self) -> None:
+        """Encode what is said many times a second, so that then only its numbers are filled in."""
+        names, simulation, still = self._names, self._simulation, Twist(0.0, 0.0, 0.0)
+        place, motion = BasePose(0.0, 0.0, 0.0), ("header.stamp", "pose.pose", "twist.twist")
+        joints = messages.joints(0, simulation.base.names, simulation.motors.encoders())
+        self._turning = self._joints.template(joints, "header.stamp", "position", "velocity")
+        truth = messages.odometry(0, place, still, names.map_frame, names.base_frame, sure=True)
+        self._true = self._truth.template(truth, *motion)
+        if self._odometry is not None and self._tf is not None:
+            odometry = messages.odometry(0, place, still, names.odom_frame, names.base_frame)
+            self._estimated = self._odometry.template(odometry, *motion)
+            frame = messages.transform(0, names.odom_frame, names.base_frame, place)
+            self._moved = self._tf.template(frame, "transforms[0].header.stamp", "transforms[0].transform")
+
+    def begin(self, time_ns: int) -> None:
+        """Say what is said once."""
+        names, robot = self._names, self._simulation.robot
+        height = robot.lasers.height - (robot.wheels.radius if robot.kinematics == "differential" else 0.0)
+        place = BasePose(0.0, 0.0, 0.0)
+        self._static.publish(messages.transform(time_ns, names.base_frame, names.laser_frame, place, height))
+
+    def tell(self, time_ns: int) -> None:
+        """Say what is due after a tick; ``time_ns`` is the time of the stamps."""
+        simulation, names = self._simulation, self._names
+        self._ticks += 1
+        if "encoders_silent" not in simulation.faults:
+            self._joints.offer(lambda: self._turning.fill(*messages.turning(time_ns, simulation.motors.encoders())))
+        if self._ticks % _ODOMETRY == 0:
+            self._tell_pose(time_ns)
+        if simulation.scan.time_ns != self._scanned:
+            self._scanned = simulation.scan.time_ns
+            rate = simulation.section.laser.rate
+            scan, frame = simulation.scan, names.laser_frame
+            self._scan.offer(lambda: self._scan.encoded(messages.scan(time_ns, scan, frame, rate)))
+        bumped = bool(simulation.bumps)
+        if bumped != self._bumped or self._ticks % _BUMPER == 0:
+            self._bumped = bumped
+            self._bumper.offer(lambda: self._bumper.encoded({"data": bumped}))
+        if self._ticks % _BATTERY == 0:
+            self._battery.publish(messages.battery(time_ns, simulation.battery.charge))
+        if self._view is not None and self._ticks % self._every_view == 0:
+            self._tell_view(self._view, time_ns)
+        if self._clock is not None:
+            # the last, and with the priority of the rest: who hears the time has heard what was measured at it
+            self._clock.publish({"clock": messages.stamp(time_ns)})
+
+    def _tell_view(self, view: Publisher, time_ns: int) -> None:
+        from sim.export import draw
+
+        view.offer(lambda: view.encoded(messages.image(time_ns, draw(self._simulation))))
+
+    def _tell_pose(self, time_ns: int) -> None:
+        simulation = self._simulation
+        base = simulation.base
+        self._truth.offer(lambda: self._true.fill(*messages.moving(time_ns, base.pose(), base.twist())))
+        if self._odometry is not None and self._tf is not None and "encoders_silent" not in simulation.faults:
+            found = simulation.estimate
+            self._odometry.offer(lambda: self._estimated.fill(*messages.moving(time_ns, found.pose, found.twist)))
+            self._tf.offer(lambda: self._moved.fill(*messages.placed(time_ns, found.pose)))
+
+
+_FIXED = ("name", "state", "hub", "types", "limits", "clock")
+
+
+class SimWorker(Worker):
+    """One simulation in a process of its own: DART holds Python's lock while it computes."""
+
+    def __init__(self) -> None:
+        self._config: Config | None = None
+        self._running: Running | None = None
+
+    def start(self, config: Config) -> None:
+        """Start the simulation; where it cannot, it is tried again and `health` says why."""
+        self._config = config
+        registry = Registry(folders=list(config.types.folders), mapping_rules=list(config.types.mapping_rules))
+        self._running = Running(Simulator, Simulator.name, config.sim, config, registry)
+        self._running.start()
+
+    def reload(self, config: Config) -> bool:
+        """Begin again with another section; False where only a restart of the worker can."""
+        old, running = self._config, self._running
+        if old is None or running is None or not config.yarp.opens_as(old.yarp):
+            return False
+        if any(getattr(config, part) != getattr(old, part) for part in _FIXED):
+            return False
+        self._config = config
+        logging.getLogger().setLevel(config.log.level.upper())
+        running.take_up_releases(config)
+        if running.section != config.sim:
+            running.reload(config.sim, config)
+        return True
+
+    def health(self) -> Health:
+        """How the simulation is."""
+        return self._running.health() if self._running is not None else Health("waiting", "stopped")
+
+    def stop(self) -> None:
+        """Stop it."""
+        running, self._running = self._running, None
+        if running is not None:
+            running.stop()

@@ -1,8 +1,9 @@
-"""A floor with a base on it, in DART."""
+"""A floor with a base on it, in DART, which sees only what is near."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -10,26 +11,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sim import pieces as made
-from sim.base import STEP_NS, Base, Pose
-from sim.bodies import fixed, ground, movable, yaw_of
-from sim.dart import dartpy
-from sim.errors import SimError
-from sim.people import Walker
-from sim.pieces import Piece
+from sim.base import STEP_NS, Base, BasePose
+from sim.bodies import fixed, ground, movable, place_of, yaw_of
+from sim.environment import SimError, dartpy
+from sim.pieces import Piece, Walker
 from sim.plan import Box, Floor, Person
-from sim.window import Window
 
 Floats = NDArray[np.float64]
 
-_NEAR = 3.0
-"""Metres within which a box that can be pushed is in DART's world; farther away it stands still."""
-
+_NEAR = 3.0  # metres within which a box that can be pushed is in DART's world; farther away it stands still
 _ROOM = 0.05
-_BUMP_HEIGHT = 0.03
-"""Contacts lower than this are the floor's, metres."""
-
-_SPAWNED = 200
-"""Things that can be added at most."""
+_REST = 1e-9  # metres or radians per second of a body at rest; a standing base slows down tenfold in 50 ticks
+_BUMP_HEIGHT = 0.03  # contacts lower than this are the floor's, metres
+_SPAWNED = 200  # things that can be added at most
 
 
 @dataclass
@@ -47,12 +41,10 @@ class Crate:
         return self.piece.moved(float(x), float(y), yaw_of(at.rotation()))
 
 
-class World:
+class FloorWorld:
     """One floor. Everything that is on it is known by its name.
 
     Args:
-        floor: what it is like.
-        base: who stands on it.
         laser_height: metres; what is lower is not seen by the laser.
 
     Attributes:
@@ -78,6 +70,7 @@ class World:
         self.people = {person.name: Walker(person) for person in floor.people}
         self.crates = {box.name or f"box{i}": _crate(box) for i, box in enumerate(floor.boxes) if box.mass is not None}
         self.extra: dict[str, Piece] = {}
+        self._rests = False
         self._rebuild()
 
     def _rebuild(self) -> None:
@@ -135,11 +128,26 @@ class World:
         """The leaves of the doors that are open, or of those that are closed, as if those stood in their frames."""
         return [self.pieces[self.first_leaf + i] for i, now in enumerate(self.doors.values()) if now == is_open]
 
-    def step(self, count: int) -> None:
-        """Let so many steps of DART pass; motors keep what they were told."""
+    def step(self, count: int, *, aims_still: bool = False) -> None:
+        """Let so many steps of DART pass; motors keep what they were told.
+
+        Where they were told to stand still and nothing moves any more, nothing is computed: steps would change nothing.
+        """
+        if aims_still and self._rests:
+            return
         step = self._world.step
         for _ in range(count):
             step(False)  # DART keeps what the motors were told
+        self._rests = aims_still and self._slowed_down()
+
+    @property
+    def rests(self) -> bool:
+        """Whether nothing that DART moves has moved in the last step, or been changed since."""
+        return self._rests
+
+    def _slowed_down(self) -> bool:
+        moving = [self.base.skeleton, *(crate.skeleton for crate in self.crates.values() if crate.inside)]
+        return all(float(np.abs(one.getVelocities()).max()) < _REST for one in moving)
 
     def walk(self, seconds: float) -> None:
         """Let people walk for so long; who would walk into the robot or a crate waits."""
@@ -148,8 +156,8 @@ class World:
         x, y, _ = self.base.pose()
         reach = self.base.robot.body.radius
         for i, walker in enumerate(self.people.values()):
-            if walker.walk(seconds, (x, y), reach + _ROOM):
-                self.window.put(self._first_person + i, walker.piece())
+            if walker.walk(seconds, (x, y), reach + _ROOM) and self.window.put(self._first_person + i, walker.piece()):
+                self._rests = False
 
     def look(self) -> None:
         """Put what is near into DART's world; to be called twenty times a second of simulated time."""
@@ -161,13 +169,14 @@ class World:
             piece = crate.now()
             near = math.hypot(piece.x - x, piece.y - y) < _NEAR + piece.reach
             if near != crate.inside:
-                crate.inside = near
+                crate.inside, self._rests = near, False
                 crate.skeleton.setVelocities(np.zeros(6))
                 (self._world.addSkeleton if near else self._world.removeSkeleton)(crate.skeleton)
             if near:
                 self._near += 1
                 bodies.append((piece.x, piece.y, piece.reach))
-        self.window.look(bodies)
+        if self.window.look(bodies):
+            self._rests = False
 
     def bumps(self) -> list[tuple[float, float]]:
         """Where the base touches something else than the floor: x, y in metres."""
@@ -182,18 +191,12 @@ class World:
         ]
 
     def open(self, door: str, *, is_open: bool) -> None:
-        """Open or close a door.
-
-        Raises:
-            SimError: there is none of that name, or somebody stands in it.
-        """
+        """Open or close a door; raises `SimError` if there is none of that name, or somebody stands in it."""
         if door not in self.doors:
-            msg = f"there is no door {door!r}; doors: {', '.join(self.doors) or 'none'}"
-            raise SimError(msg)
+            raise SimError(f"there is no door {door!r}; doors: {', '.join(self.doors) or 'none'}")
         index = self.first_leaf + list(self.doors).index(door)
         if not is_open and (who := self._within(self.pieces[index])):
-            msg = f"the door {door!r} cannot be closed: {who} stands in it"
-            raise SimError(msg)
+            raise SimError(f"the door {door!r} cannot be closed: {who} stands in it")
         self.doors[door] = is_open
         self.window.there(index, there=not is_open)
         self.look()
@@ -210,22 +213,15 @@ class World:
         return ""
 
     def spawn(self, thing: Box | Person | Piece, name: str) -> None:
-        """Add a box, a person or something that stands fast.
-
-        Raises:
-            SimError: the name is taken, somebody stands there, or there are too many things.
-        """
+        """Add a box, a person or something fast; raises `SimError` if name or place is taken, or there are too many."""
         if not name or name in self.names:
-            msg = f"a thing needs a name of its own; {name!r} is taken" if name else "a thing needs a name"
-            raise SimError(msg)
+            raise SimError(f"a thing needs a name of its own; {name!r} is taken" if name else "a thing needs a name")
         if len(self.extra) + len(self.crates) + len(self.people) >= _SPAWNED:
-            msg = f"there are {_SPAWNED} things already; remove some"
-            raise SimError(msg)
+            raise SimError(f"there are {_SPAWNED} things already; remove some")
         piece = _solid(thing)
         if who := self._within(piece):
-            msg = f"{name!r} cannot be put there: {who} stands there"
-            raise SimError(msg)
-        self.window.clear()
+            raise SimError(f"{name!r} cannot be put there: {who} stands there")
+        self._clear()
         if isinstance(thing, Person):
             self.people[name] = Walker(thing)
         elif isinstance(thing, Box) and thing.mass is not None:
@@ -234,29 +230,24 @@ class World:
             self.extra[name] = piece
         self._rebuild()
 
-    def remove(self, name: str) -> None:
-        """Take away what was added, a box that can be pushed, or a person.
+    def _clear(self) -> None:
+        self.window.clear()
+        self._rests = False
 
-        Raises:
-            SimError: there is nothing of that name that can be taken away.
-        """
+    def remove(self, name: str) -> None:
+        """Take away what was added, a box that can be pushed, or a person; raises `SimError` if there is none."""
         among: dict[str, Any] | None = next((m for m in (self.extra, self.crates, self.people) if name in m), None)
         if among is None:
             known = ", ".join((*self.extra, *self.crates, *self.people)) or "nothing"
-            msg = f"{name!r} cannot be taken away; what can be: {known}"
-            raise SimError(msg)
-        self.window.clear()
+            raise SimError(f"{name!r} cannot be taken away; what can be: {known}")
+        self._clear()
         gone = among.pop(name)
         if isinstance(gone, Crate) and gone.inside:
             self._world.removeSkeleton(gone.skeleton)
         self._rebuild()
 
-    def place(self, pose: Pose) -> None:
-        """Stand the base elsewhere, at rest.
-
-        Raises:
-            SimError: something stands there.
-        """
+    def place(self, pose: BasePose) -> None:
+        """Stand the base elsewhere, at rest; raises `SimError` if something stands there."""
         radius = self.base.robot.body.radius
         there = [*self.pieces[: self.first_leaf], *self.leaves(is_open=False)]
         there += [walker.piece() for walker in self.people.values()]
@@ -266,6 +257,7 @@ class World:
                 msg = f"the robot cannot stand at {pose.x:.2f}, {pose.y:.2f}: {piece.name or 'a wall'} is there"
                 raise SimError(msg)
         self.base.place(pose)
+        self._rests = False
         self.look()
 
     def leave(self) -> None:
@@ -293,3 +285,75 @@ def _distance(piece: Piece, x: float, y: float) -> float:
     c, s = math.cos(piece.yaw), math.sin(piece.yaw)
     along, aside = abs(c * dx + s * dy) - piece.length / 2, abs(c * dy - s * dx) - piece.width / 2
     return math.hypot(max(0.0, along), max(0.0, aside))
+
+
+MARGIN = 0.5
+"""Metres around a body within which pieces are put in; the fastest base comes 5 cm nearer between two looks."""
+
+
+class Window:
+    """The pieces that stand fast, and which of them collide at the moment.
+
+    DART's collision detection slows down with everything that there is (500 walls: tenfold). So what stands fast is no
+    part of the world: the pieces near to the base, and to boxes that it may push, are in its collision group.
+
+    Args:
+        nodes: the pieces' shape nodes.
+        pieces: the pieces, in the same order.
+
+    Attributes:
+        count: of the pieces that collide at the moment.
+    """
+
+    def __init__(self, group: Any, nodes: list[Any], pieces: list[Piece]) -> None:
+        self._group, self._nodes = group, nodes
+        self._middles = np.array([(p.x, p.y) for p in pieces]).reshape(-1, 2)
+        self._half = np.array([(p.length / 2, p.width / 2) for p in pieces]).reshape(-1, 2)
+        self._radius = np.array([p.radius for p in pieces])
+        self._turned = np.array([(math.cos(p.yaw), math.sin(p.yaw)) for p in pieces]).reshape(-1, 2)
+        self._there = np.ones(len(pieces), np.bool_)
+        self._in = np.zeros(len(pieces), np.bool_)
+        self.count = 0
+
+    def look(self, bodies: Iterable[tuple[float, float, float]]) -> bool:
+        """Put in what is near to these bodies (x, y, reach in metres), and take out the rest; whether that changed."""
+        wanted = np.zeros(len(self._in), np.bool_)
+        for x, y, reach in bodies:
+            wanted |= self._away(x, y) < reach + MARGIN
+        wanted &= self._there
+        changed = np.flatnonzero(wanted != self._in)
+        for i in changed:
+            if wanted[i]:
+                self._group.addShapeFrame(self._nodes[i])
+            else:
+                self._group.removeShapeFrame(self._nodes[i])
+        if len(changed):
+            self._in = wanted
+            self.count = int(wanted.sum())
+        return len(changed) > 0
+
+    def _away(self, x: float, y: float) -> NDArray[np.float64]:
+        """How far each piece is from a point, metres."""
+        dx, dy = x - self._middles[:, 0], y - self._middles[:, 1]
+        c, s = self._turned[:, 0], self._turned[:, 1]
+        along = np.maximum(np.abs(c * dx + s * dy) - self._half[:, 0], 0.0)
+        aside = np.maximum(np.abs(c * dy - s * dx) - self._half[:, 1], 0.0)
+        away: NDArray[np.float64] = np.hypot(along, aside) - self._radius
+        return away
+
+    def put(self, index: int, piece: Piece) -> bool:
+        """A piece stands elsewhere now; whether it collides at the moment."""
+        self._nodes[index].setRelativeTransform(place_of(piece))
+        self._middles[index] = piece.x, piece.y
+        return bool(self._in[index])
+
+    def there(self, index: int, *, there: bool) -> None:
+        """A piece is there, or gone; it collides from the next look on."""
+        self._there[index] = there
+
+    def clear(self) -> None:
+        """Take all out."""
+        for i in np.flatnonzero(self._in):
+            self._group.removeShapeFrame(self._nodes[i])
+        self._in[:] = False
+        self.count = 0

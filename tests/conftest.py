@@ -14,17 +14,16 @@ from typing import Any
 import psutil
 import pytest
 
+from tests.support import missing, tiers
+
 _REAL = (
     "demo", "interop", "contract", "benchmarks", "daemon", "adapters", "faults", "interfaces", "examples", "hub", "cli",
     "navigation",
 )  # fmt: skip
 """Folders with files that start many programs and take up to a minute: they come first."""
 
-_LAST = "fuzz"
-"""A file that takes minutes and starts no program."""
-
-_FROM_THE_END = "gw2"
-"""The process of pytest-xdist that takes files from the end on."""
+_LAST = "test_first_run.py"
+"""A file that takes minutes: it begins first, by the process that takes files from the end on."""
 
 _MARK = "MIDSPAN_TEST_RUN"
 _run = uuid.uuid4().hex
@@ -52,6 +51,11 @@ def _threads() -> dict[object, str]:
     return {t: f"thread {t.name}" for t in real if t is not threading.main_thread() and t not in _at_start}
 
 
+def pytest_configure(config: pytest.Config) -> None:
+    # as a plugin: pytest asks this file's hooks nothing of a folder whose own conftest cannot be imported
+    config.pluginmanager.register(missing)
+
+
 def pytest_sessionstart() -> None:
     os.environ[_MARK] = _run
     _at_start.update(_threads())
@@ -59,26 +63,35 @@ def pytest_sessionstart() -> None:
     signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
+def pytest_addoption(parser: pytest.Parser) -> None:
+    parser.addoption("--fast", action="store_true", help="only files that start no program and join no middleware")
+
+
+def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool | None:
+    """Leave files out before they are imported, which takes longer than to run them."""
+    test = collection_path.name.startswith("test_") and collection_path.suffix == ".py"
+    return True if test and config.getoption("fast") and not tiers.is_fast(collection_path) else None
+
+
 @pytest.hookimpl(trylast=True)
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Put files that start many programs first; otherwise the order stays random."""
-    places = {name: place for place, name in enumerate(_REAL)} | {_LAST: len(_REAL) + 1}
+    places = {name: place for place, name in enumerate(_REAL)}
     root = Path(__file__).parent
-    items.sort(key=lambda item: places.get(item.path.relative_to(root).parts[0], len(_REAL)))
+
+    def place(item: pytest.Item) -> int:
+        last = item.path.name == _LAST
+        return len(_REAL) + 1 if last else places.get(item.path.relative_to(root).parts[0], len(_REAL))
+
+    items.sort(key=place)
 
 
 @pytest.hookimpl(optionalhook=True)
 def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Any:
-    """Let one process of three take files from the other end: two at once, not three, start programs on two cores."""
-    from xdist.scheduler import LoadFileScheduling
+    """Tests that must run alone do, in the same run; the other files are taken from both ends."""
+    from tests.support.scheduler import Scheduler
 
-    class FromBothEnds(LoadFileScheduling):
-        def _assign_work_unit(self, node: Any) -> None:
-            if node.gateway.id == _FROM_THE_END:
-                self.workqueue.move_to_end(next(reversed(self.workqueue)), last=False)
-            super()._assign_work_unit(node)
-
-    return FromBothEnds(config, log)
+    return Scheduler(config, log)
 
 
 def pytest_runtest_logfinish(nodeid: str) -> None:

@@ -10,18 +10,21 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).parents[1]
+TOOLS = {"clock", "concurrency", "progress", "resources", "sides", "state_file", "worker"}
+"""Single files that stand beside the parts; they import nothing of ``bridge`` but ``config``."""
+
 BELOW = {
-    "config": set[str](),
+    "config": {"sides"},
     "messages": set[str](),
-    "tf": {"messages.cache", "messages.memory"},
+    "tf": set(),
     "tf/server": {"tf", "clock", "config", "hub", "messages", "modules", "worker"},
     "interfaces": {"config", "messages"},
-    "hub": {"clock", "config", "messages", "worker"},
-    "stores": {"config", "hub"},
-    "routing": {"clock", "config", "messages", "hub", "adapters.base"},
-    "modules": {"clock", "config", "messages", "hub", "stores", "routing.counters", "backoff", "worker"},
-    "adapters": {"clock", "config", "messages", "interfaces", "hub", "routing", "backoff", "worker"},
-    "daemon": {"config", "messages", "interfaces", "hub", "routing", "adapters", "backoff", "worker"},
+    "hub": {*TOOLS, "config", "messages"},
+    "stores": {*TOOLS, "config", "hub"},
+    "routing": {*TOOLS, "config", "messages", "hub"},
+    "modules": {*TOOLS, "callers", "config", "messages", "hub", "stores", "routing.counters"},
+    "adapters": {*TOOLS, "callers", "config", "kernels", "messages", "interfaces", "hub", "routing"},
+    "daemon": {*TOOLS, "config", "messages", "interfaces", "hub", "routing", "adapters"},
 }
 """What each part of ``bridge`` may import beside itself; the command line, the doctor and the demo may import all."""
 
@@ -34,6 +37,12 @@ def imported(file: Path) -> set[str]:
         elif isinstance(node, ast.Import):
             names.update(alias.name for alias in node.names)
     return {name.removeprefix("bridge.") for name in names if name.startswith("bridge.")}
+
+
+@pytest.mark.parametrize("tool", sorted(TOOLS))
+def test_the_tools_import_the_configuration_alone(tool: str) -> None:
+    found = imported(ROOT / "bridge" / f"{tool}.py")
+    assert not {name for name in found if name.partition(".")[0] not in {*TOOLS, "config"}}
 
 
 @pytest.mark.parametrize("part", BELOW)
@@ -51,6 +60,35 @@ def test_imports_point_one_way(part: str) -> None:
     assert not wrong
 
 
+SIDES = ("ros1", "ros2", "yarp", "zenoh")
+OF_OTHERS = {"environment", "names"}
+"""Of another side, which need nothing of its middleware: whether it can run here, and what its names become."""
+
+
+@pytest.mark.parametrize("side", SIDES)
+def test_no_side_reaches_into_another(side: str) -> None:
+    others = [f"adapters.{other}" for other in SIDES if other != side]
+    wrong = {
+        f"{file.relative_to(ROOT)} imports {module}.{name}"
+        for file in (ROOT / "bridge" / "adapters" / side).rglob("*.py")
+        for module, name in named(file)
+        for other in others
+        if f"{module}.{name}".startswith(f"{other}.")
+        and not any(f"{module}.{name}.".startswith(f"{other}.{part}.") for part in OF_OTHERS)
+    }
+    assert not wrong
+
+
+def named(file: Path) -> set[tuple[str, str]]:
+    """What a file imports of ``bridge``: module and name."""
+    return {
+        (node.module.removeprefix("bridge."), alias.name)
+        for node in ast.walk(ast.parse(file.read_text()))
+        if isinstance(node, ast.ImportFrom) and node.module and node.module.startswith("bridge.")
+        for alias in node.names
+    }
+
+
 def test_the_simulator_stands_on_the_hub_the_module_host_and_yarp_compat() -> None:
     below = {"bridge.clock", "bridge.config", "bridge.hub", "bridge.messages", "bridge.modules", "bridge.stores"}
     allowed = {*below, "bridge.tf", "bridge.worker", "sim", "yarp_compat"}
@@ -66,7 +104,7 @@ def test_the_simulator_stands_on_the_hub_the_module_host_and_yarp_compat() -> No
 
 def test_navigation_stands_on_the_hub_the_store_and_the_module_host() -> None:
     below = {"bridge.clock", "bridge.config", "bridge.hub", "bridge.messages", "bridge.modules", "bridge.stores"}
-    below |= {"bridge.routing.age", "bridge.routing.processes"}
+    below |= {"bridge.concurrency", "bridge.kernels", "bridge.routing.stall", "bridge.routing.processes"}
     allowed = {*below, "bridge.tf", "bridge.worker", "navigation", "yarp_compat"}
     wrong = {
         f"{file.relative_to(ROOT)} imports {name}"

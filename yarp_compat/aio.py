@@ -17,8 +17,8 @@ from collections.abc import Awaitable, Callable
 from typing import Any, Self
 
 from yarp_compat import pythonic
-from yarp_compat.naming.naming import Naming
-from yarp_compat.ports.message import Message
+from yarp_compat.ports.message import PortMessage
+from yarp_compat.ports.naming import Naming
 from yarp_compat.pythonic import Content, OpenPort, Received
 
 
@@ -60,7 +60,7 @@ class _Waking(pythonic.Reader):
         super().__init__(name, **options)
         self._wake = wake
 
-    def _take(self, message: Message) -> None:
+    def _take(self, message: PortMessage) -> None:
         super()._take(message)
         self._wake()
 

@@ -1,4 +1,4 @@
-"""Where each name of the package is, and what is said of YARP's names that are not there."""
+"""The module of each name of the package, and the error for YARP's names that it lacks."""
 
 from __future__ import annotations
 
@@ -7,56 +7,49 @@ import re
 from typing import Any
 
 _PLACES = {
-    "dev.basecontrol": "MobileBaseVelocityControl Odometry2DClient",
+    "dev.basecontrol": "MobileBaseVelocity MobileBaseVelocityControl Odometry2DClient OdometryData",
     "dev.frametransform": "FrameTransform",
     "dev.frametransform_client": "TransformClient",
     "dev.iframetransform": "IFrameTransform",
-    "dev.ilocalization2d": "LocalizationStatusEnum",
     "dev.inavigation2d": "NavigationMapTypeEnum NavigationStatusEnum TrajectoryTypeEnum statusToString stringToStatus",
-    "dev.laserscan": "LaserMeasurementData LaserScan2D",
-    "dev.localization2d_client": "ILocalization2D Localization2DClient",
-    "dev.localization2d_server": "Localization2DServer",
+    "dev.rangefinder": "LaserMeasurementData LaserScan2D",
+    "dev.localization2d": "ILocalization2D Localization2DClient Localization2DServer LocalizationStatusEnum",
     "dev.locations": "Map2DArea Map2DLocation Map2DObject Map2DPath",
     "dev.map2d_client": "IMap2D Map2DClient",
     "dev.mapflag": "MapFlag",
     "dev.mapgrid": "MapGrid2D",
     "dev.mapinfo": "MapGrid2DInfo MapGrid2DOrigin",
-    "dev.navigation2d": "INavigation2D",
-    "dev.navigation2d_client": "Navigation2DClient",
+    "dev.navigation2d_client": "INavigation2D Navigation2DClient",
     "dev.navigation2d_server": "Navigation2DServer",
-    "dev.odometry": "MobileBaseVelocity OdometryData",
     "dev.returnvalue": "CallFailed ReturnValue",
-    "dev.service_server": "ServiceServer",
-    "dev.stream": "Stream",
-    "os.bottle": "Bottle",
-    "os.buffered_port": "BufferedPort",
-    "os.callback": "TypedReaderCallback",
-    "os.connection": "ConnectionReader ConnectionWriter PortReader",
-    "os.contact": "Contact ContactStyle",
+    "dev.server": "ServiceServer",
+    "dev.client": "Stream",
+    "os.data.bottle": "Bottle Property Value",
+    "os.ports.buffered_port": "BufferedPort TypedReaderCallback",
+    "os.ports.connection": "ConnectionReader ConnectionWriter PortInfo PortReader PortReport",
+    "os.ports.contact": "Contact ContactStyle",
     "os.log": "Log LogType",
-    "os.nested": "NestedName",
+    "os.ports.nested": "NestedName",
     "os.network": "Network NetworkBase",
-    "os.node": "Node Publisher Subscriber",
-    "os.port": "Port",
-    "os.property": "Property",
-    "os.report": "PortInfo PortReport",
-    "os.resource_finder": "ResourceFinder ResourceFinderOptions",
+    "os.ports.node": "Node Publisher Subscriber",
+    "os.ports.port": "Port RpcClient RpcServer",
+    "os.resource_finder": "ResourceFinder",
+    "os.resource_places": "ResourceFinderOptions",
     "os.rfmodule": "RFModule",
-    "os.rpc": "RpcClient RpcServer",
-    "os.stamp": "Stamp",
-    "os.stdvector": "BVector DVector IVector SVector ShortVector",
+    "os.data.stamp": "Stamp",
+    "os.data.stdvector": "BVector DVector IVector SVector ShortVector",
     "os.thread": "PeriodicThread Thread",
+    "os.clock": "Time useNetworkClock",
     "os.time": (
-        "Time now delay yield_c useSystemClock useNetworkClock isSystemClock isNetworkClock isCustomClock isValid "
+        "now delay yield_c useSystemClock isSystemClock isNetworkClock isCustomClock isValid "
         "YARP_CLOCK_UNINITIALIZED YARP_CLOCK_DEFAULT YARP_CLOCK_SYSTEM YARP_CLOCK_NETWORK YARP_CLOCK_CUSTOM"
     ),
-    "os.value": "Value",
-    "os.vocab": "Vocab Vocab32 Vocab64 createVocab32 encode decode",
+    "os.data.vocab": "Vocab Vocab32 Vocab64 createVocab32 encode decode",
     "sig.image": (
         "Image FlexImage ImageMono ImageMono16 ImageRgb ImageRgba ImageBgr ImageBgra ImageInt ImageFloat ImageRgbFloat "
         "ImageRgbInt ImageRgbSigned ImageMonoSigned ImageHsv ImageHsvFloat"
     ),
-    "sig.matrix": "Matrix",
+    "sig.matrix": "Matrix Quaternion",
     "sig.pixels": (
         "PixelCode PixelRgb PixelBgr PixelRgba PixelBgra PixelHsv PixelRgbSigned PixelRgbInt PixelRgbFloat "
         "PixelHsvFloat"
@@ -65,7 +58,6 @@ _PLACES = {
         "PointCloud PointCloudXY PointCloudXYZ PointCloudXYZRGBA PointCloudXYZI PointCloudInterestPointXYZ "
         "PointCloudNormal PointCloudXYZNormal PointCloudXYZNormalRGBA"
     ),
-    "sig.quaternion": "Quaternion",
     "sig.sound": "Sound",
     "sig.vec2d": "Vec2D Vec2DInt Vec2DSize",
     "sig.vector": (
@@ -108,11 +100,7 @@ _INSTEAD = {
 
 
 def find(name: str) -> Any:
-    """What a name of the package stands for.
-
-    Raises:
-        AttributeError: it is not there; saying what is there instead where that is known.
-    """
+    """The object of a name of the package; raises `AttributeError`, which names the substitute of an absent one."""
     if name in _WHERE:
         return getattr(importlib.import_module(f"yarp_compat.{_WHERE[name]}"), name)
     if name in _MODULES:
@@ -125,7 +113,7 @@ def find(name: str) -> Any:
 
 
 def names() -> list[str]:
-    """Every name there is, but for the families' members."""
+    """Every name, except the families' members."""
     return [*_WHERE, *_MODULES]
 
 
@@ -162,4 +150,4 @@ def _absence(name: str) -> str:
     import difflib
 
     close = difflib.get_close_matches(name, names(), 1)
-    return f"{said}: did you mean {close[0]!r}?" if close else f"{said}, which YARP may have: see docs/yarp_python.md"
+    return f"{said}: did you mean {close[0]!r}?" if close else f"{said}, which YARP may have: see docs/yarp/python.md"

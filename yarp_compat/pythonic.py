@@ -16,12 +16,12 @@ from collections.abc import Callable, Iterator, Sequence
 from typing import Any, Self, TypeVar
 
 from yarp_compat.naming.client import NameClient
-from yarp_compat.naming.errors import PortError
-from yarp_compat.naming.naming import Naming
-from yarp_compat.os.connection import recognised
-from yarp_compat.os.inbox import Inbox
-from yarp_compat.ports.message import Message, Payload
+from yarp_compat.os.ports.connection import recognised
+from yarp_compat.os.ports.inbox import Inbox
+from yarp_compat.ports.message import Payload, PortMessage
+from yarp_compat.ports.naming import Naming, PortError
 from yarp_compat.ports.port import PortCore
+from yarp_compat.ports.sockets import closed_on_failure
 from yarp_compat.wire import binary
 from yarp_compat.wire.portable import Portable
 from yarp_compat.wire.profile import Profile
@@ -29,43 +29,31 @@ from yarp_compat.wire.profile import Profile
 T = TypeVar("T", bound=Portable)
 
 Content = Sequence[Any] | Portable
-"""What is sent: a Bottle's plain values (see `yarp_compat.wire.values`), or any of YARP's data."""
+"""The content of a message: a Bottle's plain values (see `yarp_compat.wire.values`), or any of YARP's data."""
 
 
 class Received:
-    """A message that came.
+    """A message that came; ``raw`` is the message of the port's engine."""
 
-    Attributes:
-        raw: the message of the port's engine.
-    """
-
-    def __init__(self, raw: Message, profile: Profile) -> None:
+    def __init__(self, raw: PortMessage, profile: Profile) -> None:
         self.raw = raw
         self._profile = recognised(raw)
         self._reply_profile = self._profile or profile
 
     @property
     def values(self) -> list[Any]:
-        """The values of the Bottle that came.
-
-        Raises:
-            WireError: it was none.
-        """
+        """The values of the Bottle that came; raises `WireError` where it is none."""
         return binary.decode(self.raw.payload, self._profile)
 
     def to(self, kind: type[T]) -> T:
-        """The message as one of YARP's data: ``message.to(yarp.Vector)``.
-
-        Raises:
-            WireError: it was something else.
-        """
+        """The message as one of YARP's data: ``message.to(yarp.Vector)``; raises `WireError` for something else."""
         content = kind()
         content.from_wire(self.raw.payload, self._profile)
         return content
 
     @property
     def envelope(self) -> str:
-        """The envelope's text, ``12 1795143618.02`` for a stamp; or empty."""
+        """The envelope's text, ``12 1795143618.02`` for a stamp, or empty."""
         return self.raw.envelope
 
     @property
@@ -88,7 +76,7 @@ class OpenPort:
 
     Args:
         name: the port's name; empty lets the name server choose one.
-        naming: who knows the names; by default the name server of ``yarp.conf``.
+        naming: knows the names; by default the name server of ``yarp.conf``.
         options: more arguments of `PortCore`.
     """
 
@@ -120,14 +108,14 @@ class OpenPort:
         """Connect the port's output to another port; ``udp://r`` says the carrier too.
 
         Raises:
-            PortError: the other is not there, or does not take the connection.
+            PortError: the other does not exist, or does not take the connection.
         """
         done, said = self.core.add_output(target)
         if not done:
             raise PortError(said)
         return self
 
-    def _take(self, message: Message) -> None:
+    def _take(self, message: PortMessage) -> None:
         """A message came, on its connection's thread."""
 
 
@@ -135,12 +123,10 @@ class Reader(OpenPort):
     """Reads: iteration gives each message as a `Received`, and ends when the port is closed.
 
     Args:
-        name: the port's name.
         strict: give every message; by default the newest one only.
         patient: a message that wants a reply may get it after the next ones were read; by default it gets an empty one
             when the next is read.
-        naming: as of `OpenPort`.
-        options: as of `OpenPort`.
+        name, naming, options: as of `OpenPort`.
     """
 
     def __init__(
@@ -156,7 +142,7 @@ class Reader(OpenPort):
         self._inbox = Inbox()
         self._inbox.strict = strict
         self._patient = patient
-        self._due: Message | None = None
+        self._due: PortMessage | None = None
 
     def read(self) -> Received | None:
         """Wait for the next message; None once the port is closed."""
@@ -181,13 +167,13 @@ class Reader(OpenPort):
             due.retire()
         super().close()
 
-    def _given(self, message: Message | None) -> Received | None:
+    def _given(self, message: PortMessage | None) -> Received | None:
         if self._due is not None:
             self._due.give_up()
         self._due = None if self._patient else message
         return None if message is None else Received(message, self.core.profile)
 
-    def _take(self, message: Message) -> None:
+    def _take(self, message: PortMessage) -> None:
         if message.wants_reply:
             message.later()
         self._inbox.put(message)
@@ -203,15 +189,10 @@ class Writer(OpenPort):
         super().__init__(name, naming=naming, is_input=False, **options)
 
     def write(self, content: Content, envelope: str = "", *, strict: bool = False) -> int:
-        """Send a message, and wait for nobody.
+        """Send a message, and wait for nobody; returns how many connections took it.
 
-        Args:
-            content: what is sent.
-            envelope: sent with it, such as ``stamp.to_text()``.
-            strict: after what is still on its way to a slow peer, instead of in its place.
-
-        Returns:
-            how many connections took it.
+        The envelope is sent with it, such as ``stamp.to_text()``. ``strict``: after what is still on its way to a slow
+        peer, instead of in its place.
         """
         return self.core.write(payload_of(content), envelope, strict=strict)
 
@@ -221,9 +202,7 @@ class Client(OpenPort):
 
     Args:
         server: the server's port.
-        name: the own port's name.
-        naming: as of `OpenPort`.
-        options: as of `OpenPort`.
+        name, naming, options: as of `OpenPort`.
     """
 
     def __init__(self, server: str, name: str = "", *, naming: Naming | None = None, **options: Any) -> None:
@@ -233,17 +212,14 @@ class Client(OpenPort):
     def open(self) -> Self:
         """Open the port and connect it to the server."""
         super().open()
-        try:
+        with closed_on_failure(self):
             return self.connect(self.server)
-        except BaseException:
-            self.close()
-            raise
 
     def ask(self, content: Content, *, timeout: float | None = None) -> list[Any]:
         """The values of the server's answer.
 
         Raises:
-            TimeoutError: there was none in so many seconds.
+            TimeoutError: no answer came in so many seconds.
             ConnectionError: the server is gone.
         """
         return binary.decode(self.core.request(payload_of(content), timeout=timeout))
@@ -253,10 +229,8 @@ class Server(OpenPort):
     """Answers: ``respond(values)`` returns an answer's values, on the thread of the client's connection.
 
     Args:
-        name: the port's name.
-        respond: what to answer.
-        naming: as of `OpenPort`.
-        options: as of `OpenPort`.
+        respond: makes the answer.
+        name, naming, options: as of `OpenPort`.
     """
 
     def __init__(
@@ -265,13 +239,13 @@ class Server(OpenPort):
         super().__init__(name, naming=naming, is_output=False, rpc=True, **options)
         self._respond = respond
 
-    def _take(self, message: Message) -> None:
+    def _take(self, message: PortMessage) -> None:
         received = Received(message, self.core.profile)
         received.reply(self._respond(received.values))
 
 
 def payload_of(content: Content) -> Callable[[Profile], Payload]:
-    """What makes the bytes of what is sent, in a peer's dialect."""
+    """Makes the bytes of a message's content, in a peer's dialect."""
     if isinstance(content, Portable):
         return content.to_wire
     return lambda profile: binary.encode_parts(content, profile)

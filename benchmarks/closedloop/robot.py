@@ -6,14 +6,14 @@ import math
 
 from bridge.config.sections.base_control import BaseControlSection
 from bridge.config.sections.sim import EncodersSection, LaserSection, SimSection
-from navigation.base_control.base import Base
-from navigation.base_control.settings import settings
-from navigation.base_control.velocity import Velocity
+from bridge.messages.scan import Turn
+from navigation.base_control.base import DrivenBase
+from navigation.base_control.commands import Velocity
+from navigation.base_control.settings import resolved
 from navigation.pose import Pose
 from sim import robot as robots
-from sim.laser import Scan
 from sim.plan import Plan
-from sim.robot import Robot as Described
+from sim.robot import RobotDescription as Described
 from sim.simulation import TICK_NS, Simulation
 
 LASER = LaserSection(beams=720, rate=10.0, noise=0.005)
@@ -47,8 +47,8 @@ class Robot:
         encoders = EncodersSection(scale=SCALES[: len(described.wheels.names)], noise=ENCODER_NOISE)
         section = SimSection(drive="wheels", laser=LASER, encoders=encoders, seed=seed, start=start)
         self.simulation = Simulation(section, plan, described)
-        given = settings(base_section(described))
-        self._base = Base(given)
+        given, _ = resolved(base_section(described))
+        self._base = DrivenBase(given)
         self._every = round(given.period * 1e9 / TICK_NS)
         self._input = self._base.inputs[_INPUT]
         self._ticks = 0
@@ -79,7 +79,7 @@ class Robot:
         return math.hypot(twist.x, twist.y)
 
     @property
-    def scan(self) -> Scan:
+    def scan(self) -> Turn:
         """The laser's last turn."""
         return self.simulation.scan
 

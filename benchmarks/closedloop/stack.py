@@ -2,22 +2,19 @@
 
 from __future__ import annotations
 
-import math
-from dataclasses import replace
-
 from benchmarks.closedloop.robot import Robot
 from benchmarks.closedloop.worlds import World
+from bridge.config.sections.localization_server import LocaliserSection
+from bridge.config.sections.robot_goto import RobotGotoSection
+from bridge.config.sections.robot_path_planner import RobotPathPlannerSection
 from navigation.constraints import Constraints
-from navigation.localization_server.estimate import Status
+from navigation.localization_server.estimate import LocalizationStatus
 from navigation.localization_server.localizer import Localizer
-from navigation.localization_server.scan import scan_points
-from navigation.localization_server.settings import Settings as LocalizerSettings
 from navigation.pose import Pose
 from navigation.robot_goto.driver import Driver
-from navigation.robot_goto.settings import Settings as DriverSettings
 from navigation.robot_path_planner.ground import Ground
 from navigation.robot_path_planner.planner import PathPlanner
-from navigation.robot_path_planner.settings import Settings as PlannerSettings
+from navigation.scan import scan_points
 from navigation.status import Fault, State
 
 RADII = {"r1": 0.3, "ikart_v1": 0.38}
@@ -49,20 +46,20 @@ class Ours:
         holonomic = described.kinematics != "differential"
         radius, limits = RADII[described.name], described.limits
         self.driver = Driver(
-            DriverSettings(
-                holonomic=holonomic,
+            RobotGotoSection(
+                robot_is_holonomic=holonomic,
                 robot_radius=radius,
                 max_lin_speed=limits.linear,
-                max_ang_speed=math.radians(limits.angular),
-                linear_acceleration=limits.linear_acceleration,
-                angular_acceleration=math.radians(limits.angular_acceleration),
+                max_ang_speed=limits.angular,
+                max_lin_acc=limits.linear_acceleration,
+                max_ang_acc=limits.angular_acceleration,
             )
         )
-        self.planner = PathPlanner(PlannerSettings(robot_radius=radius + _ROOM))
+        self.planner = PathPlanner(RobotPathPlannerSection(robot_radius=radius + _ROOM))
         self.planner.use_map(Ground(world.map, radius + _ROOM, self.planner.settings.clearance))
         self.localizer: Localizer | None = None
         if localized:
-            self.localizer = Localizer(world.map, replace(LocalizerSettings(), holonomic=holonomic), seed)
+            self.localizer = Localizer(world.map, LocaliserSection(holonomic=holonomic), seed)
             self.localizer.odometry(robot.odometry)
             self.localizer.initial(start or robot.truth)
         self._ticks = self._scans = 0
@@ -72,7 +69,7 @@ class Ours:
 
     @property
     def state(self) -> State:
-        """See `navigation.robot_path_planner.local.LocalNavigator`."""
+        """See `navigation.robot_path_planner.navigators.LocalNavigator`."""
         return self.driver.status.state
 
     @property
@@ -83,7 +80,7 @@ class Ours:
     @property
     def fault(self) -> Fault:
         """See there."""
-        return self.driver.status.fault
+        return Fault.parse(self.driver.status.fault)
 
     def send(self, pose: Pose, constraints: Constraints) -> None:
         """See there."""
@@ -148,4 +145,4 @@ class Ours:
         if self.localizer is None:
             return self._robot.truth, ""
         status, reason = self.localizer.check(self._robot.simulation.time_ns)
-        return (self.localizer.pose, "") if status is Status.OK else (None, reason)
+        return (self.localizer.pose, "") if status is LocalizationStatus.OK else (None, reason)

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from navigation.maps.polygon import cells_of
-from sim import export, plans
-from sim.plan import Plan
+from navigation.maps.masks import cells_of
+from sim import export
+from sim.plan import Plan, load_plan
 from yarp_compat.dev.mapgrid import MapFlag, MapGrid2D
 from yarp_compat.sig.vec2d import Vec2D
 
@@ -50,7 +50,7 @@ def world(name: str, *, people: bool = True) -> World:
         SimError: there is none of that name.
     """
     building, _, level = name.partition("/")
-    whole = plans.load(building)
+    whole = load_plan(building)
     floor = level or whole.first
     plan = Plan(name=whole.name, floors={floor: whole.floors[floor]})
     plan = plan if people else plan.without_people

@@ -9,9 +9,9 @@ import os
 import sys
 
 from benchmarks.endurance.program import DEPTH, Close, Heard, Program
-from bridge.hub.publisher import HubPublisher
-from bridge.hub.qos import Durability, Qos
+from bridge.hub.endpoints.publisher import HubPublisher
 from bridge.hub.session import Hub, HubSettings
+from bridge.hub.wire.qos import Durability, Qos
 from bridge.messages.registry import Registry
 
 

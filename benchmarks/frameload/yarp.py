@@ -13,9 +13,8 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 from benchmarks.frameload.tally import Tally, only_answers, serve
-from yarp_compat.dev.frametransform import FrameTransform
+from yarp_compat.dev.frametransform import SERVER, STREAM, AllTransforms, FrameTransform
 from yarp_compat.dev.frametransform_client import TransformClient
-from yarp_compat.dev.frametransformstorage import SERVER, STREAM, Transforms
 from yarp_compat.naming import connections
 from yarp_compat.naming.client import NameClient
 from yarp_compat.naming.config import Address
@@ -42,7 +41,7 @@ class Program:
 
         def read() -> None:
             for message in reader:
-                found = message.to(Transforms).transforms_list
+                found = message.to(AllTransforms).transforms_list
                 ticks = [round(one.tX) for one in found if one.dst_frame_id.startswith("load")]
                 if ticks:
                     self.tally.see(ticks)

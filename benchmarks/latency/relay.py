@@ -24,8 +24,8 @@ from xmlrpc.server import SimpleXMLRPCServer
 
 from benchmarks.latency.end import tell
 from benchmarks.latency.zenoh_end import ZenohEnd
-from bridge.adapters.ros1.deadline import DeadlineSocket
 from bridge.adapters.ros1.handshake import connect, encode, read_header
+from bridge.adapters.ros1_peers import DeadlineSocket
 
 Heard = Callable[[bytes], None]
 

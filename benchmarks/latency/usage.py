@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-import os
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-from bridge.demo.traces import marked
+import psutil
 
-_TICKS = os.sysconf("SC_CLK_TCK")
-_USER, _SYSTEM = 11, 12  # proc(5): fields of /proc/PID/stat behind the command's name
+from benchmarks.footprints.measured import cpu_seconds
+from bridge.demo.leftovers import marked
+
 WORKERS = ("ros1", "ros2")
 DAEMON = ("supervisor", "router", *WORKERS)
 """The processes of the daemon."""
@@ -45,25 +45,25 @@ class Meter:
     """
 
     def __init__(self, pids: Mapping[str, int]) -> None:
-        self._pids = dict(pids)
+        self._processes = {name: psutil.Process(pid) for name, pid in pids.items()}
         self.start()
 
     def start(self) -> None:
         """Measure from now on."""
         self._began = time.monotonic()
-        self._seconds = {name: _seconds(pid) for name, pid in self._pids.items()}
+        self._seconds = {name: cpu_seconds(process.pid) for name, process in self._processes.items()}
 
     def read(self) -> dict[str, Usage]:
         """What each process took since the start."""
         passed = time.monotonic() - self._began
         return {
             name: Usage(
-                100 * (_seconds(pid) - self._seconds[name]) / passed,
-                _memory(pid),
-                sum(1 for _ in Path(f"/proc/{pid}/task").iterdir()),
-                sum(1 for _ in Path(f"/proc/{pid}/fd").iterdir()),
+                100 * (cpu_seconds(process.pid) - self._seconds[name]) / passed,
+                process.memory_info().rss / 1e6,
+                process.num_threads(),
+                process.num_fds(),
             )
-            for name, pid in self._pids.items()
+            for name, process in self._processes.items()
         }
 
 
@@ -79,23 +79,23 @@ def total(used: Mapping[str, Usage], names: tuple[str, ...]) -> float:
 
 def processes(folder: Path) -> dict[str, int]:
     """Process ids of the daemon's processes and of the ROS master by their names, of those started in a folder."""
-    found = {_name(Path(f"/proc/{pid}/cmdline").read_text().split("\0")): pid for pid in marked(folder)}
+    found = _named(folder)
     return {name: found[name] for name in (*DAEMON, "rosmaster")}
 
 
+def daemon_processes(folder: Path) -> dict[str, int]:
+    """Process ids of all the daemon's processes by their workers' names, the daemon's own by `daemon`."""
+    found = {"daemon" if name == "supervisor" else name: pid for name, pid in _named(folder).items()}
+    return {name: pid for name, pid in found.items() if name not in ("", "rosmaster")}
+
+
+def _named(folder: Path) -> dict[str, int]:
+    return {_name(Path(f"/proc/{pid}/cmdline").read_text().split("\0")): pid for pid in marked(folder)}
+
+
 def _name(words: list[str]) -> str:
-    if "bridge.cli.main" in words and "worker" in words:
+    if "bridge.cli.child" in words and "worker" in words:
         return words[words.index("worker") + 1]
     if words[1:4] == ["-m", "bridge.cli.main", "run"]:
         return "supervisor"
     return "rosmaster" if any(word.endswith("rosmaster") for word in words) else ""
-
-
-def _seconds(pid: int) -> float:
-    fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
-    return (int(fields[_USER]) + int(fields[_SYSTEM])) / _TICKS
-
-
-def _memory(pid: int) -> float:
-    pages = int(Path(f"/proc/{pid}/statm").read_text().split()[1])
-    return pages * os.sysconf("SC_PAGE_SIZE") / 1e6

@@ -12,8 +12,8 @@ from typing import Any
 import zenoh
 
 from benchmarks.latency.end import End
-from bridge.hub.attachment import SIZE
-from bridge.hub.settings import MAX_PAYLOAD, make_config, session_tree
+from bridge.hub.wire.keys import ATTACHMENT_SIZE
+from bridge.hub.zenoh_config import MAX_PAYLOAD, make_config, session_tree
 
 
 class ZenohEnd(End):
@@ -41,7 +41,7 @@ class ZenohEnd(End):
             topic.strip("/"), congestion_control=zenoh.CongestionControl.DROP, express=self._express
         )
         self._endpoints.append(publisher)
-        attached = bytes(SIZE)
+        attached = bytes(ATTACHMENT_SIZE)
         return lambda payload: publisher.put(payload, attachment=attached), lambda: self._is_linked(publisher)
 
     def listen(self, topic: str, type_: str, heard: Callable[[bytes], None]) -> None:  # noqa: ARG002

@@ -12,7 +12,7 @@ from typing import Any
 import psutil
 
 from benchmarks.processes import Processes
-from bridge.backoff import GOOD_LIFE
+from bridge.concurrency import GOOD_LIFE
 from bridge.daemon.query import ask_daemon
 
 WORKERS = ("router", "ros1", "ros2")

@@ -8,9 +8,9 @@ from collections.abc import Callable
 from typing import Any
 
 from benchmarks.losses.program import MEGABYTE, Program
-from bridge.hub.publisher import HubPublisher
-from bridge.hub.qos import Durability, Qos, Reliability
+from bridge.hub.endpoints.publisher import HubPublisher
 from bridge.hub.session import Hub, HubSettings
+from bridge.hub.wire.qos import Durability, Qos, Reliability
 from bridge.messages.registry import Registry
 
 CDR = b"\0\1\0\0"

@@ -10,7 +10,7 @@ from collections.abc import Callable
 from typing import Any
 
 from benchmarks.losses.field import Field
-from bridge.adapters.ros1.graph import PRESENCE
+from bridge.adapters.ros1.graph.state import PRESENCE
 
 SECONDS = 5.0
 _OURS = "midspan"

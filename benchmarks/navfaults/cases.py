@@ -18,7 +18,7 @@ from typing import Any
 
 from benchmarks.navfaults.outcome import Outcome
 from benchmarks.navfaults.two_machines import TwoMachines
-from bridge.modules.goal import Status
+from bridge.messages.actions import GoalState
 from navigation.status import Fault as Why
 from tests.support.chain import Asked, Chain
 
@@ -47,7 +47,7 @@ class Fault:
     lasts: float
     limit: float
     says: str = ""
-    ends: Status | None = Status.SUCCEEDED
+    ends: GoalState | None = GoalState.SUCCEEDED
     code: int | None = None
     tries: bool = False
     again: bool = False
@@ -81,13 +81,13 @@ class Fault:
             if math.isfinite(self.limit) and not self.tries and not (chain.truth and chain.truth.still):
                 found.wrong = found.wrong or "it drove again before the fault was over"
         over = time.monotonic()
-        if self.ends is Status.SUCCEEDED and math.isfinite(self.limit):
+        if self.ends is GoalState.SUCCEEDED and math.isfinite(self.limit):
             with contextlib.suppress(AssertionError):
                 found.onward = chain.until_moving(30.0)
         chain.until(lambda: asked.ended is not None, "the goal ends", 90.0)
         told = [why for _, why in chain.said(began) if self.says and self.says in why]
         found.told = told[0] if told else " | ".join(dict.fromkeys(w for _, w in chain.said(began) if w))
-        status = asked.status or Status.UNKNOWN
+        status = asked.status or GoalState.UNKNOWN
         found.end = (
             f"{status.name}{f' ({asked.reason})' if asked.reason else ''} after {(asked.ended or over) - over:.1f} s"
         )
@@ -211,24 +211,31 @@ def _cut(chain: Chain) -> Iterator[None]:
 FAULTS = (
     Fault("laser silent", _sensor("laser_silent"), 4.0, 1.5, "laser"),
     Fault("laser blind", _sensor("laser_blind"), 4.0, 1.5, "laser"),
-    Fault("laser silent for good", _sensor("laser_silent"), 14.0, 1.5, "laser", Status.ABORTED, Why.NO_LASER),
+    Fault("laser silent for good", _sensor("laser_silent"), 14.0, 1.5, "laser", GoalState.ABORTED, Why.NO_LASER),
     Fault("odometry silent", _sensor("encoders_silent"), 4.0, 1.5, "odom"),
     Fault("odometry frozen", _sensor("encoders_frozen"), 6.0, 3.0, "does not follow", tries=True),
     Fault("localiser switched off", _without("localization_server"), 5.0, 3.5, "stale"),
     Fault("robot_goto switched off", _without("robot_goto"), 3.0, 1.5, "robot_goto"),
-    Fault("planner switched off", _without("robot_path_planner"), 3.0, 1.5, "stopped", ends=Status.ABORTED),
+    Fault("planner switched off", _without("robot_path_planner"), 3.0, 1.5, "stopped", ends=GoalState.ABORTED),
     Fault("base_control switched off", _without("base_control"), 4.0, 1.5),
     Fault("emergency stop", _emergency, 4.0, 1.5, "does not follow"),
     Fault(
-        "emergency stop for good", _emergency, 14.0, 1.5, "does not follow", Status.ABORTED, Why.BASE_STANDS, tries=True
+        "emergency stop for good",
+        _emergency,
+        14.0,
+        1.5,
+        "does not follow",
+        GoalState.ABORTED,
+        Why.BASE_STANDS,
+        tries=True,
     ),
-    Fault("modules killed", _killed("robot_path_planner"), 3.0, 1.5, ends=Status.ABORTED),
+    Fault("modules killed", _killed("robot_path_planner"), 3.0, 1.5, ends=GoalState.ABORTED),
     Fault("modules stand still", _frozen("robot_path_planner"), 3.0, 1.5, ends=None),
     Fault("yarp worker killed", _killed("yarp"), 2.0, math.inf),
     Fault("router killed", _killed("router"), 2.0, math.inf),
-    Fault("halt", _halt, 4.0, 2.5, ends=Status.CANCELED),
+    Fault("halt", _halt, 4.0, 2.5, ends=GoalState.CANCELED),
     Fault("localisation lost", _once(_elsewhere), 8.0, 3.0, "localisation says", tries=True),
     Fault("simulator killed", _killed("sim"), 5.0, math.inf, ends=None),
-    Fault("link to the client cut", _cut, 8.0, 6.0, "left", ends=Status.ABORTED, again=True, where=TwoMachines),
+    Fault("link to the client cut", _cut, 8.0, 6.0, "left", ends=GoalState.ABORTED, again=True, where=TwoMachines),
     Fault("link to the planner cut", _cut, 6.0, 6.0, "is silent", where=partial(TwoMachines, split=True)),
 )

@@ -15,8 +15,8 @@ from typing import Any
 import zenoh
 
 from benchmarks.roundtrips.end import MAP_SIDE, End
-from bridge.hub.attachment import SIZE
-from bridge.hub.settings import MAX_PAYLOAD, make_config, session_tree
+from bridge.hub.wire.keys import ATTACHMENT_SIZE
+from bridge.hub.zenoh_config import MAX_PAYLOAD, make_config, session_tree
 
 SECONDS = 30.0
 SMALL, GOAL = bytes(16), bytes(120)
@@ -100,7 +100,7 @@ class ZenohEnd(End):
             consolidation=zenoh.ConsolidationMode.NONE,
             timeout=SECONDS,
             payload=payload,
-            attachment=bytes(SIZE),
+            attachment=bytes(ATTACHMENT_SIZE),
             express=True,
         )
         return asked
@@ -130,7 +130,7 @@ class _Asked:
 
 def _answerer(reply: bytes) -> Callable[[Any], None]:
     def answer(query: Any) -> None:
-        query.reply(query.key_expr, reply, attachment=bytes(SIZE))
+        query.reply(query.key_expr, reply, attachment=bytes(ATTACHMENT_SIZE))
 
     return answer
 

@@ -1,1 +1,1 @@
-"""The edges: one package per side; nothing outside a side's package touches its middleware."""
+"""The edges: one package per side, the only one that uses that side's middleware; and the client of ROS 1 peers."""

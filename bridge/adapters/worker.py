@@ -2,49 +2,54 @@
 
 from __future__ import annotations
 
-import importlib
 import logging
+import os
 import sys
+import time
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
-from bridge.adapters.base import Edge
-from bridge.adapters.crossing import Crossing
+import psutil
+
+from bridge import resources
 from bridge.adapters.memory import keep_memory, keep_objects
+from bridge.clock import RunClock
 from bridge.config.model import Config
-from bridge.config.state import worker_folder
-from bridge.hub import pools
+from bridge.config.sections.routing import RoutingSection
+from bridge.config.sections.section import SideSection
+from bridge.hub import shared_memory
+from bridge.hub.control import Handler
+from bridge.hub.errors import HubError
+from bridge.hub.session import Hub, HubSettings, follow_clock
 from bridge.messages.registry import Registry
-from bridge.worker import Health, Worker
+from bridge.progress import working
+from bridge.routing.diagnostics import Diagnostics
+from bridge.routing.edge import Edge
+from bridge.routing.engine import Engine
+from bridge.routing.hold import Hold, held_topics
+from bridge.sides import all_networks, imported
+from bridge.state_file import state_folder, worker_folder
+from bridge.worker import Health, Worker, costs
 
 _log = logging.getLogger(__name__)
 
 SWITCH_INTERVAL = 0.0002
 """Seconds after which a thread that only computes gives way to one that has a message."""
 
-EDGES = {
-    "ros1": "bridge.adapters.ros1.edge:Ros1Edge",
-    "ros2": "bridge.adapters.ros2.edge:Ros2Edge",
-    "yarp": "bridge.adapters.yarp.edge:YarpEdge",
-}
-"""Edge class of each side that has one network; imported in that side's worker alone."""
 
-DIALECTS = "bridge.adapters.zenoh.dialects:make_edges"
-"""What makes the edges of the zenoh side, one for each dialect that is configured."""
-
-
-def make_edges(side: str, config: Config, registry: Registry, state: Path) -> dict[str, Edge]:
+def make_edges(name: str, config: Config, registry: Registry, folder: Path) -> dict[str, Edge]:
     """Import and construct a side's edges, by their names on the control plane."""
-    module, _, name = EDGES.get(side, DIALECTS).partition(":")
-    make = getattr(importlib.import_module(module), name)
-    made = make(config, registry, state)
-    return {side: made} if side in EDGES else made
+    side = all_networks()[name]
+    made: Any = imported(side.edges)(config, registry, folder)
+    return dict(made) if side.networks else {side.name: made}
 
 
 class BridgeWorker(Worker):
     """Joins one side to the hub."""
 
     def __init__(self, side: str) -> None:
-        self.side = side
+        self.side = all_networks()[side]
         self._config: Config | None = None
         self._crossings: list[Crossing] = []
         self._failure = ""
@@ -57,31 +62,32 @@ class BridgeWorker(Worker):
         keep_memory()
         config = _with_memory(config)
         registry = Registry(folders=list(config.types.folders), mapping_rules=list(config.types.mapping_rules))
-        for name, edge in make_edges(self.side, config, registry, worker_folder(config)).items():
-            told = self.side in EDGES  # on foreign keys nobody expects our diagnostics
+        working.at(self.side.loading or f"loading the {self.side.name} side")
+        for name, edge in make_edges(self.side.name, config, registry, worker_folder(config)).items():
+            working.at("opening the hub")
+            told = not self.side.networks  # on foreign keys nobody expects our diagnostics
             self._crossings.append(Crossing(name, edge, config, registry, self._failed, diagnostics=told))
-        # The first route needs it. Where its compiled form cannot be kept this takes seconds, for which no engine may
-        # hang; else it is done while they look who else is on their networks.
-        importlib.import_module("bridge.messages.machine")
         keep_objects()
 
     def reload(self, config: Config) -> bool:
-        """Take up new rules; other changes of what it uses need a restart."""
+        """Apply new rules; other changes need a restart."""
         old = self._config
         if old is None or not self._crossings:
             return False
-        fixed = ("name", "state", "hub", "types", "limits", self.side)
-        if any(getattr(config, part) != getattr(old, part) for part in fixed):
+        if any(getattr(config, part) != getattr(old, part) for part in ("name", "state", "hub", "types", "limits")):
+            return False
+        section: SideSection = getattr(config, self.side.name)
+        if not section.joins_as(getattr(old, self.side.name)):
             return False
         self._config = config
         logging.getLogger().setLevel(config.log.level.upper())
         if config.rules != old.rules:
             for crossing in self._crossings:
-                crossing.reload(config.rules)
+                crossing.reload(config)
         return True
 
     def health(self) -> Health:
-        """How the engines are; of several, the first that runs says how the worker is."""
+        """The engines' health; of several, that of the first that runs."""
         if self._failure:
             raise RuntimeError(self._failure)
         found = {crossing.name: crossing.health() for crossing in self._crossings}
@@ -99,7 +105,7 @@ class BridgeWorker(Worker):
             crossing.stop()
 
     def _failed(self, reason: str) -> None:
-        _log.error("%s: %s", self.side, reason)
+        _log.error("%s: %s", self.side.name, reason)
         self._failure = reason
 
 
@@ -107,10 +113,10 @@ def _with_memory(config: Config) -> Config:
     """The configuration, without the hub's shared memory where dead sessions' still fills the machine's."""
     if sys.platform != "linux":  # elsewhere shared memory is no files that are seen
         return config
-    removed = pools.clean()
+    removed = shared_memory.clean()
     if removed:
         _log.info("removed %d shared-memory files of dead zenoh sessions", removed)
-    orphans = pools.orphans() if config.hub.shared_memory else 0
+    orphans = shared_memory.orphans() if config.hub.shared_memory else 0
     if not orphans:
         return config
     _log.warning(
@@ -119,3 +125,125 @@ def _with_memory(config: Config) -> Config:
         orphans,
     )
     return config.model_copy(update={"hub": config.hub.model_copy(update={"shared_memory": False})})
+
+
+# -- one network -------------------------------------------------------------------------------------------------------
+
+
+class Crossing:
+    """Joins one network; it answers on the hub's control plane under its name.
+
+    Args:
+        name: of the worker on the control plane; the side's, where the worker has one network.
+        edge: not started yet.
+        config: the configuration.
+        registry: of types, shared by a worker's crossings.
+        failed: called with the reason when the edge or the engine cannot go on.
+        diagnostics: whether the counters are published on the side.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        edge: Edge,
+        config: Config,
+        registry: Registry,
+        failed: Callable[[str], None],
+        *,
+        diagnostics: bool,
+    ) -> None:
+        self.name, self._config = name, config
+        self._side = edge.side
+        self._started = time.monotonic()
+        self._process = psutil.Process()
+        self._stopped = False
+        self._diagnostics: Diagnostics | None = None
+        self._hub = Hub.open(
+            HubSettings(
+                domain=config.hub.domain,
+                router=config.hub.listen,
+                zenoh=config.hub.zenoh,
+                shared_memory=config.hub.shared_memory,
+                node=f"midspan_{name}",
+                namespace="/",
+                daemon=config.name,
+                worker=name,
+                max_payload=config.limits.message_bytes,
+            )
+        )
+        edge.clock = RunClock(simulated=config.clock.simulated)
+        follow_clock(edge.clock, self._hub)
+        self._hold = Hold(self._hub, held_topics(config.navigation, edge.side))
+        self._engine = Engine(edge, self._hub, config.rules, config.name, failed, registry, self._hold)
+        self._engine.start()
+        self._share_parameters(config.routing)
+        verbs: dict[str, Handler] = {
+            "status": lambda _params: self._status(),
+            "explain": lambda params: self._running().explain(str(params.get("topic", ""))),
+            "tap": lambda params: self._running().tap(str(params.get("topic", "")), float(params.get("seconds", 10.0))),
+            "time": lambda _params: {"time_ns": time.time_ns()},
+        }
+        self._closers = [self._hub.serve(verb, handler) for verb, handler in verbs.items()]
+        if diagnostics:
+            self._diagnostics = Diagnostics(edge, registry, self._engine, f"midspan {config.name}/{name}")
+        self._process.cpu_percent()
+
+    def reload(self, config: Config) -> None:
+        """Apply new rules."""
+        routing = config.rules
+        self._hold.topics = held_topics(config.navigation, self._side)
+        self._running().reload(routing)
+        if routing.parameters != self._parameters:
+            self._unshare()
+            self._share_parameters(routing)
+
+    def _share_parameters(self, routing: RoutingSection) -> None:
+        engine, self._parameters = self._engine, routing.parameters
+        self._unshare = engine.edge.carry_parameters(
+            routing.parameters, self._hub, lambda: engine.summary().state == "running"
+        )
+
+    def health(self) -> Health:
+        """The engine's health; raises `TimeoutError` where it stands still."""
+        engine = self._running()
+        computes = engine.alive()
+        summary = engine.summary()
+        if self._diagnostics is not None:
+            self._diagnostics.publish()
+        text = summary.text or f"{self.name} is away"
+        return Health(summary.state, f"{text}; it {computes}" if computes else text)
+
+    def stop(self) -> None:
+        """Give back every endpoint and close the session."""
+        diagnostics, self._diagnostics = self._diagnostics, None
+        if diagnostics is not None:
+            diagnostics.close()
+        for closer in self._closers:
+            closer()
+        self._unshare()
+        self._hold.close()
+        self._stopped = True
+        self._engine.stop()
+        self._hub.close()
+
+    def _status(self) -> dict[str, Any]:
+        engine = self._running()
+        document = engine.status()
+        return {
+            "daemon": self._config.name,
+            "worker": self.name,
+            "side": self._side,
+            "pid": os.getpid(),
+            "zid": self._hub.zid,
+            "state": engine.summary().state,
+            "uptime": round(time.monotonic() - self._started, 1),
+            **costs(self._process),
+            **document,
+            **engine.edge.details(),
+            "warnings": [*document["warnings"], *resources.warnings(state_folder(self._config))],
+        }
+
+    def _running(self) -> Engine:
+        if self._stopped:
+            raise HubError("the worker is stopping")
+        return self._engine

@@ -1,1 +1,1 @@
-"""Placeholder."""
+"""The command ``midspan``: one package for each group of verbs."""

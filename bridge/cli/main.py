@@ -11,36 +11,75 @@ import logging
 import os
 import sys
 from collections.abc import Iterable, Sequence
-from types import ModuleType
-from typing import Any
-
-from bridge.cli.verbs import VERBS
+from typing import NamedTuple
 
 FAILED = 1
 INTERRUPTED = 130
+
+
+class Verb(NamedTuple):
+    """One verb, imported only when it is used.
+
+    ``register`` is ``module:function``: it adds arguments to the verb's parser, and sets ``run``, which returns the
+    exit code.
+    """
+
+    register: str
+    help: str
+
+
+VERBS: dict[str, Verb] = {
+    "run": Verb("bridge.cli.daemon.run:register_run", "run the daemon: start, watch and restart the workers"),
+    "worker": Verb("bridge.cli.daemon.run:register_worker", "run one worker alone, also on another machine"),
+    "module": Verb("bridge.cli.daemon.run:register_module", "run one hosted module alone, also on another machine"),
+    "sim": Verb(
+        "bridge.cli.daemon.sim:register", "run the simulated base alone; make maps and pictures of floor plans"
+    ),
+    "status": Verb("bridge.cli.inspection.status:register_status", "show daemons, workers and routes"),
+    "top": Verb("bridge.cli.inspection.status:register_top", "live table of all routes"),
+    "explain": Verb("bridge.cli.inspection.explain:register", "say why a topic is or is not bridged"),
+    "doctor": Verb("bridge.cli.inspection.doctor:register", "look for what commonly goes wrong, and say the cure"),
+    "topic": Verb("bridge.cli.graph.topic:register", "list, info, echo, hz and pub on any side's topics"),
+    "service": Verb("bridge.cli.graph.calls:register_service", "list, info and call on any side's services"),
+    "action": Verb("bridge.cli.graph.calls:register_action", "list, info and send on any side's actions"),
+    "tf": Verb("bridge.cli.frames.tf:register", "list, tree, echo and monitor of frames"),
+    "map": Verb("bridge.cli.maps.map:register", "list, show, import, export, edit-flags and use of the stored maps"),
+    "location": Verb("bridge.cli.maps.location:register", "list, add, remove and export of the stored locations"),
+    "goto": Verb("bridge.cli.navigation.goto:register", "drive to a place or a pose"),
+    "nav": Verb(
+        "bridge.cli.navigation.nav:register", "status, stop, pause, resume, path and show of what drives the robot"
+    ),
+    "teleop": Verb("bridge.cli.navigation.teleop:register", "drive a base by the keyboard"),
+    "halt": Verb("bridge.cli.navigation.halt:register", "zero velocity on every side, and all goals cancelled"),
+    "yarp": Verb("bridge.cli.yarp_network.yarp:register", "look at and use a YARP network, as YARP's own tool does"),
+    "config": Verb(
+        "bridge.cli.setup.config:register_config", "check a configuration file; print its schema or an example"
+    ),
+    "import": Verb("bridge.cli.setup.config:register_import", "turn another bridge's configuration into ours"),
+    "interfaces": Verb("bridge.cli.setup.interfaces:register", "build ROS 2 message packages that are missing"),
+    "keys": Verb("bridge.cli.setup.keys:register", "make and show the certificates by which machines know each other"),
+    "install": Verb("bridge.cli.setup.install:register_install", "put the systemd services in place"),
+    "demo": Verb("bridge.demo.command:register", "a simulated robot sent to rooms by YARP, ROS 1 and ROS 2 clients"),
+    "completion": Verb("bridge.cli.setup.install:register_completion", "print a shell completion script"),
+}
 
 
 def build_parser(loaded: Iterable[str]) -> argparse.ArgumentParser:
     """The parser with all verbs; only those in ``loaded`` are imported and know their own arguments."""
     parser = argparse.ArgumentParser(
         prog="midspan",
-        description="A bridge daemon for mobile robots: real topics cross between ROS 1, ROS 2 and zenoh.",
+        description="A bridge daemon for mobile robots: it joins ROS 1, ROS 2, YARP and zenoh.",
         epilog="'midspan VERB --help' tells more about each.",
     )
     parser.add_argument("--version", action="store_true", help="print the version and end")
     parser.add_argument("--debug", action="store_true", help="show tracebacks (may stand anywhere)")
-    subparsers = parser.add_subparsers(dest="verb", metavar="VERB", required=False)
+    subparsers = parser.add_subparsers(metavar="VERB")
     for name, verb in VERBS.items():
+        verb_parser = subparsers.add_parser(name, help=verb.help)
         if name in loaded:
-            _module(name).register(subparsers)
-        else:
-            subparsers.add_parser(name, help=verb.help)
+            module, _, function = verb.register.partition(":")
+            getattr(importlib.import_module(module), function)(verb_parser)
     return parser
-
-
-def _module(verb: str) -> Any:
-    module: ModuleType = importlib.import_module(VERBS[verb].module)
-    return module
 
 
 def _named_verb(arguments: Sequence[str]) -> list[str]:
@@ -58,7 +97,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         args = parser.parse_args(arguments)
         if args.version:
             return _version()
-        if args.verb is None:
+        if "run" not in args:
             parser.print_help(sys.stderr)
             return 2
         return _run(args)
@@ -76,7 +115,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _run(args: argparse.Namespace) -> int:
-    code: int = _module(args.verb).run(args)
+    code: int = args.run(args)
     sys.stdout.flush()  # a reader that went away is noticed here, where it is handled
     return code
 
@@ -92,8 +131,8 @@ def _version() -> int:
 
 
 def _complain(err: Exception) -> None:
-    from bridge.cli.errors import CliError
-    from bridge.config.problems import ConfigError
+    from bridge.cli.output import CliError
+    from bridge.config.document import ConfigError
 
     logging.getLogger("midspan").debug("command failed", exc_info=err)
     if isinstance(err, ConfigError):

@@ -6,17 +6,44 @@ text). Tags, merge keys, dates, a second document and a key given twice are refu
 
 from __future__ import annotations
 
-import io
-from collections.abc import Iterator
+import re
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from ruamel.yaml import YAML
-from ruamel.yaml.error import MarkedYAMLError, YAMLError
-from ruamel.yaml.nodes import MappingNode, Node, ScalarNode, SequenceNode
+import yaml
+from yaml.constructor import ConstructorError
+from yaml.events import AliasEvent
+from yaml.nodes import MappingNode, Node, ScalarNode, SequenceNode
 
-from bridge.config.problems import ConfigError, Problem
+
+@dataclass(frozen=True, slots=True)
+class Problem:
+    """One mistake in a file.
+
+    Line and column count from 1; line 0: no place in the file. ``key`` is a path such as ``routing.rules[2].topic``, ""
+    for the whole file; ``text`` says what is wrong and how to mend it.
+    """
+
+    file: Path
+    line: int
+    column: int
+    key: str
+    text: str
+
+    def __str__(self) -> str:
+        place = f"{self.file}:{self.line}:{self.column}" if self.line else str(self.file)
+        return f"{place}: {self.key}: {self.text}" if self.key else f"{place}: {self.text}"
+
+
+class ConfigError(Exception):
+    """A configuration cannot be used; holds all of its problems, in the file's order."""
+
+    def __init__(self, problems: Sequence[Problem]) -> None:
+        self.problems = tuple(sorted(problems, key=lambda p: (str(p.file), p.line, p.column)))
+        super().__init__("\n".join(str(p) for p in self.problems))
+
 
 KeyPath = tuple[str | int, ...]
 
@@ -25,6 +52,61 @@ MAX_VALUES = 100_000  # aliases can make a small file a huge document
 MAX_DEPTH = 50
 
 _TAG = "tag:yaml.org,2002:"
+
+
+class Yaml12Loader(yaml.SafeLoader):
+    """PyYAML's safe loader with the core schema of YAML 1.2: ``yes`` and ``12:30`` are text, ``010`` is ten."""
+
+    yaml_implicit_resolvers = {}  # noqa: RUF012 - as the base class has it
+
+    def compose_node(self, parent: Node | None, index: int) -> Node | None:
+        """Compose a node, whose anchor may be one that was used before."""
+        event = self.peek_event()  # type: ignore[no-untyped-call]
+        if not isinstance(event, AliasEvent):
+            self.anchors.pop(event.anchor, None)
+        node: Node | None = super().compose_node(parent, index)
+        return node
+
+    def construct_mapping(self, node: MappingNode, deep: bool = False) -> dict[Any, Any]:
+        """Construct a map, none of whose keys may be given twice."""
+        seen = set[str]()
+        for key in (key for key, _ in node.value if isinstance(key, ScalarNode)):
+            if key.value in seen:
+                raise ConstructorError(None, None, f"the key {key.value!r} is given twice", key.start_mark)
+            seen.add(key.value)
+        return super().construct_mapping(node, deep)
+
+    def core_bool(self, node: ScalarNode) -> bool:
+        """``true`` or ``false``; raises `KeyError`."""
+        return {"true": True, "false": False}[node.value.lower()]
+
+    def core_int(self, node: ScalarNode) -> int:
+        """A decimal, hexadecimal, octal or binary number; raises `ValueError`."""
+        text = node.value.replace("_", "")
+        return int(text, 0 if re.match(r"[-+]?0[xob]", text) else 10)
+
+    def core_float(self, node: ScalarNode) -> float:
+        """A number, infinity or not a number; raises `ValueError`."""
+        return float(re.sub(r"\.(?=inf|nan)", "", node.value.replace("_", "").lower()))
+
+
+for _kind, _pattern, _first in (
+    ("bool", r"true|True|TRUE|false|False|FALSE", "tTfF"),
+    ("int", r"[-+]?(0b[01_]+|0o[0-7_]+|0x[0-9a-fA-F_]+|[0-9_]*[0-9][0-9_]*)", "-+0123456789"),
+    (
+        "float",
+        (
+            r"[-+]?([0-9][0-9_]*)\.[0-9_]*([eE][-+]?[0-9]+)?|[-+]?[0-9][0-9_]*[eE][-+]?[0-9]+"
+            r"|[-+]?\.[0-9_]+([eE][-+]?[0-9]+)?|[-+]?\.(inf|Inf|INF)|\.(nan|NaN|NAN)"
+        ),
+        "-+0123456789.",
+    ),
+    ("null", r"~|null|Null|NULL|", ["~", "n", "N", ""]),
+    ("merge", r"<<", "<"),
+):
+    Yaml12Loader.add_implicit_resolver(f"{_TAG}{_kind}", re.compile(f"(?:{_pattern})$"), list(_first))
+for _kind in ("bool", "int", "float"):
+    Yaml12Loader.add_constructor(f"{_TAG}{_kind}", getattr(Yaml12Loader, f"core_{_kind}"))
 
 
 class Place(NamedTuple):
@@ -62,15 +144,9 @@ def key_text(path: KeyPath) -> str:
 
 
 def read(file: Path, *, repeating: KeyPath | None = None) -> Document:
-    """Read a file.
+    """Read a file; raises `ConfigError` where it is unreadable, too large, or not the YAML allowed here.
 
-    Args:
-        file: the file.
-        repeating: path of a map whose keys may be given several times, as some programs allow; it becomes a list of
-            maps with one key each.
-
-    Raises:
-        ConfigError: it cannot be read, is too large or is not the YAML that is allowed here.
+    The keys of the map at ``repeating`` may come several times; it becomes a list of maps with one key each.
     """
     return parse(file, _text(file), repeating=repeating)
 
@@ -97,20 +173,19 @@ def _text(file: Path) -> str:
 
 def parse(file: Path, text: str, *, repeating: KeyPath | None = None) -> Document:
     """Parse a file's text; see `read`."""
-    yaml = YAML(typ="safe", pure=True)
-    yaml.composer.warn_double_anchors = False  # YAML 1.2 allows it; ruamel.yaml would write to stderr
     try:
-        root = yaml.compose(io.StringIO(text))
-    except MarkedYAMLError as err:
+        loader = Yaml12Loader(text)
+        root = loader.get_single_node()
+    except yaml.MarkedYAMLError as err:
         mark = err.problem_mark or err.context_mark
         place = Place(mark.line + 1, mark.column + 1) if mark is not None else Place(0, 0)
         what = " ".join(part for part in (err.context, err.problem) if part)
         raise ConfigError([Problem(file, *place, "", f"not valid YAML: {what}")]) from err
-    except (YAMLError, RecursionError) as err:
+    except (yaml.YAMLError, RecursionError) as err:
         what = "nested too deeply" if isinstance(err, RecursionError) else str(err).splitlines()[0]
         raise ConfigError([Problem(file, 0, 0, "", f"not valid YAML: {what}")]) from err
     document = Document(file)
-    reader = _Reader(yaml, document, repeating)
+    reader = _Reader(loader, document, repeating)
     if root is not None:
         document.data = reader.value(root, ())
     if reader.problems:
@@ -121,8 +196,8 @@ def parse(file: Path, text: str, *, repeating: KeyPath | None = None) -> Documen
 class _Reader:
     """Turns nodes into data, and gathers the problems on the way."""
 
-    def __init__(self, yaml: YAML, document: Document, repeating: KeyPath | None) -> None:
-        self._construct = yaml.constructor.construct_object
+    def __init__(self, loader: Yaml12Loader, document: Document, repeating: KeyPath | None) -> None:
+        self._construct = loader.construct_object
         self._document = document
         self._repeating = repeating
         self._count = 0
@@ -133,9 +208,7 @@ class _Reader:
         document.values[path] = Place(node.start_mark.line + 1, node.start_mark.column + 1)
         self._count += 1
         if self._count > MAX_VALUES or len(path) > MAX_DEPTH:
-            problem = document.problem(
-                path, "the document is too large or nested too deeply (or an alias holds itself)"
-            )
+            problem = document.problem(path, "the document is too large or nested too deeply (or holds itself)")
             raise ConfigError([problem])
         match node:
             case MappingNode() if path == self._repeating:
@@ -147,7 +220,7 @@ class _Reader:
             case ScalarNode():
                 return self._scalar(node, path)
             case _:
-                raise AssertionError(node)  # ruamel.yaml composes no other kind
+                raise AssertionError(node)  # YAML has no other kind
 
     def _single(self, pair: tuple[Node, Node], path: KeyPath) -> dict[str, Any]:
         """One key of a map that may have it several times."""
@@ -180,6 +253,6 @@ class _Reader:
             return None
         try:
             return self._construct(node)
-        except (ValueError, YAMLError):
+        except (KeyError, ValueError, yaml.YAMLError):
             self.problems.append(self._document.problem(path, f"{node.value!r} is not a valid {kind}"))
             return None

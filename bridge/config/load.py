@@ -9,11 +9,10 @@ from typing import Any
 
 from pydantic import BaseModel, ValidationError
 
-from bridge.config import hints
-from bridge.config.commands import untyped
-from bridge.config.document import Document, KeyPath, parse, read
+from bridge.config.document import ConfigError, Document, KeyPath, Problem, parse, read
 from bridge.config.model import Config
-from bridge.config.problems import ConfigError, Problem
+from bridge.config.problems import key_name, model_of, problems
+from bridge.config.rules import untyped
 
 MADE_BY_US: frozenset[KeyPath] = frozenset({("state",)})
 """Paths that need not exist: Midspan makes them."""
@@ -36,11 +35,7 @@ def find(environ: Mapping[str, str] = os.environ) -> Path | None:
 
 
 def load(path: Path | None = None) -> Config:
-    """Load a file, by default the one that `find` finds.
-
-    Raises:
-        ConfigError: with all problems of the file.
-    """
+    """Load a file, by default the one that `find` finds; raises `ConfigError` with all its problems."""
     file = path if path is not None else find()
     return Config() if file is None else _config(read(file))
 
@@ -57,7 +52,7 @@ def _config(document: Document) -> Config:
     try:
         config = Config.model_validate(_without_empty(data, Config))
     except ValidationError as err:
-        raise ConfigError(hints.problems(document, Config, err.errors(include_url=False))) from err
+        raise ConfigError(problems(document, Config, err.errors(include_url=False))) from err
     if config.hub.open.opened and (vague := untyped(config.routing)):
         raise ConfigError([document.problem(("routing", "rules", rule.index), rule.text) for rule in vague])
     missing: list[Problem] = []
@@ -69,10 +64,10 @@ def _config(document: Document) -> Config:
 
 def _without_empty(data: dict[str, Any], model: type[BaseModel]) -> dict[str, Any]:
     """The data without the sections and lists that are there but empty, as when all of their keys are commented out."""
-    fields = {hints.key_name(name, info): info for name, info in model.model_fields.items()}
+    fields = {key_name(name, info): info for name, info in model.model_fields.items()}
     kept: dict[str, Any] = {}
     for name, value in data.items():
-        inner = hints.model_of(fields[name].annotation) if name in fields else None
+        inner = model_of(fields[name].annotation) if name in fields else None
         if value is None and (inner is not None or (name in fields and fields[name].default == ())):
             continue
         kept[name] = _without_empty(value, inner) if isinstance(value, dict) and inner is not None else value
@@ -83,7 +78,7 @@ def _placed(value: Any, path: KeyPath, document: Document, missing: list[Problem
     """The value with its paths made absolute, relative ones from the file's folder; notes those that lead nowhere."""
     if isinstance(value, BaseModel):
         inner = {
-            name: _placed(getattr(value, name), (*path, hints.key_name(name, info)), document, missing)
+            name: _placed(getattr(value, name), (*path, key_name(name, info)), document, missing)
             for name, info in type(value).model_fields.items()
         }
         changed = {name: new for name, new in inner.items() if new is not getattr(value, name)}

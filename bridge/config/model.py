@@ -5,44 +5,42 @@ from __future__ import annotations
 import re
 import socket
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
-from pydantic import Field
+from pydantic import Field, create_model
 
-from bridge.config.mix import with_navigation
-from bridge.config.sections.clock import ClockSection
+from bridge.config.rules import with_navigation
 from bridge.config.sections.hub import HubSection
+from bridge.config.sections.maps import StoreSection
 from bridge.config.sections.modules import ModulesSection
 from bridge.config.sections.navigation import NavigationSection
-from bridge.config.sections.ros1 import Ros1Section
-from bridge.config.sections.ros2 import Ros2Section
+from bridge.config.sections.ros import Ros1Section, Ros2Section
 from bridge.config.sections.routing import RoutingSection
-from bridge.config.sections.section import Section
-from bridge.config.sections.sim import SimSection
-from bridge.config.sections.store import StoreSection
+from bridge.config.sections.section import Section, setting, subsection
+from bridge.config.sections.sim import ClockSection, SimSection
 from bridge.config.sections.yarp import YarpSection
 from bridge.config.sections.zenoh import ZenohSection
+from bridge.sides import imported, own_sides
 
 
 class TypesSection(Section):
     """Message types beyond those installed."""
 
-    folders: tuple[Path, ...] = Field(
-        default=(),
-        description="Folders of .msg files, as `<folder>/<package>/msg/<Name>.msg` or `<package>/<Name>.msg`.",
+    folders: tuple[Path, ...] = setting(
+        (), "Folders of .msg files, as `<folder>/<package>/msg/<Name>.msg` or `<package>/<Name>.msg`."
     )
-    mapping_rules: tuple[Path, ...] = Field(default=(), description="ros1_bridge mapping-rule files (YAML).")
+    mapping_rules: tuple[Path, ...] = setting((), "ros1_bridge mapping-rule files (YAML).")
 
 
 class LimitsSection(Section):
     """What is refused for its size."""
 
-    message: int = Field(
-        default=256,
+    message: int = setting(
+        256,
+        "Megabytes (1,048,576 bytes) of the largest message, on every side and both ways. Larger ones are refused and"
+        " counted as `large`; everything else flows on.",
         ge=1,
         le=256,
-        description="Megabytes (1,048,576 bytes) of the largest message, on every side and both ways. A larger one is"
-        " refused and counted as `large`; everything else flows on.",
     )
 
     @property
@@ -54,9 +52,7 @@ class LimitsSection(Section):
 class LogSection(Section):
     """Logging."""
 
-    level: Literal["debug", "info", "warning", "error"] = Field(
-        default="info", description="Least level that is written."
-    )
+    level: Literal["debug", "info", "warning", "error"] = setting("info", "Lowest level that is written.")
 
 
 class Config(Section):
@@ -66,31 +62,25 @@ class Config(Section):
         default_factory=lambda: re.sub(r"[^A-Za-z0-9_.-]", "-", socket.gethostname())[:63] or "midspan",
         description="Name of this daemon; default the machine's.",
     )
-    state: Path | None = Field(
-        default=None,
-        description="State folder; default $STATE_DIRECTORY, else $XDG_STATE_HOME/midspan, else"
-        " ~/.local/state/midspan.",
+    state: Path | None = setting(
+        None, "State folder; default $STATE_DIRECTORY, $XDG_STATE_HOME/midspan or ~/.local/state/midspan."
     )
-    hub: HubSection = Field(default_factory=HubSection, description="The hub.")
-    ros1: Ros1Section = Field(default_factory=Ros1Section, description="The ROS 1 side.")
-    ros2: Ros2Section = Field(default_factory=Ros2Section, description="The ROS 2 (DDS) side.")
-    zenoh: ZenohSection = Field(
-        default_factory=ZenohSection, description="The other key dialects in use on zenoh networks."
+    hub: HubSection = subsection(HubSection, "The hub.")
+    ros1: Ros1Section = subsection(Ros1Section, "The ROS 1 side.")
+    ros2: Ros2Section = subsection(Ros2Section, "The ROS 2 (DDS) side.")
+    zenoh: ZenohSection = subsection(ZenohSection, "The other key dialects on zenoh networks.")
+    yarp: YarpSection = subsection(YarpSection, "The YARP side.")
+    modules: ModulesSection = subsection(ModulesSection, "The modules that Midspan hosts.")
+    sim: SimSection = subsection(SimSection, "The simulated base.")
+    store: StoreSection = subsection(StoreSection, "The store of maps and locations.")
+    clock: ClockSection = subsection(ClockSection, "The time scale of this run.")
+    types: TypesSection = subsection(TypesSection, "Message types beyond those installed.")
+    routing: RoutingSection = subsection(RoutingSection, "Which topics cross, and how.")
+    navigation: NavigationSection = subsection(
+        NavigationSection, "Planners and clients; see docs/navigation/navigation.md."
     )
-    yarp: YarpSection = Field(default_factory=YarpSection, description="The YARP side.")
-    modules: ModulesSection = Field(default_factory=ModulesSection, description="The modules that Midspan hosts.")
-    sim: SimSection = Field(default_factory=SimSection, description="The simulated base.")
-    store: StoreSection = Field(default_factory=StoreSection, description="The store of maps and locations.")
-    clock: ClockSection = Field(default_factory=ClockSection, description="The time scale of this run.")
-    types: TypesSection = Field(default_factory=TypesSection, description="Message types beyond those installed.")
-    routing: RoutingSection = Field(default_factory=RoutingSection, description="Which topics cross, and how.")
-    navigation: NavigationSection = Field(
-        default_factory=NavigationSection,
-        description="Any planner with any client: which one drives, and at which names each side asks; see"
-        " docs/navigation.md.",
-    )
-    limits: LimitsSection = Field(default_factory=LimitsSection, description="What is refused for its size.")
-    log: LogSection = Field(default_factory=LogSection, description="Logging.")
+    limits: LimitsSection = subsection(LimitsSection, "What is refused for its size.")
+    log: LogSection = subsection(LogSection, "Logging.")
 
     @property
     def rules(self) -> RoutingSection:
@@ -111,3 +101,17 @@ def _filled(section: Section, defaults: dict[str, str | None]) -> Section:
     """The section with these values where it has None."""
     left = {name: value for name, value in defaults.items() if getattr(section, name, value) is None}
     return section.model_copy(update=left) if left else section
+
+
+def _with_own_sides() -> type[Config]:
+    """The model with the sections of the sides that do not come with Midspan, each under its side's name."""
+    fields: dict[str, Any] = {
+        side.name: (section, Field(default_factory=section, description=f"The {side.label} side."))
+        for side in own_sides()
+        for section in (imported(side.section),)
+    }
+    return create_model("Config", __base__=Config, __doc__=Config.__doc__, **fields) if fields else Config
+
+
+if not TYPE_CHECKING:
+    Config = _with_own_sides()

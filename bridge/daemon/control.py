@@ -1,48 +1,106 @@
-"""The control socket of a worker that outlives its daemon: the next daemon finds it there and goes on with it."""
+"""A worker's end of the line to the daemon: pipes, or the control socket of a worker that outlives the daemon."""
 
 from __future__ import annotations
 
 import contextlib
 import logging
 import os
+import queue
 import socket
 import threading
 from collections.abc import Callable
 from pathlib import Path
 
-from bridge.daemon.protocol import (
-    Command,
-    Hello,
-    Lines,
-    Log,
-    Owner,
-    ProtocolError,
-    Report,
-    decode_command,
-    encode_report,
-)
+from bridge.daemon import protocol
+from bridge.daemon.begin import begin
+from bridge.progress import working
 
 logger = logging.getLogger("midspan.worker")
 
-_SEND_SECONDS = 0.5
 _READ_SIZE = 1 << 16
+_SEND_SECONDS = 0.5
+
+LAST_SECONDS = 4.0
+"""A worker whose daemon is gone and whose stop hangs is ended after this."""
+
+
+class Hangup:
+    """Command from SIGHUP: load the configuration again."""
+
+
+Commands = queue.SimpleQueue[protocol.Command | Hangup]
+"""A `queue.SimpleQueue`: its ``put`` may be called from a signal handler."""
+
+
+class DaemonPipe:
+    """Reads commands from the standard input and writes reports to the standard output.
+
+    Takes both descriptors for itself, the output by `begin`: programs that the worker starts do not inherit the
+    daemon's pipes.
+    """
+
+    def __init__(self) -> None:
+        self.heart = begin()
+        self._input = os.dup(0)
+        null = os.open(os.devnull, os.O_RDONLY)
+        os.dup2(null, 0)
+        os.close(null)
+        self._lines = protocol.Lines()
+        self._waiting: list[bytes] = []
+
+    def first_config(self) -> protocol.NewConfig | None:
+        """The configuration to start with; None where the daemon went, or told to stop, before it sent one."""
+        working.at("reading the configuration")
+        while True:
+            if self._waiting:
+                command = protocol.decode_command(self._waiting.pop(0))
+                return command if isinstance(command, protocol.NewConfig) else None
+            data = os.read(self._input, _READ_SIZE)
+            if not data:
+                return None
+            self._waiting = self._lines.feed(data)
+
+    def read_to(self, commands: Commands, *, stop_at_end: bool) -> None:
+        """Put what comes into the queue, from a thread; the end of the stream stops unless told otherwise."""
+        threading.Thread(target=self._read, args=(commands, stop_at_end), name="daemon-pipe", daemon=True).start()
+
+    def _read(self, commands: Commands, stop_at_end: bool) -> None:
+        while True:
+            for line in self._waiting:
+                try:
+                    commands.put(protocol.decode_command(line))
+                except protocol.ProtocolError as err:
+                    logger.error("the daemon sent %s", err)  # noqa: TRY400
+            data = os.read(self._input, _READ_SIZE)
+            if not data:
+                break
+            self._waiting = self._lines.feed(data)
+        if stop_at_end:
+            commands.put(protocol.Stop("the daemon is gone"))
+            end_process_after(LAST_SECONDS)
+
+    def report(self, report: protocol.Report) -> None:
+        """Write one report; a daemon that is gone is noticed by the reading thread."""
+        self.heart.write(protocol.encode_report(report))
+
+
+def end_process_after(seconds: float) -> None:
+    """End this process hard if it is still there by then: its daemon is gone, nobody else would."""
+    timer = threading.Timer(seconds, os._exit, args=(1,))
+    timer.daemon = True
+    timer.start()
 
 
 class ControlServer:
-    """Listens on a Unix socket; one daemon at a time, a newer one takes the older one's place.
+    """Listens on a Unix socket for one daemon at a time; a newer one replaces the older.
 
-    Args:
-        path: the socket's; nobody else may use it, so the worker's lock must be held.
-        owner: who started this worker.
-        obey: takes each command, on a thread of this server.
-
-    Raises:
-        RuntimeError: the socket cannot be made.
+    The caller holds the worker's lock. ``obey`` takes each command, on a thread of this server. Raises `RuntimeError`
+    where the socket cannot be made.
     """
 
-    def __init__(self, path: Path, owner: Owner, obey: Callable[[Command], None]) -> None:
+    def __init__(self, path: Path, owner: protocol.Owner, obey: Callable[[protocol.Command], None]) -> None:
         self._path = path
-        self._hello = Hello(os.getpid(), owner)
+        self._hello = protocol.Hello(os.getpid(), owner)
         self._obey = obey
         self._lock = threading.Lock()
         self._client: socket.socket | None = None
@@ -60,13 +118,13 @@ class ControlServer:
         self._thread = threading.Thread(target=self._accept, name="control", daemon=True)
         self._thread.start()
 
-    def report(self, report: Report) -> None:
+    def report(self, report: protocol.Report) -> None:
         """Send to the daemon that is connected, if one is."""
-        self._send(encode_report(report))
+        self._send(protocol.encode_report(report))
 
     def relay(self, level: int, text: str) -> bool:
         """Send a log line; False where no daemon is connected."""
-        return self._send(encode_report(Log(level, text)))
+        return self._send(protocol.encode_report(protocol.Log(level, text)))
 
     def _send(self, data: bytes) -> bool:
         with self._lock:
@@ -99,7 +157,7 @@ class ControlServer:
             with self._lock:
                 self._drop()
                 self._client = client
-                self._send_now(encode_report(self._hello))  # before any other report
+                self._send_now(protocol.encode_report(self._hello))  # before any other report
             self._flush_log()
             threading.Thread(target=self._read, args=(client,), name="control-client", daemon=True).start()
 
@@ -108,7 +166,7 @@ class ControlServer:
             handler.flush()
 
     def _read(self, client: socket.socket) -> None:
-        lines = Lines()
+        lines = protocol.Lines()
         while True:
             try:
                 data = client.recv(_READ_SIZE)
@@ -120,8 +178,8 @@ class ControlServer:
                 break
             for line in lines.feed(data):
                 try:
-                    self._obey(decode_command(line))
-                except ProtocolError as err:
+                    self._obey(protocol.decode_command(line))
+                except protocol.ProtocolError as err:
                     logger.error("the daemon sent %s", err)  # noqa: TRY400
         with self._lock:
             if self._client is client:

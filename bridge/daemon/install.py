@@ -17,14 +17,7 @@ OWN_USER = "midspan"
 
 @dataclass(frozen=True, slots=True)
 class Installed:
-    """One file of the installation.
-
-    Attributes:
-        path: below the root.
-        text: what is in it.
-        kept: the administrator's own once it is there: never overwritten or removed.
-        mode: permissions.
-    """
+    """One file below the root; where ``kept`` it is the administrator's own, and is never overwritten or removed."""
 
     path: Path
     text: str
@@ -33,13 +26,7 @@ class Installed:
 
 
 class Installation:
-    """The services below a root folder.
-
-    Args:
-        root: ``/``, or a folder that stands for it.
-        user: the services' user; the default one is made by systemd-sysusers.
-        dry_run: only say what would be done.
-    """
+    """The services below a root folder; with ``dry_run`` it only says what it would do."""
 
     def __init__(self, root: Path, user: str = OWN_USER, *, dry_run: bool = False) -> None:
         self._root = root.absolute()

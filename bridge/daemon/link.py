@@ -1,4 +1,4 @@
-"""The daemon's line to one worker's process, and the kind that is made of pipes."""
+"""The daemon's line to one worker's process: pipes, or the control socket of a worker that outlives the daemon."""
 
 from __future__ import annotations
 
@@ -7,26 +7,22 @@ import fcntl
 import logging
 import os
 import signal
+import socket
 import subprocess
+import sys
+import tempfile
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
-from typing import Protocol
+from pathlib import Path
+from typing import IO, Protocol
 
-from bridge.daemon import log
+from bridge import state_file
+from bridge.config.model import Config
+from bridge.daemon import log, protocol
 from bridge.daemon.lock import Lock
-from bridge.daemon.loop import Loop
-from bridge.daemon.protocol import (
-    Command,
-    Lines,
-    Log,
-    Owner,
-    ProtocolError,
-    Report,
-    decode_report,
-    encode_command,
-)
-from bridge.daemon.workers import WorkerKind, child_command
+from bridge.daemon.loop import SelectorLoop
+from bridge.daemon.workers import WorkerKind, supervised_command
 
 logger = logging.getLogger("midspan.daemon")
 
@@ -36,11 +32,7 @@ LONGEST_LOG_LINE = 8 << 10
 
 @dataclass(frozen=True, slots=True)
 class Exit:
-    """How a worker's process ended.
-
-    Attributes:
-        code: as `subprocess.Popen.returncode`; None where it was no child of this daemon.
-    """
+    """How a worker's process ended: `subprocess.Popen.returncode`, None where it was no child of this daemon."""
 
     code: int | None
 
@@ -58,38 +50,31 @@ class Exit:
 class LinkListener(Protocol):
     """What a link tells; called from the daemon's loop."""
 
-    def on_report(self, report: Report) -> None:
+    def on_report(self, report: protocol.Report) -> None:
         """The worker said something."""
 
     def on_gone(self, ended: Exit) -> None:
         """The worker's process has ended, and the link is closed."""
 
 
-class Link(ABC):
-    """One worker's process, as the daemon sees it."""
+class WorkerLink(ABC):
+    """One worker's process, as the daemon sees it: its id (0 while unknown), and who started and so stops it."""
 
-    def __init__(self, loop: Loop, listener: LinkListener) -> None:
+    def __init__(self, loop: SelectorLoop, listener: LinkListener) -> None:
+        self.pid = 0
+        self.owner: protocol.Owner = "daemon"
         self._loop = loop
         self._listener = listener
         self._outgoing = b""
-
-    @property
-    @abstractmethod
-    def pid(self) -> int:
-        """Process id, 0 while it is not known."""
-
-    @property
-    @abstractmethod
-    def owner(self) -> Owner:
-        """Who started it, and so who stops it."""
 
     @abstractmethod
     def poll(self) -> None:
         """Look whether the process has ended; called often."""
 
-    @abstractmethod
     def kill(self, number: signal.Signals) -> None:
         """Send a signal; SIGKILL reaches also what the worker started."""
+        if self.pid:
+            kill_group(self.pid, number)
 
     @abstractmethod
     def detach(self) -> None:
@@ -99,10 +84,10 @@ class Link(ABC):
     def _writer(self) -> int:
         """Descriptor that commands are written to, -1 where there is none (yet)."""
 
-    def send(self, command: Command) -> None:
+    def send(self, command: protocol.Command) -> None:
         """Send a command; never blocks, what does not fit now is sent when it does."""
         waiting = bool(self._outgoing)
-        self._outgoing += encode_command(command)
+        self._outgoing += protocol.encode_command(command)
         if not waiting:
             self._flush()
 
@@ -121,9 +106,23 @@ class Link(ABC):
 
     def _report(self, line: bytes) -> None:
         try:
-            self._listener.on_report(decode_report(line))
-        except ProtocolError as err:
+            report = protocol.decode_report(line)
+        except protocol.ProtocolError as err:
             logger.warning("worker %d sent %s", self.pid, err)
+            return
+        if isinstance(report, protocol.Unknown):
+            logger.debug("worker %d sent a report of another version: %s", self.pid, ", ".join(report.keys))
+        else:
+            self._take(report)
+
+    def _take(self, report: protocol.Report) -> None:
+        """Hand a report on."""
+        self._listener.on_report(report)
+
+    def _tell(self, lines: Iterable[bytes]) -> None:
+        """Hand on what the worker wrote to stderr."""
+        for line in lines:
+            self._listener.on_report(protocol.Log(*log.split_priority(line.decode(errors="replace"))))
 
 
 def read_some(file: int) -> bytes | None:
@@ -145,15 +144,15 @@ def kill_group(pid: int, number: signal.Signals) -> None:
             os.kill(pid, number)
 
 
-class PipeLink(Link):
+class PipeLink(WorkerLink):
     """A child whose pipes are the protocol: it stops when this daemon ends, however it does."""
 
     def __init__(
-        self, loop: Loop, listener: LinkListener, kind: WorkerKind, env: Mapping[str, str], lock: Lock
+        self, loop: SelectorLoop, listener: LinkListener, kind: WorkerKind, env: Mapping[str, str], lock: Lock
     ) -> None:
         super().__init__(loop, listener)
         self._process = subprocess.Popen(
-            child_command(kind.name, "--supervised"),
+            supervised_command(kind.name),
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             stderr=subprocess.PIPE,
@@ -162,29 +161,20 @@ class PipeLink(Link):
             start_new_session=True,  # a Ctrl-C in the daemon's terminal is the daemon's to handle
             pass_fds=(lock.fileno(),),
         )
-        lock.write(self._process.pid, "daemon")
+        self.pid = self._process.pid
+        lock.write(self.pid, "daemon")
         assert self._process.stdin is not None
         assert self._process.stdout is not None
         assert self._process.stderr is not None
         self._stdin = self._process.stdin.fileno()
         self._stdout = self._process.stdout.fileno()
         self._stderr = self._process.stderr.fileno()
-        self._reports = Lines()
-        self._log = Lines(LONGEST_LOG_LINE)
+        self._reports = protocol.Lines()
+        self._log = protocol.Lines(LONGEST_LOG_LINE)
         for file in (self._stdin, self._stdout, self._stderr):
             fcntl.fcntl(file, fcntl.F_SETFL, fcntl.fcntl(file, fcntl.F_GETFL) | os.O_NONBLOCK)
         loop.on_readable(self._stdout, self._read_reports)
         loop.on_readable(self._stderr, self._read_log)
-
-    @property
-    def pid(self) -> int:
-        """Process id."""
-        return self._process.pid
-
-    @property
-    def owner(self) -> Owner:
-        """Always this daemon."""
-        return "daemon"
 
     def _writer(self) -> int:
         return self._stdin
@@ -200,9 +190,7 @@ class PipeLink(Link):
         data = read_some(self._stderr)
         if data == b"":
             self._loop.on_readable(self._stderr, None)
-        lines = self._log.feed(data or b"") if data != b"" else self._log.end()
-        for line in lines:
-            self._listener.on_report(Log(*log.split_priority(line.decode(errors="replace"))))
+        self._tell(self._log.feed(data) if data else self._log.end() if data == b"" else [])
 
     def poll(self) -> None:
         """Look whether the process has ended; then end what it left behind, and read its last words."""
@@ -213,14 +201,9 @@ class PipeLink(Link):
         code = self._process.wait()
         self._read_reports()
         self._read_log()
-        for line in self._log.end():
-            self._listener.on_report(Log(*log.split_priority(line.decode(errors="replace"))))
+        self._tell(self._log.end())
         self.detach()
         self._listener.on_gone(Exit(code))
-
-    def kill(self, number: signal.Signals) -> None:
-        """Send a signal."""
-        kill_group(self.pid, number)
 
     def detach(self) -> None:
         """Close the pipes."""
@@ -229,3 +212,138 @@ class PipeLink(Link):
         for pipe in (self._process.stdin, self._process.stdout, self._process.stderr):
             assert pipe is not None
             pipe.close()
+
+
+_LAST_WORDS = 4096
+
+
+class OutlivingLink(WorkerLink):
+    """A worker with a control socket, started by this daemon, by an earlier one, or by a service of its own."""
+
+    def __init__(self, loop: SelectorLoop, listener: LinkListener, kind: WorkerKind, config: Config) -> None:
+        super().__init__(loop, listener)
+        self._path = state_file.control_socket(config, kind.name)
+        self._output = state_file.worker_output(config, kind.name)
+        self._process: subprocess.Popen[bytes] | None = None
+        self._socket: socket.socket | None = None
+        self._lines = protocol.Lines()
+        self._connected = False
+
+    def adopt(self) -> bool:
+        """Connect to a worker that is already there; False where none is."""
+        sock = _connect(self._path)
+        if sock is None:
+            return False
+        self._close_start()
+        self._socket = sock
+        self._connected = True
+        self._loop.on_readable(sock.fileno(), self._read)
+        self._flush()
+        return True
+
+    def spawn(self, kind: WorkerKind, config: Config, env: Mapping[str, str], lock: Lock) -> None:
+        """Start one; `poll` connects to it as soon as its socket is there."""
+        with self._open_output() as output, _unnamed_file() as first:
+            first.write(protocol.encode_command(protocol.NewConfig(config)))
+            first.seek(0)
+            self._process = subprocess.Popen(
+                supervised_command(kind.name, "--control"),
+                stdin=first,
+                stdout=subprocess.PIPE,
+                stderr=output,
+                env=dict(env),
+                start_new_session=True,
+                pass_fds=(lock.fileno(),),
+            )
+        self.pid = self._process.pid
+        lock.write(self.pid, "daemon")
+        assert self._process.stdout is not None
+        os.set_blocking(self._process.stdout.fileno(), False)
+        self._loop.on_readable(self._process.stdout.fileno(), self._read_start)
+
+    def _open_output(self) -> IO[bytes]:
+        """Where its stderr goes: to nobody where the state folder takes no file."""
+        try:
+            return self._output.open("wb")
+        except OSError as err:
+            logger.warning("cannot write %s: %s; the worker's last words will not be told", self._output, err.strerror)
+            return Path(os.devnull).open("wb")
+
+    def _writer(self) -> int:
+        return self._socket.fileno() if self._socket is not None else -1
+
+    def _read_start(self) -> None:
+        """What it is at, before its socket is there."""
+        assert self._process is not None
+        assert self._process.stdout is not None
+        data = read_some(self._process.stdout.fileno())
+        if data == b"":
+            self._close_start()
+        for line in self._lines.feed(data or b""):
+            self._report(line)
+
+    def _close_start(self) -> None:
+        if self._process is not None and self._process.stdout is not None and not self._process.stdout.closed:
+            self._loop.forget(self._process.stdout.fileno())
+            self._process.stdout.close()
+            self._lines = protocol.Lines()
+
+    def _read(self) -> None:
+        data = read_some(self._writer())
+        if data is None:
+            return
+        if not data:
+            self._disconnect()
+            self.poll()
+            return
+        for line in self._lines.feed(data):
+            self._report(line)
+
+    def _take(self, report: protocol.Report) -> None:
+        if isinstance(report, protocol.Hello):
+            self.pid, self.owner = report.pid, report.owner
+        super()._take(report)
+
+    def poll(self) -> None:
+        """Look whether the process has ended; connect where that is not done yet."""
+        if self._process is not None:
+            code = self._process.poll()
+            if code is not None:
+                self._tell_last_words()
+                self.detach()
+                self._listener.on_gone(Exit(code))
+                return
+        if self._socket is None and not self.adopt() and self._connected and self._process is None:
+            self._listener.on_gone(Exit(None))
+
+    def _tell_last_words(self) -> None:
+        with contextlib.suppress(OSError), self._output.open("rb") as output:
+            output.seek(max(0, output.seek(0, os.SEEK_END) - _LAST_WORDS))
+            self._tell(output.read().splitlines())
+
+    def _disconnect(self) -> None:
+        if self._socket is not None:
+            self._loop.forget(self._socket.fileno())
+            self._socket.close()
+            self._socket = None
+
+    def detach(self) -> None:
+        """Close the connection; the worker goes on."""
+        self._close_start()
+        self._disconnect()
+
+
+def _unnamed_file() -> IO[bytes]:
+    """A file for a child to read; in memory where the system has such, whatever the disks are like."""
+    return os.fdopen(os.memfd_create("midspan"), "w+b") if sys.platform == "linux" else tempfile.TemporaryFile()
+
+
+def _connect(path: Path) -> socket.socket | None:
+    sock = socket.socket(socket.AF_UNIX)
+    sock.setblocking(False)  # a Unix socket connects at once or not at all
+    try:
+        sock.connect(str(path))
+    except OSError:
+        sock.close()
+        return None
+    return sock

@@ -10,7 +10,7 @@ from collections.abc import Callable
 Callback = Callable[[], None]
 
 
-class Loop:
+class SelectorLoop:
     """Calls back when descriptors are ready. Not thread safe but for `wake`, which a signal handler may call too."""
 
     def __init__(self) -> None:

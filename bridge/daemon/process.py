@@ -1,40 +1,197 @@
-"""A worker's process: joins its main loop to the daemon's pipes, to a control socket, to systemd, or to nobody."""
+"""A worker's process: its main loop, joined to the daemon's pipes, to a control socket, to systemd, or to nobody.
+
+The main loop starts the worker, asks it how it is, hands it commands, and stops it. Commands come from a queue that
+signals, the daemon's pipe and the control socket fill; reports go to a function. So the same loop serves a supervised
+worker, one that outlives its daemon, and one that runs alone.
+"""
 
 from __future__ import annotations
 
 import logging
+import os
+import queue
+import signal
 import sys
+import time
 from collections.abc import Callable
+from enum import Enum
+from types import FrameType
 from typing import TYPE_CHECKING
 
+from bridge import resources, state_file
+from bridge.adapters.memory import few_heaps
 from bridge.config.model import Config
-from bridge.daemon import log, state
-from bridge.daemon.child import Child, Commands, Hangup, Outcome, install_signals
-from bridge.daemon.limits import raise_open_files
+from bridge.daemon import log, protocol
+from bridge.daemon.begin import tell_stacks_on_signal
+from bridge.daemon.control import Commands, ControlServer, DaemonPipe, Hangup
 from bridge.daemon.notify import Notifier
-from bridge.daemon.pipe import DaemonPipe
-from bridge.daemon.protocol import EXIT_CANNOT_WORK, Beat, Command, NewConfig, Owner, Report
-from bridge.daemon.stacks import tell_stacks_on_signal
 from bridge.daemon.workers import WorkerKind
+from bridge.progress import working
+from bridge.resources import LARGE_MESSAGES, raise_open_files
+from bridge.worker import Health, Worker
 
 if TYPE_CHECKING:
-    from bridge.daemon.control import ControlServer
     from bridge.daemon.lock import Lock
 
 logger = logging.getLogger("midspan.worker")
 
+_LOOK_EACH = 4
+"""Heartbeats between looks at what the process has left."""
+
+
+class Outcome(Enum):
+    """How a worker's run ended."""
+
+    STOPPED = "stopped"
+    CANNOT_WORK = "cannot work"
+    NEEDS_RESTART = "needs a restart"
+
+
+class Child:
+    """One worker in this process.
+
+    ``report`` must not block for long; ``load`` loads the configuration upon SIGHUP, None where the daemon sends it;
+    with ``end_for_restart`` the run ends where a reload needs a restart.
+    """
+
+    def __init__(
+        self,
+        worker: Worker,
+        commands: Commands,
+        report: Callable[[protocol.Report], None],
+        *,
+        load: Callable[[], Config] | None = None,
+        end_for_restart: bool = False,
+    ) -> None:
+        self._worker = worker
+        self._commands = commands
+        self._report = report
+        self._load = load
+        self._end_for_restart = end_for_restart
+        self._config = Config()
+        self._beats = 0
+        self._said: Health | None = None
+        self._answering = True
+        self._short = False
+
+    def run(self, config: Config) -> Outcome:
+        """Run until stopped. Whatever the worker raises but `RuntimeError` from its start goes through."""
+        self._config = config
+        try:
+            return self._run()
+        finally:
+            self._worker.stop()
+
+    def _run(self) -> Outcome:
+        try:
+            with working.busy("starting"):
+                self._worker.start(self._config)
+        except RuntimeError as err:
+            logger.error("cannot work here: %s", err)  # noqa: TRY400  a plain reason, not a fault of the program
+            self._report(protocol.Failed(str(err)))
+            return Outcome.CANNOT_WORK
+        due = time.monotonic()
+        while True:
+            wait = due - time.monotonic()
+            if wait <= 0:
+                due = time.monotonic() + self._beat()
+                continue
+            try:
+                command = self._commands.get(timeout=wait)
+            except queue.Empty:
+                continue
+            outcome = self._obey(command)
+            if outcome is not None:
+                return outcome
+
+    def _beat(self) -> float:
+        """Tell how the worker is; seconds until the next time."""
+        try:
+            with working.busy("telling how it is"):
+                health = self._worker.health()
+        except TimeoutError as err:
+            if self._answering:
+                logger.error("the worker's loop does not answer: %s", err)  # noqa: TRY400
+            self._answering = False
+            return protocol.BEAT_INTERVAL
+        self._answering = True
+        self._beats += 1
+        if self._beats % _LOOK_EACH == 0:
+            self._look_at_descriptors()
+        LARGE_MESSAGES.look()
+        self._report(protocol.Beat(self._beats, health))
+        before, self._said = self._said, health
+        quiet = health == before and health.state == "running"
+        return protocol.QUIET_INTERVAL if quiet else protocol.BEAT_INTERVAL
+
+    def _look_at_descriptors(self) -> None:
+        """Log when they run short, and when they no longer do; also for a router that nobody can ask then."""
+        short = resources.descriptors()
+        if bool(short) != self._short:
+            self._short = bool(short)
+            logger.warning("%s", short or "there are file descriptors again")
+
+    def _obey(self, command: protocol.Command | Hangup) -> Outcome | None:
+        match command:
+            case protocol.Stop(why):
+                logger.info("stopping: %s", why)
+                return Outcome.STOPPED
+            case protocol.NewConfig(config):
+                return self._reload(config)
+            case Hangup():
+                return self._hangup()
+
+    def _hangup(self) -> Outcome | None:
+        if self._load is None:
+            return None
+        from bridge.config.document import ConfigError
+
+        try:
+            config = self._load()
+        except ConfigError as err:
+            logger.error("the configuration is not taken up, the running one is kept:\n%s", err)  # noqa: TRY400
+            self._report(protocol.Reloaded())
+            return None
+        return self._reload(config)
+
+    def _reload(self, config: Config) -> Outcome | None:
+        if config == self._config:
+            self._report(protocol.Reloaded())
+            return None
+        log.set_level(config)
+        with working.busy("taking up the new configuration"):
+            done = self._worker.reload(config)
+        if done:
+            self._config = config
+            logger.info("configuration taken up")
+            self._report(protocol.Reloaded())
+            return None
+        self._report(protocol.Restart("the new configuration needs a restart"))
+        return Outcome.NEEDS_RESTART if self._end_for_restart else None
+
+
+def install_signals(commands: Commands) -> None:
+    """SIGTERM and SIGINT stop, SIGHUP loads again. Call from the main thread."""
+
+    def stop(number: int, _frame: FrameType | None) -> None:
+        commands.put(protocol.Stop(signal.Signals(number).name))
+
+    def hangup(_number: int, _frame: FrameType | None) -> None:
+        commands.put(Hangup())
+
+    signal.signal(signal.SIGTERM, stop)
+    signal.signal(signal.SIGINT, stop)
+    if hasattr(signal, "SIGHUP"):
+        signal.signal(signal.SIGHUP, hangup)
+
 
 class Process:
-    """This process, as that of one worker.
-
-    Args:
-        kind: which worker.
-        control: whether it has a control socket and so outlives its daemon.
-    """
+    """The process of one worker; with a control socket (``control``) it outlives its daemon."""
 
     def __init__(self, kind: WorkerKind, *, control: bool) -> None:
         self._kind = kind
         self._control = control
+        few_heaps()
         self._commands = Commands()
         install_signals(self._commands)
         tell_stacks_on_signal()
@@ -56,8 +213,9 @@ class Process:
             server = self._open_control(config, "daemon", self._commands.put)
         except RuntimeError as err:
             logger.error("cannot work here: %s", err)  # noqa: TRY400  the daemon reads it as last words
-            return EXIT_CANNOT_WORK
+            return protocol.EXIT_CANNOT_WORK
         relay.relay_to(server.relay)
+        pipe.heart.send_to(server.report)
         try:
             return self._run(config, server.report) or 0
         finally:
@@ -76,11 +234,11 @@ class Process:
         server = self._open_control(config, "service", self._obey_as_service) if self._control else None
         ready = False
 
-        def report(said: Report) -> None:
+        def report(said: protocol.Report) -> None:
             nonlocal ready
             if server is not None:
                 server.report(said)
-            if isinstance(said, Beat):
+            if isinstance(said, protocol.Beat):
                 notifier.status(said.health.text)
                 notifier.feed_watchdog()
                 if not ready:
@@ -97,14 +255,15 @@ class Process:
             if lock is not None:
                 lock.close()
 
-    def _obey_as_service(self, command: Command) -> None:
+    def _obey_as_service(self, command: protocol.Command) -> None:
         """A service has its own file: a daemon's new configuration means to load that again."""
-        self._commands.put(Hangup() if isinstance(command, NewConfig) else command)
+        self._commands.put(Hangup() if isinstance(command, protocol.NewConfig) else command)
 
     def _run(
-        self, config: Config, report: Callable[[Report], None], load: Callable[[], Config] | None = None
+        self, config: Config, report: Callable[[protocol.Report], None], load: Callable[[], Config] | None = None
     ) -> int | None:
         try:
+            working.at(f"loading the code of {self._kind.name}")
             worker = self._kind.create()
             child = Child(worker, self._commands, report, load=load, end_for_restart=load is not None)
             outcome = child.run(config)
@@ -113,22 +272,21 @@ class Process:
             return 1
         if outcome is Outcome.NEEDS_RESTART:
             return None
-        return EXIT_CANNOT_WORK if outcome is Outcome.CANNOT_WORK else 0
+        return protocol.EXIT_CANNOT_WORK if outcome is Outcome.CANNOT_WORK else 0
 
-    def _open_control(self, config: Config, owner: Owner, obey: Callable[[Command], None]) -> ControlServer:
-        from bridge.daemon.control import ControlServer
-
-        return ControlServer(state.control_socket(config, self._kind.name), owner, obey)
+    def _open_control(
+        self, config: Config, owner: protocol.Owner, obey: Callable[[protocol.Command], None]
+    ) -> ControlServer:
+        return ControlServer(state_file.control_socket(config, self._kind.name), owner, obey)
 
     def _lock(self, config: Config) -> Lock | None:
         """One process a worker, also beside a daemon of the same name."""
         if sys.platform == "win32":
             return None
-        import os
 
         from bridge.daemon.lock import Lock
 
-        lock = Lock(state.worker_lock(config, self._kind.name))
+        lock = Lock(state_file.worker_lock(config, self._kind.name))
         if lock.try_lock():
             lock.write(os.getpid(), "service")
             return lock

@@ -7,13 +7,18 @@ Commands (daemon to worker)::
 
 Reports (worker to daemon)::
 
+    {"busy": "importing rclpy", "used": 1.2, "read": 8}  each half second, from a thread of its own, while the main loop
+                                                         is busy with one thing, from the process's first moment:
+                                                         processor time in seconds, blocks read from disks
     {"hello": {"pid": 1, "owner": "daemon"}}             first, where the worker has a control socket
-    {"beat": 1, "state": "running", "text": "2 routes"}  each half second, from the worker's main loop
+    {"beat": 1, "state": "running", "text": "2 routes"}  each half second, from the worker's main loop; each second
+                                                         while it runs and has nothing new to say
     {"reloaded": true}                                   done with the new configuration
     {"restart": "why"}                                   it was not: only a restart of the worker can
     {"failed": "why"}                                    the worker can never work here; its process ends
     {"log": [30, "text"]}                                a log line of a worker that has a control socket
 
+A report that is not known here is left out: a worker that outlives its daemon may be of another version.
 The end of the daemon's stream is a stop command too, but for a worker with a control socket, which outlives the daemon.
 """
 
@@ -21,15 +26,20 @@ from __future__ import annotations
 
 import json
 from dataclasses import dataclass
-from typing import Any, Literal, get_args
+from typing import Any, Literal, NamedTuple, get_args
 
 from pydantic import ValidationError
 
 from bridge.config.model import Config
+from bridge.daemon.begin import busy_line
+from bridge.progress import Busy
 from bridge.worker import Health
 
 MAX_LINE = 4 << 20
 BEAT_INTERVAL = 0.5
+QUIET_INTERVAL = 1.0
+"""After a heartbeat that said, as the one before, that it runs, in the same words."""
+
 EXIT_CANNOT_WORK = 78
 """Exit code of a worker that can never work here (EX_CONFIG of sysexits.h)."""
 
@@ -41,30 +51,32 @@ class ProtocolError(ValueError):
     """A line is not what the protocol allows."""
 
 
-@dataclass(frozen=True, slots=True)
-class NewConfig:
+class Unknown(NamedTuple):
+    """Report: one of another version of the protocol."""
+
+    keys: tuple[str, ...]
+
+
+class NewConfig(NamedTuple):
     """Command: start with, or change to, this configuration."""
 
     config: Config
 
 
-@dataclass(frozen=True, slots=True)
-class Stop:
+class Stop(NamedTuple):
     """Command: stop, unregister everything and end."""
 
     why: str = "told to"
 
 
-@dataclass(frozen=True, slots=True)
-class Hello:
+class Hello(NamedTuple):
     """Report: who the worker behind a control socket is."""
 
     pid: int
     owner: Owner
 
 
-@dataclass(frozen=True, slots=True)
-class Beat:
+class Beat(NamedTuple):
     """Report: a heartbeat."""
 
     number: int
@@ -76,30 +88,29 @@ class Reloaded:
     """Report: the new configuration is taken up (or was refused, by a service with a file of its own)."""
 
 
-@dataclass(frozen=True, slots=True)
-class Restart:
+class Restart(NamedTuple):
     """Report: the new configuration needs a restart of this worker; a service restarts itself."""
 
     why: str
 
 
-@dataclass(frozen=True, slots=True)
-class Failed:
+class Failed(NamedTuple):
     """Report: the worker can never work here."""
 
     why: str
 
 
-@dataclass(frozen=True, slots=True)
-class Log:
+class Log(NamedTuple):
     """Report: one log line; ``level`` as in `logging`."""
 
     level: int
     text: str
 
 
+_REPORTS = ("hello", "busy", "beat", "reloaded", "restart", "failed", "log")
+
 Command = NewConfig | Stop
-Report = Hello | Beat | Reloaded | Restart | Failed | Log
+Report = Hello | Busy | Beat | Reloaded | Restart | Failed | Log
 
 
 def config_json(config: Config) -> dict[str, Any]:
@@ -134,6 +145,8 @@ def decode_command(line: bytes) -> Command:
 def encode_report(report: Report) -> bytes:
     """One line for a report."""
     match report:
+        case Busy():
+            return busy_line(report)
         case Hello(pid, owner):
             return _line({"hello": {"pid": pid, "owner": owner}})
         case Beat(number, health):
@@ -148,9 +161,10 @@ def encode_report(report: Report) -> bytes:
             return _line({"log": [level, text]})
 
 
-def decode_report(line: bytes) -> Report:
+def decode_report(line: bytes) -> Report | Unknown:
     """A report from its line; raises `ProtocolError`."""
-    match _object(line):
+    data = _object(line)
+    match data:
         case {"beat": int(number), "state": ("running" | "waiting" | "standby") as state, "text": str(text)}:
             return Beat(number, Health(state, text))
         case {"hello": {"pid": int(pid), "owner": str(owner)}} if owner in get_args(Owner):
@@ -163,6 +177,10 @@ def decode_report(line: bytes) -> Report:
             return Failed(why)
         case {"log": [int(level), str(text)]}:
             return Log(level, text)
+        case {"busy": str(text), "used": (int() | float()) as used, "read": int(read)}:
+            return Busy(text, used, read)
+    if data and data.keys().isdisjoint(_REPORTS):
+        return Unknown(tuple(data))
     msg = f"no report: {line[:200]!r}"
     raise ProtocolError(msg)
 

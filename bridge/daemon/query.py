@@ -12,13 +12,28 @@ import logging
 import os
 import socket
 from collections.abc import Callable
+from enum import Enum
 from pathlib import Path
 from typing import Any
 
+from bridge import state_file
 from bridge.config.model import Config
-from bridge.config.state import state_folder
-from bridge.daemon import state
-from bridge.daemon.loop import Loop
+from bridge.daemon.loop import SelectorLoop
+from bridge.state_file import state_folder
+
+
+class Phase(Enum):
+    """What a slot is doing."""
+
+    OFF = "off"
+    UNAVAILABLE = "not available"
+    QUEUED = "queued"
+    STARTING = "starting"
+    UP = "running"
+    PAUSED = "restarting"
+    FAILED = "cannot work"
+    STOPPING = "stopping"
+
 
 logger = logging.getLogger("midspan.daemon")
 
@@ -28,7 +43,7 @@ _MAX_ANSWER = 1 << 20
 class QueryServer:
     """Answers each connection with one JSON document, and closes it."""
 
-    def __init__(self, loop: Loop, path: Path, document: Callable[[], dict[str, Any]]) -> None:
+    def __init__(self, loop: SelectorLoop, path: Path, document: Callable[[], dict[str, Any]]) -> None:
         self._loop = loop
         self._path = path
         self._document = document
@@ -77,14 +92,16 @@ def ask_daemon(config: Config, seconds: float = 1.0) -> dict[str, Any] | None:
 
     Returns:
         ``daemon``, ``pid``, ``uptime`` (seconds), ``config`` (file or null), ``refused`` (why the last reload was, or
-        ""), ``status`` (one line), ``workers``: a list of ``worker``, ``phase``, ``text``, ``pid``, ``restarts``.
+        ""), ``status`` (one line), ``workers``: a list of ``worker``, ``phase`` (`bridge.daemon.query.Phase`),
+        ``text`` (what it is at, also while it starts), ``since`` (seconds in this phase), ``still`` (seconds for which
+        a starting or running one has neither come further nor computed), ``pid``, ``restarts``.
     """
     config = config.model_copy(update={"state": state_folder(config).absolute()})
     answer = b""
     with socket.socket(socket.AF_UNIX) as sock:
         sock.settimeout(seconds)
         try:
-            sock.connect(str(state.daemon_socket(config)))
+            sock.connect(str(state_file.daemon_socket(config)))
             while data := sock.recv(1 << 16):
                 answer += data
                 if len(answer) > _MAX_ANSWER:

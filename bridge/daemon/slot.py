@@ -6,37 +6,31 @@ import logging
 import math
 import signal
 import time
+from collections.abc import Callable
 from dataclasses import dataclass
-from enum import Enum
 
 import psutil
 
-from bridge.backoff import Backoff
+from bridge import state_file
+from bridge.concurrency import Backoff
 from bridge.config.model import Config
-from bridge.daemon import state
-from bridge.daemon.link import Exit, Link, PipeLink, kill_group
+from bridge.daemon import protocol
+from bridge.daemon.begin import TELL_STACKS
+from bridge.daemon.link import Exit, OutlivingLink, PipeLink, WorkerLink, kill_group
 from bridge.daemon.lock import Lock
-from bridge.daemon.loop import Loop
-from bridge.daemon.outliving import OutlivingLink
-from bridge.daemon.protocol import (
-    EXIT_CANNOT_WORK,
-    Beat,
-    Failed,
-    Hello,
-    Log,
-    NewConfig,
-    Reloaded,
-    Report,
-    Restart,
-    Stop,
-)
-from bridge.daemon.stacks import TELL_STACKS
+from bridge.daemon.loop import SelectorLoop
+from bridge.daemon.query import Phase
 from bridge.daemon.workers import WorkerKind
+from bridge.progress import ENDLESS, Busy, Movement
+from bridge.worker import Health
 
 logger = logging.getLogger("midspan.daemon")
 
 _LAST_WORDS = 0.3
 """Seconds for a silent worker to tell where its threads stand, before it is killed."""
+
+_DOUBLED = 2
+"""Times that what a worker may stand still for as it comes up is doubled."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,8 +38,9 @@ class Timing:
     """Limits in seconds.
 
     Attributes:
-        heartbeat: a worker that is silent for longer is killed and started again.
-        start: the same until its first heartbeat: imports and compilation take their time.
+        heartbeat: a worker that sends no heartbeat, nor computes, for longer is killed and started again.
+        start: one that comes up may stand still for so long; the next one in its place for twice as long, and so on.
+        patience: one that comes up and stands still for longer keeps the others waiting no more.
         stop: from the word to stop until SIGKILL.
         retry: until one that cannot work here is tried again.
         look: between looks for a worker that a service of its own runs.
@@ -54,55 +49,57 @@ class Timing:
 
     heartbeat: float = 5.0
     start: float = 60.0
+    patience: float = 3.0
     stop: float = 2.8
     retry: float = 30.0
     look: float = 0.2
     end: float = 0.05
 
 
-class Phase(Enum):
-    """What a slot is doing."""
-
-    OFF = "off"
-    UNAVAILABLE = "not available"
-    STARTING = "starting"
-    UP = "running"
-    PAUSED = "restarting"
-    FAILED = "cannot work"
-    STOPPING = "stopping"
-
-
 class Slot:
     """One worker's place.
 
-    Args:
-        loop: the daemon's loop.
-        kind: which worker.
-        timing: limits.
-        standing: a service of its own runs the worker; it is adopted, never started here.
+    A ``standing`` worker is run by a service of its own: the daemon adopts it, and never starts it. ``first`` says
+    which workers must come up before this one may start, "" if none.
     """
 
-    def __init__(self, loop: Loop, kind: WorkerKind, timing: Timing, *, standing: bool = False) -> None:
+    def __init__(
+        self,
+        loop: SelectorLoop,
+        kind: WorkerKind,
+        timing: Timing,
+        *,
+        standing: bool = False,
+        first: Callable[[], str] = lambda: "",
+    ) -> None:
         self.kind = kind
         self.phase = Phase.OFF
+        self.since = time.monotonic()
         self.text = ""
         self.restarts = 0
         self.reloading = False
         self._loop = loop
         self._timing = timing
         self._standing = standing
+        self._first = first
         self._backoff = Backoff()
-        self._link: Link | None = None
+        self._link: WorkerLink | None = None
         self._config: Config | None = None
         self._env: dict[str, str] = {}
         self._failure = ""
         self._started = 0.0
-        self._beat = 0.0
+        self._movement = Movement(0.0)
+        self._stood_still = 0
         self._due = 0.0
         self._blocked_since = 0.0
         self._waited_for = ""
         self._then_start = False
-        self._killed = self._asked = False
+        self._killed = self._asked = self._spawned = self._up = False
+
+    def _enter(self, phase: Phase, text: str = "") -> None:
+        if phase is not self.phase:
+            self.phase, self.since = phase, time.monotonic()
+        self.text = text
 
     @property
     def name(self) -> str:
@@ -118,6 +115,16 @@ class Slot:
     def idle(self) -> bool:
         """Whether no process is attached."""
         return self._link is None
+
+    @property
+    def still(self) -> float:
+        """Seconds for which its process has come no further, has not computed and has sent no heartbeat."""
+        return self._movement.still(time.monotonic()) if self.phase in {Phase.STARTING, Phase.UP} else 0.0
+
+    @property
+    def comes_up(self) -> bool:
+        """Whether a process of this daemon's comes up, and works at that."""
+        return self.phase is Phase.STARTING and self._spawned and self.still <= self._timing.patience
 
     @property
     def settled(self) -> bool:
@@ -160,37 +167,40 @@ class Slot:
             self._restart("its environment changes")
             return
         self.reloading = True
-        self._link.send(NewConfig(config))
+        self._link.send(protocol.NewConfig(config))
 
     def _rest(self) -> None:
         """No process, and none wanted: say why."""
         assert self._config is not None
         enabled = self.kind.enabled(self._config)
-        self.text = self.kind.missing(self._config) if enabled == "auto" else ""
-        self.phase = Phase.UNAVAILABLE if self.text else Phase.OFF
-        if self.text:
+        missing = self.kind.missing(self._config) if enabled == "auto" else ""
+        self._enter(Phase.UNAVAILABLE if missing else Phase.OFF, missing)
+        if missing:
             logger.info("%s is not available: %s", self.name, self.text)
 
     # -- starting ------------------------------------------------------------------------------------------------------
 
     def _launch(self) -> None:
         assert self._config is not None
-        self.phase, self.text = Phase.STARTING, ""
-        self._started = self._beat = time.monotonic()
-        self._failure, self._killed, self._then_start, self.reloading = "", False, False, False
+        self._started = time.monotonic()
+        self._movement = Movement(self._started)
+        self._failure, self._then_start, self.reloading = "", False, False
+        self._killed = self._asked = self._spawned = self._up = False
         try:
             if (self.kind.outlives or self._standing) and self._adopt(self._config):
                 return
             if self._standing:
                 self._wait("waits for its service", self._timing.look)
                 return
-            lock = Lock(state.worker_lock(self._config, self.name))
+            lock = Lock(state_file.worker_lock(self._config, self.name))
             try:
-                if lock.try_lock():
+                if not lock.try_lock():
+                    self._wait_for(lock)
+                elif first := self._first():
+                    self._enter(Phase.QUEUED, f"{first} comes up first")
+                else:
                     self._blocked_since, self._waited_for = 0.0, ""
                     self._spawn(self._config, lock)
-                else:
-                    self._wait_for(lock)
             finally:
                 lock.close()
         except (RuntimeError, OSError) as err:
@@ -201,7 +211,8 @@ class Slot:
         if not link.adopt():
             return False
         self._link, self._env = link, {}
-        link.send(NewConfig(config))
+        self._enter(Phase.STARTING)
+        link.send(protocol.NewConfig(config))
         return True
 
     def _spawn(self, config: Config, lock: Lock) -> None:
@@ -212,7 +223,9 @@ class Slot:
             self._link = outliving
         else:
             self._link = PipeLink(self._loop, self, self.kind, self._env, lock)
-            self._link.send(NewConfig(config))
+            self._link.send(protocol.NewConfig(config))
+        self._enter(Phase.STARTING)
+        self._spawned = True
         logger.info("%s started as process %d", self.name, self._link.pid)
 
     def _wait_for(self, lock: Lock) -> None:
@@ -234,57 +247,71 @@ class Slot:
     def _wait(self, text: str, seconds: float) -> None:
         if text != self._waited_for:
             logger.info("%s %s", self.name, text)
-        self.phase, self.text, self._waited_for = Phase.PAUSED, text, text
+        self._waited_for = text
+        self._enter(Phase.PAUSED, text)
         self._due = time.monotonic() + seconds
 
     def _cannot_work(self, why: str) -> None:
         logger.error("%s cannot work: %s (tried again in %g s)", self.name, why, self._timing.retry)
-        self.phase, self.text = Phase.FAILED, why
+        self._enter(Phase.FAILED, why)
         self._due = time.monotonic() + self._timing.retry
 
     # -- what the worker says ------------------------------------------------------------------------------------------
 
-    def on_report(self, report: Report) -> None:
+    def on_report(self, report: protocol.Report) -> None:
         """The worker said something."""
         match report:
-            case Beat(_, health):
-                self._beat, self._asked = time.monotonic(), False
+            case Busy(text, used, read):
+                self._movement.look(time.monotonic(), text, used, read)
                 if self.phase is Phase.STARTING:
-                    self.phase = Phase.UP
-                    logger.info("%s is up (%s)", self.name, health.text)
-                if self.phase is Phase.UP:
-                    self.text = health.text if health.state == "running" else f"{health.state}, {health.text}"
-            case Log(level, text):
+                    self.text = text
+            case protocol.Beat(_, health):
+                self._movement.move(time.monotonic())
+                self._asked = False
+                if self.phase in {Phase.STARTING, Phase.UP}:
+                    self._take_health(health)
+            case protocol.Log(level, text):
                 logger.log(level, "%s", text, extra={"worker": self.name})
-            case Reloaded():
+            case protocol.Reloaded():
                 self.reloading = False
-            case Restart(why):
+            case protocol.Restart(why):
                 self._restart(why)
-            case Failed(why):
+            case protocol.Failed(why):
                 self._failure = why
-            case Hello(pid, owner):
+            case protocol.Hello(pid, owner):
                 logger.info("%s: connected to process %d, started by a %s", self.name, pid, owner)
+
+    def _take_health(self, health: Health) -> None:
+        """It has come up, or goes on; it is called up once it says that it runs."""
+        if health.state == "running" and not self._up:
+            self._up = True
+            logger.info("%s is up (%s)", self.name, health.text)
+        elif self.phase is Phase.STARTING:
+            done = "stands by" if health.state == "standby" else "waits"
+            logger.info("%s has started and %s: %s", self.name, done, health.text)
+        self._stood_still = 0
+        self._enter(Phase.UP, health.text if health.state == "running" else f"{health.state}, {health.text}")
 
     def on_gone(self, ended: Exit) -> None:
         """The worker's process has ended."""
         self._standing = self.is_service
         self._link = None
         self.reloading = False
-        lived = time.monotonic() - self._started
+        now = time.monotonic()
         if self.phase is Phase.STOPPING:
             logger.info("%s %s", self.name, ended)
             self._rest()
             if self._then_start:
                 self._launch()
-        elif ended.code == EXIT_CANNOT_WORK:
+        elif ended.code == protocol.EXIT_CANNOT_WORK:
             self._cannot_work(self._failure or "it said so by its exit code")
         else:
             self.restarts += 1
-            pause = self._backoff.pause(lived)
+            pause = self._backoff.pause(now - self.since if self.phase is Phase.UP else 0.0)
             why = self._failure or str(ended)
-            logger.error("%s %s after %.1f s; restarted in %g s", self.name, why, lived, pause)
-            self.phase, self.text = Phase.PAUSED, why
-            self._due = time.monotonic() + pause
+            logger.error("%s %s after %.1f s; restarted in %g s", self.name, why, now - self._started, pause)
+            self._enter(Phase.PAUSED, why)
+            self._due = now + pause
 
     # -- time ----------------------------------------------------------------------------------------------------------
 
@@ -294,18 +321,45 @@ class Slot:
             self._link.poll()
         now = time.monotonic()
         match self.phase:
-            case Phase.STARTING if now - self._started > self._timing.start:
-                self._kill(f"did not come up within {self._timing.start:g} s")
-            case Phase.UP if now - self._beat > self._timing.heartbeat + _LAST_WORDS:
-                self._kill(f"sent no heartbeat for {self._timing.heartbeat:g} s")
-            case Phase.UP if now - self._beat > self._timing.heartbeat and not self._asked:
-                self._asked = True
-                if self._link is not None and self._link.pid and TELL_STACKS is not None:
-                    self._link.kill(TELL_STACKS)
+            case Phase.STARTING | Phase.UP:
+                self._judge(now)
+            case Phase.QUEUED:
+                self._launch()
             case Phase.STOPPING if now > self._due:
                 self._kill("did not stop in time")
             case Phase.PAUSED | Phase.FAILED if now > self._due:
                 self._launch()
+
+    @property
+    def _limit(self) -> float:
+        """Seconds for which it may stand still now."""
+        if self.phase is Phase.UP:
+            return self._timing.heartbeat
+        return self._timing.start * (1 << min(self._stood_still, _DOUBLED))
+
+    def _judge(self, now: float) -> None:
+        """Kill it where it hangs; one that only takes long is let be."""
+        if self._killed:
+            return
+        limit, still, computed = self._limit, self._movement.still(now), self._movement.computed()
+        if computed > ENDLESS * limit:
+            self._kill(f"is in a loop without an end: {self._movement.step} has computed for {computed:.0f} s")
+        elif still > limit + _LAST_WORDS:
+            self._kill(self._silence(limit))
+        elif still > limit and not self._asked:
+            self._asked = True
+            listens = self.phase is Phase.UP or self.text  # before its first word the signal would end it
+            if listens and self._link is not None and self._link.pid and TELL_STACKS is not None:
+                self._link.kill(TELL_STACKS)
+
+    def _silence(self, limit: float) -> str:
+        if self.phase is Phase.UP:
+            return f"sent no heartbeat for {limit:g} s"
+        self._stood_still += 1
+        return (
+            f"stood still for {limit:g} s at its start ({self.text or 'without a word'}); the next one may for"
+            f" {self._limit:g} s"
+        )
 
     @property
     def due(self) -> float:
@@ -314,8 +368,7 @@ class Slot:
 
     def forgive(self, seconds: float) -> None:
         """The daemon itself did not look for so long."""
-        self._beat += seconds
-        self._started += seconds
+        self._movement.moved += seconds
 
     def _kill(self, why: str) -> None:
         if self._killed or self._link is None:
@@ -341,7 +394,7 @@ class Slot:
     def _restart(self, why: str) -> None:
         if self.is_service and self._link is not None:  # it does so by itself, and is then found again
             logger.info("%s starts again: %s", self.name, why)
-            self.phase, self.text = Phase.STOPPING, why
+            self._enter(Phase.STOPPING, why)
             self._due = time.monotonic() + self._timing.stop
         else:
             self.stop(why)
@@ -351,12 +404,13 @@ class Slot:
         """Tell the worker to stop; SIGKILL after ``seconds`` (by default the limit), from `tick`."""
         self._then_start = False
         if self._link is None:
-            self.phase, self.text = Phase.OFF, ""
+            self._enter(Phase.OFF)
             return
         if self.phase is not Phase.STOPPING:
             logger.info("%s is stopped: %s", self.name, why)
-            self.phase, self.text, self._killed = Phase.STOPPING, why, False
-            self._link.send(Stop())
+            self._killed = False
+            self._enter(Phase.STOPPING, why)
+            self._link.send(protocol.Stop())
             self._link.kill(signal.SIGTERM)
         self._due = time.monotonic() + (self._timing.stop if seconds is None else seconds)
 
@@ -365,7 +419,7 @@ class Slot:
         if self._link is not None:
             self._link.detach()
             self._link = None
-        self.phase, self.text = Phase.OFF, ""
+        self._enter(Phase.OFF)
 
 
 def _is_worker(pid: int, name: str) -> bool:

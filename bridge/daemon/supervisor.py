@@ -9,19 +9,19 @@ from collections.abc import Collection, Mapping
 from pathlib import Path
 from typing import Any
 
+from bridge import state_file
+from bridge.config.document import ConfigError
 from bridge.config.load import load
 from bridge.config.model import Config
-from bridge.config.problems import ConfigError
-from bridge.config.state import state_folder
-from bridge.config.state import trouble as folder_trouble
-from bridge.daemon import log, state
-from bridge.daemon.limits import raise_open_files
+from bridge.daemon import log
 from bridge.daemon.lock import Lock
-from bridge.daemon.loop import Loop
+from bridge.daemon.loop import SelectorLoop
 from bridge.daemon.notify import Notifier
-from bridge.daemon.query import QueryServer
-from bridge.daemon.slot import Phase, Slot, Timing
+from bridge.daemon.query import Phase, QueryServer
+from bridge.daemon.slot import Slot, Timing
 from bridge.daemon.workers import worker_kinds
+from bridge.resources import folder_trouble, raise_open_files
+from bridge.state_file import state_folder
 
 logger = logging.getLogger("midspan.daemon")
 
@@ -31,17 +31,21 @@ STOOD_STILL = 1.0
 READY_AFTER = 10.0
 """Ready at the latest after this, with what works by then: a side that is away must not fail the whole service."""
 STOP_SECONDS = 4.8
+KILLED_SECONDS = 1.0
+"""A killed process that is still there by then hangs in the kernel; it does not count to `STOP_SECONDS`."""
 STATUS_INTERVAL = 1.0
+
+
+def usable_cores() -> int:
+    """How many processor cores this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 class Supervisor:
     """The daemon's one thread.
 
-    Args:
-        file: configuration file; None looks for one at each load.
-        standing: names of workers that services of their own run; they are adopted, never started here.
-        timing: limits of the workers.
-        environ: the environment.
+    Without a file it looks for one at each load. It adopts the ``standing`` workers, which services of their own run.
+    At most ``cores`` workers come up at once, by default as many as this process may use.
     """
 
     def __init__(
@@ -50,16 +54,19 @@ class Supervisor:
         *,
         standing: Collection[str] = (),
         timing: Timing | None = None,
+        cores: int | None = None,
         environ: Mapping[str, str] = os.environ,
     ) -> None:
         self._file = file
         self._environ = environ
-        self._config = state.with_state(load(file), environ)
-        self._loop = Loop()
+        self._config = state_file.with_state(load(file), environ)
+        self._loop = SelectorLoop()
         self._notify = Notifier(environ)
+        self._cores = cores or usable_cores()
         timing = timing or Timing()
         self.slots = [
-            Slot(self._loop, kind, timing, standing=kind.name in standing) for kind in worker_kinds(environ).values()
+            Slot(self._loop, kind, timing, standing=kind.name in standing, first=self._first)
+            for kind in worker_kinds(environ).values()
         ]
         self._stops = 0
         self._reload_wanted = False
@@ -91,10 +98,9 @@ class Supervisor:
     def run(self) -> None:
         """Run until asked to stop.
 
-        Raises:
-            RuntimeError: another daemon of this name runs in this state folder, or the folder cannot be used.
+        Raises `RuntimeError`: another daemon of this name runs in this state folder, or the folder cannot be used.
         """
-        socket = state.daemon_socket(self._config)
+        socket = state_file.daemon_socket(self._config)
         lock = self._only_one()
         query = QueryServer(self._loop, socket, self.document)
         self._begun = self._stepped = time.monotonic()
@@ -114,7 +120,7 @@ class Supervisor:
             self._loop.close()
 
     def _only_one(self) -> Lock:
-        lock = Lock(state.daemon_lock(self._config))
+        lock = Lock(state_file.daemon_lock(self._config))
         if lock.try_lock():
             lock.write(os.getpid(), "daemon")
             return lock
@@ -132,6 +138,15 @@ class Supervisor:
         self._ready_at = time.monotonic() + READY_AFTER
         for slot in self.slots:
             slot.configure(config)
+
+    def _first(self) -> str:
+        """Who comes up before one more process may be started, "" where one may now.
+
+        All at once they would only hold each other up, restarted ones among them. Who is asked first is started first:
+        the slots stand in that order, the router, the sides, then the modules and the simulator.
+        """
+        coming = [slot.name for slot in self.slots if slot.comes_up]
+        return " and ".join(coming) if len(coming) >= self._cores else ""
 
     def _step(self) -> None:
         interval = self._notify.watchdog_interval
@@ -174,6 +189,8 @@ class Supervisor:
             text = f"{slot.name} {slot.phase.value}"
             if slot.text:
                 text += f": {slot.text}"
+            if slot.phase is Phase.STARTING:
+                text += f" ({time.monotonic() - slot.since:.0f} s)"
             if slot.restarts:
                 text += f" (restarted {slot.restarts}x)"
             parts.append(text)
@@ -197,6 +214,8 @@ class Supervisor:
                     "worker": slot.name,
                     "phase": slot.phase.value,
                     "text": slot.text,
+                    "since": round(time.monotonic() - slot.since, 1),
+                    "still": round(slot.still, 1),
                     "pid": slot.pid,
                     "restarts": slot.restarts,
                 }
@@ -249,10 +268,7 @@ class Supervisor:
             for slot in group:
                 slot.stop("the daemon stops", left)
             self._wait_for_end(group, begun + until)
-        for slot in self.slots:
-            if not slot.idle:
-                logger.error("%s: process %d does not end, even when killed", slot.name, slot.pid)
-                slot.let_go()
+        self._kill_the_rest()
         logger.info("stopped after %.1f s", time.monotonic() - begun)
 
     def _wait_for_end(self, group: list[Slot], end: float) -> None:
@@ -260,7 +276,23 @@ class Supervisor:
             if self._stops > 1:
                 for slot in group:
                     slot.kill()
-            self._loop.step(0.05)
-            for slot in group:
-                slot.tick()
-            self._notify.feed_watchdog()
+            self._look_after([slot for slot in self.slots if not slot.idle])
+
+    def _look_after(self, slots: list[Slot]) -> None:
+        self._loop.step(0.05)
+        for slot in slots:
+            slot.tick()
+        self._notify.feed_watchdog()
+
+    def _kill_the_rest(self) -> None:
+        """What is left: its kill may have come to it only now, or, where this process stood still, not at all."""
+        rest = [slot for slot in self.slots if not slot.idle]
+        for slot in rest:
+            slot.kill()
+        end = time.monotonic() + KILLED_SECONDS
+        while not all(slot.idle for slot in rest) and time.monotonic() < end:
+            self._look_after(rest)
+        for slot in rest:
+            if not slot.idle:
+                logger.error("%s: process %d does not end, even when killed", slot.name, slot.pid)
+                slot.let_go()

@@ -19,6 +19,7 @@ import bridge
 from bridge.config.model import Config
 from bridge.config.sections.section import Enabled
 from bridge.daemon.notify import ENVIRONMENT as NOTIFY_ENVIRONMENT
+from bridge.sides import Side, all_sides
 from bridge.worker import Worker
 
 VARIABLE = "MIDSPAN_WORKERS"
@@ -28,14 +29,9 @@ VARIABLE = "MIDSPAN_WORKERS"
 class WorkerKind:
     """One kind of worker.
 
-    Attributes:
-        name: as in ``midspan worker NAME``.
-        factory: ``module:Class``, imported in the worker's own process alone.
-        arguments: what the class is called with.
-        sections: the configuration's sections that it uses; a change elsewhere does not touch it.
-        environment: module with ``available(config)`` and ``worker_environment(config, environ)``, "" where it needs
-            nothing of its own.
-        outlives: it goes on when the daemon dies, and the next daemon adopts it.
+    Its own process imports ``factory`` (``module:Class``). Changes outside ``sections`` of the configuration do not
+    touch it. ``environment`` is a module with ``available(config)`` and ``worker_environment(config, environ)``. A
+    worker that ``outlives`` goes on when the daemon dies, and the next daemon adopts it.
     """
 
     name: str
@@ -52,11 +48,11 @@ class WorkerKind:
         return worker
 
     def enabled(self, config: Config) -> Enabled:
-        """What the configuration says; without a dialect there is no zenoh side to speak of, nor a YARP side unused."""
-        if self.name == "zenoh" and not config.zenoh.dialects:
-            return False
-        if self.name == "yarp" and config.yarp.enabled == "auto" and self.missing(config):
-            return False
+        """What the configuration says, or what the side's environment makes of it."""
+        decide = getattr(importlib.import_module(self.environment), "enabled", None) if self.environment else None
+        if decide is not None:
+            enabled: Enabled = decide(config)
+            return enabled
         if self.name == "modules":
             return config.modules.enabled if config.hosted or config.store.enabled is True else False
         return config.hub.router if self.name == "router" else getattr(config, self.name).enabled
@@ -87,22 +83,19 @@ class WorkerKind:
         return {**part, "routing": config.rules} if config.hub.open.opened else part
 
 
-def _side(name: str) -> WorkerKind:
+def _of_side(side: Side) -> WorkerKind:
     return WorkerKind(
-        name,
+        side.name,
         "bridge.adapters.worker:BridgeWorker",
-        (name,),
-        frozenset({name, "types", "routing", "navigation"}),
-        f"bridge.adapters.{name}.environment",
+        (side.name,),
+        frozenset({side.name, "types", "routing", "navigation"}),
+        side.environment,
     )
 
 
 WORKERS = (
     WorkerKind("router", "bridge.hub.router:RouterWorker", outlives=True),
-    _side("ros1"),
-    _side("ros2"),
-    _side("yarp"),
-    _side("zenoh"),
+    *map(_of_side, all_sides()),
     WorkerKind(
         "modules",
         "bridge.modules.worker:ModulesWorker",
@@ -110,7 +103,7 @@ WORKERS = (
     ),
     WorkerKind(
         "sim",
-        "sim.worker:SimWorker",
+        "sim.simulator:SimWorker",
         sections=frozenset({"sim", "clock", "types", "limits", "yarp"}),
         environment="sim.environment",
     ),
@@ -132,6 +125,11 @@ def worker_kinds(environ: Mapping[str, str] = os.environ) -> dict[str, WorkerKin
 def child_command(worker: str, *options: str) -> list[str]:
     """The command of a worker's process. ``-P``: nothing is imported from the working directory."""
     return [sys.executable, "-P", "-m", "bridge.cli.main", "worker", worker, *options]
+
+
+def supervised_command(worker: str, *options: str) -> list[str]:
+    """The same for one that the daemon starts: it tells what it is at from its first moment."""
+    return [sys.executable, "-P", "-m", "bridge.cli.child", "worker", worker, "--supervised", *options]
 
 
 def _importable(env: dict[str, str]) -> dict[str, str]:

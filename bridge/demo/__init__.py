@@ -1,1 +1,1 @@
-"""The demo: real programs of every side, the daemon between them, and checks of what crossed."""
+"""The verb ``demo``: a robot sent to rooms by clients of every side, or topics of every side, bridged."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import logging
+import itertools
 import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
@@ -11,26 +11,21 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
-from bridge.cli.errors import CliError
-from bridge.cli.hubclient import connect
+from bridge.cli.client import connect
+from bridge.cli.output import CliError
 from bridge.config.load import load
-from bridge.demo import requirements
-from bridge.demo.child import Child, guarded
-from bridge.demo.course import Course
-from bridge.demo.place import Place
-from bridge.demo.program import Program
-from bridge.demo.scenario import DemoError
-from bridge.demo.traces import remove_unused, shared_memory, sweep
+from bridge.demo.processes import Program
+from bridge.demo.progress import STILL_SECONDS, DemoRun, Part
+from bridge.demo.sandbox import SYSTEM_PYTHON, Sandbox
+from bridge.demo.shutdown import Shutdown, end_all
+from bridge.demo.tracking import RobotTracker
 from yarp_compat.naming import connections
 from yarp_compat.naming.client import NameClient
 from yarp_compat.naming.config import Address
 
-_log = logging.getLogger(__name__)
-
 ROOT = Path(__file__).parents[2]
 CONFIG = ROOT / "configs" / "navigation.yaml"
 EXAMPLES = ROOT / "examples"
-START_SECONDS, DRIVE_SECONDS = 40.0, 150.0
 NEAR = 0.3
 """Metres from a room's place within which the robot is there, in truth."""
 
@@ -41,22 +36,13 @@ ROOMS = ("kitchen", "corridor", "bathroom")
 
 _DOORS = ("/navigation2D_nws_yarp/rpc", "/map2D_nws_yarp/rpc", "/localization2D_nws_yarp/rpc")
 
-Tick = Callable[[str, Course], None]
-"""Called several times a second with what the demo is at."""
+Tick = Callable[[str, RobotTracker | None, Sequence[Part]], None]
+"""Called several times a second with what the demo is at, its robot's way once that is known, and its parts."""
 
 
 @dataclass(frozen=True)
-class Drive:
-    """What came of one.
-
-    Attributes:
-        client: who asked.
-        room: where to.
-        reached: whether the client was told so, and the robot is there.
-        off: metres from the room's place to the robot, in truth.
-        seconds: from the client's start to its end.
-        said: the client's last words.
-    """
+class RoomDrive:
+    """One client's drive to a room: metres off the room's place in truth, and the client's last words."""
 
     client: str
     room: str
@@ -67,11 +53,11 @@ class Drive:
 
 
 @dataclass
-class Result:
+class RoomsResult:
     """What a run showed."""
 
     wanted: int
-    drives: list[Drive] = field(default_factory=list)
+    drives: list[RoomDrive] = field(default_factory=list)
     seconds: float = 0.0
 
     @property
@@ -84,37 +70,28 @@ class Result:
         return {"ok": self.ok, "seconds": round(self.seconds, 1), "drives": [asdict(drive) for drive in self.drives]}
 
 
-class Rooms:
-    """The processes of one run.
+class RoomsDemo(DemoRun):
+    """One run of the demo; calls ``tick`` while it waits."""
 
-    Args:
-        place: where it runs.
-        tick: called while anything is waited for.
-    """
-
-    def __init__(self, place: Place, tick: Tick) -> None:
-        self._place, self._tick = place, tick
-        self._children: dict[str, Child] = {}
+    def __init__(self, sandbox: Sandbox, tick: Tick, shutdown: Shutdown) -> None:
+        super().__init__(sandbox, shutdown)
+        self._tick = tick
         self._programs: list[Program] = []
-        self._began = time.monotonic()
 
     @contextmanager
-    def started(self) -> Iterator[Course]:
+    def started(self) -> Iterator[RobotTracker]:
         """Roscore and the daemon, and a look at the robot; all is ended in the end. Raises `DemoError`."""
-        place, packages = self._place, requirements.ros1_packages(self._place.config)
-        conf = place.folder / "yarp"
+        sandbox = self._sandbox
+        conf = sandbox.folder / "yarp"
         conf.mkdir(exist_ok=True)
-        (conf / "yarp.conf").write_text(f"127.0.0.1 {place.yarp_port} yarp\n", encoding="utf-8")
+        (conf / "yarp.conf").write_text(f"127.0.0.1 {sandbox.yarp_port} yarp\n", encoding="utf-8")
         try:
-            system = requirements.SYSTEM_PYTHON
-            master = guarded(system, requirements.roscore(place.config), "-p", str(place.master_port))
-            self._children["roscore"] = Child("roscore", master, place.ros1_environment(packages), place.folder)
-            daemon = guarded(sys.executable, "-m", "bridge.cli.main", "run", "--config", place.config_file)
-            self._children["daemon"] = Child("daemon", daemon, place.environment(), place.folder)
+            self._launch_roscore_and_daemon()
+            self._until(sandbox.master_answers, "roscore")
+            self._until(lambda: self._parts.up("router"), "the hub's router")
             with self._course() as course:
-                self._until(place.master_answers, "roscore", course)
                 self._until(lambda: course.localized, "the robot and its localiser", course)
-                names = NameClient(Address("127.0.0.1", place.yarp_port))
+                names = NameClient(Address("127.0.0.1", sandbox.yarp_port))
                 self._until(
                     lambda: all(connections.exists(names, door) for door in _DOORS),
                     "the doors for YARP's clients",
@@ -125,22 +102,21 @@ class Rooms:
             self._stop()
 
     @contextmanager
-    def _course(self) -> Iterator[Course]:
-        end = time.monotonic() + START_SECONDS
-        while True:
-            self._look()
+    def _course(self) -> Iterator[RobotTracker]:
+        """Join the hub, more patiently each time: a busy router answers late."""
+        self._progress.begin()
+        for patience in itertools.chain((0.5, 1.0, 2.0), itertools.repeat(4.0)):
             try:
-                with connect(self._place.config, 0.5) as client:
-                    yield Course(client)
+                with connect(self._sandbox.config, patience) as client:
+                    yield RobotTracker(client)
                     return
             except CliError:
-                if time.monotonic() > end:
-                    raise DemoError(f"the daemon is not up:\n{self._children['daemon'].last_words()}") from None
-                time.sleep(0.2)
+                self._wait("waiting for the hub")
+                self._check("the hub")
 
-    def run(self, course: Course, rooms: Sequence[str] = ROOMS) -> Result:
+    def run(self, course: RobotTracker, rooms: Sequence[str] = ROOMS) -> RoomsResult:
         """Have each client send the robot to its room."""
-        result = Result(len(rooms))
+        result = RoomsResult(len(rooms))
         for client, room in zip(_CLIENTS, rooms, strict=True):
             result.drives.append(self._drive(client, room, course))
             if not result.drives[-1].reached:
@@ -148,62 +124,65 @@ class Rooms:
         result.seconds = time.monotonic() - self._began
         return result
 
-    def stay(self, course: Course) -> None:
-        """Go on until interrupted, or until a part ends."""
-        router = f"tcp/127.0.0.1:{self._place.router_port}"
-        while True:
-            self._wait(f"staying: midspan goto bedroom --router {router}; Ctrl-C ends the demo", course)
+    @property
+    def next(self) -> str:
+        """What can be tried while it runs, in one line."""
+        sandbox = self._sandbox
+        return (
+            f"midspan goto bedroom --router tcp/127.0.0.1:{sandbox.router_port}  (ROS_MASTER_URI={sandbox.master},"
+            f" ROS_DOMAIN_ID={sandbox.domain}, YARP's names at 127.0.0.1:{sandbox.yarp_port})"
+        )
 
-    def _drive(self, client: str, room: str, course: Course) -> Drive:
-        place = self._place
+    def stay(self, course: RobotTracker) -> None:
+        """Go on until interrupted, or until a part ends."""
+        while True:
+            self._wait(f"staying: {self.next}; Ctrl-C ends the demo", course)
+
+    def _drive(self, client: str, room: str, course: RobotTracker) -> RoomDrive:
+        sandbox = self._sandbox
         python: Path | str = sys.executable
-        env = place.environment()
+        env = sandbox.environment()
         if client == ROS1:
-            python = requirements.SYSTEM_PYTHON
-            env = place.ros1_environment(requirements.ros1_packages(place.config))
+            python = SYSTEM_PYTHON
+            env = sandbox.ros1_environment()
         began = time.monotonic()
-        program = Program([python, EXAMPLES / _CLIENTS[client], room], env, place.folder)
-        self._programs.append(program)
-        while program.code is None and time.monotonic() - began < DRIVE_SECONDS:
+        with self._shutdown.held():
+            program = Program([python, EXAMPLES / _CLIENTS[client], room], env, sandbox.folder)
+            self._programs.append(program)
+        self._progress.begin()
+        while program.running and not self._progress.stalled:
             said = program.lines[-1] if program.lines else "asks"
+            self._progress.heard(client, said)
+            self._parts.starting = () if program.lines else (program.pid,)
             self._wait(f"{client} client, to the {room}: {said}", course)
-        program.stop()
+            self._fail_with_a_part()
+        self._parts.starting = ()
+        said = program.lines[-1] if program.lines else ""
+        if program.running:
+            said = f"nothing has moved for {STILL_SECONDS:.0f} s: {course.state}; {said}"
+            program.begin_stop()
         off = course.off(room)
         reached = program.code == 0 and off < NEAR
-        words = program.lines[-1] if program.lines else ""
-        said = words if reached or time.monotonic() - began < DRIVE_SECONDS else f"not there in time; {words}"
-        return Drive(client, room, reached, round(off, 3), round(time.monotonic() - began, 1), said)
+        return RoomDrive(client, room, reached, round(off, 3), round(time.monotonic() - began, 1), said)
 
-    def _until(self, ready: Callable[[], object], what: str, course: Course) -> None:
-        end = time.monotonic() + START_SECONDS
+    def _until(self, ready: Callable[[], object], what: str, course: RobotTracker | None = None) -> None:
+        """Wait for something as long as anything moves; raises `DemoError` where nothing does, or a part failed."""
+        self._progress.begin()
         while not _holds(ready):
-            if time.monotonic() > end:
-                raise DemoError(f"{what} is not there:\n{self._children['daemon'].last_words()}")
             self._wait(f"waiting for {what}", course)
+            self._check(what)
 
-    def _wait(self, doing: str, course: Course) -> None:
+    def _wait(self, doing: str, course: RobotTracker | None = None) -> None:
         self._look()
-        course.look()
-        self._tick(doing, course)
+        self._parts.look(self._progress)
+        if course is not None:
+            course.look(self._progress)
+        self._tick(doing, course, self._parts.all)
         time.sleep(0.1)
 
-    def _look(self) -> None:
-        for child in self._children.values():
-            if not child.running:
-                raise DemoError(f"{child.name} ended before its time:\n{child.last_words()}")
-
     def _stop(self) -> None:
-        memory = shared_memory(self._place.folder, self._place.domain_ports)
-        for program in self._programs:
-            program.stop()
-        for name in ("daemon", "roscore"):
-            if name in self._children:
-                self._children[name].begin_stop()
-                self._children[name].finish_stop(9.0)
-        left = sweep(self._place.folder)
-        if left:
-            _log.warning("these processes had to be killed: %s", ", ".join(left))
-        remove_unused(memory)
+        daemon, roscore = ([self._children[name]] if name in self._children else [] for name in ("daemon", "roscore"))
+        end_all(self._sandbox, self._shutdown, ((self._programs, 4.0), (daemon, 9.0), (roscore, 9.0)))
 
 
 def laid_over(template: Path) -> dict[str, Any]:

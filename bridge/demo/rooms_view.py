@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Sequence
 from types import TracebackType
 from typing import Self
 
@@ -11,9 +12,10 @@ from rich.live import Live
 from rich.table import Table
 from rich.text import Text
 
-from bridge.cli.console import make_console
-from bridge.demo.course import Course
-from bridge.demo.rooms import Drive, Result
+from bridge.cli.output import make_console
+from bridge.demo.progress import Part, wordless
+from bridge.demo.rooms import RoomDrive, RoomsResult
+from bridge.demo.tracking import RobotTracker
 
 _LIVE_EVERY, _PLAIN_EVERY = 0.3, 2.0
 _WIDEST = 100
@@ -26,7 +28,8 @@ class RoomsView:
         self._console = make_console()
         self._live: Live | None = None
         self._shown, self._began = -_PLAIN_EVERY, time.monotonic()
-        self._doing = ""
+        self._doing, self._up = "", False
+        self._told: dict[str, str] = {}
 
     def __enter__(self) -> Self:
         if self._console.is_terminal:
@@ -39,21 +42,38 @@ class RoomsView:
             self._live.stop()
             self._live = None
 
-    def tick(self, doing: str, course: Course) -> None:
-        """Show what the demo is at, and where the robot is."""
+    def tick(self, doing: str, course: RobotTracker | None, parts: Sequence[Part]) -> None:
+        """Show what the demo is at: its parts while they come up, then where the robot is."""
         now = time.monotonic()
+        self._up = self._up or (course is not None and course.localized)
+        if course is None or not self._up:
+            self._coming_up(now, doing, parts)
+            return
         begins = doing.partition(":")[0] != self._doing
         if not begins and now - self._shown < (_LIVE_EVERY if self._live else _PLAIN_EVERY):
             return
         self._shown, self._doing = now, doing.partition(":")[0]
         words = course.words()
-        line = f"{now - self._began:5.1f} s  {doing}  |  {words['where']}  {words['left']}  {words['state']}"
+        line = f"{self._time(now)}  {doing}  |  {words['where']}  {words['left']}  {words['state']}"
         if self._live is not None:
             self._live.update(Group(*course.picture(self._width(), coloured=True), Text(line)), refresh=True)
         else:
             self._console.print(Text(line))
 
-    def show(self, result: Result, course: Course) -> None:
+    def _coming_up(self, now: float, doing: str, parts: Sequence[Part]) -> None:
+        """Each part and what it is at; elsewhere than on a terminal a line where that is something else."""
+        if self._live is not None:
+            if now - self._shown >= _LIVE_EVERY:
+                self._shown = now
+                lines = [Text(f"{self._time(now)}  {doing}"), *(Text(f"         {part}") for part in parts)]
+                self._live.update(Group(*lines), refresh=True)
+            return
+        for name, line in (("", doing), *((part.name, str(part)) for part in parts)):
+            if self._told.get(name) != wordless(line):
+                self._told[name] = wordless(line)
+                self._console.print(Text(f"{self._time(now)}  {line}"))
+
+    def show(self, result: RoomsResult, course: RobotTracker) -> None:
         """Print the map and the drives."""
         for line in course.picture(self._width(), coloured=self._console.is_terminal):
             self._console.print(line)
@@ -70,10 +90,13 @@ class RoomsView:
         """Print one line."""
         self._console.print(Text(text))
 
+    def _time(self, now: float) -> str:
+        return f"{now - self._began:5.1f} s"
+
     def _width(self) -> int:
         return min(_WIDEST, self._console.width)
 
 
-def _row(drive: Drive) -> tuple[Text, ...]:
+def _row(drive: RoomDrive) -> tuple[Text, ...]:
     mark = Text("ok", style="green") if drive.reached else Text("NO", style="bold red")
     return mark, *map(Text, (drive.client, drive.room, f"{drive.seconds:.0f}", f"{drive.off:.2f} m", drive.said))

@@ -1,1 +1,1 @@
-"""The doctor: looks for what commonly goes wrong around a bridge, and says the cure. Nothing of it needs a daemon."""
+"""Finds what commonly goes wrong with a bridge and its networks, and names the cure."""

@@ -6,19 +6,20 @@ A worker answers on ``@midspan/<domain>/<daemon>/<worker>/<verb>``. The answer i
 
 from __future__ import annotations
 
-import contextlib
 import json
 import logging
-import queue
 from collections.abc import Callable
 from dataclasses import dataclass
-from threading import Thread
+from functools import partial
+from threading import BoundedSemaphore
 from typing import Any
 
 import zenoh
 
+from bridge.concurrency import WorkerPool
 from bridge.hub.errors import HubError
-from bridge.hub.liveliness import MIDSPAN_SPACE
+from bridge.hub.graph.tokens import MIDSPAN_SPACE
+from bridge.hub.zenoh_compat import undeclare
 
 _log = logging.getLogger(__name__)
 Handler = Callable[[dict[str, Any]], Any]
@@ -30,7 +31,7 @@ _THREADS = 2
 
 
 @dataclass(frozen=True, slots=True)
-class Answer:
+class WorkerAnswer:
     """What one worker answered; ``error`` is "" where ``value`` holds."""
 
     daemon: str
@@ -46,39 +47,26 @@ class Control:
         self._session = session
         self._space = f"{MIDSPAN_SPACE}/{domain}"
         self._me = f"{daemon}/{worker}"
-        self._pending: queue.Queue[tuple[Handler, str, zenoh.Query] | None] = queue.Queue(_MAX_PENDING)
-        self._threads: list[Thread] = []
+        self._pending = BoundedSemaphore(_MAX_PENDING)
+        self._pool = WorkerPool(_THREADS, "hub-control")
 
     def serve(self, verb: str, handler: Handler) -> Callable[[], None]:
         """Answer a verb until the returned function is called.
 
         The handler takes the parameters and returns what JSON can carry.
         """
-        if not self._threads:
-            self._threads = [Thread(target=self._run, name=f"hub-control-{i}", daemon=True) for i in range(_THREADS)]
-            for thread in self._threads:
-                thread.start()
-
         key = f"{self._space}/{self._me}/{verb}"
 
         def enqueue(query: zenoh.Query) -> None:
-            try:
-                self._pending.put_nowait((handler, key, query))
-            except queue.Full:
+            if self._pending.acquire(blocking=False):
+                self._pool.submit(lambda: self._reply(query, key, handler))
+            else:
                 _reply(query, key, _error("too many questions at once; ask again later"))
 
-        queryable = self._session.declare_queryable(
-            key, zenoh.handlers.Callback(enqueue, indirect=False), complete=True
-        )
+        asked = zenoh.handlers.Callback(enqueue, indirect=False)
+        return partial(undeclare, self._session.declare_queryable(key, asked, complete=True))
 
-        def close() -> None:
-            # zenoh raises where it is undeclared already
-            with contextlib.suppress(zenoh.ZError):
-                queryable.undeclare()  # type: ignore[no-untyped-call]
-
-        return close
-
-    def ask(self, verb: str, params: dict[str, Any], daemon: str, worker: str, timeout: float) -> list[Answer]:
+    def ask(self, verb: str, params: dict[str, Any], daemon: str, worker: str, timeout: float) -> list[WorkerAnswer]:
         """Ask all who answer a verb; returns when all did, or after ``timeout`` seconds."""
         replies = self._session.get(
             f"{self._space}/{daemon}/{worker}/{verb}",
@@ -87,7 +75,7 @@ class Control:
             timeout=timeout,
             payload=json.dumps(params).encode(),
         )
-        answers: list[Answer] = []
+        answers: list[WorkerAnswer] = []
         for reply in replies:
             if reply.ok is not None and len(answers) < _MAX_ANSWERS:
                 answers.append(_read(reply.ok))
@@ -95,16 +83,13 @@ class Control:
 
     def close(self) -> None:
         """End the threads. Safe to call twice."""
-        for _ in self._threads:
-            self._pending.put(None)
-        for thread in self._threads:
-            thread.join(1.0)
-        self._threads.clear()
+        self._pool.close(1.0)
 
-    def _run(self) -> None:
-        while (work := self._pending.get()) is not None:
-            handler, key, query = work
+    def _reply(self, query: zenoh.Query, key: str, handler: Handler) -> None:
+        try:
             _reply(query, key, _answer(handler, query))
+        finally:
+            self._pending.release()
 
 
 def _answer(handler: Handler, query: zenoh.Query) -> bytes:
@@ -113,7 +98,7 @@ def _answer(handler: Handler, query: zenoh.Query) -> bytes:
     except HubError as err:
         return _error(str(err))
     except Exception as err:
-        # whatever the handler met, the asker is told and the thread lives on
+        # whatever the handler met, the asker gets an answer and the thread lives on
         _log.warning("question %s failed", query.key_expr, exc_info=True)
         return _error(str(err) or type(err).__name__)
 
@@ -127,15 +112,13 @@ def _params(query: zenoh.Query) -> dict[str, Any]:
     if payload is None:
         return {}
     if len(payload) > _MAX_QUESTION:
-        msg = f"question of {len(payload)} bytes, more than {_MAX_QUESTION}"
-        raise HubError(msg)
+        raise HubError(f"question of {len(payload)} bytes, more than {_MAX_QUESTION}")
     try:
         params = json.loads(payload.to_bytes())
     except (ValueError, RecursionError):
         params = None
     if not isinstance(params, dict):
-        msg = "a question's parameters are a JSON object"
-        raise HubError(msg)
+        raise HubError("a question's parameters are a JSON object")
     return params
 
 
@@ -147,11 +130,11 @@ def _reply(query: zenoh.Query, key: str, answer: bytes) -> None:
         _log.debug("nobody waits for %s any more: %s", key, err)
 
 
-def _read(sample: zenoh.Sample) -> Answer:
+def _read(sample: zenoh.Sample) -> WorkerAnswer:
     parts = str(sample.key_expr).split("/")
     daemon, worker = parts[-3], parts[-2]
     try:
         answer = json.loads(sample.payload.to_bytes())
-        return Answer(daemon, worker, answer.get("value"), str(answer.get("error", "")))
+        return WorkerAnswer(daemon, worker, answer.get("value"), str(answer.get("error", "")))
     except (ValueError, AttributeError, RecursionError):
-        return Answer(daemon, worker, None, "the answer is not JSON")
+        return WorkerAnswer(daemon, worker, None, "the answer is not JSON")

@@ -27,10 +27,10 @@ class HubClosedError(HubError):
     """The hub session, or the endpoint, is closed."""
 
 
-class WireError(HubError):
+class HubWireError(HubError):
     """A key, a token, an attachment or a name is not in rmw_zenoh's format."""
 
 
 def zenoh_reason(err: Exception) -> str:
-    """What zenoh says went wrong, without the places in its source."""
+    """The reason that zenoh gives, without the places in its source."""
     return _RUST_PLACE.sub("", str(err))

@@ -19,15 +19,14 @@ from typing import Any
 import psutil
 import zenoh
 
-from bridge.config.commands import commands
 from bridge.config.model import Config
+from bridge.config.rules import commands
 from bridge.hub.control import Control
-from bridge.hub.door import Door, check_closed, has_tls, key_files
 from bridge.hub.errors import HubError, zenoh_reason
-from bridge.hub.liveliness import MIDSPAN_SPACE
-from bridge.hub.mesh import MEMBERS
-from bridge.hub.renewal import KeyWatch
-from bridge.hub.settings import MAX_PAYLOAD, connect_endpoint, make_config, router_tree, session_tree
+from bridge.hub.graph.tokens import MIDSPAN_SPACE
+from bridge.hub.links import MEMBERS
+from bridge.hub.security.door import HubDoor, KeyWatch, check_closed, has_tls, key_files
+from bridge.hub.zenoh_config import MAX_PAYLOAD, connect_endpoint, make_config, router_tree, session_tree
 from bridge.worker import Health, Worker, costs
 
 _log = logging.getLogger(__name__)
@@ -37,16 +36,14 @@ _MAX_MEMBERS = 1000
 
 _DOOR_SECONDS = 5.0
 _REOPEN_SECONDS = 0.3
-"""zenoh's routers look every 0.1 s who is there; one that takes another's place sooner hears of no subscription."""
+"""zenoh's routers look every 0.1 s who is there; one that takes another's place sooner learns of no subscription."""
 
 
 @dataclass(frozen=True, slots=True)
 class RouterInfo:
-    """Who answers at a router's endpoint.
+    """The program that answers at a router's endpoint.
 
     Attributes:
-        endpoint: where it was asked.
-        zid: its zenoh id.
         mode: ``router``, or ``peer`` where a zenoh program listens there that routes nothing.
         daemon: name of the Midspan daemon that runs it, "" where it is a stranger's (zenohd, rmw_zenohd).
         pid: its process on its machine, 0 where it is a stranger's.
@@ -68,12 +65,9 @@ class RouterInfo:
 def probe_router(
     endpoint: str, zenoh_config: Mapping[str, Any] | str | Path | None = None, seconds: float = 1.5
 ) -> RouterInfo | None:
-    """Ask who routes at an endpoint; None where nobody there speaks zenoh.
+    """Ask which program routes at an endpoint (``tcp/127.0.0.1:7447``); None where none there speaks zenoh.
 
-    Args:
-        endpoint: as the router listens, for example ``tcp/127.0.0.1:7447``.
-        zenoh_config: what the workers use besides, for TLS.
-        seconds: how long to wait for it.
+    ``zenoh_config`` is the workers' own, for TLS.
     """
     endpoint = connect_endpoint(endpoint)
     tree = session_tree(endpoint, shared_memory=False, max_payload=MAX_PAYLOAD)
@@ -117,7 +111,7 @@ class RouterWorker(Worker):
 
     def __init__(self) -> None:
         self._config: Config | None = None
-        self._door: Door | None = None
+        self._door: HubDoor | None = None
         self._keys: KeyWatch | None = None
         self._door_trouble = ""
         self._door_again = 0.0
@@ -135,14 +129,14 @@ class RouterWorker(Worker):
             self._open(config)
         except zenoh.ZError as err:
             if not port_held(hub.listen):
-                msg = f"the router cannot listen on {hub.listen} (hub.listen): {zenoh_reason(err)}"
-                raise RuntimeError(msg) from None
+                raise RuntimeError(
+                    f"the router cannot listen on {hub.listen} (hub.listen): {zenoh_reason(err)}"
+                ) from None
             holder = probe_router(hub.listen, hub.zenoh)
             who = "a program that does not speak zenoh" if holder is None else str(holder)
             if holder is None or holder.mode != "router" or hub.router is True:
                 cure = "" if holder is None else ", or hub.router to auto, and the one that is there is used"
-                msg = f"{hub.listen} is held by {who}; set hub.listen to a free port{cure}"
-                raise RuntimeError(msg) from None
+                raise RuntimeError(f"{hub.listen} is held by {who}; set hub.listen to a free port{cure}") from None
             self._other = who
             _log.info("%s is at %s already and is used", who, hub.listen)
         self._open_door(config)
@@ -171,8 +165,7 @@ class RouterWorker(Worker):
         if session is None:
             return Health("standby", f"{self._other} is used{self._door_text()}")
         if not list(session.get(_identity_key(session), timeout=_ANSWER_SECONDS)):
-            msg = f"the router does not answer within {_ANSWER_SECONDS:g} s"
-            raise TimeoutError(msg)
+            raise TimeoutError(f"the router does not answer within {_ANSWER_SECONDS:g} s")
         sessions = f"{len(session.info.transports())} sessions at {self._config.hub.listen}"
         return Health("running", f"{sessions}{self._door_text()}")
 
@@ -191,7 +184,7 @@ class RouterWorker(Worker):
             return
         try:
             self._keys = KeyWatch(key_files(config)) if has_tls(config.hub.open) else None
-            self._door = Door(config)
+            self._door = HubDoor(config)
         except HubError as err:
             if str(err) != self._door_trouble:
                 _log.error("hub.open: %s", err)
@@ -236,19 +229,18 @@ class RouterWorker(Worker):
             zenoh_config = make_config(router_tree([hub.listen], max_payload=MAX_PAYLOAD), hub.router_zenoh)
             check_closed(zenoh_config)
         except HubError as err:
-            msg = f"hub.router_zenoh: {err}"
-            raise RuntimeError(msg) from None
+            raise RuntimeError(f"hub.router_zenoh: {err}") from None
         session = zenoh.open(zenoh_config)
         self._session = session
         self._control = Control(session, hub.domain, config.name, "router")
         identity = json.dumps({"daemon": config.name, "pid": os.getpid()}).encode()
         key = _identity_key(session)
 
-        def tell(query: zenoh.Query) -> None:
+        def identify(query: zenoh.Query) -> None:
             with query:
                 query.reply(key, identity)
 
-        session.declare_queryable(key, zenoh.handlers.Callback(tell, indirect=False))
+        session.declare_queryable(key, zenoh.handlers.Callback(identify, indirect=False))
         self._control.serve(MEMBERS, lambda _params: {"zid": str(session.zid()), "members": _members(session)})
         self._control.serve("status", lambda _params: self._status(config, session))
         self._process.cpu_percent()
@@ -275,7 +267,7 @@ class RouterWorker(Worker):
         }
 
     def _door_status(self) -> dict[str, Any]:
-        """Who is at the door, and what it takes from trusted machines alone."""
+        """The machines at the door, and the commands that it accepts from trusted ones alone."""
         door, config = self._door, self._config
         if door is None or config is None:
             return {"machines": []}

@@ -10,40 +10,41 @@ from dataclasses import dataclass
 from pathlib import Path
 from threading import RLock
 from types import TracebackType
-from typing import Any, Self
+from typing import Any, Self, TypeVar
 
 import zenoh
 
-from bridge.hub.call import Call
-from bridge.hub.control import Answer, Control, Handler
-from bridge.hub.errands import Errands
+from bridge.clock import CLOCK_TOPIC, CLOCK_TYPE, RunClock
+from bridge.concurrency import DelayedCalls, SerialExecutor
+from bridge.hub.control import Control, Handler, WorkerAnswer
+from bridge.hub.endpoints.calls import Call
+from bridge.hub.endpoints.keyspace import KeySpace
+from bridge.hub.endpoints.publisher import EndpointContext, HubPublisher, PublisherOptions
+from bridge.hub.endpoints.services import HubClient, HubServer
+from bridge.hub.endpoints.subscription import HubSample, HubSubscription, Refused
 from bridge.hub.errors import HubClosedError, HubConfigError, HubError, zenoh_reason
 from bridge.hub.graph import HubGraph
-from bridge.hub.keyexpr import subscription_key, topic_key
-from bridge.hub.keyspace import KeySpace
-from bridge.hub.latched import Heartbeats
-from bridge.hub.liveliness import (
+from bridge.hub.graph.tokens import (
     BRIDGE_ENCLAVE,
     EndpointKind,
     EndpointToken,
     NodeToken,
+    Origin,
     OriginToken,
     endpoint_key,
     node_key,
     origin_key,
 )
-from bridge.hub.mesh import MEMBERS, Mesh
-from bridge.hub.origin import Origin
-from bridge.hub.publisher import HubPublisher, PublisherOptions
-from bridge.hub.qos import Qos
-from bridge.hub.service import HubClient, HubServer
-from bridge.hub.settings import MAX_PAYLOAD, make_config, session_tree
-from bridge.hub.subscription import HubSample, HubSubscription, Refused
+from bridge.hub.links import MEMBERS, Mesh
+from bridge.hub.wire.keys import ANY_HASH, subscription_key, topic_key
+from bridge.hub.wire.qos import Qos, Reliability
+from bridge.hub.zenoh_config import MAX_PAYLOAD, make_config, session_tree
 
 _NAME = re.compile(r"[A-Za-z0-9_.-]{1,64}")
 _NODE = re.compile(r"[A-Za-z_][A-Za-z0-9_]{0,254}")
 _SERVICE_QOS = Qos(depth=10)  # rmw's, for servers and clients alike
 _NAMESPACE = re.compile(r"/|(?:/[A-Za-z_][A-Za-z0-9_]*){1,32}")
+_Endpoint = TypeVar("_Endpoint", HubPublisher, HubSubscription, HubServer, HubClient)
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,8 +84,7 @@ class HubSettings:
             ("namespace", self.namespace, _NAMESPACE),
         ):
             if not form.fullmatch(value):
-                msg = f"hub {name} {value[:80]!r} has characters that a name on the hub cannot have"
-                raise HubConfigError(msg)
+                raise HubConfigError(f"hub {name} {value[:80]!r} has characters that a name on the hub cannot have")
 
 
 def _config(settings: HubSettings) -> zenoh.Config:
@@ -101,10 +101,9 @@ class Hub:
     mode the router must be there at the start.
 
     Attributes:
-        zid: the session's id.
-        domain: the hub's domain.
         max_payload: bytes of the largest message that is sent and taken.
         graph: all participants as this session sees them.
+        mesh: its direct links to other programs of this machine.
     """
 
     def __init__(self, session: zenoh.Session, settings: HubSettings) -> None:
@@ -122,10 +121,14 @@ class Hub:
         self._node = NodeToken(settings.domain, self.zid, "0", settings.namespace, settings.node)
         self.graph = HubGraph(session, settings.domain, settings.max_tokens)
         self._control = Control(session, settings.domain, settings.daemon, settings.worker)
-        self._errands = Errands("hub-errands")
-        self._asking = Errands("hub-asking")
-        self._heartbeats = Heartbeats("hub-heartbeats")
-        self._mesh = Mesh(session, lambda: _config(settings), self._members)
+        self._executor = SerialExecutor("hub-executor")
+        self._asking = SerialExecutor("hub-asking")
+        self._heartbeats = DelayedCalls("hub-heartbeats")
+        self._context = EndpointContext(
+            session, self.graph, settings.max_payload, self._executor, self._asking, self._heartbeats,
+            self._endpoints.discard,
+        )  # fmt: skip
+        self.mesh = Mesh(session, lambda: _config(settings), self._members)
         self.graph.announce(node_key(self._node))
         # a process that ends with an open session hangs in zenoh's threads
         atexit.register(self.close)
@@ -137,8 +140,7 @@ class Hub:
         try:
             session = zenoh.open(config)
         except zenoh.ZError as err:
-            msg = f"cannot join the hub: {zenoh_reason(err)}"
-            raise HubError(msg) from None
+            raise HubError(f"cannot join the hub: {zenoh_reason(err)}") from None
         try:
             return cls(session, settings)
         except BaseException:
@@ -146,7 +148,7 @@ class Hub:
             raise
 
     def set_origin(self, origin: Origin | None) -> None:
-        """Tell which foreign network this session speaks for; before its endpoints are made."""
+        """Announce which foreign network this session speaks for; before its endpoints are made."""
         with self._lock:
             self._check_open()
             before = self._origin
@@ -172,12 +174,12 @@ class Hub:
         return {str(zid) for zid in self._session.info.peers_zid()}
 
     def _members(self) -> set[str] | None:
-        """Who is linked with the routers of this session, as far as they tell."""
+        """The sessions that are linked with the routers of this one, as far as these answer."""
         routers = {str(zid) for zid in self._session.info.routers_zid()}
         answers = self._control.ask(MEMBERS, {}, "*", "router", 1.0) if routers else []
         values = [a.value for a in answers if isinstance(a.value, dict) and a.value.get("zid") in routers]
-        told = [value["members"] for value in values if isinstance(value.get("members"), list)]
-        return {str(zid) for members in told for zid in members} if told else None
+        known = [value["members"] for value in values if isinstance(value.get("members"), list)]
+        return {str(zid) for members in known for zid in members} if known else None
 
     def publisher(
         self,
@@ -191,25 +193,15 @@ class Hub:
     ) -> HubPublisher:
         """Make a publisher; it lives until it or the session is closed.
 
-        Args:
-            topic: absolute name.
-            type_name: as ROS 2 spells it.
-            type_hash: RIHS01.
-            qos: latched or not, and how many samples are kept.
-            priority: ``command``, ``state`` or ``stream``.
-            express: send each sample in a packet of its own; default for commands only. A burst of samples that may
-                share packets is not slower, and is not lost where the machine is busy.
+        The priority is ``command``, ``state`` or ``stream``. With ``express`` each sample has a packet of its own; by
+        default commands alone do: a burst of samples that may share packets is not slower, and is not lost where the
+        machine is busy.
         """
         with self._lock:
-            self._check_open()
-            key = topic_key(self.domain, topic, type_name, type_hash)
             token = self._token(EndpointKind.PUBLISHER, topic, type_name, type_hash, qos)
+            key = topic_key(self.domain, topic, type_name, type_hash)
             options = PublisherOptions(qos, priority, express)
-            limit, beats = self.max_payload, self._heartbeats
-            drop = self._endpoints.discard
-            publisher = HubPublisher(self._session, self.graph, token, key, topic, qos, options, limit, beats, drop)
-            self._endpoints.add(publisher)
-            return publisher
+            return self._keep(HubPublisher(self._context, token, key, topic, qos, options))
 
     def subscription(
         self,
@@ -220,65 +212,37 @@ class Hub:
         callback: Callable[[HubSample], None],
         refused: Refused | None = None,
     ) -> HubSubscription:
-        """Make a subscription; it lives until it or the session is closed.
+        """Make a subscription, to any type hash where that is ``*``; it lives until it or the session is closed.
 
-        Args:
-            topic: absolute name.
-            type_name: as ROS 2 spells it.
-            type_hash: RIHS01, or ``*`` for any.
-            qos: a latched one gets what each latched publisher keeps, of publishers present and late.
-            callback: runs on zenoh's receiving thread; it appends and wakes, nothing more. Samples of this very
-                session are not delivered.
-            refused: hears of each sample that is left out, on the same thread.
+        A latched one gets what each latched publisher keeps, of publishers present and late. Samples of this very
+        session are not delivered. ``callback``, and ``refused`` for each sample that is left out, run on zenoh's
+        receiving thread: they append and wake, nothing more.
         """
         with self._lock:
-            self._check_open()
-            key = subscription_key(self.domain, topic, type_name, type_hash)
             token = self._token(EndpointKind.SUBSCRIPTION, topic, type_name, type_hash, qos)
-            limit = self.max_payload
-            drop = self._endpoints.discard
-            subscription = HubSubscription(
-                self._session, self.graph, token, key, topic, qos, limit, self._asking, callback, drop, refused
-            )
-            self._endpoints.add(subscription)
-            return subscription
+            key = subscription_key(self.domain, topic, type_name, type_hash)
+            return self._keep(HubSubscription(self._context, token, key, topic, qos, callback, refused))
 
     def server(self, name: str, type_name: str, type_hash: str, call: Call) -> HubServer:
         """Serve a service; it lives until it or the session is closed.
 
-        Args:
-            name: absolute name; of an action's service with its ``/_action/`` part.
-            type_name: as ROS 2 spells it, ``std_srvs/srv/SetBool``.
-            type_hash: RIHS01 of the service.
-            call: gets each request's CDR; runs on zenoh's receiving thread, begins the call and returns. Calls of this
-                very session are not delivered.
+        ``call`` gets each request's CDR on zenoh's receiving thread, begins the call and returns. Calls of this very
+        session are not delivered. The name of an action's service has its ``/_action/`` part.
         """
         with self._lock:
-            self._check_open()
-            key = topic_key(self.domain, name, type_name, type_hash)
             token = self._token(EndpointKind.SERVER, name, type_name, type_hash, _SERVICE_QOS)
-            drop = self._endpoints.discard
-            server = HubServer(self._session, self.graph, token, key, name, self.max_payload, call, drop)
-            self._endpoints.add(server)
-            return server
+            key = topic_key(self.domain, name, type_name, type_hash)
+            return self._keep(HubServer(self._context, token, key, name, call))
 
     def client(self, name: str, type_name: str, type_hash: str, changed: Callable[[], None] | None = None) -> HubClient:
-        """Make what calls a service; it lives until it or the session is closed.
+        """Make a client of a service; it lives until it or the session is closed.
 
-        Args:
-            name: absolute name.
-            type_name: as ROS 2 spells it.
-            type_hash: RIHS01 of the service.
-            changed: called when there may be a server now, or none any more, on a thread of zenoh: it only wakes.
+        ``changed`` is called on a thread of zenoh when the first server came, or the last one went; it only wakes.
         """
         with self._lock:
-            self._check_open()
-            key = topic_key(self.domain, name, type_name, type_hash)
             token = self._token(EndpointKind.CLIENT, name, type_name, type_hash, _SERVICE_QOS)
-            limit, drop = self.max_payload, self._endpoints.discard
-            client = HubClient(self._session, self.graph, token, key, name, limit, self._errands, changed, drop)
-            self._endpoints.add(client)
-            return client
+            key = topic_key(self.domain, name, type_name, type_hash)
+            return self._keep(HubClient(self._context, token, key, name, changed))
 
     def keyspace(self, prefix: str) -> KeySpace:
         """Plain zenoh keys beneath a prefix; closed with the session where not before."""
@@ -296,7 +260,7 @@ class Hub:
 
     def ask(
         self, verb: str, params: dict[str, Any], daemon: str = "*", worker: str = "*", timeout: float = 2.0
-    ) -> list[Answer]:
+    ) -> list[WorkerAnswer]:
         """Ask a verb of all workers, of one daemon's, or of one."""
         self._check_open()
         return self._control.ask(verb, params, daemon, worker, timeout)
@@ -313,10 +277,10 @@ class Hub:
             endpoint.close()
         for space in self._spaces:
             space.close()
-        self._mesh.close()
-        self._errands.close()
+        self.mesh.close()
+        self._executor.close()
         self._asking.close()
-        self._heartbeats.close()
+        self._heartbeats.close(1.0)
         self.graph.close()
         self._control.close()
         self._session.close()  # type: ignore[no-untyped-call]
@@ -329,10 +293,22 @@ class Hub:
 
     def _check_open(self) -> None:
         if self._closed:
-            msg = "the hub session is closed"
-            raise HubClosedError(msg)
+            raise HubClosedError("the hub session is closed")
+
+    def _keep(self, endpoint: _Endpoint) -> _Endpoint:
+        self._endpoints.add(endpoint)
+        return endpoint
 
     def _token(self, kind: EndpointKind, topic: str, type_name: str, type_hash: str, qos: Qos) -> str:
+        """The key of a new endpoint's token; raises `HubClosedError`."""
+        self._check_open()
         enclave = BRIDGE_ENCLAVE if self._origin else "/"
         owner = NodeToken(self.domain, self.zid, "0", self._node.namespace, self._node.node, enclave)
         return endpoint_key(EndpointToken(owner, str(next(self._ids)), kind, topic, type_name, type_hash, qos))
+
+
+def follow_clock(clock: RunClock, hub: Hub) -> None:
+    """Feed a simulated clock with what other sessions publish on ``/clock``; nothing for the system's clock."""
+    if clock.simulated:
+        qos = Qos(Reliability.BEST_EFFORT, depth=1)
+        hub.subscription(CLOCK_TOPIC, CLOCK_TYPE, ANY_HASH, qos, lambda sample: clock.hear(sample.data()))

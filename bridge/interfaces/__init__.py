@@ -5,9 +5,8 @@
 >>> from my_msgs.msg import Reading  # doctest: +SKIP
 """
 
-from bridge.interfaces.builder import build, build_standing
-from bridge.interfaces.errors import BuildError
-from bridge.interfaces.paths import activate, environment
-from bridge.interfaces.standing import standing_files, standing_packages
+from bridge.interfaces.builder import build, build_bundled
+from bridge.interfaces.cache import activate, environment
+from bridge.interfaces.definition import BuildError, bundled_files, bundled_packages
 
-__all__ = ["BuildError", "activate", "build", "build_standing", "environment", "standing_files", "standing_packages"]
+__all__ = ["BuildError", "activate", "build", "build_bundled", "bundled_files", "bundled_packages", "environment"]

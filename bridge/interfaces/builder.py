@@ -1,6 +1,7 @@
 """Builds ROS 2 message packages from their definitions, without cmake, ament or colcon.
 
-What it takes: ROS 2's generators (they come with the wheels and with /opt/ros/jazzy), gcc and g++.
+What it takes: ROS 2's generators (they come with the wheels and with /opt/ros/jazzy), gcc and g++. First it plans what
+has to be built, in which order and under which key, from the definitions and what is installed.
 
 A package that a process has imported cannot be loaded again with more types: Python's module and the shared libraries
 stay as they are. Build first, then import; a process that is too late has to be started anew (`activate` tells).
@@ -16,15 +17,137 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from pathlib import Path
 
+from bridge.interfaces.cache import SITE, BuildCache, default_cache, digest
 from bridge.interfaces.compiler import TIMEOUT, Compiler, Dependency, Job, compile_package
-from bridge.interfaces.errors import BuildError
+from bridge.interfaces.definition import (
+    BuildError,
+    Form,
+    InterfaceFile,
+    Reference,
+    bundled_files,
+    bundled_packages,
+    read_package,
+)
 from bridge.interfaces.generate import Request
-from bridge.interfaces.plan import Planner, Step
 from bridge.interfaces.ros2 import GENERATORS, Ros2
-from bridge.interfaces.standing import standing_files, standing_packages
-from bridge.interfaces.store import SITE, Store, default_cache
+
+RECIPE = "1"
+"""Raise it when what the builder makes of the same definitions changes."""
+
+
+@dataclass(frozen=True, slots=True)
+class BuildStep:
+    """One package to build, with the steps of all packages that it needs, also indirectly."""
+
+    package: str
+    definitions: tuple[InterfaceFile, ...]
+    needs: tuple[BuildStep, ...]
+    prefix: Path
+
+
+class Planner:
+    """Resolves packages: what is given first, then what is installed, then Midspan's own definitions."""
+
+    def __init__(self, given: Mapping[str, Mapping[str, str]], ros2: Ros2, cache: BuildCache) -> None:
+        self._given = given
+        self._ros2 = ros2
+        self._cache = cache
+        self._steps: dict[str, BuildStep | None] = {}
+        self._definitions: dict[str, tuple[InterfaceFile, ...]] = {}
+
+    def steps(self) -> list[BuildStep]:
+        """The steps for all given packages and what they need, each after those it needs."""
+        for package in self._given:
+            self._step(package, ())
+        return [step for step in self._steps.values() if step is not None]
+
+    def _step(self, package: str, asking: tuple[str, ...]) -> BuildStep | None:
+        """The step that builds a package; None where the installed one serves."""
+        if package in asking:
+            circle = " -> ".join((*asking[asking.index(package) :], package))
+            raise BuildError(f"packages need each other in a circle: {circle}", cure="Move the shared types to a third")
+        if package not in self._steps:
+            self._steps[package] = None if self._is_installed(package) else self._new_step(package, asking)
+        return self._steps[package]
+
+    def _is_installed(self, package: str) -> bool:
+        installed = self._ros2.packages.get(package)
+        if installed is None:
+            return False
+        missing = [path for path in self._given.get(package, {}) if not installed.has(path)]
+        if missing:
+            raise BuildError(
+                f"package {package} {installed.version} of {installed.prefix} has no {missing[0]},"
+                " and an installed package cannot be extended",
+                cure="Put the definition into a package of another name, and map the type to it",
+            )
+        return True
+
+    def _new_step(self, package: str, asking: tuple[str, ...]) -> BuildStep:
+        definitions = self._read(package)
+        needed: dict[str, BuildStep] = {}
+        installed: list[str] = []
+        for name in sorted(frozenset().union(*(definition.needs for definition in definitions))):
+            if not self._exists(name):
+                raise _unknown_package(name, definitions)
+            step = self._step(name, (*asking, package))
+            if step is None:
+                installed.append(f"{name} {self._ros2.packages[name].version}")
+            else:
+                needed |= {inner.package: inner for inner in (*step.needs, step)}
+        self._check_references(definitions)
+        texts = [text for definition in definitions for text in (definition.path, definition.text)]
+        key = digest(
+            [RECIPE, self._ros2.identity, package, *texts, *installed, *(s.prefix.name for s in needed.values())]
+        )
+        return BuildStep(package, definitions, tuple(needed.values()), self._cache.package(package, key))
+
+    def _exists(self, package: str) -> bool:
+        return package in self._given or package in self._ros2.packages or bool(bundled_files(package))
+
+    def _read(self, package: str) -> tuple[InterfaceFile, ...]:
+        if package not in self._definitions:
+            # a given package with the name of one of ours adds to it, so that both stay usable
+            self._definitions[package] = read_package(
+                package, bundled_files(package) | dict(self._given.get(package, {}))
+            )
+        return self._definitions[package]
+
+    def _check_references(self, definitions: tuple[InterfaceFile, ...]) -> None:
+        for definition in definitions:
+            for reference in definition.references:
+                if not self._has(reference):
+                    raise _unknown_type(definition, reference)
+
+    def _has(self, reference: Reference) -> bool:
+        path = f"{Form.MSG.value}/{reference.name}.{Form.MSG.value}"
+        installed = self._ros2.packages.get(reference.package)
+        if installed is not None:
+            return installed.has(path)
+        return any(definition.path == path for definition in self._read(reference.package))
+
+
+def _unknown_package(name: str, definitions: tuple[InterfaceFile, ...]) -> BuildError:
+    for definition in definitions:
+        for reference in definition.references:
+            if reference.package == name:
+                return BuildError(
+                    f"package {name} is not known",
+                    where=definition.where(reference.line),
+                    cure=f"Install it, or put {name}/msg/*.msg into a folder that `types.folders` names",
+                )
+    return BuildError(f"ROS 2's package {name} is not installed", cure="Run `make` again")
+
+
+def _unknown_type(definition: InterfaceFile, reference: Reference) -> BuildError:
+    cure = "ROS 2 calls it std_msgs/Header" if reference.name == "Header" else "Look for a slip in the name"
+    return BuildError(
+        f"unknown type {reference.package}/{reference.name}", where=definition.where(reference.line), cure=cure
+    )
+
 
 JOBS = 2
 Progress = Callable[[str], None]
@@ -36,42 +159,35 @@ def build(
     """Build message packages and return a prefix with all of them and what they need.
 
     What an installed ROS 2 already has is not built; what was built before, by any process, is found in the cache.
-    Needed packages are looked for among those given, those installed, and Midspan's own (`standing_packages`).
+    Needed packages are looked for among those given, those installed, and Midspan's own (`bundled_packages`).
 
     Args:
         packages: definitions by package and path: ``{"my_msgs": {"msg/Name.msg": "string data"}}``.
         cache: the cache folder; default $MIDSPAN_CACHE or ~/.cache/midspan/interfaces.
-        progress: told one line for each thing that takes time; called on this thread.
-
-    Returns:
-        A prefix for `bridge.interfaces.paths.activate` or `environment`.
+        progress: called on this thread with a line for each thing that takes time.
 
     Raises:
         BuildError: with the place in the definition, or what is missing, and the cure.
     """
     ros2 = Ros2.find()
-    store = Store(cache or default_cache())
-    steps = Planner(packages, ros2, store).steps()
+    built = BuildCache(cache or default_cache())
+    steps = Planner(packages, ros2, built).steps()
     for step in steps:
         if not step.prefix.is_dir():
-            _build_step(step, ros2, store, progress or _silent)
-    return store.join(step.prefix for step in steps)
+            _build_step(step, ros2, built, progress or (lambda _: None))
+    return built.join(step.prefix for step in steps)
 
 
-def build_standing(cache: Path | None = None, progress: Progress | None = None) -> Path:
+def build_bundled(cache: Path | None = None, progress: Progress | None = None) -> Path:
     """Build Midspan's own packages as far as the installed ROS 2 lacks them; returns the prefix."""
     installed = Ros2.find().packages
-    wanted = {name: standing_files(name) for name in standing_packages() if name not in installed}
+    wanted = {name: bundled_files(name) for name in bundled_packages() if name not in installed}
     return build(wanted, cache, progress)
 
 
-def _silent(line: str) -> None:
-    """Tell nobody."""
-
-
-def _build_step(step: Step, ros2: Ros2, store: Store, progress: Progress) -> None:
+def _build_step(step: BuildStep, ros2: Ros2, cache: BuildCache, progress: Progress) -> None:
     compiler = Compiler.find()
-    with store.adding(step.prefix) as prefix:
+    with cache.adding(step.prefix) as prefix:
         if prefix is None:
             return
         began = time.monotonic()
@@ -85,7 +201,7 @@ def _build_step(step: Step, ros2: Ros2, store: Store, progress: Progress) -> Non
         progress(f"{step.package}: built in {time.monotonic() - began:.0f} s")
 
 
-def _prepare(step: Step, scratch: Path, prefix: Path, ros2: Ros2) -> Job:
+def _prepare(step: BuildStep, scratch: Path, prefix: Path, ros2: Ros2) -> Job:
     job = Job(
         package=step.package,
         roots={generator: scratch / generator for generator in GENERATORS},
@@ -103,7 +219,7 @@ def _prepare(step: Step, scratch: Path, prefix: Path, ros2: Ros2) -> Job:
     return job
 
 
-def _built(step: Step) -> Dependency:
+def _built(step: BuildStep) -> Dependency:
     # from <cache>/packages/<one>/lib to <cache>/packages/<other>/lib
     runpath = f"$ORIGIN/../../{step.prefix.name}/lib"
     return Dependency(step.package, step.prefix / "lib", runpath, (step.prefix / "include" / step.package,))
@@ -113,7 +229,7 @@ def _share(prefix: Path, package: str) -> Path:
     return prefix / "share" / package
 
 
-def _generate(step: Step, job: Job, prefix: Path, ros2: Ros2) -> None:
+def _generate(step: BuildStep, job: Job, prefix: Path, ros2: Ros2) -> None:
     """Run the generators, in a process of their own."""
     source = job.work / "source"
     for definition in step.definitions:
@@ -153,7 +269,7 @@ def _generate(step: Step, job: Job, prefix: Path, ros2: Ros2) -> None:
         raise BuildError(f"package {step.package}: ROS 2's generators failed: {last[0]}")
 
 
-def _install(step: Step, job: Job, prefix: Path) -> None:
+def _install(step: BuildStep, job: Job, prefix: Path) -> None:
     """Put what is neither compiled nor linked into its place."""
     headers = prefix / "include" / step.package
     for root in job.roots.values():

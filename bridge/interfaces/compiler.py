@@ -17,7 +17,7 @@ from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 
-from bridge.interfaces.errors import BuildError
+from bridge.interfaces.definition import BuildError
 from bridge.interfaces.ros2 import GENERATORS, Ros2
 
 _CURE_COMPILER = "Install one: apt install g++"
@@ -41,11 +41,8 @@ _RUNTIME = (
 class Dependency:
     """A message package to compile and link against.
 
-    Attributes:
-        name: the package's name.
-        libraries: folder with its ``lib<name>__*.so``.
-        runpath: how the new libraries find that folder at run time (``$ORIGIN/...``), "" where the process knows it.
-        includes: folders with its headers, where they are not the installation's.
+    ``runpath`` leads the new libraries to its own at run time (``$ORIGIN/...``), "" where the process knows the folder;
+    ``includes`` are its headers, where they are not the installation's.
     """
 
     name: str
@@ -56,23 +53,14 @@ class Dependency:
 
 @dataclass(frozen=True, slots=True)
 class Compiler:
-    """The C and C++ compilers.
-
-    Attributes:
-        c: path of gcc, or what $CC names.
-        cpp: path of g++, or what $CXX names.
-    """
+    """The C and C++ compilers."""
 
     c: str
     cpp: str
 
     @classmethod
     def find(cls) -> Compiler:
-        """The compilers of this machine.
-
-        Raises:
-            BuildError: one is missing, or Python's headers are.
-        """
+        """The compilers of this machine; raises `BuildError` where one is missing, or Python's headers are."""
         found: list[str] = []
         for variable, usual in (("CC", "gcc"), ("CXX", "g++")):
             name = os.environ.get(variable) or usual
@@ -82,25 +70,13 @@ class Compiler:
             found.append(path)
         headers = Path(sysconfig.get_path("include"))
         if not (headers / "Python.h").is_file():
-            raise BuildError(
-                f"no Python headers: {headers}/Python.h is missing", cure="Install them: apt install python3-dev"
-            )
+            raise BuildError(f"no Python headers: no {headers}/Python.h", cure="Install them: apt install python3-dev")
         return cls(found[0], found[1])
 
 
 @dataclass(frozen=True, slots=True)
 class Job:
-    """One package to compile.
-
-    Attributes:
-        package: its name.
-        roots: the output folder of each generator, by its name.
-        work: folder for intermediate files.
-        libraries: folder for the shared libraries.
-        extension: folder for the Python extension.
-        dependencies: all packages that it needs, also indirectly.
-        jobs: how many compilers run at once.
-    """
+    """One package to compile: output folder by generator, all packages that it needs, compilers at once (``jobs``)."""
 
     package: str
     roots: dict[str, Path]
@@ -114,8 +90,7 @@ class Job:
 def compile_package(job: Job, ros2: Ros2, compiler: Compiler) -> None:
     """Make the shared libraries and the Python extension of a package.
 
-    Raises:
-        BuildError: the compiler or the linker refused; with its first error line.
+    Raises `BuildError`: the compiler or the linker refused; with its first error line.
     """
     includes = [f"-I{folder}" for folder in _includes(job, ros2)]
     units = [unit for generator in GENERATORS for unit in _units(job, generator)]
@@ -243,13 +218,7 @@ def _libraries_of(dependency: Dependency) -> list[str]:
 def _run(command: list[str], folder: Path) -> None:
     try:
         done = subprocess.run(
-            command,
-            cwd=folder,
-            capture_output=True,
-            text=True,
-            check=False,
-            stdin=subprocess.DEVNULL,
-            timeout=TIMEOUT,
+            command, cwd=folder, capture_output=True, text=True, check=False, stdin=subprocess.DEVNULL, timeout=TIMEOUT
         )
     except subprocess.TimeoutExpired:
         raise BuildError(f"{Path(command[0]).name} took more than {TIMEOUT} s in {folder.name}") from None

@@ -2,17 +2,29 @@
 
 The generators of ROS 2 fail late and without a line number, and trip over comments; so each text is checked here first,
 and handed on without comments. The rules are those of ROS 2 Jazzy's interface language (docs.ros.org, "Interfaces");
-the patterns of names are those that `rosidl_adapter` 4.6 applies.
+the patterns of names are those that `rosidl_adapter` 4.6 applies. Texts come from folders of message packages, and from
+those that Midspan brings itself (bundled packages).
 """
 
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from enum import Enum
+from functools import cache
+from pathlib import Path
 
-from bridge.interfaces.errors import BuildError
+
+class BuildError(Exception):
+    """A message package cannot be built; ``where`` is ``package/msg/Name.msg:line``, ``cure`` what a person can do."""
+
+    def __init__(self, message: str, where: str = "", cure: str = "") -> None:
+        text = f"{where}: {message}" if where else message
+        super().__init__(f"{text}. {cure}" if cure else text)
+        self.where = where
+        self.cure = cure
+
 
 PRIMITIVES = frozenset(
     {"bool", "byte", "char", "float32", "float64", "string", "wstring"}
@@ -62,17 +74,8 @@ class Reference:
 
 
 @dataclass(frozen=True, slots=True)
-class Definition:
-    """One checked interface definition.
-
-    Attributes:
-        package: the package it belongs to.
-        path: path in the package, for example ``msg/Name.msg``.
-        form: message, service or action.
-        text: the definition as it was given.
-        bare: the same as the generators want it: without its comments, and with each type's name in full.
-        references: the message types that its fields have.
-    """
+class InterfaceFile:
+    """One checked definition; ``bare`` is its text without comments and with full names of types."""
 
     package: str
     path: str
@@ -92,20 +95,10 @@ class Definition:
         return f"{self.package}/{self.path}:{line}"
 
 
-def read_package(package: str, files: Mapping[str, str]) -> tuple[Definition, ...]:
-    """Check a package's definitions one by one, in the order of their paths.
-
-    Args:
-        package: the package's name.
-        files: text by path, for example ``{"msg/Name.msg": "string data"}``.
-
-    Raises:
-        BuildError: a name or a line that ROS 2 does not take.
-    """
+def read_package(package: str, files: Mapping[str, str]) -> tuple[InterfaceFile, ...]:
+    """Check a package's definitions one by one, in the order of their paths; raises `BuildError`."""
     if not _PACKAGE.fullmatch(package):
-        raise BuildError(
-            f"'{package}' is not a ROS 2 package name", cure="Use small letters, digits and single underscores"
-        )
+        raise BuildError(f"'{package}' is not a ROS 2 package name", cure="Use small letters, digits and underscores")
     if not files:
         raise BuildError(f"package {package} has no definitions", cure="Give at least one msg/Name.msg")
     if sum(map(len, files.values())) > MAX_TEXT:
@@ -113,7 +106,7 @@ def read_package(package: str, files: Mapping[str, str]) -> tuple[Definition, ..
     return tuple(_read(package, path, text) for path, text in sorted(files.items()))
 
 
-def _read(package: str, path: str, text: str) -> Definition:
+def _read(package: str, path: str, text: str) -> InterfaceFile:
     folder, _, name = path.partition("/")
     stem, _, suffix = name.partition(".")
     forms = {form.value: form for form in Form}
@@ -129,7 +122,7 @@ def _read(package: str, path: str, text: str) -> Definition:
         raise BuildError(
             f"{bare.count('---')} lines '---' where a .{suffix} has {form.parts - 1}", where=f"{package}/{path}"
         )
-    return Definition(package, path, form, text, "".join(f"{line}\n" for line in bare), tuple(reader.references))
+    return InterfaceFile(package, path, form, text, "".join(f"{line}\n" for line in bare), tuple(reader.references))
 
 
 def _lines(text: str) -> Iterator[tuple[int, str]]:
@@ -173,7 +166,7 @@ class _Reader:
             raise self._fault(number, f"'{name}' is not a constant's name", "Use capitals, digits and underscores")
         if not is_constant and not _PACKAGE.fullmatch(name):
             raise self._fault(
-                number, f"'{name}' is not a field's name in ROS 2", "Use small letters, digits and single underscores"
+                number, f"'{name}' is not a field's name in ROS 2", "Use small letters, digits and underscores"
             )
         if name in self._names:
             raise self._fault(number, f"'{name}' is there twice")
@@ -200,9 +193,7 @@ class _Reader:
             del parts[1]
         package, name = parts if len(parts) == 2 else (self.package, base)
         if not _PACKAGE.fullmatch(package) or not _TYPE.fullmatch(name):
-            raise self._fault(
-                number, f"unknown type '{base}'", "Types are plain ones (float64, string ...) or package/Name"
-            )
+            raise self._fault(number, f"unknown type '{base}'", "Types are plain (float64, string ...) or package/Name")
         self.references.append(Reference(package, name, number))
         return f"{package}/{name}"
 
@@ -217,3 +208,57 @@ def _split(rest: str) -> tuple[str, str, bool]:
         return name.strip(), value.strip(), True
     name, _, value = rest.partition(" ")
     return name, value, False
+
+
+def read_package_folder(folder: Path) -> dict[str, str]:
+    """All definitions of one package's folder, text by path (``msg/Name.msg``); {} where there are none.
+
+    ``.msg`` files may lie in the folder itself as well.
+    """
+    files = {f"{form.value}/{file.name}": file for form in Form for file in folder.glob(f"{form.value}/*.{form.value}")}
+    files |= {f"msg/{file.name}": file for file in folder.glob("*.msg")}
+    return {path: _text(file) for path, file in sorted(files.items())}
+
+
+def read_folders(folders: Iterable[Path]) -> dict[str, dict[str, str]]:
+    """Definitions by package and path; each folder is a package's, or holds packages' folders.
+
+    Raises `BuildError`: a folder has no definitions, or two have the same package.
+    """
+    found: dict[str, dict[str, str]] = {}
+    for folder in folders:
+        whole = folder.resolve()
+        candidates = [whole, *sorted(entry for entry in whole.iterdir() if entry.is_dir())] if whole.is_dir() else []
+        packages = {entry.name: files for entry in candidates if (files := read_package_folder(entry))}
+        if not packages:
+            raise BuildError(
+                f"no .msg, .srv or .action files in {folder}",
+                cure="Name a package's folder (my_msgs with my_msgs/msg/Name.msg), or one that holds such folders",
+            )
+        for package, files in packages.items():
+            if package in found:
+                raise BuildError(f"package {package} is there twice", cure="Leave out one of these folders")
+            found[package] = files
+    return found
+
+
+def _text(file: Path) -> str:
+    try:
+        return file.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as err:
+        raise BuildError(f"cannot be read: {err}", where=str(file)) from None
+
+
+DEFINITIONS = Path(__file__).parent / "definitions"
+"""Folder with their definitions; its README says where the field lists come from."""
+
+
+@cache
+def bundled_packages() -> tuple[str, ...]:
+    """Names of the packages whose definitions come with Midspan."""
+    return tuple(sorted(entry.name for entry in DEFINITIONS.iterdir() if entry.is_dir()))
+
+
+def bundled_files(package: str) -> dict[str, str]:
+    """A bundled package's definitions by path, as `bridge.interfaces.builder.build` takes them; {} for any other."""
+    return read_package_folder(DEFINITIONS / package) if package in bundled_packages() else {}

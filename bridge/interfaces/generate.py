@@ -20,7 +20,6 @@ class Request(TypedDict):
     """What to generate.
 
     Attributes:
-        package: the package's name.
         files: its definitions, as ``msg/Name.msg``.
         source: folder that holds them.
         share: folder for the ``.idl`` and ``.json`` files.

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 
-from bridge.interfaces.errors import BuildError
+from bridge.interfaces.definition import BuildError
 
 MARK = "share/midspan/interfaces"
 """A prefix that has this file is one of our own, not an installation."""
@@ -46,7 +46,7 @@ class Installed:
 
     @property
     def version(self) -> str:
-        """The version in its ``package.xml``, "" where there is none."""
+        """The version in its ``package.xml``, "" where it has none."""
         return _version(self.share / "package.xml")
 
     def has(self, path: str) -> bool:
@@ -55,22 +55,14 @@ class Installed:
 
 
 class Ros2:
-    """The installed ROS 2, as far as building and using message packages needs it.
-
-    Args:
-        prefixes: where it lies, the first one first.
-    """
+    """The installed ROS 2, as far as building and using message packages needs it."""
 
     def __init__(self, prefixes: tuple[Path, ...]) -> None:
         self.prefixes = prefixes
 
     @classmethod
     def find(cls) -> Ros2:
-        """The installation that this process would use.
-
-        Raises:
-            BuildError: there is none, or it has no generators.
-        """
+        """The installation that this process would use; raises `BuildError`."""
         named = [Path(entry) for entry in os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep) if entry]
         spec = importlib.util.find_spec("rosidl_parser")
         if spec is None or spec.origin is None:

@@ -1,254 +1,95 @@
-"""Actions of ROS 1 and ROS 2: which stand for each other, and the services and messages that they are made of.
+"""What a ROS 2 action is made of: the names and types of its five parts, and the states of a goal.
 
-What crosses is ROS 2's: the services SendGoal and GetResult, and FeedbackMessage. ROS 1's edge has the same parts in
-ROS 1's serialisation, under the same names: ``move_base_msgs/action/MoveBase_SendGoal`` stands for
-``nav2_msgs/action/NavigateToPose_SendGoal``. What is in them, a ROS 1 action's goal, result and feedback, are messages
-that actionlib sends (``move_base_msgs/MoveBaseGoal``), so they may also be known from connection headers alone. Before
-a result ROS 1's edge puts the text of actionlib's status, which stands for the result's ``error_msg`` in ROS 2.
+See https://design.ros2.org/articles/actions.html; the messages are those of action_msgs (Jazzy).
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import dataclass
+from enum import IntEnum
+from typing import NamedTuple
 
-from bridge.messages.conversion import SideType
-from bridge.messages.definition import Definition, Schema, World
-from bridge.messages.derive import derive_ros1, derive_ros2
-from bridge.messages.errors import MessageTypeError
-from bridge.messages.hashes import md5_sum, rihs01
-from bridge.messages.names import is_ros1_name, is_ros2_name, legal_type, split_part
-from bridge.messages.pairing import says_the_same
-from bridge.messages.pairs import Messages
-from bridge.messages.parser import closure
-from bridge.messages.parts import CONTENTS, actionlib_messages, made_parts, with_status_text
-from bridge.messages.services import unknown_type
-from bridge.messages.text import full_text
+SEND_GOAL, GET_RESULT, CANCEL_GOAL = "send_goal", "get_result", "cancel_goal"
+FEEDBACK, STATUS = "feedback", "status"
 
-_UUID = "unique_identifier_msgs/msg/UUID"
-_NEEDED = ("service_msgs/msg/ServiceEventInfo", _UUID)
-_CONTENT_OF = {"SendGoal": "Goal", "GetResult": "Result", "FeedbackMessage": "Feedback"}
+SERVICES = (SEND_GOAL, GET_RESULT, CANCEL_GOAL)
+TOPICS = (FEEDBACK, STATUS)
+PARTS = (*SERVICES, *TOPICS)
 
-Types = dict[str, Definition]
+CANCEL = "action_msgs/srv/CancelGoal"
+STATUSES = "action_msgs/msg/GoalStatusArray"
 
+BETWEEN = "/_action/"
+"""Stands between an action's name and that of a part."""
 
-@dataclass(frozen=True, slots=True)
-class ActionTypes:
-    """The message types of a ROS 1 action's topics: ``pkg/NameActionGoal`` and so on."""
+ENDINGS = {SEND_GOAL: "_SendGoal", GET_RESULT: "_GetResult", FEEDBACK: "_FeedbackMessage"}
+"""What follows the action's type in the types of the parts that are its own."""
 
-    goal: SideType
-    result: SideType
-    feedback: SideType
+COMMON = {CANCEL_GOAL: CANCEL, STATUS: STATUSES}
+"""The types of the parts that all actions have in common."""
 
 
-class Actions:
-    """The registry's actions; the registry locks."""
+class GoalState(IntEnum):
+    """The states of action_msgs/msg/GoalStatus."""
 
-    def __init__(self, messages: Messages) -> None:
-        self._messages = messages
+    UNKNOWN = 0
+    ACCEPTED = 1
+    EXECUTING = 2
+    CANCELING = 3
+    SUCCEEDED = 4
+    CANCELED = 5
+    ABORTED = 6
 
-    def ros2_name(self, action: str) -> str:
-        """The ROS 2 action for a ROS 1 action (``move_base_msgs/MoveBase``), ``pkg/action/Name``.
+    @property
+    def ended(self) -> bool:
+        """Whether a goal stays in it."""
+        return self >= GoalState.SUCCEEDED
 
-        It is one that is installed; else one that others use on the hub and whose goal says the same; else it is
-        derived.
-
-        Raises:
-            MessageTypeError: nothing is known of the ROS 1 action.
-        """
-        names = self._messages.rules.ros2_names(action, "action")
-        for name in names:
-            if self._messages.ros2.installed(f"{name}_Goal") is not None:
-                return name
-        goal = self._ros1_content(action, "Goal")
-        for name in names:
-            if any(says_the_same(goal, told, self._messages.rules) for told in self._told(name, "SendGoal")):
-                return name
-        return legal_type(action, "action")
-
-    def ros1_name(self, action: str) -> str:
-        """The ROS 1 action for a ROS 2 action (``nav2_msgs/action/NavigateToPose``): a known one, else derived."""
-        return next(self._known_ros1(action), action.replace("/action/", "/", 1))
-
-    def topics(self, action: str) -> ActionTypes:
-        """What a ROS 1 action's topics carry.
-
-        Raises:
-            MessageTypeError: nothing is known of the action.
-        """
-        found = [self._wrapper(action, content) for content in CONTENTS["action"]]
-        return ActionTypes(*(SideType(one.name, md5_sum(one), full_text(one)) for one in found))
-
-    def of_ros1(self, name: str) -> tuple[str, Types, Types]:
-        """A part of a ROS 1 action (``move_base_msgs/action/MoveBase_SendGoal``), and ROS 2's for it.
-
-        Returns:
-            ROS 2's name of the part, and the definitions in ROS 1 and in ROS 2.
-
-        Raises:
-            MessageTypeError: nothing is known of the action.
-        """
-        base, part = _split(name, World.ROS1)
-        action, content = base.replace("/action/", "/", 1), _CONTENT_OF[part]
-        ros2_action = self.ros2_name(action)
-        one = self._ros1_content(action, content)
-        two = self._ros2_content(ros2_action, part, one)
-        return f"{ros2_action}_{part}", self._ros1_types(base, part, one), self._ros2_types(ros2_action, two)
-
-    def of_ros2(self, name: str, type_hash: str = "") -> tuple[str, Types, Types]:
-        """A part of a ROS 2 action, and ROS 1's for it; see `of_ros1`.
-
-        Returns:
-            ROS 1's name of the part, and the definitions in ROS 1 and in ROS 2.
-        """
-        action, part = _split(name, World.ROS2)
-        content = _CONTENT_OF[part]
-        root = self._messages.ros2.find(name, type_hash)
-        if root is None:
-            return self._derived(name, type_hash)
-        if f"{action}_{content}" not in root.types:
-            msg = f"the definition told of {name} has no {content.lower()} in it"
-            raise MessageTypeError(msg)
-        ros1_action = self.ros1_name(action)
-        two = root.sub(f"{action}_{content}")
-        one = self._messages.ros1.find(f"{ros1_action}{content}", newest=True) or derive_ros1(
-            two, self._messages.to_ros1, f"{ros1_action}{content}"
-        )
-        base = ros1_action.replace("/", "/action/", 1)
-        return f"{base}_{part}", self._ros1_types(base, part, one), dict(root.types)
-
-    def _derived(self, name: str, type_hash: str) -> tuple[str, Types, Types]:
-        """The part of a ROS 2 action that ROS 1 alone has."""
-        action, part = _split(name, World.ROS2)
-        known = " or ".join(self._messages.ros2.fingerprints(name))
-        for ros1_action in self._known_ros1(action):
-            if self.ros2_name(ros1_action) != action:
-                continue
-            base = ros1_action.replace("/", "/action/", 1)
-            _, one, two = self.of_ros1(f"{base}_{part}")
-            found = rihs01(closure(two[name], two))
-            if type_hash in ("", found):
-                return f"{base}_{part}", one, two
-            known = known or found
-        raise unknown_type(name, World.ROS2, type_hash, known)
-
-    def schema(self, name: str, type_hash: str = "") -> Schema:
-        """A message of a ROS 2 action that ROS 1 alone has; with a hash, the one that has it.
-
-        Raises:
-            MessageTypeError: nothing is known of it.
-        """
-        action, known = split_part(name)[0], ""
-        for ros1_action in self._known_ros1(action):
-            if self.ros2_name(ros1_action) == action:
-                types = self.derived(ros1_action)
-                if name in types:
-                    schema = closure(types[name], types)
-                    known = rihs01(schema)
-                    if type_hash in ("", known):
-                        return schema
-        raise unknown_type(name, World.ROS2, type_hash, known)
-
-    def derived(self, action: str) -> Types:
-        """All definitions of the ROS 2 action for a ROS 1 action; without those of parts that are not known."""
-        ros2_action = self.ros2_name(action)
-        types: Types = {}
-        for part, content in _CONTENT_OF.items():
-            one = self._find_ros1(action, content)
-            if one is not None:
-                types |= self._ros2_types(ros2_action, self._ros2_content(ros2_action, part, one))
-        return types
-
-    def names(self, package: str) -> list[str]:
-        """ROS 2 actions of a package of which all is known: installed, told on the hub, and made of ROS 1 actions."""
-        known = [split_part(name)[0] for name in self._messages.ros2.names(package, "action")]
-        known += [legal_type(name, "action") for name in self._ros1_names(package)]
-        return [name for name in dict.fromkeys(known) if name.startswith(f"{package}/") and self._is_whole(name)]
-
-    def _is_whole(self, action: str) -> bool:
-        if all(self._messages.ros2.find(f"{action}_{content}") is not None for content in CONTENTS["action"]):
-            return True
-        ros1 = next((name for name in self._known_ros1(action) if self.ros2_name(name) == action), "")
-        return bool(ros1) and all(self._find_ros1(ros1, content) is not None for content in CONTENTS["action"])
-
-    def _ros2_content(self, action: str, part: str, ros1: Schema) -> Schema:
-        """A ROS 2 action's goal, result or feedback."""
-        name = f"{action}_{_CONTENT_OF[part]}"
-        installed = self._messages.ros2.installed(name)
-        if installed is not None:
-            return installed
-        for told in self._told(action, part):
-            if says_the_same(ros1, told, self._messages.rules):
-                return told
-        return derive_ros2(ros1, self._messages.to_ros2, name)
-
-    def _told(self, action: str, part: str) -> list[Schema]:
-        """The goals, results or feedbacks that the definitions told on the hub have."""
-        content = f"{action}_{_CONTENT_OF[part]}"
-        return [root.sub(content) for root in self._messages.ros2.variants(f"{action}_{part}") if content in root.types]
-
-    def _ros1_content(self, action: str, content: str) -> Schema:
-        """A ROS 1 action's goal, result or feedback."""
-        found = self._find_ros1(action, content)
-        if found is not None:
-            return found
-        if is_ros1_name(action):
-            for name in self._messages.rules.ros2_names(action, "action"):
-                ros2 = self._messages.ros2.find(f"{name}_{content}")
-                if ros2 is not None and self.ros1_name(name) == action:
-                    return derive_ros1(ros2, self._messages.to_ros1, f"{action}{content}")
-        base = action.replace("/", "/action/", 1)
-        raise unknown_type(base if content == "Goal" else f"{base}_{content}", World.ROS1)
-
-    def _find_ros1(self, action: str, content: str) -> Schema | None:
-        return self._messages.ros1.find(f"{action}{content}", newest=True)
-
-    def _known_ros1(self, action: str) -> Iterator[str]:
-        """The ROS 1 actions that may stand for a ROS 2 action, the likeliest first."""
-        names = self._messages.rules.ros1_names(action)
-        others = self._ros1_names(action.split("/", 1)[0])
-        names += [name for name in others if name not in names and legal_type(name, "action") == action]
-        for name in names:
-            if self._find_ros1(name, "Goal") is not None:
-                yield name
-
-    def _ros1_names(self, package: str) -> list[str]:
-        """What may be actions of a ROS 1 package: all that has a goal, but for what wraps one."""
-        known = dict.fromkeys(self._messages.ros1.names(package))
-        goals = [name for name in known if name.endswith("Goal")]
-        wrappers = {f"{name.removesuffix('Goal')}ActionGoal" for name in goals}
-        return [name.removesuffix("Goal") for name in goals if name not in wrappers]
-
-    def _ros1_types(self, base: str, part: str, content: Schema) -> Types:
-        uuid = self._messages.ros2.installed(_UUID)
-        assert uuid is not None  # rosbags' store has it
-        types = with_status_text(content) if part == "GetResult" else content.types
-        return {**made_parts(base, World.ROS1), **self._messages.to_ros1(uuid).types, **types}
-
-    def _ros2_types(self, action: str, content: Schema) -> Types:
-        types = made_parts(action, World.ROS2)
-        for needed in _NEEDED:
-            found = self._messages.ros2.installed(needed)
-            assert found is not None  # rosbags' store has it
-            types.update(found.types)
-        return {**types, **content.types}
-
-    def _wrapper(self, action: str, content: str) -> Schema:
-        """The message in which actionlib sends a goal, a result or feedback."""
-        name = f"{action}Action{content}"
-        found = self._messages.ros1.find(name, newest=True)
-        if found is not None:
-            return found
-        types = {**actionlib_messages(action), **self._ros1_content(action, content).types}
-        for needed in types[name].nested_names():
-            known = self._messages.ros1.installed(needed) if needed not in types else None
-            types.update({} if known is None else known.types)
-        return closure(types[name], types)
+    @classmethod
+    def parse(cls, number: int) -> GoalState:
+        """The state of a number from the network; one that ROS 2 does not know is UNKNOWN."""
+        try:
+            return cls(number)
+        except ValueError:
+            return cls.UNKNOWN
 
 
-def _split(name: str, world: World) -> tuple[str, str]:
-    """The action, ``pkg/action/Name``, and the part."""
-    base, _, part = name.rpartition("_")
-    if not is_ros2_name(name) or part not in _CONTENT_OF:
-        raise unknown_type(name, world)
-    return base, part
+class CancelCode(IntEnum):
+    """The return codes of action_msgs/srv/CancelGoal."""
+
+    NONE = 0
+    REJECTED = 1
+    UNKNOWN_GOAL_ID = 2
+    GOAL_TERMINATED = 3
+
+
+def part_name(action: str, part: str) -> str:
+    """The full name of one part of an action."""
+    return f"{action}{BETWEEN}{part}"
+
+
+def split(name: str) -> tuple[str, str]:
+    """An action's name and the part that a topic or service is of it; "" both where it is none."""
+    if BETWEEN not in name:  # as of most names
+        return "", ""
+    action, _, part = name.rpartition(BETWEEN)
+    return (action, part) if action and part in PARTS else ("", "")
+
+
+class ActionParts(NamedTuple):
+    """The names, or the types, of an action's services and topics."""
+
+    send_goal: str
+    get_result: str
+    cancel_goal: str
+    feedback: str
+    status: str
+
+
+def names(action: str) -> ActionParts:
+    """The names of an action's parts."""
+    return ActionParts(*(part_name(action, part) for part in PARTS))
+
+
+def types(action_type: str) -> ActionParts:
+    """The types of an action's parts."""
+    return ActionParts(*(f"{action_type}{ENDINGS[part]}" if part in ENDINGS else COMMON[part] for part in PARTS))

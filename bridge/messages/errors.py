@@ -15,15 +15,11 @@ class MessageError(Exception):
 
 
 class MessageTypeError(MessageError):
-    """A type is unknown, has no counterpart, or cannot be built here.
-
-    Attributes:
-        cure: what a person can do about it, "" where nothing is known to help.
-    """
+    """A type is unknown, has no counterpart, or cannot be built here."""
 
     def __init__(self, message: str, cure: str = "") -> None:
         super().__init__(message)
-        self.cure = cure
+        self.cure = cure  # what a person can do about it, "" where nothing is known to help
 
 
 class ConversionError(MessageError):

@@ -15,11 +15,10 @@ from typing import Any
 
 import numpy as np
 
-from bridge.messages.calls import ServiceCodec
-from bridge.messages.definition import FieldType
+from bridge.messages.definitions.schema import FieldType
 from bridge.messages.errors import ConversionError
 from bridge.messages.registry import Registry
-from bridge.messages.values import DTYPES, Reader, Writer, wrong
+from bridge.messages.values import MessageReader, MessageWriter, ServiceCodec, dtype, wrong
 
 OCTETS = frozenset({"uint8", "byte", "char"})
 """Primitives whose arrays are written as base64."""
@@ -29,12 +28,6 @@ _NOT_NUMBERS = {"nan": math.nan, "infinity": math.inf, "inf": math.inf, "-infini
 
 def to_json(registry: Registry, type_name: str, cdr: bytes, type_hash: str = "") -> dict[str, Any]:
     """Decode a message.
-
-    Args:
-        registry: where the type is looked up.
-        type_name: ROS 2 name.
-        cdr: the message as it is on the hub, with its encapsulation header.
-        type_hash: the very definition that is meant, "" for the one known here.
 
     Raises:
         MessageTypeError: the type is unknown.
@@ -55,7 +48,7 @@ def from_json(registry: Registry, type_name: str, value: Mapping[str, Any], type
     return check(_JsonWriter(registry.schema(type_name, type_hash)).message(value))
 
 
-class _JsonReader(Reader):
+class _JsonReader(MessageReader):
     """Reads values as JSON has them."""
 
     def plain(self, value: Any, base: str) -> Any:
@@ -71,11 +64,11 @@ class _JsonReader(Reader):
         """A list, or base64 text."""
         if base in OCTETS:
             return base64.b64encode(content).decode()
-        values = np.frombuffer(content, DTYPES[base]).tolist()
+        values = np.frombuffer(content, dtype(base)).tolist()
         return [self.plain(value, base) for value in values] if base.startswith("float") else values
 
 
-class _JsonWriter(Writer):
+class _JsonWriter(MessageWriter):
     """Takes values as JSON has them."""
 
     def plain(self, base: str, value: Any, where: str) -> bool | int | float:

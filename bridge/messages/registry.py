@@ -10,20 +10,18 @@ import threading
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
-from bridge.messages.actions import Actions, ActionTypes
-from bridge.messages.conversion import Conversion, ServiceConversion, SideType
-from bridge.messages.definition import Definition, Schema, World
+from bridge.messages.definitions.library import DefinitionLibrary
+from bridge.messages.definitions.names import is_ros1_name, is_ros2_name
+from bridge.messages.definitions.parts import CONTENTS
+from bridge.messages.definitions.schema import Definition, Schema, World
+from bridge.messages.definitions.sources import DefinitionFolder, ros1_sources, ros2_sources
+from bridge.messages.definitions.text import closure, own_text
 from bridge.messages.errors import MessageTypeError
-from bridge.messages.library import Library
-from bridge.messages.names import is_ros1_name, is_ros2_name
-from bridge.messages.pairs import ANY_MD5, Messages
-from bridge.messages.parser import closure
-from bridge.messages.parts import CONTENTS
-from bridge.messages.rules import Rules
-from bridge.messages.services import Service, Services, ros1_service, ros2_service
-from bridge.messages.sources import Tree, ros1_sources, ros2_sources
-from bridge.messages.text import own_text
-from bridge.messages.transcoder import Convert, check_cdr
+from bridge.messages.mapping.actions import ActionMapping, ActionTopicTypes
+from bridge.messages.mapping.messages import ANY_MD5, MessageMapping
+from bridge.messages.mapping.rules import Rules
+from bridge.messages.mapping.services import ServiceMapping, ServiceSchema, ros1_service, ros2_service
+from bridge.messages.transcode.conversion import Conversion, Convert, ServiceConversion, SideType, check_cdr
 
 
 class Registry:
@@ -34,6 +32,8 @@ class Registry:
         mapping_rules: ros1_bridge mapping-rule files.
         prefixes: installation prefixes of ROS 2 packages that were built here (``share/<package>/msg/*.msg``).
         ros1_packages: folder of the ROS 1 Python packages, None for the usual ones.
+
+    Every method raises `MessageTypeError` where a type is unknown, has another md5 or hash here, or has no counterpart.
     """
 
     def __init__(
@@ -44,32 +44,24 @@ class Registry:
         prefixes: Sequence[Path] = (),
         ros1_packages: Path | None = None,
     ) -> None:
-        self._ros1 = Library(World.ROS1, ros1_sources(folders, ros1_packages))
+        self._ros1 = DefinitionLibrary(World.ROS1, ros1_sources(folders, ros1_packages))
         self._sources2 = ros2_sources(folders, prefixes)
-        self._ros2 = Library(World.ROS2, self._sources2)
+        self._ros2 = DefinitionLibrary(World.ROS2, self._sources2)
         self._lock = threading.RLock()
         self._answers: dict[tuple[str, str, str], Conversion] = {}
         self._service_answers: dict[tuple[str, str, str], ServiceConversion] = {}
         self._checks: dict[str, Convert] = {}
-        self._messages = Messages(self._ros1, self._ros2, Rules(mapping_rules))
-        self._services = Services(self._messages)
-        self._actions = Actions(self._messages)
+        self._messages = MessageMapping(self._ros1, self._ros2, Rules(mapping_rules))
+        self._services = ServiceMapping(self._messages)
+        self._actions = ActionMapping(self._messages)
 
     def ros1(self, name: str) -> SideType:
-        """The ROS 1 type ``name``; where ROS 2 alone has it, the one derived from there.
-
-        Raises:
-            MessageTypeError: nothing is known of it.
-        """
+        """The ROS 1 type ``name``; where ROS 2 alone has it, the one derived from there."""
         with self._lock:
             return self._messages.side(self._messages.find_ros1(name))
 
     def ros2(self, name: str) -> SideType:
-        """The ROS 2 type ``name``; where ROS 1 alone has it, the one derived from there.
-
-        Raises:
-            MessageTypeError: nothing is known of it.
-        """
+        """The ROS 2 type ``name``; where ROS 1 alone has it, the one derived from there."""
         with self._lock:
             return self._messages.side(self.schema(name))
 
@@ -78,44 +70,34 @@ class Registry:
         with self._lock:
             return self._find_ros2(name, type_hash)
 
-    def learn_ros1(self, name: str, definition: str, md5: str = "") -> None:
-        """Take up the full definition from a ROS 1 connection header.
+    def ros1_schema(self, name: str, md5: str = "") -> Schema:
+        """The ROS 1 type with all that it nests; an md5 of "" or "*" means any."""
+        with self._lock:
+            return self._messages.find_ros1(name, md5)
 
-        Raises:
-            MessageTypeError: it cannot be read, or is not what the md5 says.
-        """
+    def learn_ros1(self, name: str, definition: str, md5: str = "") -> None:
+        """Take up the full definition from a ROS 1 connection header."""
         with self._lock:
             if not is_ros1_name(name):
-                msg = f"{name!r} is not a ROS 1 message type"
-                raise MessageTypeError(msg)
+                raise MessageTypeError(f"{name!r} is not a ROS 1 message type")
             if md5 not in ANY_MD5 and md5 in self._ros1.fingerprints(name):
                 return
             self._ros1.learn(name, definition, "" if md5 in ANY_MD5 else md5)
             self._forget()
 
     def learn_ros2(self, name: str, definition: str) -> None:
-        """Take up the full definition of a ROS 2 type that was told on the hub.
-
-        Raises:
-            MessageTypeError: it cannot be read.
-        """
+        """Take up the full definition of a ROS 2 type that the hub announced."""
         with self._lock:
             if not is_ros2_name(name):
-                msg = f"{name!r} is not a ROS 2 message type"
-                raise MessageTypeError(msg)
+                raise MessageTypeError(f"{name!r} is not a ROS 2 message type")
             self._ros2.learn(name, definition)
             self._forget()
 
     def ros1_to_hub(self, name: str, md5: str = "", definition: str = "") -> Conversion:
         """How a ROS 1 publisher's bytes become the hub's.
 
-        Args:
-            name: ROS 1 type, or an action's ``pkg/action/Name_FeedbackMessage``.
-            md5: what the publisher announced; "" or "*" for any.
-            definition: full definition from its connection header.
-
-        Raises:
-            MessageTypeError: the type is unknown or has no counterpart.
+        The name may be an action's ``pkg/action/Name_FeedbackMessage``; an md5 of "" or "*" means any. The full
+        definition comes from the publisher's connection header.
         """
         key = ("ros1", name, md5)
         with self._lock:
@@ -131,11 +113,7 @@ class Registry:
             return self._answers[key]
 
     def hub_to_ros1(self, type_name: str, type_hash: str = "") -> Conversion:
-        """How the hub's bytes become a ROS 1 message's.
-
-        Raises:
-            MessageTypeError: the type is unknown, has another hash here, or has no counterpart.
-        """
+        """How the hub's bytes become a ROS 1 message's."""
         key = ("ros2", type_name, type_hash)
         with self._lock:
             if key not in self._answers:
@@ -159,15 +137,10 @@ class Registry:
             return self._check(self._find_ros2(type_name, type_hash))
 
     def service_ros1_to_hub(self, name: str, md5: str = "") -> ServiceConversion:
-        """How calls get between a ROS 1 service and the hub's.
+        """How calls get between a ROS 1 service and the hub's; an md5 of "" or "*" means any.
 
-        Args:
-            name: ROS 1 type (``std_srvs/SetBool``), or an action's service: ``pkg/action/Name_SendGoal``,
-                ``pkg/action/Name_GetResult``, ``action_msgs/srv/CancelGoal``.
-            md5: what the server announced; "" or "*" for any.
-
-        Raises:
-            MessageTypeError: the type is unknown, has another md5 here, or has no counterpart.
+        The name may be that of an action's service: ``pkg/action/Name_SendGoal``, ``pkg/action/Name_GetResult``,
+        ``action_msgs/srv/CancelGoal``.
         """
         wanted = "" if md5 in ANY_MD5 else md5
         key = ("ros1", name, wanted)
@@ -183,11 +156,7 @@ class Registry:
             return self._service_answers[key]
 
     def service_hub_to_ros1(self, type_name: str, type_hash: str = "") -> ServiceConversion:
-        """How calls get between a service of the hub, which may be part of an action, and ROS 1's.
-
-        Raises:
-            MessageTypeError: the type is unknown, has another hash here, or has no counterpart.
-        """
+        """How calls get between a service of the hub, which may be part of an action, and ROS 1's."""
         key = ("ros2", type_name, type_hash)
         with self._lock:
             if key not in self._service_answers:
@@ -201,11 +170,7 @@ class Registry:
             return self._service_answers[key]
 
     def service_ros2(self, type_name: str, type_hash: str = "") -> SideType:
-        """The ROS 2 service ``pkg/srv/Name`` or ``pkg/action/Name_SendGoal``.
-
-        Raises:
-            MessageTypeError: nothing is known of it, or it has another hash here.
-        """
+        """The ROS 2 service ``pkg/srv/Name`` or ``pkg/action/Name_SendGoal``."""
         with self._lock:
             return self._find_service(type_name, type_hash).side_type
 
@@ -222,11 +187,7 @@ class Registry:
             return self._check(service.request), self._check(service.response)
 
     def action_of_ros1(self, name: str) -> str:
-        """The ROS 2 action for a ROS 1 action: ``nav2_msgs/action/NavigateToPose`` for ``move_base_msgs/MoveBase``.
-
-        Raises:
-            MessageTypeError: nothing is known of the ROS 1 action.
-        """
+        """The ROS 2 action for a ROS 1 action: ``nav2_msgs/action/NavigateToPose`` for ``move_base_msgs/MoveBase``."""
         with self._lock:
             return self._actions.ros2_name(name)
 
@@ -235,25 +196,17 @@ class Registry:
         with self._lock:
             return self._actions.ros1_name(type_name)
 
-    def ros1_action(self, name: str) -> ActionTypes:
-        """The messages of a ROS 1 action's topics: those of ``move_base_msgs/MoveBase``.
-
-        Raises:
-            MessageTypeError: nothing is known of the action.
-        """
+    def ros1_action(self, name: str) -> ActionTopicTypes:
+        """The messages of a ROS 1 action's topics: those of ``move_base_msgs/MoveBase``."""
         with self._lock:
             return self._actions.topics(name)
 
     def ros2_package_sources(self, package: str) -> dict[str, str]:
-        """Every definition known of a ROS 2 package as the files it is built from.
-
-        Returns:
-            Text by path within the package (``msg/Name.msg``, ``srv/Name.srv``, ``action/Name.action``).
-        """
+        """The files that a ROS 2 package is built from: text by path (``msg/Name.msg``)."""
         with self._lock:
             files: dict[str, str] = {}
             for source in self._sources2:
-                if isinstance(source, Tree):
+                if isinstance(source, DefinitionFolder):
                     files = {**source.files(package), **files}
             for name in self._ros2.names(package):
                 short = name.split("/")[2]
@@ -285,7 +238,7 @@ class Registry:
                 return self._services.part(name, type_hash)
         return self._messages.find_ros2(name, type_hash)
 
-    def _find_service(self, name: str, type_hash: str) -> Service:
+    def _find_service(self, name: str, type_hash: str) -> ServiceSchema:
         if _is_action(name):
             return ros2_service(self._find_ros2(name, type_hash))
         return self._services.of_ros2(name, type_hash)
@@ -306,6 +259,6 @@ def _is_feedback(name: str) -> bool:
     return _is_action(name) and name.endswith("_FeedbackMessage")
 
 
-def _ros1_part(name: str, types: dict[str, Definition]) -> Service:
+def _ros1_part(name: str, types: dict[str, Definition]) -> ServiceSchema:
     """A service of an action as ROS 1's edge has it."""
     return ros1_service(name, *(closure(types[f"{name}_{part}"], types) for part in CONTENTS["srv"]))

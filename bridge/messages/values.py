@@ -1,18 +1,19 @@
 """Messages as Python values: a message is a mapping with ROS 2's field names, an array of numbers a numpy array.
 
 How single numbers and arrays look is left to subclasses where it differs, such as those of `bridge.messages.json`.
+numpy is loaded with the first array: a worker that passes bytes on has no need of its 6 MB.
 """
 
 from __future__ import annotations
 
 import difflib
+import functools
 import struct
-from collections.abc import Mapping, Sequence
-from typing import Any
+import sys
+from collections.abc import Callable, Mapping, Sequence
+from typing import TYPE_CHECKING, Any, ClassVar, TypeGuard
 
-import numpy as np
-
-from bridge.messages.definition import (
+from bridge.messages.definitions.schema import (
     PRIMITIVE_SIZES,
     STRING_TYPES,
     STRUCT_FORMATS,
@@ -23,17 +24,31 @@ from bridge.messages.definition import (
     Shape,
 )
 from bridge.messages.errors import ConversionError
+from bridge.messages.registry import Registry
+
+if TYPE_CHECKING:
+    import numpy as np
 
 HEADER = b"\0\1\0\0"
 """What CDR in little-endian begins with."""
 
-DTYPES = {base: np.dtype("<" + code) for base, code in STRUCT_FORMATS.items()}
-"""Each ROS 2 primitive as numpy names it."""
-
 _STRUCTS = {base: struct.Struct("<" + code) for base, code in STRUCT_FORMATS.items()}
 
 
-class Reader:
+@functools.cache
+def dtype(base: str) -> np.dtype[Any]:
+    """A ROS 2 primitive as numpy names it."""
+    import numpy as np
+
+    return np.dtype("<" + STRUCT_FORMATS[base])
+
+
+def is_array(value: object) -> TypeGuard[np.ndarray]:
+    """Whether a value is a numpy array; numpy is not loaded for that."""
+    return isinstance(value, getattr(sys.modules.get("numpy"), "ndarray", ()))
+
+
+class MessageReader:
     """Reads a message that was checked before; arrays of numbers share its memory."""
 
     def __init__(self, schema: Schema, cdr: bytes) -> None:
@@ -77,8 +92,10 @@ class Reader:
             end = int(self.number("uint32")) + self.at
             start, self.at = self.at, end
             return str(self.data[start : end - 1], "utf-8", "replace")
-        units = np.frombuffer(self.take(4, 4 * int(self.number("uint32"))), "<u4")  # a wstring
-        return units.astype("<u2").tobytes().decode("utf-16-le", errors="replace")
+        units = self.take(4, 4 * int(self.number("uint32")))  # a wstring: two bytes of four count
+        content = bytearray(len(units) // 2)
+        content[::2], content[1::2] = units[::4], units[1::4]
+        return content.decode("utf-16-le", errors="replace")
 
     def plain(self, value: Any, base: str) -> Any:  # noqa: ARG002 - for subclasses
         """One number, as it is given out."""
@@ -86,7 +103,9 @@ class Reader:
 
     def numbers(self, content: memoryview | bytes, base: str) -> Any:
         """An array of numbers, as it is given out."""
-        return np.frombuffer(content, DTYPES[base])
+        import numpy as np
+
+        return np.frombuffer(content, dtype(base))
 
     def number(self, base: str) -> Any:
         """The number that comes next."""
@@ -102,7 +121,7 @@ class Reader:
         return self.data[start : self.at]
 
 
-class Writer:
+class MessageWriter:
     """Writes a message; ``where`` is the path of the value at hand, for errors."""
 
     def __init__(self, schema: Schema) -> None:
@@ -110,11 +129,7 @@ class Writer:
         self.data = bytearray()
 
     def message(self, value: Mapping[str, Any]) -> bytes:
-        """The whole message in CDR; fields that are missing have their defaults.
-
-        Raises:
-            ConversionError: a field is unknown or its value does not fit; names the field.
-        """
+        """The whole message in CDR, with defaults for missing fields; raises `ConversionError`, naming the field."""
         self.structure(self.schema.root, value, "")
         return HEADER + self.data
 
@@ -127,8 +142,7 @@ class Writer:
             if name not in names:
                 near = difflib.get_close_matches(str(name), names, 1)
                 hint = f"did you mean {near[0]!r}?" if near else f"its fields: {', '.join(names) or 'none'}"
-                msg = f"{definition.name} has no field {join(where, str(name))!r}; {hint}"
-                raise ConversionError(msg)
+                raise ConversionError(f"{definition.name} has no field {join(where, str(name))!r}; {hint}")
         if not definition.fields:
             self.data.append(0)
         for field in definition.fields:
@@ -150,17 +164,19 @@ class Writer:
         if isinstance(items, bytes):
             self.data += items
             return
-        if isinstance(items, np.ndarray):
+        if is_array(items):
+            import numpy as np
+
             self.align(PRIMITIVE_SIZES[kind.base] if len(items) else 1)
             with np.errstate(over="ignore", invalid="ignore"):  # what is too large is infinite
-                self.data += np.ascontiguousarray(items, DTYPES[kind.base]).view(np.uint8).data
+                self.data += np.ascontiguousarray(items, dtype(kind.base)).view(np.uint8).data
             return
         for number, item in enumerate(items):
             self.element(kind.element, item, f"{where}[{number}]")
 
     def items(self, kind: FieldType, value: Any, where: str) -> Sequence[Any] | np.ndarray | bytes:
         """The elements of an array or sequence."""
-        if isinstance(value, np.ndarray) and value.ndim == 1 and kind.base in PRIMITIVE_SIZES:
+        if is_array(value) and value.ndim == 1 and kind.base in PRIMITIVE_SIZES:
             return value
         if isinstance(value, list | tuple):
             return value
@@ -189,7 +205,9 @@ class Writer:
             raise ConversionError(f"{where} has at most {kind.string_bound} characters, not {length}")
         if wide:
             self.number("uint32", length, where)
-            self.data += np.frombuffer(content, "<u2").astype("<u4").tobytes()
+            units = bytearray(2 * len(content))
+            units[::4], units[1::4] = content[::2], content[1::2]
+            self.data += units
         else:
             self.number("uint32", length + 1, where)
             self.data += content + b"\0"
@@ -229,7 +247,9 @@ def _default(field: Field) -> Any:
     if kind.shape is Shape.SEQUENCE:
         return ()
     if kind.shape is Shape.ARRAY and kind.base in PRIMITIVE_SIZES:
-        return np.zeros(kind.length, DTYPES[kind.base])
+        import numpy as np
+
+        return np.zeros(kind.length, dtype(kind.base))
     single: Any = {} if kind.nested else "" if kind.base in STRING_TYPES else False if kind.base == "bool" else 0
     return single if kind.shape is Shape.SINGLE else (single,) * kind.length
 
@@ -245,3 +265,59 @@ def wrong(where: str, wanted: str, value: Any) -> ConversionError:
     return ConversionError(
         f"{where or 'the message'} is {wanted}, not {shown[:60] + ('...' if len(shown) > 60 else '')}"
     )
+
+
+class ServiceCodec:
+    """The codec of one service; raises `MessageTypeError` if the type is unknown.
+
+    Args:
+        type_name: ROS 2 name: ``pkg/srv/Name``, ``pkg/action/Name_SendGoal``, ``pkg/action/Name_GetResult``.
+        type_hash: the very definition that is meant, "" for the one known here.
+    """
+
+    reader: ClassVar[type[MessageReader]] = MessageReader
+    writer: ClassVar[type[MessageWriter]] = MessageWriter
+
+    def __init__(self, registry: Registry, type_name: str, type_hash: str = "") -> None:
+        self.type = registry.service_ros2(type_name, type_hash)
+        self._request, self._response = registry.service_schemas(type_name, type_hash)
+        self._check_request, self._check_response = registry.hub_service_check(type_name, type_hash)
+
+    def request(self, value: Mapping[str, Any]) -> bytes:
+        """Encode a request; fields that are missing have their defaults; raises `ConversionError`, naming the field."""
+        return self._check_request(self.writer(self._request).message(value))
+
+    def response(self, value: Mapping[str, Any]) -> bytes:
+        """Encode a reply, in the same way."""
+        return self._check_response(self.writer(self._response).message(value))
+
+    def request_value(self, cdr: bytes) -> dict[str, Any]:
+        """Decode a request; raises `ConversionError`."""
+        return self.reader(self._request, self._check_request(cdr)).message()
+
+    def response_value(self, cdr: bytes) -> dict[str, Any]:
+        """Decode a reply; raises `ConversionError`."""
+        return self.reader(self._response, self._check_response(cdr)).message()
+
+
+_ABORTED = 6  # action_msgs/msg/GoalStatus.STATUS_ABORTED
+_REJECTED = 1  # action_msgs/srv/CancelGoal_Response.ERROR_REJECTED
+
+
+def refusal(registry: Registry, type_name: str, type_hash: str = "") -> Callable[[], bytes] | None:
+    """Makes the refusing reply in CDR, None where there is none; `MessageTypeError` for an unknown action's service."""
+    value = _refusal(type_name)
+    if value is None:
+        return None
+    _, response = registry.service_schemas(type_name, type_hash)
+    return lambda: MessageWriter(response).message(value)
+
+
+def _refusal(type_name: str) -> dict[str, Any] | None:
+    if type_name == "action_msgs/srv/CancelGoal":
+        return {"return_code": _REJECTED}
+    if "/action/" in type_name and type_name.endswith("_SendGoal"):
+        return {"accepted": False}
+    if "/action/" in type_name and type_name.endswith("_GetResult"):
+        return {"status": _ABORTED}
+    return None

@@ -6,16 +6,15 @@ import time
 from collections import deque
 from collections.abc import Callable, Mapping
 from itertools import islice
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
-from bridge.hub.qos import Durability, Qos
-from bridge.modules.goal import CANCEL, STATUSES, Status, parts
+from bridge.hub.wire.qos import LATCHED, Qos
+from bridge.messages import actions
+from bridge.messages.actions import CANCEL, STATUSES, CancelCode, GoalState
+from bridge.modules.endpoints import Endpoints
 from bridge.modules.services import Answer
-
-if TYPE_CHECKING:
-    from bridge.modules.node import Node
 
 KEPT_SECONDS = 3600.0
 """How long a result is kept for whoever asks for it."""
@@ -26,8 +25,6 @@ MAX_TOLD = 100
 
 MAX_GOALS = 1000
 """Goals that have not ended, at most; further ones are rejected."""
-
-_NONE, _REJECTED, _UNKNOWN_GOAL, _TERMINATED = 0, 1, 2, 3  # action_msgs/srv/CancelGoal
 
 
 class Goal:
@@ -48,7 +45,7 @@ class Goal:
         self.id, self.goal, self.stamp, self.client = goal_id, goal, stamp, client
         # an array of numpy is written many times as fast as a list, and the states of many goals are told at once
         self.info = {"goal_id": {"uuid": np.frombuffer(goal_id, np.uint8)}, "stamp": stamp}
-        self.status = Status.ACCEPTED
+        self.status = GoalState.ACCEPTED
         self.cancel_wanted = False
         self._server = server
         self._result: Mapping[str, Any] = {}
@@ -58,11 +55,11 @@ class Goal:
     @property
     def active(self) -> bool:
         """Whether it has not ended."""
-        return not self.status.terminal
+        return not self.status.ended
 
     def execute(self) -> None:
         """It is being worked on."""
-        self._change(Status.EXECUTING)
+        self._change(GoalState.EXECUTING)
 
     def feedback(self, feedback: Mapping[str, Any]) -> None:
         """Tell its clients how far it is."""
@@ -71,15 +68,15 @@ class Goal:
 
     def succeed(self, result: Mapping[str, Any] | None = None) -> None:
         """It was reached."""
-        self._end(Status.SUCCEEDED, result)
+        self._end(GoalState.SUCCEEDED, result)
 
     def abort(self, result: Mapping[str, Any] | None = None) -> None:
         """It cannot be reached."""
-        self._end(Status.ABORTED, result)
+        self._end(GoalState.ABORTED, result)
 
     def canceled(self, result: Mapping[str, Any] | None = None) -> None:
         """It was given up, as a client asked for."""
-        self._end(Status.CANCELED, result)
+        self._end(GoalState.CANCELED, result)
 
     def ask(self, answer: Answer) -> None:
         """Answer with the result, once there is one."""
@@ -91,9 +88,9 @@ class Goal:
     def begin_cancel(self) -> None:
         """A client's cancellation was taken."""
         self.cancel_wanted = True
-        self._change(Status.CANCELING)
+        self._change(GoalState.CANCELING)
 
-    def _end(self, status: Status, result: Mapping[str, Any] | None) -> None:
+    def _end(self, status: GoalState, result: Mapping[str, Any] | None) -> None:
         if not self.active:
             return
         self._result = result or {}
@@ -104,7 +101,7 @@ class Goal:
         for answer in asking:
             self.ask(answer)
 
-    def _change(self, status: Status) -> None:
+    def _change(self, status: GoalState) -> None:
         if self.active:
             self.status = status
             self._server.tell_status()
@@ -122,15 +119,11 @@ module's own may be busy."""
 
 
 class ActionServer:
-    """Serves one action; made by `bridge.modules.node.Node.action_server`. All runs on the module's thread.
-
-    Attributes:
-        met: called with each goal as it comes.
-    """
+    """Serves one action; made by `bridge.modules.host.Node.action_server`. All runs on the module's thread."""
 
     def __init__(
         self,
-        node: Node,
+        node: Endpoints,
         name: str,
         type_name: str,
         take: Take,
@@ -145,16 +138,15 @@ class ActionServer:
         self._active: dict[bytes, Goal] = {}
         self._ended: deque[Goal] = deque()
         self._starting = False
-        names, types = parts(name), parts(type_name, sep="_")
-        latched = Qos(durability=Durability.TRANSIENT_LOCAL, depth=1)
-        self._status = node.publisher(names.status, STATUSES, latched, priority="state")
+        names, types = actions.names(name), actions.types(type_name)
+        self._status = node.publisher(names.status, STATUSES, LATCHED, priority="state")
         self._feedback = node.publisher(names.feedback, types.feedback, Qos(depth=100))
         node.server(names.get_result, types.get_result, self._asked)
         at_once = None if brake is None else lambda request: _brake(brake, request["goal_info"])
         node.server(names.cancel_goal, CANCEL, self._cancelled, at_once)
         self._sending = node.server(names.send_goal, types.send_goal, self._sent)
         self._clients_of = names.send_goal
-        self.met: Callable[[Goal], object] = lambda _goal: None
+        self.met: Callable[[Goal], object] = lambda _goal: None  # called with each goal as it comes
 
     @property
     def active(self) -> list[Goal]:
@@ -205,7 +197,7 @@ class ActionServer:
     def _asked(self, request: dict[str, Any], answer: Answer) -> None:
         goal = self._goals.get(bytes(request["goal_id"]["uuid"]))
         if goal is None:
-            answer({"status": int(Status.UNKNOWN), "result": {}})
+            answer({"status": int(GoalState.UNKNOWN), "result": {}})
         else:
             goal.ask(answer)
 
@@ -217,9 +209,15 @@ class ActionServer:
         if not any(goal_id) and not until:
             wanted = self.active
         begun = [goal for goal in wanted if goal.cancel_wanted or self._begin_cancel(goal)]
-        code = _NONE if begun else _REJECTED
+        code = CancelCode.NONE if begun else CancelCode.REJECTED
         if any(goal_id) and not begun:
-            code = _UNKNOWN_GOAL if one is None else _REJECTED if one.active else _TERMINATED
+            code = (
+                CancelCode.UNKNOWN_GOAL_ID
+                if one is None
+                else CancelCode.REJECTED
+                if one.active
+                else CancelCode.GOAL_TERMINATED
+            )
         answer({"return_code": code, "goals_canceling": [goal.info for goal in begun]})
 
     def _begin_cancel(self, goal: Goal) -> bool:

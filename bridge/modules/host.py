@@ -9,27 +9,46 @@ from typing import Any
 
 from bridge.clock import DONE_TOPIC, DONE_TYPE, RunClock
 from bridge.config.model import Config
-from bridge.config.state import worker_folder
-from bridge.hub.clock import follow
-from bridge.hub.session import Hub, HubSettings
+from bridge.hub.session import Hub, HubSettings, follow_clock
 from bridge.messages.registry import Registry
-from bridge.modules.loop import ClockTimer, Loop, Timer
-from bridge.modules.node import Node
+from bridge.modules.action_server import KEPT_SECONDS, ActionServer, Brake, Cancel, Take
+from bridge.modules.clients import ActionClient
+from bridge.modules.endpoints import Endpoints
+from bridge.modules.loop import ClockTimer, EventLoop, Timer
 from bridge.modules.ports import Ports
-from bridge.stores.errors import StoreError
+from bridge.state_file import worker_folder
+from bridge.stores.entry import StoreError
 from bridge.stores.service import StoreService
 from bridge.stores.store import Store
 
 ACKNOWLEDGE_TOPIC = "/sim/acknowledge"
 
 
+class Node(Endpoints):
+    """A module's node: topics, services and actions. Its endpoints are closed with it."""
+
+    def action_server(
+        self,
+        name: str,
+        type_name: str,
+        take: Take,
+        cancel: Cancel | None = None,
+        *,
+        kept: float = KEPT_SECONDS,
+        brake: Brake | None = None,
+    ) -> ActionServer:
+        """Serve an action; results are kept for so many seconds. Raises `bridge.messages.errors.MessageTypeError`."""
+        return ActionServer(self, name, type_name, take, cancel, kept=kept, brake=brake)
+
+    def action_client(self, name: str, type_name: str) -> ActionClient:
+        """Send goals to an action; raises `bridge.messages.errors.MessageTypeError`."""
+        return ActionClient(self, name, type_name)
+
+
 class Host:
     """All that a module needs of the outside. One for each start of a module.
 
     Args:
-        name: the module's.
-        config: the whole configuration.
-        registry: of types.
         stores: the process's store, where it has one; it stays open when the module stops.
 
     Attributes:
@@ -45,7 +64,7 @@ class Host:
         self.name, self.config = name, config
         self._stores = stores
         self.log = logging.getLogger(f"midspan.{name}")
-        self.loop = Loop(f"midspan-{name}")
+        self.loop = EventLoop(f"midspan-{name}")
         hub = Hub.open(
             HubSettings(
                 domain=config.hub.domain,
@@ -60,9 +79,9 @@ class Host:
             )
         )
         self.clock = RunClock(simulated=config.clock.simulated)
-        follow(self.clock, hub)
+        follow_clock(self.clock, hub)
         self.node = Node(hub, registry, self.loop, self.clock)
-        self.yarp = Ports(config)
+        self.yarp = Ports(config, name)
         if self.clock.simulated:
             self._done = self.node.publisher(DONE_TOPIC, DONE_TYPE)
             self.clock.on_time(self._acknowledge, last=True)
@@ -79,9 +98,7 @@ class Host:
         """The store of maps and locations, one for all modules of the process; opened where it is not yet.
 
         What is watched there is withdrawn by the module itself when it stops.
-
-        Raises:
-            StoreError: it is switched off, or its file cannot be used.
+        Raises `StoreError` if it is switched off, or its file cannot be used.
         """
         if self._stores is None:
             raise StoreError("this process has no store")

@@ -9,27 +9,35 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable
-from typing import Any
+from threading import Lock
+from typing import Any, Generic, TypeVar
 
 from bridge.clock import RunClock
+from bridge.progress import StepWatch, working
 
 _log = logging.getLogger(__name__)
 ANSWER_SECONDS = 5.0
+STEP_SECONDS = 5.0
+"""A step that stands still for longer hangs."""
+_LOOK = 0.25
 
 Action = Callable[[], Any]
 
 
-class Loop:
+class EventLoop:
     """Runs actions in order on one thread. Safe to use from any thread.
 
     What is posted is bounded by who posts it: a subscription posts itself once for each message in its bounded queue.
 
     Args:
-        name: of the thread.
+        limit: seconds for which a step may stand still.
     """
 
-    def __init__(self, name: str) -> None:
+    def __init__(self, name: str, limit: float = STEP_SECONDS) -> None:
         self._name = name
+        self._limit = limit
+        self._watch = StepWatch(limit)
+        self._begun = threading.Event()
         self._condition = threading.Condition()
         self._ready: deque[Action] = deque()
         self._calls: set[_Call] = set()
@@ -40,9 +48,15 @@ class Loop:
         self._busy_since: float | None = None
         self._thread = threading.Thread(target=self._run, name=name, daemon=True)
 
+    @property
+    def waiting(self) -> int:
+        """Actions that wait for the thread."""
+        return len(self._ready)
+
     def start(self) -> None:
         """Start the thread."""
         self._thread.start()
+        self._begun.wait()
 
     def post(self, action: Action) -> None:
         """Run an action soon; after the loop's end it is dropped."""
@@ -65,6 +79,41 @@ class Loop:
         """
         if threading.current_thread() is self._thread:
             return action()
+        call = self._ask(action)
+        if not call.done.wait(seconds) and (late or self._withdrawn(call) or not call.done.wait(ANSWER_SECONDS)):
+            raise TimeoutError(f"{self._name} has not answered for {seconds:g} s")
+        return call.outcome()
+
+    def work(self, action: Callable[[], Any], still: float | None = None) -> Any:
+        """As `call`, from another thread, for what may take long: it is waited for while the thread works.
+
+        Args:
+            action: what to run.
+            still: seconds for which the thread may stand still; default the loop's limit.
+
+        Raises:
+            TimeoutError: the thread hangs, or has ended; the action is left out where it has not begun.
+        """
+        call, clock = self._ask(action), self._watch.clock
+        assert clock is not None
+        watch = StepWatch(self._limit if still is None else still, clock)
+        with working.waiting_for(clock):
+            while not call.done.wait(_LOOK):
+                try:
+                    watch.judge(self._name, self._busy_since)
+                except TimeoutError:
+                    self._withdrawn(call)
+                    raise
+        return call.outcome()
+
+    def computes(self) -> str:
+        """Words about a step that has computed for long, "" else; to be asked by one thread, again and again.
+
+        Raises `TimeoutError` if the step at hand hangs.
+        """
+        return self._watch.judge(self._name, self._busy_since)
+
+    def _ask(self, action: Callable[[], Any]) -> _Call:
         call = _Call(action)
         with self._condition:
             if self._closed:
@@ -72,12 +121,7 @@ class Loop:
             self._calls.add(call)
             self._ready.append(lambda: self._answer(call))
             self._condition.notify()
-        if not call.done.wait(seconds) and (late or self._withdrawn(call) or not call.done.wait(ANSWER_SECONDS)):
-            msg = f"{self._name} has not answered for {seconds:g} s"
-            raise TimeoutError(msg)
-        if call.error is not None:
-            raise call.error
-        return call.result
+        return call
 
     def every(self, seconds: float, action: Action) -> Timer:
         """Run an action every so many seconds; a time that was missed is left out."""
@@ -90,11 +134,6 @@ class Loop:
         timer = Timer(self, seconds, action, again=False)
         self._put(time.monotonic() + seconds, timer)
         return timer
-
-    def stuck_for(self) -> float:
-        """Seconds for which the action at hand has run."""
-        since = self._busy_since
-        return 0.0 if since is None else time.monotonic() - since
 
     def close(self, seconds: float = 2.0) -> None:
         """End the thread once the action at hand is done; the others are dropped, and who waits for one is told.
@@ -134,6 +173,8 @@ class Loop:
                 self._condition.notify()
 
     def _run(self) -> None:
+        self._watch.begin()
+        self._begun.set()
         while True:
             action = self._next()
             if action is None:
@@ -187,6 +228,12 @@ class _Call:
             self.error = err
         self.done.set()
 
+    def outcome(self) -> Any:
+        """What came of it, returned or raised."""
+        if self.error is not None:
+            raise self.error
+        return self.result
+
     def fail(self, error: BaseException) -> None:
         """It is not run."""
         self.error = error
@@ -194,9 +241,9 @@ class _Call:
 
 
 class Timer:
-    """An action with a time; made by `Loop.every` and `Loop.after`."""
+    """An action with a time; made by `EventLoop.every` and `EventLoop.after`."""
 
-    def __init__(self, loop: Loop, seconds: float, action: Action, *, again: bool) -> None:
+    def __init__(self, loop: EventLoop, seconds: float, action: Action, *, again: bool) -> None:
         self.seconds, self.again = seconds, again
         self.closed = False
         self._loop, self._action = loop, action
@@ -212,9 +259,9 @@ class Timer:
 
 
 class ClockTimer:
-    """An action every so many seconds of a simulated clock. Times that were missed are left out; see `Loop.every`."""
+    """An action every so many seconds of a simulated clock; as in `EventLoop.every`, missed times are left out."""
 
-    def __init__(self, clock: RunClock, loop: Loop, seconds: float, action: Action) -> None:
+    def __init__(self, clock: RunClock, loop: EventLoop, seconds: float, action: Action) -> None:
         self._period = round(seconds * 1e9)
         self._loop, self._action = loop, action
         self._due: int | None = None
@@ -238,3 +285,31 @@ class ClockTimer:
     def _run(self) -> None:
         if not self.closed:
             self._action()
+
+
+T = TypeVar("T")
+
+
+class Newest(Generic[T]):
+    """Gives a module's thread the newest value; while it is busy one waits, and not all that came.
+
+    Args:
+        take: called with it there.
+    """
+
+    def __init__(self, loop: EventLoop, take: Callable[[T], object]) -> None:
+        self._loop, self._take = loop, take
+        self._lock = Lock()
+        self._waiting: list[T] = []
+
+    def put(self, value: T) -> None:
+        """Another one came, on any thread."""
+        with self._lock:
+            posted, self._waiting = bool(self._waiting), [value]
+        if not posted:
+            self._loop.post(self._run)
+
+    def _run(self) -> None:
+        with self._lock:
+            (value,), self._waiting = self._waiting, []
+        self._take(value)

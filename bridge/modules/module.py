@@ -1,10 +1,13 @@
-"""What a module is to the host that runs it."""
+"""What a module is to the host that runs it, and the modules that come with Midspan."""
 
 from __future__ import annotations
 
+import importlib
 from abc import ABC, abstractmethod
 from typing import TYPE_CHECKING, Any, ClassVar
 
+from bridge.config.sections.modules import OwnModule
+from bridge.config.sections.section import Section
 from bridge.worker import Health
 
 if TYPE_CHECKING:
@@ -17,12 +20,9 @@ class Module(ABC):
 
     The host makes it anew for each start. Everything here is called on the module's own thread (`Host.loop`), as are
     the callbacks of its subscriptions, timers and hub servers; the methods that YARP clients call are not.
-
-    Attributes:
-        name: its section's name in ``modules`` of the configuration, and its hub node's name.
     """
 
-    name: ClassVar[str]
+    name: ClassVar[str]  #: its section's name in ``modules`` of the configuration, and its hub node's name
 
     @abstractmethod
     def start(self, host: Host, section: Section) -> None:
@@ -42,3 +42,30 @@ class Module(ABC):
 
     def stop(self) -> None:  # noqa: B027 - the host closes all ends that it gave
         """End what it began by itself; its ends are closed after it."""
+
+
+KINDS: dict[str, str] = {
+    "base_control": "navigation.base_control.module:BaseControl",
+    "gateway": "navigation.gateway.module:GatewayModule",
+    "localization_server": "navigation.localization_server.module:LocalizationServer",
+    "map2d_server": "navigation.map2d_server.module:Map2DServer",
+    "mapper2d": "navigation.mapper2d.module:Mapper2D",
+    "robot_goto": "navigation.robot_goto.module:RobotGoto",
+    "robot_path_planner": "navigation.robot_path_planner.module:RobotPathPlanner",
+    "transform_server": "bridge.tf.server.module:TransformServer",
+}
+"""``package.module:Class`` of each module that comes with Midspan; imported in the process that runs it alone."""
+
+
+def kind_of(name: str, section: Section) -> type[Module]:
+    """A module's class; raises `RuntimeError` if it cannot be imported, or is none; the text says why."""
+    factory = section.factory if isinstance(section, OwnModule) else KINDS[name]
+    package, _, class_name = factory.partition(":")
+    try:
+        kind = getattr(importlib.import_module(package), class_name)
+    except (ImportError, AttributeError) as err:
+        raise RuntimeError(f"modules.{name}: {factory} cannot be imported: {err}") from None
+    if not (isinstance(kind, type) and issubclass(kind, Module)):
+        msg = f"modules.{name}: {factory} is no module: it does not derive from bridge.modules.module.Module"
+        raise RuntimeError(msg)  # noqa: TRY004 - the configuration's fault, told as all of these are
+    return kind

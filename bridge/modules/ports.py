@@ -7,13 +7,16 @@ import threading
 from collections.abc import Callable
 from typing import Any
 
+from bridge.callers import AGAIN, Callers, callers_file
 from bridge.config.model import Config
 from bridge.routing.counters import Counters
+from bridge.state_file import worker_folder
 from yarp_compat.dev.server import Server
 from yarp_compat.dev.service import Service
 from yarp_compat.naming.client import NameClient
 from yarp_compat.naming.config import Address
-from yarp_compat.ports.message import Message
+from yarp_compat.ports.connections import ConnectionEvent
+from yarp_compat.ports.message import PortMessage
 from yarp_compat.ports.port import PortCore
 from yarp_compat.pythonic import Content, Received, payload_of
 from yarp_compat.wire.errors import WireError
@@ -24,9 +27,6 @@ from yarp_compat.wire.values import begun_by_vocab
 
 _log = logging.getLogger(__name__)
 
-_AGAIN = 1.0
-"""Seconds after which a port that could not be opened is tried again."""
-
 _ASK_SECONDS = 2.0
 
 Respond = Callable[[list[Any]], Content]
@@ -34,19 +34,14 @@ Take = Callable[[Received], None]
 
 
 class HostedPort:
-    """One port. It may be written to before it is open; nobody hears it then.
-
-    Attributes:
-        name: as it is registered.
-        trouble: why it is not open, "" where it is.
-    """
+    """One port. It may be written to before it is open; nobody hears it then."""
 
     def __init__(self, core: PortCore, answers: Generations | None = None) -> None:
-        self.name = core.name
+        self.name = core.name  # as it is registered
         self.core = core
         self.answers = answers
         self.counters = Counters()
-        self.trouble = "not opened yet"
+        self.trouble = "not opened yet"  # why it is not open, "" where it is
 
     @property
     def heard(self) -> bool:
@@ -54,10 +49,7 @@ class HostedPort:
         return bool(self.core.connections.outputs)
 
     def write(self, content: Content, envelope: str = "") -> int:
-        """Send a message to all that are connected, waiting for nobody; returns how many took it.
-
-        Also before `trouble` is gone: who waits for a port's name connects as soon as that is registered.
-        """
+        """Send a message to all that are connected, waiting for nobody, also before it is open; how many took it."""
         took: int = self.core.write(payload_of(content), envelope, strict=False)
         if took:
             self.counters.crossed(0)
@@ -71,7 +63,7 @@ class HostedPort:
         if self.answers is not None:
             document["peers"] = [
                 {"port": i.route.source, "carrier": i.carrier.name}
-                | self.answers.of(i.route.source, i.profile).as_dict()
+                | self.answers.of(i.route.source, i.profile, i.address).as_dict()
                 for i in self.core.connections.inputs
             ]
         return document
@@ -82,23 +74,35 @@ class Ports:
 
     Args:
         config: the configuration; its section ``yarp`` says which name server there is.
+
+    Attributes:
+        naming: the name server.
+        generations: what the callers of served interfaces are answered in.
     """
 
-    def __init__(self, config: Config) -> None:
+    def __init__(self, config: Config, name: str) -> None:
         self._config = config
         self._profile = Profile(config.yarp.profile)
-        self.naming = NameClient(_address(config), namespace=config.yarp.namespace, timeout=_ASK_SECONDS)
+        self.generations = config.yarp.generations()
+        self.naming = NameClient(
+            _address(config), namespace=config.yarp.namespace, timeout=_ASK_SECONDS, numbers=config.yarp.numbers
+        )
         self._ports: list[HostedPort] = []
+        self._callers = Callers(self.naming, callers_file(worker_folder(config), name))
         self._wake = threading.Event()
         self._closed = False
         self._thread: threading.Thread | None = None
 
     def serve(self, name: str, service: Service) -> HostedPort:
         """Offer an interface to YARP clients of every release."""
-        answers = self._config.yarp.generations()
-        server = Server(service, answers)
-        port = self._made(name, server, is_output=False, rpc=True, on_event=server.on_event)
-        port.answers = answers
+        server = Server(service, self.generations)
+
+        def on_event(event: ConnectionEvent) -> None:
+            server.on_event(event)
+            self._wake.set()
+
+        port = self._made(name, server, is_output=False, rpc=True, on_event=on_event)
+        port.answers = self.generations
         return port
 
     def respond(self, name: str, respond: Respond) -> HostedPort:
@@ -108,7 +112,7 @@ class Ports:
         after ``[many]`` as lines.
         """
 
-        def take(message: Message) -> None:
+        def take(message: PortMessage) -> None:
             received = Received(message, self._profile)
             try:
                 answer = respond(received.values)
@@ -117,12 +121,12 @@ class Ports:
             if message.wants_reply:
                 received.reply(answer if isinstance(answer, Portable) else begun_by_vocab(answer))
 
-        return self._made(name, take, rpc=True)
+        return self._made(name, take, rpc=True, on_event=lambda _event: self._wake.set())
 
     def input(self, name: str, take: Take) -> HostedPort:
         """Hear what YARP programs write to a port."""
 
-        def taken(message: Message) -> None:
+        def taken(message: PortMessage) -> None:
             port.counters.crossed(len(message.payload))
             try:
                 take(Received(message, self._profile))
@@ -154,6 +158,8 @@ class Ports:
     def close(self) -> None:
         """Close all ports."""
         self._closed = True
+        for port in self._ports:
+            self._callers.leave(port.core)
         self._wake.set()
         if self._thread is not None:
             self._thread.join(_ASK_SECONDS + 0.5)
@@ -161,7 +167,7 @@ class Ports:
             port.core.close()
         self._ports = []
 
-    def _made(self, name: str, on_message: Callable[[Message], Any] | None, **options: Any) -> HostedPort:
+    def _made(self, name: str, on_message: Callable[[PortMessage], Any] | None, **options: Any) -> HostedPort:
         core = PortCore(
             name,
             on_message=on_message,
@@ -189,7 +195,8 @@ class Ports:
                 if self._closed:
                     return
                 self._open(port)
-            self._wake.wait(_AGAIN if any(port.trouble for port in self._ports) else None)
+            missing = self._callers.turn()
+            self._wake.wait(AGAIN if missing or any(port.trouble for port in self._ports) else None)
 
     def _open(self, port: HostedPort) -> None:
         try:
@@ -203,6 +210,8 @@ class Ports:
             port.trouble = f"{type(err).__name__}: {err}"
         else:
             port.trouble = ""
+            if port.core.rpc:
+                self._callers.watch(port.core)
 
 
 def _address(config: Config) -> Address | None:

@@ -1,4 +1,4 @@
-"""Services of a module's node, with Python values."""
+"""Services that a module serves, with Python values."""
 
 from __future__ import annotations
 
@@ -7,13 +7,13 @@ from collections.abc import Callable, Mapping
 from threading import Lock
 from typing import Any
 
-from bridge.hub.call import Abandon, CallError, Done
-from bridge.hub.service import HubClient, HubServer
+from bridge.hub.endpoints.calls import Abandon, CallError, Done, nothing
+from bridge.hub.endpoints.services import HubServer
 from bridge.hub.session import Hub
 from bridge.messages.errors import ConversionError
 from bridge.messages.registry import Registry
-from bridge.messages.values import Reader, Writer
-from bridge.modules.loop import Loop
+from bridge.messages.values import MessageReader, MessageWriter
+from bridge.modules.loop import EventLoop
 from bridge.routing.counters import Counters
 
 _log = logging.getLogger(__name__)
@@ -27,21 +27,15 @@ Answer = Callable[[Mapping[str, Any] | CallError], None]
 Serve = Callable[[dict[str, Any], Answer], Any]
 """``serve(request, answer)``: runs on the module's thread; the answer may come later."""
 
-Replied = Callable[[dict[str, Any] | CallError], None]
-
 
 class Server:
-    """Serves one service on the hub; made by `bridge.modules.node.Node.server`.
-
-    Attributes:
-        caller: GID of who sent the request that is being served, on the module's thread.
-    """
+    """Serves one service on the hub; made by `bridge.modules.host.Node.server`."""
 
     def __init__(
         self,
         hub: Hub,
         registry: Registry,
-        loop: Loop,
+        loop: EventLoop,
         name: str,
         type_name: str,
         serve: Serve,
@@ -50,35 +44,30 @@ class Server:
         side = registry.service_ros2(type_name)
         self.topic, self.type_name = name, type_name
         self.counters = Counters()
-        self.caller = b""
+        self.caller = b""  # GID of who sent the request that is being served, on the module's thread
         self._loop, self._serve, self._at_once = loop, serve, at_once
         self._request, self._response = registry.service_schemas(type_name)
         self._check, _ = registry.hub_service_check(type_name)
-        self._waiting = 0
+        self.waiting = 0
         self._lock = Lock()
         self._end: HubServer = hub.server(name, type_name, side.type_id, self._call)
-
-    @property
-    def waiting(self) -> int:
-        """Requests that have no answer yet."""
-        return self._waiting
 
     def close(self) -> None:
         """Serve no more."""
         self._end.close()
 
     def _call(self, payload: bytes, done: Done) -> Abandon:
-        if self._waiting >= MAX_WAITING:
+        if self.waiting >= MAX_WAITING:
             self.counters.dropped("queue")
             done(CallError(f"{self.topic} is busy: {MAX_WAITING} requests wait for it"))
-            return _nothing
+            return nothing
         try:
-            request = Reader(self._request, self._check(payload)).message()
+            request = MessageReader(self._request, self._check(payload)).message()
         except ConversionError as err:
             self.counters.dropped("bad")
             self.counters.failed(str(err))
             done(CallError(f"{self.topic}: {err}"))
-            return _nothing
+            return nothing
         self.count(1)
         self.counters.crossed(len(payload))
         pending = _Pending(self, done)
@@ -100,7 +89,7 @@ class Server:
     def encode(self, reply: Mapping[str, Any]) -> bytes | CallError:
         """A reply's bytes."""
         try:
-            return Writer(self._response).message(reply)
+            return MessageWriter(self._response).message(reply)
         except ConversionError as err:
             self.counters.failed(str(err))
             return CallError(f"{self.topic} answered with what is no reply: {err}")
@@ -108,7 +97,7 @@ class Server:
     def count(self, step: int) -> None:
         """One request more waits, or less."""
         with self._lock:
-            self._waiting += step
+            self.waiting += step
 
 
 class _Pending:
@@ -133,49 +122,3 @@ class _Pending:
         if not over:
             self._server.count(-1)
         return not over
-
-
-class Client:
-    """Calls one service on the hub; made by `bridge.modules.node.Node.client`."""
-
-    def __init__(self, hub: Hub, registry: Registry, loop: Loop, name: str, type_name: str) -> None:
-        side = registry.service_ros2(type_name)
-        self.topic, self.type_name = name, type_name
-        self.counters = Counters()
-        self._loop = loop
-        self._request, self._response = registry.service_schemas(type_name)
-        _, self._check = registry.hub_service_check(type_name)
-        self._end: HubClient = hub.client(name, type_name, side.type_id)
-
-    @property
-    def ready(self) -> bool:
-        """Whether there is a server to call."""
-        return self._end.ready
-
-    def call(self, request: Mapping[str, Any], replied: Replied) -> Abandon:
-        """Call; ``replied`` gets the reply or an error, once, on the module's thread. Nothing limits how long it takes.
-
-        Raises:
-            ConversionError: the request has an unknown field, or a value that does not fit.
-        """
-        payload = Writer(self._request).message(request)
-        self.counters.crossed(len(payload))
-        return self._end.call(payload, lambda result: self._loop.post(lambda: replied(self._decoded(result))))
-
-    def close(self) -> None:
-        """Call no more; calls under way end with an error."""
-        self._end.close()
-
-    def _decoded(self, result: bytes | CallError) -> dict[str, Any] | CallError:
-        if isinstance(result, CallError):
-            self.counters.failed(str(result))
-            return result
-        try:
-            return Reader(self._response, self._check(result)).message()
-        except ConversionError as err:
-            self.counters.failed(str(err))
-            return CallError(f"{self.topic} answered with what is no reply: {err}")
-
-
-def _nothing() -> None:
-    """The call is over."""

@@ -1,4 +1,4 @@
-"""Messages of publishers of which it is not known yet whether they may pass."""
+"""Messages that wait until it is known whether their publishers may pass."""
 
 from __future__ import annotations
 
@@ -17,9 +17,6 @@ class Waiting(Generic[Message]):
     """A message that waits.
 
     Attributes:
-        source: its publisher.
-        message: what waits.
-        size: its bytes.
         since: when it came (monotonic seconds).
     """
 

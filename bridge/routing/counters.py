@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import time
 from collections import deque
+from collections.abc import Callable
 from typing import Any
 
-DROPS = ("queue", "rate", "stale", "bad", "large", "lost", "slow", "unknown", "standby")
+DROPS = ("queue", "rate", "stale", "bad", "large", "lost", "slow", "unknown", "standby", "held")
 """Reasons of a drop: queue full, rate limit, command too old, message refused, message
 larger than the limit, lost inside zenoh or DDS, missed by a
-slow subscriber of the side, source unknown, this worker not (or no longer) the active one of its network."""
+slow subscriber of the side, source unknown, this worker not (or no longer) the active one of its network, a velocity
+of a planner that was stopped (`bridge.routing.hold`)."""
 
 _LATENCIES = 512
 
@@ -43,6 +45,13 @@ class Counters:
     def dropped(self, reason: str, count: int = 1) -> None:
         """So many messages were dropped, for one of `DROPS`."""
         self.drops[reason] += count
+
+    def missed(self, lost: int, where: Callable[[], str]) -> None:
+        """Set the number of messages that were lost in all; ``where`` says where."""
+        if lost != self.drops["lost"]:
+            self.drops["lost"] = lost
+            if lost:
+                self.failed(where())
 
     def failed(self, error: str) -> bool:
         """Remember an error; whether it is worth a log line now (a second since the last one)."""

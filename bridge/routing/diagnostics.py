@@ -7,10 +7,10 @@ import struct
 import time
 from typing import Any
 
-from bridge.adapters.base import Edge, EdgePublisher
-from bridge.hub.qos import Qos
+from bridge.hub.wire.qos import Qos
 from bridge.messages.errors import MessageError
 from bridge.messages.registry import Registry
+from bridge.routing.edge import Edge, EdgePublisher
 from bridge.routing.engine import Engine
 from bridge.routing.route import Route
 
@@ -63,7 +63,7 @@ class Diagnostics:
             self._due = now + 60.0
 
     def close(self) -> None:
-        """Publish no more."""
+        """Stop publishing."""
         if self._publisher is not None:
             self._publisher.close()
             self._publisher = None

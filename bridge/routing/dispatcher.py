@@ -16,10 +16,13 @@ from collections.abc import Callable
 from queue import SimpleQueue
 from typing import Any
 
-from bridge.routing.priority import Priority
+from bridge.progress import StepWatch
+from bridge.routing.limits import Priority
 
 _log = logging.getLogger(__name__)
 _ORDER = (Priority.COMMAND, Priority.STATE, Priority.STREAM)
+_STUCK_SECONDS = 4.0
+"""Work that stands still for longer hangs."""
 
 
 class Dispatcher:
@@ -29,6 +32,7 @@ class Dispatcher:
         self._lanes: dict[Priority, deque[Callable[[], None]]] = {p: deque() for p in _ORDER}
         self._wake: SimpleQueue[bool] = SimpleQueue()
         self._busy: dict[int, float] = {}
+        self._step = StepWatch(_STUCK_SECONDS)
         self._thread = threading.Thread(target=self._run, name=name, daemon=True)
 
     def start(self) -> None:
@@ -51,18 +55,27 @@ class Dispatcher:
         finally:
             del self._busy[me]
 
-    def stuck_for(self) -> float:
-        """Seconds that the longest piece of work now under way has taken, 0.0 when idle."""
-        now = time.monotonic()
-        return max((now - since for since in self._busy.copy().values()), default=0.0)
+    def alive(self, who: str) -> str:
+        """A text about work on its own thread that computes for long, else ""; for one thread.
+
+        Raises:
+            TimeoutError: a piece of work hangs, or one on a caller's thread takes too long.
+        """
+        now, busy = time.monotonic(), self._busy.copy()
+        own = busy.pop(self._thread.ident or 0, None)
+        stuck = max((now - since for since in busy.values()), default=0.0)
+        if stuck > _STUCK_SECONDS:
+            raise TimeoutError(f"{who} has been stuck for {stuck:.1f} s")
+        return self._step.judge(who, own)
 
     def stop(self) -> None:
-        """Let the thread end after the work under way; what is still queued is dropped."""
+        """End the thread after the work under way; queued work is dropped."""
         self._wake.put(False)
         if self._thread.is_alive() and self._thread is not threading.current_thread():
             self._thread.join(2.0)
 
     def _run(self) -> None:
+        self._step.begin()
         lanes = [self._lanes[p] for p in _ORDER]
         while self._wake.get():
             for lane in lanes:

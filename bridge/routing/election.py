@@ -1,4 +1,4 @@
-"""Which of several Midspan workers on one network carries what, so that no message crosses twice.
+"""Elects which of several Midspan workers on one network carries what, so that no message crosses twice.
 
 Each worker tells the others on its own foreign network, since their hubs may not be joined, what it would carry: a
 claim is first wished for, then held. Two claims conflict where both together would bring a message twice:
@@ -12,7 +12,7 @@ A claim is held once every other living worker has answered a record that showed
 one unseen), nobody holds a conflicting one, and none of an older date is wished for. Who holds keeps: a worker that
 returns finds the other one holding. While another worker is seen but has told nothing yet, nothing is held.
 
-This is the policy alone: no clock, thread, or network; `bridge.routing.watch` drives it.
+This is the policy alone: no clock, thread, or network; `bridge.routing.peer_watch` drives it.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
-from bridge.adapters.base import Sighting
+from bridge.routing.edge import Sighting
 
 PERIOD = 0.2
 """Seconds between two records."""
@@ -42,7 +42,7 @@ _MAX_NAMES = 10_000
 
 @dataclass(frozen=True, slots=True)
 class Claim:
-    """What a worker would carry, or carries.
+    """A claim of a worker to carry something.
 
     Attributes:
         since: nanoseconds of the wall clock at which the worker first wished for it; the oldest of conflicting claims
@@ -58,14 +58,12 @@ class Claim:
 
 @dataclass(frozen=True, slots=True)
 class Record:
-    """What a worker tells the others on its network.
+    """The record that a worker sends to the others on its network.
 
     Attributes:
         id: of its hub session.
-        daemon: its daemon's name, for people.
-        seq: number of the record.
         acks: newest record's number of each other worker that it heard.
-        crew: ids of the Midspan sessions on its hub.
+        sessions: ids of the Midspan sessions on its hub.
         process: which process of which machine it is; see `bridge.routing.processes`.
         role: its claim to its hub's role here, None where it leaves.
         carries: its claims to other networks, each named by the ids of the workers that are on it.
@@ -75,7 +73,7 @@ class Record:
     daemon: str
     seq: int
     acks: Mapping[str, int]
-    crew: frozenset[str]
+    sessions: frozenset[str]
     process: str
     role: Claim | None
     carries: Mapping[frozenset[str], Claim]
@@ -84,22 +82,22 @@ class Record:
         """The record as JSON."""
         return json.dumps({
             "id": self.id, "daemon": self.daemon, "seq": self.seq, "acks": dict(self.acks),
-            "crew": sorted(self.crew), "process": self.process, "role": self.role and _words(self.role),
+            "crew": sorted(self.sessions), "process": self.process, "role": self.role and _words(self.role),
             "carries": [[sorted(of), _words(claim)] for of, claim in self.carries.items()],
         }, separators=(",", ":")).encode()  # fmt: skip
 
     @classmethod
     def decode(cls, data: bytes) -> Record | None:
-        """Read a record, None where it is none."""
+        """Read a record; None if the bytes are none."""
         try:
             tree = json.loads(data) if len(data) <= MAX_RECORD else None
             match tree:
                 case {
-                    "id": str(id_), "daemon": str(daemon), "seq": int(seq), "acks": dict(acks), "crew": list(crew),
+                    "id": str(id_), "daemon": str(daemon), "seq": int(seq), "acks": dict(acks), "crew": list(sessions),
                     "process": str(process), "role": role, "carries": list(carries),
-                } if len(acks) + len(crew) + len(carries) < _MAX_NAMES:  # fmt: skip
+                } if len(acks) + len(sessions) + len(carries) < _MAX_NAMES:  # fmt: skip
                     return cls(
-                        id_, daemon[:100], seq, {str(k): int(v) for k, v in acks.items()}, _ids(crew), process,
+                        id_, daemon[:100], seq, {str(k): int(v) for k, v in acks.items()}, _ids(sessions), process,
                         None if role is None else _claim(role), {_ids(of): _claim(claim) for of, claim in carries},
                     )  # fmt: skip
         except (ValueError, TypeError, OverflowError, RecursionError):
@@ -113,7 +111,7 @@ class Record:
         return max((c.first for c in claims), default=0)
 
     def same(self, other: Record | None) -> bool:
-        """Whether a record tells others nothing that another one did not."""
+        """Whether a record differs from another one in its number and acknowledgements at most."""
         return other is not None and replace(self, seq=0, acks={}) == replace(other, seq=0, acks={})
 
 
@@ -122,19 +120,19 @@ class HubView:
     """The hub, as the election needs it.
 
     Attributes:
-        crew: ids of the Midspan sessions on it, ours included.
+        sessions: ids of the Midspan sessions on it, ours included.
         networks: the foreign networks that it has, each by the ids of the workers that are on it; see `join`.
         settled: whether who is on the hub would be seen by now.
     """
 
-    crew: frozenset[str] = frozenset()
+    sessions: frozenset[str] = frozenset()
     networks: Sequence[frozenset[str]] = ()
     settled: bool = True
 
 
 @dataclass(frozen=True, slots=True)
 class Outcome:
-    """What this worker may do now.
+    """The state of the election for this worker.
 
     Attributes:
         term: a number that changes when what it held was lost: routes are then made anew.
@@ -166,8 +164,6 @@ class Election:
     """One worker's part in the election on one network.
 
     Args:
-        me: id of its hub session.
-        daemon: its daemon's name.
         process: its process, as `Record.process` has it.
         gone: whether the process that made a record is known to have ended.
     """
@@ -179,17 +175,21 @@ class Election:
         self._seq = 0
         self._role: Claim | None = None
         self._carries: dict[frozenset[str], Claim] = {}
-        self._heard_anew = float("-inf")
+        self._lapsed = float("-inf")
         self._met: dict[str, float] = {}
         self._decoded: dict[str, tuple[bytes, Record | None]] = {}
-        self._told: Record | None = None
+        self._last_sent: Record | None = None
         self.outcome = Outcome()
 
-    def lapse(self, now: float) -> None:
-        """This worker stood still: others may have taken what it held. It is to be held anew, by the same dates."""
-        self._heard_anew = now
+    def lapse(self, now: float, *, same_term: bool = False) -> None:
+        """This worker stood still, and others may have taken its claims: wish for them again, with the same dates.
+
+        ``same_term``: the term goes on unless another worker is met before the role is held again.
+        """
+        self._lapsed = now
         if self._role is not None and self._role.held:
-            self.outcome = replace(self.outcome, term=self.outcome.term + 1, active=False, carried=frozenset())
+            term = self.outcome.term + (not same_term)
+            self.outcome = replace(self.outcome, term=term, active=False, carried=frozenset())
         if self._role is not None:
             self._role = self._anew(self._role)
         self._carries = {of: self._anew(claim) for of, claim in self._carries.items()}
@@ -200,7 +200,7 @@ class Election:
     def turn(
         self, now: float, wall_ns: int, sightings: Sequence[Sighting], hub: HubView, *, settled: bool
     ) -> tuple[Record, bool]:
-        """Decide by what is seen now; returns the record to tell, and whether others wait for it.
+        """Decide by what is seen now; returns the record to send, and whether others wait for it.
 
         Args:
             now: seconds of a monotonic clock, the one of the sightings.
@@ -220,13 +220,13 @@ class Election:
         carriers = self._elect_networks(hub.networks, members, others, wall_ns)
         self._seq += 1
         record = self._record(others, hub)
-        urgent = not record.same(self._told) or any(o.first > self._acked(o) for o in others)
-        self._tell(joined, carriers, members, waiting)
+        urgent = not record.same(self._last_sent) or any(o.first > self._acked(o) for o in others)
+        self._conclude(joined, carriers, members, waiting)
         return record, urgent
 
-    def told(self, record: Record) -> None:
+    def sent(self, record: Record) -> None:
         """The record was sent."""
-        self._told = record
+        self._last_sent = record
 
     def leave(self) -> Record:
         """The last record: nothing is held any more."""
@@ -243,7 +243,7 @@ class Election:
         living: dict[str, Record] = {}
         for sighting in sightings:
             record = self._decode(sighting, decoded)
-            age = now - max(sighting.heard, self._heard_anew)
+            age = now - max(sighting.heard, self._lapsed)
             if record is None:
                 if age < UNKNOWN:
                     waiting = "another Midspan worker on this network has not told yet what it carries"
@@ -263,12 +263,12 @@ class Election:
 
     def _joined(self, other: Record, hub: HubView, now: float) -> bool:
         """Whether another one's hub is ours; for a moment also where it has just left it."""
-        if other.id in hub.crew or self._me in other.crew:
+        if other.id in hub.sessions or self._me in other.sessions:
             self._met[other.id] = now
         return now - self._met.get(other.id, float("-inf")) < CUT
 
     def _acked(self, other: Record) -> int:
-        return self._told.acks.get(other.id, 0) if self._told is not None else 0
+        return self._last_sent.acks.get(other.id, 0) if self._last_sent is not None else 0
 
     # -- who carries what ----------------------------------------------------------------------------------------------
 
@@ -313,14 +313,14 @@ class Election:
         answered = all(o.acks.get(self._me, 0) >= claim.first for o in others)
         return replace(claim, held=True) if answered else claim
 
-    # -- what is told --------------------------------------------------------------------------------------------------
+    # -- the outcome ---------------------------------------------------------------------------------------------------
 
     def _record(self, others: Sequence[Record], hub: HubView) -> Record:
         acks = {o.id: o.seq for o in others}
         role, carries = self._role, dict(self._carries)
-        return Record(self._me, self._daemon, self._seq, acks, hub.crew, self._process, role, carries)
+        return Record(self._me, self._daemon, self._seq, acks, hub.sessions, self._process, role, carries)
 
-    def _tell(
+    def _conclude(
         self, joined: Sequence[Record], carriers: Mapping[str, str], members: frozenset[str], waiting: str
     ) -> None:
         active = self._role is not None and self._role.held
@@ -328,8 +328,10 @@ class Election:
         carried = frozenset().union(*(of for of, claim in self._carries.items() if claim.held))
         if not active and not holder:
             waiting = waiting or "the workers on this network are agreeing on who is active"
+        before = self.outcome
+        met = not active and len(members) > 1 and len(before.members) <= 1
         self.outcome = Outcome(
-            self.outcome.term,
+            before.term + met,
             active,
             carried,
             carriers,
@@ -340,7 +342,7 @@ class Election:
 
 
 def join(members: Mapping[str, frozenset[str]]) -> list[frozenset[str]]:
-    """The networks behind a hub's sessions, from what each session tells of who is on its network.
+    """The networks behind a hub's sessions, from the members that each session announces of its network.
 
     Sessions of one network tell sets that overlap: one of two workers that met knows the other.
     """

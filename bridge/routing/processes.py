@@ -1,4 +1,4 @@
-"""Whether a process of this machine still runs, as another worker can tell it: its death is then known at once.
+"""Names of processes, by which another worker on the machine knows at once that one has ended.
 
 A process is named by the machine's boot id, the PID namespace, the id and the time of its start, so a name means
 nothing to other machines and containers, and an id that was given again is no mistake (proc(5)).
@@ -13,7 +13,7 @@ _PROC = Path("/proc")
 
 
 def process_name(pid: int = 0) -> str:
-    """The name of a process, by default of this one; "" where the system does not tell."""
+    """The name of a process, by default of this one; "" where the system has none."""
     pid = pid or os.getpid()
     place, started = _place(), _started(pid)
     return f"{place} {pid} {started}" if place and started else ""

@@ -1,56 +1,63 @@
-"""What the routes of both directions share: who they are, how they report, what they decided."""
+"""The base of the routes of both directions, what they share, and the set of routes of one direction."""
 
 from __future__ import annotations
 
 import logging
-import re
-from typing import Any, NamedTuple
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any, ClassVar, Generic, TypeVar
 
-from bridge.hub.qos import Durability, Qos, Reliability
-from bridge.messages.conversion import Conversion
+from bridge.hub.session import Hub
+from bridge.hub.wire.qos import Qos
+from bridge.messages.actions import split
+from bridge.messages.errors import MessageTypeError
+from bridge.messages.registry import Registry
+from bridge.messages.transcode.conversion import Conversion
+from bridge.resources import OUT, RAISE
 from bridge.routing.counters import Counters
-from bridge.routing.priority import Priority, default_priority
-from bridge.routing.rules import Decision
-from bridge.routing.subject import split
+from bridge.routing.decision import RouteDecision, RouteKey
+from bridge.routing.dispatcher import Dispatcher
+from bridge.routing.edge import Edge, Endpoint
+from bridge.routing.hold import Hold
+from bridge.routing.limits import Priority, RateLimit, default_priority, qos_text
+from bridge.routing.peer_watch import Lease
+from bridge.routing.rewrites import StaticTransforms
+from bridge.routing.rules import RoutePolicy
+from bridge.routing.stall import StallDetector
+from bridge.routing.type_exchange import TypeExchange
 
 _log = logging.getLogger(__name__)
 
-QUEUE_DEPTH = {Priority.COMMAND: 1, Priority.STATE: 1000, Priority.STREAM: 1000}
-"""Messages that wait for a side at most, where no rule says otherwise."""
 
-STREAM_DEPTH = 1000
-"""History of the bridge's own endpoints on a stream at least, so that a burst finds room."""
+@dataclass(frozen=True)
+class EngineContext:
+    """What the routes of one engine share: the two ends that they join, and common helpers.
 
-BULK_DEPTH = 50
-"""The same for types that carry bytes without end, as images, clouds and maps do."""
+    Attributes:
+        stall_detector: tells whether this process stood still.
+        lease: tells whether messages may cross at this moment.
+        types: definitions that workers send each other.
+        small: carries messages from the hub to the side, urgent ones first.
+        bulk: the same for large ones.
+        wake: has the engine look at the graphs again soon.
+        registry: of types, for the replies that say no.
+        hold: tells which velocities may not enter the hub now.
+    """
 
-BULK = 64 * 1024
-"""Bytes from which a message is carried by other threads than small ones, so that it delays none of them."""
-
-QUEUE_BYTES = 64 * 1024 * 1024
-"""Bytes that wait in one route's queue at most, but for the newest message."""
-
-MAX_PENDING = 64
-"""Messages that wait at most for their publisher to be known; the same room of bytes."""
-
-_BYTES = re.compile(r"^[ \t]*(?:u?int8|byte|char|octet)\[\][ \t]", re.MULTILINE)
-
-
-def stream_depth(definition: str) -> int:
-    """History of the bridge's own endpoints on a stream of a type, given by its full definition."""
-    return BULK_DEPTH if _BYTES.search(definition) else STREAM_DEPTH
-
-
-class RouteKey(NamedTuple):
-    """What makes two routes of one direction the same."""
-
-    topic: str
-    type_name: str
-    type_id: str
+    hub: Hub
+    edge: Edge
+    stall_detector: StallDetector
+    lease: Lease
+    types: TypeExchange
+    small: Dispatcher
+    bulk: Dispatcher
+    wake: Callable[[], None]
+    registry: Registry | None = None
+    hold: Hold | None = None
 
 
 class Route:
-    """What crosses in one direction under one name: a topic or a service.
+    """A topic or a service that crosses in one direction.
 
     ``hub_type`` is the type's ROS 2 name, ``side_type`` its name on the side; ``refused`` says what stands in the way
     of an endpoint that the route needs, "" where it has them all.
@@ -60,29 +67,34 @@ class Route:
     kind = "topic"
 
     def __init__(
-        self, key: RouteKey, hub_topic: str, side_topic: str, types: tuple[str, str], decision: Decision
+        self,
+        key: RouteKey,
+        names: tuple[str, str],
+        types: tuple[str, str],
+        policy: RoutePolicy,
+        context: EngineContext,
     ) -> None:
-        self.key = key
-        self.hub_topic = hub_topic
-        self.side_topic = side_topic
+        self.key, self.policy = key, policy
+        self.hub_topic, self.side_topic = names
         self.hub_type, self.side_type = types
-        self.decision = decision
         self.counters = Counters()
         self.refused = ""
+        self._context = context
+        self._max_payload = context.hub.max_payload
 
     def status(self) -> dict[str, Any]:
         """The route as it stands in the status document."""
         raise NotImplementedError
 
-    def close(self) -> None:
-        """Give back everything on both networks."""
+    def close(self, why: str = "") -> None:
+        """Give back everything on both networks; ``why`` is told to those who wait for an answer."""
         raise NotImplementedError
 
-    def too_large(self, size: int, limit: int) -> bool:
+    def too_large(self, size: int) -> bool:
         """Whether a message of ``size`` bytes is refused for it."""
-        if size > limit:
-            self.bad(f"message of {size} bytes, limits.message allows {limit}", "large")
-        return size > limit
+        if size > self._max_payload:
+            self.bad(f"message of {size} bytes, limits.message allows {self._max_payload}", "large")
+        return size > self._max_payload
 
     def bad(self, error: str, reason: str = "bad") -> None:
         """Count a refused message and log at a limited rate. May be called from any thread."""
@@ -90,8 +102,28 @@ class Route:
         if self.counters.failed(error):
             _log.warning("%s %s: message refused: %s", self.direction, self.side_topic, error)
 
+    def attempt(self, update: Callable[[], None], decision: RouteDecision) -> None:
+        """Update the route. Its failure is its own: it is reported, and tried again at the next look."""
+        try:
+            update()
+        except MessageTypeError as err:
+            decision.refuse(str(err), err.cure)
+        except OSError as err:
+            if err.errno in OUT:
+                decision.refuse("this process has no file descriptor left", RAISE)
+            else:
+                decision.refuse(f"the system says: {err.strerror or err}", "it is tried again every few seconds")
+            if decision.reason != self.refused:
+                topic, text, cure = decision.topic, decision.reason, decision.cure
+                _log.warning("%s %s is refused: %s; %s", decision.direction, topic, text, cure)
+        except Exception as err:
+            decision.refuse(f"{type(err).__name__}: {err}", "")
+            if decision.reason != self.refused:
+                _log.exception("%s %s", decision.direction, decision.topic)
+        self.refused = decision.reason
+
     def row(self, *, active: bool, sources: int) -> dict[str, Any]:
-        """What every route's part of the status document has."""
+        """The fields of the status document that topics and services have in common."""
         return {
             "kind": self.kind,
             "action": split(self.hub_topic)[0],
@@ -110,35 +142,86 @@ class TopicRoute(Route):
     """One topic that crosses in one direction."""
 
     def __init__(
-        self, key: RouteKey, hub_topic: str, side_topic: str, conversion: Conversion, decision: Decision
+        self,
+        key: RouteKey,
+        names: tuple[str, str],
+        conversion: Conversion,
+        policy: RoutePolicy,
+        context: EngineContext,
     ) -> None:
-        inwards = self.direction == "in"
-        hub, side = (conversion.target, conversion.source) if inwards else (conversion.source, conversion.target)
-        super().__init__(key, hub_topic, side_topic, (hub.name, side.name), decision)
+        to_hub = self.direction == "in"
+        hub, side = (conversion.target, conversion.source) if to_hub else (conversion.source, conversion.target)
+        super().__init__(key, names, (hub.name, side.name), policy, context)
         self.conversion = conversion
+        self._limit = RateLimit(policy.rate) if policy.rate and policy.priority != Priority.STATE.value else None
+        self._priority = Priority.STREAM
+        self._qos = Qos()
+        self._static: StaticTransforms | None = None
 
     def priority_of(self, *, latched: bool) -> Priority:
         """The route's class: the rule's, else by type and latching."""
-        if self.decision.priority:
-            return Priority(self.decision.priority)
+        if self.policy.priority:
+            return Priority(self.policy.priority)
         return default_priority(self.hub_topic, self.hub_type, latched=latched)
 
-    def describe(self, priority: Priority, qos: Qos, sources: int, *, active: bool) -> dict[str, Any]:
+    def latches(self, qos: Qos) -> bool:
+        """Whether the messages of a publisher with this QoS are state; a command never is."""
+        latched = self.policy.override(qos).latched
+        return latched and self.priority_of(latched=latched) is not Priority.COMMAND
+
+    def over_rate(self, *, latched: bool) -> bool:
+        """Whether the rule's ``rate`` drops a message that came now. State is exempt, since it may come only once."""
+        if self._limit is None or latched or self._limit.passes():
+            return False
+        self.counters.dropped("rate")
+        return True
+
+    def crowded_out(self) -> None:
+        """Count a message that another one displaced from a queue."""
+        self.counters.dropped("queue")
+
+    @property
+    def static(self) -> bool:
+        """Whether the route carries merged static transforms, which stay when their publishers leave."""
+        return self._static is not None
+
+    def describe(self, sources: int) -> dict[str, Any]:
         """The route as it stands in the status document."""
-        return {**self.row(active=active, sources=sources), "priority": priority.value, "qos": qos_text(qos)}
+        row = self.row(active=bool(sources), sources=sources)
+        return {**row, "priority": self._priority.value, "qos": qos_text(self._qos)}
 
 
-def qos_text(qos: Qos) -> str:
-    """QoS for people, as ``reliable transient_local 1``."""
-    return f"{qos.reliability.name.lower()} {qos.durability.name.lower()} {qos.depth}"
+AnyKey = TypeVar("AnyKey")
+AnyRoute = TypeVar("AnyRoute", bound=Route)
 
 
-def joint_qos(qualities: list[Qos]) -> Qos:
-    """The QoS that hears every one of several publishers: best effort and latched if any of them is."""
-    best_effort = any(q.reliability is Reliability.BEST_EFFORT for q in qualities)
-    latched = [q for q in qualities if q.latched]
-    return Qos(
-        Reliability.BEST_EFFORT if best_effort else Reliability.RELIABLE,
-        Durability.TRANSIENT_LOCAL if latched else Durability.VOLATILE,
-        depth=max(sum(max(q.depth, 1) for q in latched), *(q.depth for q in qualities), 10),
-    )
+class RouteSet(Generic[AnyKey, AnyRoute]):
+    """The routes of one direction and kind. The engine's loop alone changes them; `routes` is for any thread."""
+
+    direction: ClassVar[str]
+    kind: ClassVar[str] = "topic"
+
+    def __init__(self, context: EngineContext) -> None:
+        self._context = context
+        self._routes: dict[AnyKey, AnyRoute] = {}
+
+    def routes(self) -> list[AnyRoute]:
+        """All routes now."""
+        return list(self._routes.values())
+
+    def close(self, why: str = "") -> None:
+        """Close all routes."""
+        for key in list(self._routes):
+            self._routes.pop(key).close(why)
+
+    def found(self, endpoints: Sequence[Endpoint]) -> set[tuple[str, str]]:
+        """Name and type of everything that could have a route; ``endpoints`` is the side's graph."""
+        raise NotImplementedError
+
+    def rest(self, endpoints: Sequence[Endpoint], decisions: list[RouteDecision], why: str) -> None:
+        """Have no routes, and decide so of everything that could have one."""
+        self.close(f"{why}; call again later")
+        decisions += [
+            RouteDecision.resting(self.direction, name, type_name, why, self.kind)
+            for name, type_name in sorted(self.found(endpoints))
+        ]

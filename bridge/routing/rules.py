@@ -1,17 +1,62 @@
-"""The configuration's rules, compiled: may this topic, service or action cross, under which name and how."""
+"""The rules of the configuration, compiled: whether a topic, service or action crosses, under which name and how."""
 
 from __future__ import annotations
 
+import functools
 import re
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field, replace
+from functools import lru_cache
 from typing import Literal, NamedTuple
 
-from bridge.config.mix import MadeRule
+from bridge.config.rules import MadeRule
 from bridge.config.sections.routing import QosOverride, RoutingSection, Rule
-from bridge.hub.qos import Durability, Qos, Reliability
-from bridge.routing.patterns import glob_regex, rename_glob
-from bridge.routing.private import why_private
+from bridge.hub.wire.qos import Durability, Qos, Reliability
+from bridge.sides import all_networks
+
+_WILDCARD = re.compile(r"\*\*|\*|\?")
+
+
+@lru_cache(maxsize=4096)
+def glob_regex(glob: str) -> re.Pattern[str]:
+    """Compile a glob: ``*`` and ``?`` stay within one part between slashes, ``**`` crosses parts; each is a group.
+
+    A trailing ``/**`` also matches the name without it, as in ``/camera/**`` for ``/camera``.
+    """
+    tail = ""
+    if glob.endswith("/**"):
+        glob, tail = glob[:-3], r"(?:/(.*))?"
+    parts = []
+    end = 0
+    for match in _WILDCARD.finditer(glob):
+        parts.append(re.escape(glob[end : match.start()]))
+        parts.append({"**": "(.*)", "*": "([^/]*)", "?": "([^/])"}[match.group()])
+        end = match.end()
+    parts.append(re.escape(glob[end:]))
+    return re.compile("".join(parts) + tail)
+
+
+def rename_glob(match: re.Match[str], new: str) -> str:
+    """Fill the wildcards of a new name with what the glob's wildcards matched, in order."""
+    groups = iter([g or "" for g in match.groups()])
+    renamed = _WILDCARD.sub(lambda _: next(groups, ""), new)
+    return renamed.rstrip("/") or "/"
+
+
+@functools.cache
+def _patterns(side: str, kind: str) -> tuple[tuple[re.Pattern[str], str], ...]:
+    found = all_networks().get(side)
+    private = () if found is None else found.private_services if kind == "service" else found.private_topics
+    return tuple((re.compile(pattern), why) for pattern, why in private)
+
+
+def why_private(side: str, name: str, type_name: str, kind: str = "topic") -> str:
+    """Why a topic or a service is private to its side, "" where it is not; ``type_name`` is the type's ROS 2 name."""
+    if kind == "action":
+        return ""
+    word = type_name if kind == "service" else name
+    return next((why for pattern, why in _patterns(side, kind) if pattern.fullmatch(word)), "")
+
 
 ENTRY = "zenoh"
 """The hub as a destination: rules with ``to: zenoh`` hold where a topic enters the hub."""
@@ -22,16 +67,13 @@ _MOST_DECIDED = 20_000
 """Decisions that are kept at most."""
 
 _PARAMETERS, _EVENT = "rcl_interfaces/srv/", "rcl_interfaces/msg/ParameterEvent"
-_WITH_NODES = frozenset({"ros2", "zenoh_ros2dds"})
-"""Sides on which nodes have parameters of their own."""
 
 
 @dataclass(frozen=True, slots=True)
-class Decision:
-    """What the rules say of one topic, service or action at one gate.
+class RoutePolicy:
+    """The policy of the rules for one topic, service or action at one gate.
 
     Attributes:
-        allowed: whether it crosses.
         why: the rule or default that decided, for people.
         private: whether it was kept back as private to its side.
         settled: whether no rule could change it.
@@ -40,7 +82,6 @@ class Decision:
         priority: class forced by the rule, "" for the topic's own.
         depth: queue length forced by the rule, None for the class's own.
         timeout: seconds after which a command is too old.
-        qos: forced QoS.
     """
 
     allowed: bool
@@ -76,22 +117,27 @@ class RuleSet:
         self._patterns = [_pattern(rule) for rule in section.rules]
         self._names = list(_names(section.rules))
         self._nodes = frozenset(rule.node for rule in section.parameters)
-        self._decided: dict[tuple[str, ...], Decision] = {}
+        self._decided: dict[tuple[str, ...], RoutePolicy] = {}
 
-    def enter(self, side: str, topic: str, type_name: str, kind: Kind = "topic") -> Decision:
+    def enter(self, side: str, topic: str, type_name: str, kind: Kind = "topic") -> RoutePolicy:
         """May a topic, service or action of ``side`` enter the hub? ``type_name`` is the type's ROS 2 name."""
         return self._once((side, topic, type_name, kind), lambda: self._enter(side, topic, type_name, kind))
 
-    def _once(self, question: tuple[str, ...], decide: Callable[[], Decision]) -> Decision:
-        """What was decided before; each look at a graph asks the same of all that is on it."""
-        decision = self._decided.get(question)
-        if decision is None:
+    def naming(self, name: str) -> Iterator[tuple[str, Rule, bool]]:
+        """Each rule with its name for people, and whether its pattern fits a name, whatever its kind, side and type."""
+        for of, rule, pattern in zip(self._names, self.section.rules, self._patterns, strict=True):
+            yield of, rule, pattern is not None and pattern.fullmatch(name) is not None
+
+    def _once(self, question: tuple[str, ...], decide: Callable[[], RoutePolicy]) -> RoutePolicy:
+        """Decide once; each look at a graph asks the same question about everything on it."""
+        policy = self._decided.get(question)
+        if policy is None:
             if len(self._decided) >= _MOST_DECIDED:
                 self._decided.clear()
-            decision = self._decided[question] = decide()
-        return decision
+            policy = self._decided[question] = decide()
+        return policy
 
-    def _enter(self, side: str, topic: str, type_name: str, kind: Kind) -> Decision:
+    def _enter(self, side: str, topic: str, type_name: str, kind: Kind) -> RoutePolicy:
         matches = list(self._matches(side, topic, type_name, kind))
         entry = [m for m in matches if m.rule.to in (None, ENTRY)]
         return (
@@ -104,7 +150,7 @@ class RuleSet:
 
     def leave(
         self, origin: str, side: str, topic: str, type_name: str, kind: Kind = "topic", *, elsewhere: bool = False
-    ) -> Decision:
+    ) -> RoutePolicy:
         """May what came from the side ``origin`` leave the hub to ``side``?
 
         A native hub topic (origin ``zenoh``) has passed no gate yet, so that rules without ``to`` hold for it whole;
@@ -114,7 +160,7 @@ class RuleSet:
         question = (origin, side, topic, type_name, kind, "elsewhere" if elsewhere else "")
         return self._once(question, lambda: self._leave(origin, side, topic, type_name, kind, elsewhere=elsewhere))
 
-    def _leave(self, origin: str, side: str, topic: str, type_name: str, kind: Kind, *, elsewhere: bool) -> Decision:
+    def _leave(self, origin: str, side: str, topic: str, type_name: str, kind: Kind, *, elsewhere: bool) -> RoutePolicy:
         matches = list(self._matches(origin, topic, type_name, kind))
         here = [m for m in matches if m.rule.to == side]
         general = [m for m in matches if m.rule.to is None]
@@ -123,18 +169,18 @@ class RuleSet:
         if denied or here:
             return denied or _allowed(here, topic) or self._default(topic)
         if general:
-            decision = _allowed(general, topic) or self._default(topic)
-            return decision if native else replace(decision, name=topic, rate=None)
+            policy = _allowed(general, topic) or self._default(topic)
+            return policy if native else replace(policy, name=topic, rate=None)
         if matches and self.section.default == "deny":
-            return Decision(allowed=False, why="rules allow it to other sides only", name=topic)
+            return RoutePolicy(allowed=False, why="rules allow it to other sides only", name=topic)
         if native:
             return self._private(origin, topic, type_name, kind) or self._default(topic)
         if elsewhere and self.section.default == "deny":
             return self._default(topic)
         told = type_name == _EVENT or self._shares(topic, type_name, kind)
-        if self.section.private and side not in _WITH_NODES and told:
-            return Decision(allowed=False, why="parameters are told by routing.parameters", name=topic, private=True)
-        return Decision(allowed=True, why="allowed where it entered the hub", name=topic)
+        if self.section.private and not (side in (known := all_networks()) and known[side].node_parameters) and told:
+            return RoutePolicy(allowed=False, why="parameters are told by routing.parameters", name=topic, private=True)
+        return RoutePolicy(allowed=True, why="allowed where it entered the hub", name=topic)
 
     def _matches(self, origin: str, topic: str, type_name: str, kind: Kind) -> Iterator[_Match]:
         for name, rule, pattern in zip(self._names, self.section.rules, self._patterns, strict=True):
@@ -146,25 +192,25 @@ class RuleSet:
             if pattern is None or match is not None:
                 yield _Match(name, rule, match)
 
-    def _onward(self, matches: list[_Match], topic: str) -> Decision | None:
+    def _onward(self, matches: list[_Match], topic: str) -> RoutePolicy | None:
         if any(not m.rule.deny for m in matches):
-            return Decision(allowed=True, why="a rule lets it leave the hub", name=topic)
+            return RoutePolicy(allowed=True, why="a rule lets it leave the hub", name=topic)
         return None
 
     def _shares(self, name: str, type_name: str, kind: Kind) -> bool:
         """Whether it is a parameter service of a node whose parameters are shared."""
         return kind == "service" and type_name.startswith(_PARAMETERS) and name.rpartition("/")[0] in self._nodes
 
-    def _private(self, side: str, topic: str, type_name: str, kind: Kind) -> Decision | None:
+    def _private(self, side: str, topic: str, type_name: str, kind: Kind) -> RoutePolicy | None:
         if self._shares(topic, type_name, kind):
-            return Decision(allowed=True, why="routing.parameters names its node", name=topic)
+            return RoutePolicy(allowed=True, why="routing.parameters names its node", name=topic)
         why = why_private(side, topic, type_name, kind) if self.section.private else ""
-        return Decision(allowed=False, why=f"private to its side: {why}", name=topic, private=True) if why else None
+        return RoutePolicy(allowed=False, why=f"private to its side: {why}", name=topic, private=True) if why else None
 
-    def _default(self, topic: str) -> Decision:
+    def _default(self, topic: str) -> RoutePolicy:
         if self.section.default == "deny":
-            return Decision(allowed=False, why="no rule allows it and routing.default is deny", name=topic)
-        return Decision(allowed=True, why="everything crosses by default", name=topic)
+            return RoutePolicy(allowed=False, why="no rule allows it and routing.default is deny", name=topic)
+        return RoutePolicy(allowed=True, why="everything crosses by default", name=topic)
 
 
 class _Match(NamedTuple):
@@ -173,19 +219,19 @@ class _Match(NamedTuple):
     match: re.Match[str] | None
 
 
-def _denied(matches: list[_Match], topic: str) -> Decision | None:
+def _denied(matches: list[_Match], topic: str) -> RoutePolicy | None:
     for name, rule, _ in matches:
         if rule.deny:
-            return Decision(allowed=False, why=f"{name} denies it", name=topic)
+            return RoutePolicy(allowed=False, why=f"{name} denies it", name=topic)
     return None
 
 
-def _allowed(matches: list[_Match], topic: str) -> Decision | None:
+def _allowed(matches: list[_Match], topic: str) -> RoutePolicy | None:
     return _by_rule(*matches[0], topic) if matches else None
 
 
 def _names(rules: Iterable[Rule]) -> Iterator[str]:
-    """What people call each rule: its number in the file, or what it follows from."""
+    """The name of each rule for people: its number in the file, or the section that made it."""
     number = 0
     for rule in rules:
         number += not isinstance(rule, MadeRule)
@@ -198,7 +244,7 @@ def _pattern(rule: Rule) -> re.Pattern[str] | None:
     return None if rule.topic is None else glob_regex(rule.topic)
 
 
-def _by_rule(of: str, rule: Rule, match: re.Match[str] | None, topic: str) -> Decision:
+def _by_rule(of: str, rule: Rule, match: re.Match[str] | None, topic: str) -> RoutePolicy:
     name = topic
     if rule.rename is not None:
         if rule.regex is not None and match is not None:
@@ -207,7 +253,7 @@ def _by_rule(of: str, rule: Rule, match: re.Match[str] | None, topic: str) -> De
             name = rename_glob(match, rule.rename)
         else:
             name = rule.rename
-    return Decision(
+    return RoutePolicy(
         allowed=True,
         why=f"{of} allows it",
         name=name,

@@ -7,11 +7,10 @@ import time
 from collections.abc import Mapping, Sequence
 from typing import Any, TypeVar
 
+from bridge.hub.endpoints.keyspace import KeySpace
 from bridge.hub.errors import HubError
-from bridge.hub.keyspace import KeySpace
-from bridge.stores.errors import StoreError
-from bridge.stores.kinds import CURRENT, MAP, Kind
-from bridge.stores.names import check_name
+from bridge.stores.entry import StoreError, check_name
+from bridge.stores.kinds import CURRENT, MAP, ValueKind
 from bridge.stores.store import THE_MAP, Write
 from bridge.stores.wire import key_of
 
@@ -24,14 +23,9 @@ _ALIVE = "@sync/alive/*/*"
 
 
 class StoreClient:
-    """Reads and writes one daemon's copy. What it reads is as new as what it wrote before.
+    """Reads and writes one daemon's copy, preferably that of ``daemon``; it reads what it wrote.
 
-    Args:
-        space: the keys beneath `bridge.stores.wire.prefix`.
-        daemon: whose copy is preferred; another's where that one keeps none.
-
-    Raises:
-        StoreError: nobody keeps a store, and nobody came who does for 2 s.
+    Raises `StoreError` where nobody on the hub keeps a store within 2 s.
     """
 
     def __init__(self, space: KeySpace, daemon: str) -> None:
@@ -49,47 +43,46 @@ class StoreClient:
         answer = json.loads(self._ask("digest", "", b"{}")[0].body or b"{}")
         return {(kind, name) for kind, name, _, _, size in answer.get("entries", []) if size}
 
-    def names(self, kind: Kind[Any]) -> list[str]:
+    def names(self, kind: ValueKind[Any]) -> list[str]:
         """The names of a kind's values, sorted."""
         return sorted(name for each, name in self.keys() if each == kind.name)
 
-    def get(self, kind: Kind[T], name: str) -> T | None:
-        """A value, None where there is none."""
+    def get(self, kind: ValueKind[T], name: str) -> T | None:
+        """A value, None where the store has none."""
         return self._fetch(kind, [name] if check_name(name) in self.names(kind) else []).get(name)
 
-    def all(self, kind: Kind[T]) -> dict[str, T]:
+    def all(self, kind: ValueKind[T]) -> dict[str, T]:
         """All values of a kind, in the order of their names."""
         return self._fetch(kind, self.names(kind))
 
     def write(self, writes: Sequence[Write[Any]]) -> None:
         """Write and delete values in one transaction; on that daemon's disk when this returns.
 
-        Raises:
-            StoreError: it cannot be, or the daemon did not answer; the text says which.
+        Raises `StoreError`: the daemon refuses, or did not answer; the text says which.
         """
         bodies: list[bytes] = []
-        told: list[Mapping[str, Any]] = []
+        heads: list[Mapping[str, Any]] = []
         for each in writes:
             key = f"{each.kind.name}/{check_name(each.name)}"
             if each.value is None:
-                told.append({"key": key, "size": None})
+                heads.append({"key": key, "size": None})
             else:
                 bodies.append(each.kind.encode(each.name, each.value)[0])
-                told.append({"key": key, "size": len(bodies[-1])})
-        self._ask("write", "", b"\n".join((json.dumps({"writes": told}).encode(), b"".join(bodies))))
+                heads.append({"key": key, "size": len(bodies[-1])})
+        self._ask("write", "", b"\n".join((json.dumps({"writes": heads}).encode(), b"".join(bodies))))
 
     def current_map(self) -> str:
         """The name of the map that is in use, "" where none was chosen."""
         return self.get(CURRENT, THE_MAP) or ""
 
     def use_map(self, name: str) -> None:
-        """Choose the map that is in use; raises `StoreError` where there is none of the name."""
+        """Choose the map that is in use; raises `StoreError` where none has the name."""
         names = self.names(MAP)
         if name not in names:
             raise StoreError(f"there is no map {name!r}; those that are: {', '.join(names) or 'none'}")
         self.write([Write(CURRENT, THE_MAP, name)])
 
-    def _fetch(self, kind: Kind[T], names: Sequence[str]) -> dict[str, T]:
+    def _fetch(self, kind: ValueKind[T], names: Sequence[str]) -> dict[str, T]:
         if not names:
             return {}
         keys = json.dumps({"keys": [f"{kind.name}/{name}" for name in names]}).encode()

@@ -1,38 +1,258 @@
-"""What the store holds: each kind of value, and how it is written as bytes."""
+"""What the store holds: each kind of value, and how it is written as bytes.
+
+Locations, areas, paths, objects and links are JSON: metres, and YARP's degrees, named in the keys. A map is a line
+of JSON, then the occupancy and the flags, each a zlib stream. The line says ``{"midspan": "map", "version": 1, "name",
+"width", "height", "resolution", "origin": [x, y, theta_deg], "occupancy": <bytes>, "flags": <bytes>}`` and ends with a
+newline. Cells are a byte each, row by row from the top one: occupancy 0 to 100 or 255 for unknown, flags 0 to 5 as YARP
+numbers them.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import json
+import math
+import zlib
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Generic, TypeVar
 
-from bridge.stores import places
-from bridge.stores.errors import StoreError
-from bridge.stores.mapform import read_map, write_map
-from yarp_compat.dev.area_behaviour import AreaBehaviour
+import numpy as np
+from numpy.typing import NDArray
+
+from bridge.stores.entry import StoreError, json_object
+from yarp_compat.dev.extras import AreaBehaviour, MapLink
 from yarp_compat.dev.locations import Map2DArea, Map2DLocation, Map2DObject, Map2DPath
-from yarp_compat.dev.mapgrid import MapGrid2D
-from yarp_compat.dev.maplink import MapLink
+from yarp_compat.dev.mapgrid import MAX_CELLS, MapFlag, MapGrid2D, too_large
+from yarp_compat.sig.vec2d import Vec2D
+
+T = TypeVar("T")
+Json = Mapping[str, Any]
+
+_MOST_POINTS = 10_000
+_POSE = ("x", "y", "z", "roll", "pitch", "yaw")
+
+
+def _write_json(found: Json) -> bytes:
+    """A body that holds a JSON object; raises `StoreError` where a number is none."""
+    try:
+        return json.dumps(found, ensure_ascii=False, allow_nan=False).encode()
+    except ValueError:
+        raise StoreError(f"it has a number or a text that JSON cannot carry: {found!r:.200}") from None
+
+
+def location_json(location: Map2DLocation) -> Json:
+    """``{"map", "x", "y", "theta_deg", "description"}``."""
+    pose = {"x": location.x, "y": location.y, "theta_deg": location.theta}
+    return {"map": location.map_id, **pose, "description": location.description}
+
+
+def _json_location(found: Json) -> Map2DLocation:
+    x, y, theta = (_number(found, key) for key in ("x", "y", "theta_deg"))
+    return Map2DLocation(_text(found, "map"), x, y, theta, _text(found, "description"))
+
+
+def area_json(area: Map2DArea) -> Json:
+    """``{"map", "points": [[x, y], ...], "description"}``."""
+    points = [[point.x, point.y] for point in area.points]
+    return {"map": area.map_id, "points": points, "description": area.description}
+
+
+def _json_area(found: Json) -> Map2DArea:
+    points = [_point(point) for point in _several(found, "points")]
+    return Map2DArea(_text(found, "map"), points, _text(found, "description"))
+
+
+def path_json(path: Map2DPath) -> Json:
+    """``{"waypoints": [location, ...], "description"}``."""
+    return {"waypoints": [location_json(point) for point in path.waypoints], "description": path.description}
+
+
+def _json_path(found: Json) -> Map2DPath:
+    waypoints = [_json_location(_object(point)) for point in _several(found, "waypoints")]
+    return Map2DPath(waypoints, _text(found, "description"))
+
+
+def object_json(thing: Map2DObject) -> Json:
+    """``{"map", "x", "y", "z", "roll", "pitch", "yaw", "description"}``."""
+    pose = {key: getattr(thing, key) for key in _POSE}
+    return {"map": thing.map_id, **pose, "description": thing.description}
+
+
+def _json_object(found: Json) -> Map2DObject:
+    x, y, z, roll, pitch, yaw = (_number(found, key) for key in _POSE)
+    return Map2DObject(_text(found, "map"), x, y, z, roll, pitch, yaw, _text(found, "description"))
+
+
+def behaviour_json(behaviour: AreaBehaviour) -> Json:
+    """``{"max_speed", "on_obstacle", "keep_out"}``; the speed in m/s, null where there is no limit."""
+    return {key: getattr(behaviour, key) for key in ("max_speed", "on_obstacle", "keep_out")}
+
+
+def _json_behaviour(found: Json) -> AreaBehaviour:
+    speed = found.get("max_speed")
+    limit = None if speed is None else _finite(speed, "max_speed")
+    keep_out = found.get("keep_out", False)
+    if not isinstance(keep_out, bool):
+        raise StoreError(f"keep_out is true or false, not {keep_out!r:.60}")
+    try:
+        return AreaBehaviour(max_speed=limit, on_obstacle=_text(found, "on_obstacle"), keep_out=keep_out)
+    except ValueError as err:
+        raise StoreError(str(err)) from None
+
+
+def link_json(link: MapLink) -> Json:
+    """``{"from", "to", "cost"}``: the names of two locations."""
+    return {"from": link.first, "to": link.second, "cost": link.cost}
+
+
+def _json_link(found: Json) -> MapLink:
+    try:
+        return MapLink(_text(found, "from"), _text(found, "to"), _number(found, "cost"))
+    except ValueError as err:
+        raise StoreError(str(err)) from None
+
+
+def _number(found: Json, key: str) -> float:
+    return _finite(found.get(key, 0.0), key)
+
+
+def _finite(value: Any, what: str) -> float:
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        raise StoreError(f"{what} is no number: {value!r:.60}")
+    try:
+        found = float(value)
+    except OverflowError:
+        found = math.inf
+    if not math.isfinite(found):
+        raise StoreError(f"{what} is no finite number")
+    return found
+
+
+def _text(found: Json, key: str) -> str:
+    value = found.get(key, "")
+    if not isinstance(value, str):
+        raise StoreError(f"{key} is no text: {value!r:.60}")
+    return value
+
+
+def _several(found: Json, key: str) -> Sequence[Any]:
+    value = found.get(key, [])
+    if not isinstance(value, list) or len(value) > _MOST_POINTS:
+        raise StoreError(f"{key} is no list of up to {_MOST_POINTS}")
+    return value
+
+
+def _point(value: Any) -> Vec2D:
+    if not isinstance(value, list) or len(value) != 2:
+        raise StoreError(f"a point is [x, y], not {value!r:.60}")
+    return Vec2D(_finite(value[0], "x"), _finite(value[1], "y"))
+
+
+def _object(value: Any) -> Json:
+    if not isinstance(value, dict):
+        raise StoreError(f"a waypoint is a JSON object, not {value!r:.60}")
+    return value
+
+
+_VERSION = 1
+_MOST_HEAD = 4096
+_LEVEL = 1
+_OCCUPANCY = bytes([*range(101), 255])
+_FLAGS = bytes(MapFlag)
+
+
+def _write_map(name: str, grid: MapGrid2D) -> bytes:
+    """A map's body under a name, whatever its own."""
+    streams = [zlib.compress(np.ascontiguousarray(cells).data, _LEVEL) for cells in (grid.occupancy, grid.flags)]
+    _check(grid.occupancy.tobytes(), _OCCUPANCY, "occupancy")
+    _check(grid.flags.tobytes(), _FLAGS, "flags")
+    head = {
+        "midspan": "map",
+        "version": _VERSION,
+        "name": name,
+        "width": grid.width(),
+        "height": grid.height(),
+        "resolution": grid.resolution,
+        "origin": list(grid.origin),
+        "occupancy": len(streams[0]),
+        "flags": len(streams[1]),
+    }
+    return b"".join((_write_json(head), b"\n", *streams))
+
+
+def _read_map(name: str, body: bytes) -> MapGrid2D:
+    """The map of a body, under the name that it has in the store; raises `StoreError`."""
+    head, start = _head(body)
+    width, height = _size(head)
+    middle = start + _whole(head, "occupancy")
+    end = middle + _whole(head, "flags")
+    if end != len(body):
+        raise StoreError(f"the map has {len(body)} bytes, and its head says {end}")
+    occupancy = _cells(body[start:middle], width, height, _OCCUPANCY, "occupancy")
+    flags = _cells(body[middle:], width, height, _FLAGS, "flags")
+    x, y, theta = _origin(head)
+    resolution = _finite(head.get("resolution"), "resolution")
+    try:
+        return MapGrid2D.of(flags, occupancy, name=name, resolution=resolution, origin=(x, y, theta))
+    except ValueError as err:
+        raise StoreError(str(err)) from None
+
+
+def _head(body: bytes) -> tuple[Any, int]:
+    end = body.find(b"\n", 0, _MOST_HEAD)
+    head = json_object(body[: max(end, 0)])
+    if head.get("midspan") != "map" or head.get("version") != _VERSION:
+        raise StoreError(f"it is no map of version {_VERSION}: {json.dumps(head)[:80]}")
+    return head, end + 1
+
+
+def _size(head: Any) -> tuple[int, int]:
+    width, height = _whole(head, "width"), _whole(head, "height")
+    if not width or not height:
+        raise StoreError(f"a map of {width} x {height} cells has none")
+    if width * height > MAX_CELLS:
+        raise StoreError(too_large(width, height))
+    return width, height
+
+
+def _origin(head: Any) -> list[float]:
+    found = [_finite(number, "origin") for number in _several(head, "origin")]
+    if len(found) != 3:
+        raise StoreError("a map's origin has three numbers")
+    return found
+
+
+def _whole(head: Any, key: str) -> int:
+    value = head.get(key)
+    if isinstance(value, bool) or not isinstance(value, int) or value < 0:
+        raise StoreError(f"{key} is no whole number: {value!r:.60}")
+    return value
+
+
+def _cells(part: bytes, width: int, height: int, good: bytes, what: str) -> NDArray[np.uint8]:
+    try:
+        # one byte more than there should be shows a longer stream, and no more of it is unpacked
+        data = zlib.decompressobj().decompress(part, width * height + 1)
+    except zlib.error as err:
+        raise StoreError(f"the map's {what} cannot be unpacked: {err}") from None
+    if len(data) != width * height:
+        raise StoreError(f"the map's {what} has not the {width * height} cells that its head names")
+    _check(data, good, what)
+    return np.frombuffer(data, np.uint8).reshape(height, width).copy()
+
+
+def _check(data: bytes, good: bytes, what: str) -> None:
+    if wrong := data.translate(None, good):
+        raise StoreError(f"the map's {what} has a cell of {wrong[0]}")
+
 
 JSON = "application/json"
 GRID = "application/octet-stream;midspan-map"
 
-T = TypeVar("T")
-
-_SMALL, _LARGE = 1 << 20, 64 << 20
-
 
 @dataclass(frozen=True, slots=True)
-class Kind(Generic[T]):
-    """One kind of value.
-
-    Attributes:
-        name: as it stands in keys.
-        encoding: of its bodies.
-        limit: bytes of the largest body.
-        write: the body of a value that is stored under a name; raises `StoreError`.
-        read: the other way round; raises `StoreError`.
-    """
+class ValueKind(Generic[T]):
+    """One kind of value, with functions from a value to bytes and back; they raise `StoreError`."""
 
     name: str
     encoding: str
@@ -59,25 +279,27 @@ class Kind(Generic[T]):
 
     def _check_size(self, name: str, body: bytes) -> None:
         if len(body) > self.limit:
-            msg = f"{self.name} {name!r} has {len(body)} bytes, and may have {self.limit}"
-            raise StoreError(msg)
+            raise StoreError(f"{self.name} {name!r} has {len(body)} bytes, and may have {self.limit}")
 
 
-MAP: Kind[MapGrid2D] = Kind("map", GRID, _LARGE, write_map, read_map)
-LOCATION: Kind[Map2DLocation] = Kind(
-    "location", JSON, _SMALL, *places.json_codec(places.location_json, places.json_location)
-)
-AREA: Kind[Map2DArea] = Kind("area", JSON, _SMALL, *places.json_codec(places.area_json, places.json_area))
-PATH: Kind[Map2DPath] = Kind("path", JSON, _SMALL, *places.json_codec(places.path_json, places.json_path))
-OBJECT: Kind[Map2DObject] = Kind("object", JSON, _SMALL, *places.json_codec(places.object_json, places.json_object))
-LINK: Kind[MapLink] = Kind("link", JSON, _SMALL, *places.json_codec(places.link_json, places.json_link))
-BEHAVIOUR: Kind[AreaBehaviour] = Kind(
-    "behaviour", JSON, _SMALL, *places.json_codec(places.behaviour_json, places.json_behaviour)
-)
+def _json_kind(name: str, write: Callable[[T], Json], read: Callable[[Json], T]) -> ValueKind[T]:
+    """A kind whose bodies are JSON and do not hold their own name."""
+    return ValueKind(
+        name, JSON, 1 << 20, lambda _, value: _write_json(write(value)), lambda _, body: read(json_object(body))
+    )
+
+
+MAP: ValueKind[MapGrid2D] = ValueKind("map", GRID, 64 << 20, _write_map, _read_map)
+LOCATION = _json_kind("location", location_json, _json_location)
+AREA = _json_kind("area", area_json, _json_area)
+PATH = _json_kind("path", path_json, _json_path)
+OBJECT = _json_kind("object", object_json, _json_object)
+LINK = _json_kind("link", link_json, _json_link)
+BEHAVIOUR = _json_kind("behaviour", behaviour_json, _json_behaviour)
 """What an area asks of robots, under the area's name."""
-CURRENT: Kind[str] = Kind("current", JSON, _SMALL, *places.json_codec(places.current_json, places.json_current))
+CURRENT: ValueKind[str] = _json_kind("current", lambda name: {"map": name}, lambda found: _text(found, "map"))
 """Which one is current, of what there may be one only: under ``map`` a map's name."""
 
-KINDS: dict[str, Kind[Any]] = {
+KINDS: dict[str, ValueKind[Any]] = {
     kind.name: kind for kind in (MAP, LOCATION, AREA, BEHAVIOUR, PATH, OBJECT, LINK, CURRENT)
 }

@@ -11,11 +11,9 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from bridge.hub.errands import Errands
-from bridge.stores.entry import LATEST, OLDEST, Entry, Stamp, Version, follow
-from bridge.stores.errors import StoreError
-from bridge.stores.merge import conflict
-from bridge.stores.table import Table
+from bridge.concurrency import SerialExecutor
+from bridge.stores.entry import LATEST, OLDEST, Stamp, StoreEntry, StoreError, Version, conflict, follow
+from bridge.stores.table import EntryTable
 
 _log = logging.getLogger(__name__)
 
@@ -29,15 +27,8 @@ Body = tuple[bytes, str]
 
 
 @dataclass(frozen=True, slots=True)
-class Limits:
-    """What a replica holds at most.
-
-    Attributes:
-        keys: values.
-        size: bytes of all values together.
-        deleted: deleted keys that are remembered.
-        deleted_days: days for which they are.
-    """
+class StoreLimits:
+    """What a replica holds at most: values, their bytes, deleted keys, and days for which it remembers these."""
 
     keys: int = 10_000
     size: int = 1 << 30
@@ -47,12 +38,7 @@ class Limits:
 
 @dataclass(frozen=True, slots=True)
 class Change:
-    """A key was written or deleted.
-
-    Attributes:
-        origin: the daemon that did.
-        here: whether this replica is where it was done.
-    """
+    """A key was written or deleted by the daemon ``origin``; ``here``: at this replica."""
 
     kind: str
     name: str
@@ -62,7 +48,7 @@ class Change:
 
 
 Heard = Callable[[Change], Any]
-Sent = Callable[[Sequence[Entry]], Any]
+Sent = Callable[[Sequence[StoreEntry]], Any]
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,22 +58,13 @@ class _Known:
 
 
 class Replica:
-    """See the module. Safe to use from any thread.
+    """See the module. Safe to use from any thread; raises `StoreError` where the file cannot be used."""
 
-    Args:
-        file: its database.
-        origin: the daemon's name.
-        limits: what it holds at most.
-
-    Raises:
-        StoreError: the file cannot be used.
-    """
-
-    def __init__(self, file: Path, origin: str, limits: Limits | None = None) -> None:
-        self.origin, self.limits = origin, limits or Limits()
+    def __init__(self, file: Path, origin: str, limits: StoreLimits | None = None) -> None:
+        self.origin, self.limits = origin, limits or StoreLimits()
         self._lost: deque[str] = deque(maxlen=_MOST_CONFLICTS)
         self.conflict_count = 0
-        self._table = Table(file)
+        self._table = EntryTable(file)
         self.id = self._table.replica
         self._known: dict[Key, _Known] = {key: _Known(version, size) for key, version, size in self._table.versions()}
         self._size = sum(known.size or 0 for known in self._known.values())
@@ -96,11 +73,11 @@ class Replica:
         self._last = 0
         self._watches: list[tuple[frozenset[str], Heard]] = []
         self._senders: list[Sent] = []
-        self._events = Errands("store-events")
+        self._events = SerialExecutor("store-events")
         self._closed = False
 
     def get(self, kind: str, name: str) -> Body | None:
-        """A key's value, None where there is none."""
+        """A key's value, None where it has none."""
         with self._lock:
             self._check_open()
             known = self._known.get((kind, name))
@@ -109,7 +86,7 @@ class Replica:
             body, encoding = self._table.body(kind, name)
         return None if body is None else (body, encoding)
 
-    def entry(self, kind: str, name: str) -> Entry | None:
+    def entry(self, kind: str, name: str) -> StoreEntry | None:
         """A key with its version, None where it was never there; deleted ones have no body."""
         with self._lock:
             self._check_open()
@@ -117,7 +94,7 @@ class Replica:
             if known is None:
                 return None
             body, encoding = self._table.body(kind, name)
-            return Entry(kind, name, body, encoding, known.version)
+            return StoreEntry(kind, name, body, encoding, known.version)
 
     def names(self, kind: str) -> list[str]:
         """The names of a kind's values, sorted."""
@@ -157,15 +134,11 @@ class Replica:
                 if known.size is not None or known.version.stamp.ns > oldest
             }
 
-    def write(self, changes: Mapping[Key, Body | None], *, oldest: bool = False) -> list[Entry]:
+    def write(self, changes: Mapping[Key, Body | None], *, oldest: bool = False) -> list[StoreEntry]:
         """Write values, or delete them (None), in one transaction; on the disk when this returns.
 
-        Args:
-            changes: the values by their keys.
-            oldest: they are older than anything that was ever written, and hold only where there is nothing.
-
-        Raises:
-            StoreError: there is no room, or the file cannot be written; nothing has changed.
+        With ``oldest`` they are older than anything that was ever written, and hold only where nothing is. Raises
+        `StoreError` where the store is full, or the file cannot be written; then nothing has changed.
         """
         with self._lock:
             self._check_open()
@@ -175,11 +148,10 @@ class Replica:
                 send(entries)
         return entries
 
-    def merge(self, entry: Entry) -> bool:
+    def merge(self, entry: StoreEntry) -> bool:
         """Take an entry of another replica; whether it holds now.
 
-        Raises:
-            StoreError: there is no room, or the file cannot be written.
+        Raises `StoreError`: there is no room, or the file cannot be written.
         """
         with self._lock:
             self._check_open()
@@ -200,7 +172,7 @@ class Replica:
         return True
 
     def watch(self, heard: Heard, kinds: Iterable[str] = ()) -> Callable[[], None]:
-        """Hear of every change of some kinds (none: of all) until the returned function is called.
+        """Call back for every change of some kinds (none: of all) until the returned function is called.
 
         It is called on the replica's own thread, for one change after the other, and is to return soon.
         """
@@ -248,7 +220,7 @@ class Replica:
             self._table.close()
         self._events.close()
 
-    def _stamped(self, key: Key, body: Body | None, *, oldest: bool) -> Entry:
+    def _stamped(self, key: Key, body: Body | None, *, oldest: bool) -> StoreEntry:
         before = self._known.get(key)
         now = self._last = max(time.time_ns(), self._last + 1)
         if oldest:
@@ -260,9 +232,9 @@ class Replica:
             raise StoreError(msg)
         version = follow(None if before is None else before.version, Stamp(max(now, above), self.id), self.origin)
         data, encoding = (None, "") if body is None else body
-        return Entry(*key, data, encoding, version)
+        return StoreEntry(*key, data, encoding, version)
 
-    def _take(self, entries: Sequence[Entry], *, here: bool) -> None:
+    def _take(self, entries: Sequence[StoreEntry], *, here: bool) -> None:
         size, live = self._size, self._live
         for entry in entries:
             before = self._known.get(entry.key)
@@ -289,7 +261,7 @@ class Replica:
             return
         raise StoreError(msg)
 
-    def _forgettable(self, entries: Sequence[Entry]) -> list[Key]:
+    def _forgettable(self, entries: Sequence[StoreEntry]) -> list[Key]:
         """Deleted keys that are remembered no longer: too old, or too many."""
         coming = sum(entry.body is None for entry in entries)
         if not coming:
@@ -306,7 +278,7 @@ class Replica:
     def _oldest(self) -> int:
         return time.time_ns() - int(self.limits.deleted_days * _DAY_NS)
 
-    def _compare(self, entry: Entry) -> None:
+    def _compare(self, entry: StoreEntry) -> None:
         ours = self.entry(*entry.key)
         found = None if ours is None else conflict(ours, entry)
         if found is not None:
@@ -317,9 +289,8 @@ class Replica:
     def _tell(self, change: Change) -> None:
         for kinds, heard in tuple(self._watches):
             if not kinds or change.kind in kinds:
-                self._events.send(lambda heard=heard: heard(change))  # type: ignore[misc]
+                self._events.submit(lambda heard=heard: heard(change))  # type: ignore[misc]
 
     def _check_open(self) -> None:
         if self._closed:
-            msg = "the store is closed"
-            raise StoreError(msg)
+            raise StoreError("the store is closed")

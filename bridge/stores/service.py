@@ -1,40 +1,104 @@
-"""The store of one process: its file in the state folder, its place on the hub. Opened at its first use."""
+"""The store of one process: its file in the state folder, its place on the hub, and the files it imports.
+
+It is opened at its first use.
+"""
 
 from __future__ import annotations
 
 import logging
 import os
 import threading
+from pathlib import Path
 from typing import Any
 
 from bridge.config.model import Config
-from bridge.config.state import worker_folder
+from bridge.config.sections.maps import StoreSection
 from bridge.hub.errors import HubError
 from bridge.hub.session import Hub, HubSettings
-from bridge.stores.errors import StoreError
-from bridge.stores.importing import import_at_start
-from bridge.stores.replica import Limits, Replica
-from bridge.stores.sharing import Share
-from bridge.stores.store import Store
+from bridge.state_file import worker_folder
+from bridge.stores.entry import StoreError, check_name
+from bridge.stores.kinds import AREA, BEHAVIOUR, CURRENT, LINK, LOCATION, MAP, OBJECT, PATH
+from bridge.stores.replica import Body, Key, Replica, StoreLimits
+from bridge.stores.sharing import StoreSync
+from bridge.stores.store import THE_MAP, Store, Write
 from bridge.stores.wire import prefix
+from yarp_compat.dev.extras import Extras, extras_file
+from yarp_compat.dev.mapfile import MapFileError, read_text
+from yarp_compat.dev.mapgrid import MapGrid2D
+from yarp_compat.dev.places import Places, load_maps
 
 _log = logging.getLogger(__name__)
+
+
+def read_files(path: Path) -> list[Write[Any]]:
+    """What a file holds: a map (``.map``, or YAML of ROS), a collection of maps, or places with what is beside them.
+
+    Raises `StoreError`: it cannot be read; the text says why.
+    """
+    try:
+        if path.suffix.lower() != ".ini":
+            grid = MapGrid2D.load(path)
+            return [Write(MAP, grid.name or path.stem, grid)]
+        if not read_text(path).lstrip().startswith("Version:"):
+            return [Write(MAP, name, grid) for name, grid in load_maps(path).items()]
+        places, beside = Places.load(path), extras_file(path)
+        return places_writes(places, Extras.load(beside) if beside.exists() else Extras())
+    except MapFileError as err:
+        raise StoreError(str(err)) from None
+
+
+def places_writes(places: Places, extras: Extras) -> list[Write[Any]]:
+    """Places and what is beside them, as they are written into the store."""
+    by_kind: list[tuple[Any, dict[str, Any]]] = [
+        (LOCATION, places.locations),
+        (OBJECT, places.objects),
+        (AREA, places.areas),
+        (PATH, places.paths),
+        (BEHAVIOUR, extras.behaviours),
+        (LINK, extras.links),
+    ]
+    return [Write(kind, name, value) for kind, values in by_kind for name, value in values.items()]
+
+
+def import_at_start(store: Store, section: StoreSection) -> None:
+    """Read the files that the configuration names; what the store knows, or had deleted, stays as it is.
+
+    What is imported is older than anything that was ever written: a machine that joins a deployment with files of its
+    own changes nothing there. A file that cannot be read is logged, and keeps nothing else from the store.
+    """
+    for key, path in (("maps", section.maps), ("locations", section.locations)):
+        if path is None:
+            continue
+        try:
+            writes = read_files(path)
+            if key == "maps" and writes:
+                writes.append(Write(CURRENT, THE_MAP, writes[0].name))
+            changes: dict[Key, Body | None] = {
+                (each.kind.name, check_name(each.name)): each.kind.encode(each.name, each.value)
+                for each in writes
+                if not store.replica.remembers(each.kind.name, each.name)
+            }
+            store.replica.write(changes, oldest=True)
+        except StoreError as err:
+            _log.error("store.%s: nothing of it is imported: %s", key, err)
+        else:
+            _log.info("store.%s: %d of %d values of %s are new", key, len(changes), len(writes), path)
+
+
 _WORKER = "store"
 
 
 class StoreService:
-    """Safe to use from any thread.
+    """Opens the store. Safe to use from any thread.
 
-    Args:
-        config: the whole configuration.
-        alone: the module that has this process for itself, "" in the daemon's own worker. It has a copy of its own.
+    ``alone`` is the module that has this process, and so a copy, for itself; "" in the daemon's own worker.
     """
 
     def __init__(self, config: Config, alone: str = "") -> None:
         self._config = config
         self._name = f"{_WORKER}-{alone}" if alone else _WORKER
         self._lock = threading.Lock()
-        self._open: tuple[Store, Share, Hub] | None = None
+        self._open: tuple[Store, StoreSync, Hub] | None = None
         self._closed = False
 
     @property
@@ -55,7 +119,7 @@ class StoreService:
             return self._open[0]
 
     def trouble(self) -> str:
-        """Open it where the configuration says that it is there always; why that cannot be, "" where it is well."""
+        """Open it where the configuration wants it always; the reason why that fails, "" where it does not."""
         if self._config.store.enabled is True:
             try:
                 _ = self.store
@@ -74,16 +138,16 @@ class StoreService:
             hub.close()
             store.replica.close()
 
-    def _opened(self) -> tuple[Store, Share, Hub]:
+    def _opened(self) -> tuple[Store, StoreSync, Hub]:
         config = self._config
         section = config.store
-        limits = Limits(section.keys, section.megabytes << 20, section.deleted, section.deleted_days)
+        limits = StoreLimits(section.keys, section.megabytes << 20, section.deleted, section.deleted_days)
         replica = Replica(worker_folder(config) / f"{self._name}.sqlite", config.name, limits)
         try:
             store = Store(replica)
             import_at_start(store, section)
             hub = self._joined()
-            share = Share(replica, hub.keyspace(prefix(config.hub.domain)), hub.zid)
+            share = StoreSync(replica, hub.keyspace(prefix(config.hub.domain)), hub.zid)
         except BaseException:
             replica.close()
             raise
@@ -105,7 +169,7 @@ class StoreService:
             )
         )
 
-    def _status(self, store: Store, share: Share, hub: Hub) -> dict[str, Any]:
+    def _status(self, store: Store, share: StoreSync, hub: Hub) -> dict[str, Any]:
         found = store.status()
         counts = ", ".join(f"{count} {kind}{'' if count == 1 else 's'}" for kind, count in found["keys"].items())
         others = share.others()

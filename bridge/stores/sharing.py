@@ -1,15 +1,15 @@
-"""A replica on the hub: tells the others what is written here, takes what they write, and aligns with who comes back.
+"""A replica on the hub: sends the others what is written here, takes what they write, and aligns with who comes back.
 
 Beneath ``midspan/store/<domain>/``::
 
     <kind>/<name>               the values, as puts and deletes, and for whoever asks; wildcards are fine
     @sync/alive/<zid>/<daemon>  a token for each replica
-    @sync/digest/<zid>          asks a replica where it has other versions than these digests tell
+    @sync/digest/<zid>          asks a replica where it has other versions than these digests show
     @sync/fetch/<zid>/**        asks it for entries; each answer is under .../<kind>/<name>
     @sync/write/<zid>           asks it to write (`bridge.stores.client`)
 
 A key that starts with ``@`` is not heard by those who listen to everything, and a machine that the door does not trust
-can ask for values and digests but neither write nor answer (`bridge.hub.trust`).
+can ask for values and digests but neither write nor answer (`bridge.hub.security.access`).
 """
 
 from __future__ import annotations
@@ -22,11 +22,10 @@ from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from typing import Any
 
-from bridge.hub.errands import Errands
+from bridge.concurrency import SerialExecutor
+from bridge.hub.endpoints.keyspace import KeyItem, KeyQuery, KeySpace
 from bridge.hub.errors import HubError
-from bridge.hub.keyspace import KeyItem, KeySpace, Question
-from bridge.stores.entry import Entry
-from bridge.stores.errors import StoreError
+from bridge.stores.entry import StoreEntry, StoreError, json_object
 from bridge.stores.kinds import KINDS
 from bridge.stores.replica import Body, Key, Replica
 from bridge.stores.store import write_all
@@ -35,7 +34,7 @@ from bridge.stores.wire import BUCKETS, bucket, digests, entry_of, item_of, key_
 _log = logging.getLogger(__name__)
 
 PERIOD = 10.0
-"""Seconds after which a replica compares itself with the others, though nothing told it to."""
+"""Seconds after which a replica compares itself with the others, though nothing asked for it."""
 
 _AGAIN = 1.0
 _MOST_TRIES = 5
@@ -45,22 +44,16 @@ _MOST_WAITING = 1000
 _BATCH_KEYS, _BATCH_BYTES = 200, 64 << 20
 _MOST_KEYS = 100_000
 _MOST_WRITE = 1 << 20
+_NO_OBJECT = "the question is not a JSON object"
 
 
-class Share:
-    """See the module. Begins at once.
-
-    Args:
-        replica: this machine's copy.
-        space: the keys beneath `bridge.stores.wire.prefix`; closed with the share.
-        zid: the hub session's id.
-        period: seconds between comparisons.
-    """
+class StoreSync:
+    """Shares a replica from the start on; closes ``space``; compares every ``period`` seconds."""
 
     def __init__(self, replica: Replica, space: KeySpace, zid: str, period: float = PERIOD) -> None:
         self._replica, self._space, self._zid, self._period = replica, space, zid, period
-        self._serving = Errands("store-serving")
-        self._sending = Errands("store-sending")
+        self._serving = SerialExecutor("store-serving")
+        self._sending = SerialExecutor("store-sending")
         self._unsent: dict[Key, None] = {}
         self._waiting = 0
         self._others: dict[str, str] = {}
@@ -70,7 +63,7 @@ class Share:
         self._closed = False
         self._aligning = threading.Thread(target=self._run, name="store-aligning", daemon=True)
         self._withdraw = replica.on_write(self._written)
-        space.hear("*/*", self._heard)
+        space.subscribe("*/*", self._heard)
         space.serve("*/*", lambda question: self._asked(question, self._answer_values), complete=True)
         for verb, answer in (
             (f"digest/{zid}", self._answer_digest),
@@ -106,12 +99,12 @@ class Share:
 
     # What is written here
 
-    def _written(self, entries: Sequence[Entry]) -> None:
+    def _written(self, entries: Sequence[StoreEntry]) -> None:
         with self._wake:
             for entry in entries:
                 if entry.key not in self._unsent:
                     self._unsent[entry.key] = None
-                    self._sending.send(self._send_one)
+                    self._sending.submit(self._send_one)
 
     def _send_one(self) -> None:
         with self._wake:
@@ -131,7 +124,7 @@ class Share:
                 self._due.update(dict.fromkeys(self._others, 0))
                 self._wake.notify()
         if not full:
-            self._serving.send(lambda: self._take_waiting(item))
+            self._serving.submit(lambda: self._take_waiting(item))
 
     def _take_waiting(self, item: KeyItem) -> None:
         with self._wake:
@@ -152,7 +145,7 @@ class Share:
 
     # What others ask
 
-    def _asked(self, question: Question, answer: Any) -> None:
+    def _asked(self, question: KeyQuery, answer: Any) -> None:
         with self._wake:
             full = self._waiting >= _MOST_WAITING
             self._waiting += not full
@@ -160,9 +153,9 @@ class Share:
             question.fail("the store has too many questions at once; ask again later")
             question.end()
         else:
-            self._serving.send(lambda: self._answer_waiting(question, answer))
+            self._serving.submit(lambda: self._answer_waiting(question, answer))
 
-    def _answer_waiting(self, question: Question, answer: Any) -> None:
+    def _answer_waiting(self, question: KeyQuery, answer: Any) -> None:
         with self._wake:
             self._waiting -= 1
         try:
@@ -172,7 +165,7 @@ class Share:
         finally:
             question.end()
 
-    def _answer_values(self, question: Question) -> None:
+    def _answer_values(self, question: KeyQuery) -> None:
         wanted = question.key
         keys = [wanted] if "*" not in wanted else ["/".join(key) for key in self._replica.versions()]
         for text in keys:
@@ -181,8 +174,8 @@ class Share:
                 if entry is not None and entry.body is not None:
                     question.reply(item_of(entry))
 
-    def _answer_digest(self, question: Question) -> None:
-        theirs = _texts(_json(question.body), "digests", BUCKETS)
+    def _answer_digest(self, question: KeyQuery) -> None:
+        theirs = _texts(json_object(question.body, _NO_OBJECT), "digests", BUCKETS)
         versions = self._replica.versions()
         ours = digests(versions)
         differ = {number for number in range(BUCKETS) if number >= len(theirs) or theirs[number] != ours[number]}
@@ -191,17 +184,17 @@ class Share:
         ]
         question.reply(KeyItem(f"@sync/digest/{self._zid}", json.dumps({"entries": found}).encode()))
 
-    def _answer_fetch(self, question: Question) -> None:
-        for text in _texts(_json(question.body), "keys", _MOST_KEYS):
+    def _answer_fetch(self, question: KeyQuery) -> None:
+        for text in _texts(json_object(question.body, _NO_OBJECT), "keys", _MOST_KEYS):
             entry = self._replica.entry(*key_of(text))
             if entry is not None:
                 question.reply(item_of(entry, f"@sync/fetch/{self._zid}/"))
 
-    def _answer_write(self, question: Question) -> None:
+    def _answer_write(self, question: KeyQuery) -> None:
         end = question.body.find(b"\n", 0, _MOST_WRITE)
-        writes = _json(question.body[: max(end, 0)]).get("writes")
+        writes = json_object(question.body[: max(end, 0)], _NO_OBJECT).get("writes")
         if not isinstance(writes, list):
-            raise StoreError("it says nothing to write")
+            raise StoreError("it has nothing to write")
         changes: dict[Key, Body | None] = {}
         start = end + 1
         for text, size in _sizes(writes):
@@ -300,16 +293,6 @@ class Share:
             yield keys
 
 
-def _json(data: bytes) -> dict[str, Any]:
-    try:
-        found = json.loads(data)
-    except (ValueError, RecursionError):
-        found = None
-    if not isinstance(found, dict):
-        raise StoreError("the question is not a JSON object")
-    return found
-
-
 def _texts(found: dict[str, Any], key: str, most: int) -> list[str]:
     value = found.get(key, [])
     if not isinstance(value, list) or len(value) > most or not all(isinstance(each, str) for each in value):
@@ -327,7 +310,7 @@ def _sizes(writes: Iterable[Any]) -> Iterable[tuple[str, int | None]]:
 
 
 def _entries(data: bytes) -> list[Sequence[Any]]:
-    entries = _json(data).get("entries")
+    entries = json_object(data, _NO_OBJECT).get("entries")
     if not isinstance(entries, list) or len(entries) > _MOST_KEYS:
-        raise StoreError("the other store's answer is none")
+        raise StoreError("the other store's answer cannot be read")
     return [each for each in entries if isinstance(each, list) and len(each) == 5 and isinstance(each[4], int)]

@@ -9,18 +9,17 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Generic, TypeVar
 
-from bridge.stores.errors import StoreError
-from bridge.stores.kinds import AREA, BEHAVIOUR, CURRENT, MAP, Kind
-from bridge.stores.names import check_name
+from bridge.stores.entry import StoreError, check_name
+from bridge.stores.kinds import AREA, BEHAVIOUR, CURRENT, MAP, ValueKind
 from bridge.stores.replica import Body, Change, Heard, Key, Replica
-from yarp_compat.dev.area_behaviour import AreaBehaviour
+from yarp_compat.dev.extras import AreaBehaviour
 
 __all__ = ["Change", "Store", "Write"]
 
 T = TypeVar("T")
 
 THE_MAP = "map"
-_BESIDE: dict[str, Kind[Any]] = {AREA.name: BEHAVIOUR}
+_BESIDE: dict[str, ValueKind[Any]] = {AREA.name: BEHAVIOUR}
 """What goes where a key of another kind goes."""
 
 
@@ -28,40 +27,36 @@ _BESIDE: dict[str, Kind[Any]] = {AREA.name: BEHAVIOUR}
 class Write(Generic[T]):
     """A value to be written under a name, or deleted where it is None."""
 
-    kind: Kind[T]
+    kind: ValueKind[T]
     name: str
     value: T | None
 
 
 class Store:
-    """Values by kind and name. Safe to use from any thread.
-
-    Args:
-        replica: this machine's copy.
-    """
+    """Values by kind and name. Safe to use from any thread."""
 
     def __init__(self, replica: Replica) -> None:
         self.replica = replica
 
-    def get(self, kind: Kind[T], name: str) -> T | None:
-        """A value, a copy of the caller's own; None where there is none."""
+    def get(self, kind: ValueKind[T], name: str) -> T | None:
+        """A value, a copy of the caller's own; None where the store has none."""
         found = self.replica.get(kind.name, name)
         return None if found is None else kind.decode(name, found[0])
 
-    def names(self, kind: Kind[Any]) -> list[str]:
+    def names(self, kind: ValueKind[Any]) -> list[str]:
         """The names of a kind's values, sorted."""
         return self.replica.names(kind.name)
 
-    def all(self, kind: Kind[T]) -> dict[str, T]:
+    def all(self, kind: ValueKind[T]) -> dict[str, T]:
         """All values of a kind, in the order of their names."""
         found = {name: self.get(kind, name) for name in self.names(kind)}
         return {name: value for name, value in found.items() if value is not None}
 
-    def put(self, kind: Kind[T], name: str, value: T) -> None:
+    def put(self, kind: ValueKind[T], name: str, value: T) -> None:
         """Write a value; raises `StoreError` where its name, its size or the value itself cannot be."""
         self.write([Write(kind, name, value)])
 
-    def delete(self, kind: Kind[Any], name: str) -> bool:
+    def delete(self, kind: ValueKind[Any], name: str) -> bool:
         """Delete a value; whether there was one."""
         with self.replica.still():
             there = self.replica.has(kind.name, name)
@@ -69,13 +64,13 @@ class Store:
                 self.write([Write(kind, name, None)])
         return there
 
-    def clear(self, kind: Kind[Any]) -> int:
+    def clear(self, kind: ValueKind[Any]) -> int:
         """Delete all values of a kind; how many there were."""
         names = self.names(kind)
         self.write([Write(kind, name, None) for name in names])
         return len(names)
 
-    def rename(self, kind: Kind[Any], old: str, new: str) -> None:
+    def rename(self, kind: ValueKind[Any], old: str, new: str) -> None:
         """Give a value another name; raises `StoreError` where the old one is not there or the new one is."""
         check_name(new)
         with self.replica.still():
@@ -83,11 +78,9 @@ class Store:
             for each in (kind, *filter(None, [_BESIDE.get(kind.name)])):
                 value = self.get(each, old)
                 if each is kind and value is None:
-                    msg = f"there is no {kind.name} {old!r}"
-                    raise StoreError(msg)
+                    raise StoreError(f"there is no {kind.name} {old!r}")
                 if each is kind and self.replica.has(kind.name, new):
-                    msg = f"{kind.name} {new!r} is there already"
-                    raise StoreError(msg)
+                    raise StoreError(f"{kind.name} {new!r} is there already")
                 if value is not None:
                     changes[each.name, new] = each.encode(new, value)
                     changes[each.name, old] = None
@@ -96,8 +89,7 @@ class Store:
     def write(self, writes: Sequence[Write[Any]]) -> None:
         """Write and delete values in one transaction; where a key stands twice the last holds.
 
-        Raises:
-            StoreError: a name, a size or a value cannot be, or the store is full; nothing has changed.
+        Raises `StoreError`: a name, a size or a value cannot be, or the store is full; nothing has changed.
         """
         changes: dict[Key, Body | None] = {}
         for each in writes:
@@ -106,7 +98,7 @@ class Store:
         write_all(self.replica, changes)
 
     def behaviour(self, area: str) -> AreaBehaviour:
-        """What an area asks of robots: as it is kept beside it, else as its description says; nothing by default."""
+        """What an area asks of robots: as it is kept beside it, else as its description has it; nothing by default."""
         kept = self.get(BEHAVIOUR, area)
         found = self.get(AREA, area) if kept is None else None
         if found is None:
@@ -121,14 +113,13 @@ class Store:
         return self.get(CURRENT, THE_MAP) or ""
 
     def use_map(self, name: str) -> None:
-        """Choose the map that is in use; raises `StoreError` where there is none of the name."""
+        """Choose the map that is in use; raises `StoreError` where none has the name."""
         if not self.replica.has(MAP.name, name):
-            msg = f"there is no map {name!r}; those that are: {', '.join(self.names(MAP)) or 'none'}"
-            raise StoreError(msg)
+            raise StoreError(f"there is no map {name!r}; those that are: {', '.join(self.names(MAP)) or 'none'}")
         self.put(CURRENT, THE_MAP, name)
 
-    def watch(self, heard: Heard, *kinds: Kind[Any]) -> Callable[[], None]:
-        """Hear of every change of some kinds (none: of all), made here or elsewhere.
+    def watch(self, heard: Heard, *kinds: ValueKind[Any]) -> Callable[[], None]:
+        """Call back for every change of some kinds (none: of all), made here or elsewhere.
 
         ``heard`` is called until the returned function is, on the store's own thread, one change after the other; it is
         to return soon.
@@ -143,8 +134,7 @@ class Store:
 def write_all(replica: Replica, changes: Mapping[Key, Body | None]) -> None:
     """Write what was checked already; what goes beside a deleted key goes too, and what is not there stays so.
 
-    Raises:
-        StoreError: the store is full, or its file cannot be written; nothing has changed.
+    Raises `StoreError`: the store is full, or its file cannot be written; nothing has changed.
     """
     beside = {
         (_BESIDE[kind].name, name): None for (kind, name), body in changes.items() if not body and kind in _BESIDE

@@ -1,6 +1,6 @@
 """The store's file: an SQLite database with one row for each key, deleted ones among them.
 
-Every transaction is on the disk before it is told done: write-ahead log with ``synchronous = FULL``, which syncs the
+Every transaction is on the disk before it is acknowledged: write-ahead log with ``synchronous = FULL``, which syncs the
 log at each commit (https://www.sqlite.org/pragma.html#pragma_synchronous). So neither a killed process nor a power cut
 takes back what was acknowledged, and a transaction is there wholly or not at all. The file is locked as long as it is
 open: a second process has a replica, and a file, of its own.
@@ -15,8 +15,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
-from bridge.stores.entry import Entry, Stamp, Version
-from bridge.stores.errors import StoreError
+from bridge.stores.entry import Stamp, StoreEntry, StoreError, Version
 
 _FORM = 1
 _BUSY_SECONDS = 1.0
@@ -29,14 +28,11 @@ CREATE TABLE IF NOT EXISTS entries (
 """
 
 
-class Table:
-    """The rows. The caller sees to it that one thread at a time uses it.
+class EntryTable:
+    """The rows; one thread at a time may use them.
 
-    Args:
-        file: the database; made where it is not there, with its folder.
-
-    Raises:
-        StoreError: it cannot be opened, is no database or another process has it.
+    Makes the file where it is missing. Raises `StoreError` where it cannot be opened, is no database, or another
+    process has it.
     """
 
     def __init__(self, file: Path) -> None:
@@ -45,8 +41,7 @@ class Table:
             file.parent.mkdir(parents=True, exist_ok=True)
             self._base = sqlite3.connect(file, timeout=_BUSY_SECONDS, isolation_level=None, check_same_thread=False)
         except (OSError, sqlite3.Error) as err:
-            msg = f"the store {file} cannot be opened: {err}"
-            raise StoreError(msg) from None
+            raise StoreError(f"the store {file} cannot be opened: {err}") from None
         try:
             self._prepare()
         except sqlite3.DatabaseError as err:
@@ -70,19 +65,17 @@ class Table:
     def body(self, kind: str, name: str) -> tuple[bytes | None, str]:
         """A key's value and its encoding."""
         with self._told():
-            row = self._base.execute(
-                "SELECT body, encoding FROM entries WHERE kind = ? AND name = ?", (kind, name)
-            ).fetchone()
+            wanted = "SELECT body, encoding FROM entries WHERE kind = ? AND name = ?"
+            row = self._base.execute(wanted, (kind, name)).fetchone()
         return (None, "") if row is None else (row[0], row[1])
 
-    def write(self, entries: Sequence[Entry], gone: Iterable[tuple[str, str]] = ()) -> None:
+    def write(self, entries: Sequence[StoreEntry], gone: Iterable[tuple[str, str]] = ()) -> None:
         """Write entries and forget deleted keys for good, in one transaction that is durable when this returns."""
         with self._told():
             self._base.execute("BEGIN IMMEDIATE")
             try:
-                self._base.executemany(
-                    "INSERT OR REPLACE INTO entries VALUES (?, ?, ?, ?, ?, ?, ?, ?)", map(_row, entries)
-                )
+                insert = "INSERT OR REPLACE INTO entries VALUES (?, ?, ?, ?, ?, ?, ?, ?)"
+                self._base.executemany(insert, map(_row, entries))
                 self._base.executemany("DELETE FROM entries WHERE kind = ? AND name = ?", gone)
                 self._base.execute("COMMIT")
             except BaseException:
@@ -129,7 +122,7 @@ class Table:
         )
 
 
-def _row(entry: Entry) -> tuple[object, ...]:
+def _row(entry: StoreEntry) -> tuple[object, ...]:
     version = entry.version
     seen = json.dumps(dict(version.seen), separators=(",", ":"))
     stamp = version.stamp

@@ -13,11 +13,9 @@ import re
 from collections.abc import Mapping
 from typing import Any
 
-from bridge.hub.keyspace import KeyItem
-from bridge.stores.entry import LATEST, MOST_SEEN, Entry, Stamp, Version
-from bridge.stores.errors import StoreError
+from bridge.hub.endpoints.keyspace import KeyItem
+from bridge.stores.entry import LATEST, MOST_SEEN, Stamp, StoreEntry, StoreError, Version, check_name, json_object
 from bridge.stores.kinds import KINDS
-from bridge.stores.names import check_name
 from bridge.stores.replica import Key
 
 BUCKETS = 64
@@ -32,7 +30,7 @@ def prefix(domain: int) -> str:
     return f"midspan/store/{domain}"
 
 
-def item_of(entry: Entry, under: str = "") -> KeyItem:
+def item_of(entry: StoreEntry, under: str = "") -> KeyItem:
     """An entry as it travels, for some answers under a key of their own."""
     version = entry.version
     ns, replica = version.stamp.ns, version.stamp.replica
@@ -45,24 +43,24 @@ def key_of(text: str) -> Key:
     """Kind and name of a key beneath the prefix; raises `StoreError` where there can be no such."""
     kind, slash, name = text.partition("/")
     if not slash or kind not in KINDS:
-        msg = f"{text[:80]!r} is no key of the store: write <kind>/<name> with a kind of {', '.join(KINDS)}"
-        raise StoreError(msg)
+        raise StoreError(f"{text[:80]!r} is no key of the store: write <kind>/<name> with a kind of {', '.join(KINDS)}")
     return kind, check_name(name)
 
 
-def entry_of(item: KeyItem, key: Key) -> Entry:
+def entry_of(item: KeyItem, key: Key) -> StoreEntry:
     """The entry of a key that came from elsewhere, its value checked; raises `StoreError`."""
     kind, name = key
     version = version_of(item)
     if item.body is not None:
         KINDS[kind].decode(name, item.body)
-    return Entry(kind, name, item.body, "" if item.body is None else KINDS[kind].encoding, version)
+    return StoreEntry(kind, name, item.body, "" if item.body is None else KINDS[kind].encoding, version)
 
 
 def version_of(item: KeyItem) -> Version:
-    """The version that an item tells; raises `StoreError`."""
+    """The version of an item; raises `StoreError`."""
     if item.attached:
-        about = _object(item.attached)
+        attached = item.attached if len(item.attached) <= _MOST_ATTACHED else b""
+        about = json_object(attached, "its attachment is not Midspan's")
         seen = about.get("seen")
         if not isinstance(seen, dict) or len(seen) > MOST_SEEN:
             raise StoreError("it does not say what its writer knew")
@@ -77,7 +75,7 @@ def version_of(item: KeyItem) -> Version:
 
 
 def stamp_of(ns: Any, replica: Any) -> Stamp:
-    """A stamp of what somebody said; raises `StoreError`."""
+    """A stamp that was received; raises `StoreError`."""
     if isinstance(ns, bool) or not isinstance(ns, int) or not 0 < ns < LATEST:
         raise StoreError(f"its time cannot be: {ns!r:.60}")
     if not isinstance(replica, str) or not _REPLICA.fullmatch(replica):
@@ -97,13 +95,3 @@ def digests(versions: Mapping[Key, tuple[Stamp, int]]) -> list[str]:
 def bucket(key: Key) -> int:
     """Which part of the keys one is in."""
     return hashlib.blake2b("/".join(key).encode(), digest_size=1).digest()[0] % BUCKETS
-
-
-def _object(data: bytes) -> dict[str, Any]:
-    try:
-        found = json.loads(data) if len(data) <= _MOST_ATTACHED else None
-    except (ValueError, RecursionError):
-        found = None
-    if not isinstance(found, dict):
-        raise StoreError("what is attached to it is not Midspan's")
-    return found

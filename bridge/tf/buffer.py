@@ -1,23 +1,28 @@
-"""The transform buffer: who asks and who tells, by names."""
+"""The transform buffer: histories of frames, and lookups in them by names."""
 
 from __future__ import annotations
 
 import threading
 import time
-from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from bridge.tf import tree
-from bridge.tf.errors import InvalidArgumentError, Refusal, TransformError
-from bridge.tf.frames import Frames
-from bridge.tf.history import History
+from bridge.tf import errors, tree
+from bridge.tf.errors import (
+    ConnectivityError,
+    ExtrapolationError,
+    FrameRefusal,
+    InvalidArgumentError,
+    LookupError_,
+    TransformError,
+)
+from bridge.tf.frames import FrameTable
+from bridge.tf.history import TransformHistory, compose, compose_many
 from bridge.tf.intake import Intake, Sample
-from bridge.tf.layout import NONE, TIMED
-from bridge.tf.lookups import Lookups
-from bridge.tf.transform import LATEST, FrameInfo, Transform, Transforms
+from bridge.tf.layout import CONNECTIVITY, LOOP, NONE, TIMED
+from bridge.tf.transform import LATEST, FrameInfo, Transform, TransformsInTime
 
 _SECOND = 1_000_000_000
 
@@ -36,53 +41,30 @@ class TransformBuffer:
     def __init__(
         self, cache_time: float = 10.0, *, max_future: float = 2.0, now: Callable[[], int] | None = None
     ) -> None:
-        self._frames = Frames()
-        self._history = History(round(cache_time * _SECOND))
+        self._frames = FrameTable()
+        self._history = TransformHistory(round(cache_time * _SECOND))
         self._intake = Intake(self._frames, self._history, round(max_future * _SECOND), now)
-        self._lookups = Lookups(self._frames, self._history)
+        self.refused = self._intake.refused  # how many transforms were not taken up, by why
+        self.last_refused = self._intake.last_refused  # the last of each, in words
         self._lock = threading.Lock()
         self._changed = threading.Condition(self._lock)
         self._waiting = 0
-        self.changes = 0
-        """Grows whenever something was taken up or forgotten, so that a lookup may have another answer."""
+        self.changes = 0  # grows whenever something was taken up or forgotten, so that a lookup may have another answer
         self.clears = 0
-
-    @property
-    def refused(self) -> Counter[Refusal]:
-        """How many transforms were not taken up, by why."""
-        return self._intake.refused
-
-    @property
-    def last_refused(self) -> dict[Refusal, str]:
-        """The last of each, in words."""
-        return self._intake.last_refused
-
-    @property
-    def loops(self) -> int:
-        """Lookups that ended in a loop."""
-        return self._lookups.loops
+        self.loops = 0  # lookups that ended in a loop
 
     def set_transform(
         self,
-        frame_id: str,
-        child_frame_id: str,
-        stamp: int,
-        translation: Sequence[float],
-        rotation: Sequence[float],
-        authority: str = "",
+        frame_id: str,  # the parent
+        child_frame_id: str,  # the child. Whether it is static is said by its first transform, as in tf2.
+        stamp: int,  # ns; not looked at where the child is static
+        translation: Sequence[float],  # x, y, z in m
+        rotation: Sequence[float],  # x, y, z, w
+        authority: str = "",  # who says so
         *,
-        static: bool = False,
-    ) -> Refusal | None:
+        static: bool = False,  # it holds for all times
+    ) -> FrameRefusal | None:
         """Take up the pose of a child frame in its parent.
-
-        Args:
-            frame_id: the parent.
-            child_frame_id: the child. Whether it is static is said by its first transform, as in tf2.
-            stamp: ns; not looked at where the child is static.
-            translation: x, y, z in m.
-            rotation: x, y, z, w.
-            authority: who says so.
-            static: it holds for all times.
 
         Returns:
             None, or why it was not taken up, which is counted too.
@@ -98,7 +80,7 @@ class TransformBuffer:
 
     def set_transforms(
         self, samples: Iterable[Sample], authority: str = "", *, static: bool = False
-    ) -> list[Refusal | None]:
+    ) -> list[FrameRefusal | None]:
         """Take up many transforms at once: each as (parent, child, stamp, translation, rotation).
 
         Lookups see all of them or none. For each of them `set_transform` says what is given and raised; what came
@@ -110,7 +92,12 @@ class TransformBuffer:
             finally:
                 self._change()
 
-    def set_message(self, cdr: bytes, authority: str = "", *, static: bool = False) -> list[Refusal | None]:
+    @property
+    def waiting(self) -> int:
+        """Lookups that wait for what they need."""
+        return self._waiting
+
+    def set_message(self, cdr: bytes, authority: str = "", *, static: bool = False) -> list[FrameRefusal | None]:
         """Take up a message of `/tf` or `/tf_static`, straight from its bytes.
 
         Args:
@@ -136,21 +123,15 @@ class TransformBuffer:
 
     def lookup_transform(
         self,
-        target_frame: str,
-        source_frame: str,
-        stamp: int = LATEST,
+        target_frame: str,  # frame that data are wanted in
+        source_frame: str,  # frame that they are in
+        stamp: int = LATEST,  # ns, or `LATEST`
         *,
-        timeout: float = 0.0,
+        timeout: float = 0.0,  # seconds to wait until there is one
+        # seconds before and behind each frame's history for which it goes on moving as it did
         extrapolate: float = 0.0,
     ) -> Transform:
         """The pose of the source frame in the target frame, which takes data from the source to the target.
-
-        Args:
-            target_frame: frame that data are wanted in.
-            source_frame: frame that they are in.
-            stamp: ns, or `LATEST`.
-            timeout: seconds to wait until there is one.
-            extrapolate: seconds before and behind each frame's history for which it goes on moving as it did.
 
         Raises:
             LookupError_: a frame is not known, or there is a loop.
@@ -162,60 +143,48 @@ class TransformBuffer:
         target, source = target_frame.lstrip("/"), source_frame.lstrip("/")
         with self._lock:
             if timeout > 0.0:
-                return self._wait(timeout, lambda: self._lookups.one(target, source, stamp, horizon))
-            return self._lookups.one(target, source, stamp, horizon)
+                return self._wait(timeout, lambda: self._pose(target, source, stamp, horizon))
+            return self._pose(target, source, stamp, horizon)
 
     def lookup_transform_full(
         self,
-        target_frame: str,
-        target_stamp: int,
-        source_frame: str,
-        source_stamp: int,
-        fixed_frame: str,
+        target_frame: str,  # frame that data are wanted in
+        target_stamp: int,  # its time in ns, or `LATEST`
+        source_frame: str,  # frame that they are in
+        source_stamp: int,  # its time
+        fixed_frame: str,  # the frame that does not move between the two
         *,
-        timeout: float = 0.0,
-        extrapolate: float = 0.0,
+        timeout: float = 0.0,  # as in `lookup_transform`, which says what is raised too
+        extrapolate: float = 0.0,  # as there
     ) -> Transform:
-        """The pose that the source frame had at one time in the target frame at another.
-
-        Args:
-            target_frame: frame that data are wanted in.
-            target_stamp: its time in ns, or `LATEST`.
-            source_frame: frame that they are in.
-            source_stamp: its time.
-            fixed_frame: the frame that does not move between the two.
-            timeout: as in `lookup_transform`, which says what is raised too.
-            extrapolate: as there.
-        """
+        """The pose that the source frame had at one time in the target frame at another."""
         horizon = round(extrapolate * _SECOND)
         target, source, fixed = (name.lstrip("/") for name in (target_frame, source_frame, fixed_frame))
 
         def ask() -> Transform:
-            return self._lookups.full(target, target_stamp, source, source_stamp, fixed, horizon)
+            for name, role in ((target, "target"), (source, "source"), (fixed, "fixed")):
+                self._number(name, role)
+            first = self._pose(fixed, source, source_stamp, horizon)
+            then = self._pose(target, fixed, target_stamp, horizon)
+            pose = compose(first.translation, first.rotation, then.translation, then.rotation)
+            return Transform(target, source, then.stamp, *pose)
 
         with self._lock:
             return self._wait(timeout, ask)
 
     def lookup_many(
         self,
-        target_frame: str,
-        source_frame: str,
-        stamps: ArrayLike,
+        target_frame: str,  # frame that data are wanted in
+        source_frame: str,  # frame that they are in
+        stamps: ArrayLike,  # (N), ns
         *,
+        # where given, the target frame is where it was in this frame at ``target_stamp``; else it moves on with the
+        # stamps
         fixed_frame: str = "",
-        target_stamp: int = LATEST,
-        extrapolate: float = 0.0,
-    ) -> Transforms:
+        target_stamp: int = LATEST,  # ns, or `LATEST`
+        extrapolate: float = 0.0,  # as in `lookup_transform`
+    ) -> TransformsInTime:
         """The poses of the source frame at many times, for the correction of a scan that was taken on the move.
-
-        Args:
-            target_frame: frame that data are wanted in.
-            source_frame: frame that they are in.
-            stamps: (N), ns.
-            fixed_frame: where given, the target frame is where it was in this frame at ``target_stamp``; else it
-                moves on with the stamps.
-            target_stamp: ns, or `LATEST`.
-            extrapolate: as in `lookup_transform`.
 
         Returns:
             The poses; a stamp without one does not spoil the others.
@@ -228,7 +197,11 @@ class TransformBuffer:
         target, source, fixed = (name.lstrip("/") for name in (target_frame, source_frame, fixed_frame))
         times: NDArray[np.int64] = np.array(stamps, np.int64, ndmin=1, order="C").ravel()
         with self._lock:
-            return self._lookups.many(target, source, times, fixed, target_stamp, horizon)
+            then = self._pose(target, fixed, target_stamp, horizon) if fixed else None
+            poses, known = self._poses(fixed or target, source, times, horizon)
+            if then is not None:
+                compose_many(poses, then.translation, then.rotation)
+        return TransformsInTime(times, poses[:, :3], poses[:, 3:], known)
 
     def can_transform(
         self,
@@ -314,6 +287,52 @@ class TransformBuffer:
     def yaml(self) -> str:
         """All frames as tf2 tells them (service ``tf2_frames``)."""
         return tree.as_yaml(self.frames())
+
+    def _pose(self, target: str, source: str, stamp: int, horizon: int) -> Transform:
+        """The pose of the source in the target; ``horizon`` ns may be extrapolated."""
+        if target == source:
+            return self._identity(target, stamp)
+        try:
+            one, two = self._frames.numbers[target], self._frames.numbers[source]
+        except KeyError:
+            one, two = self._number(target, "target"), self._number(source, "source")
+        found = self._history.lookup(one, two, stamp, horizon)
+        if found is None:
+            raise self._error(target, source)
+        translation, rotation, stamp = found
+        return Transform(target, source, stamp, translation, rotation)
+
+    def _identity(self, name: str, stamp: int) -> Transform:
+        frame = self._frames.known.get(name)
+        if stamp == LATEST and frame is not None and frame.kind == TIMED:
+            stamp = self._history.newest(frame.number)[1]
+        return Transform(name, name, stamp, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0))
+
+    def _number(self, name: str, role: str) -> int:
+        if not name:
+            raise InvalidArgumentError(errors.empty_name(role))
+        number = self._frames.numbers.get(name)
+        if number is None:
+            raise LookupError_(errors.unknown_name(name, role))
+        return number
+
+    def _error(self, target: str, source: str) -> TransformError:
+        """The error of a lookup, in tf2's words, which people search for."""
+        answer, stamp, bound, trouble = self._history.why()
+        if answer == LOOP:
+            self.loops += 1
+            return LookupError_(errors.LOOP)
+        if answer == CONNECTIVITY:
+            return ConnectivityError(errors.connectivity(target, source))
+        return ExtrapolationError(errors.extrapolation(stamp, bound, trouble, target, source))
+
+    def _poses(
+        self, target: str, source: str, times: NDArray[np.int64], horizon: int
+    ) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+        one, two = self._number(target, "target"), self._number(source, "source")
+        if one == two:
+            return np.tile([0.0] * 6 + [1.0], (len(times), 1)), np.ones(len(times), np.bool_)
+        return self._history.lookup_many(one, two, times, horizon)
 
     def _wait(self, timeout: float, ask: Callable[[], Transform]) -> Transform:
         """Ask again whenever something new has come, up to the deadline."""

@@ -1,12 +1,12 @@
-"""The frames of a buffer: their names and numbers, and who says where they are."""
+"""The frames of a buffer: their names, their numbers and their sources."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 
-from bridge.tf.history import History
+from bridge.tf.history import TransformHistory
 from bridge.tf.layout import NONE, STATIC
-from bridge.tf.transform import FrameInfo, Source
+from bridge.tf.transform import FrameInfo, TransformSource
 
 MAX_FRAMES = 10_000
 """Most frames; a publisher that makes up names does not fill the memory."""
@@ -39,7 +39,7 @@ class Frame:
         self.parent, self.authority = parent, authority
 
     def sources(self, since: int) -> dict[tuple[int, str], int]:
-        """Parents and authorities, and the stamp of what each said last; the last one first."""
+        """Parents and authorities, each with the stamp of its last transform; the newest first."""
         found = {(self.parent, self.authority): self.stamp}
         for source, stamp in reversed(self._earlier.items()):
             if stamp >= since:
@@ -47,18 +47,17 @@ class Frame:
         return found
 
     def forget_sources(self) -> None:
-        """As if it was never heard of."""
+        """Forget the frame's sources."""
         self.parent, self.authority, self.stamp = 0, "", 0
         self._earlier.clear()
 
 
-class Frames:
-    """All frames, numbered from 1 in the order in which they were heard of."""
+class FrameTable:
+    """All frames, numbered from 1 in the order of their first transforms."""
 
     def __init__(self) -> None:
         self.numbers: dict[str, int] = {}
-        self.known: dict[str, Frame] = {}
-        """Those that have transforms, or had and were cleared."""
+        self.known: dict[str, Frame] = {}  # those that have transforms, or had and were cleared
         self._frames: list[Frame] = [Frame("", 0)]
 
     @property
@@ -82,17 +81,17 @@ class Frames:
     def __iter__(self) -> Iterator[Frame]:
         return iter(self._frames[1:])
 
-    def infos(self, history: History) -> list[FrameInfo]:
+    def infos(self, history: TransformHistory) -> list[FrameInfo]:
         """What is known of each frame that has a parent, by name."""
         return sorted((self._info(f, history) for f in self if f.kind != NONE and f.parent), key=lambda info: info.name)
 
-    def _info(self, frame: Frame, history: History) -> FrameInfo:
+    def _info(self, frame: Frame, history: TransformHistory) -> FrameInfo:
         parent, _ = history.newest(frame.number)
         static = frame.kind == STATIC
         oldest, newest, samples = history.ends(frame.number)
         since = 0 if static else newest - history.span
         sources = tuple(
-            Source(self._frames[above].name, authority, stamp)
+            TransformSource(self._frames[above].name, authority, stamp)
             for (above, authority), stamp in frame.sources(since).items()
         )
         times = (0, 0) if static else (oldest, newest)

@@ -1,183 +1,765 @@
-"""The arrays that hold all frames' histories, and their growth."""
+# cython: boundscheck=False, wraparound=False, initializedcheck=False, cdivision=True
+"""All frames' histories, and lookups in them: a kernel, compiled by Cython (`bridge.kernels`).
+
+The rules are those of tf2 0.7.6 (github.com/ros/geometry2: buffer_core.cpp walkToTopParent and getLatestCommonTime,
+cache.cpp findClosest and interpolate), so that answers and errors are the same. Rotations are used as they are, not
+normalised first, since tf2 does so.
+
+A frame's samples are a ring in the arrays of all samples, from its oldest on. What is compiled checks no index, since
+the history alone has the arrays: each ring lies within them, each sample's parent is a frame with a row, and a frame's
+number that comes from outside is checked where it comes in.
+"""
 
 from __future__ import annotations
 
-from typing import Any
+import struct
+from typing import Any, TypeAlias
 
+import cython
 import numpy as np
+from cython.cimports.libc.math import acos, isnan, sin, sqrt
 from numpy.typing import NDArray
 
-from bridge.tf import kernels
-from bridge.tf.layout import (
-    CAPACITY,
-    COLUMNS,
-    COUNT,
-    FACTS,
-    FIRST,
-    FULL,
-    KEY,
-    KIND,
-    NONE,
-    POSE,
-    START,
-    STATIC,
-    TIMED,
-)
+from bridge.tf import layout
+from bridge.tf.transform import Quaternion as Rotation
+from bridge.tf.transform import Vector as Translation
 
-_insert, _insert_at = kernels.insert, kernels.insert_at
+if cython.compiled:
+    from cython.cimports.libc.string import memcpy
 
 SMALLEST = 64
 GROWTH = 4
 LARGEST = 1 << 14
 """Most samples of a frame: 10 s at 1.6 kHz. The oldest go where there are more."""
 
+Found = tuple[Translation, Rotation, int]
+"""A pose, and its stamp in ns."""
 
-class History:
+Int: TypeAlias = cython.typedef(cython.longlong)
+Vector: TypeAlias = cython.struct(x=cython.double, y=cython.double, z=cython.double)
+Quaternion: TypeAlias = cython.struct(x=cython.double, y=cython.double, z=cython.double, w=cython.double)
+Pose: TypeAlias = cython.struct(v=Vector, q=Quaternion)
+Sample: TypeAlias = cython.struct(parent=Int, pose=Pose)
+"""The number of the parent, 0 for nothing, and the frame's pose in it."""
+Newest: TypeAlias = cython.struct(parent=Int, stamp=Int)
+"""A frame's newest parent, 0 for none, and its stamp, 0 where it holds for all times."""
+Way: TypeAlias = cython.struct(end=Int, frame=Int, pose=Pose)
+"""How a way up ended, at which frame, and the pose of its first frame in that."""
+
+# C variables, read without Python's lock
+_NONE = cython.declare(Int, layout.NONE)
+_TIMED = cython.declare(Int, layout.TIMED)
+_STATIC = cython.declare(Int, layout.STATIC)
+_DONE = cython.declare(Int, layout.DONE)
+_LOOP = cython.declare(Int, layout.LOOP)
+_CONNECTIVITY = cython.declare(Int, layout.CONNECTIVITY)
+_EXTRAPOLATION = cython.declare(Int, layout.EXTRAPOLATION)
+_EMPTY = cython.declare(Int, layout.EMPTY)
+_SINGLE = cython.declare(Int, layout.SINGLE)
+_FUTURE = cython.declare(Int, layout.FUTURE)
+_PAST = cython.declare(Int, layout.PAST)
+_NAN = cython.declare(Int, layout.NAN)
+_DENORMALIZED = cython.declare(Int, layout.DENORMALIZED)
+_OLD = cython.declare(Int, layout.OLD)
+_REPEATED = cython.declare(Int, layout.REPEATED)
+_FULL = cython.declare(Int, layout.FULL)
+_MAX_DEPTH = cython.declare(Int, layout.MAX_DEPTH)
+_TOLERANCE = cython.declare(cython.double, layout.TOLERANCE)
+_LAST_STAMP = cython.declare(Int, layout.LAST_STAMP)
+_NEVER = cython.declare(Int, 1 << 62)
+# ends of a way up
+_THERE = cython.declare(Int, 0)
+_ROOT = cython.declare(Int, 1)
+_GAP = cython.declare(Int, 2)
+_ENDLESS = cython.declare(Int, 3)
+
+
+@cython.cfunc
+@cython.inline
+@cython.nogil
+@cython.exceptval(check=False)
+def _product(a: Quaternion, b: Quaternion) -> Quaternion:
+    """First ``b``, then ``a``."""
+    return Quaternion(
+        a.w * b.x + a.x * b.w + a.y * b.z - a.z * b.y,
+        a.w * b.y + a.y * b.w + a.z * b.x - a.x * b.z,
+        a.w * b.z + a.z * b.w + a.x * b.y - a.y * b.x,
+        a.w * b.w - a.x * b.x - a.y * b.y - a.z * b.z,
+    )
+
+
+@cython.cfunc
+@cython.nogil
+@cython.exceptval(check=False)
+def _inverse(q: Quaternion) -> Quaternion:
+    return Quaternion(-q.x, -q.y, -q.z, q.w)
+
+
+@cython.cfunc
+@cython.inline
+@cython.nogil
+@cython.exceptval(check=False)
+def _rotate(q: Quaternion, v: Vector) -> Vector:
+    """A vector, rotated; longer by the square of the rotation's length."""
+    turned: Quaternion = _product(_product(q, Quaternion(v.x, v.y, v.z, 0.0)), _inverse(q))
+    return Vector(turned.x, turned.y, turned.z)
+
+
+@cython.cfunc
+@cython.inline
+@cython.nogil
+@cython.exceptval(check=False)
+def _behind(a: Pose, b: Pose) -> Pose:
+    """A pose that is given in ``b``, where ``b`` is given."""
+    turned: Vector = _rotate(b.q, a.v)
+    return Pose(Vector(turned.x + b.v.x, turned.y + b.v.y, turned.z + b.v.z), _product(b.q, a.q))
+
+
+@cython.cfunc
+@cython.nogil
+@cython.exceptval(check=False)
+def _back(p: Pose) -> Pose:
+    """The pose the other way round."""
+    q: Quaternion = _inverse(p.q)
+    return Pose(_rotate(q, Vector(-p.v.x, -p.v.y, -p.v.z)), q)
+
+
+@cython.cfunc
+@cython.nogil
+@cython.exceptval(check=False)
+def _unit() -> Pose:
+    return Pose(Vector(0.0, 0.0, 0.0), Quaternion(0.0, 0.0, 0.0, 1.0))
+
+
+@cython.cfunc
+@cython.inline
+@cython.nogil
+@cython.exceptval(check=False)
+def _slerp(a: Quaternion, b: Quaternion, ratio: cython.double) -> Quaternion:
+    """The rotation on the short way from ``a`` (ratio 0) to ``b`` (1); beyond them, it goes on turning as fast."""
+    dot: cython.double = a.x * b.x + a.y * b.y + a.z * b.z + a.w * b.w
+    lengths: cython.double = (a.x * a.x + a.y * a.y + a.z * a.z + a.w * a.w) * (
+        b.x * b.x + b.y * b.y + b.z * b.z + b.w * b.w
+    )
+    sign: cython.double = -1.0 if dot < 0.0 else 1.0
+    cosine: cython.double = abs(dot) / sqrt(lengths)
+    # rounding may give a cosine a bit over 1, of which tf2 makes NaN
+    angle: cython.double = acos(min(cosine, 1.0))
+    if angle == 0.0:
+        return a
+    whole: cython.double = sin(angle)
+    one: cython.double = sin((1.0 - ratio) * angle) / whole
+    two: cython.double = sign * sin(ratio * angle) / whole
+    return Quaternion(one * a.x + two * b.x, one * a.y + two * b.y, one * a.z + two * b.z, one * a.w + two * b.w)
+
+
+@cython.cfunc
+@cython.nogil
+@cython.exceptval(check=False)
+def _normalized(q: Quaternion) -> Quaternion:
+    length: cython.double = sqrt(q.x * q.x + q.y * q.y + q.z * q.z + q.w * q.w)
+    return Quaternion(q.x / length, q.y / length, q.z / length, q.w / length)
+
+
+@cython.cfunc
+@cython.nogil
+@cython.exceptval(check=False)
+def _of_matrix(q: Quaternion) -> Quaternion:
+    """The one of the two quaternions of a rotation that tf2 makes of its matrix: w, else the largest, is positive."""
+    x: cython.double = abs(q.x)
+    y: cython.double = abs(q.y)
+    z: cython.double = abs(q.z)
+    chosen: cython.double
+    if 4.0 * q.w * q.w > 1.0:
+        chosen = q.w
+    elif x >= y and x >= z:
+        chosen = q.x
+    else:
+        chosen = q.y if y >= z else q.z
+    if chosen < 0.0:
+        return Quaternion(-q.x, -q.y, -q.z, -q.w)
+    return q
+
+
+@cython.cfunc
+@cython.nogil
+@cython.exceptval(check=False)
+def _composed(a: Pose, b: Pose) -> Pose:
+    """`_behind`, as tf2 does it with a fixed frame: normalised, as matrices are."""
+    found: Pose = _behind(Pose(a.v, _normalized(a.q)), Pose(b.v, _normalized(b.q)))
+    return Pose(found.v, _of_matrix(_normalized(found.q)))
+
+
+@cython.cfunc
+@cython.nogil
+@cython.exceptval(check=False)
+def _flaw(p: Pose) -> Int:
+    if isnan(p.v.x) or isnan(p.v.y) or isnan(p.v.z):
+        return _NAN
+    if isnan(p.q.x) or isnan(p.q.y) or isnan(p.q.z) or isnan(p.q.w):
+        return _NAN
+    off: cython.double = abs(p.q.w * p.q.w + p.q.x * p.q.x + p.q.y * p.q.y + p.q.z * p.q.z - 1.0)
+    return _DONE if off < _TOLERANCE else _DENORMALIZED
+
+
+@cython.cfunc
+@cython.nogil
+@cython.exceptval(check=False)
+def _earlier(common: Int, stamp: Int) -> Int:
+    return min(common, stamp) if stamp != 0 else common
+
+
+@cython.cfunc
+@cython.nogil
+@cython.exceptval(check=False)
+def _known(common: Int) -> Int:
+    return 0 if common == _NEVER else common
+
+
+def _view(array: Any) -> Any:
+    return memoryview(array)  # uncompiled, it gives Python's numbers
+
+
+def _zeros(*shape: int, kind: Any = np.int64) -> Any:
+    return _view(np.zeros(shape, kind))
+
+
+def _grown(old: Any, rows: int) -> Any:
+    """An array's copy with more rows."""
+    array = np.asarray(old)
+    new = np.zeros((rows, *array.shape[1:]), array.dtype)
+    new[: len(array)] = array
+    return _view(new)
+
+
+def pose_flaw(x: float, y: float, z: float, qx: float, qy: float, qz: float, qw: float) -> int:
+    """What is wrong with a pose: `DONE`, `NAN` or `DENORMALIZED`."""
+    return _flaw(Pose(Vector(x, y, z), Quaternion(qx, qy, qz, qw)))
+
+
+@cython.cfunc
+def _pose(translation: tuple[float, ...], rotation: tuple[float, ...]) -> Pose:
+    x, y, z = translation
+    qx, qy, qz, qw = rotation
+    return Pose(Vector(x, y, z), Quaternion(qx, qy, qz, qw))
+
+
+def compose(
+    first: tuple[float, ...],
+    first_rotation: tuple[float, ...],
+    then: tuple[float, ...],
+    then_rotation: tuple[float, ...],
+) -> tuple[Translation, Rotation]:
+    """A pose with another behind it, as tf2 makes it with a fixed frame."""
+    p: Pose = _composed(_pose(first, first_rotation), _pose(then, then_rotation))
+    return (p.v.x, p.v.y, p.v.z), (p.q.x, p.q.y, p.q.z, p.q.w)
+
+
+def compose_many(poses: cython.double[:, ::1], then: tuple[float, ...], then_rotation: tuple[float, ...]) -> None:
+    """`compose` of each of the poses (N, 7), in place."""
+    behind: Pose = _pose(then, then_rotation)
+    p: Pose
+    n: cython.Py_ssize_t
+    if poses.shape[1] != 7:
+        raise ValueError(f"poses of {poses.shape[1]} numbers: each has 7, x, y, z and the rotation's x, y, z, w")
+    for n in range(poses.shape[0]):
+        p = Pose(
+            Vector(poses[n, 0], poses[n, 1], poses[n, 2]),
+            Quaternion(poses[n, 3], poses[n, 4], poses[n, 5], poses[n, 6]),
+        )
+        p = _composed(p, behind)
+        poses[n, 0], poses[n, 1], poses[n, 2] = p.v.x, p.v.y, p.v.z
+        poses[n, 3], poses[n, 4], poses[n, 5], poses[n, 6] = p.q.x, p.q.y, p.q.z, p.q.w
+
+
+@cython.final
+@cython.cclass
+class TransformHistory:
     """Samples of frames, which are numbered from 1. Its user's lock is held during every call.
 
     Args:
         span: ns that are kept before each frame's newest sample.
     """
 
+    span = cython.declare(Int, visibility="readonly")
+    _rows: Int
+    _used: Int
+    # of each frame: the first place of its ring, how many places it has (a power of two), which of them has the oldest
+    # sample, how many samples there are, and its kind
+    _start: cython.longlong[::1]
+    _capacity: cython.longlong[::1]
+    _first: cython.longlong[::1]
+    _count: cython.longlong[::1]
+    _kind: cython.longlong[::1]
+    # of each sample: ns, the number of its parent, (x, y, z, qx, qy, qz, qw)
+    _stamps: cython.longlong[::1]
+    _parents: cython.longlong[::1]
+    _poses: cython.double[:, ::1]
+    # of the last lookup
+    _pose: Pose
+    _answer: Int
+    _stamp: Int
+    _bound: Int
+    _trouble: Int
+
     def __init__(self, span: int) -> None:
+        if not 0 <= span <= layout.LAST_STAMP:
+            raise ValueError(f"a history of {span / 1e9:g} s cannot be kept: give 0 s or more, and less than 146 years")
         self.span = span
-        self._table: NDArray[np.int64] = np.zeros((64, COLUMNS), np.int64)
-        self._keys: NDArray[np.int64] = np.empty((4096, KEY), np.int64)
-        self._poses: NDArray[np.float64] = np.empty((4096, POSE), np.float64)
         self._used = 0
-        self._out = np.zeros(2 * POSE, np.float64)
-        self._facts = np.zeros(FACTS, np.int64)
-        self._at_out, self._at_facts = self._out.ctypes.data, self._facts.ctypes.data
-        self._then = self._at_out + 8 * POSE
-        self._addresses()
+        self._start, self._capacity, self._first = _zeros(64), _zeros(64), _zeros(64)
+        self._count, self._kind = _zeros(64), _zeros(64)
+        self._stamps, self._parents = _zeros(4096), _zeros(4096)
+        self._poses = _zeros(4096, 7, kind=np.float64)
+        self._answer = self._stamp = self._bound = self._trouble = 0
+        self._rows = 64
 
-    def _addresses(self) -> None:
-        self._at = (self._table.ctypes.data, self._keys.ctypes.data, self._poses.ctypes.data)
-
-    def make_room(self, frame: int) -> None:
+    def make_room(self, frame: Int) -> None:
         """Have a row for a frame of this number."""
-        if frame >= len(self._table):
-            table = np.zeros((2 * frame, COLUMNS), np.int64)
-            table[: len(self._table)] = self._table
-            self._table = table
-            self._addresses()
+        if frame < self._rows:
+            return
+        rows = 2 * frame
+        self._start, self._capacity = _grown(self._start, rows), _grown(self._capacity, rows)
+        self._first, self._count, self._kind = (
+            _grown(self._first, rows),
+            _grown(self._count, rows),
+            _grown(self._kind, rows),
+        )
+        self._rows = rows
 
-    def begin(self, frame: int, *, static: bool) -> None:
+    def begin(self, frame: Int, static: bool) -> None:
         """Give a frame without transforms its kind and its ring."""
-        row = self._table[frame]
-        row[KIND] = STATIC if static else TIMED
-        if row[CAPACITY] == 0:
-            row[CAPACITY] = 1 if static else SMALLEST
-            row[START] = self._allocate(int(row[CAPACITY]))
+        self._check(frame)
+        if self._capacity[frame] == 0:
+            self._give(frame, 1 if static else SMALLEST)
+        self._kind[frame] = _STATIC if static else _TIMED
+        self._count[frame] = 0
 
-    def insert(self, frame: int, parent: int, stamp: int, pose: tuple[float, ...]) -> int:
-        """Put a sample in its place; `DONE`, or why not. The ring grows where it is full."""
-        table, keys, poses = self._at
+    def insert(self, frame: Int, parent: Int, stamp: Int, pose: tuple[float, ...]) -> int:
+        """Put a sample in its place by time; the ring grows where it is full.
+
+        Args:
+            frame: a frame that has begun.
+            parent: a frame that has a row.
+            stamp: ns.
+            pose: x, y, z in m, and the rotation's x, y, z, w.
+
+        Returns:
+            `DONE`, or what is wrong with it.
+        """
         x, y, z, qx, qy, qz, qw = pose
-        answer: int = _insert(table, keys, poses, frame, parent, stamp, self.span, 0, x, y, z, qx, qy, qz, qw)
-        if answer == FULL:
-            force = self._make_way(frame)
-            answer = _insert(*self._at, frame, parent, stamp, self.span, force, *pose)
-        return answer
+        return self._insert(frame, parent, stamp, Pose(Vector(x, y, z), Quaternion(qx, qy, qz, qw)))
 
-    def insert_at(self, frame: int, parent: int, stamp: int, address: int) -> int:
-        """`insert` of a pose of 7 float64 at an address."""
-        table, keys, poses = self._at
-        answer: int = _insert_at(table, keys, poses, frame, parent, stamp, self.span, 0, address)
-        if answer == FULL:
-            force = self._make_way(frame)
-            answer = _insert_at(*self._at, frame, parent, stamp, self.span, force, address)
-        return answer
+    def insert_at(self, frame: Int, parent: Int, stamp: Int, cdr: bytes, at: cython.Py_ssize_t) -> int:
+        """`insert` of a pose that stands in a message, as 7 float64, little-endian, from byte ``at`` on."""
+        if not 0 <= at <= len(cdr) - 56:
+            raise IndexError(f"a message of {len(cdr)} bytes has no pose at byte {at}")
+        pose: Pose = _unit()
+        if cython.compiled:
+            source: cython.p_const_uchar = cdr
+            memcpy(cython.address(pose), source + at, 56)
+        else:
+            parts = struct.unpack_from("<7d", cdr, at)
+            pose = Pose(Vector(*parts[:3]), Quaternion(*parts[3:]))
+        return self._insert(frame, parent, stamp, pose)
 
-    def lookup(self, target: int, source: int, stamp: int, horizon: int) -> int:
-        """`DONE` and `pose` and `facts` are set, or why not."""
-        answer: int = kernels.lookup(*self._at, target, source, stamp, horizon, self._at_out, self._at_facts)
-        return answer
+    def lookup(self, target: Int, source: Int, stamp: Int, horizon: Int) -> Found | None:
+        """The pose of ``source`` in ``target``, two different frames; None where there is none: see `why`.
 
-    def pose(self) -> list[float]:
-        """The pose that was found."""
-        found: list[float] = self._out[:POSE].tolist()
-        return found
+        Args:
+            target: its number.
+            source: its number.
+            stamp: ns, 0 for the newest time at which both are known.
+            horizon: ns that may be extrapolated.
+        """
+        self._check(target)
+        self._check(source)
+        if self._walk(target, source, stamp, horizon) != _DONE:
+            return None
+        p: Pose = self._pose
+        return (p.v.x, p.v.y, p.v.z), (p.q.x, p.q.y, p.q.z, p.q.w), self._stamp
 
-    def facts(self) -> list[int]:
-        """Stamp, bound and trouble of the last lookup."""
-        found: list[int] = self._facts.tolist()
-        return found
+    def why(self) -> tuple[int, int, int, int]:
+        """Of the last lookup that found nothing: the answer, its time, and the bound and the trouble in the history.
 
-    def compose(self, first: list[float], then: list[float]) -> list[float]:
-        """A pose with another behind it."""
-        self._out[:] = first + then
-        kernels.compose(self._at_out, self._then, 1)
-        return self.pose()
+        The bound is the time that is known next to the one asked for, the trouble one of `EMPTY` to `PAST`; both are
+        of an extrapolation alone.
+        """
+        return self._answer, self._stamp, self._bound, self._trouble
 
     def lookup_many(
-        self, target: int, source: int, stamps: NDArray[np.int64], horizon: int
-    ) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-        """Poses (N, 7) and answers (N) at the stamps (N, contiguous), which become those of the answers."""
-        count = len(stamps)
-        poses, answers = np.full((count, POSE), np.nan), np.empty(count, np.int64)
-        kernels.lookup_many(
-            *self._at,
-            target,
-            source,
-            stamps.ctypes.data,
-            count,
-            horizon,
-            poses.ctypes.data,
-            answers.ctypes.data,
-            self._at_facts,
-        )
-        return poses, answers
+        self, target: Int, source: Int, stamps: NDArray[np.int64], horizon: Int
+    ) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+        """Poses (N, 7), NaN where there is none, and whether there is one (N), as `lookup` says; other threads run.
 
-    def compose_many(self, poses: NDArray[np.float64], then: list[float]) -> None:
-        """Put a pose behind each of the poses (N, 7), in place."""
-        self._out[POSE:] = then
-        kernels.compose(poses.ctypes.data, self._then, len(poses))
+        Args:
+            target: number of a frame.
+            source: number of another.
+            stamps: (N), contiguous; they become those of the answers.
+            horizon: ns that may be extrapolated.
+        """
+        self._check(target)
+        self._check(source)
+        found: NDArray[np.float64] = np.full((len(stamps), 7), np.nan)
+        known: NDArray[np.bool_] = np.zeros(len(stamps), np.bool_)
+        times: cython.longlong[::1] = _view(stamps)
+        rows: cython.double[:, ::1] = found
+        said: cython.uchar[::1] = known.view(np.uint8)
+        p: Pose
+        n: cython.Py_ssize_t
+        with cython.nogil:
+            for n in range(times.shape[0]):
+                if self._walk(target, source, times[n], horizon) == _DONE:
+                    p = self._pose
+                    rows[n, 0], rows[n, 1], rows[n, 2] = p.v.x, p.v.y, p.v.z
+                    rows[n, 3], rows[n, 4], rows[n, 5], rows[n, 6] = p.q.x, p.q.y, p.q.z, p.q.w
+                    times[n], said[n] = self._stamp, 1
+        return found, known
 
-    def newest(self, frame: int) -> tuple[int, int]:
+    def newest(self, frame: Int) -> tuple[int, int]:
         """Number of a frame's newest parent and its stamp; 0, 0 where there is none."""
-        row = self._table[frame]
-        if row[COUNT] == 0:
+        self._check(frame)
+        if self._count[frame] == 0:
             return 0, 0
-        stamp, parent = self._keys[self._places(row)[-1]]
-        return int(parent), int(stamp)
+        at: Int = self._place(frame, self._count[frame] - 1)
+        return self._parents[at], self._stamps[at]
 
-    def ends(self, frame: int) -> tuple[int, int, int]:
+    def ends(self, frame: Int) -> tuple[int, int, int]:
         """A frame's oldest stamp, its newest, and how many samples it has."""
-        row = self._table[frame]
-        places = self._places(row)
-        if not len(places):
+        self._check(frame)
+        count: Int = self._count[frame]
+        if count == 0:
             return 0, 0, 0
-        return int(self._keys[places[0], 0]), int(self._keys[places[-1], 0]), len(places)
+        return self._stamps[self._place(frame, 0)], self._stamps[self._place(frame, count - 1)], count
 
-    def forget(self, frame: int) -> None:
+    def forget(self, frame: Int) -> None:
         """A frame's samples and its kind."""
-        self._table[frame, COUNT] = 0
-        self._table[frame, KIND] = NONE
+        self._check(frame)
+        self._count[frame] = 0
+        self._kind[frame] = _NONE
 
     def clear(self) -> None:
         """Forget the samples of all frames but the static ones; their kind stays, as in tf2."""
-        self._table[self._table[:, KIND] == TIMED, COUNT] = 0
+        frame: Int
+        for frame in range(self._rows):
+            if self._kind[frame] == _TIMED:
+                self._count[frame] = 0
 
-    def _places(self, row: NDArray[np.int64]) -> Any:
-        return row[START] + ((row[FIRST] + np.arange(row[COUNT])) & (row[CAPACITY] - 1))
-
-    def _make_way(self, frame: int) -> int:
-        """Let a full ring grow; 1 where it may not, and its oldest sample is to go."""
-        if self._table[frame, CAPACITY] >= LARGEST:
-            return 1
-        capacity = GROWTH * int(self._table[frame, CAPACITY])
-        start = self._allocate(capacity)
-        kernels.move_ring(*self._at, frame, start, capacity)
+    @cython.cfunc
+    def _check(self, frame: Int) -> cython.int:
+        if not 0 < frame < self._rows:
+            raise IndexError(f"frame {frame} has no row: make_room() makes one")
         return 0
 
-    def _allocate(self, count: int) -> int:
-        """Room behind what is used. What a ring leaves that grows is not used again; it is less than what it gets."""
-        start, self._used = self._used, self._used + count
-        if self._used > len(self._keys):
-            keys: NDArray[np.int64] = np.empty((2 * self._used, KEY), np.int64)
-            poses: NDArray[np.float64] = np.empty((2 * self._used, POSE), np.float64)
-            keys[:start], poses[:start] = self._keys[:start], self._poses[:start]
-            self._keys, self._poses = keys, poses
-            self._addresses()
-        return start
+    @cython.cfunc
+    @cython.nogil
+    @cython.exceptval(check=False)
+    def _place(self, frame: Int, at: Int) -> Int:
+        """Where a frame's sample is, 0 the oldest."""
+        return self._start[frame] + ((self._first[frame] + at) & (self._capacity[frame] - 1))
+
+    @cython.cfunc
+    def _insert(self, frame: Int, parent: Int, stamp: Int, pose: Pose) -> Int:
+        self._check(frame)
+        self._check(parent)
+        if self._kind[frame] == _NONE:
+            raise ValueError(f"frame {frame} has no ring: begin() gives it one")
+        if not 0 <= stamp < _LAST_STAMP and self._kind[frame] == _TIMED:
+            raise ValueError(f"a stamp of {stamp} ns: give one from 0 to 146 years")
+        answer: Int = self._put(frame, parent, stamp, pose, False)
+        if answer == _FULL:
+            if self._capacity[frame] < LARGEST:
+                self._give(frame, GROWTH * self._capacity[frame])
+            answer = self._put(frame, parent, stamp, pose, True)
+        return answer
+
+    @cython.cfunc
+    def _give(self, frame: Int, capacity: Int) -> cython.int:
+        """A frame's samples go to a larger ring, behind all that is used; the one that they leave stays unused."""
+        start: Int = self._used
+        n: Int
+        if start + capacity > len(self._stamps):
+            room = 2 * (start + capacity)
+            self._poses = _grown(self._poses, room)
+            self._parents = _grown(self._parents, room)
+            self._stamps = _grown(self._stamps, room)
+        self._used = start + capacity
+        for n in range(self._count[frame]):
+            self._move(self._place(frame, n), start + n)
+        self._start[frame], self._capacity[frame], self._first[frame] = start, capacity, 0
+        return 0
+
+    @cython.cfunc
+    @cython.nogil
+    @cython.exceptval(check=False)
+    def _move(self, one: Int, two: Int) -> cython.void:
+        self._stamps[two] = self._stamps[one]
+        self._parents[two] = self._parents[one]
+        self._write(two, self._read(one))
+
+    @cython.cfunc
+    @cython.inline
+    @cython.nogil
+    @cython.exceptval(check=False)
+    def _read(self, at: Int) -> Pose:
+        return Pose(
+            Vector(self._poses[at, 0], self._poses[at, 1], self._poses[at, 2]),
+            Quaternion(self._poses[at, 3], self._poses[at, 4], self._poses[at, 5], self._poses[at, 6]),
+        )
+
+    @cython.cfunc
+    @cython.nogil
+    @cython.exceptval(check=False)
+    def _write(self, at: Int, p: Pose) -> cython.void:
+        self._poses[at, 0], self._poses[at, 1], self._poses[at, 2] = p.v.x, p.v.y, p.v.z
+        self._poses[at, 3], self._poses[at, 4], self._poses[at, 5] = p.q.x, p.q.y, p.q.z
+        self._poses[at, 6] = p.q.w
+
+    @cython.cfunc
+    @cython.nogil
+    @cython.exceptval(check=False)
+    def _put(self, frame: Int, parent: Int, stamp: Int, pose: Pose, force: cython.bint) -> Int:
+        """Put a sample in its place; with ``force``, a full ring's oldest sample goes."""
+        flaw: Int = _flaw(pose)
+        if flaw != _DONE:
+            return flaw
+        count: Int = self._count[frame] if self._kind[frame] == _TIMED else 0
+        at: Int = 0
+        n: Int
+        if count > 0:
+            newest: Int = self._stamps[self._place(frame, count - 1)]
+            if newest > stamp + self.span:
+                return _OLD
+            after: Int = count
+            while after > 0 and self._stamps[self._place(frame, after - 1)] > stamp:
+                after -= 1
+            if after > 0 and self._stamps[self._place(frame, after - 1)] == stamp:
+                return _REPEATED
+            latest: Int = max(newest, stamp)
+            gone: Int = 0
+            while gone < count and self._stamps[self._place(frame, gone)] + self.span < latest:
+                gone += 1
+            if count - gone == self._capacity[frame]:
+                if not force:
+                    return _FULL
+                gone += 1
+            self._first[frame] = (self._first[frame] + gone) & (self._capacity[frame] - 1)
+            count -= gone
+            at = after - gone if after > gone else 0
+            for n in range(count, at, -1):
+                self._move(self._place(frame, n - 1), self._place(frame, n))
+        else:
+            self._first[frame] = 0
+        sample: Int = self._place(frame, at)
+        self._stamps[sample], self._parents[sample] = stamp, parent
+        self._write(sample, pose)
+        self._count[frame] = count + 1
+        return _DONE
+
+    @cython.cfunc
+    @cython.inline
+    @cython.nogil
+    @cython.exceptval(check=False)
+    def _between(self, one: Int, two: Int, time: Int) -> Pose:
+        """The pose at a time, on the line through two samples; before, between or after them."""
+        ratio: cython.double = float(time - self._stamps[one]) / float(self._stamps[two] - self._stamps[one])
+        rest: cython.double = 1.0 - ratio
+        a: Pose = self._read(one)
+        b: Pose = self._read(two)
+        return Pose(
+            Vector(rest * a.v.x + ratio * b.v.x, rest * a.v.y + ratio * b.v.y, rest * a.v.z + ratio * b.v.z),
+            _slerp(a.q, b.q, ratio),
+        )
+
+    @cython.cfunc
+    @cython.nogil
+    @cython.exceptval(check=False)
+    def _beyond(self, frame: Int, time: Int, ahead: Int) -> Sample:
+        """The pose ``ahead`` ns outside the history, moving on as over as long a time, so that errors have a bound."""
+        count: Int = self._count[frame]
+        step: Int = 1 if ahead < 0 else -1
+        edge: Int = 0 if ahead < 0 else count - 1
+        end: Int = self._place(frame, edge)
+        other: Int = end
+        cython.declare(at=Int, n=Int)
+        for n in range(1, count):
+            at = self._place(frame, edge + step * n)
+            if self._parents[at] != self._parents[end]:
+                break
+            other = at
+            if abs(self._stamps[at] - self._stamps[end]) >= abs(ahead):
+                break
+        return Sample(self._parents[end], self._read(end) if other == end else self._between(end, other, time))
+
+    @cython.cfunc
+    @cython.inline
+    @cython.nogil
+    @cython.exceptval(check=False)
+    def _last_before(self, frame: Int, time: Int) -> Int:
+        """The last sample at or before a time within the history, looked for from where an even rate would have it."""
+        low: Int = 0
+        high: Int = self._count[frame] - 1
+        oldest: Int = self._stamps[self._place(frame, low)]
+        newest: Int = self._stamps[self._place(frame, high)]
+        middle: Int = cython.cast(Int, float(time - oldest) / float(newest - oldest) * high)
+        step: Int = 1
+        while high - low > 1:
+            if not low < middle < high:
+                middle = (low + high) >> 1
+            if self._stamps[self._place(frame, middle)] <= time:
+                low = middle
+                middle = low + step
+            else:
+                high = middle
+                middle = high - step
+            step *= 2
+        return low
+
+    @cython.cfunc
+    @cython.inline
+    @cython.nogil
+    @cython.exceptval(check=False)
+    def _at(self, frame: Int, time: Int, horizon: Int) -> Sample:
+        """A frame at a time; 0 is the newest. The bound and the trouble say why there is nothing."""
+        count: Int = self._count[frame]
+        nothing: Sample = Sample(0, _unit())
+        if count == 0:
+            self._trouble = _EMPTY
+            return nothing
+        newest: Int = self._place(frame, count - 1)
+        if self._kind[frame] == _STATIC or time == 0 or time == self._stamps[newest]:
+            return Sample(self._parents[newest], self._read(newest))
+        oldest: Int = self._place(frame, 0)
+        if time == self._stamps[oldest]:
+            return Sample(self._parents[oldest], self._read(oldest))
+        late: Int = time - self._stamps[newest]
+        early: Int = time - self._stamps[oldest]
+        if late > 0 or early < 0:
+            ahead: Int = late if late > 0 else early
+            if count > 1 and abs(ahead) <= horizon:
+                return self._beyond(frame, time, ahead)
+            self._bound = self._stamps[newest] if late > 0 else self._stamps[oldest]
+            self._trouble = _SINGLE if count == 1 else _FUTURE if late > 0 else _PAST
+            return nothing
+        low: Int = self._last_before(frame, time)
+        one: Int = self._place(frame, low)
+        two: Int = self._place(frame, low + 1)
+        if self._stamps[one] == time or self._parents[one] != self._parents[two]:
+            return Sample(self._parents[one], self._read(one))
+        return Sample(self._parents[one], self._between(one, two, time))
+
+    @cython.cfunc
+    @cython.nogil
+    @cython.exceptval(check=False)
+    def _latest(self, frame: Int) -> Newest:
+        if self._count[frame] == 0:
+            return Newest(0, 0)
+        at: Int = self._place(frame, self._count[frame] - 1)
+        return Newest(self._parents[at], 0 if self._kind[frame] == _STATIC else self._stamps[at])
+
+    @cython.cfunc
+    @cython.nogil
+    @cython.exceptval(check=False)
+    def _meets(self, source: Int, last: Int, parent: Int) -> Int:
+        """Up to when a frame's way up, of ``last`` frames, is known to ``parent``; -1 where that is not on it."""
+        common: Int = _NEVER
+        frame: Int = source
+        above: Newest
+        for _ in range(last):
+            above = self._latest(frame)
+            common = _earlier(common, above.stamp)
+            if above.parent == parent:
+                return common
+            frame = above.parent
+        return -1
+
+    @cython.cfunc
+    @cython.nogil
+    @cython.exceptval(check=False)
+    def _common_time(self, target: Int, source: Int) -> Int:
+        """Set the stamp to the newest time at which both frames are known, 0 for any time; `DONE`, or why not."""
+        common: Int = _NEVER
+        frame: Int = source
+        depth: Int = 0
+        met: Int
+        above: Newest = self._latest(frame)
+        while above.parent != 0:
+            common = _earlier(common, above.stamp)
+            frame = above.parent
+            depth += 1
+            if frame == target:
+                self._stamp = _known(common)
+                return _DONE
+            if depth > _MAX_DEPTH:
+                return _LOOP
+            above = self._latest(frame)
+        last: Int = depth
+        common, frame, depth = _NEVER, target, 0
+        while True:
+            above = self._latest(frame)
+            if above.parent == 0:
+                return _CONNECTIVITY
+            common = _earlier(common, above.stamp)
+            met = self._meets(source, last, above.parent)
+            if met >= 0 or above.parent == source:
+                self._stamp = _known(min(common, met) if met >= 0 else common)
+                return _DONE
+            frame = above.parent
+            depth += 1
+            if depth > _MAX_DEPTH:
+                return _LOOP
+
+    @cython.cfunc
+    @cython.nogil
+    @cython.exceptval(check=False)
+    def _climb(self, frame: Int, end: Int, other: Int, time: Int, horizon: Int) -> Way:
+        """The way up from a frame to one of two."""
+        depth: Int = 0
+        pose: Pose = _unit()
+        above: Sample
+        while frame != end and frame != other:
+            if self._kind[frame] == _NONE:
+                return Way(_ROOT, frame, pose)
+            above = self._at(frame, time, horizon)
+            if above.parent == 0:
+                return Way(_GAP, frame, pose)
+            pose = _behind(pose, above.pose)
+            frame = above.parent
+            depth += 1
+            if depth > _MAX_DEPTH:
+                return Way(_ENDLESS, frame, pose)
+        return Way(_THERE, frame, pose)
+
+    @cython.cfunc
+    @cython.nogil
+    @cython.exceptval(check=False)
+    def _walk(self, target: Int, source: Int, time: Int, horizon: Int) -> Int:
+        """Set the pose of ``source`` in ``target``, and its stamp; `DONE`, or why not."""
+        self._stamp = time
+        if time == 0:
+            self._answer = self._common_time(target, source)
+            if self._answer != _DONE:
+                return self._answer
+            time = self._stamp
+        time = min(max(time, -_LAST_STAMP), _LAST_STAMP)  # none is beyond it, and differences fit
+        up: Way = self._climb(source, target, target, time, horizon)
+        bound: Int = self._bound
+        trouble: Int = self._trouble
+        down: Way = Way(_THERE, target, _unit())
+        if up.end != _ENDLESS and up.frame != target:
+            down = self._climb(target, up.frame, source, time, horizon)
+        self._answer = _DONE
+        if up.end == _ENDLESS or down.end == _ENDLESS:
+            self._answer = _LOOP
+        elif up.frame == target:
+            self._pose = up.pose
+        elif down.end == _GAP:
+            self._answer = _EXTRAPOLATION
+        elif down.frame == source:
+            self._pose = _back(down.pose)
+        elif down.frame == up.frame:
+            self._pose = _behind(up.pose, _back(down.pose))
+        else:
+            self._bound, self._trouble = bound, trouble
+            self._answer = _EXTRAPOLATION if up.end == _GAP else _CONNECTIVITY
+        return self._answer

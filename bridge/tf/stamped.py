@@ -11,6 +11,7 @@ import struct
 from collections.abc import Iterable
 from typing import NamedTuple
 
+from bridge.tf import message
 from bridge.tf.transform import Quaternion, Vector
 
 TF_TYPE = "tf2_msgs/msg/TFMessage"
@@ -29,43 +30,22 @@ class Stamped(NamedTuple):
 
     frame_id: str
     child_frame_id: str
-    stamp: int
-    """ns."""
-    translation: Vector
-    """x, y, z in m."""
-    rotation: Quaternion
-    """x, y, z, w."""
+    stamp: int  #: ns
+    translation: Vector  #: x, y, z in m
+    rotation: Quaternion  #: x, y, z, w
 
 
 def read(cdr: bytes) -> list[Stamped]:
-    """The transforms of a message that was checked before (`bridge.messages.registry.Registry.hub_check`)."""
-    count = _COUNT.unpack_from(cdr, _START)[0]
-    at = _START + _COUNT.size
+    """The transforms of a message; raises `ValueError` if the bytes are not a TFMessage."""
     found = []
-    for _ in range(count):
-        at += -at % 4
-        seconds, nanoseconds, size = _STAMP.unpack_from(cdr, at)
-        at += _STAMP.size
-        parent = str(cdr[at : at + size - 1], "utf-8", "replace")
-        at += size
-        at += -at % 4
-        size = _COUNT.unpack_from(cdr, at)[0]
-        at += _COUNT.size
-        child = str(cdr[at : at + size - 1], "utf-8", "replace")
-        at += size
-        at += (_START - at) % 8
+    for stamp, names, at in message.read(cdr):
         x, y, z, qx, qy, qz, qw = _POSE.unpack_from(cdr, at)
-        at += _POSE.size
-        found.append(Stamped(parent, child, seconds * _SECOND + nanoseconds, (x, y, z), (qx, qy, qz, qw)))
+        found.append(Stamped(*message.both(names), stamp, (x, y, z), (qx, qy, qz, qw)))
     return found
 
 
 def write(transforms: Iterable[Stamped]) -> bytes:
-    """A message of transforms.
-
-    Raises:
-        ValueError: a name cannot be encoded, or a stamp is not within 32 bits of seconds.
-    """
+    """A message of transforms; raises `ValueError` for a name without UTF-8, or a stamp beyond 32 bits of seconds."""
     data = bytearray(_START + _COUNT.size)
     count = 0
     for parent, child, stamp, moved, turned in transforms:
@@ -75,8 +55,7 @@ def write(transforms: Iterable[Stamped]) -> bytes:
         try:
             data += _STAMP.pack(seconds, nanoseconds, len(one) + 1)
         except struct.error as err:
-            msg = f"the stamp {stamp} of {child!r} does not fit a message: {err}"
-            raise ValueError(msg) from None
+            raise ValueError(f"the stamp {stamp} of {child!r} does not fit a message: {err}") from None
         data += one
         data += bytes(1 + -(len(data) + 1) % 4)
         data += _COUNT.pack(len(two) + 1)

@@ -1,4 +1,4 @@
-"""What the buffer gives: a transform, many of them, and what is known of a frame."""
+"""The answers of the buffer: a transform, many of them, and the facts of a frame."""
 
 from __future__ import annotations
 
@@ -20,53 +20,44 @@ class Transform(NamedTuple):
 
     frame_id: str
     child_frame_id: str
-    stamp: int
-    """ns; 0 where it holds for all times."""
-    translation: Vector
-    """x, y, z in m."""
-    rotation: Quaternion
-    """x, y, z, w."""
+    stamp: int  #: ns; 0 where it holds for all times
+    translation: Vector  #: x, y, z in m
+    rotation: Quaternion  #: x, y, z, w
 
 
 @dataclass(frozen=True, slots=True)
-class Transforms:
+class TransformsInTime:
     """Answers to a lookup at N times."""
 
-    stamps: NDArray[np.int64]
-    """(N), ns."""
-    translations: NDArray[np.float64]
-    """(N, 3) in m; NaN where there is none."""
-    rotations: NDArray[np.float64]
-    """(N, 4), x, y, z, w; NaN where there is none."""
-    known: NDArray[np.bool_]
-    """(N), whether there is a transform."""
+    stamps: NDArray[np.int64]  #: (N), ns
+    translations: NDArray[np.float64]  #: (N, 3) in m; NaN where there is none
+    rotations: NDArray[np.float64]  #: (N, 4), x, y, z, w; NaN where there is none
+    known: NDArray[np.bool_]  #: (N), whether there is a transform
 
 
 @dataclass(frozen=True, slots=True)
-class Source:
-    """Who says where a frame is."""
+class TransformSource:
+    """A source of a frame's transforms."""
 
     parent: str
     authority: str
-    stamp: int
-    """ns, of the newest that it said."""
+    stamp: int  #: ns, of the newest that it said
 
 
 @dataclass(frozen=True, slots=True)
 class FrameInfo:
-    """What is known of a frame that has a parent."""
+    """The facts of a frame that has a parent."""
 
     name: str
     parent: str
     authority: str
     static: bool
-    oldest: int
-    """Stamp in ns; 0 where static."""
-    newest: int
-    """Stamp in ns; 0 where static."""
+    oldest: int  #: stamp in ns; 0 where static
+    newest: int  #: stamp in ns; 0 where static
     samples: int
-    sources: tuple[Source, ...]
-    """All within the history; more than one where several publishers say where the frame is."""
+    sources: tuple[
+        TransformSource, ...
+    ]  #: all within the history; more than one where several publishers say where the frame is
 
     @property
     def rate(self) -> float:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Iterable, Iterator
 
-from bridge.tf.reasons import seconds
+from bridge.tf.errors import seconds
 from bridge.tf.transform import FrameInfo
 
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from bridge.hub.call import CallError
+from bridge.hub.endpoints.calls import CallError
 from bridge.modules.host import Host
 from bridge.modules.module import Module
 from bridge.worker import Health

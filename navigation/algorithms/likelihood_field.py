@@ -7,23 +7,24 @@ map does not have, costs no more than a fixed share, however many metres it is o
 
 from __future__ import annotations
 
-import math
-from functools import cache
-from pathlib import Path
-from typing import Any
-
-import numba
+import cython
 import numpy as np
 from numpy.typing import NDArray
 
-from bridge.messages.cache import compiled
 from navigation.algorithms.distance_transform import distance_transform
+
+if cython.compiled:
+    from cython.cimports.libc.math import cos, hypot, isfinite, sin
+else:
+    from math import cos, isfinite, sin
+
+    from numpy import hypot  # Python's own rounds otherwise than C's
 
 Floats = NDArray[np.float64]
 Field = NDArray[np.float32]
+Place = tuple[float, float, float]
 
-_THROUGH = 0.3
-"""Metres before its end at which a beam that meets a wall went through it."""
+_THROUGH = 0.3  # metres before its end at which a beam that meets a wall went through it
 
 
 class LikelihoodField:
@@ -67,10 +68,10 @@ class LikelihoodField:
             points: (m, 2) the beams' ends in the robot's frame, metres.
         """
         out = np.empty(len(poses))
-        _score()(table, worst, 1.0 / self.resolution, np.ascontiguousarray(poses), np.ascontiguousarray(points), out)
+        _sum(table, worst, 1.0 / self.resolution, np.ascontiguousarray(poses), np.ascontiguousarray(points), out)
         return out
 
-    def agreement(self, pose: tuple[float, float, float], points: Floats, within: float) -> tuple[float, float]:
+    def agreement(self, pose: Place, points: Floats, within: float) -> tuple[float, float]:
         """How well the map explains a scan at a pose: the share of beams that speak for it, and of those against it.
 
         For it speak those that end at a wall, against it those that went through one. The others, which ended before a
@@ -81,10 +82,11 @@ class LikelihoodField:
             points: (m, 2) the beams' ends in the robot's frame, metres.
             within: metres from a wall at which a beam ends at it.
         """
-        counts = np.zeros(2, np.int64)
+        if not len(points):
+            return 0.0, 0.0
         scale = 1.0 / self.resolution
-        _judged()(self.distances, scale, *pose, np.ascontiguousarray(points), within, _THROUGH, counts)
-        return float(counts[0]) / len(points), float(counts[1]) / len(points)
+        found, against = _judge(self.distances, scale, *pose, np.ascontiguousarray(points), within, _THROUGH)
+        return found / len(points), against / len(points)
 
 
 def _surface(walls: NDArray[np.bool_]) -> NDArray[np.bool_]:
@@ -95,72 +97,101 @@ def _surface(walls: NDArray[np.bool_]) -> NDArray[np.bool_]:
     return found
 
 
-def _sum(table: Field, worst: float, scale: float, poses: Floats, points: Floats, out: Floats) -> None:
-    rows, columns = table.shape
-    for n in range(len(poses)):
-        c, s = math.cos(poses[n, 2]) * scale, math.sin(poses[n, 2]) * scale
-        x, y = poses[n, 0] * scale, poses[n, 1] * scale
-        total = 0.0
-        for m in range(len(points)):
-            px, py = points[m, 0], points[m, 1]
-            right, up = x + c * px - s * py, y + s * px + c * py
-            if right >= 0.0 and up >= 0.0 and right < columns and up < rows:
-                total += table[int(up), int(right)]
-            else:
-                total += worst
-        out[n] = total
-
-
-def _judge(
-    distances: Field,
-    scale: float,
-    x: float,
-    y: float,
-    theta: float,
-    points: Floats,
-    within: float,
-    through: float,
-    counts: NDArray[np.int64],
+@cython.boundscheck(False)  # shapes are checked first, and only cells of the table are looked up
+@cython.wraparound(False)
+@cython.initializedcheck(False)
+def _sum(
+    table: cython.const[cython.float][:, ::1],
+    worst: cython.double,
+    scale: cython.double,
+    poses: cython.const[cython.double][:, ::1],
+    points: cython.const[cython.double][:, ::1],
+    out: cython.double[::1],
 ) -> None:
-    """Count beams that end at walls, and those that went through one so many metres before their end."""
-    rows, columns = distances.shape
-    c, s = math.cos(theta), math.sin(theta)
-    for m in range(len(points)):
-        dx, dy = c * points[m, 0] - s * points[m, 1], s * points[m, 0] + c * points[m, 1]
-        right, up = (x + dx) * scale, (y + dy) * scale
-        if right >= 0.0 and up >= 0.0 and right < columns and up < rows and distances[int(up), int(right)] < within:
-            counts[0] += 1
-            continue
-        length = math.hypot(dx, dy)
-        if length <= through:
-            continue
-        gone, last = 0.0, length - through
-        while gone < last:
-            right, up = (x + dx * gone / length) * scale, (y + dy * gone / length) * scale
-            if right < 0.0 or up < 0.0 or right >= columns or up >= rows:
-                break
-            room = distances[int(up), int(right)]
-            if room == 0.0:
-                counts[1] += 1
-                break
-            # a wall's cell is not nearer than its middle less two halves of a cell's diagonal
-            gone += max(room - 1.42 / scale, 0.4 / scale)
+    """Sum up what each pose's beams score; one that is no place, or a beam that is none, ends off the map."""
+    rows: cython.double = table.shape[0]
+    columns: cython.double = table.shape[1]
+    count: cython.Py_ssize_t = points.shape[0]
+    cython.declare(n=cython.Py_ssize_t, m=cython.Py_ssize_t)
+    if poses.shape[1] != 3 or points.shape[1] != 2 or out.shape[0] != poses.shape[0]:
+        raise ValueError("a scan is scored at poses (n, 3) by points (m, 2)")
+    with cython.nogil:
+        for n in range(poses.shape[0]):
+            theta: cython.double = poses[n, 2]
+            known: cython.bint = isfinite(theta)
+            c: cython.double = cos(theta) * scale if known else theta
+            s: cython.double = sin(theta) * scale if known else theta
+            x: cython.double = poses[n, 0] * scale
+            y: cython.double = poses[n, 1] * scale
+            total: cython.double = 0.0
+            for m in range(count):
+                right: cython.double = x + c * points[m, 0] - s * points[m, 1]
+                up: cython.double = y + s * points[m, 0] + c * points[m, 1]
+                # in this form it is false of what is no number, and no such one becomes an index
+                if right >= 0.0 and up >= 0.0 and right < columns and up < rows:
+                    total += float(table[cython.cast(cython.Py_ssize_t, up), cython.cast(cython.Py_ssize_t, right)])
+                else:
+                    total += worst
+            out[n] = total
 
 
-@cache
-def _judged() -> Any:
-    floats = numba.types.Array(numba.float64, 2, "C")
-    table = numba.types.Array(numba.float32, 2, "C")
-    number = numba.float64
-    counts = numba.types.Array(numba.int64, 1, "C")
-    signature = numba.void(table, number, number, number, number, floats, number, number, counts)
-    return compiled(_judge, signature, [Path(__file__)], nogil=True)
-
-
-@cache
-def _score() -> Any:
-    floats = numba.types.Array(numba.float64, 2, "C")
-    table = numba.types.Array(numba.float32, 2, "C")
-    number = numba.float64
-    signature = numba.void(table, number, number, floats, floats, numba.types.Array(numba.float64, 1, "C"))
-    return compiled(_sum, signature, [Path(__file__)], nogil=True)
+@cython.boundscheck(False)  # points' shape is checked first, and only cells of the table are looked up
+@cython.wraparound(False)
+@cython.initializedcheck(False)
+@cython.cdivision(True)  # by a length above 0, and by the scale
+def _judge(
+    distances: cython.const[cython.float][:, ::1],
+    scale: cython.double,
+    x: cython.double,
+    y: cython.double,
+    theta: cython.double,
+    points: cython.const[cython.double][:, ::1],
+    within: cython.double,
+    through: cython.double,
+) -> tuple[int, int]:
+    """How many beams end at walls, and how many went through one so many metres before their end."""
+    rows: cython.double = distances.shape[0]
+    columns: cython.double = distances.shape[1]
+    found: cython.Py_ssize_t = 0
+    against: cython.Py_ssize_t = 0
+    m: cython.Py_ssize_t
+    if points.shape[1] != 2:
+        raise ValueError("a scan is judged by points (m, 2)")
+    if not isfinite(theta):
+        return 0, 0
+    with cython.nogil:
+        c: cython.double = cos(theta)
+        s: cython.double = sin(theta)
+        for m in range(points.shape[0]):
+            dx: cython.double = c * points[m, 0] - s * points[m, 1]
+            dy: cython.double = s * points[m, 0] + c * points[m, 1]
+            right: cython.double = (x + dx) * scale
+            up: cython.double = (y + dy) * scale
+            if (
+                right >= 0.0
+                and up >= 0.0
+                and right < columns
+                and up < rows
+                and float(distances[cython.cast(cython.Py_ssize_t, up), cython.cast(cython.Py_ssize_t, right)]) < within
+            ):
+                found += 1
+                continue
+            length: cython.double = hypot(dx, dy)
+            if length <= through:
+                continue
+            gone: cython.double = 0.0
+            last: cython.double = length - through
+            while gone < last:
+                right = (x + dx * gone / length) * scale
+                up = (y + dy * gone / length) * scale
+                if not (right >= 0.0 and up >= 0.0 and right < columns and up < rows):
+                    break
+                room: cython.double = float(
+                    distances[cython.cast(cython.Py_ssize_t, up), cython.cast(cython.Py_ssize_t, right)]
+                )
+                if room == 0.0:
+                    against += 1
+                    break
+                # a wall's cell is not nearer than its middle less two halves of a cell's diagonal
+                gone += max(room - 1.42 / scale, 0.4 / scale)
+    return found, against

@@ -9,23 +9,31 @@ so that walls seen at a glancing angle stay: in an apartment 98 % of the walls i
 from __future__ import annotations
 
 import math
-from functools import cache
-from pathlib import Path
-from typing import Any
 
-import numba
+import cython
 import numpy as np
 from numpy.typing import NDArray
 
-from bridge.messages.cache import compiled
+if cython.compiled:
+    from cython.cimports.libc.math import cos, isfinite, sin
+else:
+    from math import cos, isfinite, sin
 
 Odds = NDArray[np.float32]
+Corner = tuple[float, float]
+Place = tuple[float, float, float]
 
 HIT, PASS = 0.85, -0.4
 """Added to a cell's log odds: probabilities of 0.7 and 0.4."""
 
 LEAST, MOST = -4.0, 4.0
 """Log odds are kept within them, so that what has changed is unlearnt within some ten scans."""
+
+# the same for C, of the map's own kind, so that many cells are changed at once
+_HIT = cython.declare(cython.float, HIT)
+_PASS = cython.declare(cython.float, PASS)
+_LEAST = cython.declare(cython.float, LEAST)
+_MOST = cython.declare(cython.float, MOST)
 
 OCCUPIED, FREE = 0.65, 0.196
 """Probabilities beyond which a cell counts as occupied or free, as map_server's thresholds."""
@@ -45,13 +53,13 @@ class OccupancyMap:
         marks: (rows, columns) 0, or what the scan at hand has made of a cell.
     """
 
-    def __init__(self, rows: int, columns: int, resolution: float, origin: tuple[float, float]) -> None:
+    def __init__(self, rows: int, columns: int, resolution: float, origin: Corner) -> None:
         if rows <= 0 or columns <= 0 or not resolution > 0.0:
             raise ValueError(f"a map has cells, of a size above 0: not {rows} x {columns} of {resolution} m")
         self.resolution, self.origin = resolution, origin
         self.odds: Odds = np.zeros((rows, columns), np.float32)
         self.marks = np.zeros((rows, columns), np.uint8)
-        self._ends = np.empty(0, np.int64)
+        self._ends = np.empty((0, 2), np.int64)
 
     def grow(self, below: int, above: int, left: int, right: int) -> None:
         """Add rows and columns of unknown cells at the four sides; what is known stays in its place."""
@@ -59,10 +67,8 @@ class OccupancyMap:
         self.odds, self.marks = np.pad(self.odds, around), np.pad(self.marks, around)
         self.origin = self.origin[0] - left * self.resolution, self.origin[1] - below * self.resolution
 
-    def insert(
-        self, pose: tuple[float, float, float], ranges: NDArray[np.float64], first: float, step: float, farthest: float
-    ) -> int:
-        """Take a scan.
+    def insert(self, pose: Place, ranges: NDArray[np.float64], first: float, step: float, farthest: float) -> int:
+        """Take a scan; raises `ValueError` if the pose is not finite, or the beams' angles are not.
 
         Args:
             pose: of the laser: x, y (metres), direction (radians).
@@ -73,9 +79,6 @@ class OccupancyMap:
 
         Returns:
             the number of cells that it touched.
-
-        Raises:
-            ValueError: the pose is not finite.
         """
         if not all(map(math.isfinite, pose)):
             raise ValueError(f"a scan's pose is finite, not {pose}")
@@ -84,13 +87,12 @@ class OccupancyMap:
         reach = farthest / self.resolution
         if not all(-reach <= at <= cells + reach for at, cells in zip(place, self.odds.shape[::-1], strict=True)):
             return 0  # no beam comes to the map
-        if self._ends.size < beams.size:
-            self._ends = np.empty(beams.size, np.int64)
-        return int(
-            _compiled()(
-                self.odds, self.marks, self._ends, *place, pose[2], beams, first, step, farthest, self.resolution
-            )
+        if len(self._ends) < beams.size:
+            self._ends = np.empty((beams.size, 2), np.int64)
+        touched = _insert(
+            self.odds, self.marks, self._ends, *place, pose[2], beams, first, step, farthest, self.resolution
         )
+        return int(touched)
 
     def probabilities(self) -> NDArray[np.float32]:
         """(rows, columns) each cell's probability of being occupied; 0.5 is unknown."""
@@ -104,91 +106,120 @@ class OccupancyMap:
         return found
 
 
+@cython.boundscheck(False)  # shapes are checked first, and only cells of the map are marked and changed
+@cython.wraparound(False)
+@cython.initializedcheck(False)
+@cython.cdivision(True)  # by the greater part of a direction, and by the resolution, which is checked
 def _insert(
-    odds: Odds,
-    marks: NDArray[np.uint8],
-    ends: NDArray[np.int64],
-    x: float,
-    y: float,
-    direction: float,
-    ranges: NDArray[np.float64],
-    first: float,
-    step: float,
-    farthest: float,
-    resolution: float,
+    odds: cython.float[:, ::1],
+    marks: cython.uchar[:, ::1],
+    ends: cython.longlong[:, ::1],
+    x: cython.double,
+    y: cython.double,
+    direction: cython.double,
+    ranges: cython.const[cython.double][::1],
+    first: cython.double,
+    step: cython.double,
+    farthest: cython.double,
+    resolution: cython.double,
 ) -> int:
     """Mark what each beam passes (1) and hits (2), then change each marked cell's odds once. Lengths are in cells.
 
     A beam marks one cell of each column that it crosses, or of each row where it is steeper. It passes only as far as
     the beams beside it: one that runs along a wall would free the cells between the places where they hit it.
     """
-    rows, columns = odds.shape
-    # of the map's own kind, so that many cells are changed at once
-    hit_, pass_, nothing = np.float32(HIT), np.float32(PASS), np.float32(0.0)
-    least, most = np.float32(LEAST), np.float32(MOST)
-    column, row = int(np.floor(x)), int(np.floor(y))
-    left, right, bottom, top = column, column, row, row
-    hits = 0
-    turn_x, turn_y = np.cos(step), np.sin(step)
-    dx, dy = np.cos(direction + first - step), np.sin(direction + first - step)
-    for beam in range(len(ranges)):
-        dx, dy = dx * turn_x - dy * turn_y, dx * turn_y + dy * turn_x
-        metres = ranges[beam]
-        if np.isnan(metres) or metres <= 0.0:
-            continue
-        clear = metres
-        for beside in (beam - 1, beam + 1):
-            if 0 <= beside < len(ranges) and 0.0 < ranges[beside] < clear:
-                clear = ranges[beside]
-        length, clear = min(metres, farthest) / resolution, min(clear, farthest) / resolution
-        end_column, end_row = int(np.floor(x + length * dx)), int(np.floor(y + length * dy))
-        left, right = min(left, end_column), max(right, end_column)
-        bottom, top = min(bottom, end_row), max(top, end_row)
-        there = 0 <= end_row < rows and 0 <= end_column < columns
-        if there and metres <= farthest:
-            ends[hits] = end_row * columns + end_column
-            hits += 1
-        elif there:
-            marks[end_row, end_column] = 1
-        last_column, last_row = int(np.floor(x + clear * dx)), int(np.floor(y + clear * dy))
-        if abs(dx) >= abs(dy):
-            slope = dy / dx
-            low, high = (column, last_column) if dx > 0 else (last_column + 1, column + 1)
-            for at in range(max(low, 0), min(high, columns)):
-                other = int(np.floor(y + (at + 0.5 - x) * slope))
-                if 0 <= other < rows:
-                    marks[other, at] = 1
-        else:
-            slope = dx / dy
-            low, high = (row, last_row) if dy > 0 else (last_row + 1, row + 1)
-            for at in range(max(low, 0), min(high, rows)):
-                other = int(np.floor(x + (at + 0.5 - y) * slope))
-                if 0 <= other < columns:
-                    marks[at, other] = 1
-    seen = marks.reshape(-1)
-    for hit in range(hits):
-        seen[ends[hit]] = 2
-    # a line's ends are in their cells, not at their middles: what it marks lies a cell beyond them at most
-    touched = 0
-    for at in range(max(bottom - 1, 0), min(top + 2, rows)):
-        for other in range(max(left - 1, 0), min(right + 2, columns)):
-            mark = marks[at, other]
-            touched += mark != 0
-            change = hit_ if mark == 2 else (pass_ if mark == 1 else nothing)
-            odds[at, other] = min(max(odds[at, other] + change, least), most)
-            marks[at, other] = 0
+    rows: cython.longlong = odds.shape[0]
+    columns: cython.longlong = odds.shape[1]
+    beams: cython.Py_ssize_t = ranges.shape[0]
+    cython.declare(beam=cython.Py_ssize_t, hit=cython.Py_ssize_t)
+    hits: cython.Py_ssize_t = 0
+    cython.declare(at=cython.longlong, other=cython.longlong, low=cython.longlong, high=cython.longlong)
+    cython.declare(clear=cython.double, place=cython.double, slope=cython.double, turned_x=cython.double)
+    cython.declare(mark=cython.uchar)
+    cython.declare(change=cython.float, changed=cython.float)
+    touched: cython.longlong = 0
+    if marks.shape[0] != rows or marks.shape[1] != columns or ends.shape[0] < beams or ends.shape[1] != 2:
+        raise ValueError("a scan's marks are as many as the map's cells, and its ends as its beams")
+    if not (isfinite(direction + first + step) and resolution > 0.0):
+        raise ValueError(f"a scan's angles are finite, not {direction}, {first} and {step}")
+    with cython.nogil:
+        column: cython.longlong = _cell(x, columns)
+        row: cython.longlong = _cell(y, rows)
+        left: cython.longlong = column
+        right: cython.longlong = column
+        bottom: cython.longlong = row
+        top: cython.longlong = row
+        turn_x: cython.double = cos(step)
+        turn_y: cython.double = sin(step)
+        dx: cython.double = cos(direction + first - step)
+        dy: cython.double = sin(direction + first - step)
+        for beam in range(beams):
+            turned_x = dx * turn_x - dy * turn_y
+            dy = dx * turn_y + dy * turn_x
+            dx = turned_x
+            metres: cython.double = ranges[beam]
+            if not metres > 0.0:
+                continue
+            clear = metres
+            if beam > 0 and 0.0 < ranges[beam - 1] < clear:
+                clear = ranges[beam - 1]
+            if beam + 1 < beams and 0.0 < ranges[beam + 1] < clear:
+                clear = ranges[beam + 1]
+            length: cython.double = min(metres, farthest) / resolution
+            clear = min(clear, farthest) / resolution
+            end_column: cython.longlong = _cell(x + length * dx, columns)
+            end_row: cython.longlong = _cell(y + length * dy, rows)
+            left = min(left, end_column)
+            right = max(right, end_column)
+            bottom = min(bottom, end_row)
+            top = max(top, end_row)
+            if 0 <= end_row < rows and 0 <= end_column < columns:
+                if metres <= farthest:
+                    ends[hits, 0] = end_row
+                    ends[hits, 1] = end_column
+                    hits += 1
+                else:
+                    marks[end_row, end_column] = 1
+            if abs(dx) >= abs(dy):
+                slope = dy / dx
+                other = _cell(x + clear * dx, columns)
+                low = max(column if dx > 0.0 else other + 1, 0)
+                high = min(other if dx > 0.0 else column + 1, columns)
+                for at in range(low, high):
+                    place = y + (at + 0.5 - x) * slope
+                    if 0.0 <= place < rows:
+                        marks[cython.cast(cython.longlong, place), at] = 1
+            else:
+                slope = dx / dy
+                other = _cell(y + clear * dy, rows)
+                low = max(row if dy > 0.0 else other + 1, 0)
+                high = min(other if dy > 0.0 else row + 1, rows)
+                for at in range(low, high):
+                    place = x + (at + 0.5 - y) * slope
+                    if 0.0 <= place < columns:
+                        marks[at, cython.cast(cython.longlong, place)] = 1
+        for hit in range(hits):
+            marks[ends[hit, 0], ends[hit, 1]] = 2
+        # a line's ends are in their cells, not at their middles: what it marks lies a cell beyond them at most
+        low = max(left - 1, 0)
+        high = min(right + 2, columns)
+        for at in range(max(bottom - 1, 0), min(top + 2, rows)):
+            for other in range(low, high):
+                mark = marks[at, other]
+                touched += mark != 0
+                change = _HIT if mark == 2 else (_PASS if mark == 1 else 0.0)
+                changed = odds[at, other] + change
+                odds[at, other] = min(max(changed, _LEAST), _MOST)
+                marks[at, other] = 0
     return touched
 
 
-@cache
-def _compiled() -> Any:
-    def grid(of: Any) -> Any:
-        return numba.types.Array(of, 2, "C")
-
-    number = numba.float64
-    line = numba.types.Array(numba.int64, 1, "C")
-    beams = numba.types.Array(number, 1, "C")
-    signature = numba.int64(
-        grid(numba.float32), grid(numba.uint8), line, number, number, number, beams, number, number, number, number
-    )
-    return compiled(_insert, signature, [Path(__file__)], nogil=True)
+@cython.cfunc
+@cython.inline
+@cython.nogil
+@cython.exceptval(check=False)
+def _cell(value: cython.double, count: cython.longlong) -> cython.longlong:
+    """The cell of a row that a place lies in: -1 before the first one, and of what is no number; count behind them."""
+    if value < count:
+        return cython.cast(cython.longlong, value) if value >= 0.0 else -1
+    return count if value >= count else -1

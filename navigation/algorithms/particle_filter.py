@@ -17,26 +17,18 @@ Alphas = tuple[float, float, float, float, float]
 """How far odometry may be off: turning by turning, turning by driving, driving by driving, driving by turning, and
 sideways by driving; variances per square."""
 
-_STANDS = 0.01
-"""Metres below which the direction of a drive says nothing."""
-
+_STANDS = 0.01  # metres below which the direction of a drive says nothing
 _REACH = 0.75
 _TURN = math.radians(30.0)
 _TRIES = 12
 
 
 class Cluster(NamedTuple):
-    """The heaviest heap of particles.
+    """The heaviest heap of particles."""
 
-    Attributes:
-        mean: x, y, theta: metres, radians.
-        covariance: (3, 3) of all particles about the mean, those of other heaps too.
-        mass: its share of all weights.
-    """
-
-    mean: Floats
-    covariance: Floats
-    mass: float
+    mean: Floats  #: x, y, theta: metres, radians
+    covariance: Floats  #: (3, 3) of all particles about the mean, those of other heaps too
+    mass: float  #: its share of all weights
 
 
 def spread(mean: Floats, covariance: Floats, count: int, rng: np.random.Generator) -> Floats:

@@ -9,25 +9,24 @@ from __future__ import annotations
 import itertools
 import math
 from dataclasses import dataclass
-from functools import cache
-from pathlib import Path
-from typing import Any
 
-import numba
+import cython
 import numpy as np
 from numpy.typing import NDArray
 
-from bridge.messages.cache import compiled
 from navigation.algorithms.likelihood_field import Field, Floats, LikelihoodField
+
+if cython.compiled:
+    from cython.cimports.libc.math import cos, isfinite, sin
+else:
+    from math import cos, isfinite, sin
 
 _SPACING = 0.2
 _ANGLE = math.radians(6.0)
 _COARSE_SIGMA = 0.25
 _COARSE_BEAMS = 60
 _HIT = 0.9
-_KEPT = 16
-"""Candidates that are pushed uphill."""
-
+_KEPT = 16  # candidates that are pushed uphill
 _APART = 0.6
 _TURNED_APART = math.radians(25.0)
 _PUSHES = ((0.1, 3.0), (0.1, 3.0), (0.05, 1.5), (0.05, 1.5), (0.025, 0.7), (0.025, 0.7))
@@ -37,7 +36,7 @@ _AROUND = np.array(list(itertools.product((-1.0, 0.0, 1.0), repeat=3)))
 
 
 @dataclass(frozen=True)
-class Window:
+class SearchWindow:
     """Where to look.
 
     Attributes:
@@ -58,7 +57,6 @@ class PoseSearch:
     """Searches one map.
 
     Args:
-        field: the map.
         table: of the field, as sharp as candidates are weighed by.
     """
 
@@ -66,9 +64,10 @@ class PoseSearch:
         self._field, self._table = field, table
         self._worst = float(table.min())
         self._wide = field.table(_COARSE_SIGMA, _HIT)
+        self._wide_worst = float(self._wide.min())
         self._free = np.ascontiguousarray(field.free)
 
-    def best(self, points: Floats, window: Window) -> tuple[Floats, Floats]:
+    def best(self, points: Floats, window: SearchWindow) -> tuple[Floats, Floats]:
         """The poses in a window that the scan fits best, no two near each other.
 
         Args:
@@ -90,12 +89,15 @@ class PoseSearch:
         few = points[np.linspace(0, len(points) - 1, min(_COARSE_BEAMS, len(points))).astype(np.intp)]
         shape = (len(turns), len(range(low_row, high_row, stride)), len(range(low_column, high_column, stride)))
         scores = np.full(shape, -np.inf, np.float32)
-        _sweep()(
+        _sweep(
             self._wide,
-            self._free,
+            self._wide_worst,
+            self._free.view(np.uint8),
             np.ascontiguousarray(few / size),
             window.theta + turns,
-            np.array([low_row, high_row, low_column, high_column, stride], np.int64),
+            low_row,
+            low_column,
+            stride,
             scores,
         )
         found = self._peaks(scores)
@@ -155,52 +157,68 @@ def _apart(poses: Floats) -> Floats:
     return np.array(kept)
 
 
-def _lattice(
-    table: Field,
-    free: NDArray[np.bool_],
-    points: Floats,
-    angles: Floats,
-    window: NDArray[np.int64],
-    out: NDArray[np.float32],
+@cython.boundscheck(False)  # the lattice is checked to lie on the map, and only cells of the map are looked up
+@cython.wraparound(False)
+@cython.initializedcheck(False)
+def _sweep(
+    table: cython.const[cython.float][:, ::1],  # the field's
+    worst: cython.float,  # what a beam scores that ends off the map, or that is none
+    free: cython.const[cython.uchar][:, ::1],  # where to look, as large as the table
+    points: cython.const[cython.double][:, ::1],  # (m, 2) the beams' ends in the robot's frame, cells
+    angles: cython.const[cython.double][::1],  # radians
+    low_row: cython.Py_ssize_t,  # the lattice's first row
+    low_column: cython.Py_ssize_t,  # its first column
+    stride: cython.Py_ssize_t,  # cells from one of its places to the next
+    out: cython.float[:, :, ::1],  # (angles, rows, columns) of the lattice; changed where a place is free
 ) -> None:
     """Sums at each place of the lattice and each angle; points are in cells."""
-    rows, columns = table.shape
-    count = len(points)
-    up, right = np.empty(count, np.int64), np.empty(count, np.int64)
-    worst = table[0, 0]
-    for row in range(rows):
-        for column in range(columns):
-            worst = min(worst, table[row, column])
-    for n in range(len(angles)):
-        c, s = math.cos(angles[n]), math.sin(angles[n])
-        for m in range(count):
-            right[m] = math.floor(c * points[m, 0] - s * points[m, 1] + 0.5)
-            up[m] = math.floor(s * points[m, 0] + c * points[m, 1] + 0.5)
-        for i in range(out.shape[1]):
-            row = window[0] + i * window[4]
-            for j in range(out.shape[2]):
-                column = window[2] + j * window[4]
-                if not free[row, column]:
-                    continue
-                total = numba.float32(0.0)
-                for m in range(count):
-                    r, k = row + up[m], column + right[m]
-                    if 0 <= r < rows and 0 <= k < columns:
-                        total += table[r, k]
-                    else:
-                        total += worst
-                out[n, i, j] = total
+    rows: cython.Py_ssize_t = table.shape[0]
+    columns: cython.Py_ssize_t = table.shape[1]
+    count: cython.Py_ssize_t = points.shape[0]
+    high: cython.Py_ssize_t = out.shape[1]
+    wide: cython.Py_ssize_t = out.shape[2]
+    up: cython.Py_ssize_t[::1] = np.empty(count, np.intp)
+    right: cython.Py_ssize_t[::1] = np.empty(count, np.intp)
+    cython.declare(n=cython.Py_ssize_t, m=cython.Py_ssize_t, i=cython.Py_ssize_t, j=cython.Py_ssize_t)
+    if free.shape[0] != rows or free.shape[1] != columns or points.shape[1] != 2 or out.shape[0] != angles.shape[0]:
+        raise ValueError("a map is searched by points (m, 2), and its free cells are as many as its table's")
+    if high > 0 and wide > 0:
+        if stride < 1 or not (0 <= low_row < rows and 0 <= low_column < columns):
+            raise ValueError("the lattice begins off the map")
+        if high - 1 > (rows - 1 - low_row) // stride or wide - 1 > (columns - 1 - low_column) // stride:
+            raise ValueError("the lattice ends off the map")
+    with cython.nogil:
+        for n in range(angles.shape[0]):
+            known: cython.bint = isfinite(angles[n])
+            c: cython.double = cos(angles[n]) if known else angles[n]
+            s: cython.double = sin(angles[n]) if known else angles[n]
+            for m in range(count):
+                right[m] = _cell(c * points[m, 0] - s * points[m, 1] + 0.5, columns)
+                up[m] = _cell(s * points[m, 0] + c * points[m, 1] + 0.5, rows)
+            for i in range(high):
+                row: cython.Py_ssize_t = low_row + i * stride
+                for j in range(wide):
+                    column: cython.Py_ssize_t = low_column + j * stride
+                    if not free[row, column]:
+                        continue
+                    total: cython.float = 0.0
+                    for m in range(count):
+                        r: cython.Py_ssize_t = row + up[m]
+                        k: cython.Py_ssize_t = column + right[m]
+                        if 0 <= r < rows and 0 <= k < columns:
+                            total += table[r, k]
+                        else:
+                            total += worst
+                    out[n, i, j] = total
 
 
-@cache
-def _sweep() -> Any:
-    array = numba.types.Array
-    signature = numba.void(
-        array(numba.float32, 2, "C"),
-        array(numba.boolean, 2, "C"),
-        array(numba.float64, 2, "C"),
-        array(numba.float64, 1, "C"),
-        array(numba.int64, 1, "C"),
-        array(numba.float32, 3, "C"),
-    )
-    return compiled(_lattice, signature, [Path(__file__)], nogil=True)
+@cython.cfunc
+@cython.inline
+@cython.nogil
+@cython.exceptval(check=False)
+def _cell(value: cython.double, count: cython.Py_ssize_t) -> cython.Py_ssize_t:
+    """Which cell that is from another one, of so many in a row: what is farther, or no number, is off the row."""
+    if not -count <= value < count:
+        return count
+    whole: cython.Py_ssize_t = cython.cast(cython.Py_ssize_t, value)
+    return whole - 1 if whole > value else whole

@@ -9,246 +9,339 @@ instead of everything, so that a way is found even where one must wait for somet
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cache
-from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
-import numba
+import cython
 import numpy as np
+from cython.cimports.libc.math import ceil, sqrt
 from numpy.typing import NDArray
 
-from bridge.messages.cache import compiled
+if cython.compiled:
+    from cython.cimports.libc.math import rint
+else:
+    rint = round
 
-F = TypeVar("F", bound=Callable[..., Any])
-_njit: Any = numba.njit
-
-_STRAIGHT, _DIAGONAL = 7, 10
-_OPEN, _UNSEEN, _NEAR, _TIGHT, _BLOCKED = 4, 8, 20, 60, 1500
+_STRAIGHT = cython.declare(cython.longlong, 7)
+_DIAGONAL = cython.declare(cython.longlong, 10)
+_OPEN = cython.declare(cython.longlong, 4)
+_UNSEEN = cython.declare(cython.longlong, 8)
+_NEAR = cython.declare(cython.longlong, 20)
+_TIGHT = cython.declare(cython.longlong, 60)
+_BLOCKED = cython.declare(cython.longlong, 1500)
 _RING = 32768
-_KEPT, _KEPT_NEAR = 20.0, 20.0
-_SHORTEST = 4
-_ROUNDED = 0.5
-"""What distances between cells are wrong by, cells."""
-
+_IN_RING = cython.declare(cython.longlong, _RING - 1)
+_KEPT = cython.declare(cython.double, 20.0)
+_KEPT_NEAR = cython.declare(cython.double, 20.0)
+_UNREACHED = cython.declare(cython.longlong, 2**31 - 1)
+_SHORTEST = cython.declare(cython.Py_ssize_t, 4)
+_ROUNDED = cython.declare(cython.double, 0.5)  # what distances between cells are wrong by, cells
+_INFINITE = cython.declare(cython.double, math.inf)
 _NOWHERE = (math.nan, math.nan)
+_WIDEST = 1100.0  # from corner to corner of a window, cells: (1100 + 20) * 28, the dearest exit, is less than the ring
+_FARTHEST = 2.0**40
+"""What lies farther off, in cells, is taken to lie there: nobody drives to it, and numbers stay exact."""
+
+Cell = tuple[int, int]
+Place = tuple[float, float]
+"""Row and column, in cells."""
 
 
 @dataclass(frozen=True)
 class Descent:
-    """The way down from where the robot is.
+    """The way down from where the robot is."""
 
-    Attributes:
-        cells: (n, 2) rows and columns, from the robot's cell to the goal's, or to the one where the window is left.
-        aim: the place in ``cells`` of the farthest one to which a straight line is free.
-        blocked: cells along the way to the first one that cannot be entered; infinite where there is none.
-        cost: of the whole way, in cells of open floor.
-        direct: whether a straight line to the goal itself is free; then no way is looked for, and ``cells`` is empty.
-    """
-
+    # (n, 2) rows and columns, from the robot's cell to the goal's, or to the one where the window is left
     cells: NDArray[np.int32]
-    aim: int
-    blocked: float
-    cost: float
+    aim: int  #: the place in ``cells`` of the farthest one to which a straight line is free
+    blocked: float  #: cells along the way to the first one that cannot be entered; infinite where there is none
+    cost: float  #: of the whole way, in cells of open floor
+    # whether a straight line to the goal itself is free; then no way is looked for, and ``cells`` is empty
     direct: bool
 
 
-def _part(function: F) -> F:
-    """Compile a function that is called by compiled ones alone."""
-    made: F = _njit(function)
-    return made
-
-
 def descend(
-    distances: NDArray[np.float32],
-    unseen: NDArray[np.bool_],
-    start: tuple[int, int],
-    goal: tuple[float, float],
-    before: tuple[float, float] | None,
-    radius: float,
-    influence: float,
-    spare: float,
+    distances: NDArray[np.float32],  # (rows, columns) from each cell to the nearest obstacle, cells
+    unseen: NDArray[np.bool_],  # (rows, columns) where nothing is known
+    start: Cell,  # the robot's row and column
+    goal: Place,  # row and column, in cells; it may lie outside
+    before: Place | None,  # where the way left the window last time: another exit must be better by 20 cells
+    radius: float,  # the robot's, cells
+    influence: float,  # from here on obstacles do not repel, cells
+    spare: float,  # what a straight line keeps beyond the radius, cells
 ) -> Descent:
     """The way down the potential.
 
-    Args:
-        distances: (rows, columns) from each cell to the nearest obstacle, cells.
-        unseen: (rows, columns) where nothing is known.
-        start: the robot's row and column.
-        goal: row and column, in cells; it may lie outside.
-        before: where the way left the window last time: another exit must be better by 20 cells.
-        radius: the robot's, cells.
-        influence: from here on obstacles do not repel, cells.
-        spare: what a straight line keeps beyond the radius, cells.
+    Raises:
+        ValueError: a number is none, the window has two shapes or is too large, or the start lies outside.
     """
-    cells = np.empty((distances.size, 2), np.int32)
-    found = np.empty(4)
-    count = _compiled()(distances, unseen, *start, *goal, *(before or _NOWHERE), radius, influence, spare, cells, found)
-    return Descent(cells[:count].copy(), int(found[0]), float(found[1]), float(found[2]), bool(found[3]))
+    rows, columns = distances.shape
+    _check(distances.shape, unseen.shape, start, (*goal, radius, influence, spare))
+    row, column = (min(max(float(at), -_FARTHEST), _FARTHEST) for at in goal)
+    grid = np.ascontiguousarray(distances).data
+    if _line_free(grid, start[0], start[1], row, column, radius + spare):
+        cost = _length(row - start[0], column - start[1])
+        return Descent(np.empty((0, 2), np.int32), 0, math.inf, cost, direct=True)
+    costs = np.full((rows + 2, columns + 2), -1, np.int32)
+    costs[1:-1, 1:-1] = _UNREACHED
+    least = 0.0
+    if 0 <= round(row) < rows and 0 <= round(column) < columns:
+        costs[round(row) + 1, round(column) + 1] = 0
+    else:
+        least = _length(max(0.0, -row, row - rows + 1), max(0.0, -column, column - columns + 1))
+        before_row, before_column = before or _NOWHERE
+        _leave(costs.data, row, column, before_row, before_column, least)
+    wide = columns + 2
+    begin = (start[0] + 1) * wide + start[1] + 1
+    offsets = np.array((1, -1, wide, -wide, wide + 1, wide - 1, 1 - wide, -wide - 1), np.int32)
+    came = np.full(costs.size, -1, np.int32).data
+    _spread(
+        _padded(distances, np.float32),
+        _padded(unseen, np.uint8),
+        offsets.data,
+        begin,
+        radius,
+        influence,
+        costs.reshape(-1).data,
+        came,
+    )
+    cells = np.empty((_count(came, begin), 2), np.int32)
+    blocked = _lay(grid, came, begin, radius, cells.data)
+    aim = _aim(grid, cells.data, radius, spare)
+    cost = float(costs[start[0] + 1, start[1] + 1]) / (_STRAIGHT * _OPEN) + least
+    return Descent(cells, aim, blocked, cost, direct=False)
 
 
-@_part
+def _check(shape: tuple[int, ...], unseen: tuple[int, ...], start: Cell, numbers: tuple[float, ...]) -> None:
+    """Refuse what the kernels cannot use."""
+    if shape != unseen or math.hypot(*shape) > _WIDEST:
+        raise ValueError(
+            f"a window is at most {_WIDEST:.0f} cells from corner to corner; it is {shape}, unseen {unseen}"
+        )
+    if not (0 <= start[0] < shape[0] and 0 <= start[1] < shape[1]):
+        raise ValueError(f"the start {start} lies outside the window of {shape[0]} x {shape[1]} cells")
+    if not all(map(math.isfinite, numbers)):
+        raise ValueError(f"goal, radius, influence and spare are numbers, none of them infinite or NaN, not {numbers}")
+
+
+def _padded(cells: NDArray[Any], kind: Any) -> memoryview:
+    """The same with a cell all round, flat."""
+    rows, columns = cells.shape
+    made = np.zeros((rows + 2, columns + 2), kind)
+    made[1:-1, 1:-1] = cells
+    return made.reshape(-1).data
+
+
+@cython.cfunc
+@cython.inline
+@cython.nogil
+@cython.exceptval(check=False)
+def _length(rows: cython.double, columns: cython.double) -> cython.double:
+    """Cells; ``hypot`` is another function on each platform, and a last bit can turn a way."""
+    return sqrt(rows * rows + columns * columns)
+
+
+@cython.cfunc
+@cython.nogil
+@cython.exceptval(check=False)
+@cython.boundscheck(False)
+@cython.wraparound(False)
+@cython.cdivision(True)
 def _line_free(
-    distances: NDArray[np.float32], row: float, column: float, to_row: float, to_column: float, least: float
-) -> bool:
+    distances: cython.const[cython.float][:, ::1],
+    row: cython.double,
+    column: cython.double,
+    to_row: cython.double,
+    to_column: cython.double,
+    least: cython.double,
+) -> cython.bint:
     """Whether a straight line stays so far from obstacles; what lies outside does."""
-    steps = math.ceil(2.0 * max(abs(to_row - row), abs(to_column - column))) + 1
-    for step in range(steps + 1):
-        share = step / steps
-        r, c = round(row + (to_row - row) * share), round(column + (to_column - column) * share)
-        if not (0 <= r < distances.shape[0] and 0 <= c < distances.shape[1]):
+    rows: cython.longlong = distances.shape[0]
+    columns: cython.longlong = distances.shape[1]
+    down: cython.double = to_row - row
+    right: cython.double = to_column - column
+    steps: cython.double = ceil(2.0 * max(abs(down), abs(right))) + 1.0
+    step: cython.double = 0.0
+    while step <= steps:
+        share: cython.double = step / steps
+        r: cython.longlong = cython.cast(cython.longlong, rint(row + down * share))
+        c: cython.longlong = cython.cast(cython.longlong, rint(column + right * share))
+        if not (0 <= r < rows and 0 <= c < columns):
             return True
         if distances[r, c] < least:
             return False
+        step += 1.0
     return True
 
 
-@_part
-def _weight(distance: float, unseen: bool, radius: float, influence: float) -> int:
+@cython.cfunc
+@cython.inline
+@cython.nogil
+@cython.exceptval(check=False)
+@cython.cdivision(True)
+def _weight(
+    distance: cython.double, unseen: cython.bint, radius: cython.double, influence: cython.double
+) -> cython.longlong:
+    """What a step into a cell costs, in parts of one; all numbers but the distance are finite."""
     if distance < radius - _ROUNDED:
         return _BLOCKED
     if distance < radius + _ROUNDED:
         return _TIGHT
-    weight = _UNSEEN if unseen else _OPEN
+    weight: cython.longlong = _UNSEEN if unseen else _OPEN
     if distance < influence:
-        near = 1.0 - (distance - radius) / (influence - radius)
-        weight += int(_NEAR * near * near)
+        near: cython.double = 1.0 - (distance - radius) / (influence - radius)
+        weight += cython.cast(cython.longlong, _NEAR * near * near)
     return weight
 
 
-def _descend(
-    distances: NDArray[np.float32],
-    unseen: NDArray[np.bool_],
-    start_row: int,
-    start_column: int,
-    goal_row: float,
-    goal_column: float,
-    before_row: float,
-    before_column: float,
-    radius: float,
-    influence: float,
-    spare: float,
-    path: NDArray[np.int32],
-    found: NDArray[np.float64],
-) -> int:
-    """Dial's algorithm from the goal, or from the window's rim, until the robot's cell is reached; then the way."""
-    rows, columns = distances.shape
-    found[3] = 1.0 if _line_free(distances, start_row, start_column, goal_row, goal_column, radius + spare) else 0.0
-    if found[3]:
-        found[0], found[1] = 0.0, math.inf
-        found[2] = math.hypot(goal_row - start_row, goal_column - start_column)
-        return 0
-    size = rows * columns
-    heads = np.full(_RING, -1, np.int32)
-    cells, nexts = np.empty(9 * size, np.int32), np.empty(9 * size, np.int32)
-    costs = np.full(size, 2**31 - 1, np.int32)
-    came = np.full(size, -1, np.int32)
-    made = 0
-    row, column = round(goal_row), round(goal_column)
-    least = 0.0
-    if 0 <= row < rows and 0 <= column < columns:
-        cell = row * columns + column
-        costs[cell] = 0
-        cells[0], nexts[0], heads[0], made = cell, -1, 0, 1
-    else:
-        least = math.hypot(max(0.0, -goal_row, goal_row - rows + 1), max(0.0, -goal_column, goal_column - columns + 1))
-        for r in range(rows):
-            for c in range(columns):
-                if 0 < r < rows - 1 and 0 < c < columns - 1:
+@cython.cfunc
+def _leave(
+    costs: cython.int[:, ::1],
+    goal_row: cython.double,
+    goal_column: cython.double,
+    before_row: cython.double,
+    before_column: cython.double,
+    least: cython.double,
+) -> cython.void:
+    """Give the cells of the rim what the way on costs from there to a goal outside, which is ``least`` away."""
+    rows: cython.Py_ssize_t = costs.shape[0] - 2
+    columns: cython.Py_ssize_t = costs.shape[1] - 2
+    cython.declare(row=cython.Py_ssize_t, column=cython.Py_ssize_t)
+    cython.declare(away=cython.double)
+    with cython.nogil:
+        for row in range(rows):
+            for column in range(columns):
+                if 0 < row < rows - 1 and 0 < column < columns - 1:
                     continue
-                away = math.hypot(goal_row - r, goal_column - c) - least
-                if math.hypot(before_row - r, before_column - c) > _KEPT_NEAR:
+                away = _length(goal_row - row, goal_column - column) - least
+                if _length(before_row - row, before_column - column) > _KEPT_NEAR:
                     away += _KEPT
-                cost = int(away * _STRAIGHT * _OPEN)
-                cell = r * columns + c
-                costs[cell] = cost
-                cells[made], nexts[made] = cell, heads[cost % _RING]
-                heads[cost % _RING] = made
+                costs[row + 1, column + 1] = cython.cast(cython.int, away * _STRAIGHT * _OPEN)
+
+
+@cython.cfunc
+@cython.boundscheck(False)
+@cython.wraparound(False)
+def _spread(
+    distances: cython.const[cython.float][::1],
+    unseen: cython.const[cython.uchar][::1],
+    offsets: cython.const[cython.int][::1],
+    begin: cython.int,
+    radius: cython.double,
+    influence: cython.double,
+    costs: cython.int[::1],
+    came: cython.int[::1],
+) -> cython.void:
+    """Dial's algorithm from the cells that have a cost to the robot's; ``came`` gets the next cell of each.
+
+    The grid is flat. A cell all round costs less than 0, so that no way leads there, and neighbours need no check.
+
+    Its open list is a ring of buckets, each a list of entries. What waits costs less than a ring more than what is
+    next, as no exit and no step (1500 * 10) costs so much. So each cell's turn comes once, and nine entries a cell are
+    enough: one of its own and one by each neighbour.
+    """
+    size: cython.int = costs.shape[0]
+    heads: cython.int[::1] = np.full(_RING, -1, np.int32).data
+    entries: cython.int[:, ::1] = np.empty((9 * size, 2), np.int32).data  # cell, next entry
+    made: cython.int = 0
+    total: cython.int = 0
+    cython.declare(waiting=cython.int, entry=cython.int, cell=cython.int, other=cython.int, way=cython.int)
+    cython.declare(cost=cython.int, weight=cython.int)
+    with cython.nogil:
+        for cell in range(size):
+            if 0 <= costs[cell] < _UNREACHED:
+                entries[made, 0] = cell
+                entries[made, 1] = heads[costs[cell] & _IN_RING]
+                heads[costs[cell] & _IN_RING] = made
                 made += 1
-    begin = start_row * columns + start_column
-    d_row = (0, 0, 1, -1, 1, 1, -1, -1)
-    d_column = (1, -1, 0, 0, 1, -1, 1, -1)
-    waiting, total = made, 0
-    while waiting:
-        entry = heads[total % _RING]
-        if entry < 0:
-            total += 1
-            continue
-        heads[total % _RING] = nexts[entry]
-        waiting -= 1
-        cell = cells[entry]
-        cost = costs[cell]
-        if cost != total:
-            continue
-        if cell == begin:
-            break
-        row, column = cell // columns, cell % columns
-        weight = _weight(distances[row, column], unseen[row, column], radius, influence)
-        for way in range(8):
-            r, c = row + d_row[way], column + d_column[way]
-            if not (0 <= r < rows and 0 <= c < columns):
+        waiting = made
+        while waiting:
+            entry = heads[total & _IN_RING]
+            if entry < 0:
+                total += 1
                 continue
-            other = r * columns + c
-            cheaper = cost + weight * (_STRAIGHT if way < 4 else _DIAGONAL)
-            if cheaper >= costs[other]:
+            heads[total & _IN_RING] = entries[entry, 1]
+            waiting -= 1
+            cell = entries[entry, 0]
+            if costs[cell] != total:
                 continue
-            costs[other], came[other] = cheaper, cell
-            cells[made], nexts[made] = other, heads[cheaper % _RING]
-            heads[cheaper % _RING] = made
-            made += 1
-            waiting += 1
-    found[2] = costs[begin] / (_STRAIGHT * _OPEN) + least
-    return _walk(distances, came, columns, begin, radius, spare, path, found)
+            if cell == begin:
+                break
+            weight = _weight(distances[cell], unseen[cell], radius, influence)
+            for way in range(8):
+                other = cell + offsets[way]
+                cost = total + weight * (_STRAIGHT if way < 4 else _DIAGONAL)
+                if cost >= costs[other]:
+                    continue
+                costs[other] = cost
+                came[other] = cell
+                entries[made, 0] = other
+                entries[made, 1] = heads[cost & _IN_RING]
+                heads[cost & _IN_RING] = made
+                made += 1
+                waiting += 1
 
 
-@_part
-def _walk(
-    distances: NDArray[np.float32],
-    came: NDArray[np.int32],
-    columns: int,
-    begin: int,
-    radius: float,
-    spare: float,
-    path: NDArray[np.int32],
-    found: NDArray[np.float64],
-) -> int:
-    """Lay the way down into ``path``; ``found`` gets where to aim, and how far it is to what blocks the way."""
-    count, cell = 0, begin
-    length, blocked, left = 0.0, math.inf, False
-    while cell >= 0:
-        row, column = cell // columns, cell % columns
-        path[count, 0], path[count, 1] = row, column
-        if count:
-            length += math.hypot(row - path[count - 1, 0], column - path[count - 1, 1])
-        inside = distances[row, column] < radius - _ROUNDED
-        left = left or not inside  # a robot that stands too near to something is free to leave
-        if inside and left and blocked == math.inf:
-            blocked = length
-        count += 1
-        cell = came[cell]
-    aim = min(_SHORTEST, count - 1)
-    for room in (radius + spare, radius):
-        place = count - 1
-        while place > aim and not _line_free(distances, path[0, 0], path[0, 1], path[place, 0], path[place, 1], room):
-            place -= 1
-        if place > aim:
-            aim = place
-            break
-    found[0], found[1] = aim, blocked
+@cython.cfunc
+def _count(came: cython.const[cython.int][::1], begin: cython.Py_ssize_t) -> cython.Py_ssize_t:
+    """How many cells the way from the robot's has."""
+    count: cython.Py_ssize_t = 0
+    cell: cython.Py_ssize_t = begin
+    with cython.nogil:
+        while cell >= 0:
+            count += 1
+            cell = came[cell]
     return count
 
 
-@cache
-def _compiled() -> Any:
-    real, size = numba.float64, numba.int64
-    signature = size(
-        numba.types.Array(numba.float32, 2, "C"),
-        numba.types.Array(numba.boolean, 2, "C"),
-        size,
-        size,
-        *[real] * 7,
-        numba.types.Array(numba.int32, 2, "C"),
-        numba.types.Array(real, 1, "C"),
-    )
-    return compiled(_descend, signature, [Path(__file__)], nogil=True)
+@cython.cfunc
+@cython.cdivision(True)
+def _lay(
+    distances: cython.const[cython.float][:, ::1],
+    came: cython.const[cython.int][::1],
+    begin: cython.Py_ssize_t,
+    radius: cython.double,
+    path: cython.int[:, ::1],
+) -> cython.double:
+    """Put the way down into ``path``; how far it is along it to what blocks it, infinite where nothing does."""
+    wide: cython.Py_ssize_t = distances.shape[1] + 2
+    cell: cython.Py_ssize_t = begin
+    length: cython.double = 0.0
+    blocked: cython.double = _INFINITE
+    left: cython.bint = False
+    cython.declare(inside=cython.bint)
+    cython.declare(place=cython.Py_ssize_t, row=cython.Py_ssize_t, column=cython.Py_ssize_t)
+    with cython.nogil:
+        for place in range(path.shape[0]):
+            row, column = cell // wide - 1, cell % wide - 1
+            path[place, 0] = row
+            path[place, 1] = column
+            if place:
+                length += _length(row - path[place - 1, 0], column - path[place - 1, 1])
+            inside = distances[row, column] < radius - _ROUNDED
+            left = left or not inside  # a robot that stands too near to something is free to leave
+            if inside and left and blocked == _INFINITE:
+                blocked = length
+            cell = came[cell]
+    return blocked
+
+
+@cython.cfunc
+def _aim(
+    distances: cython.const[cython.float][:, ::1],
+    path: cython.const[cython.int][:, ::1],
+    radius: cython.double,
+    spare: cython.double,
+) -> cython.Py_ssize_t:
+    """The place in ``path`` of the farthest cell to which a straight line is free, at need with nothing to spare."""
+    least: cython.Py_ssize_t = min(_SHORTEST, path.shape[0] - 1)
+    place: cython.Py_ssize_t
+    attempt: cython.int
+    room: cython.double
+    with cython.nogil:
+        for attempt in range(2):
+            room = radius + spare if attempt == 0 else radius
+            for place in range(path.shape[0] - 1, least, -1):
+                if _line_free(distances, path[0, 0], path[0, 1], path[place, 0], path[place, 1], room):
+                    return place
+    return least

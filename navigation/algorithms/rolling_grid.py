@@ -1,3 +1,6 @@
+# cython: boundscheck=False, wraparound=False, initializedcheck=False, cdivision=True
+# The arrays of times are the grid's own squares, of a side of 1 at least; rows and columns are taken modulo it. Arrays
+# that are given are checked first, beams counted from 0 to their number, and divisors compared with 0 before.
 """A grid that goes with a robot: what its laser saw last of each cell, and when.
 
 The grid is a torus: a cell of the world has the place (row modulo side, column modulo side), so that nothing is copied
@@ -8,280 +11,410 @@ passed through it, when one last ended in it, and since when beams have ended th
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
-from functools import cache
-from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
-import numba
+import cython
 import numpy as np
-from numpy.typing import NDArray
 
-from bridge.messages.cache import compiled
-
-Floats = NDArray[np.float64]
-F = TypeVar("F", bound=Callable[..., Any])
-_njit: Any = numba.njit
-
-
-def _part(function: F) -> F:
-    """Compile a function that is called by compiled ones alone."""
-    made: F = _njit(function)
-    return made
-
+if cython.compiled:
+    from cython.cimports.libc.math import cos, isfinite, isnan, sin
+else:
+    from math import cos, isfinite, isnan, sin
 
 FREE, OCCUPIED, UNKNOWN = 0, 1, 2
 NEVER = -1e9
 """The time at which nothing was seen."""
 
-SETTLED = 0.5
+# the same for C
+_FREE = cython.declare(cython.int, FREE)
+_OCCUPIED = cython.declare(cython.int, OCCUPIED)
+_UNKNOWN = cython.declare(cython.int, UNKNOWN)
+_NEVER = cython.declare(cython.double, NEVER)
+_INFINITY = cython.declare(cython.double, math.inf)
+_FULL_TURN = cython.declare(cython.double, 2.0 * math.pi)
+
+_FAR = cython.declare(cython.double, 2.0**52)  # cells to beyond all places: numbers are whole from there on
+_SETTLED = cython.declare(cython.double, 0.5)
 """Seconds after its last echo in which a cell counts as left: an echo after it is something that came."""
 
-_BLIND_BEAMS = 5
-_WEDGE = 0.4
+_BLIND_BEAMS = cython.declare(cython.int, 5)
+_WEDGE = cython.declare(cython.double, 0.4)
 
-HOLD = 0.35
+_HOLD = cython.declare(cython.double, 0.35)
 """Seconds for which an echo holds against beams that pass: with noise, a wall's cells are passed now and then."""
 
-MOVING_SECONDS = 1.0
-"""How long what came counts as moving."""
+_MOVING_SECONDS = cython.declare(cython.double, 1.0)  # how long what came counts as moving
 
 
-@_part
-def _pass(
-    passed: Floats,
-    ended: Floats,
-    resolution: float,
-    row0: int,
-    column0: int,
-    now: float,
-    x: float,
-    y: float,
-    c: float,
-    s: float,
-    length: float,
-) -> None:
-    """Mark the cells of one beam as passed, up to the one before its end (Amanatides and Woo 1987)."""
-    side = passed.shape[0]
-    row, column = math.floor(y / resolution), math.floor(x / resolution)
-    down, right = (1 if s > 0.0 else -1), (1 if c > 0.0 else -1)
-    each_x = resolution / abs(c) if c != 0.0 else math.inf
-    each_y = resolution / abs(s) if s != 0.0 else math.inf
-    next_x = ((column + (1 if right > 0 else 0)) * resolution - x) / c if c != 0.0 else math.inf
-    next_y = ((row + (1 if down > 0 else 0)) * resolution - y) / s if s != 0.0 else math.inf
-    r, k = row % side, column % side
-    while row0 <= row < row0 + side and column0 <= column < column0 + side:
-        if ended[r, k] < now - HOLD:
-            passed[r, k] = now
-        if next_x < next_y:
-            if next_x >= length:
-                return
-            column += right
-            k += right
-            k = 0 if k == side else side - 1 if k < 0 else k
-            next_x += each_x
-        else:
-            if next_y >= length:
-                return
-            row += down
-            r += down
-            r = 0 if r == side else side - 1 if r < 0 else r
-            next_y += each_y
+@cython.cfunc
+@cython.inline
+@cython.nogil
+@cython.exceptval(check=False)
+def _floor(value: cython.double) -> cython.longlong:
+    """The whole number below; of what is no number, or farther than all places, one beyond them."""
+    if not -_FAR < value < _FAR:
+        value = _FAR if value > 0.0 else -_FAR
+    whole: cython.longlong = cython.cast(cython.longlong, value)
+    return whole - 1 if whole > value else whole
 
 
-@_part
-def _shorten(ranges: Floats, believed: Floats, step: float, nearest: float, reach: float, aside: float) -> None:
+@cython.cfunc
+@cython.inline
+@cython.nogil
+@cython.exceptval(check=False)
+def _modulo(value: cython.longlong, side: cython.longlong) -> cython.longlong:
+    """Python's ``%``, which is never less than 0."""
+    rest: cython.longlong = value % side
+    return rest + side if rest < 0 else rest
+
+
+@cython.cfunc
+@cython.inline
+@cython.nogil
+@cython.exceptval(check=False)
+def _state(passed: cython.double, ended: cython.double, now: cython.double, memory: cython.double) -> cython.int:
+    if passed < now - memory and ended < now - memory:
+        return _UNKNOWN
+    return _OCCUPIED if ended >= passed else _FREE
+
+
+@cython.cfunc
+@cython.nogil
+@cython.exceptval(check=False)
+def _shorten(
+    ranges: cython.const[cython.double][::1],
+    believed: cython.double[::1],
+    step: cython.double,
+    nearest: cython.double,
+    reach: cython.double,
+    aside: cython.double,
+) -> cython.void:
     """Let no beam be believed farther than to what it passes nearer than ``aside``."""
-    beams = ranges.shape[0]
-    around = abs(beams * abs(step) - 2.0 * math.pi) < 2.0 * abs(step)
+    beams: cython.Py_ssize_t = ranges.shape[0]
+    around: cython.bint = abs(beams * abs(step) - _FULL_TURN) < 2.0 * abs(step)
+    cython.declare(beam=cython.Py_ssize_t, other=cython.Py_ssize_t, way=cython.Py_ssize_t)
     for beam in range(beams):
-        distance = ranges[beam]
+        distance: cython.double = ranges[beam]
         if not nearest <= distance < reach:
             continue
-        for other in range(1, int(min(aside / distance, 0.8) / abs(step)) + 1):
-            for place in (beam - other, beam + other):
+        wide: cython.double = min(aside / distance, 0.8) if distance > 0.0 else 0.8
+        # there are no more beams than all
+        reached: cython.Py_ssize_t = cython.cast(cython.Py_ssize_t, min(beams, max(0.0, wide / abs(step))))
+        for other in range(1, reached + 1):
+            for way in range(2):
+                place: cython.Py_ssize_t = beam + other if way else beam - other
                 if around:
-                    place %= beams
+                    place = _modulo(place, beams)
                 if 0 <= place < beams and believed[place] > distance:
                     believed[place] = distance
 
 
-@_part
-def _leave_out(ranges: Floats, begins: Floats, step: float, aside: float) -> None:
+@cython.cfunc
+@cython.nogil
+@cython.exceptval(check=False)
+def _leave_out(
+    ranges: cython.const[cython.double][::1], begins: cython.double[::1], step: cython.double, aside: cython.double
+) -> cython.void:
     """From which distance on beams are believed: those beside a blind sector seem to pass through it at first."""
-    beams = ranges.shape[0]
-    around = abs(beams * abs(step) - 2.0 * math.pi) < 2.0 * abs(step)
-    for way in (1, -1):
-        blind, rim = 0, beams if around else 0
+    beams: cython.Py_ssize_t = ranges.shape[0]
+    around: cython.bint = abs(beams * abs(step) - _FULL_TURN) < 2.0 * abs(step)
+    cython.declare(way=cython.Py_ssize_t, turn=cython.Py_ssize_t)
+    for way in range(2):
+        blind: cython.Py_ssize_t = 0
+        rim: cython.Py_ssize_t = beams if around else 0
         for turn in range(2 * beams if around else beams):
-            beam = (turn if way > 0 else -1 - turn) % beams
-            if math.isnan(ranges[beam]):
+            beam: cython.Py_ssize_t = _modulo(-1 - turn if way else turn, beams)
+            if isnan(ranges[beam]):
                 blind += 1
                 rim = 0 if blind >= _BLIND_BEAMS else rim
                 continue
-            blind, rim = 0, rim + 1
+            blind = 0
+            rim += 1
             if rim * abs(step) < _WEDGE:
                 begins[beam] = max(begins[beam], aside / (rim * abs(step)))
 
 
-@_part
-def _came(ended: Floats, since: Floats, row: int, column: int, row0: int, column0: int, now: float) -> float:
-    """1 where something came to a cell lately, and stands not beside what has been there for longer."""
-    side = ended.shape[0]
-    if since[row % side, column % side] < now - MOVING_SECONDS:
-        return 0.0
-    for i in range(max(row - 2, row0), min(row + 3, row0 + side)):
-        for k in range(max(column - 2, column0), min(column + 3, column0 + side)):
-            r, c = i % side, k % side
-            if ended[r, c] > now - 3.0 * SETTLED and since[r, c] < now - MOVING_SECONDS:
-                return 0.0
-    return 1.0
+@cython.final
+@cython.cclass
+class RollingGrid:
+    """A window of cells, square, that goes with a robot.
 
-
-@_part
-def _state(passed: float, ended: float, now: float, memory: float) -> int:
-    if passed < now - memory and ended < now - memory:
-        return UNKNOWN
-    return OCCUPIED if ended >= passed else FREE
-
-
-def _mark(
-    passed: Floats,
-    ended: Floats,
-    since: Floats,
-    resolution: float,
-    row0: int,
-    column0: int,
-    now: float,
-    x: float,
-    y: float,
-    theta: float,
-    first: float,
-    step: float,
-    nearest: float,
-    farthest: float,
-    aside: float,
-    ranges: Floats,
-    points: Floats,
-) -> int:
-    """Take up a scan that was made at (x, y, theta); returns how many points it has within the window.
-
-    Scans of several lasers are merged as if one stood in the middle, so that beams seem to pass through corners and
-    blind sectors: one that comes nearer than ``aside`` (metres) to where another one ended is believed so far only, and
-    beside a blind sector only from where it is farther than that from its rim.
-
-    ``points`` (n, 3) gets where beams ended, x and y, and 1 where something came there lately, else 0. NaN says
-    nothing; a distance below ``nearest`` neither, but minus infinity (REP 117) is something right before the laser.
+    Raises `ValueError` if it has no cells. Its first row and column are 0 until it moves.
     """
-    side = passed.shape[0]
-    count = 0
-    reach = 0.5 * side * resolution * 1.4143
-    for beam in range(ranges.shape[0]):
-        distance = ranges[beam]
-        if distance == -math.inf:
-            distance = nearest
-        if math.isnan(distance) or distance < nearest or distance >= farthest or distance > reach:
-            continue
-        angle = theta + first + beam * step
-        hit_x, hit_y = x + distance * math.cos(angle), y + distance * math.sin(angle)
-        row, column = math.floor(hit_y / resolution), math.floor(hit_x / resolution)
-        if not (row0 <= row < row0 + side and column0 <= column < column0 + side):
-            continue
-        points[count, 0], points[count, 1] = hit_x, hit_y
-        count += 1
-        r, c = row % side, column % side
-        if ended[r, c] < now - SETTLED:
-            # seen free just before: something came; never seen before: it was there
-            since[r, c] = now if now - passed[r, c] < MOVING_SECONDS else NEVER
-        ended[r, c] = now
-    believed = np.minimum(ranges, min(reach, farthest))
-    begins = np.zeros(ranges.shape[0])
-    _shorten(ranges, believed, step, nearest, reach, aside)
-    _leave_out(ranges, begins, step, aside)
-    for beam in range(ranges.shape[0]):
-        distance = believed[beam]
-        begin = begins[beam]
-        if math.isnan(distance) or distance < nearest or begin >= distance:
-            continue
-        angle = theta + first + beam * step
-        c, s = math.cos(angle), math.sin(angle)
-        _pass(passed, ended, resolution, row0, column0, now, x + c * begin, y + s * begin, c, s, distance - begin)
-    for point in range(count):
-        row, column = math.floor(points[point, 1] / resolution), math.floor(points[point, 0] / resolution)
-        points[point, 2] = _came(ended, since, row, column, row0, column0, now)
-    return count
 
+    _side: cython.longlong  # cells
+    _row0: cython.longlong
+    _column0: cython.longlong
+    _resolution: cython.double  # metres a cell
+    _memory: cython.double  # seconds for which what was seen of a cell is believed; then it is unknown again
+    _passed: cython.double[:, ::1]
+    _ended: cython.double[:, ::1]
+    _since: cython.double[:, ::1]
 
-def _near(
-    passed: Floats,
-    ended: Floats,
-    resolution: float,
-    row0: int,
-    column0: int,
-    now: float,
-    memory: float,
-    x: float,
-    y: float,
-    reach: float,
-    scanned: float,
-    out: Floats,
-) -> int:
-    """The cells around a place that are not free, though no beam of the newest scan ended there.
+    def __init__(self, side: int, resolution: float, memory: float) -> None:
+        if side < 1 or not resolution > 0.0:
+            raise ValueError(f"a window of {side} cells of {resolution} m is nowhere")
+        self._side, self._resolution, self._memory = side, resolution, memory
+        self._row0 = self._column0 = 0
+        self._passed, self._ended, self._since = (np.full((side, side), NEVER) for _ in range(3))
 
-    ``out`` (n, 3) gets their middles and `OCCUPIED` or `UNKNOWN`; returns how many. ``scanned`` is the time of the
-    newest scan.
-    """
-    side = passed.shape[0]
-    count = 0
-    first_row, last_row = math.floor((y - reach) / resolution), math.floor((y + reach) / resolution)
-    first_column, last_column = math.floor((x - reach) / resolution), math.floor((x + reach) / resolution)
-    for row in range(max(first_row, row0), min(last_row + 1, row0 + side)):
-        for column in range(max(first_column, column0), min(last_column + 1, column0 + side)):
-            r, c = row % side, column % side
-            if ended[r, c] == scanned:
+    @property
+    def corner(self) -> tuple[int, int]:
+        """The window's first row and column."""
+        return self._row0, self._column0
+
+    @property
+    def times(self) -> tuple[Any, Any, Any]:
+        """(side, side) when a beam last passed through each cell, when one last ended there, and since when they do."""
+        return np.asarray(self._passed), np.asarray(self._ended), np.asarray(self._since)
+
+    def move(self, row0: int, column0: int) -> None:
+        """Have the window begin at this row and column; what comes into it is not known yet. Raises `ValueError`."""
+        if not (-_FAR < row0 < _FAR and -_FAR < column0 < _FAR):
+            raise ValueError(f"a window from row {row0}, column {column0} is nowhere")
+        for axis, new, old in ((0, row0, self._row0), (1, column0, self._column0)):
+            moved = min(abs(new - old), self._side)
+            begin = old + self._side if new > old else new
+            places = np.arange(begin, begin + moved) % self._side
+            for array in self.times:
+                array[(places, slice(None)) if axis == 0 else (slice(None), places)] = NEVER
+        self._row0, self._column0 = row0, column0
+
+    def mark(
+        self,
+        now: cython.double,
+        x: cython.double,
+        y: cython.double,
+        theta: cython.double,
+        first: cython.double,
+        step: cython.double,
+        nearest: cython.double,
+        farthest: cython.double,
+        aside: cython.double,
+        ranges: cython.const[cython.double][::1],
+        points: cython.double[:, ::1],
+    ) -> int:
+        """Take up a scan that was made at (x, y, theta); returns how many points it has within the window.
+
+        Scans of several lasers are merged as if one stood in the middle, so that beams seem to pass through corners and
+        blind sectors: one that comes nearer than ``aside`` (metres) to where another one ended is believed so far only,
+        and beside a blind sector only from where it is farther than that from its rim.
+
+        ``points`` (n, 3) gets where beams ended, x and y, and 1 where something came there lately, else 0. NaN says
+        nothing; a distance below ``nearest`` neither, but minus infinity (REP 117) is something right before the laser.
+        Raises `ValueError` if the pose or the beams' angles are not finite, there is no step, or the arrays do not fit.
+        """
+        side: cython.longlong = self._side
+        beams: cython.Py_ssize_t = ranges.shape[0]
+        cython.declare(count=cython.Py_ssize_t, beam=cython.Py_ssize_t, point=cython.Py_ssize_t)
+        if points.shape[0] < beams or points.shape[1] != 3:
+            raise ValueError("a scan's points are as many as its beams, each of three numbers")
+        if not isfinite(x + y + theta + first + step * beams) or step == 0.0:
+            raise ValueError(
+                f"a scan's pose and angles are finite, with a step: not {x}, {y}, {theta}, from {first} by {step}"
+            )
+        believed: cython.double[::1] = np.empty(beams)
+        begins: cython.double[::1] = np.zeros(beams)
+        with cython.nogil:
+            reach: cython.double = 0.5 * side * self._resolution * 1.4143
+            most: cython.double = min(reach, farthest)
+            count = self._echoes(now, x, y, theta + first, step, nearest, farthest, reach, ranges, points)
+            for beam in range(beams):
+                distance: cython.double = ranges[beam]
+                believed[beam] = min(distance, most)
+            _shorten(ranges, believed, step, nearest, reach, aside)
+            _leave_out(ranges, begins, step, aside)
+            for beam in range(beams):
+                distance = believed[beam]
+                begin: cython.double = begins[beam]
+                if isnan(distance) or distance < nearest or begin >= distance:
+                    continue
+                angle: cython.double = theta + first + beam * step
+                c: cython.double = cos(angle)
+                s: cython.double = sin(angle)
+                self._pass(now, x + c * begin, y + s * begin, c, s, distance - begin)
+            for point in range(count):
+                row: cython.longlong = _floor(points[point, 1] / self._resolution)
+                column: cython.longlong = _floor(points[point, 0] / self._resolution)
+                points[point, 2] = self._came(row, column, now)
+        return count
+
+    def near(
+        self,
+        now: cython.double,
+        x: cython.double,
+        y: cython.double,
+        reach: cython.double,
+        scanned: cython.double,
+        out: cython.double[:, ::1],
+    ) -> int:
+        """The cells around a place that are not free, though no beam of the newest scan ended there.
+
+        ``out`` (n, 3) gets their middles and `OCCUPIED` or `UNKNOWN`; returns how many. ``scanned`` is the time of the
+        newest scan. Raises `ValueError` if the place is not finite, or the arrays do not fit.
+        """
+        side: cython.longlong = self._side
+        count: cython.Py_ssize_t = 0
+        cython.declare(row=cython.longlong, column=cython.longlong)
+        if out.shape[1] != 3:
+            raise ValueError("cells are given as (n, 3)")
+        if not isfinite(x + y):
+            raise ValueError(f"a place that is looked at is finite, not {x}, {y}")
+        with cython.nogil:
+            low_row: cython.longlong = max(_floor((y - reach) / self._resolution), self._row0)
+            high_row: cython.longlong = min(_floor((y + reach) / self._resolution) + 1, self._row0 + side)
+            low_column: cython.longlong = max(_floor((x - reach) / self._resolution), self._column0)
+            high_column: cython.longlong = min(_floor((x + reach) / self._resolution) + 1, self._column0 + side)
+            for row in range(low_row, high_row):
+                r: cython.longlong = _modulo(row, side)
+                for column in range(low_column, high_column):
+                    k: cython.longlong = _modulo(column, side)
+                    if self._ended[r, k] == scanned:
+                        continue
+                    state: cython.int = _state(self._passed[r, k], self._ended[r, k], now, self._memory)
+                    if state != _FREE and count < out.shape[0]:
+                        out[count, 0] = (column + 0.5) * self._resolution
+                        out[count, 1] = (row + 0.5) * self._resolution
+                        out[count, 2] = state
+                        count += 1
+        return count
+
+    def states(self, now: cython.double, out: cython.uchar[:, ::1]) -> None:
+        """Put the whole window into ``out`` from its corner on; raises `ValueError` if that is not as large."""
+        side: cython.longlong = self._side
+        cython.declare(row=cython.longlong, column=cython.longlong)
+        if out.shape[0] != side or out.shape[1] != side:
+            raise ValueError("a window's states are as many as its cells")
+        with cython.nogil:
+            left: cython.longlong = _modulo(self._column0, side)
+            for row in range(side):
+                r: cython.longlong = _modulo(row + self._row0, side)
+                for column in range(side):
+                    k: cython.longlong = left + column if left + column < side else left + column - side
+                    out[row, column] = _state(self._passed[r, k], self._ended[r, k], now, self._memory)
+
+    def stand(self, now: cython.double, x: cython.double, y: cython.double, radius: cython.double) -> None:
+        """Where the robot stands is free, unless the laser says otherwise; `ValueError` for no finite place."""
+        side: cython.longlong = self._side
+        cython.declare(row=cython.longlong, column=cython.longlong)
+        if not isfinite(x + y):
+            raise ValueError(f"a robot stands at a place that is finite, not {x}, {y}")
+        with cython.nogil:
+            radius = min(side * self._resolution, radius)  # so large a disc has all cells of the window
+            low_row: cython.longlong = _floor((y - radius) / self._resolution)
+            high_row: cython.longlong = _floor((y + radius) / self._resolution)
+            low_column: cython.longlong = _floor((x - radius) / self._resolution)
+            high_column: cython.longlong = _floor((x + radius) / self._resolution)
+            for row in range(low_row, high_row + 1):
+                for column in range(low_column, high_column + 1):
+                    dx: cython.double = (column + 0.5) * self._resolution - x
+                    dy: cython.double = (row + 0.5) * self._resolution - y
+                    if dx * dx + dy * dy <= radius * radius:
+                        r: cython.longlong = _modulo(row, side)
+                        k: cython.longlong = _modulo(column, side)
+                        if _state(self._passed[r, k], self._ended[r, k], now, self._memory) == _UNKNOWN:
+                            self._passed[r, k] = now
+
+    @cython.cfunc
+    @cython.nogil
+    @cython.exceptval(check=False)
+    def _echoes(
+        self,
+        now: cython.double,
+        x: cython.double,
+        y: cython.double,
+        first: cython.double,
+        step: cython.double,
+        nearest: cython.double,
+        farthest: cython.double,
+        reach: cython.double,
+        ranges: cython.const[cython.double][::1],
+        points: cython.double[:, ::1],
+    ) -> cython.Py_ssize_t:
+        """Mark where beams ended, the first one in a direction of the window; how many did so within it."""
+        side: cython.longlong = self._side
+        count: cython.Py_ssize_t = 0
+        beam: cython.Py_ssize_t
+        for beam in range(ranges.shape[0]):
+            distance: cython.double = ranges[beam]
+            if distance == -_INFINITY:
+                distance = nearest
+            if isnan(distance) or distance < nearest or distance >= farthest or distance > reach:
                 continue
-            state = _state(passed[r, c], ended[r, c], now, memory)
-            if state != FREE and count < out.shape[0]:
-                out[count, 0], out[count, 1] = (column + 0.5) * resolution, (row + 0.5) * resolution
-                out[count, 2] = state
-                count += 1
-    return count
+            angle: cython.double = first + beam * step
+            hit_x: cython.double = x + distance * cos(angle)
+            hit_y: cython.double = y + distance * sin(angle)
+            row: cython.longlong = _floor(hit_y / self._resolution)
+            column: cython.longlong = _floor(hit_x / self._resolution)
+            if not (self._row0 <= row < self._row0 + side and self._column0 <= column < self._column0 + side):
+                continue
+            points[count, 0] = hit_x
+            points[count, 1] = hit_y
+            count += 1
+            r: cython.longlong = _modulo(row, side)
+            k: cython.longlong = _modulo(column, side)
+            if self._ended[r, k] < now - _SETTLED:
+                # seen free just before: something came; never seen before: it was there
+                self._since[r, k] = now if now - self._passed[r, k] < _MOVING_SECONDS else _NEVER
+            self._ended[r, k] = now
+        return count
 
+    @cython.cfunc
+    @cython.nogil
+    @cython.exceptval(check=False)
+    def _pass(
+        self,
+        now: cython.double,
+        x: cython.double,
+        y: cython.double,
+        c: cython.double,
+        s: cython.double,
+        length: cython.double,
+    ) -> cython.void:
+        """Mark the cells of one beam as passed, up to the one before its end (Amanatides and Woo 1987)."""
+        side: cython.longlong = self._side
+        row: cython.longlong = _floor(y / self._resolution)
+        column: cython.longlong = _floor(x / self._resolution)
+        down: cython.longlong = 1 if s > 0.0 else -1
+        right: cython.longlong = 1 if c > 0.0 else -1
+        each_x: cython.double = self._resolution / abs(c) if c != 0.0 else _INFINITY
+        each_y: cython.double = self._resolution / abs(s) if s != 0.0 else _INFINITY
+        next_x: cython.double = ((column + (right > 0)) * self._resolution - x) / c if c != 0.0 else _INFINITY
+        next_y: cython.double = ((row + (down > 0)) * self._resolution - y) / s if s != 0.0 else _INFINITY
+        r: cython.longlong = _modulo(row, side)
+        k: cython.longlong = _modulo(column, side)
+        held: cython.double = now - _HOLD
+        while self._row0 <= row < self._row0 + side and self._column0 <= column < self._column0 + side:
+            if self._ended[r, k] < held:
+                self._passed[r, k] = now
+            if next_x < next_y:
+                if next_x >= length:
+                    return
+                column += right
+                k += right
+                k = 0 if k == side else side - 1 if k < 0 else k
+                next_x += each_x
+            else:
+                if next_y >= length:
+                    return
+                row += down
+                r += down
+                r = 0 if r == side else side - 1 if r < 0 else r
+                next_y += each_y
 
-def _states(
-    passed: Floats, ended: Floats, row0: int, column0: int, now: float, memory: float, out: NDArray[np.uint8]
-) -> None:
-    """The whole window, laid out from its corner."""
-    side = passed.shape[0]
-    for row in range(side):
-        r = (row + row0) % side
-        for column in range(side):
-            c = (column + column0) % side
-            out[row, column] = _state(passed[r, c], ended[r, c], now, memory)
-
-
-def _stand(
-    passed: Floats, ended: Floats, resolution: float, now: float, memory: float, x: float, y: float, radius: float
-) -> None:
-    """Where the robot itself stands is free, unless the laser says otherwise."""
-    side = passed.shape[0]
-    for row in range(math.floor((y - radius) / resolution), math.floor((y + radius) / resolution) + 1):
-        for column in range(math.floor((x - radius) / resolution), math.floor((x + radius) / resolution) + 1):
-            dx, dy = (column + 0.5) * resolution - x, (row + 0.5) * resolution - y
-            r, c = row % side, column % side
-            if dx * dx + dy * dy <= radius * radius and _state(passed[r, c], ended[r, c], now, memory) == UNKNOWN:
-                passed[r, c] = now
-
-
-@cache
-def kernels() -> tuple[Any, Any, Any, Any]:
-    """The compiled `_mark`, `_near`, `_states` and `_stand`."""
-    here, size, real = [Path(__file__)], numba.int64, numba.float64
-    grid = numba.types.Array(real, 2, "C")
-    row = numba.types.Array(real, 1, "C")
-    states = numba.types.Array(numba.uint8, 2, "C")
-    mark = compiled(_mark, size(grid, grid, grid, real, size, size, *[real] * 9, row, grid), here, nogil=True)
-    near = compiled(_near, size(grid, grid, real, size, size, *[real] * 6, grid), here, nogil=True)
-    whole = compiled(_states, numba.void(grid, grid, size, size, real, real, states), here, nogil=True)
-    stand = compiled(_stand, numba.void(grid, grid, *[real] * 6), here, nogil=True)
-    return mark, near, whole, stand
+    @cython.cfunc
+    @cython.nogil
+    @cython.exceptval(check=False)
+    def _came(self, row: cython.longlong, column: cython.longlong, now: cython.double) -> cython.double:
+        """1 where something came to a cell lately, and stands not beside what has been there for longer."""
+        side: cython.longlong = self._side
+        cython.declare(i=cython.longlong, j=cython.longlong)
+        if self._since[_modulo(row, side), _modulo(column, side)] < now - _MOVING_SECONDS:
+            return 0.0
+        for i in range(max(row - 2, self._row0), min(row + 3, self._row0 + side)):
+            r: cython.longlong = _modulo(i, side)
+            for j in range(max(column - 2, self._column0), min(column + 3, self._column0 + side)):
+                k: cython.longlong = _modulo(j, side)
+                if self._ended[r, k] > now - 3.0 * _SETTLED and self._since[r, k] < now - _MOVING_SECONDS:
+                    return 0.0
+        return 1.0

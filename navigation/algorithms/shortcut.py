@@ -3,25 +3,14 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
-from functools import cache
-from pathlib import Path
-from typing import Any, TypeVar
 
-import numba
+import cython
 import numpy as np
+from cython.cimports.libc.math import sqrt
 
-from bridge.messages.cache import compiled
-from navigation.algorithms.astar import Cells, Weights
+from navigation.algorithms.astar import Cell, Cells, Weights
 
-F = TypeVar("F", bound=Callable[..., Any])
-_njit: Any = numba.njit
-
-
-def _inner(function: F) -> F:
-    """For what other compiled functions call."""
-    made: F = _njit(function)
-    return made
+_INFINITE = cython.declare(cython.double, math.inf)
 
 
 def shortcut(weights: Weights, cells: Cells) -> Cells:
@@ -33,97 +22,175 @@ def shortcut(weights: Weights, cells: Cells) -> Cells:
 
     Returns:
         (m, 2) some of its cells: the first, the last, and where it turns.
+
+    Raises:
+        IndexError: a cell lies outside.
+        ValueError: the cells are no rows and columns.
     """
     if len(cells) < 3:
         return cells
-    chosen = np.empty(len(cells), np.int64)
-    count = _compiled()[0](np.ascontiguousarray(weights), np.ascontiguousarray(cells), chosen)
+    rows, columns = weights.shape
+    chosen, sums = np.empty(len(cells), np.int64), np.empty(len(cells))
+    grid = np.ascontiguousarray(weights).reshape(-1)
+    own = np.array(cells, np.int32, order="C")  # what is checked is what is used
+    if own.shape != (len(cells), 2):
+        raise ValueError(f"a way's cells are (n, 2), rows and columns, not {own.shape}")
+    count = _choose(grid.data, rows, columns, own.data, sums.data, chosen.data)
     return cells[chosen[:count]]
 
 
-def sees(weights: Weights, one: tuple[int, int], other: tuple[int, int]) -> bool:
-    """Whether the line between two cells' centres touches no obstacle but the first cell's own."""
-    return bool(_compiled()[1](np.ascontiguousarray(weights), *one, *other) < math.inf)
+def sees(weights: Weights, one: Cell, other: Cell) -> bool:
+    """Whether the line between two cells' centres touches no obstacle but the first cell's own.
+
+    Args:
+        weights: (rows, columns) what entering a cell costs; 0 is an obstacle.
+        one: row and column.
+        other: row and column.
+
+    Raises:
+        IndexError: a cell lies outside.
+    """
+    rows, columns = weights.shape
+    for row, column in (one, other):
+        _check(row, column, rows, columns)
+    (row, column), (to_row, to_column) = one, other
+    grid = np.ascontiguousarray(weights).reshape(-1)
+    return _line_cost(grid.data, columns, row, column, to_row, to_column) < _INFINITE
 
 
-def _choose(weights: Weights, cells: Cells, chosen: Any) -> int:
-    """Put the places of the waypoints into ``chosen``; how many they are. Doubles its steps, then halves them."""
-    last = len(cells) - 1
-    sums = np.zeros(len(cells))
-    for i in range(1, len(cells)):
-        straight = cells[i, 0] == cells[i - 1, 0] or cells[i, 1] == cells[i - 1, 1]
-        sums[i] = sums[i - 1] + weights[cells[i, 0], cells[i, 1]] * (1.0 if straight else math.sqrt(2.0))
-    at, count = 0, 1
-    chosen[0] = 0
-    while at < last:
-        good, step = at + 1, 2
-        bad = last + 1
-        while good < last:
-            tried = min(at + step, last)
-            if _fits(weights, cells, sums, at, tried):
-                good = tried
-                step *= 2
-            else:
-                bad = tried
-                break
-        while bad - good > 1:
-            tried = (good + bad) // 2
-            if _fits(weights, cells, sums, at, tried):
-                good = tried
-            else:
-                bad = tried
-            if bad > last:
-                break
-        at = good
-        chosen[count] = at
-        count += 1
+@cython.cfunc
+@cython.inline
+@cython.nogil
+@cython.exceptval(-1)
+def _check(
+    row: cython.longlong, column: cython.longlong, rows: cython.longlong, columns: cython.longlong
+) -> cython.int:
+    """Refuse a cell that lies outside."""
+    if 0 <= row < rows and 0 <= column < columns:
+        return 0
+    with cython.gil:
+        raise IndexError(f"the cell ({row}, {column}) lies outside the grid of {rows} x {columns} cells")
+
+
+@cython.cfunc
+@cython.boundscheck(False)
+@cython.wraparound(False)
+def _choose(
+    weights: cython.const[cython.uchar][::1],
+    rows: cython.longlong,
+    columns: cython.longlong,
+    cells: cython.const[cython.int][:, ::1],
+    sums: cython.double[::1],
+    chosen: cython.longlong[::1],
+) -> cython.Py_ssize_t:
+    """Put the places of the waypoints into ``chosen``; how many they are. Doubles its steps, then halves them.
+
+    ``sums`` gets what the way costs up to each of its cells. Both have as many numbers as the way has cells, which are
+    checked before they are used; each waypoint is a later cell.
+    """
+    last: cython.Py_ssize_t = cells.shape[0] - 1
+    at: cython.Py_ssize_t = 0
+    count: cython.Py_ssize_t = 1
+    cython.declare(good=cython.Py_ssize_t, bad=cython.Py_ssize_t, step=cython.Py_ssize_t, tried=cython.Py_ssize_t)
+    cython.declare(i=cython.Py_ssize_t)
+    cython.declare(diagonal=cython.bint)
+    cython.declare(length=cython.double)
+    with cython.nogil:
+        sums[0] = 0.0
+        _check(cells[0, 0], cells[0, 1], rows, columns)
+        for i in range(1, cells.shape[0]):
+            _check(cells[i, 0], cells[i, 1], rows, columns)
+            diagonal = cells[i, 0] != cells[i - 1, 0] and cells[i, 1] != cells[i - 1, 1]
+            length = sqrt(2.0) if diagonal else 1.0
+            sums[i] = sums[i - 1] + weights[cells[i, 0] * columns + cells[i, 1]] * length
+        chosen[0] = 0
+        while at < last:
+            good, step = at + 1, 2
+            bad = last + 1
+            while good < last:
+                tried = min(at + step, last)
+                if _fits(weights, columns, cells, sums, at, tried):
+                    good = tried
+                    step *= 2
+                else:
+                    bad = tried
+                    break
+            while bad - good > 1:
+                tried = (good + bad) // 2
+                if _fits(weights, columns, cells, sums, at, tried):
+                    good = tried
+                else:
+                    bad = tried
+            at = good
+            chosen[count] = at
+            count += 1
     return count
 
 
-@_inner
-def _fits(weights: Weights, cells: Cells, sums: Any, one: int, other: int) -> bool:
-    line = _line_cost(weights, cells[one, 0], cells[one, 1], cells[other, 0], cells[other, 1])
-    return bool(line <= (sums[other] - sums[one]) * (1.0 + 1e-9))
+@cython.cfunc
+@cython.inline
+@cython.nogil
+@cython.exceptval(check=False)
+@cython.boundscheck(False)
+@cython.wraparound(False)
+def _fits(
+    weights: cython.const[cython.uchar][::1],
+    columns: cython.longlong,
+    cells: cython.const[cython.int][:, ::1],
+    sums: cython.double[::1],
+    one: cython.Py_ssize_t,
+    other: cython.Py_ssize_t,
+) -> cython.bint:
+    """Whether a straight line between two cells of a way is free, and costs no more than the way."""
+    line: cython.double = _line_cost(weights, columns, cells[one, 0], cells[one, 1], cells[other, 0], cells[other, 1])
+    return line <= (sums[other] - sums[one]) * (1.0 + 1e-9)
 
 
-@_inner
-def _line_cost(weights: Weights, row: int, column: int, to_row: int, to_column: int) -> float:
+@cython.cfunc
+@cython.inline
+@cython.nogil
+@cython.exceptval(check=False)
+@cython.boundscheck(False)
+@cython.wraparound(False)
+@cython.cdivision(True)
+def _line_cost(
+    weights: cython.const[cython.uchar][::1],
+    columns: cython.longlong,
+    row: cython.longlong,
+    column: cython.longlong,
+    to_row: cython.longlong,
+    to_column: cython.longlong,
+) -> cython.double:
     """Length times mean weight of the cells that a line touches after its first; infinite where one is an obstacle.
 
-    A line through a corner touches all four cells there.
+    A line through a corner touches all four cells there. All of them lie in the rectangle of the line's ends, which
+    are in the grid: the error is less than 0 in the last column and more than 0 in the last row, up to the end.
     """
-    high, wide = abs(to_row - row), abs(to_column - column)
-    down, right = (1 if to_row > row else -1), (1 if to_column > column else -1)
-    error = wide - high
-    total, touched = 0.0, 0
-    while row != to_row or column != to_column:
+    high: cython.longlong = abs(to_row - row)
+    wide: cython.longlong = abs(to_column - column)
+    down: cython.longlong = columns if to_row > row else -columns
+    right: cython.longlong = 1 if to_column > column else -1
+    error: cython.longlong = wide - high
+    at: cython.longlong = row * columns + column
+    end: cython.longlong = to_row * columns + to_column
+    touched: cython.longlong = 0
+    total: cython.longlong = 0
+    weight: cython.longlong
+    while at != end:
         if error > 0:
-            column += right
+            at += right
             error -= 2 * high
         elif error < 0:
-            row += down
+            at += down
             error += 2 * wide
         else:
-            if weights[row + down, column] == 0 or weights[row, column + right] == 0:
-                return math.inf
-            row += down
-            column += right
+            if weights[at + down] == 0 or weights[at + right] == 0:
+                return _INFINITE
+            at += down + right
             error += 2 * (wide - high)
-        weight = weights[row, column]
+        weight = weights[at]
         if weight == 0:
-            return math.inf
+            return _INFINITE
         total += weight
         touched += 1
-    return 0.0 if touched == 0 else math.sqrt(high * high + wide * wide) * total / touched
-
-
-@cache
-def _compiled() -> tuple[Any, Any]:
-    grid = numba.types.Array(numba.uint8, 2, "C")
-    cells, places = numba.types.Array(numba.int32, 2, "C"), numba.types.Array(numba.int64, 1, "C")
-    here = [Path(__file__)]
-    line_cost: Any = _line_cost
-    return (
-        compiled(_choose, numba.int64(grid, cells, places), here, nogil=True),
-        compiled(line_cost.py_func, numba.float64(grid, *[numba.int64] * 4), here, nogil=True),
-    )
+    return 0.0 if touched == 0 else sqrt(high * high + wide * wide) * total / touched

@@ -1,3 +1,6 @@
+# cython: boundscheck=False, wraparound=False, initializedcheck=False, cdivision=True
+# Each kernel checks its arrays' shapes first. Then points are counted from 0 to their number, which `slowed` finds for
+# `_struck`, and what is divided by is compared with 0 before, or is a full turn.
 """Whether a robot that moves so can still stop before what is around it; and what lies ahead of it.
 
 The robot is a disc. Its way is followed from the velocity that it has: for as long as it takes until another command
@@ -9,116 +12,159 @@ instead of an arc.
 from __future__ import annotations
 
 import math
-from functools import cache
-from pathlib import Path
-from typing import Any
 
-import numba
+import cython
 import numpy as np
-from numpy.typing import NDArray
 
-from bridge.messages.cache import compiled
+if cython.compiled:
+    from cython.cimports.libc.math import atan2, cos, hypot, isfinite, rint, sin
+else:
+    from math import atan2, cos, isfinite, sin
 
-Floats = NDArray[np.float64]
+    from numpy import hypot, rint  # Python's own hypot rounds otherwise than C's
 
-SCALES = (1.0, 0.8, 0.6, 0.45, 0.3, 0.2, 0.1, 0.05, 0.0)
-_UNKNOWN = 2.0
-_STEP = 0.05
-_CLOSER = 1e-4
-"""Metres that count as no nearer; what is allowed in each step adds up."""
+_SCALES = cython.declare(cython.double[9], [1.0, 0.8, 0.6, 0.45, 0.3, 0.2, 0.1, 0.05, 0.0])
+_UNKNOWN = cython.declare(cython.double, 2.0)
+_STEP = cython.declare(cython.double, 0.05)
+_CLOSER = cython.declare(cython.double, 1e-4)  # metres that count as no nearer; what is allowed in each step adds up
+_LONGEST = cython.declare(cython.double, 600.0)
+"""Seconds for which a way to a stop is followed; whoever would need longer is not let go."""
+
+_PI = cython.declare(cython.double, math.pi)
+_INFINITY = cython.declare(cython.double, math.inf)
 
 
-def _slowed(
-    points: Floats,
-    count: int,
-    x: float,
-    y: float,
-    theta: float,
-    has: Floats,
-    wanted: Floats,
-    reaction: float,
-    linear: float,
-    angular: float,
-    radius: float,
-    slow: float,
-    fast: float,
-    top: float,
-    blocker: Floats,
+def slowed(
+    # (n, 3) x, y, and `navigation.algorithms.rolling_grid.UNKNOWN` for the middle of a cell that nobody saw
+    points: cython.const[cython.double][:, ::1],
+    count: cython.Py_ssize_t,  # how many of them there are
+    x: cython.double,  # of the robot, metres, in the points' frame
+    y: cython.double,  # the same
+    theta: cython.double,  # its heading, radians
+    has: cython.const[cython.double][::1],  # (3) vx, vy (m/s, in the robot's frame), omega (rad/s)
+    wanted: cython.const[cython.double][::1],  # (3) the same
+    reaction: cython.double,  # seconds for which a command holds at least
+    linear: cython.double,  # m/s2, how fast the velocity changes
+    angular: cython.double,  # rad/s2, the same of turning
+    radius: cython.double,  # the robot's, metres
+    slow: cython.double,  # what it keeps beyond its radius when it creeps, metres
+    fast: cython.double,  # the same at its top speed
+    top: cython.double,  # that speed, m/s
+    blocker: cython.double[::1],  # (3) gets the point that did not let it go faster; its third is -1 where nothing did
 ) -> float:
-    """The greatest share of the wanted linear velocity with which the robot stops in time; 0 where none does.
+    """The greatest share of the wanted linear velocity with which the robot stops in time.
 
-    Args:
-        points: (n, 3) x, y, and `navigation.algorithms.rolling_grid.UNKNOWN` for the middle of a cell that nobody saw.
-        count: how many of them there are.
-        x: of the robot, metres, in the points' frame.
-        y: the same.
-        theta: its heading, radians.
-        has: (3) vx, vy (m/s, in the robot's frame), omega (rad/s).
-        wanted: (3) the same.
-        reaction: seconds for which a command holds at least.
-        linear: m/s2, how fast the velocity changes.
-        angular: rad/s2, the same of turning.
-        radius: the robot's, metres.
-        slow: what it keeps beyond its radius when it creeps, metres.
-        fast: the same at its top speed.
-        top: that speed, m/s.
-        blocker: (3) gets the point that did not let it go faster; its third is -1 where nothing did.
+    It is 0 where the robot stops with none, and where a number that decides is none.
+
+    Raises:
+        ValueError: the arrays do not fit.
     """
+    if not (0 <= count <= points.shape[0] and points.shape[1] == 3):
+        raise ValueError(f"{count} points are taken from an array (n, 3) that has them")
+    if has.shape[0] != 3 or wanted.shape[0] != 3 or blocker.shape[0] != 3:
+        raise ValueError("velocities and what blocks them are three numbers")
+    near: cython.double[:, ::1] = np.empty((count, 4))
+    kept: cython.Py_ssize_t = 0
+    cython.declare(i=cython.Py_ssize_t, k=cython.Py_ssize_t)
+    scale: cython.double = 0.0
     blocker[2] = -1.0
-    longest = math.hypot(has[0], has[1]) + math.hypot(wanted[0], wanted[1])
-    reach = radius + fast + longest * (reaction + longest / linear) + 0.1
-    near = np.empty((count, 4))
-    kept = 0
-    for i in range(count):
-        away = math.hypot(points[i, 0] - x, points[i, 1] - y)
-        if away < reach:
-            near[kept, 0], near[kept, 1], near[kept, 2], near[kept, 3] = points[i, 0], points[i, 1], points[i, 2], away
-            kept += 1
-    for scale in SCALES:
-        vx, vy, turn = has[0], has[1], has[2]
-        to_x, to_y = wanted[0] * scale, wanted[1] * scale
-        speed = max(math.hypot(vx, vy), math.hypot(to_x, to_y))
-        room = radius + slow + (fast - slow) * min(1.0, speed / top)
-        px, py, heading, passed = x, y, theta, 0.0
-        hit = -1
-        while hit < 0:
-            goal_x, goal_y, goal_turn = (to_x, to_y, wanted[2]) if passed < reaction else (0.0, 0.0, 0.0)
-            change = math.hypot(goal_x - vx, goal_y - vy)
-            share = min(1.0, linear * _STEP / change) if change > 0.0 else 1.0
-            vx, vy = vx + (goal_x - vx) * share, vy + (goal_y - vy) * share
-            turn += min(angular * _STEP, max(-angular * _STEP, goal_turn - turn))
-            heading += turn * _STEP
-            c, s = math.cos(heading), math.sin(heading)
-            px, py = px + (c * vx - s * vy) * _STEP, py + (s * vx + c * vy) * _STEP
-            passed += _STEP
-            for i in range(kept):
-                least = room if near[i, 2] != _UNKNOWN else radius
-                if near[i, 3] > least + 2.0 * reach:
-                    continue
-                away = math.hypot(near[i, 0] - px, near[i, 1] - py)
-                if away < least and away < near[i, 3] - _CLOSER:
-                    hit = i
-                    break
-            if passed >= reaction and abs(vx) + abs(vy) < 1e-6:
+    longest: cython.double = hypot(has[0], has[1]) + hypot(wanted[0], wanted[1])
+    numbers: cython.double = x + y + theta + has[2] + wanted[2] + angular + radius + slow + fast
+    if not (isfinite(numbers) and linear > 0.0):
+        return 0.0
+    stops: cython.double = reaction + longest / linear
+    if not stops < _LONGEST:
+        return 0.0
+    with cython.nogil:
+        reach: cython.double = radius + fast + longest * stops + 0.1
+        for i in range(count):
+            away: cython.double = hypot(points[i, 0] - x, points[i, 1] - y)
+            if away < reach:
+                near[kept, 0] = points[i, 0]
+                near[kept, 1] = points[i, 1]
+                near[kept, 2] = points[i, 2]
+                near[kept, 3] = away
+                kept += 1
+        for k in range(9):
+            scale = _SCALES[k]
+            hit: cython.Py_ssize_t = _struck(
+                near, kept, x, y, theta, has, scale * wanted[0], scale * wanted[1], wanted[2],
+                reaction, linear, angular, radius, slow, fast, top,
+            )  # fmt: skip
+            if hit < 0:
                 break
-        if hit < 0:
-            return scale
-        blocker[0], blocker[1], blocker[2] = near[hit, 0], near[hit, 1], near[hit, 2]
-    return 0.0
+            blocker[0] = near[hit, 0]
+            blocker[1] = near[hit, 1]
+            blocker[2] = near[hit, 2]
+    return scale
 
 
-def _ahead(
-    points: Floats,
-    count: int,
-    x: float,
-    y: float,
-    theta: float,
-    direction: float,
-    length: float,
-    half: float,
-    radius: float,
-    blind: float,
-    found: Floats,
+@cython.cfunc
+@cython.nogil
+@cython.exceptval(check=False)
+def _struck(
+    near: cython.const[cython.double][:, ::1],
+    count: cython.Py_ssize_t,
+    x: cython.double,
+    y: cython.double,
+    heading: cython.double,
+    has: cython.const[cython.double][::1],
+    to_x: cython.double,
+    to_y: cython.double,
+    to_turn: cython.double,
+    reaction: cython.double,
+    linear: cython.double,
+    angular: cython.double,
+    radius: cython.double,
+    slow: cython.double,
+    fast: cython.double,
+    top: cython.double,
+) -> cython.Py_ssize_t:
+    """The first point that the robot comes too near to if it is commanded so, -1 where there is none.
+
+    ``near`` (n, 4) is x, y, `_UNKNOWN` or not, and how far the robot is from it now; what else is given is `slowed`'s.
+    """
+    vx: cython.double = has[0]
+    vy: cython.double = has[1]
+    turn: cython.double = has[2]
+    speed: cython.double = max(hypot(vx, vy), hypot(to_x, to_y))
+    room: cython.double = radius + slow + (fast - slow) * (min(1.0, speed / top) if top > 0.0 else 1.0)
+    passed: cython.double = 0.0
+    i: cython.Py_ssize_t
+    while passed < reaction or abs(vx) + abs(vy) >= 1e-6 or passed == 0.0:
+        if passed >= reaction:
+            to_x = to_y = to_turn = 0.0
+        change: cython.double = hypot(to_x - vx, to_y - vy)
+        share: cython.double = min(1.0, linear * _STEP / change) if change > 0.0 else 1.0
+        vx = vx + (to_x - vx) * share
+        vy = vy + (to_y - vy) * share
+        turn += min(angular * _STEP, max(-angular * _STEP, to_turn - turn))
+        heading += turn * _STEP
+        c: cython.double = cos(heading)
+        s: cython.double = sin(heading)
+        x = x + (c * vx - s * vy) * _STEP
+        y = y + (s * vx + c * vy) * _STEP
+        passed += _STEP
+        for i in range(count):
+            least: cython.double = room if near[i, 2] != _UNKNOWN else radius
+            away: cython.double = hypot(near[i, 0] - x, near[i, 1] - y)
+            if away < least and away < near[i, 3] - _CLOSER:
+                return i
+    return -1
+
+
+def ahead(
+    points: cython.const[cython.double][:, ::1],
+    count: cython.Py_ssize_t,
+    x: cython.double,
+    y: cython.double,
+    theta: cython.double,
+    direction: cython.double,
+    length: cython.double,
+    half: cython.double,
+    radius: cython.double,
+    blind: cython.double,
+    found: cython.double[::1],
 ) -> None:
     """What is around a robot that goes in a direction (radians, of its own frame).
 
@@ -126,34 +172,44 @@ def _ahead(
     that came lately within a half circle ahead (metres); the nearest point that lies not within ``blind`` radians of
     its front (metres), and in which direction (radians); the nearest point of all (metres).
     Points nearer than ``radius`` count as in the rectangle wherever they are ahead.
+    Raises `ValueError` if the pose or the direction is not finite, or the arrays do not fit.
     """
-    inside, came = 0, 0
-    moving, aside, angle, nearest = math.inf, math.inf, 0.0, math.inf
-    c, s = math.cos(theta + direction), math.sin(theta + direction)
-    for i in range(count):
-        dx, dy = points[i, 0] - x, points[i, 1] - y
-        away = math.hypot(dx, dy)
-        along, across = c * dx + s * dy, c * dy - s * dx
-        if along > 0.0 and ((along < length and abs(across) < half) or away < radius):
-            inside += 1
-            came += int(points[i, 2])
-        if points[i, 2] and along > -0.17 * away:
-            moving = min(moving, away)
-        nearest = min(nearest, away)
-        if away < aside:
-            bearing = math.atan2(dy, dx) - theta
-            bearing -= round(bearing / (2.0 * math.pi)) * 2.0 * math.pi
-            if abs(bearing) > blind:
-                aside, angle = away, bearing
-    found[0], found[1], found[2], found[3], found[4], found[5] = inside, came, moving, aside, angle, nearest
-
-
-@cache
-def kernels() -> tuple[Any, Any]:
-    """The compiled `_slowed` and `_ahead`."""
-    size, real = numba.int64, numba.float64
-    points, row = numba.types.Array(real, 2, "C"), numba.types.Array(real, 1, "C")
-    here = [Path(__file__)]
-    slowed = compiled(_slowed, real(points, size, *[real] * 3, row, row, *[real] * 7, row), here, nogil=True)
-    ahead = compiled(_ahead, numba.void(points, size, *[real] * 8, row), here, nogil=True)
-    return slowed, ahead
+    inside: cython.Py_ssize_t = 0
+    came: cython.Py_ssize_t = 0
+    i: cython.Py_ssize_t
+    if not (0 <= count <= points.shape[0] and points.shape[1] == 3 and found.shape[0] == 6):
+        raise ValueError(f"{count} points are taken from an array (n, 3) that has them, and six numbers are found")
+    if not isfinite(x + y + theta + direction):
+        raise ValueError(f"a robot's pose and direction are finite, not {x}, {y}, {theta} and {direction}")
+    with cython.nogil:
+        moving: cython.double = _INFINITY
+        aside: cython.double = _INFINITY
+        nearest: cython.double = _INFINITY
+        angle: cython.double = 0.0
+        c: cython.double = cos(theta + direction)
+        s: cython.double = sin(theta + direction)
+        for i in range(count):
+            dx: cython.double = points[i, 0] - x
+            dy: cython.double = points[i, 1] - y
+            away: cython.double = hypot(dx, dy)
+            along: cython.double = c * dx + s * dy
+            across: cython.double = c * dy - s * dx
+            lately: cython.bint = points[i, 2] != 0.0
+            if along > 0.0 and ((along < length and abs(across) < half) or away < radius):
+                inside += 1
+                came += lately
+            if lately and along > -0.17 * away:
+                moving = min(moving, away)
+            nearest = min(nearest, away)
+            if away < aside:
+                bearing: cython.double = atan2(dy, dx) - theta
+                bearing -= rint(bearing / (2.0 * _PI)) * 2.0 * _PI
+                if abs(bearing) > blind:
+                    aside = away
+                    angle = bearing
+        found[0] = inside
+        found[1] = came
+        found[2] = moving
+        found[3] = aside
+        found[4] = angle
+        found[5] = nearest

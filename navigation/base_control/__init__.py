@@ -1,1 +1,1 @@
-"""BaseControl: drives a mobile base as its inputs command, within its limits, and tells where it has come to."""
+"""BaseControl: drives a mobile base as its inputs command, within its limits, and publishes its odometry."""

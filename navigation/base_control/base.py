@@ -1,43 +1,47 @@
-"""A base that is driven: its inputs, its limits and its odometry, without any port or topic."""
+"""A base that is driven: its inputs, limits and odometry, and the commands of its RPC port."""
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
+from functools import partial
+from typing import Any
 
-from bridge.config.sections.base_control import BaseInput
-from navigation.base_control.inputs import NOBODY, Arbiter, Input
-from navigation.base_control.kinematics import Array
-from navigation.base_control.limits import Limiter, smoothed
-from navigation.base_control.odometry import Odometry, Travelled
-from navigation.base_control.settings import Settings
-from navigation.base_control.velocity import STILL
+from bridge.config.sections.base_control import BaseControlSection
+from navigation.base_control.commands import NOBODY, STILL, Arbiter, CommandInput, FullControl
+from navigation.base_control.kinematics import Array, Travelled, WheelOdometry, kinematics
+from navigation.base_control.limits import FILTERS, Limiter, smoothed
+from navigation.base_control.settings import limits
+from navigation.yarp import Commands
 
 MAX_STEP = 0.1
 """Seconds that one step may count for: after a standstill the base does not catch up on accelerations."""
 
 
-class Base:
+class DrivenBase:
     """Decides each period what the wheels do, and adds up what they did.
 
     Args:
-        settings: what it is and may do.
+        section: what it is and may do; see `navigation.base_control.settings.resolved`.
 
     Attributes:
-        inputs: by name; their ranks are those of the settings.
+        inputs: by name; their ranks are those of the section.
+        most: what it may do at most.
         limiter: what keeps it within its limits.
         odometry: where it has come to.
         choice: what it drives by.
         idle: whether it is told to stand still, whatever the inputs command.
     """
 
-    def __init__(self, settings: Settings) -> None:
-        self.settings = settings
-        self.inputs = {one.name: Input(one.name, one.timeout) for one in settings.inputs}
-        self._arbiter = Arbiter(list(self.inputs.values()), settings.period)
-        self.limiter = Limiter(settings.kinematics, settings.limits)
-        self.odometry = Odometry(settings.kinematics)
-        self.full = settings.full
-        self.motors_filter = settings.motors_filter
+    def __init__(self, section: BaseControlSection) -> None:
+        self.section, self.most = section, limits(section)
+        base = kinematics(section.kind, section.wheel_radius, section.wheel_distance)
+        self.inputs = {one.name: CommandInput(one.name, one.timeout) for one in section.inputs}
+        self._arbiter = Arbiter(list(self.inputs.values()), section.period)
+        self.limiter = Limiter(base, self.most)
+        self.odometry = WheelOdometry(base)
+        self.full = FullControl(section.joystick_linear_vel, section.joystick_angular_vel)
+        self.motors_filter: int = section.motors_filter
         self.choice = NOBODY
         self.idle = False
         self._last: float | None = None
@@ -50,7 +54,7 @@ class Base:
         Args:
             now: seconds, of the clock by which the inputs' commands came.
         """
-        seconds = self.settings.period if self._last is None else min(max(now - self._last, 0.0), MAX_STEP)
+        seconds = self.section.period if self._last is None else min(max(now - self._last, 0.0), MAX_STEP)
         self._last = now
         self.choice = self._arbiter.choose(now)
         self.limiter.step(STILL if self.idle else self.choice.velocity, seconds)
@@ -59,8 +63,7 @@ class Base:
     def measured(self, angles: Array, now: float) -> Travelled:
         """Take the wheels' angles, rad, at a time in seconds; where the base has come to, its velocity smoothed.
 
-        Raises:
-            ValueError: they are no angles of these wheels.
+        Raises `ValueError` if they are no angles of these wheels.
         """
         found = self.odometry.update(angles, now)
         seconds = 0.0 if self._measured is None else now - self._measured
@@ -79,6 +82,92 @@ class Base:
         self.odometry.restart()
         self._last = self._measured = None
 
-    def input_of(self, one: BaseInput) -> Input:
-        """The input of a section."""
-        return self.inputs[one.name]
+
+HELP = (
+    "help: these lines",
+    "run: obey the inputs",
+    "idle: stand still, whatever the inputs command",
+    "reset_odometry: begin at zero from here",
+    "set_prefilter 0|1|2|4|8: filter commands at so many Hz; 0 for no filter",
+    "set_motors_filter 0|1|2|4|8: filter the velocities that are told at so many Hz; 0 for no filter",
+    "set_max_lin_vel V: metres per second",
+    "set_max_ang_vel V: degrees per second",
+    "set_max_joy_lin_vel V: metres per second of a joystick's 100 percent",
+    "set_max_joy_ang_vel V: degrees per second of a joystick's 100 percent",
+)
+
+_ELSEWHERE = {
+    "change_pid": "the motors' own driver has their controllers; nothing was changed",
+    "change_ctrl_mode": "the wheels are driven by velocity; nothing was changed",
+    "set_debug_mode": "midspan status shows what debug mode did; nothing was changed",
+}
+"""Commands of upstream for parts that BaseControl does not have."""
+
+
+class BaseCommands(Commands):
+    """Answers commands of the RPC port. Called on the module's thread."""
+
+    def __init__(self, base: DrivenBase) -> None:
+        self._base = base
+        super().__init__(HELP, {
+            "run": lambda _rest: self._idle("Now obeying the inputs.", on=False),
+            "idle": lambda _rest: self._idle("Standing still; 'run' ends it.", on=True),
+            "reset_odometry": self._reset,
+            "set_prefilter": self._prefilter,
+            "set_motors_filter": self._motors_filter,
+            "set_max_lin_vel": partial(self._limit, "linear"),
+            "set_max_ang_vel": partial(self._limit, "angular"),
+            "set_max_joy_lin_vel": partial(self._stick, "linear"),
+            "set_max_joy_ang_vel": partial(self._stick, "angular"),
+            **{word: partial(_refuse, word) for word in _ELSEWHERE},
+        })  # fmt: skip
+
+    def _idle(self, said: str, *, on: bool) -> str:
+        self._base.idle = on
+        return said
+
+    def _reset(self, _rest: list[Any]) -> str:
+        self._base.odometry.reset()
+        return "Odometry reset done."
+
+    def _prefilter(self, rest: list[Any]) -> str:
+        limiter = self._base.limiter
+        limiter.limits = replace(limiter.limits, filter_hz=_filter(rest))
+        return "Prefilter set."
+
+    def _motors_filter(self, rest: list[Any]) -> str:
+        self._base.motors_filter = _filter(rest)
+        return "Motors filter set."
+
+    def _limit(self, axis: str, rest: list[Any]) -> str:
+        limiter, value = self._base.limiter, self._number(axis, rest)
+        new: dict[str, Any] = {axis: value if axis == "linear" else math.radians(value)}
+        limiter.limits = replace(limiter.limits, **new)
+        return f"Max {axis} velocity set."
+
+    def _stick(self, axis: str, rest: list[Any]) -> str:
+        self._base.full = self._base.full._replace(**{axis: self._number(axis, rest)})
+        return f"Max joystick {axis} velocity set."
+
+    def _number(self, axis: str, rest: list[Any]) -> float:
+        """A velocity in m/s or deg/s, which the robot can have."""
+        own = self._base.most
+        most, unit = (own.linear, "m/s") if axis == "linear" else (math.degrees(own.angular), "deg/s")
+        value = rest[0] if len(rest) == 1 else None
+        if isinstance(value, bool) or not isinstance(value, (int, float)) or not 0.0 < value <= most + 1e-9:
+            told = " ".join(map(str, rest)) or "nothing"
+            raise ValueError(
+                f"one number is needed, above 0 and at most {most:g} {unit}, the robot's own maximum; not {told}"
+            )
+        return min(float(value), most)
+
+
+def _refuse(word: str, _rest: list[Any]) -> str:
+    raise ValueError(f"{word}: {_ELSEWHERE[word]}")
+
+
+def _filter(rest: list[Any]) -> int:
+    value = rest[0] if len(rest) == 1 else None
+    if value not in FILTERS or isinstance(value, bool):
+        raise ValueError(f"a filter is one of {', '.join(map(str, FILTERS))} Hz, not {value}")
+    return int(value)

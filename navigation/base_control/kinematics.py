@@ -1,4 +1,4 @@
-"""From a base's velocity to its wheels, and back.
+"""From a base's velocity to its wheels and back, and the odometry of its encoders.
 
 Formulas of robotology/navigation, ``baseControl2`` (``cer_motors.cpp``, ``ikart_motors.cpp``), in SI units. Both are
 linear, so a kind of base is a matrix: wheel velocities = matrix @ (x, y, turn).
@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from navigation.base_control.velocity import Velocity
+from navigation.base_control.commands import STILL, Velocity
 
 Array = NDArray[np.float64]
 
@@ -25,21 +25,13 @@ class KinematicsError(ValueError):
 
 @dataclass(frozen=True, eq=False)
 class Kinematics:
-    """A kind of base with its measures.
+    """A kind of base with its measures."""
 
-    Attributes:
-        matrix: (wheels, 3): wheel velocities in rad/s of a velocity (m/s, m/s, rad/s).
-        inverse: (3, wheels): the velocity of wheel velocities; the best one where wheels contradict each other.
-        joints: the wheels' usual names, in order.
-        rows: the matrix as plain numbers.
-        holonomic: whether it can move to its side.
-    """
-
-    matrix: Array
-    inverse: Array
-    rows: tuple[tuple[float, ...], ...]
-    joints: tuple[str, ...]
-    holonomic: bool
+    matrix: Array  #: (wheels, 3): wheel velocities in rad/s of a velocity (m/s, m/s, rad/s)
+    inverse: Array  #: (3, wheels): the velocity of wheel velocities; the best one where wheels contradict each other
+    rows: tuple[tuple[float, ...], ...]  #: the matrix as plain numbers
+    joints: tuple[str, ...]  #: the wheels' usual names, in order
+    holonomic: bool  #: whether it can move to its side
 
     def wheels(self, velocity: Velocity) -> Array:
         """The wheels' velocities, rad/s; what the base cannot do (a side step of a differential one) is left out."""
@@ -57,15 +49,12 @@ class Kinematics:
 
 
 def kinematics(kind: str, wheel_radius: float, wheel_distance: float) -> Kinematics:
-    """A kind of base with its measures.
+    """A kind of base with its measures; raises `KinematicsError` if there is no such kind or a measure is not positive.
 
     Args:
         kind: ``cer`` (R1: two driven wheels, left and right) or ``ikart_V1`` (three omnidirectional wheels).
         wheel_radius: metres (``geom_r``).
         wheel_distance: metres (``geom_L``): between the wheels of ``cer``, from the centre to a wheel of ``ikart_V1``.
-
-    Raises:
-        KinematicsError: there is no such kind, or a measure is not positive.
     """
     for name, value in (("geom_r", wheel_radius), ("geom_L", wheel_distance)):
         if not (math.isfinite(value) and 0.0 < value < 10.0):
@@ -84,3 +73,81 @@ def kinematics(kind: str, wheel_radius: float, wheel_distance: float) -> Kinemat
     inverse: Array = np.linalg.pinv(matrix).astype(np.float64)
     plain = tuple(tuple(float(value) for value in row) for row in matrix)
     return Kinematics(matrix, inverse, plain, joints, holonomic=kind == "ikart_V1")
+
+
+_SMALL_TURN = 1e-9
+
+
+@dataclass(frozen=True)
+class Travelled:
+    """Where a base is in the odometry's frame."""
+
+    x: float = 0.0  #: metres
+    y: float = 0.0  #: metres
+    theta: float = 0.0  #: radians, counted on over full turns
+    velocity: Velocity = STILL  #: in the base's frame
+    distance: float = 0.0  #: metres driven since the start or the last reset, forth and back alike
+    angle: float = 0.0  #: radians turned, to both sides alike
+
+    @property
+    def world_velocity(self) -> tuple[float, float]:
+        """The velocity along the odometry frame's axes, m/s."""
+        cos, sin = math.cos(self.theta), math.sin(self.theta)
+        return cos * self.velocity.x - sin * self.velocity.y, sin * self.velocity.x + cos * self.velocity.y
+
+
+class WheelOdometry:
+    """Adds up encoder angles; between two readings the base drives along an arc."""
+
+    def __init__(self, kinematics: Kinematics) -> None:
+        self._kinematics = kinematics
+        self._angles: Array | None = None
+        self._time = 0.0
+        self.now = Travelled()
+
+    def update(self, angles: Array, time: float) -> Travelled:
+        """Take the wheels' angles (rad, counted on over full turns) at a time in seconds.
+
+        The first reading only says where the encoders stand. A reading that is not newer changes nothing.
+        Raises `ValueError` if an angle is not a number, or there are too many or too few.
+        """
+        wheels = len(self._kinematics.joints)
+        if angles.shape != (wheels,) or not np.isfinite(angles).all():
+            raise ValueError(f"{wheels} finite wheel angles are needed, not {angles}")
+        if self._angles is None:
+            self._angles, self._time = angles.copy(), time
+            return self.now
+        seconds = time - self._time
+        if seconds <= 0.0:
+            return self.now
+        step = Velocity(*(float(value) for value in self._kinematics.inverse @ (angles - self._angles)))
+        self._angles, self._time = angles.copy(), time
+        self.now = _moved(self.now, step, seconds)
+        return self.now
+
+    def reset(self) -> None:
+        """Begin at zero from here."""
+        self.now = Travelled()
+
+    def restart(self) -> None:
+        """Take the next reading as the first one: the encoders or the clock began anew; the pose is kept."""
+        self._angles = None
+
+
+def _moved(before: Travelled, step: Velocity, seconds: float) -> Travelled:
+    """``step`` is a motion in the base's frame: metres, metres, radians."""
+    sin_share, cos_share = 1.0, step.turn / 2.0
+    if abs(step.turn) > _SMALL_TURN:
+        sin_share = math.sin(step.turn) / step.turn
+        cos_share = (1.0 - math.cos(step.turn)) / step.turn
+    along = step.x * sin_share - step.y * cos_share
+    aside = step.x * cos_share + step.y * sin_share
+    cos, sin = math.cos(before.theta), math.sin(before.theta)
+    return Travelled(
+        before.x + cos * along - sin * aside,
+        before.y + sin * along + cos * aside,
+        before.theta + step.turn,
+        Velocity(step.x / seconds, step.y / seconds, step.turn / seconds),
+        before.distance + math.hypot(step.x, step.y),
+        before.angle + abs(step.turn),
+    )

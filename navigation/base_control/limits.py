@@ -1,4 +1,4 @@
-"""How fast a base may go, turn and change: from what is commanded to what its wheels are told.
+"""The limits of a base: from the command to the velocities of its wheels.
 
 Each period: the command is smoothed (input filter), cut to what the base can hold (its speeds, the share between
 driving and turning, its motors), and approached no faster than its accelerations allow. What can be held is a convex
@@ -14,8 +14,8 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
+from navigation.base_control.commands import STILL, Velocity
 from navigation.base_control.kinematics import Array, Kinematics
-from navigation.base_control.velocity import STILL, Velocity
 
 FILTERS = (0, 1, 2, 4, 8)
 """The corner frequencies that filters can have, Hz; 0 is none."""
@@ -24,56 +24,37 @@ _NEAR = 1e-12
 
 
 @dataclass(frozen=True)
-class Limits:
-    """What a base may do.
+class BaseLimits:
+    """What a base may do."""
 
-    Attributes:
-        linear: m/s.
-        angular: rad/s.
-        linear_acceleration: m/s2, speeding up.
-        linear_braking: m/s2.
-        angular_acceleration: rad/s2, speeding up.
-        angular_braking: rad/s2.
-        wheel: the fastest that any wheel may turn, rad/s; all are slowed alike, so that the path stays the same.
-        ratio: the share that driving keeps where driving and turning together ask for more than 100 percent of their
-            maxima; None lets each go to its own maximum.
-        filter_hz: corner frequency of the input filter, 0 for none.
-    """
-
-    linear: float = 0.3
-    angular: float = math.radians(30.0)
-    linear_acceleration: float = 0.3
-    linear_braking: float = 0.3
-    angular_acceleration: float = math.radians(80.0)
-    angular_braking: float = math.radians(80.0)
+    linear: float = 0.3  #: m/s
+    angular: float = math.radians(30.0)  #: rad/s
+    linear_acceleration: float = 0.3  #: m/s2, speeding up
+    linear_braking: float = 0.3  #: m/s2
+    angular_acceleration: float = math.radians(80.0)  #: rad/s2, speeding up
+    angular_braking: float = math.radians(80.0)  #: rad/s2
+    # the fastest that any wheel may turn, rad/s; all are slowed alike, so that the path stays the same
     wheel: float = math.radians(100.0)
+    # the share that driving keeps where driving and turning together ask for more than 100 percent of their maxima;
+    # None lets each go to its own maximum
     ratio: float | None = None
-    filter_hz: int = 0
+    filter_hz: int = 0  #: corner frequency of the input filter, 0 for none
 
 
 class Limiter:
     """Keeps a base within its limits; one `step` each period.
 
     Args:
-        kinematics: of the base.
         limits: what it may do; may be replaced while it drives.
-
-    Attributes:
-        now: the velocity that was given last.
     """
 
-    def __init__(self, kinematics: Kinematics, limits: Limits) -> None:
+    def __init__(self, kinematics: Kinematics, limits: BaseLimits) -> None:
         self.kinematics, self.limits = kinematics, limits
-        self.now = STILL
+        self.now = STILL  # the velocity that was given last
         self._smooth = STILL
 
     def step(self, wanted: Velocity, seconds: float) -> Velocity:
-        """The velocity to drive at for the next period.
-
-        Args:
-            wanted: what is commanded, finite.
-            seconds: since the last step.
-        """
+        """The velocity to drive at for the next period."""
         if not self.kinematics.holonomic:
             wanted = Velocity(wanted.x, 0.0, wanted.turn)
         self._smooth = smoothed(self._smooth, wanted, self.limits.filter_hz, seconds)
@@ -116,7 +97,7 @@ class Limiter:
         return min(1.0, linear / max(way, _NEAR)), min(1.0, angular / max(abs(turning), _NEAR))
 
 
-def held(velocity: Velocity, kinematics: Kinematics, limits: Limits) -> Velocity:
+def held(velocity: Velocity, kinematics: Kinematics, limits: BaseLimits) -> Velocity:
     """The nearest velocity in the same sense that a base can hold."""
     share = min(1.0, limits.linear / max(velocity.speed, _NEAR))
     turn = max(-limits.angular, min(limits.angular, velocity.turn))
@@ -130,7 +111,7 @@ def held(velocity: Velocity, kinematics: Kinematics, limits: Limits) -> Velocity
     return cut
 
 
-def _shared(velocity: Velocity, limits: Limits, ratio: float) -> Velocity:
+def _shared(velocity: Velocity, limits: BaseLimits, ratio: float) -> Velocity:
     """Driving and turning together take no more than 100 percent of their maxima."""
     linear = velocity.speed / limits.linear if limits.linear else 0.0
     turn = abs(velocity.turn) / limits.angular if limits.angular else 0.0
@@ -142,7 +123,7 @@ def _shared(velocity: Velocity, limits: Limits, ratio: float) -> Velocity:
     return Velocity(velocity.x * along, velocity.y * along, velocity.turn * around)
 
 
-def _holds(velocity: Velocity, kinematics: Kinematics, limits: Limits) -> bool:
+def _holds(velocity: Velocity, kinematics: Kinematics, limits: BaseLimits) -> bool:
     cut = held(velocity, kinematics, limits)
     return abs(cut.x - velocity.x) + abs(cut.y - velocity.y) + abs(cut.turn - velocity.turn) <= 1e-9
 

@@ -14,25 +14,22 @@ import numpy as np
 
 from bridge.config.sections.base_control import BaseControlSection
 from bridge.config.sections.section import Section
-from bridge.hub.qos import Qos
+from bridge.hub.wire.qos import Qos
 from bridge.modules.host import Host
 from bridge.modules.module import Module
 from bridge.modules.services import Answer
-from bridge.routing.age import Pulse
+from bridge.routing.stall import StallDetector
 from bridge.worker import Health
-from navigation.base_control.answers import Reset
-from navigation.base_control.base import Base
-from navigation.base_control.doors import Doors
+from navigation.base_control.base import BaseCommands, DrivenBase
 from navigation.base_control.kinematics import Array
-from navigation.base_control.rpc import Words
-from navigation.base_control.settings import settings
-from navigation.base_control.told import Told
+from navigation.base_control.ports import CommandInputs, OdometryPublisher, OdometryRpc
+from navigation.base_control.settings import resolved
 
 JOINTS = "sensor_msgs/msg/JointState"
 RESET = "std_srvs/srv/Trigger"
 
 SILENT_SECONDS = 0.5
-"""After so long without encoders there is no odometry, and it is told."""
+"""After so long without encoders the module reports that there is no odometry."""
 
 _BEAT = 0.1
 
@@ -46,38 +43,39 @@ class BaseControl(Module):
         """Open what the section names, and begin to drive."""
         assert isinstance(section, BaseControlSection)
         self._host = host
-        given = settings(section)
-        for note in given.notes:
+        section, self._notes = resolved(section)
+        for note in self._notes:
             host.log.warning("%s", note)
-        self._notes = given.notes
-        self.base = Base(given)
-        self._joints = given.joints
+        self.base = DrivenBase(section)
+        self._joints = section.joints
         self._trouble = ""
         self._heard: float | None = None
-        pulse = Pulse()
-        host.loop.every(_BEAT, pulse.beat)
-        self.doors = Doors(host, section, self.base, self.now, pulse)
-        self._told = Told(host, section, given)
+        stall_detector = StallDetector()
+        host.loop.every(_BEAT, stall_detector.beat)
+        self.inputs = CommandInputs(host, section, self.base, self.now, stall_detector)
+        self._publisher = OdometryPublisher(host, section)
         self._wheels = host.node.publisher(section.wheel_command, JOINTS, Qos(depth=1), priority="command")
+        still = {"name": list(section.joints), "velocity": [0.0] * len(section.joints)}
+        self._command = self._wheels.template(still, "header.stamp", "velocity")
         host.node.subscription(section.joint_states, JOINTS, self._encoders, Qos(depth=10))
         self._offer(host, section)
         host.on_jump(self.base.forget)
-        host.every(given.period, self._step)
+        host.every(section.period, self._step)
 
     def _offer(self, host: Host, section: BaseControlSection) -> None:
-        words = Words(self.base)
-        host.yarp.respond(f"{section.prefix}/rpc", lambda values: host.loop.call(lambda: words.answer(values)))
-        host.yarp.serve(f"{section.odometry}/rpc", Reset(lambda: host.loop.call(self.reset_odometry)))
+        commands = BaseCommands(self.base)
+        host.yarp.respond(f"{section.prefix}/rpc", lambda values: host.loop.call(lambda: commands.answer(values)))
+        host.yarp.serve(f"{section.odometry}/rpc", OdometryRpc(lambda: host.loop.call(self.reset_odometry)))
         host.node.server(f"/{self.name}/reset_odometry", RESET, self._reset_asked)
         host.answer("halt", lambda _params: host.loop.call(self.halt))
 
     def now(self) -> float:
-        """The time of commands, seconds: the run's where it is simulated, else of a clock that nobody sets."""
+        """The time of commands in seconds: the simulated clock where there is one, else a monotonic one."""
         clock = self._host.clock
         return clock.now_ns() / 1e9 if clock.simulated else time.monotonic()
 
     def halt(self) -> dict[str, Any]:
-        """Stand still: forget what was commanded. Who commands on is obeyed again."""
+        """Forget all commands and stand still; later commands are obeyed again."""
         self.base.stop()
         self._step()
         return {"halted": True}
@@ -86,8 +84,8 @@ class BaseControl(Module):
         self._turn(self.base.step(self.now()))
 
     def _turn(self, velocities: Array) -> None:
-        header = {"stamp": self._host.clock.stamp(), "frame_id": ""}
-        self._wheels.publish({"header": header, "name": list(self._joints), "velocity": velocities})
+        stamp = self._host.clock.stamp()
+        self._wheels.offer(lambda: self._command.fill(stamp["sec"], stamp["nanosec"], *velocities.tolist()))
 
     def _encoders(self, message: dict[str, Any]) -> None:
         places = {name: place for place, name in enumerate(message["name"])}
@@ -106,7 +104,7 @@ class BaseControl(Module):
             return
         self._trouble = ""
         self._heard = time.monotonic()
-        self._told.tell(found, stamp)
+        self._publisher.publish(found, stamp)
 
     def reset_odometry(self) -> None:
         """Begin at zero from here."""
@@ -136,13 +134,13 @@ class BaseControl(Module):
             "velocity": [base.limiter.now.x, base.limiter.now.y, math.degrees(base.limiter.now.turn)],
             "odometry": [moved.x, moved.y, math.degrees(moved.theta)],
             "inputs": {
-                name: {"commands": one.commands, "refused": one.refused, "error": self.doors.trouble.get(name, "")}
+                name: {"commands": one.commands, "refused": one.refused, "error": self.inputs.trouble.get(name, "")}
                 for name, one in base.inputs.items()
             },
-            "stale": self.doors.stale,
+            "stale": self.inputs.stale,
             "notes": list(self._notes),
         }
 
     def stop(self) -> None:
-        """Tell the wheels to stand still."""
+        """Command the wheels to stand still."""
         self._turn(np.zeros(len(self._joints)))

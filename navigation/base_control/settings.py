@@ -7,13 +7,12 @@ m/s, deg/s.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from typing import Any
 
 from bridge.config.sections.base_control import INPUTS, BaseControlSection, BaseInput
-from navigation.base_control.kinematics import KINDS, Kinematics, KinematicsError, kinematics
-from navigation.base_control.limits import FILTERS, Limits
-from navigation.base_control.velocity import FullControl
-from navigation.ini import Group, Ini, laid_under
+from navigation.base_control.kinematics import KINDS, KinematicsError, kinematics
+from navigation.base_control.limits import FILTERS, BaseLimits
+from navigation.ini import Ini, IniGroup, laid_under, port_name
 
 _GENERAL, _GEOMETRY, _MOTORS, _STICK = "BASECTRL_GENERAL", "ROBOT_GEOMETRY", "MOTORS", "JOYSTICK"
 _INPUT = "BASECTRL_INPUTS_{}"
@@ -33,71 +32,32 @@ STALE = {
 """Keys that real files have and that change nothing, with why."""
 
 
-@dataclass(frozen=True)
-class Settings:
-    """What BaseControl works by, in SI units.
+def resolved(section: BaseControlSection) -> tuple[BaseControlSection, list[str]]:
+    """A section with the file that it names laid under it, its inputs, and its wheels' joints.
 
-    Attributes:
-        kinematics: of the base.
-        joints: its wheels' names at the driver, in order.
-        limits: what it may do.
-        full: what a joystick's 100 percent are.
-        inputs: who may command; the highest rank first.
-        period: seconds between two commands to the wheels.
-        motors_filter: corner frequency of the filter of what the wheels' speeds are told as; 0 for none.
-        odom_frame: the odometry's frame.
-        base_frame: the base's frame.
-        odom: topic of the odometry.
-        notes: what is odd in the file, each ``file:line: ...``.
-    """
-
-    kinematics: Kinematics
-    joints: tuple[str, ...]
-    limits: Limits
-    full: FullControl
-    inputs: tuple[BaseInput, ...]
-    period: float
-    motors_filter: int
-    odom_frame: str
-    base_frame: str
-    odom: str
-    notes: tuple[str, ...] = ()
-
-
-def settings(section: BaseControlSection) -> Settings:
-    """What a section and the file that it names say.
+    Returns:
+        the section, and what is odd in the file, each ``file:line: ...``.
 
     Raises:
         RuntimeError: the file is not there or cannot be used, or the joints do not fit; the text says where and why.
     """
-    section, notes = laid_under(section, section.ini, with_file)
+    section, notes = laid_under(section, section.ini, read_file)
     try:
-        base = kinematics(section.kind, section.wheel_radius, section.wheel_distance)
+        wheels = kinematics(section.kind, section.wheel_radius, section.wheel_distance).joints
     except KinematicsError as err:
         raise RuntimeError(f"modules.base_control: {err}") from None
-    if section.joints and len(section.joints) != len(base.joints):
+    if section.joints and len(section.joints) != len(wheels):
         raise RuntimeError(
-            f"modules.base_control.joints: a base of the kind {section.kind} has {len(base.joints)} wheels, "
+            f"modules.base_control.joints: a base of the kind {section.kind} has {len(wheels)} wheels, "
             f"not {len(section.joints)}"
         )
-    return Settings(
-        kinematics=base,
-        joints=section.joints or base.joints,
-        limits=limits(section),
-        full=FullControl(section.joystick_linear_vel, section.joystick_angular_vel),
-        inputs=section.inputs or INPUTS,
-        period=section.period,
-        motors_filter=section.motors_filter,
-        odom_frame=section.odom_frame,
-        base_frame=section.base_frame,
-        odom=section.odom,
-        notes=tuple(notes),
-    )
+    update = {"joints": section.joints or wheels, "inputs": section.inputs or INPUTS}
+    return section.model_copy(update=update), notes
 
 
-def limits(section: BaseControlSection) -> Limits:
+def limits(section: BaseControlSection) -> BaseLimits:
     """A section's limits."""
-    return Limits(
+    return BaseLimits(
         linear=section.max_linear_vel,
         angular=math.radians(section.max_angular_vel),
         linear_acceleration=section.max_linear_acc,
@@ -110,19 +70,10 @@ def limits(section: BaseControlSection) -> Limits:
     )
 
 
-def with_file(section: BaseControlSection, ini: Ini) -> tuple[BaseControlSection, list[str]]:
-    """A section with what a ``baseCtrl`` file says laid under it: what the section itself sets is stronger.
-
-    Returns:
-        the section, and what is odd in the file.
-
-    Raises:
-        IniError: the file cannot be used.
-    """
-    found: dict[str, object] = {"period": ini.top.number("period", section.period, 0.001, 0.1, "s")}
-    local = ini.top.text("local", "")
-    if local:
-        found["prefix"] = "/" + local.strip("/")
+def read_file(section: BaseControlSection, ini: Ini) -> dict[str, Any]:
+    """The fields that a file sets; see `navigation.ini.laid_under`."""
+    found: dict[str, Any] = {"period": ini.top.number("period", section.period, 0.001, 0.1, "s")}
+    ini.top.take_texts(found, port_name, prefix="local")
     _take_general(ini, ini.group(_GENERAL, needed=True), found, section)
     geometry = ini.group(_GEOMETRY, needed=True)
     found["wheel_radius"] = geometry.number("geom_r", None, 0.01, 1.0, "m")
@@ -134,17 +85,18 @@ def with_file(section: BaseControlSection, ini: Ini) -> tuple[BaseControlSection
     for key, name, most in (("linear_vel", "linear", 3.0), ("angular_vel", "angular", 360.0)):
         default = float(getattr(section, f"joystick_{name}_vel"))
         found[f"joystick_{name}_vel"] = stick.number(f"{key}_at_full_control", default, 0.01, most)
-    _take_frames(ini, found)
+    # the names that ``baseControl`` of before 2022 has for ROS
+    ini.group("ROS_ODOMETRY").take_texts(
+        found, str, odom_frame="odom_frame", base_frame="base_frame", odom="topic_name"
+    )
     inputs = _inputs(ini)
     if inputs:
         found["inputs"] = inputs
     ini.note_unread(STALE, OTHERS)
-    ini.check()
-    found = {key: value for key, value in found.items() if key not in section.model_fields_set}
-    return section.model_copy(update=found), ini.notes
+    return found
 
 
-def _take_general(ini: Ini, group: Group, found: dict[str, object], section: BaseControlSection) -> None:
+def _take_general(ini: Ini, group: IniGroup, found: dict[str, Any], section: BaseControlSection) -> None:
     kind = group.text("robot_type", "")
     if kind not in KINDS:
         ini.errors.append(
@@ -164,15 +116,6 @@ def _take_general(ini: Ini, group: Group, found: dict[str, object], section: Bas
             f"{group.where('ratio_limiter_enabled')}: 'ratio_limiter_enabled 1' is left off: upstream's limiter never "
             "acts, so the robot was never driven with it; linear_angular_ratio in modules.base_control switches ours on"
         )
-
-
-def _take_frames(ini: Ini, found: dict[str, object]) -> None:
-    """The names that ``baseControl`` of before 2022 has for ROS."""
-    odometry = ini.group("ROS_ODOMETRY")
-    for key, name in (("odom_frame", "odom_frame"), ("base_frame", "base_frame"), ("topic_name", "odom")):
-        text = odometry.text(key, "")
-        if text:
-            found[name] = text
 
 
 def _inputs(ini: Ini) -> tuple[BaseInput, ...]:

@@ -1,1 +1,1 @@
-"""The gateway: one way to navigate for the clients of all sides, over any planner."""
+"""The gateway: one navigation interface for the clients of all sides, over any planner."""

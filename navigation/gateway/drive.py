@@ -1,39 +1,39 @@
-"""One client's drive: where it goes, goal by goal."""
+"""Where goals lead, also by the names of places, and one client's drive, goal by goal."""
 
 from __future__ import annotations
 
 import math
 import time
 import uuid
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
 from bridge.config.sections.navigation import OURS
-from bridge.modules.action_client import SentGoal
+from bridge.messages.actions import GoalState
 from bridge.modules.action_server import Goal
-from bridge.modules.goal import Status
+from bridge.modules.clients import SentGoal
+from bridge.modules.host import Host
+from bridge.stores.entry import StoreError
+from bridge.stores.kinds import AREA, LOCATION, MAP
+from bridge.stores.store import Store
 from navigation.constraints import PREFIX, Constraints
-from navigation.maps.grid import yaw_of
+from navigation.maps.grid import from_grid, yaw_of
 from navigation.messages import pose_message
 from navigation.pose import Pose
+from yarp_compat.dev.locations import Map2DLocation
+from yarp_compat.dev.mapgrid import MapGrid2D
 
 _NO_STAMP = {"sec": 0, "nanosec": 0}
 
 
 @dataclass(frozen=True)
 class Target:
-    """A pose to drive to.
+    """A pose to drive to."""
 
-    Attributes:
-        pose: where, metres and rad; a theta that is no number means that any heading will do.
-        frame: what it is in; the name of another map of the store for a place there.
-        tree: the client's ``behavior_tree``.
-    """
-
-    pose: Pose
-    frame: str
-    tree: str = ""
+    pose: Pose  #: where, metres and rad; a theta that is no number means that any heading will do
+    frame: str  #: what it is in; the name of another map of the store for a place there
+    tree: str = ""  #: the client's ``behavior_tree``
 
     def goal(self, planner: str, robot: Pose | None) -> dict[str, Any]:
         """The goal for a planner, without a stamp: those of two machines' clocks would decide what it means.
@@ -62,11 +62,7 @@ class TargetError(ValueError):
 
 
 def target_of(message: Mapping[str, Any], tree: str = "") -> Target:
-    """The target of a ``geometry_msgs/PoseStamped``.
-
-    Raises:
-        TargetError: it has no frame, or a number that is none, or its quaternion is no rotation.
-    """
+    """The target of a ``geometry_msgs/PoseStamped``; raises `TargetError` for no frame, no numbers or no rotation."""
     frame = str(message["header"]["frame_id"]).lstrip("/")
     position, turn = message["pose"]["position"], message["pose"]["orientation"]
     if not frame:
@@ -80,33 +76,25 @@ def target_of(message: Mapping[str, Any], tree: str = "") -> Target:
 
 
 @dataclass
-class Drive:
-    """What a client wants, until it is there or given up. A goal of an action stays active in pauses and repetitions.
+class ClientDrive:
+    """What a client wants, until it is there or given up; an action's goal stays active in pauses and repetitions."""
 
-    Attributes:
-        targets: the goals, one after the other.
-        who: the client, for people.
-        goal: the client's own goal, where it came by the action.
-        name: of the place, where it was given one.
-        at: which of the targets it is driving to.
-        sent: the goal that the planner has now, or had last.
-        sent_at: when it was sent (monotonic).
-        paused: whether it stands because it was told to.
-        stopping: why it is being given up, "" where it is not.
-        waiting_until: when it is given up because the planner is not there (monotonic), None while that is.
-    """
-
-    targets: Sequence[Target]
-    who: str
-    goal: Goal | None = None
-    name: str = ""
-    at: int = 0
-    sent: SentGoal | None = None
-    sent_at: float = 0.0
-    paused: bool = False
-    stopping: str = ""
-    waiting_until: float | None = None
+    targets: Sequence[Target]  #: the goals, one after the other
+    who: str  #: the client, for people
+    goal: Goal | None = None  #: the client's own goal, where it came by the action
+    name: str = ""  #: of the place, where it was given one
+    at: int = 0  #: which of the targets it is driving to
+    sent: SentGoal | None = None  #: the goal that the planner has now, or had last
+    sent_at: float = 0.0  #: when it was sent (monotonic)
+    taken: bool = False  #: whether a planner had taken a goal of it before that one
+    # whether the planner has said itself that it drives to none of its goals; no bridge can say that
+    let_go: bool = True
+    paused: bool = False  #: whether it stands because it was told to
+    stopping: str = ""  #: why it is being given up, "" where it is not
+    held_at: float = 0.0  #: when it was stopped or paused, last (monotonic)
+    waiting: bool = False  #: whether it waits for a planner that is not there
     began: float = field(default_factory=time.monotonic)
+    asked_at: float = field(default_factory=time.monotonic)  #: when the client wanted it to drive, last (monotonic)
     own_id: bytes = field(default_factory=lambda: uuid.uuid4().bytes)
 
     @property
@@ -120,18 +108,104 @@ class Drive:
         return self.targets[self.at]
 
     @property
+    def begun(self) -> bool:
+        """Whether a planner has taken any of its goals."""
+        return self.taken or (self.sent is not None and self.sent.accepted is True)
+
+    @property
     def below(self) -> SentGoal | None:
         """The planner's goal, while it has one."""
         return self.sent if self.sent is not None and self.sent.active else None
 
-    def end(self, status: Status, code: int, why: str) -> None:
+    def end(self, status: GoalState, code: int, why: str) -> None:
         """Tell the client how its goal ended."""
         if self.goal is None:
             return
         result = {"error_code": int(code), "error_msg": why}
-        if status is Status.SUCCEEDED:
+        if status is GoalState.SUCCEEDED:
             self.goal.succeed({})
-        elif status is Status.CANCELED:
+        elif status is GoalState.CANCELED:
             self.goal.canceled(result)
         else:
             self.goal.abort(result)
+
+
+_ANY = math.nan
+
+
+class StoredPlaces:
+    """The store's maps and locations, for goals.
+
+    Args:
+        frame: of the map that is in use.
+        waits: whether the planner drives to any map by its name, and waits for one.
+    """
+
+    def __init__(self, host: Host, frame: str, waits: Callable[[], bool] = lambda: False) -> None:
+        self._host, self._frame, self._waits = host, frame, waits
+
+    @property
+    def store(self) -> Store | None:
+        """The store, where there is one."""
+        try:
+            return self._host.store
+        except StoreError:
+            return None
+
+    @property
+    def current(self) -> str:
+        """The map that is in use, "" where none is."""
+        return "" if self.store is None else self.store.current_map()
+
+    def find(self, name: str) -> Target:
+        """A location's pose, or a point in an area, in any heading; raises `LookupError` with the names there are."""
+        store = self.store
+        if store is None:
+            raise LookupError("there is no store of locations here; switch on `store`")
+        found = store.get(LOCATION, name)
+        if found is not None:
+            return self.target(found)
+        area = store.get(AREA, name)
+        middle = None if area is None else area.getCentroid()
+        if area is None or middle is None:
+            known = ", ".join([*store.names(LOCATION), *store.names(AREA)][:20]) or "none"
+            raise LookupError(f"there is no location or area {name!r}; there are: {known}")
+        inside = middle if area.contains(middle.x, middle.y) else area.getRandomLocation() or middle
+        inside.theta = _ANY
+        return self.target(inside)
+
+    def target(self, place: Map2DLocation) -> Target:
+        """A goal at a place; where that is on another map, its frame is that map's name.
+
+        While no map is in use it is not known where the place is, so it keeps its map's name for a planner that waits.
+        """
+        known = self.current or (self._waits() and self.store is not None and place.map_id in self.store.names(MAP))
+        elsewhere = place.map_id and known and place.map_id not in (self.current, self._frame)
+        frame = place.map_id if elsewhere else self._frame
+        return Target(Pose(place.x, place.y, math.radians(place.theta)), frame)
+
+    def known(self, place: Map2DLocation) -> Target:
+        """A goal at a place; raises `LookupError` if the store has maps, and not the place's."""
+        target, store = self.target(place), self.store
+        if target.frame != self._frame and store is not None and target.frame not in (maps := store.names(MAP)):
+            raise LookupError(f"it is on the map {target.frame}, which is not here; there are: {', '.join(maps[:20])}")
+        return target
+
+    def location(self, message: Mapping[str, Any] | Target) -> Map2DLocation:
+        """A ``geometry_msgs/PoseStamped``, or a target, as a place on a map."""
+        if isinstance(message, Target):
+            frame, pose = message.frame, message.pose
+        else:
+            position, frame = message["pose"]["position"], str(message["header"]["frame_id"])
+            pose = Pose(position["x"], position["y"], yaw_of(message["pose"]["orientation"]))
+        map_id = self.current or frame if frame in ("", self._frame) else frame
+        return Map2DLocation(map_id, float(pose.x), float(pose.y), math.degrees(pose.theta))
+
+    def map(self) -> MapGrid2D | None:
+        """The map that is in use."""
+        store = self.store
+        return None if store is None or not self.current else store.get(MAP, self.current)
+
+    def grid(self, message: Mapping[str, Any] | None) -> MapGrid2D | None:
+        """A ``nav_msgs/OccupancyGrid`` as YARP has it."""
+        return None if message is None else from_grid(message, self.current or "map")

@@ -1,57 +1,58 @@
-"""The gateway: clients of every side give it goals, and it has the chosen planner drive; see docs/navigation.md."""
+"""The gateway: clients of every side give goals, the chosen planner drives; see docs/navigation/navigation.md."""
 
 from __future__ import annotations
 
 from typing import Any
 
-from bridge.config.sections.navigation import ACTION, GOAL_POSE, NavigationSection
+from bridge.config.sections.navigation import ACTION, GOAL_POSE, HOLD, HOLD_TYPE, NavigationSection
 from bridge.config.sections.section import Section
-from bridge.hub.qos import Qos
+from bridge.hub.errors import HubError
+from bridge.hub.wire.qos import LATCHED, Qos
 from bridge.modules.host import Host
 from bridge.modules.module import Module
 from bridge.worker import Health
-from navigation.clients import CUT_OFF, FarClients
-from navigation.frames import Frames
-from navigation.gateway.device import WHO, Device
-from navigation.gateway.drive import TargetError, target_of
-from navigation.gateway.gateway import Gateway
-from navigation.gateway.link import KEPT, NAVIGATE, POSE
-from navigation.gateway.places import Places
-from navigation.gateway.services import Services
-from navigation.gateway.velocity import Commander
-from navigation.status import STATUS, State
+from navigation.frames import RobotFrames
+from navigation.gateway.drive import StoredPlaces, TargetError, target_of
+from navigation.gateway.gateway import BETWEEN_MAPS, Gateway
+from navigation.gateway.planner_link import POSE
+from navigation.gateway.services import WHO, GatewayDevice, HubServices, VelocityCommander, YarpVelocity
+from navigation.gateway.stop import StopAnswer, waited_for
+from navigation.goals import CUT_OFF, FarClients
+from navigation.messages import NAVIGATE
+from navigation.status import STATUS, Fault, State
 from yarp_compat.dev.navigation2d_server import Navigation2DServer
 
 STATUS_TOPIC = "/navigation/status"
-_AGAIN_SECONDS = 5.0
-"""After so long YARP's ports say the status again, as YARP's own do."""
-
-_CHANGEABLE = ("planner", "planners", "localizer", "map", "patience")
+_AGAIN_SECONDS = 5.0  # after so long YARP's ports say the status again, as YARP's own do
+_CHANGEABLE = ("planner", "planners", "localizer", "map", "patience", "silence")
 
 
 class GatewayModule(Module):
-    """Opens the doors, and answers behind them."""
+    """Serves the gateway on the hub and on YARP."""
 
     name = "gateway"
 
     def start(self, host: Host, section: Section) -> None:
-        """Open the doors."""
+        """Open all topics, services and ports."""
         assert isinstance(section, NavigationSection)
         self._host, self._section = host, section
-        self._told = host.node.publisher(STATUS_TOPIC, STATUS, KEPT, priority="state")
+        self._told = host.node.publisher(STATUS_TOPIC, STATUS, LATCHED, priority="state")
         self._state = State.IDLE.value
         self._ports = [host.yarp.output(f"{door}/status:o") for door in section.doors.yarp]
-        frames = Frames(host, section.frame, section.base_frame)
-        places, self._commander = Places(host, section.frame), Commander(host, section.velocity)
-        self.gateway = Gateway(host, section, frames, self._tell)
+        frames = RobotFrames(host, section.frame, section.base_frame)
+        self._commander = VelocityCommander(host, section.velocity)
+        self._holding = host.node.publisher(HOLD, HOLD_TYPE, LATCHED, priority="state")
+        self._holding.publish({"data": False})
+        self.gateway = Gateway(host, section, frames, self._tell, self._hold)
+        places = StoredPlaces(host, section.frame, lambda: self.gateway.planner == BETWEEN_MAPS)
         server = host.node.action_server(ACTION, NAVIGATE, self.gateway.take, self.gateway.cancel)
         FarClients(host, server, lambda goal: self.gateway.lost(goal, CUT_OFF))
         host.node.subscription(GOAL_POSE, POSE, self._goal_pose, Qos(depth=1))
-        Services(host.node, self.gateway, places, self._commander)
-        self._answers = Navigation2DServer(Device(host, self.gateway, places, self._commander))
+        HubServices(host.node, self.gateway, places, self._commander)
+        self._answers = Navigation2DServer(GatewayDevice(host, self.gateway, places, self._commander, self._begin_stop))
         for door in section.doors.yarp:
             host.yarp.serve(f"{door}/rpc", self._answers)
-        host.answer("halt", lambda _params: host.loop.call(self.halt))
+        host.answer("halt", self.halt)
         self._tell(self.gateway.status())
         host.loop.every(_AGAIN_SECONDS, self._say)
 
@@ -65,11 +66,26 @@ class GatewayModule(Module):
         self.gateway.configure(section)
         return True
 
-    def halt(self) -> dict[str, Any]:
-        """Give up every goal, whoever gave it, one that is paused too: it would go on by itself."""
+    def halt(self, _params: Any = None) -> dict[str, Any]:
+        """Give up every goal, also a paused one; on any thread. Raises `HubError` unless the robot surely stands."""
+        trouble = waited_for(self._host.loop.call(self._begin_stop))
+        if trouble:
+            raise HubError(trouble)
+        return {"halted": True}
+
+    def _begin_stop(self) -> StopAnswer:
         self._commander.stop()
         self.gateway.stop()
-        return {"halted": True}
+        answer = StopAnswer()
+        self.gateway.when_stopped(answer.put)
+        return answer
+
+    def _hold(self, held: bool) -> None:
+        self._holding.publish({"data": held})
+        if held:
+            self._commander.halt()
+        elif self._commander.last == YarpVelocity():
+            self._commander.stop()
 
     def _goal_pose(self, message: dict[str, Any]) -> None:
         try:
@@ -85,7 +101,7 @@ class GatewayModule(Module):
             self._answers.target_name = ""
         elif drive is not None and drive.who != WHO:
             self._answers.target_name = drive.name
-        if self.gateway.has_base:
+        if self.gateway.has_base and not self.gateway.held:
             self._commander.stop()
         self._say()
 
@@ -98,7 +114,9 @@ class GatewayModule(Module):
         gateway = self.gateway
         if not gateway.link.ready:
             return Health("waiting", f"the planner {gateway.planner} is not there")
-        state, why, _ = gateway.state()
+        state, why, code = gateway.state()
+        if code in (Fault.SILENT, Fault.MAY_MOVE):
+            return Health("waiting", why)
         words = f"{gateway.planner} {state.value.replace('_', ' ')}" + (f" ({why})" if why else "")
         return Health("running", f"{words}; {gateway.pending} once it stands" if gateway.pending else words)
 

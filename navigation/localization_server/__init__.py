@@ -1,1 +1,1 @@
-"""LocalizationServer: where the robot is, for YARP and for all sides; with a localiser of its own."""
+"""LocalizationServer: publishes where the robot is, by a localiser of its own or by another one."""

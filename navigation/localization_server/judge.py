@@ -4,33 +4,27 @@ from __future__ import annotations
 
 import math
 
-from navigation.localization_server.estimate import Status
-from navigation.localization_server.settings import Settings
+from bridge.config.sections.localization_server import LocaliserSection
+from navigation.localization_server.estimate import LocalizationStatus
 from navigation.pose import Pose
 
-_MEMORY = 0.7
-"""Of the quality that was, from one scan to the next."""
-
-_HABIT = 0.95
-"""The same of what it usually is."""
-
-_DROP = 0.25
-"""How far below what it usually is a scan's fit tells that something has happened."""
-
-_PROVEN = 0.85
-"""Fit from which on a place that was found needs no second look."""
-
-_LOOKS = 50
-"""Scans that a place that fits less well is looked at, while better ones are looked for."""
-
+_MEMORY = 0.7  # of the quality that was, from one scan to the next
+_HABIT = 0.95  # the same of what it usually is
+_DROP = 0.25  # a scan whose fit is so far below its usual one shows that something has happened
+_PROVEN = 0.85  # fit from which on a place that was found needs no second look
+_LOOKS = 50  # scans that a place that fits less well is looked at, while better ones are looked for
 _STOOD = (0.01, math.radians(0.5))
+
+
+REFUTING, REFUTING_SCANS = 0.15, 3
+"""The share of beams that go through walls which speaks against a pose, and so many such scans in a row."""
+
+WIDEST = 0.5
+"""Metres that the particles' spread (standard deviation) may have where the robot is localised."""
 
 
 class Judge:
     """Looks at each scan's fit.
-
-    Args:
-        settings: what is good and what is poor.
 
     Attributes:
         quality: share of the last scans that the map explains, less what speaks against the pose.
@@ -38,10 +32,10 @@ class Judge:
         reason: why not.
     """
 
-    def __init__(self, settings: Settings) -> None:
+    def __init__(self, settings: LocaliserSection) -> None:
         self._settings = settings
         self.quality = 0.0
-        self.status, self.reason = Status.NOT_YET, "no start was given"
+        self.status, self.reason = LocalizationStatus.NOT_YET, "no start was given"
         self._begin()
 
     def _begin(self) -> None:
@@ -54,7 +48,7 @@ class Judge:
     def begin(self) -> None:
         """A start was given."""
         self._begin()
-        self.status = Status.NOT_YET
+        self.status = LocalizationStatus.NOT_YET
         self.reason = "a start was given, and no scan has been held against it yet"
 
     def doubt(self) -> None:
@@ -62,7 +56,7 @@ class Judge:
         self._anew, self._usual = True, 0.0
         self._against = self._dropped = 0
         self._looks = _LOOKS
-        self.status, self.reason = Status.ERROR, "the scan fits better elsewhere; the next ones decide"
+        self.status, self.reason = LocalizationStatus.ERROR, "the scan fits better elsewhere; the next ones decide"
 
     @property
     def doubtful(self) -> bool:
@@ -77,12 +71,12 @@ class Judge:
     @property
     def refuted(self) -> bool:
         """Whether several scans in a row went through walls: no person makes them do that."""
-        return self._against >= self._settings.refuting_scans
+        return self._against >= REFUTING_SCANS
 
     @property
     def startled(self) -> bool:
         """Whether the map has suddenly come to explain much less."""
-        return self._dropped >= self._settings.refuting_scans
+        return self._dropped >= REFUTING_SCANS
 
     def take(self, share: float, against: float, wide: float, odometry: Pose, why: str = "") -> None:
         """Look at a scan.
@@ -97,28 +91,28 @@ class Judge:
         settings = self._settings
         self.quality = share if self._anew else _MEMORY * self.quality + (1.0 - _MEMORY) * share
         self._anew = False
-        self._against = self._against + 1 if against >= settings.refuting else 0
+        self._against = self._against + 1 if against >= REFUTING else 0
         self._dropped = self._dropped + 1 if share < self._usual - _DROP else 0
-        enough = settings.poor if self.status is Status.OK else settings.good
+        enough = settings.poor if self.status is LocalizationStatus.OK else settings.good
         fits = self.quality >= enough and not self.refuted
         self._looks = 0 if self.quality >= _PROVEN else self._looks - 1 if fits and self._looks else self._looks
         if not fits:
-            self.status, self.reason = Status.ERROR, why or self._why_lost(odometry, against)
+            self.status, self.reason = LocalizationStatus.ERROR, why or self._why_lost(odometry, against)
         elif self.doubtful:
-            self.status = Status.ERROR if self.carried else Status.NOT_YET
+            self.status = LocalizationStatus.ERROR if self.carried else LocalizationStatus.NOT_YET
             self.reason = f"the map explains {self.quality:.0%} of the scan here; a better place is looked for first"
-        elif wide > settings.widest:
-            self.status = Status.NOT_YET
+        elif wide > WIDEST:
+            self.status = LocalizationStatus.NOT_YET
             self.reason = f"the robot may be anywhere within {wide:.1f} m (standard deviation) still"
         else:
-            self.status, self.reason = Status.OK, ""
+            self.status, self.reason = LocalizationStatus.OK, ""
             if self.quality >= settings.good and not self._against:
                 self._seen = odometry
             self._usual = share if not self._usual else _HABIT * self._usual + (1.0 - _HABIT) * share
 
     def _why_lost(self, odometry: Pose, against: float) -> str:
         lost = f"lost: the map explains {self.quality:.0%} of the scan"
-        if against >= self._settings.refuting:
+        if against >= REFUTING:
             lost += f", and {against:.0%} of its beams go through walls"
         if self._seen is None:
             return f"{lost}; was the start wrong, or is it another map?"

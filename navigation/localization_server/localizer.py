@@ -12,48 +12,52 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+from bridge.config.sections.localization_server import LocaliserSection
 from navigation.algorithms import particle_filter
 from navigation.algorithms.likelihood_field import LikelihoodField
-from navigation.algorithms.pose_search import PoseSearch, Window
-from navigation.localization_server.estimate import Estimate, Status
+from navigation.algorithms.pose_search import PoseSearch, SearchWindow
+from navigation.localization_server.estimate import LocalizationStatus, PoseEstimate, Track
 from navigation.localization_server.judge import Judge
-from navigation.localization_server.odometry import Track
-from navigation.localization_server.scan import thinned
-from navigation.localization_server.settings import Settings
 from navigation.pose import Pose
+from navigation.scan import thinned
 from yarp_compat.dev.mapgrid import MapFlag, MapGrid2D
 
 Floats = NDArray[np.float64]
 
-_FEWEST = 8
-"""Beams that ended somewhere, below which a scan says nothing."""
+SCAN_AGE, _ODOMETRY_AGE = 1.0, 1.0
+"""Seconds after which the laser, or odometry, counts as silent."""
 
-_AFRESH = 0.5
-"""Share of the particles that a search puts elsewhere."""
+_INDEPENDENT = 30.0  # as how many independent measurements a scan counts, since neighbouring beams err together
+_EXPLAINED_WITHIN = 0.15  # metres from a wall within which the map explains a beam's end
+_SURE, _BETTER = 0.9, 0.1
+"""Share explained from which on no better place is looked for, and how much more another place must explain."""
 
+_SEARCH_EVERY, _LOST_SEARCH_EVERY = 3.0, 1.0
+"""Seconds between looks for better places, at least; the second of a robot that is lost."""
+
+_SEARCH_TURN, _LOST_REACH = 0.79, 12.0
+"""Radians to each side in which they are looked for; metres for a robot that is lost, in all directions."""
+
+_SPREAD = np.diag([0.5**2, 0.5**2, math.radians(15.0) ** 2])
+_FEWEST = 8  # beams that ended somewhere, below which a scan says nothing
+_AFRESH = 0.5  # share of the particles that a search puts elsewhere
 _SCATTER = np.diag([0.1**2, 0.1**2, math.radians(3.0) ** 2])
-_FORCED = 5
-"""Updates after a start, whether the base moves or not."""
-
+_FORCED = 5  # updates after a start, whether the base moves or not
 _JITTER = np.diag([0.02**2, 0.02**2, math.radians(1.0) ** 2])
 _PATIENCE = 4
 _NEVER = -(1 << 62)
 
 
 class Localizer:
-    """Follows a robot on one map.
+    """Follows a robot on one map; raises `ValueError` if the map has no walls, or no free cells.
 
     Args:
         grid: the map; its walls are what the laser is held against.
-        settings: how.
         seed: of all chance: the same seed and the same data give the same poses.
-
-    Raises:
-        ValueError: the map has no walls, or no free cells.
     """
 
-    def __init__(self, grid: MapGrid2D, settings: Settings | None = None, seed: int = 0) -> None:
-        self.settings = settings or Settings()
+    def __init__(self, grid: MapGrid2D, settings: LocaliserSection | None = None, seed: int = 0) -> None:
+        self.settings = settings or LocaliserSection()
         flags = grid.flags[::-1]
         walls = flags == MapFlag.WALL
         free = ~walls & (flags != MapFlag.UNKNOWN)
@@ -61,16 +65,18 @@ class Localizer:
             raise ValueError(f"nobody can be localised on the map {grid.name!r}: it has no walls, or nothing free")
         self._corner = Pose(*grid.origin.to_ros())
         self._field = LikelihoodField(walls, free, grid.resolution)
-        self._table = self._field.table(self.settings.sigma, self.settings.hit)
+        self._table = self._field.table(self.settings.laser_sigma, self.settings.laser_hit)
         self._worst = float(self._table.min())
         self._search = PoseSearch(self._field, self._table)
         self._rng = np.random.default_rng(seed)
+        one, two, three, four, five = self.settings.odom_alpha
+        self._alphas = one, two, three, four, five
         self._track = Track()
         self._judge = Judge(self.settings)
         self._particles = np.empty((0, 3))
         self._weights = np.empty(0)
         self._updated: Pose | None = None
-        self._correction: Pose | None = None
+        self.correction: Pose | None = None
         self._covariance = np.zeros((3, 3))
         self._forced = 0
         self._start = Pose(0.0, 0.0, 0.0)
@@ -92,18 +98,14 @@ class Localizer:
             self.initial(where)
 
     def initial(self, pose: Pose, covariance: Floats | None = None) -> None:
-        """Begin at a pose on the map.
+        """Begin at a pose on the map; raises `ValueError` if something is not finite.
 
         Args:
             pose: where the robot is said to be now.
-            covariance: (3, 3) of x, y, theta: metres, radians; None: the settings' spread.
-
-        Raises:
-            ValueError: something is not finite.
+            covariance: (3, 3) of x, y, theta: metres, radians; None: 0.5 m and 15 degrees.
         """
         if covariance is None:
-            metres, radians = self.settings.initial_spread
-            covariance = np.diag([metres**2, metres**2, radians**2])
+            covariance = _SPREAD
         if not (np.isfinite(pose[:3]).all() and covariance.shape == (3, 3) and np.isfinite(covariance).all()):
             raise ValueError(f"the robot cannot begin at {pose[:3]} with the covariance {covariance.tolist()}")
         turn = np.eye(3)
@@ -114,16 +116,11 @@ class Localizer:
         self._weights = np.full(len(self._particles), 1.0 / len(self._particles))
         self._covariance = covariance
         self._updated = self._track.newest
-        self._correction = None if self._updated is None else pose @ self._updated.inverse
+        self.correction = None if self._updated is None else pose @ self._updated.inverse
         self._start = pose
         self._forced = _FORCED
         self._judge.begin()
         self._searched_ns, self._fruitless = _NEVER, 0
-
-    @property
-    def correction(self) -> Pose | None:
-        """The odometry's frame on the map; None where there is none yet."""
-        return self._correction
 
     @property
     def pose(self) -> Pose | None:
@@ -131,13 +128,13 @@ class Localizer:
         newest = self._track.newest
         if not len(self._particles):
             return None
-        if newest is None or self._correction is None:
+        if newest is None or self.correction is None:
             return self._start
-        return self._correction @ newest
+        return self.correction @ newest
 
-    def estimate(self) -> Estimate:
+    def estimate(self) -> PoseEstimate:
         """Where the robot is, and how sure that is."""
-        return Estimate(self.pose, self._covariance, self._judge.quality, self._judge.status, self._judge.reason)
+        return PoseEstimate(self.pose, self._covariance, self._judge.quality, self._judge.status, self._judge.reason)
 
     def cloud(self) -> Floats:
         """The particles on the map, (n, 3): metres, radians."""
@@ -152,19 +149,23 @@ class Localizer:
         """Seconds since the last scan was taken; very many before the first."""
         return (now_ns - self._scan_ns) / 1e9
 
-    def check(self, now_ns: int) -> tuple[Status, str]:
+    def check(self, now_ns: int) -> tuple[LocalizationStatus, str]:
         """The status at a time, where scans or odometry may have fallen silent; and why it is not better."""
         if not len(self._particles):
             return self._judge.status, self._judge.reason
         newest = self._track.newest
         for what, stamp, most in (
-            ("odometry is", newest.stamp_ns if newest else _NEVER, self.settings.odometry_age),
-            ("the laser is", self._scan_ns, self.settings.scan_age),
+            ("odometry is", newest.stamp_ns if newest else _NEVER, _ODOMETRY_AGE),
+            ("the laser is", self._scan_ns, SCAN_AGE),
         ):
             age = (now_ns - stamp) / 1e9
             if age > most:
                 said = f"silent for {age:.1f} s" if stamp != _NEVER else "not heard"
-                return (Status.NOT_YET if self._judge.status is Status.NOT_YET else Status.ERROR), f"{what} {said}"
+                return (
+                    LocalizationStatus.NOT_YET
+                    if self._judge.status is LocalizationStatus.NOT_YET
+                    else LocalizationStatus.ERROR
+                ), f"{what} {said}"
         return self._judge.status, self._judge.reason
 
     def scan(self, stamp_ns: int, points: Floats, odometry: Pose | None = None) -> bool:
@@ -182,8 +183,8 @@ class Localizer:
         odometry = odometry or self._track.at(stamp_ns)
         if odometry is None or not len(self._particles):
             return False
-        if self._updated is None or self._correction is None:
-            self._updated, self._correction = odometry, self._start @ odometry.inverse
+        if self._updated is None or self.correction is None:
+            self._updated, self.correction = odometry, self._start @ odometry.inverse
         points = thinned(points, self.settings.beams)
         if len(points) < _FEWEST:
             self._judge.take(0.0, 0.0, self._wide, odometry, "the laser sees nothing: all its beams are empty")
@@ -191,7 +192,7 @@ class Localizer:
         ran = self._forced > 0 or self._far(odometry)
         if ran:
             self._update(odometry, points)
-        here = self._corner.inverse @ self._correction @ odometry
+        here = self._corner.inverse @ self.correction @ odometry
         share, against = self._explained(here[:3], points)
         self._judge.take(share, against, self._wide, odometry)
         self._look_around(stamp_ns, here, share, odometry, points)
@@ -206,8 +207,8 @@ class Localizer:
         """Whether the base has gone on far enough since the last update."""
         assert self._updated is not None
         step = self._updated.inverse @ odometry
-        return (
-            math.hypot(step.x, step.y) >= self.settings.update_distance or abs(step.theta) >= self.settings.update_angle
+        return math.hypot(step.x, step.y) >= self.settings.update_min_d or abs(step.theta) >= math.radians(
+            self.settings.update_min_a
         )
 
     def _update(self, odometry: Pose, points: Floats) -> None:
@@ -216,12 +217,12 @@ class Localizer:
         settings = self.settings
         step = self._updated.inverse @ odometry
         particle_filter.drive(
-            self._particles, (step.x, step.y, step.theta), settings.alphas, self._rng, holonomic=settings.holonomic
+            self._particles, (step.x, step.y, step.theta), self._alphas, self._rng, holonomic=settings.holonomic
         )
         if self._forced:  # standing, particles that were drawn twice would stay the same for ever
             self._particles += particle_filter.spread(np.zeros(3), _JITTER, len(self._particles), self._rng)
         logs = self._field.score(self._table, self._worst, self._particles, points)
-        logs *= min(1.0, settings.independent / len(points))
+        logs *= min(1.0, _INDEPENDENT / len(points))
         self._weights = particle_filter.weighed(self._weights, logs)
         found = particle_filter.heaviest(self._particles, self._weights, self._rng)
         if particle_filter.effective(self._weights) < len(self._weights) / 2:
@@ -230,7 +231,7 @@ class Localizer:
             self._weights = np.full(len(which), 1.0 / len(which))
         self._updated, self._forced = odometry, max(0, self._forced - 1)
         x, y, theta = found.mean.tolist()
-        self._correction = self._corner @ Pose(x, y, theta) @ odometry.inverse
+        self.correction = self._corner @ Pose(x, y, theta) @ odometry.inverse
         self._covariance = self._turned(found.covariance)
         self.updates += 1
 
@@ -244,7 +245,7 @@ class Localizer:
 
     def _explained(self, here: tuple[float, float, float], points: Floats) -> tuple[float, float]:
         """How well the map explains a scan, and how much of that speaks against the pose."""
-        found, against = self._field.agreement(here, points, self.settings.explained_within)
+        found, against = self._field.agreement(here, points, _EXPLAINED_WITHIN)
         return max(0.0, found - against), against
 
     def _look_around(self, stamp_ns: int, here: Pose, share: float, odometry: Pose, points: Floats) -> None:
@@ -252,24 +253,24 @@ class Localizer:
         settings = self.settings
         judge, quality = self._judge, self._judge.quality
         alarmed = quality < settings.poor or judge.refuted or judge.startled or judge.doubtful
-        every = settings.lost_search_every if alarmed else settings.search_every
+        every = _LOST_SEARCH_EVERY if alarmed else _SEARCH_EVERY
         pause = every * min(_PATIENCE, 1 + self._fruitless // _PATIENCE)
-        if max(share, quality) >= settings.sure or (stamp_ns - self._searched_ns) / 1e9 < pause:
+        if max(share, quality) >= _SURE or (stamp_ns - self._searched_ns) / 1e9 < pause:
             return
         self._searched_ns = stamp_ns
         self.searches += 1
         lost = quality < settings.good or judge.refuted or judge.doubtful
-        wanted = max(share + settings.better * (1.0 if lost else 2.0), settings.good)
-        windows = [Window(here.x, here.y, here.theta, settings.search_reach, settings.search_turn)]
+        wanted = max(share + _BETTER * (1.0 if lost else 2.0), settings.good)
+        windows = [SearchWindow(here.x, here.y, here.theta, settings.recovery, _SEARCH_TURN)]
         if (judge.carried and (judge.refuted or judge.doubtful)) or (quality < settings.poor and self._fruitless >= 2):
-            windows.append(Window(here.x, here.y, here.theta, settings.lost_reach, math.pi))
+            windows.append(SearchWindow(here.x, here.y, here.theta, _LOST_REACH, math.pi))
         for window in windows:
             poses, scores = self._search.best(points, window)
             shares = np.array([self._explained((pose[0], pose[1], pose[2]), points)[0] for pose in poses])
             better = shares >= wanted
             if better.any():
                 self._fruitless = 0
-                logs = scores[better] * min(1.0, settings.independent / len(points))
+                logs = scores[better] * min(1.0, _INDEPENDENT / len(points))
                 self._scatter(poses[better], logs, odometry)
                 return
         self._fruitless += 1
@@ -283,11 +284,7 @@ class Localizer:
         step = self._updated.inverse @ odometry
         particles = self._particles[kept]
         particle_filter.drive(
-            particles,
-            (step.x, step.y, step.theta),
-            self.settings.alphas,
-            self._rng,
-            holonomic=self.settings.holonomic,
+            particles, (step.x, step.y, step.theta), self._alphas, self._rng, holonomic=self.settings.holonomic
         )
         share = particle_filter.weighed(np.full(len(poses), 1.0 / len(poses)), logs)
         share = 0.5 * share + 0.5 / len(poses)

@@ -4,44 +4,58 @@ What YARP's ``localization2D_nws_yarp`` with a localiser below is to a YARP robo
 localiser or somebody else's, is a line of the configuration.
 """
 
+# ruff: noqa: N802, D102 - YARP's names, and `yarp_compat.dev.localization2d` says what each does
+
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from typing import Any
 
 from bridge.config.sections.localization_server import LocalizationServerSection
 from bridge.config.sections.section import Section
-from bridge.hub.qos import Durability, Qos
+from bridge.hub.wire.qos import LATCHED, Qos
 from bridge.modules.host import Host
 from bridge.modules.module import Module
-from bridge.stores.errors import StoreError
+from bridge.stores.entry import StoreError
 from bridge.stores.kinds import CURRENT, MAP
 from bridge.worker import Health
-from navigation.calls import Calls
-from navigation.frames import Frames, FramesError
-from navigation.localization_server.by_frames import Amcl, ByFrames
-from navigation.localization_server.device import Device
-from navigation.localization_server.estimate import Estimate, Floats, Status, unknown
-from navigation.localization_server.given import Port, Topic
-from navigation.localization_server.messages import POSE_COVARIANCE, plane_of, pose_of
-from navigation.localization_server.motion import Motion
+from navigation.frames import FramesError, RobotFrames
+from navigation.localization_server.estimate import (
+    POSE_COVARIANCE,
+    Floats,
+    LocalizationStatus,
+    OdometryEstimator,
+    PoseEstimate,
+    plane_of,
+    pose_of,
+    unknown,
+)
 from navigation.localization_server.other_server import OtherServer
-from navigation.localization_server.own import Own
-from navigation.localization_server.source import Source, Start
-from navigation.localization_server.told import Told
-from navigation.maps.grid import from_grid
+from navigation.localization_server.own import OwnLocalizer
+from navigation.localization_server.ports import PosePublisher
+from navigation.localization_server.sources import AmclSource, FrameSource, PortSource, PoseSource, Start, TopicSource
+from navigation.maps.grid import from_grid, same_walls
+from navigation.messages import GRID
 from navigation.pose import Pose
-from yarp_compat.dev.localization2d_server import Localization2DServer
-from yarp_compat.dev.mapgrid import MapFlag, MapGrid2D
-from yarp_compat.dev.odometry import OdometryData
+from navigation.yarp import Calls, location_of
+from yarp_compat.dev.basecontrol import OdometryData
+from yarp_compat.dev.localization2d import Localization2DServer
+from yarp_compat.dev.locations import Map2DLocation
+from yarp_compat.dev.mapgrid import MapGrid2D
+from yarp_compat.dev.returnvalue import CallFailed, ReturnCode
 
-_GRID = "nav_msgs/msg/OccupancyGrid"
-_LATCHED = Qos(durability=Durability.TRANSIENT_LOCAL, depth=1)
 _RESTS = "the localisation was stopped; startLocalizationService begins it again"
+
+_MOST_POSES = 500  # particles that an answer has at most: each is a whole location with its map's name
 
 
 class LocalizationServer(Module):
-    """Says where the robot is."""
+    """Says where the robot is.
+
+    Attributes:
+        source: who knows it: our own localiser, or whom the section names.
+    """
 
     name = "localization_server"
 
@@ -49,26 +63,26 @@ class LocalizationServer(Module):
         """Open what the section names."""
         assert isinstance(section, LocalizationServerSection)
         self._host, self._section = host, section
-        self._frames = Frames(host, section.map_frame, section.base_frame, section.odom_frame)
+        self._frames = RobotFrames(host, section.map_frame, section.base_frame, section.odom_frame)
         self._grid: MapGrid2D | None = None
         self._start: tuple[str, Start] | None = None
         self._resting = False
         self._trouble = ""
-        self._motion = Motion()
+        self._motion = OdometryEstimator()
         self._due = False
-        self._source = self._made()
-        self._told = Told(
+        self.source = self._made()
+        self._told = PosePublisher(
             host,
             self._frames,
             section.ports,
-            tf=section.publish_tf and self._source.corrects,
+            tf=section.publish_tf and self.source.corrects,
             ahead=section.tf_tolerance,
         )
         self._leave_maps: Callable[[], object] = lambda: None
         self._leave_maps = self._take_maps()
-        if self._source.hears_starts:
+        if self.source.hears_starts:
             host.node.subscription(section.initialpose, POSE_COVARIANCE, self._start_told, Qos(depth=1))
-        server = Localization2DServer(Device(self, Calls(host.loop)))
+        server = Localization2DServer(LocalizationDevice(self, Calls(host.loop)))
         for port in section.ports:
             host.yarp.serve(f"{port}/rpc", server)
         self._look()
@@ -86,53 +100,49 @@ class LocalizationServer(Module):
         self._leave_maps = self._take_maps()
         return True
 
-    def _made(self) -> Source:
+    def _made(self) -> PoseSource:
         given = self._host, self._section, self._frames
         match self._section.source or "own":
             case "amcl":
-                return Amcl(*given)
+                return AmclSource(*given)
             case "tf":
-                return ByFrames(*given)
+                return FrameSource(*given)
             case "topic":
-                return Topic(*given)
+                return TopicSource(*given)
             case "port":
-                return Port(*given)
+                return PortSource(*given)
             case "server":
                 return OtherServer(*given, lambda: self.map_name)
             case _:
-                return Own(*given)
+                return OwnLocalizer(*given)
 
     # what is asked
 
     @property
     def map_name(self) -> str:
-        """The map in use; "" where there is none."""
+        """The map in use; "" for none."""
         return self._grid.name if self._grid is not None else ""
 
-    def estimate(self) -> Estimate:
+    def estimate(self) -> PoseEstimate:
         """Where the robot is."""
-        found = self._source.estimate()
+        found = self.source.estimate()
         if self._resting:
-            return Estimate(found.pose, found.covariance, found.quality, Status.NOT_YET, _RESTS)
+            return PoseEstimate(found.pose, found.covariance, found.quality, LocalizationStatus.NOT_YET, _RESTS)
         return found
 
     def cloud(self) -> Floats:
         """Where it may be."""
-        return self._source.cloud()
+        return self.source.cloud()
 
     def odometry(self) -> OdometryData | None:
-        """Where the robot is on the map, and how fast; None where nobody knows."""
-        pose = self._source.estimate().pose
+        """The robot's pose on the map and its velocity, if known."""
+        pose = self.source.estimate().pose
         return None if pose is None else self._motion.data(pose)
 
     def begin(self, pose: Pose, covariance: Floats | None, map_name: str) -> None:
-        """Begin there, on that map (empty: the one in use).
-
-        Raises:
-            RuntimeError: it cannot be; the text says why.
-        """
+        """Begin there, on that map (empty: the one in use); raises `RuntimeError` with why it cannot."""
         if map_name in ("", self.map_name):
-            self._source.initial(pose, covariance)
+            self.source.initial(pose, covariance)
             return
         if not self._of_store:
             raise RuntimeError(f"the map in use is {self.map_name!r}, of {self._section.map}, not {map_name!r}")
@@ -150,16 +160,16 @@ class LocalizationServer(Module):
     def rest(self, *, on: bool) -> None:
         """Work no more, or again."""
         self._resting = on
-        self._source.rest(on=on)
+        self.source.rest(on=on)
 
     def _start_told(self, message: dict[str, Any]) -> None:
-        """On the topic on which rviz tells it."""
+        """Take a start from the topic that rviz publishes."""
         frame = message["header"]["frame_id"].lstrip("/")
         if frame not in ("", self._frames.map_frame):
             self._refuse_start(f"the start is in the frame {frame!r}, not in {self._frames.map_frame!r}")
             return
         try:
-            self._source.initial(pose_of(message["pose"]["pose"]), plane_of(message["pose"]["covariance"]))
+            self.source.initial(pose_of(message["pose"]["pose"]), plane_of(message["pose"]["covariance"]))
         except (RuntimeError, ValueError) as err:
             self._refuse_start(str(err))
 
@@ -173,14 +183,14 @@ class LocalizationServer(Module):
         return self._section.map in (None, "store")
 
     def _take_maps(self) -> Callable[[], object]:
-        """Hear of maps; what is given back ends it."""
+        """Follow the maps; the returned function ends that."""
         host, topic = self._host, str(self._section.map)
         if self._of_store:
             end = host.store.watch(self._store_changed, MAP, CURRENT)
             self._take_current()
             return end
         self._trouble = f"no map has come from {topic}"
-        heard = host.node.subscription(topic, _GRID, self._grid_told, _LATCHED)
+        heard = host.node.subscription(topic, GRID, self._grid_told, LATCHED)
         return lambda: host.node.release(heard)
 
     def _store_changed(self, _change: object) -> None:
@@ -217,11 +227,11 @@ class LocalizationServer(Module):
         self._use(grid)
 
     def _use(self, grid: MapGrid2D) -> None:
-        if _same(grid, self._grid):  # told again: who is localised on it stays so
+        if self._grid is not None and same_walls(grid, self._grid):  # told again: who is localised on it stays so
             return
         self._grid = grid
         told, self._start = self._start, None
-        self._source.use_map(grid, told[1] if told is not None and told[0] == grid.name else None)
+        self.source.use_map(grid, told[1] if told is not None and told[0] == grid.name else None)
 
     # what happens
 
@@ -231,18 +241,18 @@ class LocalizationServer(Module):
         except FramesError:
             self._motion.forget()
         found = self._look()
-        correction = None if self._resting else self._source.correction()
+        correction = None if self._resting else self.source.correction()
         odometry = None if found.pose is None else self._motion.data(found.pose)
         self._told.tell(found, correction, odometry, self.map_name)
 
-    def _look(self) -> Estimate:
-        """Where the robot is, kept for the threads that tell how we are: to ask the source is to change it."""
+    def _look(self) -> PoseEstimate:
+        """The estimate, kept for the threads that report health: asking the source would change it."""
         self._found, self._particles = self.estimate(), len(self.cloud())
         return self._found
 
     def _forget(self) -> None:
         self._motion.forget()
-        self._source.forget()
+        self.source.forget()
 
     # how it is
 
@@ -265,23 +275,52 @@ class LocalizationServer(Module):
             "pose": None if found.pose is None else list(found.pose[:3]),
             "particles": self._particles,
             "trouble": self._trouble,
-            **self._source.status(),
+            **self.source.status(),
         }
 
     def stop(self) -> None:
-        """Say that nobody knows any more, so that who drives by it stands at once; hear no more."""
+        """Publish that the pose is unknown, so that planners stand at once, and end all subscriptions."""
         self._told.tell(unknown("the localisation has ended"), None, None, self.map_name)
-        self._source.close()
+        self.source.close()
         self._leave_maps()
 
 
-def _same(one: MapGrid2D, other: MapGrid2D | None) -> bool:
-    """Whether two maps have the same walls in the same place, and the same name; what else is drawn does not matter."""
-    return (
-        other is not None
-        and one.name == other.name
-        and one.resolution == other.resolution
-        and one.origin == other.origin
-        and one.flags.shape == other.flags.shape
-        and all(((one.flags == flag) == (other.flags == flag)).all() for flag in (MapFlag.WALL, MapFlag.UNKNOWN))
-    )
+class LocalizationDevice:
+    """Methods run on threads of connections, work on the module's. Covariances: metres, radians, as ROS has them."""
+
+    def __init__(self, server: LocalizationServer, calls: Calls) -> None:
+        self._server, self._call = server, calls.do
+
+    def startLocalizationService(self) -> None:
+        self._call(lambda: self._server.rest(on=False))
+
+    def stopLocalizationService(self) -> None:
+        self._call(lambda: self._server.rest(on=True))
+
+    def getLocalizationStatus(self) -> str:
+        return self._call(lambda: self._server.estimate().status.value)
+
+    def getEstimatedPoses(self) -> list[Map2DLocation]:
+        cloud, name = self._call(lambda: (self._server.cloud(), self._server.map_name))
+        few = cloud[:: max(1, math.ceil(len(cloud) / _MOST_POSES))]
+        return [Map2DLocation(name, x, y, math.degrees(theta)) for x, y, theta in few.tolist()]
+
+    def getCurrentPosition(self) -> tuple[Map2DLocation, Floats]:
+        found, name = self._call(lambda: (self._server.estimate(), self._server.map_name))
+        if found.pose is None:
+            raise CallFailed(ReturnCode.METHOD_FAILED, found.reason)
+        return location_of(name, found.pose), found.covariance
+
+    def getEstimatedOdometry(self) -> OdometryData:
+        found = self._call(self._server.odometry)
+        if found is None:
+            raise CallFailed(ReturnCode.METHOD_FAILED, "it is not known where the robot is")
+        return found
+
+    def setInitialPose(self, loc: Map2DLocation, cov: Floats | None) -> None:
+        pose = Pose(loc.x, loc.y, math.radians(loc.theta))
+        given = cov if cov is not None and cov.any() else None  # nobody is as sure as zeros say
+        try:
+            self._call(lambda: self._server.begin(pose, given, loc.map_id))
+        except RuntimeError as err:
+            raise CallFailed(ReturnCode.METHOD_FAILED, str(err)) from None

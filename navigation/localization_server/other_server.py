@@ -11,13 +11,12 @@ import numpy as np
 
 from bridge.config.sections.localization_server import LocalizationServerSection
 from bridge.modules.host import Host
-from navigation.frames import Frames
-from navigation.localization_server.estimate import Estimate, Floats, Status
-from navigation.localization_server.given import Given
-from navigation.localization_server.source import Source, Start
+from navigation.frames import RobotFrames
+from navigation.localization_server.estimate import Floats, LocalizationStatus, PoseEstimate
+from navigation.localization_server.sources import Given, PoseSource, Start, start_covariance
 from navigation.pose import Pose
 from yarp_compat.dev.client import ServiceClient
-from yarp_compat.dev.ilocalization2d import ILocalization2DMsgs, LocalizationStatusEnum
+from yarp_compat.dev.localization2d import ILocalization2DMsgs
 from yarp_compat.dev.locations import Map2DLocation
 from yarp_compat.dev.mapgrid import MapGrid2D
 from yarp_compat.sig.matrix import Matrix
@@ -32,24 +31,17 @@ _PLANE = (3, 3)
 
 
 class OtherServer(Given):
-    """Gives on what another server says of the map that is in use here.
-
-    Args:
-        host: the module's.
-        section: names the server.
-        frames: where odometry says that the base is.
-        map_name: says which map is in use.
-    """
+    """Gives on what another server says of the map that is in use here."""
 
     hears_starts = True
 
     def __init__(
-        self, host: Host, section: LocalizationServerSection, frames: Frames, map_name: Callable[[], str]
+        self, host: Host, section: LocalizationServerSection, frames: RobotFrames, map_name: Callable[[], str]
     ) -> None:
-        super().__init__(host, section, frames)
+        super().__init__(host, section, frames, f"{section.server}/rpc")
         self._map_name, self._map = map_name, ""
         self._particles = np.empty((0, 3))
-        self._theirs = Status.NOT_YET
+        self._theirs = LocalizationStatus.NOT_YET
         self._naming, self._post = host.yarp.naming, host.loop.post
         self._lock = threading.Condition()
         self._wanted: tuple[Map2DLocation, Matrix] | None = None
@@ -57,17 +49,12 @@ class OtherServer(Given):
         self._thread = threading.Thread(target=self._run, name="midspan-other-localiser", daemon=True)
         self._thread.start()
 
-    @property
-    def place(self) -> str:
-        """The server's port."""
-        return f"{self._section.server}/rpc"
-
-    def estimate(self) -> Estimate:
+    def estimate(self) -> PoseEstimate:
         """What it said last."""
         found = super().estimate()
-        if found.status is Status.OK and self._theirs is not Status.OK:
+        if found.status is LocalizationStatus.OK and self._theirs is not LocalizationStatus.OK:
             why = f"{self.place} says {self._theirs.value}"
-            return Estimate(found.pose, found.covariance, found.quality, self._theirs, why)
+            return PoseEstimate(found.pose, found.covariance, found.quality, self._theirs, why)
         return found
 
     def cloud(self) -> Floats:
@@ -75,13 +62,12 @@ class OtherServer(Given):
         return self._particles
 
     def initial(self, pose: Pose, covariance: Floats | None) -> None:
-        """Tell it, as soon as its answer to the last question is there."""
+        """Send it the start, once it has answered the last question."""
         if not self._there:
             raise RuntimeError(f"{self.place} is not there")
         place = Map2DLocation(self._map_name(), pose.x, pose.y, math.degrees(pose.theta))
         if covariance is None:
-            metres, degrees = self._section.initial_spread
-            covariance = np.diag([metres**2, metres**2, math.radians(degrees) ** 2])
+            covariance = start_covariance(self._section)
         with self._lock:
             self._wanted = place, Matrix(covariance)
             self._lock.notify()
@@ -91,7 +77,7 @@ class OtherServer(Given):
         if grid.name != self._map:
             self.forget()
         self._map = grid.name
-        Source.use_map(self, grid, start)
+        PoseSource.use_map(self, grid, start)
 
     def _place(self, location: Map2DLocation, covariance: Floats | None) -> None:
         """Take where it says that the robot is, where that is on our map."""
@@ -155,7 +141,7 @@ class OtherServer(Given):
 
     def _ask(self, remote: ILocalization2DMsgs, *, cloud: bool) -> None:
         outcome, status = remote.get_localization_status_RPC()
-        theirs = _status(status) if outcome else Status.ERROR
+        theirs = LocalizationStatus(status.name.removeprefix(_STATUS)) if outcome else LocalizationStatus.ERROR
         self._post(lambda: setattr(self, "_theirs", theirs))
         outcome, location, covariance = remote.get_current_position2_RPC()
         whole = covariance.numpy() if outcome else np.zeros((0, 0))
@@ -168,7 +154,3 @@ class OtherServer(Given):
             outcome, locations = remote.get_estimated_poses_RPC()
             if outcome:
                 self._post(lambda: self._scatter(locations))
-
-
-def _status(status: LocalizationStatusEnum) -> Status:
-    return Status(status.name.removeprefix(_STATUS))

@@ -1,54 +1,52 @@
-"""Our own localiser, fed from the hub."""
+"""Midspan's own localiser, fed from the hub; it keeps its last pose over restarts."""
 
 from __future__ import annotations
 
+import json
 import math
+import os
+import time
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from bridge.config.sections.localization_server import LocalizationServerSection
-from bridge.hub.qos import Qos
+from bridge.hub.wire.qos import Qos
 from bridge.modules.host import Host
-from navigation.frames import LATE, Frames, FramesError
-from navigation.localization_server.estimate import Estimate, Floats, Status, unknown
-from navigation.localization_server.localizer import Localizer
-from navigation.localization_server.memory import Memory
-from navigation.localization_server.messages import stamp_ns
-from navigation.localization_server.scan import scan_points
-from navigation.localization_server.settings import Settings
-from navigation.localization_server.source import Source, Start
-from navigation.pose import Pose
-from navigation.scan import SCAN, ScanError, of_ros
+from bridge.routing.processes import process_name
+from navigation.frames import LATE, FramesError, RobotFrames
+from navigation.localization_server.estimate import Floats, LocalizationStatus, PoseEstimate, unknown
+from navigation.localization_server.localizer import SCAN_AGE, Localizer
+from navigation.localization_server.sources import PoseSource, Start, start_covariance
+from navigation.messages import stamp_ns
+from navigation.pose import Pose, wrapped
+from navigation.scan import SCAN, ScanError, of_ros, scan_points
 from yarp_compat.dev.mapgrid import MapGrid2D
 
 
-class Own(Source):
-    """The localiser, with the laser and the odometry of the hub.
-
-    Args:
-        host: the module's.
-        section: what to hear, and how to work.
-        frames: where the base and the laser are.
-    """
+class OwnLocalizer(PoseSource):
+    """The localiser, with the laser and the odometry of the hub."""
 
     hears_starts = True
     corrects = True
 
-    def __init__(self, host: Host, section: LocalizationServerSection, frames: Frames) -> None:
+    def __init__(self, host: Host, section: LocalizationServerSection, frames: RobotFrames) -> None:
         self._now_ns, self._frames, self._section = host.clock.now_ns, frames, section
-        self._settings = settings_of(section)
         self._localizer: Localizer | None = None
         self._trouble = "no map is there yet"
-        self._start = None if section.initial_pose is None else _pose(section.initial_pose)
+        self._start: Pose | None = None
+        if section.initial_pose is not None:
+            x, y, theta = section.initial_pose
+            self._start = Pose(x, y, math.radians(theta))
         self._memory, self._map, self._log = Memory(host.folder), "", host.log
         self._resting = self._unkept = False
         self._scans = self._left_out = 0
         self._laser = ""
         host.node.subscription(section.scan, SCAN, self._scan, Qos(depth=2))
 
-    def estimate(self) -> Estimate:
-        """Where the robot is now, or why nobody knows."""
+    def estimate(self) -> PoseEstimate:
+        """The estimate of now, or the reason why there is none."""
         localizer = self._localizer
         if localizer is None:
             return unknown(self._trouble)
@@ -57,7 +55,7 @@ class Own(Source):
         status, reason = localizer.check(self._now_ns())
         if "laser" in reason and self._laser:
             reason = f"{reason}: {self._laser}"
-        found = Estimate(found.pose, found.covariance, found.quality, status, reason)
+        found = PoseEstimate(found.pose, found.covariance, found.quality, status, reason)
         self._keep(found)
         return found
 
@@ -70,7 +68,7 @@ class Own(Source):
     def correction(self) -> Pose | None:
         """The odometry's frame on the map; None while the laser is silent: what does not hold any more ages."""
         localizer = self._localizer
-        if localizer is None or localizer.scan_age(self._now_ns()) > self._settings.scan_age:
+        if localizer is None or localizer.scan_age(self._now_ns()) > SCAN_AGE:
             return None
         return localizer.correction
 
@@ -84,7 +82,7 @@ class Own(Source):
             raise RuntimeError(f"nobody can be localised: {self._trouble}")
         self._heed_odometry(self._localizer)
         try:
-            self._localizer.initial(pose, covariance)
+            self._localizer.initial(pose, start_covariance(self._section) if covariance is None else covariance)
         except ValueError as err:
             raise RuntimeError(str(err)) from None
 
@@ -97,7 +95,7 @@ class Own(Source):
         if start is None and (first := self._first()) is not None:
             start = Start(first)
         try:
-            self._localizer = Localizer(grid, self._settings)
+            self._localizer = Localizer(grid, self._section.localiser)
         except ValueError as err:
             self._localizer, self._trouble = None, str(err)
             return
@@ -105,13 +103,13 @@ class Own(Source):
             self.initial(*start)
 
     def _first(self) -> Pose | None:
-        """Where to begin, of what is known: where the robot was in this run, what the section says, where it was."""
+        """The start: the last pose of this run, else the section's, else the last pose of an earlier run."""
         memory, name = self._memory, self._map
         return memory.recall(name, of_this_run=True) or self._start or memory.recall(name, of_this_run=False)
 
-    def _keep(self, found: Estimate, *, now: bool = False) -> None:
+    def _keep(self, found: PoseEstimate, *, now: bool = False) -> None:
         """Keep where the robot is."""
-        if found.pose is None or found.status is not Status.OK:
+        if found.pose is None or found.status is not LocalizationStatus.OK:
             return
         try:
             self._memory.keep(self._map, found.pose, now=now)
@@ -163,25 +161,51 @@ class Own(Source):
         return scan_points(turn, self._frames.transform(self._frames.base_frame, frame))
 
 
-def settings_of(section: LocalizationServerSection) -> Settings:
-    """The localiser's settings."""
-    how = section.localiser
-    a1, a2, a3, a4, a5 = how.odom_alpha
-    return Settings(
-        particles=how.particles,
-        beams=how.beams,
-        holonomic=how.holonomic,
-        alphas=(a1, a2, a3, a4, a5),
-        sigma=how.laser_sigma,
-        hit=how.laser_hit,
-        update_distance=how.update_min_d,
-        update_angle=math.radians(how.update_min_a),
-        initial_spread=(section.initial_spread[0], math.radians(section.initial_spread[1])),
-        good=how.good,
-        poor=how.poor,
-        search_reach=how.recovery,
-    )
+_MOVED, _TURNED = 0.05, math.radians(3.0)
+_EVERY = 2.0  # seconds between two writes, at least
 
 
-def _pose(told: tuple[float, float, float]) -> Pose:
-    return Pose(told[0], told[1], math.radians(told[2]))
+class Memory:
+    """One file."""
+
+    def __init__(self, folder: Path) -> None:
+        self._file = folder / "pose.json"
+        self._kept: tuple[str, Pose] | None = None
+        self._written = -math.inf
+
+    def keep(self, map_name: str, pose: Pose, *, now: bool = False) -> None:
+        """Keep a pose where the robot has moved, at most every 2 s unless ``now``; raises `OSError` if it cannot."""
+        if self._kept is not None and not self._far(map_name, pose, self._kept):
+            return
+        if not now and time.monotonic() - self._written < _EVERY:
+            return
+        self._kept, self._written = (map_name, pose), time.monotonic()
+        new = self._file.with_suffix(".new")
+        new.write_text(json.dumps({"map": map_name, "pose": pose[:3], "run": _run()}), encoding="utf-8")
+        new.replace(self._file)
+
+    def recall(self, map_name: str, *, of_this_run: bool) -> Pose | None:
+        """The pose that was kept on a map, if any.
+
+        Args:
+            map_name: the map in use.
+            of_this_run: only one that was kept since the daemon began, so that nobody moved the robot since.
+        """
+        try:
+            kept = json.loads(self._file.read_text(encoding="utf-8"))
+            x, y, theta = map(float, kept["pose"])
+        except (OSError, ValueError, KeyError, TypeError):
+            return None
+        if kept.get("map") != map_name or (of_this_run and kept.get("run") != (_run() or None)):
+            return None
+        return Pose(x, y, theta) if math.isfinite(x + y + theta) else None
+
+    @staticmethod
+    def _far(map_name: str, pose: Pose, kept: tuple[str, Pose]) -> bool:
+        turned = abs(wrapped(pose.theta - kept[1].theta))
+        return map_name != kept[0] or pose.distance(kept[1]) > _MOVED or turned > _TURNED
+
+
+def _run() -> str:
+    """The daemon's process, by more than its number, which is 1 in every container; "" if unknown."""
+    return process_name(os.getppid())

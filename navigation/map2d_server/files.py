@@ -5,16 +5,68 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from bridge.stores.kinds import AREA, BEHAVIOUR, LINK, LOCATION, MAP, OBJECT, PATH, Kind
+from bridge.stores.kinds import AREA, BEHAVIOUR, LINK, LOCATION, MAP, OBJECT, PATH, ValueKind
 from bridge.stores.store import Store, Write
-from navigation.map2d_server.folder import MapsFolder
 from yarp_compat.dev.extras import Extras, extras_file
-from yarp_compat.dev.mapcollection import load_maps, save_maps
 from yarp_compat.dev.mapgrid import MapGrid2D
-from yarp_compat.dev.places import Places
+from yarp_compat.dev.places import Places, load_maps, save_maps
+
+_LONGEST = 200
+
+
+class MapsFolder:
+    """Turns what a client calls a file into a path. There is no other folder for it, and none below this one.
+
+    Args:
+        path: the folder; made when something is written.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+
+    def file(self, name: str, *suffixes: str) -> Path:
+        """The file of a name.
+
+        Args:
+            name: as the client said it.
+            suffixes: one of which the name must have, such as ``.yaml``; the first is added to a name without any.
+
+        Raises:
+            ValueError: it is no plain name, or leads out of the folder; the text is for the client's user.
+        """
+        if not name or len(name.encode(errors="replace")) > _LONGEST or not name.isprintable():
+            raise ValueError(f"{name[:60]!r} is no name of a file: it has 1 to {_LONGEST} bytes that can be printed")
+        if name[0] == "." or any(sign in name for sign in "/\\:"):
+            raise ValueError(
+                f"{name[:60]!r} is refused: give the plain name of a file in the maps folder, without a path"
+            )
+        if suffixes and not name.lower().endswith(suffixes):
+            if "." in name:
+                raise ValueError(f"{name[:60]!r} is refused: its name should end in {' or '.join(suffixes)}")
+            name += suffixes[0]
+        found = self.path / name
+        if found.is_symlink() and not found.resolve().is_relative_to(self.path.resolve()):
+            raise ValueError(f"{name[:60]!r} is refused: it is a link that leads out of the maps folder")
+        return found
+
+    def existing(self, name: str, *suffixes: str) -> Path:
+        """As `file`, of one that is there, with a suffix if it has none; raises `FileNotFoundError`."""
+        found = self.file(name, *suffixes)
+        others = [found.with_name(name + suffix) for suffix in suffixes if found.name != name]
+        for each in (found, *others):
+            if each.is_file():
+                return self.file(each.name, *suffixes)
+        raise FileNotFoundError(f"there is no file {name!r} in the maps folder")
+
+    def new(self, name: str, *suffixes: str) -> Path:
+        """As :meth:`file`, of one that is to be written: the folder is there afterwards."""
+        found = self.file(name, *suffixes)
+        self.path.mkdir(parents=True, exist_ok=True)
+        return found
+
 
 _YARP, _ROS, _LIST = ".map", (".yaml", ".yml"), ".ini"
-_PLACES: dict[str, Kind[Any]] = {"locations": LOCATION, "objects": OBJECT, "areas": AREA, "paths": PATH}
+_PLACES: dict[str, ValueKind[Any]] = {"locations": LOCATION, "objects": OBJECT, "areas": AREA, "paths": PATH}
 
 
 class MapFiles:
@@ -24,8 +76,6 @@ class MapFiles:
     `StoreError` for the store's.
 
     Args:
-        folder: where the files are.
-        store: what is written and read.
         maps: the collection that was imported at the start, wherever it is; None for none.
         locations: the file of places that was, likewise.
     """
@@ -107,7 +157,7 @@ class MapFiles:
     def _take_places(self, path: Path, jail: Path | None) -> None:
         places, beside = Places.load(path, jail), extras_file(path)
         extras = Extras.load(beside, jail) if beside.exists() else Extras()
-        found: dict[Kind[Any], dict[str, Any]] = {kind: getattr(places, name) for name, kind in _PLACES.items()}
+        found: dict[ValueKind[Any], dict[str, Any]] = {kind: getattr(places, name) for name, kind in _PLACES.items()}
         found |= {BEHAVIOUR: extras.behaviours, LINK: extras.links}
         self._store.write(
             [Write(kind, name, value) for kind, values in found.items() for name, value in values.items()]

@@ -10,48 +10,33 @@ import numpy as np
 
 from bridge.config.sections.maps import TakenMap
 from bridge.hub.graph import HubEndpoint
+from bridge.hub.wire.qos import LATCHED
+from bridge.modules.endpoints import Subscription
 from bridge.modules.host import Host
-from bridge.modules.node import Subscription
-from bridge.stores.errors import StoreError
+from bridge.stores.entry import StoreError
 from bridge.stores.kinds import LOCATION, MAP
 from bridge.stores.store import Store
-from navigation.map2d_server.messages import GRID, LATCHED, Message
 from navigation.maps.grid import from_grid
+from navigation.messages import GRID, Message
 from yarp_compat.dev.locations import Map2DLocation
 from yarp_compat.dev.mapgrid import MapFlag, MapGrid2D
 
 _log = logging.getLogger(__name__)
 
-_SETTLE = 0.3
-"""Seconds after which the graph knows who sent a map."""
-
+_SETTLE = 0.3  # seconds after which the graph knows the sender of a map
 _MOST_POINTS = 10_000
 
 
-class Intake:
-    """Takes the maps of one topic.
-
-    What another Map2DServer publishes is none of them: that is in the store already.
-
-    Args:
-        host: of the module.
-        rule: what to take.
-        store: where to.
-        told: hears why a map was refused.
-    """
+class MapIntake:
+    """Takes the maps of one topic, but none of another Map2DServer: those are in the store already."""
 
     def __init__(self, host: Host, rule: TakenMap, store: Store, told: Callable[[str], None]) -> None:
         self._host, self._rule, self._store, self._told = host, rule, store, told
         self._waiting: tuple[bytes, Message] | None = None
         self._due = False
         self._next = 0.0
-        self.taken = 0
+        self.topic, self.taken = rule.topic, 0
         self._end: Subscription = host.node.subscription(rule.topic, GRID, self._heard, LATCHED)
-
-    @property
-    def topic(self) -> str:
-        """Where the maps come from."""
-        return self._rule.topic
 
     def _heard(self, message: Message) -> None:
         self._waiting = (self._end.sender, message)
@@ -63,7 +48,8 @@ class Intake:
     def _take(self) -> None:
         self._due = False
         waiting, self._waiting = self._waiting, None
-        if waiting is None or self._is_ours(waiting[0]):
+        publishers = self._host.node.hub.graph.publishers(self.topic)
+        if waiting is None or any(each.gid == waiting[0] and is_ours(each) for each in publishers):
             return
         self._next = time.monotonic() + self._rule.period
         try:
@@ -82,9 +68,6 @@ class Intake:
             _log.info("%s: taken into the store as map %r", self.topic, name)
         if self._rule.use and self._store.current_map() != name:
             self._store.use_map(name)
-
-    def _is_ours(self, gid: bytes) -> bool:
-        return any(each.gid == gid for each in self._host.node.hub.graph.publishers(self.topic) if is_ours(each))
 
 
 class ClickedPoints:

@@ -14,17 +14,14 @@ from bridge.config.sections.maps import Map2DServerSection
 from bridge.config.sections.section import Section
 from bridge.modules.host import Host
 from bridge.modules.module import Module
-from bridge.stores.errors import StoreError
+from bridge.stores.entry import StoreError
 from bridge.stores.kinds import AREA, BEHAVIOUR, CURRENT, LOCATION, MAP, OBJECT, PATH
 from bridge.stores.store import Change
 from bridge.worker import Health
-from navigation.map2d_server.answers import MapAnswers
-from navigation.map2d_server.commands import MapCommands
-from navigation.map2d_server.files import MapFiles
-from navigation.map2d_server.folder import MapsFolder
-from navigation.map2d_server.intake import ClickedPoints, Intake, is_ours
-from navigation.map2d_server.messages import Head
-from navigation.map2d_server.outlets import MAP_TOPIC, AllMaps, CurrentMap, Keys, Markers, Masks
+from navigation.map2d_server.files import MapFiles, MapsFolder
+from navigation.map2d_server.imap2d import MapAnswers, MapCommands
+from navigation.map2d_server.intake import ClickedPoints, MapIntake, is_ours
+from navigation.map2d_server.publishers import MAP_TOPIC, AllMaps, CurrentMap, Head, Keys, Markers, Masks
 from navigation.map2d_server.services import MapServices
 
 _log = logging.getLogger(__name__)
@@ -51,7 +48,7 @@ class Map2DServer(Module):
         self._maps = AllMaps(node, self._store, head)
         self._masks = Masks(node, self._store, head)
         self._markers = Markers(node, self._store, head)
-        self._intakes = [Intake(host, rule, self._store, self._told) for rule in section.take]
+        self._intakes = [MapIntake(host, rule, self._store, self._told) for rule in section.take]
         self._others: list[str] = []
         self._closing = [self._store.watch(self._heard, *_SHOWN), node.hub.graph.watch(self._graph_changed)]
         self._graph_due = False
@@ -86,7 +83,7 @@ class Map2DServer(Module):
         }
 
     def stop(self) -> None:
-        """Hear no more of the store."""
+        """Stop following the store."""
         for close in self._closing:
             close()
 

@@ -4,16 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from bridge.hub.call import CallError
-from bridge.modules.node import Node
+from bridge.hub.endpoints.calls import CallError
+from bridge.modules.host import Node
 from bridge.modules.services import Answer
-from bridge.stores.errors import StoreError
+from bridge.stores.entry import StoreError
 from bridge.stores.kinds import MAP
 from bridge.stores.store import Store
 from navigation.map2d_server.files import MapFiles
-from navigation.map2d_server.messages import Message
-from navigation.map2d_server.outlets import MAP_TOPIC, AllMaps, CurrentMap
-from navigation.maps.turned import turned
+from navigation.map2d_server.publishers import MAP_TOPIC, AllMaps, CurrentMap
+from navigation.maps.grid import turned
+from navigation.messages import Message
 from yarp_compat.dev.mapgrid import MapGrid2D
 
 _SUCCESS, _NOT_THERE, _INVALID = 0, 1, 2
@@ -24,22 +24,11 @@ class MapServices:
     """Serves the current map, and changes it.
 
     Args:
-        node: on which they are served.
-        store: where maps are.
         files: where clients may load from and save to.
-        current: the current map.
-        maps: the topics of all maps.
-        told: hears why a call was refused.
     """
 
     def __init__(
-        self,
-        node: Node,
-        store: Store,
-        files: MapFiles,
-        current: CurrentMap,
-        maps: AllMaps,
-        told: Callable[[str], None],
+        self, node: Node, store: Store, files: MapFiles, current: CurrentMap, maps: AllMaps, told: Callable[[str], None]
     ) -> None:
         self._store, self._files, self._current, self._maps = store, files, current, maps
         self._told = told

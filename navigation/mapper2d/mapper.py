@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
+from bridge.config.sections.mapper2d import Mapper2DSection
 from navigation.algorithms.occupancy import LEAST, MOST, OccupancyMap
-from navigation.maps.turned import turned
+from navigation.maps.grid import turned
 from navigation.pose import Pose
 from yarp_compat.dev.mapflag import UNKNOWN, MapFlag
 from yarp_compat.dev.mapgrid import MapGrid2D
@@ -18,41 +18,13 @@ PAINTS = {"wall": MapFlag.WALL, "free": MapFlag.FREE, "unknown": MapFlag.UNKNOWN
 """What can be painted, by the names of upstream's ``set_pixel_type``."""
 
 MOST_BRUSH = 200
-_BARE = 255
-"""Nobody painted here."""
-
-_STEP = 5.0
-"""Metres by which the map grows at a side, so that it does not at every scan."""
-
+_BARE = 255  # nobody painted here
+_STEP = 5.0  # metres by which the map grows at a side, so that it does not at every scan
 _SURE = 1e-3
-
-
-@dataclass(frozen=True)
-class Settings:
-    """What a map is made by.
-
-    Attributes:
-        name: the map's.
-        width: metres at the start, about the first pose.
-        height: likewise.
-        resolution: metres a cell.
-        farthest: metres beyond which a beam says nothing.
-        largest: metres that a side grows to.
-    """
-
-    name: str = "map"
-    width: float = 10.0
-    height: float = 10.0
-    resolution: float = 0.05
-    farthest: float = 10.0
-    largest: float = 200.0
 
 
 class Mapper:
     """Makes a map of scans whose poses are known. It has no thread and no clock of its own.
-
-    Args:
-        settings: what it is made by.
 
     Attributes:
         name: the map's; may be changed.
@@ -62,8 +34,9 @@ class Mapper:
         enlarged: metres around obstacles that are marked on the maps that are given out.
     """
 
-    def __init__(self, settings: Settings) -> None:
-        self.settings, self.name = settings, settings.name
+    def __init__(self, settings: Mapper2DSection) -> None:
+        self.settings, self.name = settings, settings.map_name
+        self._largest = max(settings.largest, settings.width, settings.height)
         self.mapping = True
         self.enlarged = 0.0
         self._fan: tuple[int, float, float, NDArray[np.float64], NDArray[np.float64]]
@@ -76,7 +49,7 @@ class Mapper:
         self._begin((0.0, 0.0))
 
     def scan(self, pose: Pose, ranges: NDArray[np.floating], first: float, step: float, farthest: float) -> bool:
-        """Take a scan; whether it was taken.
+        """Take a scan; whether it was taken. Raises `ValueError` if the pose is not finite.
 
         Args:
             pose: of the laser on the map.
@@ -84,9 +57,6 @@ class Mapper:
             first: the first beam's angle from the laser's direction, radians.
             step: the angle from a beam to the next.
             farthest: metres that the laser measures.
-
-        Raises:
-            ValueError: the pose is not finite.
         """
         if not self.mapping:
             return False
@@ -94,7 +64,7 @@ class Mapper:
             raise ValueError(f"a scan's pose is finite, not {pose[:3]}")
         beams: NDArray[np.float64] = np.asarray(ranges, np.float64)
         farthest = min(farthest, self.settings.farthest)
-        if not self.scans and not self._known():
+        if not (self.scans or self._map.odds.any() or (self._paint != _BARE).any()):
             self._begin((pose.x, pose.y))
         self._reach(pose, np.where((beams > 0.0) & (beams <= farthest), beams, 0.0), first, step)
         self._map.insert((pose.x, pose.y, pose.theta), beams, first, step, farthest)
@@ -102,16 +72,12 @@ class Mapper:
         return True
 
     def enlarge(self, metres: float) -> None:
-        """Add so much of the unknown at each side.
-
-        Raises:
-            ValueError: that is not above 0, or the map would be too large.
-        """
+        """Add so much of the unknown at each side; raises `ValueError` for no distance, or where that is too large."""
         if not metres > 0.0:
             raise ValueError(f"a map is enlarged by metres above 0, not by {metres:g}")
         cells = math.ceil(min(metres, 1e6) / self.settings.resolution)
         if not self._grow(cells, cells, cells, cells):
-            raise ValueError(f"the map would have a side of more than {self.settings.largest:g} m (modules.mapper2d)")
+            raise ValueError(f"the map would have a side of more than {self._largest:g} m (modules.mapper2d)")
 
     def paint(self, at: tuple[float, float], flag: MapFlag, brush: int, to: tuple[float, float] | None = None) -> int:
         """Paint a square, or a line of squares; how many cells that were.
@@ -163,9 +129,7 @@ class Mapper:
         """Go on with another map; its cells' size must be ours.
 
         Walls and free cells of it are as if the laser had found them, keep-out cells as if they had been painted.
-
-        Raises:
-            ValueError: its cells have another size, or it is too large.
+        Raises `ValueError` if its cells have another size, or it is too large.
         """
         grid = turned(grid)
         if abs(grid.resolution - self.settings.resolution) > 1e-6:
@@ -173,8 +137,8 @@ class Mapper:
                 f"the map's cells are of {grid.resolution:g} m, Mapper2D's of {self.settings.resolution:g} m: "
                 "set modules.mapper2d.resolution"
             )
-        if max(grid.getSize_in_meters()) > self.settings.largest + _SURE:
-            raise ValueError(f"the map is larger than {self.settings.largest:g} m (modules.mapper2d.largest)")
+        if max(grid.getSize_in_meters()) > self._largest + _SURE:
+            raise ValueError(f"the map is larger than {self._largest:g} m (modules.mapper2d.largest)")
         x, y, _ = grid.getOrigin()
         self._map = OccupancyMap(grid.height(), grid.width(), self.settings.resolution, (x, y))
         flags, occupancy = grid.flags[::-1], grid.occupancy[::-1]
@@ -198,9 +162,6 @@ class Mapper:
         origin = tuple(round(at / cell - cells / 2) * cell for at, cells in zip(middle, (columns, rows), strict=True))
         self._map = OccupancyMap(rows, columns, cell, (origin[0], origin[1]))
         self._paint = np.full((rows, columns), _BARE, np.uint8)
-
-    def _known(self) -> bool:
-        return bool(self._map.odds.any() or (self._paint != _BARE).any())
 
     def _reach(self, pose: Pose, hits: NDArray[np.float64], first: float, step: float) -> None:
         """Grow until the robot and all that it sees is on the map, as far as the map may; ``hits``: metres or 0."""
@@ -228,7 +189,7 @@ class Mapper:
     def _grow(self, below: int, above: int, left: int, right: int) -> bool:
         """Add cells at the sides; False where the map would be too large, and then nothing is done."""
         rows, columns = self._map.odds.shape
-        most = self.settings.largest / self.settings.resolution + _SURE
+        most = self._largest / self.settings.resolution + _SURE
         if max(rows + below + above, columns + left + right) > most:
             return False
         self._map.grow(below, above, left, right)

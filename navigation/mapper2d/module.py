@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 import math
 from collections import deque
 from collections.abc import Callable
@@ -10,33 +9,32 @@ from typing import Any, NamedTuple
 
 from bridge.config.sections.mapper2d import Mapper2DSection
 from bridge.config.sections.section import Section
-from bridge.hub.qos import Durability, Qos
+from bridge.hub.wire.qos import LATCHED, Qos
+from bridge.messages.scan import Turn
 from bridge.modules.host import Host
 from bridge.modules.module import Module
 from bridge.modules.services import Answer
-from bridge.stores.errors import StoreError
+from bridge.stores.entry import StoreError
 from bridge.worker import Health
-from navigation.connected import Connected
 from navigation.frames import FramesError
-from navigation.map2d_server.folder import MapsFolder
-from navigation.mapper2d.canvas import Canvas
-from navigation.mapper2d.mapper import Mapper, Settings
+from navigation.ini import laid_under
+from navigation.map2d_server.files import MapsFolder
+from navigation.mapper2d.commands import Canvas, MapperCommands
+from navigation.mapper2d.mapper import Mapper
 from navigation.mapper2d.poses import COVARIANT, Poses, of_message, sent
-from navigation.mapper2d.settings import with_file
-from navigation.mapper2d.words import Words
-from navigation.maps.cdr import to_cdr
+from navigation.mapper2d.settings import read_file
+from navigation.maps.grid import to_cdr
+from navigation.messages import GRID, stamp_ns
 from navigation.pose import Pose
-from navigation.scan import SCAN, ScanError, Turn, believed, of_ros, of_yarp
-from yarp_compat.dev.laserscan import LaserScan2D
+from navigation.scan import SCAN, ScanError, believed, of_ros, of_yarp
+from navigation.yarp import PortConnection
+from yarp_compat.dev.rangefinder import LaserScan2D
 from yarp_compat.pythonic import Received
 from yarp_compat.wire.errors import WireError
 
-GRID, TRIGGER = "nav_msgs/msg/OccupancyGrid", "std_srvs/srv/Trigger"
-LATCHED = Qos(durability=Durability.TRANSIENT_LOCAL, depth=1)
+TRIGGER = "std_srvs/srv/Trigger"
 
-_WAITING = 20
-"""Scans that may wait until it is known where they were made."""
-
+_WAITING = 20  # scans that may wait until it is known where they were made
 _PATIENCE_NS = 1_000_000_000
 _BEAT = 0.05
 _SILENT_NS = 2_000_000_000
@@ -58,20 +56,12 @@ class Mapper2D(Module):
     def start(self, host: Host, section: Section) -> None:
         """Open what the section names, and begin to map."""
         assert isinstance(section, Mapper2DSection)
-        section, self._notes = with_file(section)
+        self._section, self._notes = laid_under(section, section.ini, read_file)
+        section = self._section
         for note in self._notes:
             host.log.warning("%s", note)
-        self._host, self._section = host, section
-        self.mapper = Mapper(
-            Settings(
-                name=section.map_name,
-                width=section.width,
-                height=section.height,
-                resolution=section.resolution,
-                farthest=section.farthest,
-                largest=max(section.largest, section.width, section.height),
-            )
-        )
+        self._host = host
+        self.mapper = Mapper(section)
         self.mapper.mapping = section.mapping
         self._waiting: deque[_Scan] = deque(maxlen=_WAITING)
         self._heard: int | None = None
@@ -80,7 +70,7 @@ class Mapper2D(Module):
         self._poses = Poses(host, section)
         self._canvas = Canvas(self.mapper)
         folder = MapsFolder(section.folder or host.folder / "maps")
-        self._words = Words(self.mapper, self._canvas, self._poses, lambda: host.store, folder)
+        self._words = MapperCommands(self.mapper, self._canvas, self._poses, lambda: host.store, folder)
         if section.scan:
             host.node.subscription(section.scan, SCAN, self._hear, Qos(depth=5))
         self._map = host.node.publisher(section.topic, GRID, LATCHED, priority="state") if section.topic else None
@@ -100,7 +90,7 @@ class Mapper2D(Module):
         pairs = [(self._section.laser_port, mine)]
         if self._section.pose == "port":
             pairs.append((self._section.pose_port, f"{prefix}/odometry:i"))
-        self._connected = [Connected(host.yarp.naming, theirs, ours) for theirs, ours in pairs if theirs]
+        self._connected = [PortConnection(host.yarp.naming, theirs, ours) for theirs, ours in pairs if theirs]
         for word, done in (("start", "mapping"), ("stop", "not mapping")):
             host.node.server(f"/{self.name}/{word}", TRIGGER, self._trigger(word, done))
         host.node.server(f"/{self.name}/save", TRIGGER, self._save)
@@ -116,7 +106,7 @@ class Mapper2D(Module):
     def _hear(self, message: dict[str, Any]) -> None:
         self._heard = now = self._host.clock.now_ns()
         header = message["header"]
-        stamp = header["stamp"]["sec"] * 1_000_000_000 + header["stamp"]["nanosec"]
+        stamp = stamp_ns(header)
         try:
             self._take(_Scan(now, header["frame_id"], of_ros(message, stamp or now)))
         except ScanError as err:
@@ -141,7 +131,7 @@ class Mapper2D(Module):
         self._work()
 
     def _work(self) -> None:
-        """Map the scans whose poses are known by now; those that nobody says a pose of are dropped."""
+        """Map the scans whose poses are known by now, and drop those whose poses never come."""
         now = self._host.clock.now_ns()
         while self._waiting:
             scan, turn = self._waiting[0], self._waiting[0].turn
@@ -161,14 +151,14 @@ class Mapper2D(Module):
             self._waiting.popleft()
 
     def _forget(self) -> None:
-        """The clock was set back: what was heard by it is no more."""
+        """Forget the scans of the time before the clock was set back."""
         self._waiting.clear()
         self._heard = None
 
     def _drop(self, why: str) -> None:
         self._dropped += 1
         if why != self._trouble:
-            self._host.log.log(logging.WARNING, "a scan is left out: %s", why)
+            self._host.log.warning("a scan is left out: %s", why)
         self._trouble = why
 
     def _tell(self) -> None:

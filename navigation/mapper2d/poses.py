@@ -8,17 +8,18 @@ from collections.abc import Mapping
 from typing import Any
 
 from bridge.config.sections.mapper2d import Mapper2DSection
-from bridge.hub.qos import Qos
+from bridge.hub.wire.qos import Qos
 from bridge.modules.host import Host
 from bridge.tf.buffer import TransformBuffer
 from bridge.tf.errors import TransformError
 from bridge.tf.transform import LATEST
-from navigation.frames import Frames, FramesError, flat
+from navigation.frames import FramesError, RobotFrames, flat
 from navigation.maps.grid import yaw_of
+from navigation.messages import stamp_ns
 from navigation.pose import Pose
+from yarp_compat.dev.basecontrol import OdometryData
 from yarp_compat.dev.locations import Map2DLocation
-from yarp_compat.dev.odometry import OdometryData
-from yarp_compat.os.stamp import Stamp
+from yarp_compat.os.data.stamp import Stamp
 from yarp_compat.pythonic import Received
 from yarp_compat.wire.errors import WireError
 
@@ -27,7 +28,7 @@ COVARIANT = "geometry_msgs/msg/PoseWithCovarianceStamped"
 _THERE, _ROBOT = "there", "robot"
 
 
-class Robot(ABC):
+class RobotPoses(ABC):
     """Says where the robot was."""
 
     @abstractmethod
@@ -35,10 +36,10 @@ class Robot(ABC):
         """Its pose at a time (ns, or `LATEST`); raises `FramesError` where that is not known, or not yet."""
 
 
-class ByFrames(Robot):
+class FramePoses(RobotPoses):
     """By the frames of all sides: odometry then, in what localisation says of the odometry's frame now."""
 
-    def __init__(self, frames: Frames) -> None:
+    def __init__(self, frames: RobotFrames) -> None:
         self._frames = frames
 
     def at(self, stamp: int) -> Pose:
@@ -53,8 +54,8 @@ class ByFrames(Robot):
         return correction @ frames.transform(frames.odom_frame, frames.base_frame, stamp)
 
 
-class Told(Robot):
-    """By poses that are told one by one; between two it is where one would expect."""
+class PosesInTime(RobotPoses):
+    """Interpolates between poses that come one by one."""
 
     def __init__(self, host: Host, who: str) -> None:
         self._host, self._who = host, who
@@ -77,27 +78,22 @@ class Told(Robot):
 
 
 class Poses:
-    """Where the laser was, by what the section says.
-
-    Args:
-        host: gives topics and ports.
-        section: names them.
-    """
+    """Where the laser was, by what the section says."""
 
     def __init__(self, host: Host, section: Mapper2DSection) -> None:
-        self._frames = Frames(host, section.map_frame, section.base_frame, section.odom_frame)
+        self._frames = RobotFrames(host, section.map_frame, section.base_frame, section.odom_frame)
         self._mount = None if section.laser is None else _degrees(*section.laser)
         self._offset = Pose(0.0, 0.0, 0.0)
         self._wanted: Pose | None = None
-        self._robot: Robot = ByFrames(self._frames)
+        self._robot: RobotPoses = FramePoses(self._frames)
         if section.pose == "topic":
-            self._robot = told = Told(host, section.pose_topic)
+            self._robot = told = PosesInTime(host, section.pose_topic)
             for kind in (ODOMETRY, POSE, COVARIANT):
                 host.node.subscription(
-                    section.pose_topic, kind, lambda m: told.tell(_stamp(m), *of_message(m)), Qos(depth=100)
+                    section.pose_topic, kind, lambda m: told.tell(stamp_ns(m["header"]), *of_message(m)), Qos(depth=100)
                 )
         elif section.pose == "port":
-            self._robot = given = Told(host, f"{section.prefix}/odometry:i")
+            self._robot = given = PosesInTime(host, f"{section.prefix}/odometry:i")
             host.yarp.input(f"{section.prefix}/odometry:i", lambda received: _take(given, received))
 
     def laser(self, frame: str, stamp: int) -> Pose:
@@ -138,7 +134,7 @@ def of_message(message: Mapping[str, Any]) -> tuple[float, float, float]:
     return pose["position"]["x"], pose["position"]["y"], yaw_of(pose["orientation"])
 
 
-def _take(told: Told, received: Received) -> None:
+def _take(told: PosesInTime, received: Received) -> None:
     """A pose of YARP: an OdometryData, a Map2DLocation, or ``x y theta_deg``."""
     pose = _of_yarp(received)
     if not all(map(math.isfinite, pose[:3])):
@@ -176,8 +172,3 @@ def sent(envelope: str) -> int:
 
 def _degrees(x: float, y: float, theta: float) -> Pose:
     return Pose(x, y, math.radians(theta))
-
-
-def _stamp(message: Mapping[str, Any]) -> int:
-    stamp = message["header"]["stamp"]
-    return int(stamp["sec"]) * 1_000_000_000 + int(stamp["nanosec"])

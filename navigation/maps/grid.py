@@ -7,14 +7,15 @@ where the map is turned, see :mod:`yarp_compat.dev.mapinfo`; every cell stays in
 from __future__ import annotations
 
 import math
+import struct
 from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from navigation.maps.kernels import joining, parting
-from yarp_compat.dev.mapflag import MAX_CELLS, too_large
+from navigation.maps.kernels import join, part
+from yarp_compat.dev.mapflag import MAX_CELLS, UNKNOWN, MapFlag, looked_up, too_large
 from yarp_compat.dev.mapgrid import MapGrid2D
 from yarp_compat.dev.mapinfo import MapGrid2DInfo, MapGrid2DOrigin
 
@@ -25,7 +26,7 @@ def to_grid(grid: MapGrid2D, frame: str = "map", stamp_ns: int = 0) -> Message:
     """The OccupancyGrid of a map.
 
     Walls and unknown cells of the flags are walls and unknown in it, whatever the occupancy says of them: a wall that
-    somebody painted is one to all planners. Keep-out cells and obstacles are in :mod:`navigation.maps.keepout`'s mask.
+    somebody painted is one to all planners. Keep-out cells and obstacles are in :mod:`navigation.maps.masks`'s mask.
     """
     return message_of(occupied(grid), grid, frame, stamp_ns)
 
@@ -64,20 +65,12 @@ def occupied(grid: MapGrid2D) -> NDArray[np.int8]:
         0 to 100, or -1, of shape (height * width,), rows from the bottom up.
     """
     values = np.empty((grid.m_height, grid.m_width), np.uint8)
-    joining()(np.ascontiguousarray(grid.occupancy), np.ascontiguousarray(grid.flags), values)
+    join(np.ascontiguousarray(grid.occupancy).data, np.ascontiguousarray(grid.flags).data, values.data)
     return values.view(np.int8).reshape(-1)
 
 
 def from_grid(message: Mapping[str, Any], name: str) -> MapGrid2D:
-    """The map of an OccupancyGrid, with the flags that YARP gives one: free below 50, wall from there on, unknown.
-
-    Args:
-        message: as `bridge.messages.values` has it.
-        name: the map's.
-
-    Raises:
-        ValueError: it is none; the text says why.
-    """
+    """The map of an OccupancyGrid, by YARP's flags: free below 50, wall from there, unknown. Raises `ValueError`."""
     info, data = message["info"], np.asarray(message["data"], np.int8)
     width, height = int(info["width"]), int(info["height"])
     if width * height > MAX_CELLS:
@@ -85,7 +78,8 @@ def from_grid(message: Mapping[str, Any], name: str) -> MapGrid2D:
     if not width * height or data.shape != (width * height,):
         raise ValueError(f"an OccupancyGrid of {width} x {height} cells does not have {data.size} of them")
     occupancy, flags = np.empty((height, width), np.uint8), np.empty((height, width), np.uint8)
-    parting()(np.ascontiguousarray(data).view(np.uint8).reshape(height, width), occupancy, flags)
+    values = np.ascontiguousarray(data).view(np.uint8).reshape(height, width)
+    part(values.data, occupancy.data, flags.data)
     place, turn = info["origin"]["position"], info["origin"]["orientation"]
     origin = MapGrid2DOrigin.from_ros(place["x"], place["y"], yaw_of(turn))
     return MapGrid2D.of(flags, occupancy, name=name, resolution=float(info["resolution"]), origin=origin)
@@ -95,3 +89,113 @@ def yaw_of(turn: Mapping[str, float]) -> float:
     """The turn about the vertical of a quaternion, radians; of one that is all 0, as some programs send, 0."""
     x, y, z, w = (turn.get(axis, 0.0) for axis in "xyzw")
     return math.atan2(2 * (w * z + x * y), w * w + x * x - y * y - z * z)
+
+
+_ENCAPSULATION = bytes((0, 1, 0, 0))
+_STAMP = struct.Struct("<iI")
+_INFO = struct.Struct("<iIfII")
+_POSE = struct.Struct("<7d")
+_COUNT = struct.Struct("<I")
+
+
+def to_cdr(grid: MapGrid2D, frame: str = "map", stamp_ns: int = 0) -> memoryview:
+    """The message that `navigation.maps.grid.to_grid` says, as `bridge.messages.values.MessageWriter` writes it.
+
+    Args:
+        grid: the map.
+        frame: its frame.
+        stamp_ns: its time, nanoseconds.
+    """
+    stamp, cells = divmod(stamp_ns, 10**9), grid.m_width * grid.m_height
+    name = frame.encode() + b"\0"
+    x, y, yaw = grid.origin.to_ros()
+    body = bytearray(_STAMP.pack(*stamp) + _COUNT.pack(len(name)) + name)
+    _align(body, 4)
+    body += _INFO.pack(*stamp, grid.resolution, grid.m_width, grid.m_height)
+    _align(body, 8)
+    body += _POSE.pack(x, y, 0.0, 0.0, 0.0, math.sin(yaw / 2), math.cos(yaw / 2)) + _COUNT.pack(cells)
+    head = _ENCAPSULATION + body
+    message = np.empty(len(head) + cells, np.uint8)  # unlike a bytearray, not filled with zeros before
+    message[: len(head)] = np.frombuffer(head, np.uint8)
+    values = message[len(head) :].reshape(grid.m_height, grid.m_width)
+    join(np.ascontiguousarray(grid.occupancy).data, np.ascontiguousarray(grid.flags).data, values.data)
+    return message.data
+
+
+def _align(body: bytearray, size: int) -> None:
+    body += bytes(-len(body) % size)
+
+
+_ROWS = 64  # at once
+_PLACES = ((0.0, 0.0), (-0.25, -0.25), (-0.25, 0.25), (0.25, -0.25), (0.25, 0.25))
+_RANK = np.array([MapFlag.UNKNOWN, MapFlag.FREE, MapFlag.ENLARGED_OBSTACLE, MapFlag.TEMPORARY_OBSTACLE,
+                  MapFlag.KEEP_OUT, MapFlag.WALL], np.uint8)  # fmt: skip
+"""Flags from what gives way to the others to what stays, where cells meet in one."""
+
+
+def turned(grid: MapGrid2D) -> MapGrid2D:
+    """A map of the same places whose theta is 0; the same object where that is so already.
+
+    A cell becomes the worst of those that it lies on at its middle and half way to its corners, so that walls stay
+    closed. What lies beyond the map is unknown. Raises `ValueError` if it would have too many cells.
+    """
+    if not grid.origin.theta:
+        return grid
+    left, bottom, width, height = _bounds(grid)
+    straight = MapGrid2D.of(
+        np.full((height, width), MapFlag.UNKNOWN, np.uint8),
+        name=grid.name, resolution=grid.resolution, origin=(left, bottom, 0.0),
+    )  # fmt: skip
+    straight.enable_map_compression_over_network(grid.compressed)
+    order = np.zeros(256, np.uint8)
+    order[_RANK] = np.arange(len(_RANK))
+    ranks, cells = looked_up(grid.flags, order).reshape(-1), np.ascontiguousarray(grid.occupancy).reshape(-1)
+    for top in range(0, height, _ROWS):
+        rows = slice(top, min(top + _ROWS, height))
+        worst, occupancy = _seen(grid, ranks, cells, straight, rows)
+        straight.flags[rows], straight.occupancy[rows] = _RANK[worst], occupancy
+    return straight
+
+
+def _bounds(grid: MapGrid2D) -> tuple[float, float, int, int]:
+    """The left and lower end of what a map covers, metres, and how many cells wide and high that is."""
+    ends = np.array([(x, y) for x in (0, grid.m_width) for y in (0, grid.m_height)]) * grid.resolution
+    ends += (grid.origin.x, grid.origin.y)
+    ca, sa = grid.origin.get_ca(), grid.origin.get_sa()
+    x, y = ends[:, 0] * ca + ends[:, 1] * sa, ends[:, 1] * ca - ends[:, 0] * sa
+    width, height = (max(math.ceil(float(np.ptp(v)) / grid.resolution - 1e-6), 1) for v in (x, y))
+    if width * height > MAX_CELLS:
+        raise ValueError(f"turned to yaw 0, it is {too_large(width, height)}")
+    return float(x.min()), float(y.min()), width, height
+
+
+def _seen(
+    grid: MapGrid2D, ranks: NDArray[np.uint8], cells: NDArray[np.uint8], straight: MapGrid2D, rows: slice
+) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
+    """What rows of the straight map lie on: the highest rank, and the occupancy there."""
+    start, right, down = grid.in_cells(straight.centers_of([(0, rows.start), (1, rows.start), (0, rows.start + 1)]))
+    columns, lines = np.arange(straight.m_width), np.arange(rows.stop - rows.start)[:, None]
+    middles = [start[axis] + columns * (right - start)[axis] + lines * (down - start)[axis] for axis in (0, 1)]
+    shape = len(lines), len(columns)
+    worst, occupancy = np.zeros(shape, np.uint8), np.full(shape, UNKNOWN, np.uint8)
+    for place in _PLACES:
+        shift = place[0] * (right - start) + place[1] * (down - start)
+        column, row = (np.floor(middle + by).astype(np.int32) for middle, by in zip(middles, shift, strict=True))
+        there = (column >= 0) & (column < grid.m_width) & (row >= 0) & (row < grid.m_height)
+        at = np.where(there, row * np.int64(grid.m_width) + column, 0)
+        rank, found = np.where(there, ranks[at], 0), np.where(there, cells[at], UNKNOWN)
+        # of two of one rank, the more surely occupied; 255 wraps to 0, below all that is known
+        higher = (rank > worst) | (rank == worst) & (found + np.uint8(1) > occupancy + np.uint8(1))
+        worst, occupancy = np.where(higher, rank, worst), np.where(higher, found, occupancy)
+    return worst, occupancy
+
+
+def same_walls(one: MapGrid2D, other: MapGrid2D) -> bool:
+    """Whether two maps have the same walls in the same place, and the same name; what else is drawn does not matter."""
+    return (
+        one.name == other.name
+        and one.resolution == other.resolution
+        and one.origin == other.origin
+        and one.flags.shape == other.flags.shape
+        and all(((one.flags == flag) == (other.flags == flag)).all() for flag in (MapFlag.WALL, MapFlag.UNKNOWN))
+    )

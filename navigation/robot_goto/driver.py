@@ -11,17 +11,15 @@ from collections import deque
 import numpy as np
 from numpy.typing import NDArray
 
+from bridge.config.sections.robot_goto import RobotGotoSection
+from bridge.messages.scan import Turn
 from navigation.constraints import Constraints
 from navigation.pose import Pose, wrapped
-from navigation.robot_goto.command import STILL, Command, Status
-from navigation.robot_goto.guard import FAST_ROOM, Guard
-from navigation.robot_goto.local_grid import AT_BASE, LocalGrid, Scan
-from navigation.robot_goto.settings import Settings
-from navigation.robot_goto.stall import Stall
-from navigation.robot_goto.steering import Aim, Limits, aim, drive, people_speed
-from navigation.robot_goto.task import Task
-from navigation.scan import is_blind
-from navigation.status import Fault, State
+from navigation.robot_goto.guard import FAST_ROOM, FollowCheck, Guard
+from navigation.robot_goto.local_grid import LocalGrid
+from navigation.robot_goto.steering import STILL, Aim, DriveCommand, GoalLimits, GotoTask, aim, drive, people_speed
+from navigation.scan import AT_BASE, is_blind
+from navigation.status import Fault, PlannerStatus, State
 
 COAST = 0.3
 """Seconds for which the robot goes on behind a waypoint that it is to pass, until the next goal comes."""
@@ -55,15 +53,15 @@ class Driver:
         unplaced: why scans that come cannot be taken up: frames are missing. Set by whoever gives them.
     """
 
-    def __init__(self, settings: Settings | None = None) -> None:
-        self.settings = settings or Settings()
+    def __init__(self, settings: RobotGotoSection | None = None) -> None:
+        self._first = self.settings = settings or RobotGotoSection()
         self.grid = LocalGrid(self.settings.memory, self.settings.robot_radius, self.settings.laser_offset)
-        self.status = Status()
+        self.status = PlannerStatus()
         self.command = STILL
         self.spoken: deque[str] = deque(maxlen=8)
         self._guard = Guard(self.grid)
-        self._stall = Stall()
-        self._task: Task | None = None
+        self._stall = FollowCheck()
+        self.target: GotoTask | None = None
         self._aim: Aim | None = None
         self._aimed: float | None = None
         self._waiting_since: float | None = None
@@ -76,6 +74,10 @@ class Driver:
         self.unplaced, self._blind = "", False
         self._clear()
 
+    def reset(self) -> None:
+        """Take the settings of the start again."""
+        self.settings = self._first
+
     def forget(self) -> None:
         """Give the goal up, and all that was seen: time was set back."""
         self.cancel()
@@ -86,24 +88,21 @@ class Driver:
     # goals
 
     def goal(self, pose: Pose, constraints: Constraints | None = None) -> None:
-        """Drive there; an active goal is left for it without a stop.
+        """Drive there; an active goal is left for it without a stop. Raises `ValueError` if the place is not finite.
 
         Args:
             pose: on the map; theta NaN where any heading will do.
             constraints: what holds for this goal.
-
-        Raises:
-            ValueError: the place is not finite.
         """
         if not (math.isfinite(pose.x) and math.isfinite(pose.y)):
             raise ValueError(f"a goal is a place: x and y are numbers, not {pose.x} and {pose.y}")
-        resting = self._task is None and self.command == STILL
+        resting = self.target is None and self.command == STILL
         self._clear()
         if resting:
             self._stall.clear()
-        self._task = Task(pose, constraints or Constraints())
-        back_off = resting and self.settings.retreat
-        self.status = Status(State.PREPARING if back_off else State.MOVING)
+        self.target = GotoTask(pose, constraints or Constraints())
+        back_off = resting and self.settings.enable_retreat
+        self.status = PlannerStatus(State.PREPARING if back_off else State.MOVING)
         self._retreat = min(self.settings.retreat_duration, MAX_RETREAT) if back_off else 0.0
 
     def approach(self, direction: float, speed: float, seconds: float) -> None:
@@ -118,36 +117,36 @@ class Driver:
         self._stall.clear()
         speed = min(abs(speed), self.settings.max_lin_speed)
         back = math.cos(direction) < 0.0
-        if not self.settings.holonomic:
+        if not self.settings.robot_is_holonomic:
             direction = math.pi if back else 0.0
-        self._push = Command(speed * math.cos(direction), speed * math.sin(direction))
+        self._push = DriveCommand(speed * math.cos(direction), speed * math.sin(direction))
         self._push_left = min(max(0.0, seconds), MAX_RETREAT) if back else max(0.0, seconds)
-        self.status = Status(State.PREPARING)
+        self.status = PlannerStatus(State.PREPARING)
 
     def cancel(self) -> None:
         """Give the goal up and stop."""
         self._clear()
-        self.status = Status()
+        self.status = PlannerStatus()
 
     def pause(self, seconds: float = math.inf, reason: str = "") -> bool:
         """Stand still for so long, then go on; whether there is a goal to pause. Not a number, or 0: until resumed."""
-        if self._task is None:
+        if self.target is None:
             return False
         self._pause_left = seconds if seconds > 0.0 else math.inf
-        self.status = Status(State.PAUSED, reason)
+        self.status = PlannerStatus(State.PAUSED, reason)
         return True
 
     def resume(self) -> bool:
         """Go on; whether it was paused."""
-        if self.status.state is not State.PAUSED or self._task is None:
+        if self.status.state is not State.PAUSED or self.target is None:
             return False
-        self._task.progress_at = None
+        self.target.progress_at = None
         self._waiting_since = None
-        self.status = Status(State.MOVING)
+        self.status = PlannerStatus(State.MOVING)
         return True
 
     def _clear(self) -> None:
-        self._task = None
+        self.target = None
         self._push = STILL
         self._push_left = self._retreat = self._coast = self._pause_left = 0.0
         self._aim = None
@@ -160,13 +159,8 @@ class Driver:
         self._looked_at = None
 
     @property
-    def target(self) -> Task | None:
-        """The goal under way."""
-        return self._task
-
-    @property
     def ahead(self) -> NDArray[np.float64]:
-        """What is around it: see `navigation.algorithms.stopping.kernels`."""
+        """The surroundings; see `navigation.algorithms.stopping.ahead`."""
         return self._guard.ahead
 
     @property
@@ -176,12 +170,12 @@ class Driver:
 
     @property
     def silent(self) -> bool:
-        """Whether nothing is to be commanded: nobody asked for anything."""
-        return self.status.ended and self.command == STILL
+        """Whether to command nothing, since there is no goal."""
+        return self.status.state.ended and self.command == STILL
 
     # the senses
 
-    def scan(self, scan: Scan, moved: Pose, laser: Pose = AT_BASE) -> None:
+    def scan(self, scan: Turn, moved: Pose, laser: Pose = AT_BASE) -> None:
         """Take up a scan.
 
         Args:
@@ -193,7 +187,7 @@ class Driver:
         if not self._blind:
             self.grid.scan(scan, moved, laser)
 
-    def step(self, now: float, pose: Pose | None, moved: Pose | None = None, why: str = "") -> Command:
+    def step(self, now: float, pose: Pose | None, moved: Pose | None = None, why: str = "") -> DriveCommand:
         """What to command now.
 
         Args:
@@ -219,13 +213,13 @@ class Driver:
         self.command = self._chosen(now, passed, pose, moved, why)
         return self.command
 
-    def _chosen(self, now: float, passed: float, pose: Pose | None, moved: Pose | None, why: str) -> Command:
+    def _chosen(self, now: float, passed: float, pose: Pose | None, moved: Pose | None, why: str) -> DriveCommand:
         if self.status.state is State.PAUSED:
             self._pause_left -= passed
             if self._pause_left > 0.0 or not self.resume():
                 return STILL
         coasting = self._coast > 0.0
-        if self.status.ended and not coasting:
+        if self.status.state.ended and not coasting:
             return STILL
         trouble = self._trouble(now, pose, why)
         if trouble is not None or pose is None or moved is None:
@@ -239,17 +233,18 @@ class Driver:
             return self._guarded(now, moved, self._last) if self._coast > 0.0 else STILL
         if self._push_left > 0.0 or self._retreat > 0.0:
             return self._pushed(now, passed, moved)
-        if self._task is None:  # an approach that is done
-            self.status = Status()
+        if self.target is None:  # an approach that is done
+            self.status = PlannerStatus()
             return STILL
-        self._last = self._driven(now, self._task, pose, moved)
+        self.target.driven = True
+        self._last = self._driven(now, self.target, pose, moved)
         return self._guarded(now, moved, self._last)
 
     def _trouble(self, now: float, pose: Pose | None, why: str) -> tuple[str, Fault] | None:
         unseen = self._unseen(now)
         if unseen and not self.unplaced:
             return unseen, Fault.NO_LASER  # first, as a robot that does not see may not know where it is either
-        if pose is None and self._task is not None:
+        if pose is None and self.target is not None:
             return f"where the robot is is not known{': ' if why else ''}{why}", Fault.NOT_LOCALIZED
         if unseen:
             return f"it is not known where the laser's scans are: {self.unplaced}", Fault.NO_LASER
@@ -266,43 +261,45 @@ class Driver:
             return "no scan of the laser has come yet"
         return f"the laser is silent: its last scan is {now - scanned:.1f} s old"
 
-    def _wait(self, now: float, reason: str, fault: Fault) -> Command:
+    def _wait(self, now: float, reason: str, fault: Fault) -> DriveCommand:
         """Stand still until it is over, and fail where it is not in time."""
-        if self._task is None:  # an approach that cannot see
+        if self.target is None:  # an approach that cannot see
             self._clear()
-            self.status = Status(State.ABORTED, reason, fault)
+            self.status = PlannerStatus(State.ABORTED, reason, fault)
             return STILL
         if self._waiting_since is None:
             self._waiting_since = now
-        if self._task.progress_at is not None:
-            self._task.progress_at += self._passed  # waiting is no deadlock
+        if self.target.progress_at is not None:
+            self.target.progress_at += self._passed  # waiting is no deadlock
         waited = now - self._waiting_since
+        early = not self.target.driven  # it came before the robot could drive
         if waited > self.settings.max_waiting_time:
-            self._end(State.FAILING, f"{reason}; waited {waited:.0f} s for it to change", fault)
+            again = ": ask again once it has" if early else ""
+            self._end(State.FAILING, f"{reason}; waited {waited:.0f} s for it to change{again}", fault)
         else:
-            self.status = Status(State.WAITING, reason, fault)
+            self.status = PlannerStatus(State.PREPARING if early else State.WAITING, reason, fault)
         return STILL
 
     def _end(self, state: State, reason: str, fault: Fault = Fault.NONE) -> None:
         self._clear()
-        self.status = Status(state, reason, fault)
+        self.status = PlannerStatus(state, reason, fault)
 
-    def _pushed(self, now: float, passed: float, moved: Pose) -> Command:
+    def _pushed(self, now: float, passed: float, moved: Pose) -> DriveCommand:
         """Back off, or approach."""
         if self._push_left > 0.0:
             self._push_left -= passed
             wanted = self._push if self._push_left > 0.0 else STILL
         else:
             self._retreat -= passed
-            wanted = Command(-RETREAT_SPEED) if self._retreat > 0.0 else STILL
+            wanted = DriveCommand(-RETREAT_SPEED) if self._retreat > 0.0 else STILL
             if self._retreat <= 0.0:
-                self.status = Status(State.MOVING)
+                self.status = PlannerStatus(State.MOVING)
         return self._guarded(now, moved, wanted)
 
     # the goal
 
-    def _driven(self, now: float, task: Task, pose: Pose, moved: Pose) -> Command:
-        limits = Limits.of(self.settings, task.asked)
+    def _driven(self, now: float, task: GotoTask, pose: Pose, moved: Pose) -> DriveCommand:
+        limits = GoalLimits.of(self.settings, task.asked)
         seen = pose.inverse @ task.pose
         distance, self.bearing = math.hypot(seen.x, seen.y), math.atan2(seen.y, seen.x)
         turn = wrapped(task.pose.theta - pose.theta) if task.heading else 0.0
@@ -310,12 +307,12 @@ class Driver:
         if task.near:
             if abs(turn) <= limits.tolerance_ang:
                 self._reached(task)
-                return Command(*self.command) if task.asked.through else STILL
+                return DriveCommand(*self.command) if task.asked.through else STILL
             self._waiting_since = None
-            self.status = Status(State.MOVING)
+            self.status = PlannerStatus(State.MOVING)
             if self._stuck(now, task, task.best, abs(turn)):
                 return STILL
-            return Command(omega=limits.turn(limits.ang_gain * turn))
+            return DriveCommand(omega=limits.turn(limits.ang_gain * turn))
         towards = self._towards(now, limits, moved, seen)
         beta = wrapped(math.atan2(towards.y - moved.y, towards.x - moved.x) - moved.theta)
         if self._blocked(now, limits, moved, beta, distance, towards) or self._stuck(now, task, towards.left, math.inf):
@@ -324,13 +321,13 @@ class Driver:
         wanted = drive(self.settings, limits, distance, beta, float(self.ahead[3]), ramp, through=task.asked.through)
         most = people_speed(self.settings, float(self.ahead[2]) - self.settings.robot_radius - FAST_ROOM)
         share = min(1.0, most / wanted.speed) if wanted.speed else 1.0
-        return Command(wanted.vx * share, wanted.vy * share, wanted.omega)
+        return DriveCommand(wanted.vx * share, wanted.vy * share, wanted.omega)
 
-    def _reached(self, task: Task) -> None:
+    def _reached(self, task: GotoTask) -> None:
         self._end(State.REACHED, "")
         self._coast = COAST if task.asked.through else 0.0
 
-    def _towards(self, now: float, limits: Limits, moved: Pose, seen: Pose) -> Aim:
+    def _towards(self, now: float, limits: GoalLimits, moved: Pose, seen: Pose) -> Aim:
         """Where to drive to next, in the grid's frame."""
         goal = moved @ seen
         if not limits.avoid:
@@ -340,11 +337,11 @@ class Driver:
             self._aimed = self.grid.scanned
         return self._aim._replace(x=goal.x, y=goal.y) if self._aim.direct else self._aim
 
-    def _blocked(self, now: float, limits: Limits, moved: Pose, beta: float, distance: float, towards: Aim) -> bool:
-        """Whether to wait for something ahead; tells people so."""
+    def _blocked(self, now: float, limits: GoalLimits, moved: Pose, beta: float, distance: float, towards: Aim) -> bool:
+        """Whether to wait for something ahead; it is said to the people around."""
         settings = self.settings
         length = settings.max_detection_distance
-        if settings.dynamic_distance:
+        if settings.enable_dynamic_max_distance:
             length *= min(
                 1.0, float(np.hypot(self._guard.has[0], self._guard.has[1])) / max(settings.max_lin_speed, 1e-3)
             )
@@ -377,10 +374,10 @@ class Driver:
             if math.isfinite(self._seen_at):
                 self.spoken.append("Obstacles removed, thank you")
             self._waiting_since, self._removed_at, self._seen_at = None, now, -math.inf
-        self.status = Status(State.MOVING)
+        self.status = PlannerStatus(State.MOVING)
         return False
 
-    def _stuck(self, now: float, task: Task, left: float, turn: float) -> bool:
+    def _stuck(self, now: float, task: GotoTask, left: float, turn: float) -> bool:
         """Whether there was no progress for too long; ends or pauses the goal then."""
         if task.progress_at is None or left < task.best - _PROGRESS or turn < task.best_turn - _TURN_PROGRESS:
             task.best, task.best_turn, task.progress_at = left, turn, now
@@ -395,14 +392,14 @@ class Driver:
 
     # the guard
 
-    def _guarded(self, now: float, moved: Pose, wanted: Command) -> Command:
+    def _guarded(self, now: float, moved: Pose, wanted: DriveCommand) -> DriveCommand:
         slowed = self._guard.allowed(self.settings, now, moved, wanted)
         unseen = wanted.speed and self._guard.unseen
-        if (unseen or self._look_left > 0.0) and self._task is not None and self._retreat <= 0.0:
+        if (unseen or self._look_left > 0.0) and self.target is not None and self._retreat <= 0.0:
             return self._look(now, moved, slowed)
         return slowed
 
-    def _look(self, now: float, moved: Pose, slowed: Command) -> Command:
+    def _look(self, now: float, moved: Pose, slowed: DriveCommand) -> DriveCommand:
         """Turn on the spot for the laser to see where the way leads, to two sides; then creep where it can."""
         if self._looked_at is None or self._looked_at.distance(moved) > _LOOK_AGAIN:
             self._looks, self._looked_at = 0, moved
@@ -415,7 +412,7 @@ class Driver:
             self._look_left = _LOOK
             self._looks += 1
         self._look_left -= abs(self._guard.has[2]) * self._passed
-        return Command(omega=self._look_way * self.settings.max_ang_speed)
+        return DriveCommand(omega=self._look_way * math.radians(self.settings.max_ang_speed))
 
 
 def _jumped(before: Pose, moved: Pose, passed: float) -> bool:

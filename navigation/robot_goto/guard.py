@@ -1,4 +1,4 @@
-"""Keeps the robot from all that the laser sees or saw, whatever it is about to do."""
+"""Keeps the robot away from obstacles that the laser sees or saw, and detects a base that does not follow."""
 
 from __future__ import annotations
 
@@ -8,12 +8,12 @@ from collections import deque
 import numpy as np
 from numpy.typing import NDArray
 
+from bridge.config.sections.robot_goto import RobotGotoSection
 from navigation.algorithms.rolling_grid import UNKNOWN
-from navigation.algorithms.stopping import kernels
-from navigation.pose import Pose
-from navigation.robot_goto.command import STILL, Command
+from navigation.algorithms.stopping import ahead, slowed
+from navigation.pose import Pose, wrapped
 from navigation.robot_goto.local_grid import LocalGrid
-from navigation.robot_goto.settings import Settings
+from navigation.robot_goto.steering import STILL, DriveCommand
 
 CREEP_ROOM, FAST_ROOM = 0.01, 0.05
 """Metres kept beyond the radius, when it creeps and at full speed."""
@@ -26,18 +26,14 @@ _FASTER, _ABSURD = 0.1, 5.0
 class Guard:
     """Lets commands through, slowed where the robot could not stop in time.
 
-    Args:
-        grid: what the laser saw.
-
     Attributes:
         has: the velocity that the robot has now: m/s, m/s, rad/s.
-        ahead: what is around it: see `navigation.algorithms.stopping.kernels`.
+        ahead: what is around it: see `navigation.algorithms.stopping.ahead`.
         blocker: (3) the point that let the last command go no faster; its third is -1 where nothing did.
     """
 
     def __init__(self, grid: LocalGrid) -> None:
         self._grid = grid
-        self._slowed, self._ahead = kernels()
         self._points = np.empty((0, 3))
         self._wanted = np.zeros(3)
         self._places: deque[tuple[float, Pose]] = deque()
@@ -46,17 +42,17 @@ class Guard:
         self.blocker: NDArray[np.float64] = np.zeros(3)
         self.ahead = np.array([0.0, 0.0, math.inf, math.inf, 0.0, math.inf])
 
-    def follow(self, settings: Settings, command: Command, seconds: float) -> None:
+    def follow(self, settings: RobotGotoSection, command: DriveCommand, seconds: float) -> None:
         """Work out how fast the base goes by now, by what it was commanded."""
         dx, dy = command.vx - self.has[0], command.vy - self.has[1]
-        change, most = math.hypot(dx, dy), settings.linear_acceleration * seconds
+        change, most = math.hypot(dx, dy), settings.max_lin_acc * seconds
         share = min(1.0, most / change) if change else 1.0
         self.has[0] += dx * share
         self.has[1] += dy * share
-        most = settings.angular_acceleration * seconds
+        most = math.radians(settings.max_ang_acc) * seconds
         self.has[2] += min(most, max(-most, command.omega - self.has[2]))
 
-    def measure(self, settings: Settings, now: float, moved: Pose) -> None:
+    def measure(self, settings: RobotGotoSection, now: float, moved: Pose) -> None:
         """Believe odometry where the base goes faster than it was commanded: somebody else drives it, or pushes."""
         if self._places and not 0.0 <= now - self._places[-1][0] < _KEPT:
             self._places.clear()
@@ -69,7 +65,7 @@ class Guard:
             return
         dx, dy = (moved.x - place.x) / passed, (moved.y - place.y) / passed
         speed = math.hypot(dx, dy)
-        late = settings.linear_acceleration * passed
+        late = settings.max_lin_acc * passed
         if math.hypot(self.has[0], self.has[1]) + _FASTER + late < speed < _ABSURD:
             c, s = math.cos(moved.theta), math.sin(moved.theta)
             self.has[0], self.has[1] = c * dx + s * dy, c * dy - s * dx
@@ -78,14 +74,14 @@ class Guard:
         """The odometry has jumped."""
         self._places.clear()
 
-    def look(self, settings: Settings, moved: Pose, direction: float, length: float) -> None:
+    def look(self, settings: RobotGotoSection, moved: Pose, direction: float, length: float) -> None:
         """Take up what is ahead in a direction (radians, of the robot's frame), for so many metres."""
-        self._ahead(
+        ahead(
             self._grid.points, self._grid.count, moved.x, moved.y, moved.theta, direction, length,
-            settings.robot_radius, settings.robot_radius, settings.frontal_blind_angle, self.ahead,
+            settings.robot_radius, settings.robot_radius, math.radians(settings.frontal_blind_angle), self.ahead,
         )  # fmt: skip
 
-    def allowed(self, settings: Settings, now: float, moved: Pose, wanted: Command) -> Command:
+    def allowed(self, settings: RobotGotoSection, now: float, moved: Pose, wanted: DriveCommand) -> DriveCommand:
         """What of a command is allowed: slower, as long as the robot could not stop in time. Turning always is."""
         self._scale, self.blocker[2] = 1.0, -1.0
         if wanted == STILL:
@@ -97,15 +93,73 @@ class Guard:
         self._points[: self._grid.count] = self._grid.points[: self._grid.count]
         self._points[self._grid.count : count] = cells[:unsure]
         self._wanted[:] = wanted
-        scale = self._slowed(
+        scale = slowed(
             self._points, count, moved.x, moved.y, moved.theta, self.has, self._wanted, settings.reaction,
-            settings.linear_acceleration, settings.angular_acceleration, settings.robot_radius,
+            settings.max_lin_acc, math.radians(settings.max_ang_acc), settings.robot_radius,
             CREEP_ROOM, FAST_ROOM, settings.max_lin_speed, self.blocker,
         )  # fmt: skip
         self._scale = scale if wanted.speed * scale >= _LEAST else 0.0
-        return Command(wanted.vx * self._scale, wanted.vy * self._scale, wanted.omega)
+        return DriveCommand(wanted.vx * self._scale, wanted.vy * self._scale, wanted.omega)
 
     @property
     def unseen(self) -> bool:
         """Whether the last command was slowed to almost nothing by a place that nobody saw."""
         return self._scale <= _BARELY and bool(self.blocker[2] == UNKNOWN)
+
+
+ENOUGH = 0.2
+"""Metres of commands after which it is looked what became of them."""
+
+TRY = 0.05
+"""The same of a base that did not follow, and is tried again."""
+
+PAUSE = 2.0
+"""Seconds between two tries."""
+
+_SHARE = 0.2
+_ARM = 0.2  # metres that one radian counts
+
+
+class FollowCheck:
+    """Compares what was commanded with where odometry says that the base went.
+
+    Attributes:
+        since: seconds of when it did not follow first; None while it does.
+    """
+
+    def __init__(self) -> None:
+        self.clear()
+
+    def clear(self) -> None:
+        """Begin anew."""
+        self.since: float | None = None
+        self._again = -math.inf
+        self._wanted = 0.0
+        self._from: Pose | None = None
+
+    def add(self, now: float, passed: float, velocity: NDArray[np.float64], moved: Pose) -> None:
+        """Take up a step.
+
+        Args:
+            now: seconds.
+            passed: seconds since the step before.
+            velocity: (3,) m/s forward and to the left and rad/s, that the base should have had.
+            moved: where it is by its odometry.
+        """
+        if self._from is None:
+            self._from = moved
+            return
+        self._wanted += passed * (math.hypot(velocity[0], velocity[1]) + _ARM * abs(velocity[2]))
+        if self._wanted < (ENOUGH if self.since is None else TRY):
+            return
+        went = self._from.distance(moved) + _ARM * abs(wrapped(moved.theta - self._from.theta))
+        if went >= _SHARE * self._wanted:
+            self.since = None
+        else:
+            self.since = now if self.since is None else self.since
+            self._again = now + PAUSE
+        self._wanted, self._from = 0.0, moved
+
+    def waits(self, now: float) -> bool:
+        """Whether it does not follow, and is not to be tried again yet."""
+        return self.since is not None and now < self._again

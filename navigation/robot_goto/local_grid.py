@@ -1,33 +1,23 @@
-"""What is around the robot, as its laser saw it last."""
+"""The surroundings of the robot, as its laser saw them last."""
 
 from __future__ import annotations
 
 import math
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from navigation.algorithms.rolling_grid import NEVER, OCCUPIED, UNKNOWN, kernels
+from bridge.messages.scan import Turn
+from navigation.algorithms.rolling_grid import NEVER, OCCUPIED, UNKNOWN, RollingGrid
 from navigation.pose import Pose
-from navigation.scan import Beams
+from navigation.scan import AT_BASE
 
 RESOLUTION = 0.05
 SIDE = 100
 """Cells; the window is 5 m square, with the robot in its middle."""
 
-AT_BASE = Pose(0.0, 0.0, 0.0)
-
 NEAR = 1.5
 """Metres around the robot within which single cells are given."""
-
-
-class Scan(Beams, Protocol):
-    """A turn of a laser (`sim.laser.Scan`, `navigation.scan.Turn`)."""
-
-    @property
-    def time_ns(self) -> int:
-        """When it was made."""
 
 
 class LocalGrid:
@@ -46,20 +36,17 @@ class LocalGrid:
 
     def __init__(self, memory: float, radius: float, aside: float) -> None:
         self._memory, self._radius, self._aside = memory, radius, aside
-        self._mark, self._near, self._states, self._stand = kernels()
         self._cells = np.empty((SIDE * SIDE, 3))
         self.clear()
 
     def clear(self) -> None:
         """Forget all."""
-        self._passed, self._ended, self._since = (np.full((SIDE, SIDE), NEVER) for _ in range(3))
-        self._row0 = self._column0 = 0
-        self._placed = False
+        self._grid = RollingGrid(SIDE, RESOLUTION, self._memory)
         self.points = np.empty((0, 3))
         self.count = 0
         self.scanned: float | None = None
 
-    def scan(self, scan: Scan, at: Pose, laser: Pose = AT_BASE) -> None:
+    def scan(self, scan: Turn, at: Pose, laser: Pose = AT_BASE) -> None:
         """Take up a scan.
 
         Args:
@@ -68,46 +55,28 @@ class LocalGrid:
             laser: where the laser is on the base.
         """
         now = scan.time_ns / 1e9
-        self._move(at)
+        self._grid.move(math.floor(at.y / RESOLUTION) - SIDE // 2, math.floor(at.x / RESOLUTION) - SIDE // 2)
         if len(self.points) < len(scan.ranges):
             self.points = np.empty((len(scan.ranges), 3))
-        self._stand(self._passed, self._ended, RESOLUTION, now, self._memory, at.x, at.y, 0.7 * self._radius)
+        self._grid.stand(now, at.x, at.y, 0.7 * self._radius)
         eye = at @ laser
         ranges = np.ascontiguousarray(scan.ranges, np.float64)
-        self.count = self._mark(
-            self._passed, self._ended, self._since, RESOLUTION, self._row0, self._column0, now,
-            eye.x, eye.y, eye.theta, scan.first, scan.step, scan.nearest, scan.farthest, self._aside,
-            ranges, self.points,
+        self.count = self._grid.mark(
+            now, eye.x, eye.y, eye.theta, scan.first, scan.step, scan.nearest, scan.farthest, self._aside, ranges,
+            self.points,
         )  # fmt: skip
         self.scanned = now
 
-    def _move(self, at: Pose) -> None:
-        """Have the robot in the middle; what comes into the window by it is not known yet."""
-        row0, column0 = math.floor(at.y / RESOLUTION) - SIDE // 2, math.floor(at.x / RESOLUTION) - SIDE // 2
-        for axis, new, old in ((0, row0, self._row0), (1, column0, self._column0)):
-            moved = min(abs(new - old), SIDE) if self._placed else SIDE
-            begin = old + SIDE if new > old else new
-            places = np.arange(begin, begin + moved) % SIDE
-            for array in (self._passed, self._ended, self._since):
-                array[(places, slice(None)) if axis == 0 else (slice(None), places)] = NEVER
-        self._row0, self._column0, self._placed = row0, column0, True
-
     def unsure(self, at: Pose, now: float) -> tuple[NDArray[np.float64], int]:
-        """Cells around a place that are not free, though the newest scan did not see it: (n, 3), and how many.
-
-        The third of each is `OCCUPIED` or `UNKNOWN`.
-        """
+        """Cells around a place, not free and unseen by the newest scan: (n, 3), `OCCUPIED` or `UNKNOWN`; how many."""
         scanned = NEVER - 1.0 if self.scanned is None else self.scanned
-        count = self._near(
-            self._passed, self._ended, RESOLUTION, self._row0, self._column0, now, self._memory,
-            at.x, at.y, NEAR, scanned, self._cells,
-        )  # fmt: skip
+        count = self._grid.near(now, at.x, at.y, NEAR, scanned, self._cells)
         return self._cells, count
 
     def states(self, now: float) -> NDArray[np.uint8]:
         """(rows, columns) of all cells: free, `OCCUPIED` or `UNKNOWN`, from the window's corner."""
         out = np.empty((SIDE, SIDE), np.uint8)
-        self._states(self._passed, self._ended, self._row0, self._column0, now, self._memory, out)
+        self._grid.states(now, out)
         return out
 
     def occupancy(self, now: float) -> NDArray[np.int8]:
@@ -118,12 +87,15 @@ class LocalGrid:
     @property
     def origin(self) -> tuple[float, float]:
         """X and y of the window's corner, metres."""
-        return self._column0 * RESOLUTION, self._row0 * RESOLUTION
+        row, column = self._grid.corner
+        return column * RESOLUTION, row * RESOLUTION
 
     def cell(self, x: float, y: float) -> tuple[float, float]:
         """The row and column in the window of a place, as numbers of which the whole ones are cells' middles."""
-        return y / RESOLUTION - self._row0 - 0.5, x / RESOLUTION - self._column0 - 0.5
+        row, column = self._grid.corner
+        return y / RESOLUTION - row - 0.5, x / RESOLUTION - column - 0.5
 
     def place(self, row: float, column: float) -> tuple[float, float]:
         """The other way round: x and y."""
-        return (column + self._column0 + 0.5) * RESOLUTION, (row + self._row0 + 0.5) * RESOLUTION
+        row0, column0 = self._grid.corner
+        return (column + column0 + 0.5) * RESOLUTION, (row + row0 + 0.5) * RESOLUTION

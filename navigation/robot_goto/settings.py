@@ -1,121 +1,86 @@
-"""What RobotGoto drives by, in SI units."""
+"""``robotGoto`` files of existing robots, of robotology/navigation's releases of 2016 and since."""
 
 from __future__ import annotations
 
-import math
-from dataclasses import dataclass
+from typing import Any
 
-from bridge.config.sections.robot_goto import RobotGotoSection
-from navigation.ini import laid_under
-from navigation.robot_goto.inifile import with_file
+from bridge.config.sections.robot_goto import LaserPose, RobotGotoSection
+from navigation.ini import Ini, IniGroup, frame_name, port_name
 
+_TRAJECTORY = (
+    ("max_beta_angle", 5.0, 0.1, 180.0, "deg"),
+    ("ang_speed_gain", 0.05, 0.001, 100.0, "(deg/s)/deg"),
+    ("lin_speed_gain", 0.1, 0.001, 100.0, "(m/s)/m"),
+    ("max_lin_speed", 0.9, 0.01, 3.0, "m/s"),
+    ("max_ang_speed", 10.0, 0.5, 360.0, "deg/s"),
+    ("min_lin_speed", 0.0, 0.0, 3.0, "m/s"),
+    ("min_ang_speed", 0.0, 0.0, 360.0, "deg/s"),
+    ("goal_tolerance_lin", 0.05, 0.001, 5.0, "m"),
+    ("goal_tolerance_ang", 0.6, 0.05, 180.0, "deg"),
+)
+_STOP = (
+    ("max_waiting_time", 60.0, 0.0, 86400.0, "s"),
+    ("max_detection_distance", 1.5, 0.05, 10.0, "m"),
+    ("min_detection_distance", 0.4, 0.05, 10.0, "m"),
+)
+_AVOIDANCE = (
+    ("frontal_blind_angle", 25.0, 0.0, 180.0, "deg"),
+    ("speed_reduction_factor", 0.70, 0.0, 0.95, ""),
+)
 
-@dataclass(frozen=True)
-class Settings:
-    """Upstream's parameters by upstream's names, and ours. Metres, radians, seconds.
+OTHERS = frozenset({"localizationServer_name", "localization_server_name"})
+"""Keys that say where YARP's servers are: the hub knows them."""
 
-    Attributes:
-        holonomic: whether it can drive to the side (``robot_is_holonomic``).
-        max_beta_angle: it drives off once it faces its way within this.
-        ang_speed_gain: (rad/s) / rad.
-        lin_speed_gain: (m/s) / m.
-        max_lin_speed: m/s.
-        max_ang_speed: rad/s.
-        min_lin_speed: m/s.
-        min_ang_speed: rad/s.
-        goal_tolerance_lin: a goal is reached within it.
-        goal_tolerance_ang: the same of its heading.
-        robot_radius: of the disc that the robot fits into.
-        obstacle_stop: whether it stops and waits before obstacles ahead (``enable_obstacles_emergency_stop``).
-        dynamic_distance: whether it looks the farther ahead the faster it goes (``enable_dynamic_max_distance``).
-        max_waiting_time: after so long before an obstacle the goal fails.
-        max_detection_distance: how far ahead obstacles are looked for.
-        min_detection_distance: the same at rest.
-        avoidance: whether it goes round obstacles (``enable_obstacles_avoidance``).
-        frontal_blind_angle: obstacles within it of its front do not count as beside it.
-        speed_reduction_factor: the greatest share of its speed that it takes back beside obstacles.
-        retreat: whether it backs off before a new goal (``enable_retreat``).
-        retreat_duration: for how long; at most 2 s.
-        linear_acceleration: what the base speeds up and brakes by, m/s2.
-        angular_acceleration: the same, rad/s2.
-        reaction: how long a command, or what the laser sees, takes until the wheels follow it.
-        laser_offset: how far from the robot's middle its lasers stand, where several are merged into one, metres.
-        laser_timeout: without a scan for so long the laser is silent.
-        memory: how long what the laser saw of a place is believed.
-        deadlock_time: without progress for so long it is in a deadlock.
-        on_deadlock: what it does then: ``abort`` the goal, or ``pause`` until it is told to resume.
-    """
-
-    holonomic: bool = False
-    max_beta_angle: float = math.radians(20.0)
-    ang_speed_gain: float = 1.5
-    lin_speed_gain: float = 0.6
-    max_lin_speed: float = 0.3
-    max_ang_speed: float = math.radians(30.0)
-    min_lin_speed: float = 0.02
-    min_ang_speed: float = math.radians(2.0)
-    goal_tolerance_lin: float = 0.05
-    goal_tolerance_ang: float = math.radians(2.0)
-    robot_radius: float = 0.3
-    obstacle_stop: bool = True
-    dynamic_distance: bool = True
-    max_waiting_time: float = 60.0
-    max_detection_distance: float = 1.2
-    min_detection_distance: float = 0.4
-    avoidance: bool = True
-    frontal_blind_angle: float = math.radians(25.0)
-    speed_reduction_factor: float = 0.5
-    retreat: bool = False
-    retreat_duration: float = 0.3
-    linear_acceleration: float = 0.3
-    angular_acceleration: float = math.radians(80.0)
-    reaction: float = 0.25
-    laser_offset: float = 0.08
-    laser_timeout: float = 0.5
-    memory: float = 20.0
-    deadlock_time: float = 20.0
-    on_deadlock: str = "abort"
+STALE = {
+    ("ROBOT_TRAJECTORY", "max_gamma_angle"): "upstream does not read it either; goal_tolerance_ang is what holds",
+    ("ROBOTGOTO_GENERAL", "autoconnect"): "laser_port is connected always",
+} | {
+    (group, key): "upstream computes no forces by it any more, and the way round obstacles here needs none"
+    for group in ("OBSTACLES_AVOIDANCE", "OBSTACLES_EMERGENCY_STOP")
+    for key in ("max_obstacle_distance", "w_f", "w_t", "max_obst_distance")
+}
+"""Keys that real files have and that change nothing, with why."""
 
 
-def settings_of(section: RobotGotoSection) -> tuple[Settings, RobotGotoSection, list[str]]:
-    """What a section and the file that it names say.
+def read_file(_section: RobotGotoSection, ini: Ini) -> dict[str, Any]:
+    """The fields that a file sets; see `navigation.ini.laid_under`."""
+    found: dict[str, Any] = {}
+    general = ini.group("ROBOTGOTO_GENERAL") if "ROBOTGOTO_GENERAL" in ini else ini.top
+    found["prefix"] = port_name(general.text("name", "/robotGoto"))
+    trajectory = ini.group("ROBOT_TRAJECTORY", needed=True)
+    found["robot_is_holonomic"] = trajectory.flag("robot_is_holonomic", default=False)
+    _take(trajectory, _TRAJECTORY, found)
+    _take_geometry(ini, found)
+    _take_obstacles(ini, found)
+    ini.group("LOCALIZATION").take_texts(found, frame_name, base_frame="robot_frame_id", frame="map_frame_id")
+    ini.group("LASER").take_texts(found, port_name, laser_port="laser_port")
+    ini.note_unread(STALE, OTHERS)
+    return found
 
-    Returns:
-        the settings; the section with the file's values; what is odd in the file, each ``file:line: ...``.
 
-    Raises:
-        RuntimeError: the file is not there or cannot be used; the text says where and why.
-    """
-    section, notes = laid_under(section, section.ini, with_file)
-    made = Settings(
-        holonomic=section.robot_is_holonomic,
-        max_beta_angle=math.radians(section.max_beta_angle),
-        ang_speed_gain=section.ang_speed_gain,
-        lin_speed_gain=section.lin_speed_gain,
-        max_lin_speed=section.max_lin_speed,
-        max_ang_speed=math.radians(section.max_ang_speed),
-        min_lin_speed=min(section.min_lin_speed, section.max_lin_speed),
-        min_ang_speed=math.radians(min(section.min_ang_speed, section.max_ang_speed)),
-        goal_tolerance_lin=section.goal_tolerance_lin,
-        goal_tolerance_ang=math.radians(section.goal_tolerance_ang),
-        robot_radius=section.robot_radius,
-        obstacle_stop=section.enable_obstacles_emergency_stop,
-        dynamic_distance=section.enable_dynamic_max_distance,
-        max_waiting_time=section.max_waiting_time,
-        max_detection_distance=section.max_detection_distance,
-        min_detection_distance=section.min_detection_distance,
-        avoidance=section.enable_obstacles_avoidance,
-        frontal_blind_angle=math.radians(section.frontal_blind_angle),
-        speed_reduction_factor=section.speed_reduction_factor,
-        retreat=section.enable_retreat,
-        retreat_duration=section.retreat_duration,
-        linear_acceleration=section.max_lin_acc,
-        angular_acceleration=math.radians(section.max_ang_acc),
-        reaction=section.reaction,
-        laser_offset=section.laser_offset,
-        laser_timeout=section.laser_timeout,
-        memory=section.memory,
-        deadlock_time=section.deadlock_time,
-        on_deadlock=section.on_deadlock,
+def _take(group: IniGroup, keys: tuple[tuple[str, float, float, float, str], ...], found: dict[str, Any]) -> None:
+    for key, default, low, high, unit in keys:
+        found[key] = group.number(key, default, low, high, unit)
+
+
+def _take_geometry(ini: Ini, found: dict[str, Any]) -> None:
+    geometry = ini.group("ROBOT_GEOMETRY", needed=True)
+    found["robot_radius"] = geometry.number("robot_radius", None, 0.01, 3.0, "m")
+    found["laser_pose"] = LaserPose(
+        x=geometry.number("laser_pos_x", 0.0, -10.0, 10.0, "m"),
+        y=geometry.number("laser_pos_y", 0.0, -10.0, 10.0, "m"),
+        theta=geometry.number("laser_pos_theta", 0.0, -360.0, 360.0, "deg"),
     )
-    return made, section, notes
+
+
+def _take_obstacles(ini: Ini, found: dict[str, Any]) -> None:
+    stop = ini.group("OBSTACLES_EMERGENCY_STOP")
+    for key in ("enable_obstacles_emergency_stop", "enable_dynamic_max_distance"):
+        found[key] = stop.flag(key, default=False)
+    _take(stop, _STOP, found)
+    avoidance = ini.group("OBSTACLES_AVOIDANCE")
+    found["enable_obstacles_avoidance"] = avoidance.flag("enable_obstacles_avoidance", default=False)
+    _take(avoidance, _AVOIDANCE, found)
+    retreat = ini.group("RETREAT_OPTION")
+    found["enable_retreat"] = retreat.flag("enable_retreat", default=False)
+    found["retreat_duration"] = retreat.number("retreat_duration", 0.3, 0.0, 2.0, "s")

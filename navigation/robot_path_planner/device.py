@@ -1,154 +1,106 @@
-"""What YARP's clients of the planner call; see `yarp_compat.dev.navigation2d_server`."""
+"""YARP's side of RobotPathPlanner: INavigation2D, and a few commands of its own."""
 
 # ruff: noqa: N802, D102 - YARP's names, and its interface says what each does
 
 from __future__ import annotations
 
-import math
-from typing import Protocol
+from collections.abc import Callable
+from typing import Any
 
-from navigation.calls import Calls
-from navigation.goals import Place
-from navigation.pose import Pose
+from navigation.planner_module import PlannerDevice, PlannerModule, place_of
 from navigation.robot_path_planner.planner import PathPlanner
-from navigation.status import State
+from navigation.status import Fault, PlanError
+from navigation.yarp import Calls, location_of
 from yarp_compat.dev.inavigation2d import NavigationMapTypeEnum, TrajectoryTypeEnum
 from yarp_compat.dev.locations import Map2DLocation, Map2DPath
 from yarp_compat.dev.mapgrid import MapGrid2D
-from yarp_compat.dev.returnvalue import CallFailed, ReturnCode
+from yarp_compat.dev.navigation2d_server import Navigation2DServer
+
+HELP = (
+    "help: these lines",
+    "get_robot_radius: metres kept to walls",
+    "set_robot_radius R: keep R metres to walls; the way is planned anew",
+)
+_MOST = 3.0
 
 
-class Asked(Protocol):
-    """The module, as it is asked."""
-
-    @property
-    def planner(self) -> PathPlanner:
-        """What plans."""
-
-    def now(self) -> float:
-        """Seconds."""
-
-    def pose(self) -> Pose:
-        """The robot's on the map; raises `RuntimeError` with why it is not known."""
-
-    def drive(self, *places: Place) -> None:
-        """Drive there, one after the other."""
-
-    def stop_driving(self, reason: str) -> None:
-        """Give the goal up."""
-
-    def brake(self) -> None:
-        """Have the robot stand still at once, on any thread."""
-
-    def local_map(self) -> MapGrid2D | None:
-        """The map with what the laser sees on it."""
-
-
-class Device:
-    """Methods run on the threads of the connections; what they do is done on the module's.
+class PathPlannerDevice(PlannerDevice):
+    """Answers INavigation2D.
 
     Args:
-        asked: the module.
-        calls: does things on its thread.
+        brake: makes the robot stand still at once, on any thread; a stop or a pause follows.
     """
 
-    def __init__(self, asked: Asked, calls: Calls) -> None:
-        self._asked, self._call, self._move = asked, calls.do, calls.move
-
-    def gotoTargetByAbsoluteLocation(self, loc: Map2DLocation) -> None:
-        self._move(lambda: self._asked.drive(_place(loc)))
+    def __init__(self, module: PlannerModule, calls: Calls, planner: PathPlanner, brake: Callable[[], None]) -> None:
+        super().__init__(module, calls)
+        self._planner, self._brake = planner, brake
 
     def followPath(self, path: Map2DPath) -> None:
-        self._move(lambda: self._asked.drive(*map(_place, path)))
-
-    def gotoTargetByRelativeLocation(self, x: float, y: float, theta: float) -> None:
-        def drive() -> None:
-            goal = self._pose() @ Pose(x, y, 0.0 if math.isnan(theta) else math.radians(theta))
-            self._asked.drive(Place("", goal._replace(theta=math.nan) if math.isnan(theta) else goal))
-
-        self._move(drive)
+        self._move(lambda: self._module.drive(*map(place_of, path)))
 
     def stopNavigation(self) -> None:
-        self._asked.brake()
-        self._call(lambda: self._asked.stop_driving("stopped"))
+        self._brake()
+        super().stopNavigation()
 
     def suspendNavigation(self, seconds: float) -> None:
-        def pause() -> None:
-            if not self._asked.planner.active:
-                raise CallFailed(ReturnCode.METHOD_FAILED, "there is nothing to suspend")
-            self._asked.planner.pause(self._asked.now(), seconds)
-
-        self._asked.brake()
-        self._call(pause)
-
-    def resumeNavigation(self) -> None:
-        def resume() -> None:
-            if self._asked.planner.status.state is not State.PAUSED:
-                raise CallFailed(ReturnCode.METHOD_FAILED, "nothing is suspended")
-            self._asked.planner.resume()
-
-        self._move(resume)
+        self._brake()
+        super().suspendNavigation(seconds)
 
     def recomputeCurrentNavigationPath(self) -> None:
         def recompute() -> None:
-            if not self._asked.planner.active:
-                raise CallFailed(ReturnCode.METHOD_FAILED, "there is no goal")
-            self._asked.planner.recompute()
+            if not self._planner.active:
+                raise PlanError(Fault.OTHER, "there is no goal")
+            self._planner.recompute()
 
-        self._call(recompute)
-
-    def getNavigationStatus(self) -> str:
-        return self._asked.planner.status.state.value
-
-    def getAbsoluteLocationOfCurrentTarget(self) -> Map2DLocation | None:
-        def found() -> Map2DLocation | None:
-            target = self._asked.planner.target
-            return None if target is None else _location(target.map_name, target.pose)
-
-        return self._call(found)
-
-    def getRelativeLocationOfCurrentTarget(self) -> tuple[float, float, float] | None:
-        def found() -> tuple[float, float, float] | None:
-            target = self._asked.planner.target
-            if target is None:
-                return None
-            seen = self._pose().inverse @ target.pose
-            return seen.x, seen.y, math.degrees(seen.theta) if math.isfinite(seen.theta) else math.nan
-
-        return self._call(found)
+        self._do(recompute)
 
     def getCurrentNavigationWaypoint(self) -> Map2DLocation | None:
         def found() -> Map2DLocation | None:
-            ground, point = self._asked.planner.ground, self._asked.planner.waypoint
-            return None if point is None or ground is None else _location(ground.name, point.pose)
+            ground, point = self._planner.ground, self._planner.waypoint
+            return None if point is None or ground is None else location_of(ground.name, point.pose)
 
-        return self._call(found)
+        return self._do(found)
 
     def getAllNavigationWaypoints(self, kind: TrajectoryTypeEnum) -> Map2DPath | None:  # noqa: ARG002
         """YARP's answers either kind with its way."""
 
         def found() -> Map2DPath | None:
-            ground, points = self._asked.planner.ground, self._asked.planner.waypoints
-            return None if ground is None else Map2DPath([_location(ground.name, each.pose) for each in points])
+            ground, points = self._planner.ground, self._planner.waypoints
+            return None if ground is None else Map2DPath([location_of(ground.name, each.pose) for each in points])
 
-        return self._call(found)
+        return self._do(found)
 
     def getCurrentNavigationMap(self, kind: NavigationMapTypeEnum) -> MapGrid2D | None:
         if kind is NavigationMapTypeEnum.local_map:
-            return self._call(self._asked.local_map)
-        ground = self._asked.planner.ground
+            return self._do(self._module.local_map)
+        ground = self._planner.ground
         return None if ground is None else ground.grid
 
-    def _pose(self) -> Pose:
-        try:
-            return self._asked.pose()
-        except RuntimeError as err:
-            raise CallFailed(ReturnCode.METHOD_FAILED, str(err)) from None
 
+class PlannerServer(Navigation2DServer):
+    """Answers INavigation2D, and these words.
 
-def _place(loc: Map2DLocation) -> Place:
-    return Place(loc.map_id, Pose(loc.x, loc.y, math.radians(loc.theta)))
+    Args:
+        get_radius: says the robot's radius, metres.
+        set_radius: sets it.
+    """
 
+    def __init__(self, device: object, get_radius: Callable[[], float], set_radius: Callable[[float], Any]) -> None:
+        super().__init__(device)
+        self._get, self._set = get_radius, set_radius
 
-def _location(map_name: str, pose: Pose) -> Map2DLocation:
-    return Map2DLocation(map_name, pose.x, pose.y, math.degrees(pose.theta))
+    def command(self, words: list[Any]) -> list[Any] | None:
+        """The answer to a Bottle, None where it is no command of these; raises `ValueError` if its value cannot be."""
+        word, *rest = words or [""]
+        if word in ("help", "[help]") and not rest:
+            return ["[many]", *HELP]
+        if word == "get_robot_radius":
+            return [self._get()]
+        if word != "set_robot_radius":
+            return None
+        value = rest[0] if len(rest) == 1 else None
+        if isinstance(value, bool) or not isinstance(value, (int, float)) or not 0.0 < value <= _MOST:
+            told = " ".join(map(str, rest)) or "nothing"
+            raise ValueError(f"a robot's radius is one number above 0 and at most {_MOST:g} m, not {told}")
+        self._set(float(value))
+        return ["[ok]"]

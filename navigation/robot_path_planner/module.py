@@ -6,56 +6,82 @@ What robotology/navigation's ``robotPathPlannerDev`` is to a YARP robot.
 from __future__ import annotations
 
 import base64
-import time
-from dataclasses import replace
+from collections.abc import Collection
 from typing import Any
 
+from bridge.concurrency import SerialExecutor
 from bridge.config.sections.robot_path_planner import YARP, RobotPathPlannerSection
 from bridge.config.sections.section import Section
-from bridge.hub.errands import Errands
-from bridge.hub.qos import Durability, Qos
+from bridge.hub.wire.qos import LATCHED, Qos
 from bridge.modules.action_server import Goal
 from bridge.modules.host import Host
-from bridge.modules.module import Module
 from bridge.stores.kinds import AREA, BEHAVIOUR, CURRENT, MAP
 from bridge.worker import Health
-from navigation.calls import Calls
-from navigation.clients import CUT_OFF, GONE, Clients, FarClients
 from navigation.constraints import Constraints
-from navigation.current_goal import CurrentGoal, duration, result
-from navigation.frames import Frames, FramesError
-from navigation.goals import Place, goal_of
-from navigation.localized import Localized
+from navigation.frames import LATE, FramesError, RobotFrames
+from navigation.goals import MapPlace
+from navigation.ini import laid_under
 from navigation.maps.grid import from_grid
-from navigation.messages import pose_message
-from navigation.plan_error import PlanError
+from navigation.messages import GRID, stamp_ns
+from navigation.planner_module import PlannerModule
 from navigation.pose import Pose
-from navigation.robot_path_planner.action_navigator import ACTION, ActionNavigator
-from navigation.robot_path_planner.clicks import goal_of_click
-from navigation.robot_path_planner.device import Device
-from navigation.robot_path_planner.laser import Laser
-from navigation.robot_path_planner.maps import StoreAtlas
-from navigation.robot_path_planner.picture import png
+from navigation.robot_path_planner.atlas import StoreAtlas
+from navigation.robot_path_planner.device import PathPlannerDevice, PlannerServer
+from navigation.robot_path_planner.navigators import ActionNavigator, YarpNavigator
 from navigation.robot_path_planner.planner import PathPlanner
-from navigation.robot_path_planner.settings import settings_of
-from navigation.robot_path_planner.told import PREFIX, Told
-from navigation.robot_path_planner.words import PlannerServer
-from navigation.robot_path_planner.yarp_navigator import YarpNavigator
-from navigation.scan import SCAN
-from navigation.status import Fault, State
+from navigation.robot_path_planner.publishers import PathPlannerTopics, goal_of_click, png
+from navigation.robot_path_planner.settings import MERGED, read_file
+from navigation.scan import SCAN, ScanError, is_blind, of_ros
+from navigation.status import Fault, PlanError, PlannerStatus, State
+from navigation.yarp import Calls
 from yarp_compat.dev.mapflag import MapFlag
 from yarp_compat.dev.mapgrid import MapGrid2D
 from yarp_compat.pythonic import Received
 from yarp_compat.wire.errors import WireError
 
-_GRID = "nav_msgs/msg/OccupancyGrid"
-_LATCHED = Qos(durability=Durability.TRANSIENT_LOCAL, depth=1)
-_FEEDBACK = 0.2
-_SPEED = 0.2
-"""m/s, from which the time that is left is guessed until the robot has driven for some seconds."""
+_EVERY = 0.2
+_SILENT = 1.0  # seconds without a scan that says anything, after which the laser is held for silent
 
 
-class RobotPathPlanner(Module):
+class ObstacleScans:
+    """Gives the planner some of the scans."""
+
+    def __init__(self, planner: PathPlanner, frames: RobotFrames) -> None:
+        self._planner, self._frames = planner, frames
+        self._last, self._seen = float("-inf"), float("inf")
+        self.trouble = ""
+
+    def take(self, now: float, message: dict[str, Any]) -> None:
+        """Take a ``sensor_msgs/LaserScan``."""
+        if not self._planner.active:
+            self._seen = now
+            return
+        if 0 <= now - self._last < _EVERY:
+            return
+        self._last = now
+        header = message["header"]
+        stamp = stamp_ns(header)
+        try:
+            turn = of_ros(message, stamp, hangs=self._frames.hangs(header["frame_id"]))
+            if not is_blind(turn):
+                self._seen = now
+            pose = self._frames.transform(self._frames.map_frame, header["frame_id"], stamp, extrapolate=LATE)
+        except (FramesError, ScanError) as err:
+            self.trouble = str(err)
+            return
+        self.trouble = ""
+        self._planner.scan(now, pose, turn)
+
+    def silent(self, now: float) -> str:
+        """Why nothing is seen; "" where something is, and where no scan ever came."""
+        silent = now - self._seen
+        return f"the laser is silent: it said nothing for {silent:.1f} s" if silent > _SILENT else ""
+
+
+_SPEED = 0.2  # m/s, from which the time that is left is guessed until the robot has driven for some seconds
+
+
+class RobotPathPlanner(PlannerModule):
     """Plans ways and has them driven."""
 
     name = "robot_path_planner"
@@ -63,40 +89,40 @@ class RobotPathPlanner(Module):
     def start(self, host: Host, section: Section) -> None:
         """Open what the section names."""
         assert isinstance(section, RobotPathPlannerSection)
-        self._host = host
-        settings, section, self._notes = settings_of(section)
+        self._section, self._notes = laid_under(section, section.ini, read_file, merged=MERGED)
+        section = self._section
         for note in self._notes:
             host.log.warning("%s", note)
-        self._section = section
-        self._goal = CurrentGoal(host.loop, self.stop_driving)
-        self._began, self._length = 0.0, 0.0
-        self._fed = float("-inf")
-        self._localized, self._trouble = Localized(host), ""
-        self._atlas = StoreAtlas(host.store, settings)
-        self.planner = PathPlanner(settings, self._atlas)
-        self._frames = Frames(host, section.frame, section.base_frame)
-        self._laser = Laser(self.planner, self._frames)
-        self._told = Told(host, section.frame, section.prefix)
+        self._length, self._trouble = 0.0, ""
+        self._atlas = StoreAtlas(host.store, section)
+        self.planner = PathPlanner(section, self._atlas)
+        self._open(host, RobotFrames(host, section.frame, section.base_frame))
+        self._laser = ObstacleScans(self.planner, self._frames)
+        self._topics = PathPlannerTopics(host, section.frame, section.prefix)
         # links and their locations are looked up whenever a way is planned
         self._closing = [host.store.watch(self._store_changed, MAP, CURRENT, AREA, BEHAVIOUR)]
         self._store_due = False
         self._grid: MapGrid2D | None = None
         self._local = self._navigator()
-        self._errands = Errands("midspan-brake")
-        self._closing.append(self._errands.close)
+        self._executor = SerialExecutor("midspan-brake")
+        self._closing.append(self._executor.close)
         self._listen()
-        self._offer()
+        self._serve(self._brake)
+        host.answer("picture", lambda _params: host.loop.call(self.picture))
+        host.answer("halt", self._halt_asked)
+        if section.prefix:
+            self._serve_yarp(host, section.prefix)
         self._take_map()
-        host.on_jump(self._forget)
+        host.on_jump(lambda: self.stop_driving("the clock was set back"))
         host.every(section.period, self._step)
         if section.image_hz > 0:
-            host.every(1.0 / section.image_hz, lambda: self._told.show(self.planner, self._pose_now()))
+            host.every(1.0 / section.image_hz, lambda: self._topics.show(self.planner, self._pose_now()))
 
     def _navigator(self) -> ActionNavigator | YarpNavigator:
         name = self._section.navigator
         if not name.startswith(YARP):
             return ActionNavigator(self._host, name, self._section.frame)
-        made = YarpNavigator(name.removeprefix(YARP), self._map_name, self._host.yarp.naming)
+        made = YarpNavigator(name.removeprefix(YARP), self.map_name, self._host.yarp.naming)
         self._closing.append(made.close)
         return made
 
@@ -105,39 +131,38 @@ class RobotPathPlanner(Module):
         if section.scan:
             node.subscription(section.scan, SCAN, lambda scan: self._laser.take(self.now(), scan), Qos(depth=1))
         if section.map not in (None, "store"):
-            node.subscription(str(section.map), _GRID, self._grid_told, _LATCHED)
+            node.subscription(str(section.map), GRID, self._grid_told, LATCHED)
 
-    def _offer(self) -> None:
-        host, prefix = self._host, self._section.prefix
-        self._server = host.node.action_server(
-            f"{PREFIX}/navigate_to_pose", ACTION, self._take, self._goal.cancel, brake=self._brake
-        )
-        Clients(host, self._server, lambda: self._give_up(GONE))
-        FarClients(host, self._server, lambda goal: self._give_up(CUT_OFF) if goal is self._goal.goal else None)
-        host.answer("picture", lambda _params: host.loop.call(self.picture))
-        host.answer("halt", self._halt_asked)
-        if prefix:
-            calls = Calls(host.loop)
-            device = Device(self, calls)
-            radius = lambda: self.planner.settings.robot_radius  # noqa: E731
-            words = PlannerServer(device, radius, lambda value: calls.do(lambda: self.set_radius(value)))
-            host.yarp.serve(f"{prefix}/rpc", words)
-            host.yarp.input(f"{prefix}/yarpviewTarget:i", self._clicked)
+    def _serve_yarp(self, host: Host, prefix: str) -> None:
+        calls = Calls(host.loop, PlanError, FramesError)
+        device = PathPlannerDevice(self, calls, self.planner, self.brake)
+        radius = lambda: self.planner.settings.robot_radius  # noqa: E731
+        server = PlannerServer(device, radius, lambda value: calls.do(lambda: self.set_radius(value)))
+        host.yarp.serve(f"{prefix}/rpc", server)
+        host.yarp.input(f"{prefix}/yarpviewTarget:i", self._clicked)
 
     # what is asked
 
-    def now(self) -> float:
-        """The planner's time, seconds: the run's where it is simulated, else of a clock that nobody sets."""
-        clock = self._host.clock
-        return clock.now_ns() / 1e9 if clock.simulated else time.monotonic()
+    @property
+    def target(self) -> MapPlace | None:
+        """The goal."""
+        return self.planner.target
 
-    def pose(self) -> Pose:
-        """The robot's on the map; raises `FramesError` with why it is not known."""
-        self._localized.check()
-        return self._frames.pose()
+    @property
+    def progress(self) -> PlannerStatus:
+        """The state of the goal."""
+        return self.planner.status
 
-    def drive(self, *places: Place, constraints: Constraints | None = None, goal: Goal | None = None) -> None:
-        """Drive to places, one after the other, instead of where it is driving."""
+    def map_name(self) -> str:
+        """The map at hand."""
+        return self.planner.ground.name if self.planner.ground else ""
+
+    def _map_names(self) -> Collection[str]:
+        return self._host.store.names(MAP)
+
+    def drive(self, *places: MapPlace, constraints: Constraints | None = None, goal: Goal | None = None) -> None:
+        """Drive to places in turn, instead of where it is driving; raises `PlanError` if kernels are not compiled."""
+        self.compiled.check()
         self._goal.replace(goal)
         place, *further = places
         self.planner.goal(place.pose, place.map_name, constraints, now=self.now(), then=further)
@@ -163,17 +188,24 @@ class RobotPathPlanner(Module):
             self.planner.brake(task)
             stop = self._local.brake()
             if self.planner.task is task:  # else it is of the goal that took its place
-                self._errands.send(stop)
+                self._executor.submit(stop)
 
     def _halt_asked(self, _params: dict[str, Any]) -> Any:
         """On a thread of the hub."""
         self.brake()
         return self._host.loop.call(self.halt)
 
-    def halt(self) -> dict[str, Any]:
-        """Give the goal up, whoever sent it."""
-        self.stop_driving("halted")
-        return {"halted": True}
+    def pause(self, seconds: float) -> None:
+        """Stand still for some seconds."""
+        if not self.planner.active:
+            raise PlanError(Fault.OTHER, "there is nothing to suspend")
+        self.planner.pause(self.now(), seconds)
+
+    def resume(self) -> None:
+        """Go on."""
+        if self.planner.status.state is not State.PAUSED:
+            raise PlanError(Fault.OTHER, "nothing is suspended")
+        self.planner.resume()
 
     def local_map(self) -> MapGrid2D | None:
         """The map with what the laser sees as temporary obstacles."""
@@ -188,7 +220,7 @@ class RobotPathPlanner(Module):
 
     def set_radius(self, metres: float) -> None:
         """Keep another distance to walls."""
-        self.planner.settings = self._atlas.settings = replace(self.planner.settings, robot_radius=metres)
+        self.planner.settings = self._atlas.settings = self.planner.settings.model_copy(update={"robot_radius": metres})
         self._atlas.forget()
         self._use(self._grid)
 
@@ -197,28 +229,12 @@ class RobotPathPlanner(Module):
         file = png(self.planner, self._pose_now())
         return {"png": base64.b64encode(file).decode() if file else "", "status": self.planner.status.state.value}
 
-    def _give_up(self, why: str) -> None:
-        """Stand still although nobody cancelled the goal."""
-        self._goal.end(State.ABORTED, Fault.NO_NAVIGATOR, why)
-        self.stop_driving(why)
-
-    # the hub's action
-
-    def _take(self, goal: Goal) -> bool:
-        try:
-            place, wanted = goal_of(goal.goal, self._frames, lambda: self._host.store.names(MAP))
-        except PlanError as err:
-            goal.abort(result(err.fault, str(err)))
-            return True
-        self.drive(place, constraints=wanted, goal=goal)
-        return True
-
     def _clicked(self, received: Received) -> None:
         """On the thread of the connection."""
         values = received.values
 
         def drive() -> None:
-            self.drive(Place("", goal_of_click(self.planner.ground, values)))
+            self.drive(MapPlace("", goal_of_click(self.planner.ground, values)))
 
         try:
             self._host.loop.call(drive, late=False)
@@ -237,7 +253,7 @@ class RobotPathPlanner(Module):
     def _fail(self, why: str) -> None:
         """Stand still, and end the goal: what failed once fails again."""
         self._local.cancel()
-        self._goal.end(State.ABORTED, Fault.OTHER, why)
+        self._goal.end(PlannerStatus(State.ABORTED, why, Fault.OTHER))
         self.planner.cancel(why)
 
     def _drive(self) -> None:
@@ -252,46 +268,18 @@ class RobotPathPlanner(Module):
         self._feed(pose)
 
     def _tell(self) -> None:
-        status = self.planner.status
-        self._told.tell(self.now(), self.planner, self._goal.id)
+        self._topics.tell(self.now(), self.planner, self._goal.id)
         if not self.planner.active:
-            self._goal.end(status.state, status.fault, status.reason)
+            self._goal.end(self.planner.status)
 
-    def _feed(self, pose: Pose | None) -> None:
-        """Feedback for the goal's client."""
-        now, goal = self.now(), self._goal.goal
-        if goal is None or pose is None or 0 <= now - self._fed < _FEEDBACK:
-            return
-        self._fed = now
-        left, passed = self.planner.remaining(pose), max(now - self._began, 0.0)
+    def _remaining(self, pose: Pose, passed: float) -> tuple[float, float, int]:
+        left = self.planner.remaining(pose)
         self._length = max(self._length, left)
         driven = self._length - left
         speed = driven / passed if driven > 1.0 and passed > 0.0 else _SPEED
-        goal.feedback({
-            "current_pose": {
-                "header": {"stamp": self._host.clock.stamp(), "frame_id": self._section.frame},
-                "pose": pose_message(pose),
-            },
-            "navigation_time": duration(passed),
-            "estimated_time_remaining": duration(left / max(speed, 0.01)),
-            "number_of_recoveries": self.planner.recoveries,
-            "distance_remaining": left,
-        })  # fmt: skip
-
-    def _pose_now(self) -> Pose | None:
-        try:
-            return self.pose()
-        except FramesError:
-            return None
-
-    def _forget(self) -> None:
-        """The clock was set back: what was planned by it is no more."""
-        self.stop_driving("the clock was set back")
+        return left, max(speed, 0.01), self.planner.recoveries
 
     # maps
-
-    def _map_name(self) -> str:
-        return self.planner.ground.name if self.planner.ground else ""
 
     def _store_changed(self, _change: object) -> None:
         """On the store's thread; many changes at once are taken up once."""
@@ -326,30 +314,27 @@ class RobotPathPlanner(Module):
 
     def health(self) -> Health:
         """What it is doing, or what it lacks."""
-        if self._trouble:
-            return Health("waiting", self._trouble)
+        if self.compiled.trouble or self._trouble:
+            return Health("waiting", self.compiled.trouble or self._trouble)
         if self.planner.ground is None:
             where = "the store has no current map" if self._section.map in (None, "store") else "no map has come"
-            return Health("waiting", f"{where}; goals are refused")
-        status = self.planner.status
-        return Health("running", f"{status.state.value}: {status.reason}" if status.reason else status.state.value)
+            return Health("waiting", f"{where}; goals wait for one")
+        return Health("running", self.planner.status.words)
 
     def status(self) -> dict[str, Any]:
         """The map, the goal and how it is getting on."""
-        status, target = self.planner.status, self.planner.target
-        return {
-            "planner": {"state": status.state.value, "reason": status.reason, "fault": int(status.fault)},
-            "map": self._map_name(),
+        target = self.planner.target
+        return super().status() | {
+            "map": self.map_name(),
             "goal": None if target is None else [target.map_name, *target.pose[:3]],
             "waypoints": [[each.pose.x, each.pose.y] for each in self.planner.waypoints],
             "navigator": {"name": self._section.navigator, "state": self._local.state.value},
             "laser": self._laser.trouble,
-            "notes": list(self._notes),
         }
 
     def stop(self) -> None:
-        """Have the robot stand still, and hear no more."""
-        self._goal.end(State.ABORTED, Fault.NO_NAVIGATOR, "the planner is stopped")
+        """Stop the robot, and close what was opened."""
+        self._goal.end(PlannerStatus(State.ABORTED, "the planner is stopped", Fault.NO_NAVIGATOR))
         self.planner.cancel("the planner is stopped")
         self._step()
         for close in self._closing:

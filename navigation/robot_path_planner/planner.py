@@ -9,60 +9,37 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import NamedTuple
 
 import numpy as np
 
+from bridge.config.sections.robot_path_planner import RobotPathPlannerSection
+from bridge.messages.scan import Turn
 from navigation.constraints import Constraints
-from navigation.goals import Place
-from navigation.plan_error import PlanError
+from navigation.goals import MapPlace
 from navigation.pose import Pose
-from navigation.robot_path_planner.clutter import Clutter
-from navigation.robot_path_planner.ground import Ground
-from navigation.robot_path_planner.itinerary import Atlas, Leg, NoAtlas, leg
-from navigation.robot_path_planner.jumps import Jumps
-from navigation.robot_path_planner.lines import Places, blocked, cut, is_straight, length
-from navigation.robot_path_planner.local import LocalNavigator
-from navigation.robot_path_planner.settings import Settings
-from navigation.robot_path_planner.task import Task
-from navigation.robot_path_planner.way import Way, Waypoint, way
-from navigation.scan import Beams, believed
-from navigation.status import Fault, State
+from navigation.robot_path_planner.atlas import Atlas, Leg, leg
+from navigation.robot_path_planner.ground import Clutter, Ground
+from navigation.robot_path_planner.navigators import LocalNavigator
+from navigation.robot_path_planner.task import DriveTask, JumpDetector
+from navigation.robot_path_planner.way import Places, Way, Waypoint, blocked, cut, is_straight, length, way
+from navigation.scan import believed
+from navigation.status import Fault, PlanError, PlannerStatus, State
 
-_WATCH = 0.5
-"""Seconds from one look at the way ahead to the next."""
-_AHEAD = 5.0
-"""Metres of the way that are looked at."""
-_AGAIN = 2.0
-"""Seconds after which a way is looked for again where there was none."""
-_GLITCH = 0.3
-"""Seconds for which a missing pose does not matter."""
-_BEGIN = 5.0
-"""Seconds after which a goal is given up where it was never known where the robot is, or nobody ever drove it."""
-_NEARER = 0.5
-"""Metres that the robot has to come nearer for its attempts to be counted anew."""
+_JUMP = 0.5  # metres that localisation moves the robot at once, or 30 degrees, after which another way is planned
+_WATCH = 0.5  # seconds from one look at the way ahead to the next
+_AHEAD = 5.0  # metres of the way that are looked at
+_AGAIN = 2.0  # seconds after which a way is looked for again where there was none
+_GLITCH = 0.3  # seconds for which a missing pose does not matter
+_NEARER = 0.5  # metres that the robot has to come nearer for its attempts to be counted anew
 _PATIENCE_PER_METRE, _LONGEST_PATIENCE = 2.0, 20.0
 """Seconds that the way is waited for to become free again, for each metre by which another one is longer."""
 _DETOUR = 3.0
 """Metres by which a way round what the laser sees may be longer for it to be taken before anything has stopped."""
-_AT_LINK = 3.0
-"""Metres from a link's end within which a robot that has changed maps is believed to be there."""
-
-
-class Status(NamedTuple):
-    """How the planner is getting on."""
-
-    state: State
-    reason: str = ""
-    fault: Fault = Fault.NONE
+_AT_LINK = 3.0  # metres from a link's end within which a robot that has changed maps is believed to be there
 
 
 class PathPlanner:
     """Drives one robot to one goal at a time.
-
-    Args:
-        settings: what it works by.
-        atlas: the maps that links lead to.
 
     Attributes:
         settings: may be replaced; what is planned from then on goes by it.
@@ -70,67 +47,59 @@ class PathPlanner:
         blind: why the laser says nothing, in words; empty where it does. Whoever gives scans sets it.
     """
 
-    def __init__(self, settings: Settings | None = None, atlas: Atlas | None = None) -> None:
-        self.settings = settings or Settings()
-        self._atlas = atlas or NoAtlas()
-        self._ground: Ground | None = None
-        self._clutter: Clutter | None = None
-        self._task: Task | None = None
+    def __init__(self, settings: RobotPathPlannerSection | None = None, atlas: Atlas | None = None) -> None:
+        self.settings = settings or RobotPathPlannerSection()
+        self._atlas = atlas or Atlas()
+        self.ground: Ground | None = None
+        self.clutter: Clutter | None = None
+        self.task: DriveTask | None = None
         self._halting = False
-        self._braked: Task | None = None
+        self._braked: DriveTask | None = None
         self._paused_until = -math.inf
-        self._jumps = Jumps()
+        self._jumps = JumpDetector()
         self._watched = -math.inf
-        self.status = Status(State.IDLE)
+        self.status = PlannerStatus()
         self.blind = ""
-
-    @property
-    def ground(self) -> Ground | None:
-        """The map."""
-        return self._ground
-
-    @property
-    def clutter(self) -> Clutter | None:
-        """What the laser sees beyond it."""
-        return self._clutter
 
     @property
     def active(self) -> bool:
         """Whether there is a goal."""
-        return self._task is not None
+        return self.task is not None
 
     @property
-    def target(self) -> Place | None:
+    def target(self) -> MapPlace | None:
         """The goal."""
-        return self._task.goal if self._task else None
+        return self.task.goal if self.task else None
 
     @property
     def waypoints(self) -> tuple[Waypoint, ...]:
         """All of the way at hand."""
-        return self._task.waypoints if self._task else ()
+        return self.task.waypoints if self.task else ()
 
     @property
     def waypoint(self) -> Waypoint | None:
         """The one that is driven to."""
-        return self._task.waypoint if self._task and self._task.waypoints else None
+        return self.task.waypoint if self.task and self.task.waypoints else None
 
     @property
     def recoveries(self) -> int:
         """How often the way was blocked and another was tried."""
-        return self._task.recoveries if self._task else 0
+        return self.task.recoveries if self.task else 0
 
     def remaining(self, pose: Pose) -> float:
         """Metres to the goal, or to the link from which the way goes on on another map."""
-        task = self._task
+        task = self.task
         if task is None:
             return 0.0
         return length(self._ahead(pose)) if task.waypoints else pose.distance(task.goal.pose)
 
     def use_map(self, ground: Ground | None) -> None:
         """Plan on another map from now on, or on what has become of this one."""
-        before, self._ground = self._ground, ground
-        self._clutter = Clutter(ground, self.settings.obstacle_memory) if ground else None
-        task = self._task
+        before, self.ground = self.ground, ground
+        self.clutter = Clutter(ground, self.settings.obstacle_memory) if ground else None
+        task = self.task
+        if task is not None and ground is not None and not task.goal.map_name:
+            task.is_on(ground.name)  # it came before the map
         if task is None or task.due:
             return
         if ground is None:
@@ -143,42 +112,29 @@ class PathPlanner:
 
     def goal(
         self,
-        pose: Pose,
-        map_name: str = "",
-        constraints: Constraints | None = None,
+        pose: Pose,  # on the map
+        map_name: str = "",  # which; empty for the map at hand
+        constraints: Constraints | None = None,  # what holds instead of the settings
         *,
-        now: float = 0.0,
-        then: Sequence[Place] = (),
+        now: float = 0.0,  # seconds
+        then: Sequence[MapPlace] = (),  # where to drive on to from there, one after the other
     ) -> None:
-        """Drive there, instead of where it is driving.
-
-        Args:
-            pose: on the map.
-            map_name: which; empty for the map at hand.
-            constraints: what holds instead of the settings.
-            now: seconds.
-            then: where to drive on to from there, one after the other.
-        """
-        here = self._ground.name if self._ground else ""
+        """Drive there, instead of where it is driving."""
+        here = self.ground.name if self.ground else ""
         further = tuple(replace(place, map_name=place.map_name or here) for place in then)
-        self._task = Task(Place(map_name or here, pose), constraints or Constraints(), now, further)
+        self.task = DriveTask(MapPlace(map_name or here, pose), constraints or Constraints(), now, further)
         self._paused_until = -math.inf
-        self.status = Status(State.THINKING, self._task.due)
+        self.status = PlannerStatus(State.THINKING, self.task.due)
 
     def cancel(self, reason: str = "cancelled") -> None:
         """Give the goal up; the robot stands still from the next step on. How the last one ended is forgotten."""
-        if self._task is not None:
-            self._task = None
+        if self.task is not None:
+            self.task = None
             self._halting = True
-        self.status = Status(State.IDLE, reason)
+        self.status = PlannerStatus(State.IDLE, reason)
 
-    @property
-    def task(self) -> Task | None:
-        """The goal at hand, for `brake`."""
-        return self._task
-
-    def brake(self, task: Task) -> None:
-        """Send nobody anywhere for this goal any more, also not where the plan of this moment ends.
+    def brake(self, task: DriveTask) -> None:
+        """Send no waypoint of this goal any more, not even that of a plan under way.
 
         On any thread: planning on a large map takes a second, and a robot is to stop at once. `cancel` or `pause`
         follows on the planner's own thread.
@@ -187,24 +143,24 @@ class PathPlanner:
 
     def pause(self, now: float, seconds: float = math.inf) -> None:
         """Stand still for some seconds, or until `resume`."""
-        if self._task is not None:
+        if self.task is not None:
             self._halting, self._braked = True, None
             self._paused_until = now + seconds if seconds > 0 else math.inf
-            self._task.due = "it goes on"
-            self.status = Status(State.PAUSED, "paused")
+            self.task.due = "it goes on"
+            self.status = PlannerStatus(State.PAUSED, "paused")
 
     def resume(self) -> None:
-        """Go on, also where who drives has paused by itself, as RobotGoto in a deadlock."""
+        """Go on, also if the local navigator has paused by itself, as RobotGoto in a deadlock."""
         self._paused_until = -math.inf
-        if self._task is not None and self.status.state is State.PAUSED:
-            self._task.due, self._task.not_before = "it goes on", -math.inf
+        if self.task is not None and self.status.state is State.PAUSED:
+            self.task.due, self.task.not_before = "it goes on", -math.inf
 
     def recompute(self) -> None:
         """Look for a way anew."""
-        if self._task is not None:
-            self._task.due, self._task.not_before = "it was asked for", -math.inf
+        if self.task is not None:
+            self.task.due, self.task.not_before = "it was asked for", -math.inf
 
-    def scan(self, now: float, laser: Pose, scan: Beams) -> None:
+    def scan(self, now: float, laser: Pose, scan: Turn) -> None:
         """See what stands in the way.
 
         Args:
@@ -212,13 +168,13 @@ class PathPlanner:
             laser: its pose on the map.
             scan: what it measured.
         """
-        if self._clutter is not None and self._task is not None:
+        if self.clutter is not None and self.task is not None:
             farthest = min(self.settings.obstacle_distance, scan.farthest)
-            self._clutter.see(laser, believed(scan), scan.first, scan.step, farthest)
-            self._clutter.forget(now)
+            self.clutter.see(laser, believed(scan), scan.first, scan.step, farthest)
+            self.clutter.forget(now)
 
-    def step(self, now: float, pose: Pose | None, local: LocalNavigator, lost: str = "") -> Status:
-        """Do what is due.
+    def step(self, now: float, pose: Pose | None, local: LocalNavigator, lost: str = "") -> PlannerStatus:
+        """Take one step.
 
         Args:
             now: seconds, never less than before.
@@ -229,7 +185,7 @@ class PathPlanner:
         if self._halting:
             self._halting = False
             local.cancel()
-        task = self._task
+        task = self.task
         if task is None or task is self._braked or now < self._paused_until:
             return self.status
         try:
@@ -238,19 +194,21 @@ class PathPlanner:
             else:
                 self._go(task, now, pose, local)
         except PlanError as err:
-            self._end(local, Status(State.ABORTED, str(err), err.fault))
+            self._end(local, PlannerStatus(State.ABORTED, str(err), err.fault))
         return self.status
 
-    def _go(self, task: Task, now: float, pose: Pose, local: LocalNavigator) -> None:
-        jump = self._jumps.add(now, pose, self.settings.jump)
+    def _go(self, task: DriveTask, now: float, pose: Pose, local: LocalNavigator) -> None:
+        jump = self._jumps.add(now, pose, _JUMP)
         if jump and not task.due:
             task.due = jump
-        if jump and self._ground is not None:
+        if jump and self.ground is not None:
             # what was seen from where the robot is not stands somewhere else
-            self._clutter = Clutter(self._ground, self.settings.obstacle_memory)
-        task.lost_since, task.placed = None, True
+            self.clutter = Clutter(self.ground, self.settings.obstacle_memory)
+        task.lost_since = None
         if task.gone_since is not None:
             self._wait_for_navigator(task, now, local)
+        elif task.due and self.ground is None and not task.driven:
+            self._wait(task, now - task.since, "there is no map to plan on yet", Fault.NO_MAP)
         elif task.due:
             if now >= task.not_before:
                 self._plan(task, now, pose, local)
@@ -259,7 +217,7 @@ class PathPlanner:
         else:
             self._drive(task, now, pose, local)
 
-    def _plan(self, task: Task, now: float, pose: Pose, local: LocalNavigator) -> None:
+    def _plan(self, task: DriveTask, now: float, pose: Pose, local: LocalNavigator) -> None:
         """Find a way and set out on it; where the laser closes all, stand and wait."""
         if not self._is_at_link(task, now, pose):
             return
@@ -273,7 +231,7 @@ class PathPlanner:
         task.due, task.blocked_since = "", None
         self._set_out(task, now, pose, local, found)
 
-    def _first_way(self, task: Task, pose: Pose) -> Way:
+    def _first_way(self, task: DriveTask, pose: Pose) -> Way:
         """The way round what the laser sees, where that is not much longer: it may be gone when the robot is there."""
         short = self._way(task, pose, around=False)
         try:
@@ -284,9 +242,9 @@ class PathPlanner:
             return short
         return around if around.length <= short.length + _DETOUR else short
 
-    def _way(self, task: Task, pose: Pose, *, around: bool = True) -> Way:
+    def _way(self, task: DriveTask, pose: Pose, *, around: bool = True) -> Way:
         """A way by the map, and around what the laser sees."""
-        ground, clutter = self._ground, self._clutter
+        ground, clutter = self.ground, self.clutter
         if ground is None or clutter is None:
             raise PlanError(Fault.NO_MAP, "there is no map to plan on")
         try:
@@ -299,7 +257,7 @@ class PathPlanner:
         weights = clutter.weights() if around and len(clutter.cells) else None
         return way(ground, pose, task.leg.end.pose, self.settings, wanted, weights)
 
-    def _set_out(self, task: Task, now: float, pose: Pose, local: LocalNavigator, found: Way) -> None:
+    def _set_out(self, task: DriveTask, now: float, pose: Pose, local: LocalNavigator, found: Way) -> None:
         task.waypoints, task.at, task.note = found.waypoints, 0, found.note
         task.arrived = task.closed_since = None
         self._watched = now
@@ -310,13 +268,13 @@ class PathPlanner:
             return
         self._send(task, local)
 
-    def _send(self, task: Task, local: LocalNavigator) -> None:
+    def _send(self, task: DriveTask, local: LocalNavigator) -> None:
         if task is self._braked:
             return
-        self.status = Status(State.MOVING, task.note)
+        self.status = PlannerStatus(State.MOVING, task.note)
         local.send(task.waypoint.pose, task.waypoint.constraints)
 
-    def _drive(self, task: Task, now: float, pose: Pose, local: LocalNavigator) -> None:
+    def _drive(self, task: DriveTask, now: float, pose: Pose, local: LocalNavigator) -> None:
         state = local.state
         task.driven = task.driven or state is not State.ERROR
         if state is State.REACHED or (not task.last and task.waypoint.is_passed(pose)):
@@ -336,21 +294,21 @@ class PathPlanner:
         elif state is State.ERROR:
             self._wait_for_navigator(task, now, local)
         else:
-            self.status = Status(state, local.reason or task.note, local.fault)
+            self.status = PlannerStatus(state, local.reason or task.note, local.fault)
             self._count(task, pose)
             if now - self._watched >= _WATCH:
                 self._watched = now
                 self._watch(task, now, pose, local)
 
-    def _count(self, task: Task, pose: Pose) -> None:
+    def _count(self, task: DriveTask, pose: Pose) -> None:
         """A robot that comes nearer has all its attempts again."""
         left = self.remaining(pose)
         if left < task.best - _NEARER:
             task.best, task.attempts = left, 0
 
-    def _watch(self, task: Task, now: float, pose: Pose, local: LocalNavigator) -> None:
+    def _watch(self, task: DriveTask, now: float, pose: Pose, local: LocalNavigator) -> None:
         """Look for another way where a wall or what the laser sees has come between."""
-        ground, clutter = self._ground, self._clutter
+        ground, clutter = self.ground, self.clutter
         assert ground is not None
         assert clutter is not None
         if not is_straight(ground, pose, task.waypoint.pose):
@@ -380,7 +338,7 @@ class PathPlanner:
         task.recoveries += 1
         self._set_out(task, now, pose, local, found)
 
-    def _recover(self, task: Task, now: float, pose: Pose, why: str) -> None:
+    def _recover(self, task: DriveTask, now: float, pose: Pose, why: str) -> None:
         """The local navigator failed: try another way, or this one again."""
         self._count(task, pose)
         if task.attempts >= self.settings.recoveries:
@@ -389,52 +347,54 @@ class PathPlanner:
         task.due, task.not_before = why, now + 2.0**task.attempts - 0.5
         task.attempts += 1
         task.recoveries += 1
-        self.status = Status(State.WAITING, f"{why}; it is tried again", Fault.BLOCKED)
+        self.status = PlannerStatus(State.WAITING, f"{why}; it is tried again", Fault.BLOCKED)
 
-    def _arrive(self, task: Task, now: float, local: LocalNavigator) -> None:
+    def _arrive(self, task: DriveTask, now: float, local: LocalNavigator) -> None:
         assert task.leg is not None
         if task.leg.onto is None and task.then:
             task.goal, *further = task.then
             task.then, task.due, task.waypoints, task.best = tuple(further), "the next place", (), math.inf
         elif task.leg.onto is None:
-            self._end(local, Status(State.REACHED, "the goal is reached"))
+            self._end(local, PlannerStatus(State.REACHED, "the goal is reached"))
         else:
             self._wait_at_link(task, task.leg, now)
 
-    def _wait_at_link(self, task: Task, part: Leg, now: float) -> None:
+    def _wait_at_link(self, task: DriveTask, part: Leg, now: float) -> None:
         assert part.onto is not None
         task.arrived = now
         name = part.end.name or f"({part.end.pose.x:.2f}, {part.end.pose.y:.2f})"
-        self.status = Status(State.WAITING, f"at {name}: waits to be on the map {part.onto.map_name}")
+        self.status = PlannerStatus(State.WAITING, f"at {name}: waits to be on the map {part.onto.map_name}")
 
-    def _wait_for_map(self, task: Task, now: float) -> None:
+    def _wait_for_map(self, task: DriveTask, now: float) -> None:
         assert task.arrived is not None
-        if now - task.arrived > self.settings.map_waiting:
+        if now - task.arrived > self.settings.max_map_waiting_time:
             raise PlanError(
                 Fault.MAP_CHANGED, f"the map has not changed for {now - task.arrived:.0f} s; was {_to(task)}"
             )
 
-    def _is_at_link(self, task: Task, now: float, pose: Pose) -> bool:
+    def _is_at_link(self, task: DriveTask, now: float, pose: Pose) -> bool:
         """Whether a robot that has changed maps is known to be where its link leads; else that is waited for."""
-        if task.arrived is None or task.leg is None or task.leg.onto is None or self._ground is None:
+        if task.arrived is None or task.leg is None or task.leg.onto is None or self.ground is None:
             return True
         onto = task.leg.onto
-        if onto.map_name != self._ground.name or pose.distance(onto.pose) <= _AT_LINK:
+        if onto.map_name != self.ground.name or pose.distance(onto.pose) <= _AT_LINK:
             return True
         self._wait_for_map(task, now)
-        self.status = Status(State.WAITING, f"on the map {onto.map_name}: waits to be localised near {onto.name}")
+        self.status = PlannerStatus(
+            State.WAITING, f"on the map {onto.map_name}: waits to be localised near {onto.name}"
+        )
         return False
 
-    def _wait_for_way(self, task: Task, now: float, local: LocalNavigator, why: str) -> None:
+    def _wait_for_way(self, task: DriveTask, now: float, local: LocalNavigator, why: str) -> None:
         if task.blocked_since is None:
             task.blocked_since = now
             local.cancel()
-        if now - task.blocked_since > self.settings.waiting:
+        if now - task.blocked_since > self.settings.max_waiting_time:
             raise PlanError(Fault.BLOCKED, f"{why}, and has for {now - task.blocked_since:.0f} s")
         task.not_before = now + _AGAIN
-        self.status = Status(State.WAITING, why, Fault.BLOCKED)
+        self.status = PlannerStatus(State.WAITING, why, Fault.BLOCKED)
 
-    def _wait_for_pose(self, task: Task, now: float, local: LocalNavigator, why: str) -> None:
+    def _wait_for_pose(self, task: DriveTask, now: float, local: LocalNavigator, why: str) -> None:
         why = f"it is not known where the robot is: {why}" if why else "it is not known where the robot is"
         fault = Fault.NOT_LOCALIZED
         if self.blind:  # without a laser the localisation is lost too
@@ -444,34 +404,37 @@ class PathPlanner:
         if lost >= _GLITCH and not task.due:
             local.cancel()
             task.due, task.not_before = "it is known again where the robot is", -math.inf
-        if lost > (self.settings.waiting if task.placed else _BEGIN):
-            raise PlanError(fault, why)
-        if task.due:
-            self.status = Status(State.WAITING, why, fault)
+        self._wait(task, lost, why, fault, told=bool(task.due))
 
-    def _wait_for_navigator(self, task: Task, now: float, local: LocalNavigator) -> None:
+    def _wait(self, task: DriveTask, waited: float, why: str, fault: Fault, *, told: bool = True) -> None:
+        """Report what is missing, and give up the goal if it does not come in time."""
+        if waited > self.settings.max_waiting_time:
+            again = "" if task.driven else f", and has been so for {waited:.0f} s: ask again once it has changed"
+            raise PlanError(fault, why + again)
+        if told:
+            self.status = PlannerStatus(State.WAITING if task.driven else State.PREPARING, why, fault)
+
+    def _wait_for_navigator(self, task: DriveTask, now: float, local: LocalNavigator) -> None:
         if task.gone_since is None:
             task.gone_since = now
         if local.state is not State.ERROR:
             task.gone_since, task.due, task.not_before = None, "the local navigator is back", -math.inf
             return
         why = local.reason or "there is no local navigator"
-        if now - task.gone_since > (self.settings.waiting if task.driven else _BEGIN):
-            raise PlanError(Fault.NO_NAVIGATOR, why)
-        self.status = Status(State.WAITING, why, Fault.NO_NAVIGATOR)
+        self._wait(task, now - task.gone_since, why, Fault.NO_NAVIGATOR)
 
-    def _end(self, local: LocalNavigator, status: Status) -> None:
+    def _end(self, local: LocalNavigator, status: PlannerStatus) -> None:
         if status.state is not State.REACHED:
             local.cancel()
-        self._task, self.status = None, status
+        self.task, self.status = None, status
 
     def _ahead(self, pose: Pose) -> Places:
         """(n, 2) the robot, and the waypoints that are left."""
-        task = self._task
+        task = self.task
         left = task.waypoints[task.at :] if task else ()
         return np.array([(pose.x, pose.y), *((each.pose.x, each.pose.y) for each in left)])
 
-    def _line(self, task: Task) -> Places:
+    def _line(self, task: DriveTask) -> Places:
         """(n, 2) the waypoints that are left, and the robot where that is known."""
         line = [(each.pose.x, each.pose.y) for each in task.waypoints[task.at :]]
         if self._jumps.pose is not None:
@@ -479,6 +442,6 @@ class PathPlanner:
         return np.array(line)
 
 
-def _to(task: Task) -> str:
+def _to(task: DriveTask) -> str:
     assert task.leg is not None
     return f"to become {task.leg.onto.map_name}" if task.leg.onto else "to stay"

@@ -2,38 +2,119 @@
 
 from __future__ import annotations
 
+import heapq
 import math
 from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
+from numpy.typing import NDArray
 
+from bridge.config.sections.robot_path_planner import RobotPathPlannerSection
 from navigation.algorithms.astar import Cells, Weights, astar
 from navigation.algorithms.shortcut import sees, shortcut
 from navigation.constraints import Constraints
-from navigation.plan_error import PlanError
 from navigation.pose import Pose, wrapped
-from navigation.robot_path_planner.escape import escape
 from navigation.robot_path_planner.ground import Cell, Ground
-from navigation.robot_path_planner.lines import Places, length, sampled
-from navigation.robot_path_planner.settings import Settings
-from navigation.status import Fault
-from yarp_compat.dev.area_behaviour import AreaBehaviour
+from navigation.status import Fault, PlanError
+from yarp_compat.dev.extras import AreaBehaviour
+
+Places = NDArray[np.float64]
+"""(n, 2) x and y, metres."""
+
+
+def blocked(ground: Ground, closed: NDArray[np.bool_], places: Places) -> bool:
+    """Whether a line over places, (n, 2) metres, comes through closed cells; those that it begins in do not count."""
+    columns, rows = ground.grid.cells_at(sampled(places, ground.grid.resolution / 2)).T
+    fits = (rows >= 0) & (rows < closed.shape[0]) & (columns >= 0) & (columns < closed.shape[1])
+    found = closed[rows[fits], columns[fits]]
+    free = np.flatnonzero(~found)
+    return bool(len(free)) and bool(found[free[0] :].any())
+
+
+def sampled(places: Places, step: float) -> Places:
+    """Places along a line, no further apart than a step."""
+    made = [places[:1]]
+    for one, other in pairwise(places):
+        count = max(math.ceil(math.dist(one, other) / step), 1)
+        made.append(one + (other - one) * (np.arange(1, count + 1) / count)[:, None])
+    return np.concatenate(made)
+
+
+def is_straight(ground: Ground, one: Pose, other: Pose) -> bool:
+    """Whether nothing lies between; one that stands where it should not is on its way out."""
+    here, there = ground.cell(one.x, one.y), ground.cell(other.x, other.y)
+    return here is None or there is None or not ground.open[here] or sees(ground.open, here, there)
+
+
+def length(places: Places) -> float:
+    """Metres of a line."""
+    return float(np.hypot(*np.diff(places, axis=0).T).sum())
+
+
+def cut(places: Places, metres: float) -> Places:
+    """The first metres of a line."""
+    steps = np.hypot(*np.diff(places, axis=0).T)
+    whole = np.concatenate(([0.0], np.cumsum(steps)))
+    if whole[-1] <= metres:
+        return places
+    number = int(np.searchsorted(whole, metres))
+    share = (metres - whole[number - 1]) / steps[number - 1]
+    end = places[number - 1] + share * (places[number] - places[number - 1])
+    return np.concatenate((places[:number], [end]))
+
+
+_STUCK = 2  # cells around the start in which walls do not matter: localisation is not better than that
+_STEPS = [(row, column) for row in (-1, 0, 1) for column in (-1, 0, 1) if row or column]
+
+
+def escape(weights: Weights, solid: NDArray[np.bool_], start: Cell) -> Cells | None:
+    """The shortest way from a cell to one where the robot may be.
+
+    Args:
+        weights: (rows, columns) 0 where the robot is not to be.
+        solid: (rows, columns) what cannot be driven through at all.
+        start: row and column.
+
+    Returns:
+        (n, 2) the cells of the way, from the start on; None where there is none.
+    """
+    rows, columns = weights.shape
+    lengths, came = {start: 0.0}, {start: start}
+    waiting = [(0.0, start)]
+    while waiting:
+        length, cell = heapq.heappop(waiting)
+        if length > lengths[cell]:
+            continue
+        if weights[cell]:
+            return _tracked(came, cell)
+        for row, column in _STEPS:
+            other = cell[0] + row, cell[1] + column
+            if not (0 <= other[0] < rows and 0 <= other[1] < columns):
+                continue
+            near = max(abs(other[0] - start[0]), abs(other[1] - start[1])) <= _STUCK
+            found = length + math.hypot(row, column)
+            if (near or not solid[other]) and found < lengths.get(other, math.inf):
+                lengths[other], came[other] = found, cell
+                heapq.heappush(waiting, (found, other))
+    return None
+
+
+def _tracked(came: dict[Cell, Cell], cell: Cell) -> Cells:
+    found = [cell]
+    while came[cell] != cell:
+        cell = came[cell]
+        found.append(cell)
+    return np.array(found[::-1], np.int32)
 
 
 @dataclass(frozen=True)
 class Waypoint:
-    """Where to drive next, and what holds until there.
+    """Where to drive next, and what holds until there."""
 
-    Attributes:
-        pose: where.
-        constraints: what holds.
-        waits: whether an area on the way asks to wait for obstacles rather than to look for another way.
-    """
-
-    pose: Pose
-    constraints: Constraints
-    waits: bool = False
+    pose: Pose  #: where
+    constraints: Constraints  #: what holds
+    waits: bool = False  #: whether an area on the way asks to wait for obstacles rather than to look for another way
 
     def is_passed(self, pose: Pose) -> bool:
         """Whether a robot is so near that the next one may be sent."""
@@ -48,40 +129,22 @@ class Waypoint:
 
 @dataclass(frozen=True, eq=False)
 class Way:
-    """A way that was found.
+    """A way that was found."""
 
-    Attributes:
-        waypoints: from the first after the start to the goal.
-        length: metres.
-        note: what people should know of it, as that it begins where robots are kept out; often empty.
-    """
-
-    waypoints: tuple[Waypoint, ...]
-    length: float
-    note: str = ""
+    waypoints: tuple[Waypoint, ...]  #: from the first after the start to the goal
+    length: float  #: metres
+    note: str = ""  #: what people should know of it, as that it begins where robots are kept out; often empty
 
 
 def way(
-    ground: Ground,
-    start: Pose,
-    goal: Pose,
-    settings: Settings,
-    wanted: Constraints | None = None,
-    weights: Weights | None = None,
+    ground: Ground,  # the map
+    start: Pose,  # where the robot is
+    goal: Pose,  # where it is to go; theta is NaN where any heading will do
+    settings: RobotPathPlannerSection,  # what holds for waypoints and the goal
+    wanted: Constraints | None = None,  # what whoever sent the goal asks for instead
+    weights: Weights | None = None,  # the map's with what the laser sees; by default the map's own
 ) -> Way:
-    """A way over a map.
-
-    Args:
-        ground: the map.
-        start: where the robot is.
-        goal: where it is to go; theta is NaN where any heading will do.
-        settings: what holds for waypoints and the goal.
-        wanted: what whoever sent the goal asks for instead.
-        weights: the map's with what the laser sees; by default the map's own.
-
-    Raises:
-        PlanError: there is none; `PlanError.passing` where the map alone would have one.
-    """
+    """A way over a map; raises `PlanError` if there is none; `PlanError.passing` where the map alone would have one."""
     here, there = _ends(ground, start, goal)
     cells = None
     if weights is not None and weights[there]:
@@ -115,7 +178,7 @@ def _ends(ground: Ground, start: Pose, goal: Pose) -> tuple[Cell, Cell]:
 
 
 def _checked(ground: Ground, start: Pose, goal: Pose, weights: Weights) -> tuple[Cells, Cells]:
-    """The way over the map alone; raises `PlanError` with why there is none."""
+    """The way over the map alone; raises `PlanError` with the reason without one."""
     here, there = _ends(ground, start, goal)
     if not ground.fits(there):
         raise PlanError(
@@ -133,7 +196,7 @@ def _checked(ground: Ground, start: Pose, goal: Pose, weights: Weights) -> tuple
 
 
 def _found(ground: Ground, weights: Weights, here: Cell, there: Cell) -> tuple[Cells, Cells] | None:
-    """The cells on which the robot leaves where it should not be, and those of the way on; None where there is none."""
+    """The cells of the way out of a forbidden place, and of the way on; None without a way."""
     out = np.empty((0, 2), np.int32)
     if not weights[here]:
         left = escape(weights, ground.solid, here)
@@ -149,9 +212,9 @@ def _places(ground: Ground, cells: Cells) -> Places:
     return ground.places(cells[:1]) if len(cells) else np.empty((0, 2))
 
 
-def _joined(ground: Ground, weights: Weights, cells: Cells, settings: Settings) -> Places:
+def _joined(ground: Ground, weights: Weights, cells: Cells, settings: RobotPathPlannerSection) -> Places:
     """The places of few waypoints."""
-    if settings.shortened:
+    if settings.use_optimized_path:
         cells = shortcut(weights, cells)
     kept = [cells[0]]
     least = settings.min_waypoint_distance / ground.grid.resolution
@@ -165,17 +228,18 @@ def _joined(ground: Ground, weights: Weights, cells: Cells, settings: Settings) 
 
 
 def _waypoints(
-    ground: Ground, places: Places, goal: Pose, settings: Settings, wanted: Constraints
+    ground: Ground, places: Places, goal: Pose, settings: RobotPathPlannerSection, wanted: Constraints
 ) -> tuple[Waypoint, ...]:
     """Waypoints at all turns, and where an area with a behaviour begins or ends."""
     made: list[Waypoint] = []
+    to_waypoint = Constraints(**settings.waypoint.model_dump(), heading=False, through=True)
     through = replace(wanted, heading=False, through=True, tolerance_lin=None, tolerance_ang=None)
     for one, other in pairwise(places):
         theta = math.atan2(other[1] - one[1], other[0] - one[0])
         for (x, y), behaviour, beside in _parts(ground, one, other):
-            constraints = _merged(settings.waypoint, through, behaviour, beside=beside)
+            constraints = _merged(to_waypoint, through, behaviour, beside=beside)
             made.append(Waypoint(Pose(float(x), float(y), theta), constraints, behaviour.on_obstacle == "wait"))
-    constraints = _merged(settings.goal, wanted, behaviour, beside=beside)
+    constraints = _merged(Constraints(**settings.goal.model_dump()), wanted, behaviour, beside=beside)
     if not math.isfinite(goal.theta):
         goal, constraints = goal._replace(theta=theta), replace(constraints, heading=False)
     made[-1] = Waypoint(goal, constraints, behaviour.on_obstacle == "wait")
@@ -195,7 +259,7 @@ def _parts(ground: Ground, one: Places, other: Places) -> list[tuple[Places, Are
 
 
 def _merged(ours: Constraints, wanted: Constraints, behaviour: AreaBehaviour, *, beside: bool) -> Constraints:
-    """What is set, what is wanted instead, and what an area, or keep-out cells nearby, do not let be exceeded."""
+    """The settings, overridden by the goal's wishes, and limited by areas and keep-out cells nearby."""
     given = {
         name: value
         for name, value in vars(wanted).items()

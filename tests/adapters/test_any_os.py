@@ -67,7 +67,7 @@ def runs(far: HubSide) -> bool:
     return any(isinstance(a.value, dict) and a.value.get("state") == "running" for a in far.hub.ask("status", {}))
 
 
-def cross(far: HubSide, peer: PeerLike) -> None:
+def assert_crosses(far: HubSide, peer: PeerLike) -> None:
     """Exchange messages between a program on the side and one on the hub."""
     out, heard = peer.advertise("/from_side", STRING), far.subscribe("/from_side", STRING)
     far.publish_until(peer, out, {"data": "in"}, lambda: far.wait(heard, 1, 0.2))
@@ -83,7 +83,7 @@ def test_the_yarp_worker(hubs: QuickHub, tmp_path: Path) -> None:
     try:
         yarp = {"nameserver": "site", "address": names.endpoint, "poll": 0.1}
         with worker("yarp", hubs, tmp_path, yarp=yarp) as far:
-            cross(far, program)
+            assert_crosses(far, program)
             assert "/midspan/from_side:i" in registered(names)
         until(lambda: not any(name.startswith("/midspan/") for name in registered(names)), "its ports are given back")
     finally:
@@ -101,7 +101,7 @@ def test_the_zenoh_worker(hubs: QuickHub, tmp_path: Path) -> None:
     try:
         zenoh = {"router": router.endpoint, "dialects": [{"dialect": "ros2dds"}]}
         with worker("zenoh", hubs, tmp_path, zenoh=zenoh) as far:
-            cross(far, bridge)
+            assert_crosses(far, bridge)
     finally:
         bridge.stop()
         router.stop()

@@ -10,6 +10,7 @@ import pytest
 from benchmarks import flood, many_topics, transcode, yarp_ports
 
 
+@pytest.mark.thorough
 def test_many_topics_arrive_and_are_counted(tmp_path: Path) -> None:
     file = tmp_path / "rows.json"
     many_topics.main(["--topics", "4", "--rate", "20", "--seconds", "1", "--parts", "busy", "--json", str(file)])
@@ -22,6 +23,7 @@ def test_many_topics_arrive_and_are_counted(tmp_path: Path) -> None:
     assert rows["4 at 20 Hz, CPU of both workers, to the limit"]["ours"] > 0
 
 
+@pytest.mark.thorough
 def test_flood_measures_with_and_without_the_stream(tmp_path: Path) -> None:
     file = tmp_path / "rows.json"
     flood.main(["--way", "ros1", "--turns", "1", "--seconds", "0.5", "--json", str(file)])

@@ -12,8 +12,7 @@ from typing import Any
 
 import pytest
 
-from bridge.cli.main import build_parser
-from bridge.cli.verbs import VERBS
+from bridge.cli.main import VERBS, build_parser
 from bridge.doctor.checks import CHECKS
 from bridge.messages.json import from_json
 from bridge.messages.registry import Registry
@@ -34,21 +33,21 @@ def examples(page: str) -> list[list[str]]:
     return [shlex.split(line, comments=True) for line in re.findall(r"^\$ midspan (.*)$", text, re.MULTILINE)]
 
 
-CLI = examples("cli.md")
+CLI = examples("operate/cli.md")
 RUN = [
     words for words in CLI
     if words[0] in ("status", "top", "explain", "topic", "tf") and "--interval" not in words and "--router" not in words
 ]  # fmt: skip
 
 
-@pytest.mark.parametrize("words", CLI + examples("troubleshooting.md"), ids=" ".join)
+@pytest.mark.parametrize("words", CLI + examples("operate/troubleshooting.md"), ids=" ".join)
 def test_every_example_is_understood(words: list[str]) -> None:
     args = build_parser([words[0]]).parse_args(words)
     assert isinstance(args, argparse.Namespace)
 
 
 def test_every_verb_has_an_example_and_a_place() -> None:
-    text = (DOCS / "cli.md").read_text()
+    text = (DOCS / "operate" / "cli.md").read_text()
     assert {words[0] for words in CLI} == set(VERBS)
     for verb in VERBS:
         assert f"`{verb}`" in text.partition("## ")[0]
@@ -94,5 +93,5 @@ def test_the_examples_work(midspan: Midspan, words: list[str]) -> None:
 
 
 def test_every_check_is_in_the_documentation() -> None:
-    table = re.findall(r"^\| `([a-z0-9-]+)` \|", (DOCS / "troubleshooting.md").read_text(), re.MULTILINE)
+    table = re.findall(r"^\| `([a-z0-9-]+)` \|", (DOCS / "operate" / "troubleshooting.md").read_text(), re.MULTILINE)
     assert table == [check.id for check in CHECKS]

@@ -11,13 +11,13 @@ from typing import Any
 
 import zenoh
 
-from bridge.adapters.base import MadeBy
 from bridge.config.sections.routing import RoutingSection
-from bridge.hub.liveliness import MIDSPAN_SPACE
-from bridge.hub.qos import Durability, Qos
+from bridge.hub.endpoints.subscription import HubSample
+from bridge.hub.graph.tokens import MIDSPAN_SPACE
 from bridge.hub.session import Hub
-from bridge.hub.subscription import HubSample
+from bridge.hub.wire.qos import Durability, Qos
 from bridge.messages.registry import Registry
+from bridge.routing.edge import MadeBy
 from bridge.routing.engine import Engine
 from tests.support.fake import FakeEdge, FakeNetwork, Writer
 from tests.support.hub import HubNetwork

@@ -9,13 +9,14 @@ from typing import Any
 import pytest
 from ruamel.yaml import YAML
 
-from bridge.config import Config, generate, load, loads
-from bridge.config.hints import all_keys
+from bridge.config import generate
+from bridge.config.load import load, loads
+from bridge.config.model import Config
+from bridge.config.problems import all_keys
 from bridge.config.sections.base_control import BaseInput
 from bridge.config.sections.modules import OwnModule
 from bridge.config.sections.navigation import Planner
-from bridge.config.sections.parameters import ParameterRule
-from bridge.config.sections.routing import QosOverride, Rule
+from bridge.config.sections.routing import ParameterRule, QosOverride, Rule
 from bridge.config.sections.yarp import Service, Topic
 from bridge.config.sections.zenoh import Dialect, DialectKey
 
@@ -85,6 +86,6 @@ def test_schema_is_up_to_date_and_names_the_keys_of_the_file() -> None:
 
 
 def test_reference_page_is_up_to_date() -> None:
-    assert (ROOT / "docs" / "config.md").read_text() == generate.reference(), (
-        "midspan config reference > docs/config.md"
+    assert (ROOT / "docs" / "operate" / "config.md").read_text() == generate.reference(), (
+        "midspan config reference > docs/operate/config.md"
     )

@@ -8,8 +8,9 @@ from pathlib import Path
 
 import pytest
 
-from bridge.config import Config, ConfigError, find, load, loads
-from bridge.config.document import MAX_BYTES
+from bridge.config.document import MAX_BYTES, ConfigError
+from bridge.config.load import find, load, loads
+from bridge.config.model import Config
 from bridge.config.sections.routing import Rule
 from bridge.daemon.protocol import NewConfig, decode_command, encode_command
 
@@ -155,10 +156,7 @@ CASES = [
     (
         "routing: {rules: [{topic: scan}]}",
         [
-            (
-                "1:27: routing.rules[0].topic: 'scan' matches no topic: names begin with a slash; write /scan, or **/scan in"
-                " any namespace"
-            )
+            "1:27: routing.rules[0].topic: 'scan' matches no topic: write /scan, or **/scan for any namespace",
         ],
     ),
     (
@@ -182,7 +180,7 @@ CASES = [
         "routing: {rules: [{topic: /a, rename: b c}]}",
         [
             (
-                "1:19: routing.rules[0]: rename 'b c' is no topic name: begin it with a slash; letters, digits and"
+                "1:19: routing.rules[0]: rename 'b c' is not a topic name: begin it with a slash; letters, digits and"
                 " underscores make its parts, and none begins with a digit"
             )
         ],

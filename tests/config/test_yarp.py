@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import pytest
 
-from bridge.config import Config, loads
-from bridge.config.problems import ConfigError
+from bridge.config.document import ConfigError
+from bridge.config.load import loads
+from bridge.config.model import Config
 
 TOPIC = "topic: /scan, type: sensor_msgs/msg/LaserScan"
 
@@ -14,20 +15,23 @@ TOPIC = "topic: /scan, type: sensor_msgs/msg/LaserScan"
     ("text", "words"),
     [
         ("yarp: {topics: [{topic: scan}]}", "names begin with a slash"),
-        ("yarp: {topics: [{topic: /scan, port: 'la ser'}]}", "is no port name"),
+        ("yarp: {topics: [{topic: /scan, port: 'la ser'}]}", "is not a name of a YARP port"),
         ("yarp: {topics: [{topic: /scan, port: /laser:o}]}", "direction: in"),
         ("yarp: {topics: [{topic: /scan, port: /laser:o, direction: in}]}", "give the 'type'"),
-        ("yarp: {topics: [{topic: /scan*, port: /laser:o, direction: out}]}", "is no topic name"),
+        ("yarp: {topics: [{topic: /scan*, port: /laser:o, direction: out}]}", "is not a topic name"),
         ("yarp: {topics: [{topic: /scan*, type: std_msgs/msg/String}]}", "with a 'type' it is about one topic"),
-        ("yarp: {topics: [{topic: /scan, type: std_msgs/String}]}", "is no message type"),
+        ("yarp: {topics: [{topic: /scan, type: std_msgs/String}]}", "is not a message type"),
         ("yarp: {topics: [{topic: /scan, as: fields}]}", "as: fields needs 'fields'"),
         ("yarp: {topics: [{topic: /scan, as: natural, fields: [x]}]}", "has 'fields'"),
-        ("yarp: {topics: [{topic: /scan, fields: ['rad(x)']}]}", "is no field"),
+        ("yarp: {topics: [{topic: /scan, fields: ['rad(x)']}]}", "is not a field"),
         ("yarp: {topics: [{topic: /scan, carrier: udp}]}", "'carrier' is for a connection"),
-        ("yarp: {output: '/x:o'}", "is no scheme of port names"),
+        ("yarp: {output: '/x:o'}", "is not a scheme of port names"),
         ("yarp: {output: '/x{topic}', input: '/x{topic}'}", "output, input and rpc are not three names"),
-        ("yarp: {address: robot}", "is no address with a port"),
+        ("yarp: {address: robot}", "is not an address with a port"),
         ("yarp: {profile: yarp5}", "yarp3"),
+        ("yarp: {ports: 20000}", "ports"),
+        ("yarp: {ports: 80-90}", "is neither 'server' nor a range"),
+        ("yarp: {ports: 20010-20000}", "is neither 'server' nor a range"),
         (
             f"yarp: {{topics: [{{{TOPIC}, port: /l, direction: in}}, {{{TOPIC}, port: /l, direction: in}}]}}",
             "names the port /l twice",
@@ -55,3 +59,9 @@ def test_what_was_said_is_told_from_defaults_after_a_way_through_json() -> None:
     said = loads("yarp: {poll: 1}")
     assert Config.model_validate_json(said.model_dump_json(by_alias=True)).yarp.configured
     assert not loads("yarp: {enabled: true}").yarp.configured
+
+
+def test_the_range_of_our_ports() -> None:
+    assert loads("yarp: {ports: 20000-20099}").yarp.numbers == range(20000, 20100)
+    assert loads("yarp: {ports: server}").yarp.numbers == range(0)
+    assert loads("yarp: {poll: 1}").yarp.numbers is None

@@ -3,35 +3,64 @@
 from __future__ import annotations
 
 from typing import Any
+from unittest.mock import Mock
 
 import pytest
 from pydantic import ValidationError
 
+from bridge.adapters.worker import BridgeWorker
+from bridge.config.model import Config
 from bridge.config.sections.yarp import YarpSection
 from yarp_compat.wire.generation import Generation
 from yarp_compat.wire.profile import Profile
 
 RULES = [{"port": "/old/*", "release": "3.9.1"}, {"port": "/old/but/new", "release": "4"}]
 
+GUESS = "a guess: nothing that it sent tells its release"
+YARP3 = "its bytes are YARP 3's; which release of it is a guess"
+
 
 @pytest.mark.parametrize(
     ("section", "peer", "profile", "generation", "why"),
     [
-        ({}, "/any", None, "3.12", "its name server's generation"),
-        ({"profile": "yarp4"}, "/any", None, "4.0", "its name server's generation"),
+        ({}, "/any", None, "3.12", GUESS),
+        ({}, "/any", Profile.YARP3, "3.12", GUESS),
+        ({"profile": "yarp4"}, "/any", None, "4.0", GUESS),
+        ({"profile": "yarp4"}, "/any", Profile.YARP3, "3.12", YARP3),
         ({"release": "3.11.2"}, "/any", None, "3.11", "its name server's generation"),
         ({"peers": RULES}, "/old/but/new", None, "3.6", "the rule for /old/* says so"),
         ({"peers": RULES}, "/any", Profile.YARP4, "4.0", "its bytes are YARP 4's"),
         ({"peers": RULES}, "/old/one", Profile.YARP4, "4.0", "its bytes are YARP 4's"),
         ({"release": "3.9", "profile": "yarp4"}, "/any", Profile.YARP3, "3.6", "its name server's generation"),
-        ({"release": "4.0"}, "/any", Profile.YARP3, "3.12", "its bytes are YARP 3's"),
+        ({"release": "4.0"}, "/any", Profile.YARP3, "3.12", YARP3),
     ],
 )
 def test_who_is_answered_how(
     section: dict[str, Any], peer: str, profile: Profile | None, generation: str, why: str
 ) -> None:
     decided = YarpSection.model_validate(section).generations().of(peer, profile)
-    assert decided.as_dict() == {"generation": generation, "generation_why": why}
+    said = decided.as_dict()
+    cure = said.pop("generation_cure", "")
+    assert said == {"generation": generation, "generation_why": why}
+    assert ("guess" in why) is (cure != "")
+    assert not cure or ("yarp.peers: [{port: /any, release: '3.9'}]" in cure and "yarp.release: '3.9'" in cure)
+
+
+def test_a_release_restarts_nothing_and_what_leads_elsewhere_does() -> None:
+    """By what the workers compare on a reload."""
+    old = Config.model_validate({"yarp": {"address": "robot:10000"}})
+    said = Config.model_validate({"yarp": {"address": "robot:10000", "release": "3.9", "peers": RULES}})
+    topics = Config.model_validate({"yarp": {"address": "robot:10000", "topics": [{"topic": "/x", "as": "natural"}]}})
+    moved = Config.model_validate({"yarp": {"address": "other:10000"}})
+    joined = BridgeWorker("yarp")
+    joined._config, joined._crossings = old, [Mock()]
+    other = BridgeWorker("ros1")
+    other._config, other._crossings = old, [Mock()]
+    for new, stays_joined, stays_open in ((said, True, True), (topics, False, True), (moved, False, False)):
+        joined._config = other._config = old
+        assert joined.reload(new) is stays_joined
+        assert new.yarp.opens_as(old.yarp) is stays_open
+        assert other.reload(new)
 
 
 def test_what_a_peer_told_itself_outweighs_the_rules() -> None:

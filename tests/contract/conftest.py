@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import zlib
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -13,6 +14,7 @@ from bridge.hub.session import Hub
 from bridge.messages.registry import Registry
 from tests.contract.fakeside import FakeSide
 from tests.contract.hubside import HubSide
+from tests.contract.ownside import OwnSide
 from tests.contract.ros1side import Ros1Side
 from tests.contract.ros2side import Ros2Side
 from tests.contract.side import CUSTOM_FOLDER, Bridge, Side
@@ -21,13 +23,14 @@ from tests.contract.zenohside import Ros1KeysSide, Ros2ddsSide
 from tests.support.hub import HubNetwork
 from tests.support.quick_hub import QuickHub
 
-SIDES: dict[str, Callable[..., Side]] = {
+SIDES: dict[str, type[Any]] = {
     "fake": FakeSide,
     "ros1": Ros1Side,
     "ros2": Ros2Side,
     "zenoh_ros2dds": Ros2ddsSide,
     "zenoh_ros1": Ros1KeysSide,
     "yarp": YarpSide,
+    "own": OwnSide,
 }
 
 
@@ -35,6 +38,26 @@ SIDES: dict[str, Callable[..., Side]] = {
 def hubs() -> Iterator[HubNetwork]:
     with QuickHub() as network:
         yield network
+
+
+DEAR = ("ros1", "ros2", "own")
+"""Sides whose programs and workers are processes: `make test` tries each test on one of them, in turn."""
+
+BASIC = {
+    "test_side_to_hub", "test_hub_to_side", "test_latched_before_the_bridge_started",
+    "test_from_the_hub_to_a_server_of_the_side", "test_from_the_side_to_a_server_of_the_hub",
+}  # fmt: skip
+"""Tests that `make test` tries on every side."""
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """The other ones of these are `thorough`."""
+    for item in items:
+        if item.path.parent == Path(__file__).parent and isinstance(item, pytest.Function):
+            side, turn = item.callspec.params.get("side"), zlib.crc32(item.originalname.encode()) % len(DEAR)
+            if side in DEAR and side != DEAR[turn] and item.originalname not in BASIC:
+                item.add_marker(pytest.mark.thorough)
 
 
 @pytest.fixture(params=list(SIDES))

@@ -6,13 +6,13 @@ import itertools
 import threading
 from typing import Any
 
-from bridge.adapters.base import MadeBy
 from bridge.config.model import Config
-from bridge.hub.call import Call
-from bridge.hub.qos import Durability, Qos, Reliability
+from bridge.hub.endpoints.calls import Call
 from bridge.hub.session import Hub
+from bridge.hub.wire.qos import Durability, Qos, Reliability
 from bridge.messages.json import from_json, to_json
 from bridge.messages.registry import Registry
+from bridge.routing.edge import MadeBy
 from bridge.routing.engine import Engine
 from tests.contract.hubside import ros2_name, service_name
 from tests.contract.side import CUSTOM_FOLDER, Side

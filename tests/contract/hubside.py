@@ -6,9 +6,9 @@ import threading
 from collections.abc import Callable
 from typing import Any
 
-from bridge.hub.qos import Durability, Qos, Reliability
-from bridge.hub.service import HubClient, HubServer
+from bridge.hub.endpoints.services import HubClient, HubServer
 from bridge.hub.session import Hub
+from bridge.hub.wire.qos import Durability, Qos, Reliability
 from bridge.messages.json import from_json, to_json
 from bridge.messages.registry import Registry
 from tests.contract.side import PeerLike

@@ -10,10 +10,11 @@ from typing import Any
 from bridge.adapters.ros2.environment import worker_environment
 from bridge.config.model import Config
 from bridge.interfaces.builder import build
-from bridge.interfaces.folders import read_folders
-from bridge.interfaces.paths import environment
+from bridge.interfaces.cache import environment
+from bridge.interfaces.definition import read_folders
 from tests.contract.side import CUSTOM_FOLDER, Side, WorkerProcess
 from tests.support.hub import HubNetwork
+from tests.support.missing import ROS2, need
 from tests.support.peer import Peer
 from tests.support.ros2 import ROS2_PEER, SHORT_LEASE, ros2_domain, ros2_environment, ros2_python
 
@@ -28,6 +29,7 @@ class Ros2Side(Side):
 
     def __init__(self, _hubs: HubNetwork) -> None:
         super().__init__()
+        need(ROS2)
 
     def peer(self, **more: str) -> Peer:
         peer = Peer(ROS2_PEER, ros2_python(), _custom_environment() | more, f"peer{next(self._names)}")

@@ -54,6 +54,7 @@ class Side(ABC):
     has_services: ClassVar[bool] = False
     tells_errors: ClassVar[bool] = True
     tells_death: ClassVar[bool] = True
+    tells_listeners: ClassVar[bool] = True
 
     def __init__(self) -> None:
         self._names = itertools.count(1)
@@ -107,11 +108,13 @@ class WorkerProcess:
         """The worker's next heartbeat."""
         pipe = self.process.popen.stdout
         assert pipe is not None
-        line = pipe.readline()
-        assert line, f"worker ended: {self.process.output()[-4000:]}"
-        beat: dict[str, Any] = json.loads(line)
-        assert "restart" not in beat, beat
-        return beat
+        while True:
+            line = pipe.readline()
+            assert line, f"worker ended: {self.process.output()[-4000:]}"
+            said: dict[str, Any] = json.loads(line)
+            assert "restart" not in said, said
+            if "busy" not in said:
+                return said
 
     def reload(self, config: Config) -> None:
         """Send another configuration."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from bridge.hub.qos import Qos
+from bridge.hub.wire.qos import Qos
 from tests.contract.hubside import HubSide
 from tests.contract.side import Bridge, Side
 from tests.support.wait import until

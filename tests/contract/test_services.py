@@ -15,7 +15,7 @@ from tests.support.wait import until
 SET = "std_srvs/SetBool"
 YES = {"success": True, "message": "it is ön"}
 
-pytestmark = pytest.mark.parametrize("side", [name for name in SIDES if SIDES[name].has_services], indirect=True)
+pytestmark = pytest.mark.parametrize("side", [name for name, side in SIDES.items() if side.has_services], indirect=True)
 
 
 def result(peer: PeerLike, call: int, seconds: float = 30.0) -> dict[str, Any]:

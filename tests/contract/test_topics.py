@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from tests.contract.hubside import HubSide
-from tests.contract.side import Bridge, Side
+from tests.contract.side import Bridge, PeerLike, Side
 from tests.support.wait import until
 
 STRING = "std_msgs/String"
@@ -111,5 +111,5 @@ def _without_stamp(messages: list[dict]) -> list[dict]:
     return [{**m, "header": {"frame_id": m["header"]["frame_id"]}} for m in messages]
 
 
-def _until_heard(far: HubSide, out: int, peer: object, heard: int) -> None:
+def _until_heard(far: HubSide, out: int, peer: PeerLike, heard: int) -> None:
     far.hub_publish_until(out, {"data": "probe"}, lambda: peer.wait(heard, 1, 0.2))

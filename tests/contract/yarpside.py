@@ -6,8 +6,7 @@ import tempfile
 from pathlib import Path
 from typing import Any
 
-from bridge.adapters.crossing import Crossing
-from bridge.adapters.worker import make_edges
+from bridge.adapters.worker import Crossing, make_edges
 from bridge.config.model import Config
 from bridge.messages.registry import Registry
 from tests.contract.side import CUSTOM_FOLDER, Side
@@ -30,7 +29,7 @@ class YarpBridge:
         raise AssertionError(reason)
 
     def reload(self, config: Config) -> None:
-        self.crossing.reload(config.routing)
+        self.crossing.reload(config)
 
     def stop(self) -> None:
         self.crossing.stop()

@@ -11,9 +11,8 @@ from typing import Any
 
 import pytest
 
-from bridge.adapters.crossing import Crossing
-from bridge.adapters.worker import make_edges
-from bridge.adapters.zenoh import edge, ros1_aloha
+from bridge.adapters.worker import Crossing, make_edges
+from bridge.adapters.zenoh import edge, ros1_discovery
 from bridge.config.model import Config
 from bridge.messages.registry import Registry
 from tests.contract.side import CUSTOM_FOLDER, Side
@@ -43,7 +42,7 @@ class ZenohBridge:
 
     def reload(self, config: Config) -> None:
         for crossing in self.crossings:
-            crossing.reload(config.routing)
+            crossing.reload(config)
 
     def stop(self) -> None:
         for crossing in self.crossings:
@@ -56,6 +55,8 @@ class ZenohBridge:
 
 class ZenohSide(Side):
     """A zenoh network beside the hub's, with a router of its own."""
+
+    tells_listeners = False
 
     def __init__(self, _hubs: HubNetwork) -> None:
         super().__init__()
@@ -112,7 +113,7 @@ class Ros1KeysSide(ZenohSide):
 
     def __init__(self, hubs: HubNetwork) -> None:
         super().__init__(hubs)
-        self._patch.setattr(ros1_aloha, "PERIOD", PERIOD)
+        self._patch.setattr(ros1_discovery, "PERIOD", PERIOD)
 
     def peer(self) -> Ros1Bridge:
         messages = Messages(ros1=True, folders=(CUSTOM_FOLDER,), texts=service_texts())

@@ -48,6 +48,14 @@ class Daemon:
         """Start a daemon."""
         return self.midspan("run", "--config", str(self.file), *options, env=env)
 
+    def quick(self, cores: int, **limits: float) -> Process:
+        """Start a daemon with other limits (`bridge.daemon.slot.Timing`), as on a machine with so many cores."""
+        options = [f"{name}={seconds}" for name, seconds in limits.items()]
+        command = [sys.executable, "-m", "tests.daemon.quick", str(self.file), str(cores), *options]
+        process = Process(command, self.env)
+        self.processes.append(process)
+        return process
+
     def midspan(self, *arguments: str, env: dict[str, str] | None = None) -> Process:
         """Start any midspan command."""
         process = Process([sys.executable, "-m", "bridge.cli.main", *arguments], {**self.env, **(env or {})})
@@ -73,7 +81,7 @@ class Daemon:
         """Wait until the daemon says that it is ready."""
         until(lambda: "ready: " in process.output(), "ready")
 
-    def wait_output(self, process: Process, text: str, seconds: float = 40.0) -> None:
+    def expect_output(self, process: Process, text: str, seconds: float = 40.0) -> None:
         """Wait for a text in what a process writes."""
         until(lambda: text in process.output(), f"{text!r} in:\n{process.output()}", seconds)
 

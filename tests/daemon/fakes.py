@@ -6,17 +6,50 @@ They run in real processes of the real daemon, put there by ``$MIDSPAN_WORKERS``
 
 from __future__ import annotations
 
+import ctypes
 import os
 import subprocess
 import sys
+import threading
 import time
 from pathlib import Path
 from typing import ClassVar
 
 from bridge.config.model import Config
+from bridge.progress import working
 from bridge.worker import Health, Worker
 
 FOREVER = 1000.0
+
+
+def _compute() -> None:
+    end = time.thread_time() + 0.05
+    while time.thread_time() < end:
+        pass
+
+
+def _heaps() -> int:
+    """How many heaps glibc has after twelve threads have allocated at once."""
+    libc = ctypes.CDLL(None)
+    libc.open_memstream.restype = ctypes.c_void_p
+    together = threading.Barrier(12)
+
+    def allocate() -> None:
+        together.wait()
+        block = bytearray(100_000)
+        together.wait()
+        block.clear()
+
+    threads = [threading.Thread(target=allocate) for _ in range(12)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    text, size = ctypes.c_char_p(), ctypes.c_size_t()
+    stream = ctypes.c_void_p(libc.open_memstream(ctypes.byref(text), ctypes.byref(size)))
+    libc.malloc_info(0, stream)
+    libc.fclose(stream)
+    return (text.value or b"").count(b"<heap ")
 
 
 class Fake(Worker):
@@ -45,9 +78,17 @@ class Fake(Worker):
         if "crash-at-start" in orders:
             msg = "broken on purpose"
             raise ValueError(msg)
+        if "hang-at-start" in orders:
+            time.sleep(FOREVER)
+        if "compute-at-start" in orders:
+            working.at("computing on purpose")
+        while "compute-at-start" in self._orders():
+            _compute()
         if "child" in orders:
             child = subprocess.Popen(["sleep", "1000"])
             self._note(f"child {child.pid}")
+        if "heaps" in orders:
+            self._note(f"heaps {_heaps()}")
         if "print" in orders:
             print("a line on standard output")
             sys.stderr.write("a line on standard error\n")
@@ -65,11 +106,19 @@ class Fake(Worker):
         if "hang" in orders:
             self._note("hang")
             time.sleep(FOREVER)
+        if "compute" in orders:
+            self._computes()
         if "unanswered" in orders:
             self._note("unanswered")
             msg = "the engine does not answer"
             raise TimeoutError(msg)
         return Health("waiting" if "wait" in orders else "running", f"{self.name} fine")
+
+    def _computes(self) -> None:
+        self._note("computes")
+        while "compute" in self._orders():
+            _compute()
+        self._note("told")
 
     def stop(self) -> None:
         self._note(f"stop {os.getpid()}")

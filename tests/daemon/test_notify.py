@@ -35,7 +35,7 @@ class Systemd:
             except BlockingIOError:
                 return self.messages
 
-    def wait(self, text: str, seconds: float = 40.0) -> None:
+    def expect(self, text: str, seconds: float = 40.0) -> None:
         until(lambda: any(text in message for message in self.read()), f"{text} among {self.messages}", seconds)
 
     def count(self, text: str) -> int:
@@ -54,44 +54,44 @@ def systemd(tmp_path: Path) -> Iterator[Systemd]:
 
 def test_ready_status_and_stopping(daemon: Daemon, systemd: Systemd) -> None:
     process = daemon.start(env=systemd.env)
-    systemd.wait("READY=1")
+    systemd.expect("READY=1")
     line = "STATUS=router running: router fine | ros1 running: ros1 fine | ros2 running: ros2 fine"
     assert line in systemd.messages
     assert systemd.messages.index(line) < systemd.messages.index("READY=1")
     process.signal(signal.SIGTERM)
     assert process.popen.wait(40) == 0
-    systemd.wait("STOPPING=1")
+    systemd.expect("STOPPING=1")
 
 
 def test_ready_comes_also_where_a_side_does_not_work(daemon: Daemon, systemd: Systemd) -> None:
     daemon.order("ros1", "never")
     daemon.order("ros2", "wait")
     daemon.start(env=systemd.env)
-    systemd.wait("READY=1")
-    systemd.wait("ros1 cannot work: there is no such robot | ros2 running: waiting, ros2 fine")
+    systemd.expect("READY=1")
+    systemd.expect("ros1 cannot work: there is no such robot | ros2 running: waiting, ros2 fine")
 
 
 def test_status_follows(daemon: Daemon, systemd: Systemd) -> None:
     process = daemon.start(env=systemd.env)
-    systemd.wait("READY=1")
+    systemd.expect("READY=1")
     os.kill(daemon.wait_started("ros1"), signal.SIGKILL)
-    systemd.wait("ros1 running: ros1 fine (restarted 1x)")
+    systemd.expect("ros1 running: ros1 fine (restarted 1x)")
     daemon.configure("hubb: 1\n")
     process.signal(signal.SIGHUP)
-    systemd.wait("reload refused, the running configuration is kept: " + str(daemon.file) + ":3:1: hubb: unknown key")
+    systemd.expect("reload refused, the running configuration is kept: " + str(daemon.file) + ":3:1: hubb: unknown key")
 
 
 def test_reload_is_announced(daemon: Daemon, systemd: Systemd) -> None:
     process = daemon.start(env=systemd.env)
-    systemd.wait("READY=1")
+    systemd.expect("READY=1")
     process.signal(signal.SIGHUP)
-    systemd.wait("RELOADING=1\nMONOTONIC_USEC=")
+    systemd.expect("RELOADING=1\nMONOTONIC_USEC=")
     until(lambda: systemd.count("READY=1") == 2, "ready again")
 
 
 def test_watchdog_is_fed_and_starves_with_the_daemon(daemon: Daemon, systemd: Systemd) -> None:
     process = daemon.start(env=systemd.env)
-    systemd.wait("READY=1")
+    systemd.expect("READY=1")
     fed = systemd.count("WATCHDOG=1")
     until(lambda: systemd.count("WATCHDOG=1") >= fed + 3, "fed")
     process.signal(signal.SIGSTOP)
@@ -108,7 +108,7 @@ def test_watchdog_starves_when_the_loop_alone_hangs(daemon: Daemon, systemd: Sys
     command = [sys.executable, "-m", "tests.daemon.hanging", str(daemon.file), str(ticks), str(hangs)]
     process = Process(command, {**daemon.env, **systemd.env})
     daemon.processes.append(process)
-    systemd.wait("READY=1")
+    systemd.expect("READY=1")
     fed = systemd.count("WATCHDOG=1")
     until(lambda: systemd.count("WATCHDOG=1") > fed, "fed")
     process.signal(signal.SIGUSR1)
@@ -122,7 +122,7 @@ def test_watchdog_starves_when_the_loop_alone_hangs(daemon: Daemon, systemd: Sys
 
 def test_workers_do_not_inherit_what_is_the_daemons(daemon: Daemon, systemd: Systemd) -> None:
     daemon.start(env=systemd.env)
-    systemd.wait("READY=1")
+    systemd.expect("READY=1")
     for worker in ("router", "ros1", "ros2"):
         environ = Path(f"/proc/{daemon.wait_started(worker)}/environ").read_bytes()
         assert b"NOTIFY_SOCKET" not in environ
@@ -150,3 +150,4 @@ def test_silent_without_systemd(environ: dict[str, str]) -> None:
     notifier.ready()
     notifier.feed_watchdog()
     notifier.close()
+    assert notifier.watchdog_interval == 0.0

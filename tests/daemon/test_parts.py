@@ -10,12 +10,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from bridge.backoff import Backoff
-from bridge.config import Config
-from bridge.config.state import state_folder
+from bridge.concurrency import Backoff
+from bridge.config.model import Config
 from bridge.daemon import log
 from bridge.daemon.lock import Lock
-from bridge.daemon.loop import Loop
+from bridge.daemon.loop import SelectorLoop
 from bridge.daemon.protocol import (
     Beat,
     Failed,
@@ -28,12 +27,15 @@ from bridge.daemon.protocol import (
     Report,
     Restart,
     Stop,
+    Unknown,
     decode_command,
     decode_report,
     encode_command,
     encode_report,
 )
 from bridge.daemon.workers import VARIABLE, worker_kinds
+from bridge.progress import Busy
+from bridge.state_file import state_folder
 from bridge.worker import Health
 
 REPORTS = [
@@ -44,6 +46,7 @@ REPORTS = [
     Restart("why"),
     Failed("why"),
     Log(30, "text"),
+    Busy("importing rclpy", 1.25, 8),
 ]
 
 
@@ -53,6 +56,10 @@ def test_reports_survive_the_wire(report: Report) -> None:
     assert line.count(b"\n") == 1
     assert line.endswith(b"\n")
     assert decode_report(line) == report
+
+
+def test_a_report_of_another_version_is_none_that_is_wrong() -> None:
+    assert decode_report(b'{"novel": 1, "more": {}}') == Unknown(("novel", "more"))
 
 
 def test_commands_survive_the_wire() -> None:
@@ -71,6 +78,7 @@ BAD = [
     b'{"beat": 1, "state": "odd", "text": ""}',
     b'{"hello": {"pid": 1, "owner": "me"}}',
     b'{"log": [1]}',
+    b'{"busy": "x", "used": "1", "read": 0}',
     b"\xff",
     b"[" * 100_000,
 ]
@@ -176,7 +184,7 @@ def test_holder_of_a_file_with_something_else_in_it(tmp_path: Path, text: str) -
 
 
 def test_loop_calls_nothing_that_an_earlier_callback_ended() -> None:
-    loop = Loop()
+    loop = SelectorLoop()
     pipes = [os.pipe() for _ in range(2)]
     called: list[int] = []
 

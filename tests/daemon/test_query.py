@@ -8,12 +8,16 @@ import signal
 import socket
 from pathlib import Path
 
-from bridge.config import Config
-from bridge.daemon.loop import Loop
+import pytest
+
+from bridge.config.model import Config
+from bridge.daemon.loop import SelectorLoop
 from bridge.daemon.query import QueryServer, ask_daemon
 from tests.daemon.daemon import Daemon
 from tests.support.descriptors import no_descriptors
 from tests.support.wait import until
+
+pytestmark = pytest.mark.thorough
 
 
 def test_daemon_tells_also_of_workers_that_do_not_run(daemon: Daemon) -> None:
@@ -60,7 +64,7 @@ def test_answer_of_something_else_is_none(tmp_path: Path) -> None:
 
 
 def test_without_descriptors_a_question_is_turned_away_and_the_loop_rests(tmp_path: Path) -> None:
-    loop = Loop()
+    loop = SelectorLoop()
     server = QueryServer(loop, tmp_path / "sock", dict)
     with contextlib.closing(loop), contextlib.closing(server), socket.socket(socket.AF_UNIX) as asking:
         asking.settimeout(5.0)
@@ -80,9 +84,11 @@ def test_daemon_tells_why_nothing_can_be_kept(daemon: Daemon) -> None:
     process = daemon.start()
     daemon.wait_ready(process)
     (daemon.folder / "state").rename(daemon.folder / "elsewhere")
-    daemon.wait_output(process, f"the state folder {config.state}: No such file or directory; make it writable, or set")
+    daemon.expect_output(
+        process, f"the state folder {config.state}: No such file or directory; make it writable, or set"
+    )
     (daemon.folder / "elsewhere").rename(daemon.folder / "state")
-    daemon.wait_output(process, "the state folder can be written again")
+    daemon.expect_output(process, "the state folder can be written again")
     said = ask_daemon(config)
     assert said is not None
     assert "state folder" not in said["status"]

@@ -71,8 +71,8 @@ def test_broken_file_keeps_the_running_configuration(daemon: Daemon, config: str
     process = daemon.start()
     daemon.wait_ready(process)
     reload(daemon, process, config)
-    daemon.wait_output(process, complaint)
-    daemon.wait_output(process, "reload refused, the running configuration is kept")
+    daemon.expect_output(process, complaint)
+    daemon.expect_output(process, "reload refused, the running configuration is kept")
     assert [daemon.events(worker, "reload") for worker in WORKERS] == [[], [], []]
     reload(daemon, process, "routing: {default: deny}\n")
     until(lambda: daemon.events("ros1", "reload"), "the mended file is taken up")
@@ -83,7 +83,7 @@ def test_name_cannot_change_while_running(daemon: Daemon) -> None:
     daemon.wait_ready(process)
     daemon.file.write_text("name: other\nstate: state\n")
     process.signal(signal.SIGHUP)
-    daemon.wait_output(process, "name: changing it from 'test' to 'other' needs a restart of the daemon")
+    daemon.expect_output(process, "name: changing it from 'test' to 'other' needs a restart of the daemon")
     assert all(alive(daemon.wait_started(worker)) for worker in WORKERS)
 
 
@@ -105,7 +105,7 @@ def test_worker_that_gave_up_is_tried_again_at_a_reload(daemon: Daemon) -> None:
     daemon.wait_ready(process)
     daemon.order("ros1")
     reload(daemon, process, "ros1: {poll: 1}\n")
-    daemon.wait_output(process, "ros1 is up")
+    daemon.expect_output(process, "ros1 is up")
 
 
 def test_worker_that_died_meanwhile_gets_the_new_configuration(daemon: Daemon) -> None:

@@ -13,6 +13,8 @@ from tests.daemon.daemon import Daemon, alive, gone
 from tests.support.wait import until
 
 WORKERS = ("router", "ros1", "ros2")
+HEARTBEAT = 2.0
+"""Seconds that stand for the 5 of a daemon's own, where a test waits for their end."""
 
 
 def test_starts_all_workers_and_stops_them_in_order(daemon: Daemon) -> None:
@@ -47,7 +49,7 @@ def test_killed_worker_is_replaced_and_the_others_left_alone(daemon: Daemon) -> 
     daemon.wait_ready(process)
     os.kill(daemon.wait_started("ros2"), signal.SIGKILL)
     assert alive(daemon.wait_started("ros2", 2))
-    daemon.wait_output(process, "ros2 killed by SIGKILL")
+    daemon.expect_output(process, "ros2 killed by SIGKILL")
     assert len(daemon.pids("ros1")) == len(daemon.pids("router")) == 1
 
 
@@ -63,18 +65,18 @@ def test_what_a_dead_worker_started_is_ended(daemon: Daemon) -> None:
 
 @pytest.mark.parametrize("worker", ["ros1", "router"])
 def test_stopped_process_is_replaced(daemon: Daemon, worker: str) -> None:
-    process = daemon.start()
+    process = daemon.quick(2, heartbeat=HEARTBEAT)
     daemon.wait_ready(process)
     first = daemon.wait_started(worker)
     os.kill(first, signal.SIGSTOP)
     assert alive(daemon.wait_started(worker, 2))
     assert not alive(first)
-    assert f"{worker} sent no heartbeat for 5 s" in process.output()
+    assert f"{worker} sent no heartbeat for {HEARTBEAT:g} s" in process.output()
 
 
 @pytest.mark.parametrize("order", ["hang", "unanswered"])
 def test_worker_whose_loop_hangs_is_replaced(daemon: Daemon, order: str) -> None:
-    process = daemon.start()
+    process = daemon.quick(2, heartbeat=HEARTBEAT)
     daemon.wait_ready(process)
     daemon.order("ros1", order)
     until(lambda: "ros1 sent no heartbeat" in process.output(), "noticed")
@@ -113,7 +115,7 @@ def test_second_signal_stops_at_once(daemon: Daemon) -> None:
     process = daemon.start()
     daemon.wait_ready(process)
     process.signal(signal.SIGINT)
-    daemon.wait_output(process, "ros1 is stopped")
+    daemon.expect_output(process, "ros1 is stopped")
     process.signal(signal.SIGINT)
     assert process.popen.wait(40) == 0
     assert "did not stop in time" not in process.output()
@@ -149,6 +151,7 @@ def test_adopted_router_that_dies_is_replaced(daemon: Daemon) -> None:
     assert alive(daemon.wait_started("router", 2))
 
 
+@pytest.mark.thorough
 def test_worker_of_a_killed_daemon_that_hangs_is_ended_by_the_next(daemon: Daemon) -> None:
     first = daemon.start()
     daemon.wait_ready(first)
@@ -188,14 +191,14 @@ def test_log_lines_carry_the_workers_name(daemon: Daemon) -> None:
     daemon.order("ros1", "print")
     process = daemon.start()
     daemon.wait_ready(process)
-    daemon.wait_output(process, "ros1: a line on standard output")
-    daemon.wait_output(process, "ros1: a line on standard error")
+    daemon.expect_output(process, "ros1: a line on standard output")
+    daemon.expect_output(process, "ros1: a line on standard error")
 
 
 def test_journal_gets_priorities(daemon: Daemon) -> None:
     daemon.order("ros1", "never", "print")
     process = daemon.start(env={"JOURNAL_STREAM": "1:2"})
-    daemon.wait_output(process, "<6>midspan: ready")
+    daemon.expect_output(process, "<6>midspan: ready")
     lines = process.output().splitlines()
     assert all(line.startswith("<") for line in lines), lines
     assert any(line.startswith("<3>midspan: ros1 cannot work") for line in lines)
@@ -208,6 +211,7 @@ def test_state_folder_is_for_its_owner_alone(daemon: Daemon) -> None:
     assert (daemon.folder / "state").stat().st_mode & 0o777 == 0o700
 
 
+@pytest.mark.thorough
 def test_no_descriptors_or_processes_leak_over_restarts(daemon: Daemon) -> None:
     process = daemon.start()
     daemon.wait_ready(process)

@@ -2,19 +2,28 @@
 
 from __future__ import annotations
 
+import itertools
 import json
+import platform
 import signal
 import subprocess
 import sys
+import time
 from collections.abc import Iterator
 from typing import Any
 
 import pytest
 
 from bridge.config.model import Config
-from bridge.daemon.protocol import NewConfig, encode_command
+from bridge.daemon import process, protocol
+from bridge.daemon.control import Commands
+from bridge.daemon.protocol import NewConfig, Report, Stop, encode_command
+from bridge.daemon.workers import supervised_command
+from bridge.worker import Health, Worker
 from tests.daemon.daemon import Daemon, alive
 from tests.support.wait import until
+
+pytestmark = pytest.mark.thorough
 
 
 class Supervised:
@@ -22,7 +31,7 @@ class Supervised:
 
     def __init__(self, daemon: Daemon) -> None:
         self.popen = subprocess.Popen(
-            [sys.executable, "-m", "bridge.cli.main", "worker", "ros1", "--supervised"],
+            supervised_command("ros1"),
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             stderr=subprocess.DEVNULL,
@@ -35,6 +44,12 @@ class Supervised:
         self.popen.stdin.flush()
 
     def read(self) -> dict[str, Any]:
+        """Its next report, but for what it is busy with."""
+        while "busy" in (said := self.read_any()):
+            pass
+        return said
+
+    def read_any(self) -> dict[str, Any]:
         assert self.popen.stdout is not None
         line = self.popen.stdout.readline()
         assert line, "the worker ended"
@@ -72,6 +87,43 @@ def test_beats_and_stops_when_told_to(daemon: Daemon, supervised: Supervised) ->
     supervised.send(b'{"stop": true}\n')
     assert supervised.popen.wait(40) == 0
     assert len(daemon.events("ros1", "stop")) == 1
+
+
+@pytest.mark.skipif(platform.libc_ver()[0] != "glibc", reason="other C libraries have no such setting")
+@pytest.mark.parametrize("alone", [False, True])
+def test_threads_share_two_heaps(daemon: Daemon, supervised: Supervised, alone: bool) -> None:
+    daemon.order("ros1", "heaps")
+    if alone:
+        daemon.midspan("worker", "ros1", "--config", str(daemon.file))
+    else:
+        supervised.send(config(daemon))
+    until(lambda: bool(daemon.events("ros1", "heaps")), "the count")
+    assert daemon.events("ros1", "heaps") == [["heaps", "2"]]
+
+
+def test_tells_what_it_is_at_from_its_first_moment(daemon: Daemon, supervised: Supervised) -> None:
+    assert supervised.read_any() == {"busy": "loading Python's libraries", "used": 0.0, "read": 0}
+    daemon.order("ros1", "compute-at-start")
+    supervised.send(config(daemon))
+    until(lambda: supervised.read_any()["busy"] == "computing on purpose", "where it is")
+    first, second = supervised.read_any(), supervised.read_any()
+    assert second["used"] > first["used"], "the processor time of the thread that works"
+    daemon.order("ros1")
+    assert supervised.read()["beat"] == 1
+
+
+def test_the_thread_that_tells_ends_before_python_does() -> None:
+    """Python 3.11 crashes now and then where a daemon thread wakes while it ends (seen once: signal 11)."""
+    code = """
+import os, threading
+from bridge.daemon.begin import begin
+heart = begin()
+assert "heart" in {thread.name for thread in threading.enumerate()}
+heart.close()
+os.write(2, " ".join(sorted(thread.name for thread in threading.enumerate())).encode())
+"""
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60, check=True)
+    assert done.stderr == "MainThread"
 
 
 def test_end_of_input_stops(daemon: Daemon, supervised: Supervised) -> None:
@@ -143,7 +195,7 @@ def test_alone_reloads_and_starts_again_where_it_must(daemon: Daemon) -> None:
     pid = daemon.wait_started("ros1")
     daemon.configure("routing: {default: allowed}\n")
     process.signal(signal.SIGHUP)
-    daemon.wait_output(process, "'allowed' is not one of allow, deny; did you mean 'allow'?")
+    daemon.expect_output(process, "'allowed' is not one of allow, deny; did you mean 'allow'?")
     daemon.configure("routing: {default: deny}\n")
     process.signal(signal.SIGHUP)
     until(lambda: daemon.events("ros1", "reload deny"), "reloaded")
@@ -181,12 +233,12 @@ def test_router_service_survives_daemons_and_is_left_running(daemon: Daemon) -> 
 
 def test_daemon_waits_for_a_service_that_comes_later(daemon: Daemon) -> None:
     process = daemon.start("--adopt", "router")
-    daemon.wait_output(process, "router waits for its service")
+    daemon.expect_output(process, "router waits for its service")
     daemon.wait_started("ros1")
     service = daemon.midspan("worker", "router", "--control", "--config", str(daemon.file))
     daemon.wait_ready(process)
     service.signal(signal.SIGKILL)
-    daemon.wait_output(process, "router ended after")
+    daemon.expect_output(process, "router ended after")
     daemon.midspan("worker", "router", "--control", "--config", str(daemon.file))
     until(lambda: process.output().count("router is up") == 2, "found again")
     assert len(daemon.pids("router")) == 2
@@ -246,7 +298,7 @@ def test_service_of_a_side_is_not_killed_by_a_daemon_of_the_same_name(daemon: Da
     daemon.midspan("worker", "ros1", "--config", str(daemon.file))
     pid = daemon.wait_started("ros1")
     process = daemon.start()
-    daemon.wait_output(process, f"ros1 is run by process {pid}, not by this daemon")
+    daemon.expect_output(process, f"ros1 is run by process {pid}, not by this daemon")
     daemon.wait_started("ros2")
     assert alive(pid)
     assert daemon.pids("ros1") == [pid]
@@ -261,7 +313,7 @@ def test_router_keeps_its_log_for_the_next_daemon(daemon: Daemon) -> None:
     daemon.order("router", "unanswered")
     until(lambda: daemon.events("router", "unanswered"), "something to tell while no daemon is there")
     second = daemon.start()
-    daemon.wait_output(second, "router: the worker's loop does not answer: the engine does not answer")
+    daemon.expect_output(second, "router: the worker's loop does not answer: the engine does not answer")
     daemon.order("router")
     daemon.wait_ready(second)
     assert daemon.pids("router")[0] == router
@@ -271,8 +323,8 @@ def test_crash_of_the_router_at_its_start_is_told(daemon: Daemon) -> None:
     daemon.env["MIDSPAN_WORKERS"] = "router=tests.daemon.fakes:Nothing"
     daemon.configure("ros1: {enabled: false}\nros2: {enabled: false}\n")
     process = daemon.start()
-    daemon.wait_output(process, "AttributeError: module 'tests.daemon.fakes' has no attribute 'Nothing'")
-    daemon.wait_output(process, "router ended with exit code 1")
+    daemon.expect_output(process, "AttributeError: module 'tests.daemon.fakes' has no attribute 'Nothing'")
+    daemon.expect_output(process, "router ended with exit code 1")
 
 
 def test_state_folder_that_cannot_be_used(daemon: Daemon) -> None:
@@ -288,3 +340,38 @@ def test_state_folder_too_long_for_a_socket(daemon: Daemon) -> None:
     process = daemon.start()
     assert process.popen.wait(40) == 1
     assert "too long for a socket's name; set 'state' in the configuration to a shorter folder" in process.output()
+
+
+class Telling(Worker):
+    """Runs, and says what the test wants."""
+
+    def __init__(self, words: list[str]) -> None:
+        self._words = words
+
+    def start(self, config: Config) -> None:
+        """Nothing to start."""
+
+    def reload(self, config: Config) -> bool:  # noqa: ARG002
+        return True
+
+    def health(self) -> Health:
+        return Health("running", self._words.pop(0))
+
+    def stop(self) -> None:
+        """Nothing to stop."""
+
+
+def test_heartbeats_are_rarer_where_there_is_nothing_new_to_say(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(protocol, "QUIET_INTERVAL", 4.0)
+    commands, at = Commands(), list[float]()
+    words = ["one", "two", "two", "three"]
+
+    def report(_: Report) -> None:
+        at.append(time.monotonic())
+        if not words:
+            commands.put(Stop())
+
+    process.Child(Telling(words), commands, report).run(Config())
+    first, second, third = (later - earlier for earlier, later in itertools.pairwise(at))
+    assert max(first, second) < 4.0, "something new"
+    assert third >= 4.0, "the same again"

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-import math
+import fcntl
+import os
 import signal
 import socket
 import subprocess
@@ -14,104 +15,43 @@ from typing import Any
 import psutil
 import pytest
 
-from bridge.demo import camera, place, requirements, topics, traces
-from bridge.demo.base import TIMEOUT, Base
-from bridge.demo.checks import ROS1, ROS2, YARP, YARP_TEXT, ZENOH, Drive, evaluate, promises
-from bridge.demo.child import guarded
-from bridge.demo.floor_plan import RESOLUTION, FloorPlan
-from bridge.demo.place import Place
-from bridge.demo.report import Ear
+from bridge.demo import leftovers, sandbox
+from bridge.demo.processes import guarded
+from bridge.demo.sandbox import Sandbox
+from bridge.demo.topics_demo import messages
+from bridge.demo.topics_demo.checks import ROS1, ROS2, YARP, YARP_TEXT, ZENOH, Drive, evaluate, promises
+from bridge.demo.topics_demo.report import Received
 
 ROOT = Path(__file__).parents[2]
 MAP = "180 x 105 cells, CRC 00000000"
+IMAGE = "8 x 6 rgb8, 144 bytes"
 DRIVE = Drive(ROS2, (0.3, 0.0), (0.0, 0.0, 0.0), (0.8, 0.0, 0.0), 25, 25, (0.0, 0.0), seen=True)
 
 
-def free(_x: float, _y: float) -> bool:
-    return True
-
-
-def test_base_moves_by_its_command_and_stops_when_the_commander_falls_silent() -> None:
-    base = Base(free)
-    base.command(0.4, 0.0, 0.0)
-    for tick in range(40):
-        base.step(0.05, tick * 0.05)
-    assert base.x == pytest.approx(0.4 * TIMEOUT, abs=0.4 * 0.06)
-    assert (base.y, base.linear, base.angular) == (0.0, 0.0, 0.0)
-
-
-def test_base_turns_and_keeps_its_heading_between_minus_pi_and_pi() -> None:
-    base = Base(free)
-    for tick in range(100):
-        base.command(0.0, 1.0, tick * 0.05)
-        base.step(0.05, tick * 0.05)
-    assert base.yaw == pytest.approx(5.0 - math.tau)
-
-
-@pytest.mark.parametrize("command", [(math.nan, 0.0), (0.0, math.inf)])
-def test_base_does_not_obey_what_is_not_a_number(command: tuple[float, float]) -> None:
-    base = Base(free)
-    base.command(*command, 0.0)
-    base.step(0.05, 0.0)
-    assert (base.x, base.y, base.yaw) == (0.0, 0.0, 0.0)
-
-
-def test_base_stops_at_a_wall() -> None:
-    plan = FloorPlan()
-    base = Base(lambda x, y: not plan.occupied(x, y))
-    for tick in range(2000):
-        base.command(0.5, 0.0, tick * 0.05)
-        base.step(0.05, tick * 0.05)
-    assert base.x > 1.0
-    assert plan.cast(base.x, base.y, 0.0, 10.0) == pytest.approx(0.2, abs=0.05)
-
-
-def test_rays_end_where_the_grid_is_occupied() -> None:
-    plan, cells = FloorPlan(), FloorPlan().occupancy()
-    for degrees in range(0, 360, 7):
-        angle = math.radians(degrees)
-        distance = plan.cast(0.0, 0.0, angle, 20.0)
-        inside = [(distance + d) for d in (-0.01, 0.01)]
-        hits = []
-        for r in inside:
-            column = int((r * math.cos(angle) - plan.origin[0]) / RESOLUTION)
-            row = int((r * math.sin(angle) - plan.origin[1]) / RESOLUTION)
-            hits.append(cells[row * plan.size[0] + column])
-        assert hits == [0, 100], degrees
-
-
-def test_picture_is_whole_and_shows_a_near_wall_higher_than_a_far_one() -> None:
-    plan = FloorPlan()
-    ceilings = []
-    for yaw in (0.0, math.pi / 2):
-        picture = camera.picture(plan, 0.0, 0.0, yaw)
-        assert len(picture) == camera.WIDTH * camera.HEIGHT * 3
-        ceilings.append(picture.count(bytes((70, 90, 110))))
-    assert plan.cast(0.0, 0.0, 0.0, 10.0) > plan.cast(0.0, 0.0, math.pi / 2, 10.0)
-    assert ceilings[0] > ceilings[1]
-
-
 def test_ear_tells_a_message_that_came_twice() -> None:
-    ear = Ear()
+    ear = Received()
     for key in (1, 2, 2, None, None):
-        ear.hear(key, "text")
+        ear.add(key, "text")
     assert ear.as_dict() == {"count": 5, "repeated": 1, "detail": "text"}
 
 
 def reports() -> dict[str, dict[str, Any]]:
     """What the programs report when everything crossed."""
     greetings = {
-        topics.FROM_ROS1: "hello 9 from ROS 1",
-        topics.FROM_ROS2: "hello 9 from ROS 2",
-        topics.FROM_ZENOH: "hello 9 from zenoh",
-        topics.FROM_YARP: "hello 9 from YARP",
+        messages.FROM_ROS1: "hello 9 from ROS 1",
+        messages.FROM_ROS2: "hello 9 from ROS 2",
+        messages.FROM_ZENOH: "hello 9 from zenoh",
+        messages.FROM_YARP: "hello 9 from YARP",
     }
-    robot = {promise.topic: promise.reads for promise in promises(MAP)} | greetings
+    robot = {promise.topic: promise.reads for promise in promises(MAP, IMAGE)} | greetings
 
     def heard(reads: dict[str, str]) -> dict[str, Any]:
         return {"heard": {topic: {"count": 100, "repeated": 0, "detail": text} for topic, text in reads.items()}}
 
-    return {ROS1: {**heard(greetings), "map": MAP}, **{name: heard(robot) for name in (ROS2, ZENOH, YARP)}}
+    return {
+        ROS1: {**heard(greetings), "map": MAP, "image": IMAGE},
+        **{name: heard(robot) for name in (ROS2, ZENOH, YARP)},
+    }
 
 
 def failed(told: dict[str, dict[str, Any]], *drives: Drive) -> set[tuple[str, str, str]]:
@@ -128,10 +68,10 @@ def test_checks_hold_when_all_crossed() -> None:
 @pytest.mark.parametrize(
     ("topic", "change", "name"),
     [
-        (topics.SCAN, {"count": 3}, "laser scan"),
-        (topics.MAP, {"detail": "180 x 105 cells, CRC ffffffff"}, "map, joined late"),
-        (topics.TF_STATIC, {"detail": "camera, laser"}, "static transforms, joined late"),
-        (topics.ODOM, {"repeated": 1}, "odometry"),
+        (messages.SCAN, {"count": 3}, "laser scan"),
+        (messages.MAP, {"detail": "180 x 105 cells, CRC ffffffff"}, "map, joined late"),
+        (messages.TF_STATIC, {"detail": "camera, laser"}, "static transforms, joined late"),
+        (messages.ODOM, {"repeated": 1}, "odometry"),
     ],
 )
 def test_checks_name_what_is_missing_wrong_or_doubled(topic: str, change: dict[str, Any], name: str) -> None:
@@ -142,8 +82,8 @@ def test_checks_name_what_is_missing_wrong_or_doubled(topic: str, change: dict[s
 
 def test_checks_see_an_echo() -> None:
     told = reports()
-    told[ROS1]["heard"][topics.FROM_ROS1]["repeated"] = 2
-    assert ("no echo", ROS1, topics.FROM_ROS1) in failed(told, *ALL)
+    told[ROS1]["heard"][messages.FROM_ROS1]["repeated"] = 2
+    assert ("no echo", ROS1, messages.FROM_ROS1) in failed(told, *ALL)
 
 
 @pytest.mark.parametrize(
@@ -165,9 +105,9 @@ def test_no_report_and_no_drive_is_no_success() -> None:
 
 
 def test_places_meet_nobody() -> None:
-    with Place(None) as one, Place(None) as other:
+    with Sandbox(None) as one, Sandbox(None) as other:
         assert one.domain != other.domain
-        ports = {port for place in (one, other) for port in (place.master_port, place.router_port, place.yarp_port)}
+        ports = {port for box in (one, other) for port in (box.master_port, box.router_port, box.yarp_port)}
         assert len(ports) == 6
         assert one.config.ros1.master == one.master
         assert one.config.hub.listen.endswith(f":{one.router_port}")
@@ -180,41 +120,69 @@ def test_place_keeps_the_rules_of_its_template(tmp_path: Path) -> None:
     template.write_text(
         "name: mine\nhub: {listen: tcp/127.0.0.1:7447}\nrouting:\n  rules:\n    - {topic: /a, deny: true}\n"
     )
-    with Place(template) as place:
-        assert place.config.routing.rules[0].deny
-        assert place.config.name != "mine"
-        assert not place.config.hub.listen.endswith(":7447")
+    with Sandbox(template) as box:
+        assert box.config.routing.rules[0].deny
+        assert box.config.name != "mine"
+        assert not box.config.hub.listen.endswith(":7447")
 
 
 def test_the_shipped_configuration_is_sound() -> None:
-    from bridge.demo.place import CONFIG
+    from bridge.demo.sandbox import CONFIG
 
-    with Place(CONFIG) as place:
-        assert place.config.routing.rules
+    with Sandbox(CONFIG) as box:
+        assert box.config.routing.rules
 
 
 def test_shared_memory_of_others_is_left_alone() -> None:
     ports = range(10000, 10250)
-    own = [n for n in ("12.zenoh", "fastrtps_0123456789abcdef", "fastrtps_port10011_el") if traces.is_own(n, ports)]
+    own = [n for n in ("12.zenoh", "fastrtps_0123456789abcdef", "fastrtps_port10011_el") if leftovers.is_own(n, ports)]
     assert len(own) == 3
     others = ("lttng-ust-wait-6", "fastrtps_port7000", "sem.fastrtps_port9999_mutex", "psm_1234", "zenoh")
-    assert not any(traces.is_own(name, ports) for name in others)
+    assert not any(leftovers.is_own(name, ports) for name in others)
+
+
+HOLDS = "import sys; held = [open(name, 'rb') for name in sys.argv[1:]]; print('held', flush=True); sys.stdin.read()"
+
+
+def test_a_port_of_a_participant_that_was_killed_before_it_locked_it_is_removed(tmp_path: Path) -> None:
+    """And one that another process reads, which holds its lock, stays. Port numbers above 65535 are nobody's."""
+    stem = f"fastrtps_port{70_000 + os.getpid()}"
+    mine, others = (Path("/dev/shm", f"{stem}{end}") for end in "01")
+    lock = others.with_name(f"{others.name}_el")
+    command = [sys.executable, "-c", HOLDS, str(mine), str(others)]
+    environ = os.environ | {sandbox.MARK: str(tmp_path)}
+    try:
+        for file in (mine, others, lock):
+            file.touch()
+        with (
+            lock.open() as held,
+            subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, env=environ) as participant,
+        ):
+            fcntl.flock(held, fcntl.LOCK_EX)
+            assert participant.stdout is not None
+            assert participant.stdout.readline() == b"held\n"
+            leftovers.erase(tmp_path, range(0))
+        assert (mine.exists(), others.exists(), lock.exists()) == (False, True, True)
+        assert not mine.with_name(f"{mine.name}_el").exists()
+    finally:
+        for file in (mine, others, lock):
+            file.unlink(missing_ok=True)
 
 
 def test_what_is_missing_is_told_with_its_cure(tmp_path: Path) -> None:
     from bridge.config.model import Config
 
     config = Config.model_validate({"ros1": {"packages": str(tmp_path)}})
-    told = requirements.missing(config)
+    told = sandbox.missing(config)
     assert told
     assert str(tmp_path) in told[0]
 
 
 def test_ports_of_a_place_are_none_that_connections_going_out_take() -> None:
-    with Place(None) as first, socket.socket() as taken:
+    with Sandbox(None) as first, socket.socket() as taken:
         low, domain = first.master_port, first.domain
         taken.bind(("127.0.0.1", first.router_port))
-        free = place._free_ports(3, domain)
+        free = sandbox._free_ports(3, domain)
         assert first.router_port not in free
         assert max(*free, first.yarp_port) < 32_768  # net.ipv4.ip_local_port_range, as Linux has it
         assert low == free[0]
@@ -222,7 +190,10 @@ def test_ports_of_a_place_are_none_that_connections_going_out_take() -> None:
 
 def test_a_program_that_waits_for_ever_ends_with_its_input() -> None:
     """As rospy does, whose master died while it registered with it."""
-    waits = "from bridge.demo import report; report.LAST_SECONDS = 1; report.Voice(); import time; time.sleep(600)"
+    waits = (
+        "from bridge.demo.topics_demo import report; report.LAST_SECONDS = 1; report.Reporter();"
+        " import time; time.sleep(600)"
+    )
     with subprocess.Popen([sys.executable, "-c", waits], stdin=subprocess.PIPE, cwd=ROOT) as program:
         assert program.stdin is not None
         program.stdin.close()

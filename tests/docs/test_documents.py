@@ -14,20 +14,47 @@ from bridge.config.load import loads
 from bridge.config.model import Config
 
 ROOT = Path(__file__).parents[2]
-PAGES = sorted([ROOT / "README.md", *(ROOT / "docs").glob("*.md"), ROOT / "benchmarks" / "README.md"])
+PAGES = sorted(
+    [
+        *(ROOT / name for name in ("README.md", "CONTRIBUTING.md", "ARCHITECTURE.md", "CHANGELOG.md")),
+        *(ROOT / "docs").rglob("*.md"),
+        ROOT / "benchmarks" / "README.md",
+        ROOT / "examples" / "README.md",
+    ]
+)
 BLOCK = re.compile(r"^```(\w*)\n(.*?)^```", re.MULTILINE | re.DOTALL)
-LINK = re.compile(r"\]\(([^)#\s]+)")
+LINK = re.compile(r"\]\(([^)\s]+)")
 
 
 def blocks(language: str) -> list[tuple[str, str]]:
-    """Code blocks of one language in all pages, each with its page's name."""
-    return [(page.name, code) for page in PAGES for name, code in BLOCK.findall(page.read_text()) if name == language]
+    """Code blocks of one language in all pages, each with its page's path."""
+    found = [(page, name, code) for page in PAGES for name, code in BLOCK.findall(page.read_text())]
+    return [(str(page.relative_to(ROOT)), code) for page, name, code in found if name == language]
 
 
-@pytest.mark.parametrize("page", PAGES, ids=lambda p: p.name)
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
 def test_links_lead_to_files(page: Path) -> None:
     links = [link for link in LINK.findall(page.read_text()) if "://" not in link]
-    assert [link for link in links if not (page.parent / link).exists()] == []
+    assert [link for link in links if not leads_somewhere(page, link)] == []
+
+
+def leads_somewhere(page: Path, link: str) -> bool:
+    """Tell whether the file is there, and the heading in it."""
+    target, _, heading = link.partition("#")
+    file = page.parent / target if target else page
+    return file.exists() and (not heading or heading in anchors(file))
+
+
+def anchors(page: Path) -> set[str]:
+    """The anchors of a page's headings, as GitHub makes them."""
+    titles = re.findall(r"^#+ (.*)$", BLOCK.sub("", page.read_text()), re.MULTILINE)
+    return {re.sub(r"[^\w\- ]", "", title.lower()).replace(" ", "-") for title in titles}
+
+
+@pytest.mark.parametrize("folder", sorted(p for p in (ROOT / "docs").iterdir() if p.is_dir()), ids=lambda p: p.name)
+def test_each_page_is_in_its_index(folder: Path) -> None:
+    index = set(LINK.findall((folder / "README.md").read_text()))
+    assert {page.name for page in folder.glob("*.md")} - index == {"README.md"}
 
 
 def configurations() -> list[tuple[str, str]]:
@@ -44,7 +71,7 @@ def configurations() -> list[tuple[str, str]]:
 def test_configurations_load(page: str, code: str, tmp_path: Path) -> None:
     # Paths of somebody's robot do not exist here; everything else must hold.
     here = re.sub(r"(?<=[\[\s])/(?:home|etc|opt)/[\w./-]+", str(tmp_path), code)
-    assert isinstance(loads(here, tmp_path / page), Config)
+    assert isinstance(loads(here, tmp_path / "page.md"), Config)
 
 
 def test_there_are_configurations() -> None:
@@ -63,4 +90,4 @@ def test_commands_are_commands(page: str, line: str) -> None:
     words = shlex.split(line, comments=True)[1:]
     for stop in ("|", ">", "&", "&&", "||", ";"):
         words = words[: words.index(stop)] if stop in words else words
-    build_parser(words[:1]).parse_args(words)
+    assert callable(build_parser(words[:1]).parse_args(words).run)

@@ -1,4 +1,4 @@
-"""The interface of docs/yarp_data.md, asked as a person would."""
+"""The interface of docs/yarp/data.md, asked as a person would."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import Any
 from yarp_compat.wire import binary
 from yarp_compat.wire.profile import Profile
 
-PAGE = Path(__file__).parents[2] / "docs" / "yarp_data.md"
+PAGE = Path(__file__).parents[2] / "docs" / "yarp" / "data.md"
 
 
 def test_the_example_answers() -> None:

@@ -1,4 +1,4 @@
-"""The example of docs/yarp_names.md, and its numbers."""
+"""The example of docs/yarp/names.md, and its numbers."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from tests.support.ports import free_port
 from yarp_compat.naming import client, registry, server, subscriptions
 from yarp_compat.wire import contact
 
-PAGE = (Path(__file__).parents[2] / "docs" / "yarp_names.md").read_text(encoding="utf-8")
+PAGE = (Path(__file__).parents[2] / "docs" / "yarp" / "names.md").read_text(encoding="utf-8")
 
 
 def test_the_example_runs(capsys: pytest.CaptureFixture[str]) -> None:

@@ -1,4 +1,4 @@
-"""The examples of docs/yarp_python.md run, each a program."""
+"""The examples of docs/yarp/python.md run, each a program."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ import pytest
 from tests.support.ports import free_port
 from yarp_compat.naming.server import NameServer
 
-PAGE = Path(__file__).parents[2] / "docs" / "yarp_python.md"
+PAGE = Path(__file__).parents[2] / "docs" / "yarp" / "python.md"
 EXAMPLES = re.findall(r"^```python\n(.*?)^```", PAGE.read_text(), re.MULTILINE | re.DOTALL)
 
 

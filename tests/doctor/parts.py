@@ -2,30 +2,35 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 from bridge.config.model import Config
-from bridge.doctor.around import Around, HubView
-from bridge.doctor.finding import Finding, Result
+from bridge.doctor.check import Finding, Findings, Result
+from bridge.doctor.context import CheckContext, HubSnapshot
 
 
-def around(config: dict[str, Any] | None = None, environ: dict[str, str] | None = None, **more: Any) -> Around:
+def around(config: dict[str, Any] | None = None, environ: dict[str, str] | None = None, **more: Any) -> CheckContext:
     """Surroundings with nothing in the environment but what is given."""
-    return Around(Config.model_validate({"name": "robot1", **(config or {})}), environ=environ or {}, **more)
+    return CheckContext(Config.model_validate({"name": "robot1", **(config or {})}), environ=environ or {}, **more)
 
 
-def hub(*documents: dict[str, Any], **more: Any) -> HubView:
+def hub(*documents: dict[str, Any], **more: Any) -> HubSnapshot:
     """A hub with these workers."""
-    return HubView(documents=[{"daemon": "robot1", "routes": [], "refused": [], **d} for d in documents], **more)
+    return HubSnapshot(documents=[{"daemon": "robot1", "routes": [], "refused": [], **d} for d in documents], **more)
 
 
-def results(findings: Any) -> list[Result]:
+def results(findings: Findings) -> list[Result]:
     """The findings' results."""
-    return [finding.result for finding in findings]
+    return [finding.result for finding in every(findings)]
 
 
-def only(findings: Any) -> Finding:
+def only(findings: Findings) -> Finding:
     """The one finding that there must be."""
-    (finding,) = findings
-    assert isinstance(finding, Finding)
+    (finding,) = every(findings)
     return finding
+
+
+def every(findings: Findings) -> Sequence[Finding]:
+    """The findings, of which a check may return one alone."""
+    return [findings] if isinstance(findings, Finding) else findings

@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import threading
 
+from bridge.doctor.check import Check, Result, examine, ok
 from bridge.doctor.checks import CHECKS
-from bridge.doctor.examine import examine
-from bridge.doctor.finding import Check, Result, ok
-from bridge.doctor.parallel import in_parallel
+from bridge.doctor.checks.ros1 import in_parallel
 from tests.doctor.parts import around
 
 

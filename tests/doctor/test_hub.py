@@ -11,23 +11,26 @@ from typing import Any
 import pytest
 import zenoh
 
-from bridge.doctor.around import HubView
-from bridge.doctor.checks import bridges, daemon, router, types
-from bridge.doctor.finding import Result
-from bridge.doctor.hubtypes import conflicts
+from bridge.doctor.check import Result
+from bridge.doctor.checks import bridges, types
+from bridge.doctor.checks import hub as hub_checks
+from bridge.doctor.context import HubSnapshot
+from bridge.doctor.hub_problems import conflicts
 from bridge.hub.graph import HubEndpoint
-from bridge.hub.liveliness import UNKNOWN_HASH, EndpointKind
-from bridge.hub.qos import Qos
+from bridge.hub.graph.tokens import UNKNOWN_HASH, EndpointKind
+from bridge.hub.wire.qos import Qos
 from tests.doctor.parts import around, hub, only, results
 from tests.support.hub import HubNetwork
 from tests.support.ports import free_port
 
 
-def endpoint(node: str, type_name: str, digit: str, kind: EndpointKind = EndpointKind.PUBLISHER) -> HubEndpoint:
-    """An endpoint of /topic whose type's hash is made of one digit."""
+def endpoint(
+    node: str, type_name: str, digit: str, kind: EndpointKind = EndpointKind.PUBLISHER, topic: str = "/topic"
+) -> HubEndpoint:
+    """An endpoint whose type's hash is made of one digit."""
     type_hash = UNKNOWN_HASH if digit == "0" else f"RIHS01_{digit * 64}"
     return HubEndpoint(
-        "ab", node, "/", kind, "/topic", type_name, type_hash, Qos(), bytes(16), origin=None, pending=False, own=False
+        "ab", node, "/", kind, topic, type_name, type_hash, Qos(), bytes(16), origin=None, pending=False, own=False
     )
 
 
@@ -40,12 +43,12 @@ def endpoint(node: str, type_name: str, digit: str, kind: EndpointKind = Endpoin
     ],
 )
 def test_an_open_hub_is_warned_of(section: dict[str, Any], count: int) -> None:
-    assert results(daemon.look_at_config(around({"hub": section}))) == [Result.OK, Result.WARN][:count]
+    assert results(hub_checks.look_at_config(around({"hub": section}))) == [Result.OK, Result.WARN][:count]
 
 
 def test_every_problem_of_a_configuration() -> None:
     place = around(config_text="a.yaml:1:1: x: bad\na.yaml:2:1: y: bad", config_good=False)
-    assert results(daemon.look_at_config(place)) == [Result.FAIL, Result.FAIL]
+    assert results(hub_checks.look_at_config(place)) == [Result.FAIL, Result.FAIL]
 
 
 def test_workers() -> None:
@@ -54,20 +57,27 @@ def test_workers() -> None:
         {"worker": "ros1", "state": "waiting"},
         {"worker": "ros2", "state": "running", "warnings": ["a QoS mismatch"]},
         {"worker": "other", "error": "no answer"},
+        # by the daemon's word, as `midspan status` has them
+        {"worker": "sim", "state": "starting", "text": "importing dartpy (4 s)"},
+        {"worker": "modules", "state": "cannot work", "text": "no module is there"},
     )
-    found = daemon.look_at_workers(around(hub=view))
-    assert results(found) == [Result.OK, Result.WARN, Result.WARN, Result.FAIL]
-    for nobody in (HubView("nothing answers"), HubView()):
-        assert only(daemon.look_at_workers(around(hub=nobody))).result is Result.WARN
+    found = hub_checks.look_at_workers(around(hub=view))
+    assert results(found) == [Result.OK, Result.WARN, Result.WARN, Result.FAIL, Result.WARN, Result.FAIL]
+    assert found[-2].seen == "robot1/sim is starting: importing dartpy (4 s)"
+    assert found[-1].seen == "robot1/modules cannot work: no module is there"
+    for nobody in (HubSnapshot("nothing answers"), HubSnapshot()):
+        assert only(hub_checks.look_at_workers(around(hub=nobody))).result is Result.WARN
 
 
 def test_a_free_port() -> None:
-    assert only(router.look(around({"hub": {"listen": f"tcp/127.0.0.1:{free_port()}"}}))).result is Result.OK
+    assert (
+        only(hub_checks.look_at_port(around({"hub": {"listen": f"tcp/127.0.0.1:{free_port()}"}}))).result is Result.OK
+    )
 
 
 def test_our_own_router() -> None:
     with HubNetwork() as network:
-        finding = only(router.look(around({"hub": {"listen": network.endpoint}})))
+        finding = only(hub_checks.look_at_port(around({"hub": {"listen": network.endpoint}})))
     assert (finding.result, "Midspan daemon test" in finding.seen) == (Result.OK, True), finding
 
 
@@ -96,7 +106,7 @@ def strangers_port() -> Iterator[int]:
 
 
 def test_a_program_that_speaks_no_zenoh(strangers_port: int) -> None:
-    finding = only(router.look(around({"hub": {"listen": f"tcp/127.0.0.1:{strangers_port}"}})))
+    finding = only(hub_checks.look_at_port(around({"hub": {"listen": f"tcp/127.0.0.1:{strangers_port}"}})))
     assert finding.result is Result.FAIL
     assert "does not speak zenoh" in finding.seen
     assert "hub.listen" in finding.cure
@@ -112,7 +122,7 @@ def test_another_router(mode: str, wanted: Any, result: Result) -> None:
     for key, value in (("mode", mode), ("listen/endpoints", [listen]), ("scouting/multicast/enabled", False)):
         config.insert_json5(key, json.dumps(value))
     with zenoh.open(config):
-        finding = only(router.look(around({"hub": {"listen": listen, "router": wanted}})))
+        finding = only(hub_checks.look_at_port(around({"hub": {"listen": listen, "router": wanted}})))
     assert (finding.result, listen in finding.seen) == (result, True), finding
 
 
@@ -148,8 +158,42 @@ def test_conflicts_on_the_hub() -> None:
     (kinds,) = conflicts([endpoint("one", "a/msg/A", "1"), endpoint("two", "a/msg/B", "2")])
     assert "a/msg/A, a/msg/B" in kinds.text
     assert conflicts([endpoint("one", "a/srv/A", "1", EndpointKind.SERVER)]) == []
-    view = HubView(endpoints=[endpoint("one", "a/msg/A", "1"), endpoint("two", "a/msg/A", "2")])
+    view = HubSnapshot(endpoints=[endpoint("one", "a/msg/A", "1"), endpoint("two", "a/msg/A", "2")])
     assert only(types.look_at_hashes(around(hub=view))).result is Result.FAIL
+
+
+def test_a_node_that_hears_several_types_conflicts_with_none_of_them() -> None:
+    # as BaseControl, which hears /cmd_vel as Twist and as TwistStamped
+    one, two = endpoint("one", "a/msg/A", "1"), endpoint("two", "a/msg/B", "2")
+    both = [endpoint("base", e.type_name, e.type_hash[7], EndpointKind.SUBSCRIPTION) for e in (one, two)]
+    assert conflicts(both) == conflicts([*both, one]) == conflicts([*both, one, two]) == []
+    deaf = endpoint("deaf", "a/msg/A", "1", EndpointKind.SUBSCRIPTION)
+    assert conflicts([*both, one, deaf]) == []
+    assert len(conflicts([*both, two, deaf])) == 1
+
+
+def test_a_map_server_of_ros_beside_map2d_server() -> None:
+    # what the ros1 worker refuses beside a real map_server (navigation 1.17.3), which serves both
+    def refused(service: str, *, reason: str = "") -> list[dict[str, Any]]:
+        entry = {"kind": "service", "topic": service, "hub_topic": service, "type": "nav_msgs/srv/GetMap"}
+        there = reason or f"/map_server serves {service} there already"
+        ours = reason or f"map2d_server serves {service} on the hub already"
+        return [{**entry, "direction": "out", "reason": there}, {**entry, "direction": "in", "reason": ours}]
+
+    def look(taken: dict[str, int], entries: list[dict[str, Any]]) -> list[Any]:
+        server = {"worker": "map2d_server", "module": True, "zid": "ab", "taken": taken}
+        services = ("/static_map", "/change_map")
+        ends = [endpoint("map2d_server", "nav_msgs/srv/GetMap", "1", EndpointKind.SERVER, s) for s in services]
+        view = hub(server, {"worker": "ros1", "side": "ros1", "refused": entries}, endpoints=ends)
+        return list(types.look_at_refused(around(hub=view)))
+
+    both = [*refused("/static_map"), *refused("/change_map")]
+    found = look({"/map": 1}, both)
+    assert results(found) == [Result.OK, Result.OK]
+    assert found[1].seen.startswith("/change_map, /static_map: the map server there answers on ros1")
+    assert set(results(look({}, both))) == {Result.FAIL}  # it serves other maps than that one
+    assert set(results(look({"/map": 1}, refused("/static_map", reason="no definition")))) == {Result.FAIL}
+    assert set(results(look({"/map": 1}, refused("/other")))) == {Result.FAIL}
 
 
 def test_a_compiler_that_is_missing(monkeypatch: pytest.MonkeyPatch) -> None:

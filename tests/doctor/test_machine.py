@@ -13,13 +13,12 @@ from types import SimpleNamespace
 
 import pytest
 
-from bridge.config import state
-from bridge.doctor import clock
-from bridge.doctor.checks import clock as clock_check
+from bridge import resources
+from bridge.doctor import context
+from bridge.doctor.check import Finding, Result
 from bridge.doctor.checks import machine, sharedmemory
-from bridge.doctor.clock import Offset
-from bridge.doctor.finding import Finding, Result
-from bridge.doctor.shmfiles import shared_files
+from bridge.doctor.checks.sharedmemory import shared_files
+from bridge.doctor.context import Offset
 from tests.doctor.parts import around, hub, only, results
 from tests.support.process import Process
 from tests.support.wait import until
@@ -29,7 +28,7 @@ pytestmark = pytest.mark.skipif(not PROC.is_dir(), reason="needs Linux's /proc")
 
 
 def test_an_offset_is_measured_within_its_error() -> None:
-    measured = clock.measure(lambda: time.time_ns() + 2_000_000_000)
+    measured = context.measure(lambda: time.time_ns() + 2_000_000_000)
     assert measured is not None
     assert abs(measured.seconds - 2.0) <= measured.error + 1e-4
 
@@ -46,9 +45,9 @@ def test_the_quickest_answer_counts(monkeypatch: pytest.MonkeyPatch) -> None:
         now[0] += wait  # an answer that takes long on its way back looks like a clock that is behind
         return told
 
-    monkeypatch.setattr(clock, "time", SimpleNamespace(time_ns=lambda: now[0], monotonic_ns=lambda: now[0]))
-    assert clock.measure(ask, 4) == Offset(-0.001, 0.001)
-    assert clock.measure(lambda: None) is None
+    monkeypatch.setattr(context, "time", SimpleNamespace(time_ns=lambda: now[0], monotonic_ns=lambda: now[0]))
+    assert context.measure(ask, 4) == Offset(-0.001, 0.001)
+    assert context.measure(lambda: None) is None
 
 
 @pytest.mark.parametrize(
@@ -57,7 +56,7 @@ def test_the_quickest_answer_counts(monkeypatch: pytest.MonkeyPatch) -> None:
 )
 def test_clocks(seconds: float, error: float, result: Result) -> None:
     view = hub(clocks={"robot2/ros1": Offset(9.0, 8.0), "robot2/ros2": Offset(seconds, error)})
-    finding = only(clock_check.look(around(hub=view)))
+    finding = only(machine.look_at_clocks(around(hub=view)))
     assert finding.result is result
     assert "robot2" in finding.seen
     assert bool(finding.cure) == (result is not Result.OK)
@@ -84,7 +83,7 @@ def test_the_state_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> No
 
     assert look(tmp_path / "later").result is Result.SKIP
     assert look(tmp_path).result is Result.OK
-    monkeypatch.setattr(state, "LEAST_ROOM", 1 << 60)
+    monkeypatch.setattr(resources, "LEAST_ROOM", 1 << 60)
     full = look(tmp_path)
     assert full.result is Result.FAIL
     assert full.seen.startswith(f"the state folder {tmp_path} has ")

@@ -10,9 +10,9 @@ from xmlrpc.server import SimpleXMLRPCRequestHandler, SimpleXMLRPCServer
 
 import pytest
 
-from bridge.doctor.around import Around
-from bridge.doctor.checks import bridges, ros1, ros1_names
-from bridge.doctor.finding import Result
+from bridge.doctor.check import Result
+from bridge.doctor.checks import bridges, ros1
+from bridge.doctor.context import CheckContext
 from tests.doctor.parts import around, hub, only, results
 from tests.support.ports import free_port
 from tests.support.ros1 import RosMaster, needs_ros1
@@ -58,7 +58,7 @@ def test_a_master_that_answers(master: RosMaster) -> None:
     place = around({"ros1": {"master": master.uri}}, hub=hub(WORKER))
     finding = only(ros1.look_at_master(place))
     assert (finding.result, "1 nodes" in finding.seen) == (Result.OK, True), finding
-    assert only(ros1_names.look_at_nodes(place)).result is Result.OK
+    assert only(ros1.look_at_nodes(place)).result is Result.OK
 
 
 @pytest.mark.parametrize(
@@ -74,12 +74,12 @@ def test_a_master_that_does_not(master: str, words: str, result: Result) -> None
     finding = only(ros1.look_at_master(place))
     assert (finding.result, words in finding.seen) == (result, True), finding
     assert finding.cure
-    assert only(ros1_names.look_at_nodes(place)).result is Result.SKIP
+    assert only(ros1.look_at_nodes(place)).result is Result.SKIP
 
 
 def test_nothing_to_look_at() -> None:
     off = around({"ros1": {"enabled": False}})
-    for check in (ros1.look_at_master, ros1.look_at_environment, ros1_names.look_at_address, ros1_names.look_at_nodes):
+    for check in (ros1.look_at_master, ros1.look_at_environment, ros1.look_at_address, ros1.look_at_nodes):
         assert results(check(off)) == [Result.SKIP]
     assert results(ros1.look_at_packages(off)) == [Result.SKIP]
 
@@ -99,7 +99,7 @@ def test_nodes_that_cannot_be_reached(master: RosMaster) -> None:
     register(master, "/lost_too", f"http://{NOWHERE}:4712/")
     register(master, "/dead", f"http://127.0.0.1:{dead}/")
     register(master, "/strange", f"http://{'x' * 70}.y:1/")
-    found = ros1_names.look_at_nodes(around({"ros1": {"master": master.uri}}, hub=hub(WORKER)))
+    found = ros1.look_at_nodes(around({"ros1": {"master": master.uri}}, hub=hub(WORKER)))
     lost = next(f for f in found if NOWHERE in f.seen)
     assert lost.result is Result.FAIL
     assert "/lost, /lost_too: " in lost.seen
@@ -125,7 +125,7 @@ def test_nodes_that_cannot_be_reached(master: RosMaster) -> None:
     ],
 )
 def test_the_address_that_peers_are_given(environ: dict[str, str], config: dict[str, str], result: Result) -> None:
-    finding = only(ros1_names.look_at_address(around({"ros1": config}, environ, hub=hub(WORKER))))
+    finding = only(ros1.look_at_address(around({"ros1": config}, environ, hub=hub(WORKER))))
     assert (finding.result, bool(finding.cure)) == (result, result is Result.FAIL), finding
 
 
@@ -167,7 +167,7 @@ def living() -> Iterator[str]:
 def test_other_bridges_on_the_master(master: RosMaster, living: str, tmp_path: Path) -> None:
     config = {"ros1": {"master": master.uri}, "ros2": {"enabled": False}, "state": tmp_path}
 
-    def place() -> Around:
+    def place() -> CheckContext:
         return around(config, hub=hub({**WORKER, "pid": 99}))
 
     assert Result.WARN not in results(bridges.look(place()))

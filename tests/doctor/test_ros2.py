@@ -4,28 +4,25 @@ from __future__ import annotations
 
 import os
 import sys
-from importlib.util import find_spec
 from pathlib import Path
 
 import pytest
 
 from bridge.config.model import Config
 from bridge.daemon.workers import worker_kinds
-from bridge.doctor import dds
+from bridge.doctor.check import Result
 from bridge.doctor.checks import bridges, ros2
-from bridge.doctor.finding import Result
 from tests.doctor.parts import around, hub, only, results
+from tests.support.missing import ROS2, needs
 from tests.support.peer import Peer
 from tests.support.process import Process
 from tests.support.ros2 import ROS2_PEER, ros2_domain, ros2_environment, ros2_python
 from tests.support.wait import until
 
-needs_ros2 = pytest.mark.skipif(find_spec("rclpy") is None, reason="no rclpy here")
-
 OTHER_MIDSPAN = """
 import json, pathlib, sys, threading
 from bridge.adapters.ros2.participant import Participant
-from bridge.adapters.ros2.process import use_profile
+from bridge.adapters.ros2.profile import use_profile
 from bridge.config.model import Config
 profile = use_profile(Config(), pathlib.Path(sys.argv[1]))
 participant = Participant("midspan", int(sys.argv[2]))
@@ -81,7 +78,7 @@ def test_rmw(rmw: str, result: Result) -> None:
     assert only(ros2.look_at_rmw(around(environ={"RMW_IMPLEMENTATION": rmw}))).result is result
 
 
-@needs_ros2
+@needs(ROS2)
 def test_other_bridges_on_dds(tmp_path: Path) -> None:
     domain = ros2_domain()
     config = Config.model_validate({"ros2": {"domain": domain}})
@@ -94,7 +91,7 @@ def test_other_bridges_on_dds(tmp_path: Path) -> None:
         assert other.popen.stdout is not None
         prefix = other.popen.stdout.readline().strip()
         peer.advertise("/chatter", "std_msgs/String")
-        view = dds.look(config, os.environ)
+        view = bridges.look_at_dds(config, os.environ)
     assert view.midspans == {prefix}
     assert "/ros_bridge" in view.nodes
     found = bridges.of_dds(around(), view)

@@ -9,8 +9,8 @@ from typing import Any
 import pytest
 
 from bridge.daemon.workers import WorkerKind
-from bridge.doctor.checks import wheels
-from bridge.doctor.finding import Result
+from bridge.doctor.check import Result
+from bridge.doctor.checks import machine
 from tests.doctor.parts import around, only
 
 WINDOWS = {"sys_platform": "win32", "platform_machine": "AMD64"}
@@ -33,21 +33,21 @@ def requirements() -> list[str]:
 
 
 def test_nothing_is_left_out_on_linux(requirements: list[str]) -> None:
-    assert wheels.left_out(requirements, LINUX) == {}
-    assert only(wheels.compare(around(), requirements, LINUX)).result is Result.OK
+    assert machine.left_out(requirements, LINUX) == {}
+    assert only(machine.compare(around(), requirements, LINUX)).result is Result.OK
 
 
 @pytest.mark.parametrize("system", [WINDOWS, {"sys_platform": "darwin", "platform_machine": "arm64"}])
 def test_other_systems_lack_ros2_and_dart(requirements: list[str], system: dict[str, str]) -> None:
-    assert wheels.left_out(requirements, system) == {"ros2": ROS2, "sim": DART}
+    assert machine.left_out(requirements, system) == {"ros2": ROS2, "sim": DART}
 
 
 def test_another_processor_lacks_ros2(requirements: list[str]) -> None:
-    assert wheels.left_out(requirements, {**LINUX, "platform_machine": "aarch64"}) == {"ros2": ROS2}
+    assert machine.left_out(requirements, {**LINUX, "platform_machine": "aarch64"}) == {"ros2": ROS2}
 
 
 def test_a_newer_python_lacks_dart(requirements: list[str]) -> None:
-    assert wheels.left_out(requirements, {**LINUX, "python_version": "3.14"}) == {"sim": DART}
+    assert machine.left_out(requirements, {**LINUX, "python_version": "3.14"}) == {"sim": DART}
 
 
 @pytest.mark.parametrize(
@@ -63,7 +63,7 @@ def test_the_side_is_named(
     requirements: list[str], enabled: Any, missing: str, result: Result, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(WorkerKind, "missing", lambda *_: missing)
-    finding = only(wheels.compare(around({"ros2": {"enabled": enabled}}), requirements, WINDOWS))
+    finding = only(machine.compare(around({"ros2": {"enabled": enabled}}), requirements, WINDOWS))
     assert finding.result is result
     if result in (Result.WARN, Result.FAIL):
         start = f"no wheel on this system (win32, AMD64): {', '.join(ROS2)}; so side ros2 is not available"

@@ -7,9 +7,9 @@ from pathlib import Path
 
 import pytest
 
+from bridge.doctor.check import Result
 from bridge.doctor.checks import yarp
-from bridge.doctor.finding import Result
-from tests.doctor.parts import around, only
+from tests.doctor.parts import around, hub, only
 from tests.support.ports import free_port
 from tests.support.yarp_programs import Names
 
@@ -42,3 +42,15 @@ def test_this_shells_yarp(names: Names, tmp_path: Path) -> None:
     assert only(yarp.look_at_environment(around(config, environ))).result is Result.OK
     (tmp_path / "yarp.conf").write_text("nonsense\n")
     assert only(yarp.look_at_environment(around(config, environ))).result is Result.FAIL
+
+
+def test_callers_whose_release_nobody_tells() -> None:
+    assert only(yarp.look_at_releases(around())).result is Result.SKIP
+    known = {"port": "/new/rpc", "generation": "4.0", "generation_why": "it asked"}
+    guess = {"port": "/old/rpc", "generation": "3.12", "generation_why": "a guess", "generation_cure": "say it"}
+    for peers, result in (([known], Result.OK), ([known, guess], Result.WARN)):
+        module = {"module": True, "worker": "gateway", "ports": [{"port": "/nav/rpc", "peers": peers}]}
+        found = only(yarp.look_at_releases(around(hub=hub(module))))
+        assert found.result is result
+    assert "/old/rpc" in found.seen
+    assert found.cure == "say it"

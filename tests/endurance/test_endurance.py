@@ -11,7 +11,7 @@ from benchmarks.endurance.deployment import SIDES, Census, Deployment
 from benchmarks.latency.usage import WORKERS
 from tests.support.wait import until
 
-pytestmark = pytest.mark.alone
+pytestmark = [pytest.mark.thorough, pytest.mark.alone]
 
 BATCHES = 2
 MOST_EACH = 60_000

@@ -20,11 +20,11 @@ from tests.support.process import Process
 from tests.support.ros1 import ROS1_PYTHON
 from tests.support.ros2 import ros2_environment, ros2_python
 from tests.support.wait import until
-from yarp_compat.dev.localization2d_server import Localization2DServer
+from yarp_compat.dev.localization2d import Localization2DServer
 from yarp_compat.dev.locations import Map2DLocation
 from yarp_compat.dev.map2d_client import Map2DClient
 from yarp_compat.dev.mapgrid import MapGrid2D
-from yarp_compat.dev.service_server import ServiceServer
+from yarp_compat.dev.server import ServiceServer
 from yarp_compat.naming import connections
 from yarp_compat.naming.client import NameClient
 from yarp_compat.naming.config import Address
@@ -66,7 +66,7 @@ class Examples:
             config.insert_json5(key, json.dumps(value))
         with zenoh.open(config) as session:
             asked = session.declare_querier("robot/go_to")
-            until(lambda: asked.matching_status.matching, "zenoh's clients are answered", 40)
+            until(lambda: asked.matching_status.matching, "zenoh's clients are answered", 40)  # type: ignore[attr-defined]
         until(lambda: self.deployment.route("zenoh_json", "/navigation/status", "out"), "and are told", 40)
 
     def _place(self) -> None:
@@ -81,7 +81,7 @@ class Examples:
 
     def at(self) -> float:
         """Where the robot is, along x."""
-        return float(self.planner._x)
+        return float(self.planner.x)
 
     def start(self, side: str, example: str, *words: str) -> Process:
         """Start an example in its side's interpreter."""

@@ -61,7 +61,7 @@ def example() -> Any:
     spec = importlib.util.spec_from_file_location("goto_location_zenoh", EXAMPLES / "goto_location_zenoh.py")
     assert spec is not None
     assert spec.loader is not None
-    made = importlib.util.module_from_spec(spec)
+    made: Any = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(made)
     made.SILENCE = 0.3
     return made

@@ -11,18 +11,20 @@ from typing import Any
 
 import pytest
 
-from bridge.adapters.base import MadeBy
-from bridge.hub.authority import Authority
-from bridge.hub.qos import Qos, Reliability
+from bridge.hub.endpoints.subscription import HubSample
+from bridge.hub.security.certificates import Authority
 from bridge.hub.session import Hub
-from bridge.hub.subscription import HubSample
+from bridge.hub.wire.qos import Qos, Reliability
 from bridge.messages.registry import Registry
+from bridge.routing.edge import MadeBy
 from tests.cli.workers import EngineWorker
 from tests.hub.parts import HASH, LATCHED, Heard, see_each_other, talk
 from tests.support.faults import FaultProxy
 from tests.support.hub import HubNetwork
 from tests.support.ports import free_port
 from tests.support.wait import until
+
+pytestmark = pytest.mark.thorough
 
 TWIST, IMAGE = "geometry_msgs/msg/Twist", "sensor_msgs/msg/Image"
 TIMEOUT = 0.3
@@ -110,7 +112,7 @@ def test_what_waited_in_a_stalled_link_is_not_obeyed(link: Link) -> None:
         until(link.drives, "commands get through again")
     assert link.latest() < LATE
     assert link.dropped() > 10
-    heard.wait("0.2", "1")
+    heard.expect("0.2", "1")
 
 
 def test_a_link_that_loses_delivers_nothing_late_and_all_the_rest(link: Link) -> None:
@@ -124,7 +126,7 @@ def test_a_link_that_loses_delivers_nothing_late_and_all_the_rest(link: Link) ->
     until(lambda: link.proxy.lost or link.command(0.1), "something is lost")
     link.proxy.loss = 0.0
     until(link.drives, "commands get through")
-    heard.wait(*words)
+    heard.expect(*words)
     assert link.latest() < LATE
 
 
@@ -160,10 +162,10 @@ def test_a_half_open_connection_is_given_up_and_made_anew(link: Link, direction:
 def test_cut_connections_are_made_anew_with_all_state(link: Link) -> None:
     talk(link.engine.hub, "/map", LATCHED, "first")
     heard = Heard(link.operator, "/map", LATCHED)
-    heard.wait("first")
+    heard.expect("first")
     changing = talk(link.engine.hub, "/plan", LATCHED, "old")
     plan = Heard(link.operator, "/plan", LATCHED)
-    plan.wait("old")
+    plan.expect("old")
     started = time.monotonic()
     for _ in range(3):
         link.proxy.cut()
@@ -173,7 +175,7 @@ def test_cut_connections_are_made_anew_with_all_state(link: Link) -> None:
     changing.put(b"newest")
     until(lambda: plan.texts()[-1] == "newest", "the state is complete")
     assert set(heard.texts()) == {"first"}
-    Heard(link.operator, "/map", LATCHED).wait("first")
+    Heard(link.operator, "/map", LATCHED).expect("first")
     assert link.latest() < LATE
 
 

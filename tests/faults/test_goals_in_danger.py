@@ -13,7 +13,7 @@ import pytest
 from benchmarks.goals_in_danger import DANGERS, STATES, WAYS, Scene
 from tests.interop.deployment import Deployment
 
-pytestmark = pytest.mark.alone
+pytestmark = [pytest.mark.thorough, pytest.mark.alone]
 
 FREE = {"client killed", "master killed"}
 """Dangers in which the goal may go on, so that its server decides how it ends."""

@@ -14,7 +14,7 @@ from benchmarks.losses.field import WORKERS, Field
 from benchmarks.losses.litter import litter
 from benchmarks.losses.outcome import Outcome
 
-pytestmark = pytest.mark.alone
+pytestmark = [pytest.mark.thorough, pytest.mark.alone]
 
 
 @pytest.fixture(scope="module")

@@ -1,1 +1,1 @@
-"""Fuzzers for every parser of ours; see the document docs/fuzzing.md."""
+"""Fuzzers for every parser of ours; see the document docs/develop/fuzzing.md."""

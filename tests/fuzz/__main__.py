@@ -11,6 +11,7 @@ import time
 from collections.abc import Sequence
 from pathlib import Path
 
+from tests.fuzz.machines import load
 from tests.fuzz.run import warm
 from tests.fuzz.shrink import probe
 from tests.fuzz.target import Target
@@ -62,6 +63,7 @@ def shares(targets: Sequence[Target], inputs: int) -> dict[Target, int]:
 
 
 def _look(targets: Sequence[Target], file: Path) -> int:
+    load()
     for target in targets:
         subject = target.make()
         warm(subject)

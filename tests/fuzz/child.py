@@ -11,6 +11,7 @@ import time
 from pathlib import Path
 from typing import Any
 
+from tests.fuzz.machines import load
 from tests.fuzz.run import JOURNAL_IDLE, Journal, fuzz
 from tests.fuzz.shrink import shrunk
 from tests.fuzz.target import Subject
@@ -20,6 +21,7 @@ from tests.fuzz.targets import TARGETS
 def main() -> None:
     """Work until the input ends."""
     logging.disable()
+    load()
     journal = Journal(Path(sys.argv[1]))
     answers = os.fdopen(os.dup(1), "w")
     os.dup2(2, 1)

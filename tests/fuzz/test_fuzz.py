@@ -17,6 +17,7 @@ ROOT = Path(__file__).parents[2]
 MILLION = 1_000_000
 
 
+@pytest.mark.long
 @pytest.mark.timeout(600)
 def test_a_million_inputs(tmp_path: Path) -> None:
     figures = tmp_path / "figures.json"

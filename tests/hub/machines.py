@@ -7,9 +7,9 @@ from typing import Any
 
 import zenoh
 
-from bridge.hub.authority import Authority
+from bridge.hub.security.certificates import Authority
 from bridge.hub.session import Hub, HubSettings
-from bridge.hub.settings import make_config, session_tree
+from bridge.hub.zenoh_config import make_config, session_tree
 from tests.support.hub import HubNetwork
 from tests.support.ports import free_port
 

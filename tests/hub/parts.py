@@ -5,10 +5,10 @@ from __future__ import annotations
 from threading import Lock
 from typing import Any
 
-from bridge.hub.publisher import HubPublisher
-from bridge.hub.qos import Durability, Qos, Reliability
+from bridge.hub.endpoints.publisher import HubPublisher
+from bridge.hub.endpoints.subscription import HubSample, HubSubscription
 from bridge.hub.session import Hub
-from bridge.hub.subscription import HubSample, HubSubscription
+from bridge.hub.wire.qos import Durability, Qos, Reliability
 from tests.support.wait import until
 
 TYPE = "std_msgs/msg/String"
@@ -35,7 +35,7 @@ class Heard:
         with self._lock:
             return [sample.data().decode() for sample in self.samples]
 
-    def wait(self, *texts: str, seconds: float = 40.0) -> None:
+    def expect(self, *texts: str, seconds: float = 40.0) -> None:
         """Wait until exactly these have come, in any order."""
         until(lambda: len(self.samples) >= len(texts), f"{texts} heard", seconds)
         assert sorted(self.texts()) == sorted(texts)

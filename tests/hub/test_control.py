@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from bridge.hub.control import Answer
+from bridge.hub.control import WorkerAnswer
 from bridge.hub.session import Hub
 from tests.support.hub import HubNetwork
 from tests.support.wait import until
@@ -25,7 +25,7 @@ def test_all_who_know_a_verb_answer(network: HubNetwork):
         until(lambda: len(cli.graph.nodes()) == 4, "all linked")
         until(lambda: len(cli.ask("twice", {"value": 21})) == 3, "all answer")
         answers = {(x.daemon, x.worker): x for x in cli.ask("twice", {"value": 21})}
-        assert answers[("robot1", "ros2")] == Answer("robot1", "ros2", {"number": 1, "value": 42})
+        assert answers[("robot1", "ros2")] == WorkerAnswer("robot1", "ros2", {"number": 1, "value": 42})
         assert set(answers) == {("robot1", "ros1"), ("robot1", "ros2"), ("robot2", "ros1")}
         assert [x.value["number"] for x in cli.ask("twice", {"value": 1}, daemon="robot2")] == [2]
         assert [x.value["number"] for x in cli.ask("twice", {"value": 1}, worker="ros2")] == [1]
@@ -45,8 +45,8 @@ def test_what_goes_wrong_is_told(network: HubNetwork, handler: Any, error: str):
     with Hub.open(network.settings("a")) as a:
         a.serve("verb", handler)
         a.serve("fine", lambda _params: [1])
-        assert a.ask("verb", {}) == [Answer("test", "test", None, error)]
-        assert a.ask("fine", {}) == [Answer("test", "test", [1])]
+        assert a.ask("verb", {}) == [WorkerAnswer("test", "test", None, error)]
+        assert a.ask("fine", {}) == [WorkerAnswer("test", "test", [1])]
 
 
 def test_an_answer_that_json_cannot_carry_leaves_the_others_answering(network: HubNetwork):
@@ -59,11 +59,11 @@ def test_an_answer_that_json_cannot_carry_leaves_the_others_answering(network: H
 
 @pytest.mark.parametrize("question", [b"\xff", b"[1]", b"{", b"x" * (2 << 20)])
 def test_a_bad_question_is_refused(network: HubNetwork, question: bytes):
-    with Hub.open(network.settings("a")) as a, Hub.open(network.settings("b")) as b:
+    with Hub.open(network.settings("a")) as a, Hub.open(network.settings("b")) as b, network.program() as program:
         a.serve("verb", lambda _params: 1)
         key = f"@midspan/{a.domain}/test/test/verb"
         until(lambda: b.ask("verb", {}), "reachable")
-        (reply,) = b._session.get(key, payload=question, timeout=40)
+        (reply,) = program.get(key, payload=question, timeout=40)
         assert b"error" in reply.ok.payload.to_bytes()
         assert [x.value for x in b.ask("verb", {})] == [1]
 
@@ -73,7 +73,7 @@ def test_a_slow_answer_does_not_hold_up_samples_or_other_verbs(network: HubNetwo
         go = threading.Event()
         a.serve("slow", lambda _params: go.wait(40))
         a.serve("quick", lambda _params: "here")
-        slow: list[list[Answer]] = []
+        slow: list[list[WorkerAnswer]] = []
         asker = threading.Thread(target=lambda: slow.append(a.ask("slow", {}, timeout=40)))
         asker.start()
         assert [x.value for x in a.ask("quick", {})] == ["here"]

@@ -8,8 +8,8 @@ from collections.abc import Iterator
 import psutil
 import pytest
 
-from bridge.hub.link_limits import limit_links
-from bridge.hub.settings import LEASE_MS
+from bridge.hub.links import limit_links
+from bridge.hub.zenoh_config import LEASE_MS
 
 
 @pytest.fixture

@@ -9,16 +9,18 @@ from pathlib import Path
 
 import pytest
 
-from bridge.hub.qos import Qos
 from bridge.hub.session import Hub
+from bridge.hub.wire.qos import Qos
 from tests.hub.parts import LATCHED, STREAM, Heard, matched, see_each_other, talk
 from tests.support.hub import ROOT, HubNetwork
 from tests.support.wait import until
 
+pytestmark = pytest.mark.thorough
+
 PROGRAM = """
 import sys
 from bridge.hub.session import Hub, HubSettings
-from bridge.hub.qos import Qos
+from bridge.hub.wire.qos import Qos
 hub = Hub.open(HubSettings(router=sys.argv[1], node="leaves"))
 hub.subscription("/x", "a/msg/B", "*", Qos(), print)
 hub.serve("verb", lambda params: 1)
@@ -78,11 +80,28 @@ def test_no_pool_is_left_of_a_killed_session():
         assert [segment for segment in killed if segment.exists()] == []
 
 
+@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="looks into /proc and /dev/shm")
+def test_a_small_map_takes_no_pool():
+    """Zenoh would lock the whole pool into the memory of both."""
+    with HubNetwork() as network, network.hub_peer("listener") as listener, network.hub_peer("sender") as sender:
+        heard = listener.ask("subscription", topic="/map")["id"]
+        publisher = sender.ask("publisher", topic="/map", latched=False)["id"]
+
+        def came() -> bool:
+            sender.ask("put", id=publisher, text="x" * 60_000)
+            return bool(listener.ask("wait", id=heard, count=1, seconds=0.2)["texts"])
+
+        until(came, "heard")
+        assert max((segment.stat().st_size for segment in segments(sender.pid)), default=0) < 4 << 20
+
+
 def test_a_program_that_forgets_to_close_ends():
     """Zenoh's threads would keep the interpreter for ever."""
     with HubNetwork() as network:
         env = {"PYTHONPATH": str(ROOT), "_ROS_WHEELS_BOOTSTRAP_COMPLETE": "1"}
-        subprocess.run([sys.executable, "-c", PROGRAM, network.endpoint], env=env, check=True, timeout=100)
+        command = [sys.executable, "-c", PROGRAM, network.endpoint]
+        ended = subprocess.run(command, env=env, capture_output=True, text=True, timeout=100)
+    assert ended.returncode == 0, ended.stderr
 
 
 @pytest.mark.parametrize("qos", [STREAM, LATCHED])

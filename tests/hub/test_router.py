@@ -13,7 +13,7 @@ from bridge.config.model import Config
 from bridge.hub.errors import HubConfigError, HubError
 from bridge.hub.router import RouterInfo, RouterWorker, port_held, probe_router
 from bridge.hub.session import Hub
-from bridge.hub.settings import MAX_PAYLOAD, make_config, session_tree
+from bridge.hub.zenoh_config import MAX_PAYLOAD, make_config, session_tree
 from tests.hub.parts import LATCHED, Heard, matched, see_each_other, talk
 from tests.support.hub import HubNetwork
 from tests.support.ports import free_port
@@ -116,7 +116,7 @@ def test_opening_does_not_wait_for_the_router_and_joins_when_it_comes():
             assert [n.node for n in a.graph.nodes()] == ["a"]
             network.start_router()
             see_each_other(a, b)
-            heard.wait("x")
+            heard.expect("x")
 
 
 def test_a_restarted_router_is_joined_again():
@@ -124,15 +124,15 @@ def test_a_restarted_router_is_joined_again():
         see_each_other(a, b)
         heard = Heard(b, "/map", LATCHED)
         publisher = talk(a, "/map", LATCHED, "one")
-        heard.wait("one")
+        heard.expect("one")
         network.stop_router()
         # the direct link goes on
         publisher.put(b"two")
-        heard.wait("one", "two")
+        heard.expect("one", "two")
         network.start_router()
         with Hub.open(network.settings("c")) as c:
             see_each_other(a, b, c)
-            Heard(c, "/map", LATCHED).wait("two")
+            Heard(c, "/map", LATCHED).expect("two")
 
 
 def test_clients_have_no_link_but_the_routers_and_find_each_other_again():
@@ -145,7 +145,7 @@ def test_clients_have_no_link_but_the_routers_and_find_each_other_again():
         see_each_other(a, b)
         heard = Heard(b, "/map", LATCHED)
         publisher = talk(a, "/map", LATCHED, "one")
-        heard.wait("one")
+        heard.expect("one")
         network.stop_router()
         until(lambda: len(a.graph.nodes()) == 1, "they lost each other")
         network.start_router()

@@ -9,7 +9,7 @@ from tests.support.hub import HubNetwork
 
 PROGRAM = """
 import sys, threading, time
-from bridge.hub.qos import Durability, Qos
+from bridge.hub.wire.qos import Durability, Qos
 from bridge.hub.session import Hub, HubSettings
 
 endpoint, HASH = sys.argv[1], "RIHS01_" + "ab" * 32

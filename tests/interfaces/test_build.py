@@ -10,10 +10,13 @@ from pathlib import Path
 import pytest
 
 from bridge.interfaces import BuildError, activate, build, environment
-from bridge.interfaces.store import SITE, members
+from bridge.interfaces.cache import SITE, members
 from tests.interfaces.packages import PACKAGES
+from tests.support.missing import COMPILER, needs
 from tests.support.peer import Peer
 from tests.support.ros2 import ROS2_PEER, ros2_environment, ros2_python
+
+pytestmark = pytest.mark.thorough
 
 TINY = {"midspan_tiny_msgs": {"msg/Tiny.msg": "int8 value"}}
 
@@ -75,6 +78,7 @@ def test_two_programs_exchange_a_built_type(built: Path) -> None:
     assert message["parts"][0].items() >= part.items()
 
 
+@needs(COMPILER)
 def test_two_processes_build_once(tmp_path: Path) -> None:
     code = f"from bridge.interfaces import build; print(build({TINY!r}, progress=print))"
     env = os.environ | {"MIDSPAN_CACHE": str(tmp_path)}
@@ -131,7 +135,8 @@ sys.modules["tf2_msgs"] = type(sys)("tf2_msgs")
 assert activate(Path({str(built)!r})) == ("tf2_msgs",)
 assert sys.path.count(sys.path[0]) == 1
 """
-    subprocess.run([sys.executable, "-c", code], check=True, timeout=100)
+    ended = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=100)
+    assert ended.returncode == 0, ended.stderr
 
 
 def test_different_builds_of_one_package_do_not_mix(built: Path, cache: Path) -> None:
@@ -144,4 +149,5 @@ def test_different_builds_of_one_package_do_not_mix(built: Path, cache: Path) ->
 def test_several_prefixes_merge(built: Path, cache: Path) -> None:
     env = os.environ | environment([built, build(TINY, cache)])
     code = "import midspan_tiny_msgs.msg, midspan_whole_msgs.msg, tf2_msgs.msg, midspan_parts_msgs.srv"
-    subprocess.run([sys.executable, "-c", code], env=env, check=True, timeout=100)
+    ended = subprocess.run([sys.executable, "-c", code], env=env, capture_output=True, text=True, timeout=100)
+    assert ended.returncode == 0, ended.stderr

@@ -10,9 +10,9 @@ from pathlib import Path
 import pytest
 
 from bridge.cli.main import main
-from bridge.interfaces import standing_packages
-from bridge.interfaces.paths import link_into_venv
-from bridge.interfaces.store import SITE
+from bridge.interfaces import bundled_packages
+from bridge.interfaces.cache import SITE, link_into_venv
+from tests.support.missing import COMPILER, needs
 
 
 @pytest.fixture
@@ -24,6 +24,7 @@ def folder(tmp_path: Path) -> Path:
     return tmp_path / "workspace"
 
 
+@needs(COMPILER)
 def test_build_and_list(folder: Path, cache: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["interfaces", "build", str(folder), "--cache", str(cache), "--json"]) == 0
     told = capsys.readouterr()
@@ -38,7 +39,7 @@ def test_build_and_list(folder: Path, cache: Path, capsys: pytest.CaptureFixture
     assert main(["interfaces", "list", "--cache", str(cache), "--json"]) == 0
     states = {(row["package"], row["state"]) for row in json.loads(capsys.readouterr().out)}
     assert {("midspan_one_msgs", "built"), ("std_msgs", "installed")} <= states
-    assert set(standing_packages()) <= {package for package, _ in states}
+    assert set(bundled_packages()) <= {package for package, _ in states}
 
 
 def test_a_fault_is_one_line(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -52,6 +53,7 @@ def test_an_empty_folder_is_refused(tmp_path: Path, capsys: pytest.CaptureFixtur
     assert "no .msg, .srv or .action files" in capsys.readouterr().err
 
 
+@pytest.mark.thorough
 def test_a_prefix_is_linked_into_the_virtual_environment(
     built: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from bridge.interfaces.definition import read_package
-from bridge.interfaces.errors import BuildError
+from bridge.interfaces.definition import BuildError, read_package
 
 FAULTS = [
     ("my_msgs", "msg/A.msg", "string name\nflaot32[ x", "my_msgs/msg/A.msg:2", "flaot32"),

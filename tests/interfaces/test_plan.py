@@ -6,17 +6,16 @@ from pathlib import Path
 
 import pytest
 
-from bridge.interfaces.errors import BuildError
-from bridge.interfaces.plan import Planner, Step
+from bridge.interfaces.builder import BuildStep, Planner
+from bridge.interfaces.cache import BuildCache
+from bridge.interfaces.definition import BuildError, bundled_files
 from bridge.interfaces.ros2 import Ros2
-from bridge.interfaces.standing import standing_files
-from bridge.interfaces.store import Store
 
 Packages = dict[str, dict[str, str]]
 
 
-def steps(given: Packages) -> dict[str, Step]:
-    planner = Planner(given, Ros2.find(), Store(Path("/nowhere")))
+def steps(given: Packages) -> dict[str, BuildStep]:
+    planner = Planner(given, Ros2.find(), BuildCache(Path("/nowhere")))
     return {step.package: step for step in planner.steps()}
 
 
@@ -37,7 +36,7 @@ def test_an_installed_package_cannot_be_extended() -> None:
 
 
 def test_a_part_of_one_of_our_own_is_the_whole() -> None:
-    part = {"msg/ProjectedMapInfo.msg": standing_files("map_msgs")["msg/ProjectedMapInfo.msg"]}
+    part = {"msg/ProjectedMapInfo.msg": bundled_files("map_msgs")["msg/ProjectedMapInfo.msg"]}
     assert steps({"map_msgs": part})["map_msgs"].prefix == steps({"map_msgs": {}})["map_msgs"].prefix
 
 

@@ -22,3 +22,18 @@ def running(deployment: Deployment) -> Deployment:
     """A deployment with the default rules, both sides joined."""
     deployment.start()
     return deployment
+
+
+@pytest.fixture(scope="module")
+def of_all_tests(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Deployment]:
+    """One such deployment for a file."""
+    with Deployment(tmp_path_factory.mktemp("shared")) as made:
+        made.start()
+        yield made
+
+
+@pytest.fixture
+def shared(of_all_tests: Deployment) -> Iterator[Deployment]:
+    """The deployment of the file's tests, which use topics of their own; the programs are this test's."""
+    yield of_all_tests
+    of_all_tests.stop_programs()

@@ -14,12 +14,13 @@ import yaml
 
 from bridge.hub.session import Hub, HubSettings
 from bridge.interfaces.builder import build
-from bridge.interfaces.folders import read_folders
-from bridge.interfaces.paths import environment
+from bridge.interfaces.cache import environment
+from bridge.interfaces.definition import read_folders
 from bridge.messages.registry import Registry
 from tests.contract.hubside import HubSide
 from tests.contract.side import CUSTOM_FOLDER, CUSTOM_TYPES
 from tests.support.hub import SDK_PROGRAM
+from tests.support.missing import COMPILER, ROS2, need
 from tests.support.peer import Peer, stop_all
 from tests.support.ports import free_port
 from tests.support.process import Process
@@ -36,12 +37,17 @@ class Deployment:
     """Everything on one machine, started by `midspan run` as a user would."""
 
     def __init__(self, folder: Path) -> None:
+        for reason in (ROS2, COMPILER):
+            need(reason)
         self.folder = folder
         self.master = RosMaster()
         self.port = free_port()
         self.file = folder / "midspan.yaml"
         self.daemon: Process | None = None
+        self._sides = ["ros1", "ros2"]
         self._open: list[Any] = []
+        self._own = 0
+        """So many of these are the deployment's own."""
         self._names = 0
         self._watch: Hub | None = None
         self._registry = Registry(folders=[CUSTOM_FOLDER])
@@ -57,23 +63,27 @@ class Deployment:
             "types": {"folders": [str(CUSTOM_FOLDER)]},
             **sections,
         }
+        self._sides = ["ros1", "ros2"]
+        if config.get("yarp", {}).get("enabled", False) or "nameserver" in config.get("yarp", {}):
+            self._sides.append("yarp")
         self.file.write_text(yaml.safe_dump(config))
 
     def start(self, **sections: Any) -> None:
-        """Start roscore and the daemon; returns when both workers have joined."""
+        """Start roscore and the daemon; returns when the workers of ROS, and of YARP where it is used, have joined."""
         self.master.start()
         self.configure(**sections)
         self.run()
 
     def run(self) -> None:
-        """Start the daemon; returns when both workers have joined."""
+        """Start the daemon; returns when the workers have joined, which come up one after the other."""
         self.daemon = Process([*MIDSPAN, "run", "--config", self.file], dict(os.environ))
-        until(self._joined, "both workers have joined", 40, every=0.2)
+        until(self.joined, f"the workers of {self._sides} have joined", 40, every=0.05)
+        self._own = len(self._open)
 
-    def _joined(self) -> bool:
+    def joined(self) -> bool:
         assert self.daemon is not None
         assert self.daemon.popen.poll() is None, self.daemon.output()
-        return all(self.worker(side).get("state") == "running" for side in ("ros1", "ros2"))
+        return all(self.worker(side).get("state") == "running" for side in self._sides)
 
     def command(self, *args: str, seconds: float = 20) -> subprocess.CompletedProcess[str]:
         """Run one ``midspan`` command."""
@@ -158,6 +168,12 @@ class Deployment:
         """Tell the daemon to reload."""
         assert self.daemon is not None
         os.kill(self.daemon.pid, signal.SIGHUP)
+
+    def stop_programs(self) -> None:
+        """End the programs that a test started; all else goes on, for the next one."""
+        programs = self._open[self._own :]
+        del self._open[self._own :]
+        stop_all(programs)
 
     def stop_daemon(self) -> int:
         """SIGTERM; the exit code."""

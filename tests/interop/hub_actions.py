@@ -11,8 +11,8 @@ from bridge.clock import SYSTEM
 from bridge.hub.session import Hub, HubSettings
 from bridge.messages.registry import Registry
 from bridge.modules.action_server import Goal
-from bridge.modules.loop import Loop
-from bridge.modules.node import Node
+from bridge.modules.host import Node
+from bridge.modules.loop import EventLoop
 from tests.support.wait import until
 
 
@@ -106,7 +106,7 @@ class HubActions:
     """The program."""
 
     def __init__(self, settings: HubSettings) -> None:
-        self._loop = Loop("module")
+        self._loop = EventLoop("module")
         self._hub = Hub.open(settings)
         self._node = Node(self._hub, Registry(), self._loop, SYSTEM)
         self._loop.start()

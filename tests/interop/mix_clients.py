@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+import threading
+from collections.abc import Callable
 from typing import Any, Protocol
 
 from tests.contract.hubside import HubSide
@@ -14,6 +16,12 @@ from yarp_compat.dev.locations import Map2DLocation
 SECONDS = 40.0
 TRIGGER = "std_srvs/Trigger"
 _ENDS = {4: "succeeded", 5: "canceled", 6: "aborted"}
+_STATUSES = {0: "unknown", 1: "accepted", 2: "executing", 3: "canceling", **_ENDS}
+SILENT = "no answer"
+"""What a client sees whose calls fail."""
+
+Answer = Callable[[], str | None]
+"""What a stop was answered: "" where it is confirmed, else why not; None while there is no answer."""
 
 
 class Client(Protocol):
@@ -31,6 +39,12 @@ class Client(Protocol):
     def ask(self, word: str) -> bool:
         """``pause`` or ``resume``; whether that was done."""
 
+    def stop(self) -> Answer:
+        """Ask for a stop of whatever drives, beside other calls."""
+
+    def seen(self) -> str:
+        """How its goal gets on: YARP's state, or the status of the action's goal."""
+
     def end(self) -> str:
         """How the goal ended, "" while it has not."""
 
@@ -41,8 +55,8 @@ class Client(Protocol):
 class YarpClient:
     """A client of INavigation2D."""
 
-    def __init__(self, remote: INavigation2DMsgs) -> None:
-        self._remote = remote
+    def __init__(self, remote: INavigation2DMsgs, another: INavigation2DMsgs) -> None:
+        self._remote, self._another = remote, another
         self._heard = 0
 
     def goto(self, x: float) -> None:
@@ -63,9 +77,28 @@ class YarpClient:
         }
         return bool(call[word]())
 
+    def stop(self) -> Answer:
+        """By another connection: the answer may be waited for, and the status is asked for meanwhile."""
+        said: list[str] = []
+
+        def call() -> None:
+            try:
+                said.append("" if self._another.stop_navigation_RPC() else "not ok")
+            except OSError as err:
+                said.append(f"{SILENT}: {err}")
+
+        threading.Thread(target=call, daemon=True).start()
+        return lambda: said[0] if said else None
+
+    def seen(self) -> str:
+        try:
+            return self._state()
+        except OSError:
+            return SILENT
+
     def end(self) -> str:
         ends = {"goal_reached": "succeeded", "idle": "canceled", "aborted": "aborted"}
-        return ends.get(self._state(), "")
+        return ends.get(self.seen(), "")
 
     def why(self) -> None:
         return None
@@ -97,12 +130,23 @@ class RosClient:
         reply = self.peer.ask("result", id=call, seconds=SECONDS)["reply"]
         return bool(reply and reply["success"])
 
+    def stop(self) -> Answer:
+        call = self.peer.ask("call", service="/navigation/stop", type=TRIGGER)["id"]
+        return lambda: _answer(self.peer.ask("result", id=call, seconds=0.0))
+
+    def seen(self) -> str:
+        return _STATUSES[self._told()["status"]]
+
     def end(self) -> str:
         return _ENDS.get(self._told()["status"], "")
 
     def why(self) -> str:
         told = self._told()
         return str(told["text"] if "text" in told else told["result"]["error_msg"])
+
+    def ends(self) -> int:
+        """How often it was told that its goal has ended."""
+        return int(self._told()["ends"])
 
     def _told(self) -> dict[str, Any]:
         return self.peer.ask("goal", id=self._goal, seconds=0.0)
@@ -129,6 +173,14 @@ class ZenohClient:
     def ask(self, word: str) -> bool:
         return bool(self._far.call(f"/navigation/{word}", TRIGGER).result(SECONDS)["reply"]["success"])
 
+    def stop(self) -> Answer:
+        call = self._far.call("/navigation/stop", TRIGGER)
+        return lambda: _answer(call.result(0.0))
+
+    def seen(self) -> str:
+        assert self._asked is not None
+        return _STATUSES[int(self._asked.sent.status)]
+
     def end(self) -> str:
         assert self._asked is not None
         return _ENDS.get(int(self._asked.sent.status), "") if self._asked.ended else ""
@@ -136,3 +188,12 @@ class ZenohClient:
     def why(self) -> str:
         assert self._asked is not None
         return self._asked.end()[1]
+
+
+def _answer(told: dict[str, Any]) -> str | None:
+    if not told["done"]:
+        return None
+    reply = told["reply"]
+    if reply is None:
+        return f"{SILENT}: {told['error']}"
+    return "" if reply["success"] else str(reply["message"]) or f"{SILENT}: no success, and no words"

@@ -13,17 +13,19 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable, Iterator
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
 
-from bridge.modules.goal import STATUSES, Status, parts
-from bridge.modules.node import Subscription
-from navigation.gateway.link import KEPT
+from bridge.hub.wire.qos import LATCHED
+from bridge.messages.actions import STATUSES, GoalState, names
+from bridge.modules.endpoints import Subscription
 from navigation.status import STATUS
+from tests.interop import mix_faults
 from tests.interop.deployment import Deployment
 from tests.interop.mix_clients import SECONDS, Client, RosClient, YarpClient, ZenohClient
+from tests.interop.mix_faults import FAULTS, Base, Watch
 from tests.navigation.gateway.rig import Program, pose
 from tests.support.point_robot import PointRobot
 from tests.support.ports import free_port
@@ -64,6 +66,9 @@ IDS = {OURS: "robot_path_planner", MOVE_BASE: "move_base", NAV2: "nav2"}
 OWN = {(MOVE_BASE, ROS1), (NAV2, ROS2)}
 """Clients that speak to the planner itself: the gateway has no door there, and pauses nothing of theirs."""
 
+ONE_EACH = {"planner dies": (YARP,), "planner hangs": (ROS2,), "ros1 worker dies": (ZENOH,), "modules die": (YARP,)}
+"""Clients that the test tries each fault with; ``make mix`` tries all."""
+
 
 @dataclass(frozen=True)
 class Cell:
@@ -74,11 +79,14 @@ class Cell:
     part: str
     seen: str
     seconds: float
+    """What it took; of a fault, how long at most the robot was said to stand while it moved."""
+    note: str = ""
+    """What the client saw of a fault."""
 
     @property
     def good(self) -> bool:
         """Whether it is as it should be."""
-        own = (self.planner, self.client) in OWN and self.part in ("pause", "resume")
+        own = (self.planner, self.client) in OWN and self.part in ("pause", "resume", *FAULTS)
         return self.seen == ("own" if own else "yes")
 
 
@@ -88,14 +96,16 @@ class Mix:
     def __init__(self, deployment: Deployment) -> None:
         self.deployment = deployment
         self._names = Address("127.0.0.1", free_port())
-        self._planner: Any = None
+        self.planner: Any = None
+        self._base: Base | None = None
+        self._pids: dict[str, int] = {}
         self._list: Subscription | None = None
-        self.listed: dict[bytes, Status] = {}
+        self.listed: dict[bytes, GoalState] = {}
         self.statuses: list[dict[str, Any]] = []
         deployment.start(**self._sections(OURS))
         self._hub = Program(deployment.settings("mix"))
         deployment.keep(_Closing(self._hub))
-        self._hub.node.subscription("/navigation/status", STATUS, self.statuses.append, KEPT)
+        self._hub.node.subscription("/navigation/status", STATUS, self.statuses.append, LATCHED)
         self.clients = self._clients()
 
     def _sections(self, planner: str) -> dict[str, Any]:
@@ -114,10 +124,13 @@ class Mix:
         names = NameClient(self._names, namespace="/root")
         ros1, ros2 = self.deployment.ros1("client1"), self.deployment.ros2("client2")
         until(lambda: connections.exists(names, "/navigationServer/rpc"), "the YARP door is open", SECONDS)
-        remote = ServiceClient(INavigation2DMsgs, "/navigationServer/rpc", naming=names, timeout=SECONDS)
-        self.deployment.keep(_Closing(remote.open()))
+        remotes = [
+            ServiceClient(INavigation2DMsgs, "/navigationServer/rpc", naming=names, timeout=SECONDS) for _ in range(2)
+        ]
+        for remote in remotes:
+            self.deployment.keep(_Closing(remote.open()))
         return {
-            YARP: YarpClient(remote.remote),
+            YARP: YarpClient(*(remote.remote for remote in remotes)),
             ROS1: RosClient(ros1, "/move_base", "move_base_msgs/MoveBase", "target_pose"),
             ROS2: RosClient(ros2, "/navigate_to_pose", "nav2_msgs/NavigateToPose", "pose"),
             ZENOH: ZenohClient(self._hub, self.deployment.zenoh()),
@@ -130,14 +143,16 @@ class Mix:
         speed, patience = str(SPEED), str(PATIENCE)
         support = Path(__file__).parents[1] / "support"
         if planner == OURS:
-            self._planner = PointRobot(self.deployment.settings("robot"), (60.0, 6.0))
+            self.planner = PointRobot(self.deployment.settings("robot"), (60.0, 6.0))
         elif planner == MOVE_BASE:
-            program = [ROS1_PYTHON, support / "ros1_move_base.py", speed, patience]
-            self._planner = Process(program, self.deployment.master.env)
+            if self._base is None:
+                self._base = self.deployment.keep(Base(self.deployment.master.env))
+            program = support / "ros1_move_base.py"
+            self.planner = Process([ROS1_PYTHON, program, speed, patience, "there"], self.deployment.master.env)
         else:
             env = {**ros2_environment(), **SHORT_LEASE}
-            self._planner = Process([ros2_python(), support / "ros2_nav2.py", speed, patience], env)
-        self.deployment.keep(self._planner)
+            self.planner = Process([ros2_python(), support / "ros2_nav2.py", speed, patience], env)
+        self.deployment.keep(self.planner)
 
     def choose(self, planner: str) -> None:
         """Have the gateway take a planner, by the configuration, without a restart."""
@@ -154,27 +169,57 @@ class Mix:
 
     def end(self) -> None:
         """Have the planner's program end in good order: a name that ROS's master still has is another's."""
-        self._planner.stop()
+        self.planner.stop()
+        if self._base is not None:
+            self._base.stop()
+
+    def restart(self) -> None:
+        """Start move_base again; ROS's master has the dead one still, so only its own word tells that it is up."""
+        self.start(MOVE_BASE)
+        until(lambda: "ready" in self.planner.output(), "move_base is up again", SECONDS)
+
+    @property
+    def base(self) -> Base:
+        """Of move_base's robot."""
+        assert self._base is not None
+        return self._base
+
+    def pid(self, worker: str) -> int:
+        """The process of a worker; it is to be killed, and `back` waits for all that there are now."""
+        self._pids = self._processes()
+        return self._pids[worker]
+
+    def _processes(self) -> dict[str, int]:
+        return {str(one.get("worker")): int(one["pid"]) for one in self.deployment.status() if "pid" in one}
+
+    def back(self) -> bool:
+        """Whether all workers are there, and the gateway has its planner."""
+        return self._chosen(MOVE_BASE) and self._processes().keys() >= self._pids.keys()
 
     def _follow(self, planner: str) -> None:
         if self._list is not None:
             self._hub.on(lambda: self._hub.node.release(self._list))  # type: ignore[arg-type]
         self.listed = {}
-        topic = parts(f"/planner/{planner}/navigate_to_pose").status
-        self._list = self._hub.on(lambda: self._hub.node.subscription(topic, STATUSES, self._hear, KEPT))
+        topic = names(f"/planner/{planner}/navigate_to_pose").status
+        self._list = self._hub.on(lambda: self._hub.node.subscription(topic, STATUSES, self._hear, LATCHED))
 
     def _hear(self, message: dict[str, Any]) -> None:
         self.listed = {
-            bytes(one["goal_info"]["goal_id"]["uuid"]): Status(one["status"]) for one in message["status_list"]
+            bytes(one["goal_info"]["goal_id"]["uuid"]): GoalState(one["status"]) for one in message["status_list"]
         }
 
     def driving(self) -> set[bytes]:
         """The goals that the planner has."""
-        return {goal for goal, status in list(self.listed.items()) if not status.terminal}
+        return {goal for goal, status in list(self.listed.items()) if not status.ended}
 
     def state(self) -> str:
         """What the gateway says."""
         return str(self.statuses[-1]["state"]) if self.statuses else ""
+
+    def said(self) -> tuple[str, str]:
+        """The same, and its reason."""
+        last = self.statuses[-1] if self.statuses else {"state": "", "reason": ""}
+        return str(last["state"]), str(last["reason"])
 
     # -- what is tried -------------------------------------------------------------------------------------------------
 
@@ -210,6 +255,17 @@ class Mix:
         for part, name, attempt in tries.get(planner, []):
             yield _tried(planner, name, part, partial(attempt, planner, self.clients[name]))
 
+    def failures(self, *, every: bool) -> Iterator[Cell]:
+        """What fails on the way to move_base, for every client, or for one each."""
+        for part, fault in FAULTS.items():
+            for name in self.clients if every else ONE_EACH[part]:
+                own, watches = (MOVE_BASE, name) in OWN, list[Watch]()
+                attempt = partial(mix_faults.attempt, self, fault, self.clients[name], watches, own=own)
+                cell = _tried(MOVE_BASE, name, part, attempt)
+                yield from (replace(cell, note=str(one), seconds=round(one.untrue, 2)) for one in watches)
+                if not watches:
+                    yield cell
+
     def _publish(self, topic: str, _planner: str, client: Client) -> str:
         assert isinstance(client, RosClient)
         out = client.peer.advertise(topic, "geometry_msgs/PoseStamped")
@@ -244,12 +300,9 @@ class Mix:
     def _kill_planner(self, planner: str, client: Client) -> str:
         client.goto(FAR)
         until(lambda: client.progress(), "progress is heard", SECONDS)
-        self._planner.stop(0)
-        until(
-            lambda: self.state() == "error" and "not there" in self.statuses[-1]["reason"],
-            "everybody hears why",
-            SECONDS,
-        )
+        self.planner.stop(0)
+        until(lambda: "not there; it is waited for" in self.said()[1], "everybody hears why", SECONDS)
+        assert self.state() in ("moving", "preparing_before_move"), self.state()  # no end: it goes on by itself
         assert client.end() == "", f"the client's goal ended: {client.end()}"
         self.start(planner)
         heard = client.progress()
@@ -337,8 +390,8 @@ class _Closing:
         self._thing.close()
 
 
-def table(deployment: Deployment) -> Iterator[Cell]:
-    """Start the daemon, and try every client over every planner."""
+def table(deployment: Deployment, *, every: bool = False) -> Iterator[Cell]:
+    """Start the daemon, and try every client over every planner; with ``every``, also with every fault."""
     mix = Mix(deployment)
     for planner in IDS:
         mix.start(planner)
@@ -346,22 +399,29 @@ def table(deployment: Deployment) -> Iterator[Cell]:
         for client in mix.clients:
             yield from mix.cells(planner, client)
         yield from mix.faults(planner)
+        if planner == MOVE_BASE:
+            yield from mix.failures(every=every)
         mix.end()
 
 
 def text(cells: list[Cell]) -> str:
     """The table: a line for each client over each planner."""
-    lines = [("planner", "client", *PARTS)]
+    lines: list[tuple[str, ...]] = [("planner", "client", *PARTS, *FAULTS)]
     for planner in IDS:
         for client in (YARP, ROS1, ROS2, ZENOH):
             seen = {cell.part: cell for cell in cells if (cell.planner, cell.client) == (planner, client)}
             marks = [_mark(seen[part]) if part in seen else "?" for part in PARTS]
+            marks += [_mark(seen[part]) if part in seen else "-" for part in FAULTS]
             lines.append((planner, client, *marks))
     widths = [max(len(line[i]) for line in lines) for i in range(len(lines[0]))]
     rows = ["  ".join(cell.ljust(w) for cell, w in zip(line, widths, strict=True)).rstrip() for line in lines]
-    rows += [f"{c.part} ({c.planner}; {c.client}): {_mark(c)}" for c in cells if c.part not in PARTS]
+    rows += [f"{c.part} ({c.planner}; {c.client}): {_mark(c)}" for c in cells if c.part not in (*PARTS, *FAULTS)]
+    rows += [f"{c.part} ({c.client}): {c.note}" for c in cells if c.note]
     failed = [f"{c.planner}, {c.client}, {c.part}: {c.seen}" for c in cells if not c.good]
-    own = "own: the client speaks to the planner itself, whose protocol has no pause"
+    own = (
+        "own: the client speaks to the planner itself, whose protocol has no pause; -: not tried\n"
+        "seconds of what dies or hangs: how long at most the robot was said to stand while it moved"
+    )
     return "\n".join([*rows, own, *failed])
 
 
@@ -376,7 +436,7 @@ def main() -> int:
     parser.add_argument("--json", type=Path, metavar="FILE", help="also write the table to this file")
     args = parser.parse_args()
     with tempfile.TemporaryDirectory() as folder, Deployment(Path(folder)) as deployment:
-        cells = list(table(deployment))
+        cells = list(table(deployment, every=True))
     print(text(cells))
     if args.json:
         args.json.write_text(json.dumps([{**asdict(one), "good": one.good} for one in cells], indent=2) + "\n")

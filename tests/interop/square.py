@@ -6,7 +6,7 @@ import math
 from collections.abc import Callable, Iterator
 from typing import Any, NamedTuple, Protocol
 
-SPEED, TURN = 0.25, 0.4
+SPEED, TURN = 0.3, 0.8
 SIDES = 4
 
 
@@ -65,14 +65,14 @@ def _towards(pose: Pose, heading: float, goal: tuple[float, float] | None) -> tu
     """What to command on the way to a point, or to turn to a heading; zero where that is reached."""
     if goal is None:
         left = math.remainder(heading - pose.theta, 2 * math.pi)
-        return (0.0, 0.0) if abs(left) < 0.005 else (0.0, _clipped(1.5 * left, TURN))
+        return (0.0, 0.0) if abs(left) < 0.005 else (0.0, _clipped(2.5 * left, TURN))
     dx, dy = goal[0] - pose.x, goal[1] - pose.y
     ahead = dx * math.cos(heading) + dy * math.sin(heading)
     aside = -dx * math.sin(heading) + dy * math.cos(heading)
     if ahead < 0.005:
         return 0.0, 0.0
     turn = math.remainder(heading - pose.theta, 2 * math.pi) + 2.0 * aside
-    return _clipped(1.5 * ahead, SPEED), _clipped(turn, TURN)
+    return _clipped(1.8 * ahead, SPEED), _clipped(turn, TURN)
 
 
 def _clipped(value: float, most: float) -> float:

@@ -4,12 +4,15 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import pytest
 import yaml
 
 from tests.interop.deployment import Deployment
 from tests.interop.test_life import TWIST, twist
 from tests.interop.test_topics import cross
 from tests.support.wait import until
+
+pytestmark = pytest.mark.thorough
 
 FILE = Path(__file__).parents[2] / "configs" / "allow_list.yaml"
 STRING, ODOMETRY = "std_msgs/String", "nav_msgs/Odometry"

@@ -17,12 +17,13 @@ import pytest
 import zenoh
 
 from bridge.adapters.ros1.handshake import encode
-from bridge.hub import attachment
-from bridge.hub.keyexpr import topic_key
-from bridge.hub.settings import make_config, session_tree
+from bridge.hub.wire.keys import pack_attachment, topic_key
+from bridge.hub.zenoh_config import make_config, session_tree
 from tests.adapters.ros1.servers import publisher, until_closed
 from tests.interop.deployment import Deployment
 from tests.support.wait import until
+
+pytestmark = pytest.mark.thorough
 
 STRING = "std_msgs/String"
 MD5 = "992ce8a1687cec8c8bd883ec73ca41d1"
@@ -354,7 +355,7 @@ def test_samples_that_are_none_on_the_hub(siege: Siege) -> None:
     for junk in (b"", b"\0\1\0\0\xff\xff\xff\x7f", good[:-2], b"\0\0\0\0\0\0\0\5good\0", good + bytes(100)):
         refused(lambda junk=junk: siege.zenoh.publish_raw(out, junk), "bad", "std_msgs/msg/String")  # type: ignore[misc]
     huge = bytes(64 * MEGABYTE)
-    attached = attachment.pack(1, 1, bytes(16))
+    attached = pack_attachment(1, 1, bytes(16))
     refused(lambda: raw.put(huge, attachment=attached), "large", f"{64 * MEGABYTE} bytes")
     siege.zenoh.publish(out, {"data": "good"})
     until(lambda: {"data": "good"} in siege.ros1.wait(heard, 100_000, 0.2), "a good one crosses")

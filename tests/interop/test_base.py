@@ -15,7 +15,7 @@ from tests.interop.deployment import Deployment
 from tests.interop.square import Pose, Program, driven, pose_of
 from tests.support.ports import free_port
 from tests.support.wait import until
-from yarp_compat.dev.odometry import MobileBaseVelocity, OdometryData
+from yarp_compat.dev.basecontrol import MobileBaseVelocity, OdometryData
 from yarp_compat.naming import connections
 from yarp_compat.naming.client import NameClient
 from yarp_compat.naming.config import Address
@@ -161,6 +161,7 @@ def moved(start: Pose, pose: Pose) -> Pose:
 CORNERS = ((SIDE, 0.0), (SIDE, SIDE), (0.0, SIDE), (0.0, 0.0))
 
 
+@pytest.mark.thorough
 @pytest.mark.timeout(300)  # some hundred steps, each of which waits for four processes
 def test_squares_through_every_side(deployment: Deployment) -> None:
     robot = Robot(deployment)
@@ -201,6 +202,7 @@ def connected(robot: Robot, program: Program) -> None:
     program.pose(robot.now)
 
 
+@pytest.mark.thorough
 def test_encoders_with_an_error_tell_odometry_with_that_error(deployment: Deployment) -> None:
     robot = Robot(deployment, encoders={"scale": [SCALE, SCALE]})
     program = RosLike(robot.far)
@@ -214,6 +216,7 @@ def test_encoders_with_an_error_tell_odometry_with_that_error(deployment: Deploy
     assert by_odometry.x / true.x == pytest.approx(1.0 + SCALE, abs=0.01)
 
 
+@pytest.mark.thorough
 def test_the_base_stops_when_the_worker_of_its_commander_is_killed_and_goes_on_with_the_next(
     deployment: Deployment,
 ) -> None:

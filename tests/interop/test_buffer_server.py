@@ -13,14 +13,16 @@ import yaml
 from bridge.clock import SYSTEM
 from bridge.hub.session import Hub
 from bridge.messages.registry import Registry
-from bridge.modules.loop import Loop
-from bridge.modules.node import Node
+from bridge.modules.host import Node
+from bridge.modules.loop import EventLoop
 from bridge.tf.buffer import TransformBuffer
 from bridge.tf.server.buffer_server import ACTION, FRAMES, BufferServer
 from tests.interop.deployment import Deployment
 from tests.support.peer import Peer
 from tests.support.ros1 import ROS1_PYTHON
 from tests.support.wait import until
+
+pytestmark = pytest.mark.thorough
 
 CLIENT = Path(__file__).parents[1] / "tf" / "buffer_client.py"
 S = 1_000_000_000
@@ -31,7 +33,7 @@ SUCCEEDED = 4
 @pytest.fixture
 def buffer(running: Deployment) -> Iterator[TransformBuffer]:
     """What a module serves: map to base moves at 1 m/s for 10 s, base to laser is fixed."""
-    loop = Loop("tf")
+    loop = EventLoop("tf")
     loop.start()
     hub = Hub.open(running.settings("transform_server"))
     node = Node(hub, Registry(), loop, SYSTEM)
@@ -102,7 +104,7 @@ def stamp_of(ns: int) -> dict[str, int]:
     return dict(zip(("sec", "nanosec"), divmod(ns, S), strict=True))
 
 
-def ask_all(client: Ros1 | Ros2, buffer: TransformBuffer) -> None:
+def assert_answers(client: Ros1 | Ros2, buffer: TransformBuffer) -> None:
     """Everything that a BufferClient can ask."""
     found = until(
         lambda: (said := client.lookup("map", "laser", START + S // 4)) and len(said) == 8 and said,
@@ -137,4 +139,4 @@ def buffer_says(buffer: TransformBuffer) -> Any:
 def test_buffer_clients_of_both_look_up_frames(running: Deployment, buffer: TransformBuffer) -> None:
     buffer.set_transform("moon", "crater", 0, (0, 0, 0), (0.0, 0.0, 0.0, 1.0), static=True)
     for client in (Ros1(running), Ros2(running)):
-        ask_all(client, buffer)
+        assert_answers(client, buffer)

@@ -18,6 +18,8 @@ from tests.support.process import Process
 from tests.support.ros2 import ROS2_PEER, new_domain, ros2_environment, ros2_python
 from tests.support.wait import until
 
+pytestmark = pytest.mark.thorough
+
 STRING = "std_msgs/String"
 TF = "tf2_msgs/TFMessage"
 

@@ -5,6 +5,8 @@ from __future__ import annotations
 import os
 import signal
 
+import pytest
+
 from tests.interop.deployment import Deployment
 from tests.interop.test_topics import cross
 from tests.support.process import stands_still
@@ -53,6 +55,7 @@ def test_a_clean_stop_leaves_nothing_on_the_master(running: Deployment) -> None:
     assert not any("midspan" in name for name in running.master.parameters())
 
 
+@pytest.mark.thorough
 def test_commands_that_piled_up_before_a_stopped_worker_are_dropped(running: Deployment) -> None:
     ros1, ros2 = running.ros1(), running.ros2()
     heard = ros1.subscribe("/cmd_vel", TWIST)

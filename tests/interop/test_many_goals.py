@@ -4,8 +4,12 @@ from __future__ import annotations
 
 from collections import Counter
 
+import pytest
+
 from tests.interop.calls_table import ABORTED, CANCELED, ROS1, ROS2, SUCCEEDED, Pair
 from tests.interop.deployment import Deployment
+
+pytestmark = pytest.mark.thorough
 
 GOALS = 1000
 SECONDS = 60.0
@@ -17,10 +21,10 @@ def test_a_thousand_goals_at_once_end_as_their_servers_say(running: Deployment) 
     for end in ("client", "server"):  # what actionlib itself queues by default is 10 and 50
         peers[ROS1].ask("set_param", name=f"/actionlib_{end}_pub_queue_size", value=GOALS)
     for server, client in ((ROS1, ROS2), (ROS2, ROS1)):
-        drive(Pair((server, peers[server]), (client, peers[client])))
+        assert_all_end(Pair((server, peers[server]), (client, peers[client])))
 
 
-def drive(pair: Pair) -> None:
+def assert_all_end(pair: Pair) -> None:
     """All goals are under way before the first one ends."""
     acting = {o: pair.act(pair.name(o), held=True, outcome=o, depth=GOALS) for o in OUTCOMES}
     goals = {outcome: list[int]() for outcome in OUTCOMES}

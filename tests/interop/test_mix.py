@@ -22,4 +22,6 @@ def test_every_client_drives_by_every_planner(
     assert all(cell.good for cell in cells), found
     parts = [cell for cell in cells if cell.part in mix_table.PARTS]
     assert len({(cell.planner, cell.client, cell.part) for cell in parts}) == 3 * 4 * 6
-    assert len(cells) == len(parts) + 6
+    faults = [(cell.part, cell.client) for cell in cells if cell.part in mix_table.FAULTS]
+    assert faults == [(part, client) for part, clients in mix_table.ONE_EACH.items() for client in clients]
+    assert len(cells) == len(parts) + len(faults) + 6

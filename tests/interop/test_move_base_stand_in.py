@@ -15,6 +15,8 @@ from tests.support.process import Process
 from tests.support.ros1 import ROS1_PYTHON, RosMaster
 from tests.support.wait import until
 
+pytestmark = pytest.mark.thorough
+
 PENDING, ACTIVE, PREEMPTED, SUCCEEDED, ABORTED, RECALLING, RECALLED = 0, 1, 2, 3, 4, 7, 8
 GOAL, RESULT = "move_base_msgs/MoveBaseActionGoal", "move_base_msgs/MoveBaseActionResult"
 SECONDS = 30.0

@@ -11,7 +11,7 @@ import sys
 import time
 from pathlib import Path
 
-from bridge.modules.goal import Status
+from bridge.messages.actions import GoalState
 from tests.support.chain import Chain
 from tests.support.wait import until
 
@@ -53,7 +53,7 @@ def test_faults_on_the_way(tmp_path: Path) -> None:
         killed = chain.kill("robot_path_planner")
         chain.until_still(20)
         until(lambda: asked.ended, "the client hears of the end", 30)
-        assert asked.status is Status.ABORTED
+        assert asked.status is GoalState.ABORTED
         assert asked.reason
 
         until(lambda: chain.status("gateway").get("pid", killed) != killed, "the modules run again", 40, every=0.2)
@@ -65,4 +65,4 @@ def test_faults_on_the_way(tmp_path: Path) -> None:
         subprocess.run(command, check=True, capture_output=True, timeout=60)
         chain.until_still(20)
         until(lambda: asked.ended, "the client hears of the halt", 30)
-        assert asked.status is Status.CANCELED
+        assert asked.status is GoalState.CANCELED

@@ -19,12 +19,15 @@ import pytest
 import yaml
 
 from tests.interop.deployment import MIDSPAN
+from tests.support.missing import ROS1, ROS2, needs
 from tests.support.netns import Cable, Machine, need_namespaces
 from tests.support.peer import Peer
 from tests.support.process import Process
 from tests.support.ros1 import ROS1_PEER, ROS1_PYTHON, ros1_environment
 from tests.support.ros2 import ROS2_PEER, ros2_domain, ros2_environment, ros2_python
 from tests.support.wait import until
+
+pytestmark = [needs(ROS1), needs(ROS2)]
 
 ROOT = Path(__file__).parents[2]
 STRING, TWIST = "std_msgs/String", "geometry_msgs/Twist"
@@ -178,6 +181,7 @@ def stream(crossing: Crossing, seconds: float, stop: Callable[[], bool] = lambda
         time.sleep(0.05)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("seconds", [1.5, 4.0], ids=["shorter than the lease", "longer"])
 def test_a_link_cut_and_mended(pair: Pair, seconds: float) -> None:
     ros1, ros2 = pair.ros1, pair.ros2
@@ -223,6 +227,7 @@ def test_a_link_cut_and_mended(pair: Pair, seconds: float) -> None:
         peer.drop(publisher)
 
 
+@pytest.mark.thorough
 def test_commands_of_a_machine_that_is_not_trusted_are_refused(pair: Pair) -> None:
     ros1, ros2 = pair.ros1, pair.ros2
     drive = Crossing(ros2, ros1, "/cmd_vel", TWIST)
@@ -245,6 +250,7 @@ def test_commands_of_a_machine_that_is_not_trusted_are_refused(pair: Pair) -> No
     assert "refuses" not in pair.robot.run(*MIDSPAN, "explain", "/cmd_vel", "--config", pair.files["robot"])
 
 
+@pytest.mark.thorough
 def test_nobody_gets_past_the_door(pair: Pair) -> None:
     """A peer with a certificate, and with an address that zenoh's gossip could tell, is linked to the door alone."""
     heard = pair.ros1.subscribe("/cmd_vel", TWIST)

@@ -23,8 +23,7 @@ def test_parameters_are_shared_both_ways(deployment: Deployment) -> None:
     deployment.configure(routing={"parameters": RULES})
     ros1 = deployment.ros1()
     ros1.ask("set_param", name="/robot", value={"speed": 1.5, "name": "r1", "limits": {"turn": 2}, "ranges": [1, 2.5]})
-    ros2 = Peer(PROGRAM, ros2_python(), ros2_environment(), "controller_server")
-    deployment._open.append(ros2)
+    ros2 = deployment.keep(Peer(PROGRAM, ros2_python(), ros2_environment(), "controller_server"))
     ros2.ask("declare", parameters={"FollowPath.speed": 0.5, "mode": "slow", "tries": 3, "weights": [1.0, 2.0]})
     deployment.run()
 

@@ -13,7 +13,7 @@ import pytest
 from tests.interop.several import Daemon, Flow, Several, flows, pour, quiet, ring, triangle
 from tests.support.wait import until
 
-pytestmark = pytest.mark.alone
+pytestmark = [pytest.mark.thorough, pytest.mark.alone]
 
 TAKEOVER_SECONDS = 2.0
 COUNT = 1000
@@ -35,10 +35,10 @@ def active(daemons: list[Daemon], side: str) -> list[str]:
 @pytest.mark.parametrize(("joined", "node"), [(True, "midspan"), (False, "other_name")], ids=["joined", "apart"])
 def test_a_triangle_brings_nothing_twice(several: Several, joined: bool, node: str) -> None:
     _, networks = triangle(several, joined=joined, node=node)
-    carry(flows(several, networks), COUNT, RATE / 2)
+    assert_each_comes_once(flows(several, networks), COUNT, RATE / 2)
 
 
-def carry(made: list[Flow], count: int, rate: float) -> None:
+def assert_each_comes_once(made: list[Flow], count: int, rate: float) -> None:
     """Publish on all flows at once: each number reaches each sink, once."""
     pour(made, count, rate)
     for flow in made:
@@ -53,7 +53,7 @@ def test_a_ring_of_two_started_at_once_brings_nothing_twice_and_outlives_either(
 ) -> None:
     daemons, networks = ring(several, joined=joined, node=node)
     made = flows(several, networks)
-    carry(made, COUNT, RATE)
+    assert_each_comes_once(made, COUNT, RATE)
     for side in ("ros1", "ros2"):
         (name,) = active(daemons, side)
         (other,) = (d for d in daemons if d.name != name)

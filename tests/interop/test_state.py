@@ -19,39 +19,39 @@ def late(program: Any, topic: str, count: int, type_: str = STRING, seconds: flo
     return messages
 
 
-def test_three_latched_ros1_publishers_reach_late_ros2_and_zenoh(running: Deployment) -> None:
-    publishers = [running.ros1() for _ in range(3)]
+def test_three_latched_ros1_publishers_reach_late_ros2_and_zenoh(shared: Deployment) -> None:
+    publishers = [shared.ros1() for _ in range(3)]
     ids = [p.advertise("/note", STRING, latched=True) for p in publishers]
     for number, (publisher, id_) in enumerate(zip(publishers, ids, strict=True)):
         publisher.publish(id_, {"data": f"note {number}"})
-    running.until_route("ros2", "/note", "out", sources=3, messages=3)
-    far, sdk = running.zenoh(), running.sdk()
-    for joiner in (running.ros2(), running.ros2(), far):
+    shared.until_route("ros2", "/note", "out", sources=3, messages=3)
+    far, sdk = shared.zenoh(), shared.sdk()
+    for joiner in (shared.ros2(), shared.ros2(), far):
         assert sorted(m["data"] for m in late(joiner, "/note", 3)) == ["note 0", "note 1", "note 2"]
     # zenoh-ros2-sdk 0.1.8 asks the caches with zenoh's default consolidation, which gives it one answer for each key,
     # and it asks once, of the publishers that it knows by then
     heard = until(lambda: late(sdk, "/note", 1, seconds=5), "zenoh-ros2-sdk joins late", 30)
     assert {m["data"] for m in heard} <= {"note 0", "note 1", "note 2"}
     publishers[0].stop()
-    running.until_route("ros2", "/note", "out", sources=2)
-    assert sorted(m["data"] for m in late(running.ros2(), "/note", 2)) == ["note 1", "note 2"]
+    shared.until_route("ros2", "/note", "out", sources=2)
+    assert sorted(m["data"] for m in late(shared.ros2(), "/note", 2)) == ["note 1", "note 2"]
 
 
-def test_three_latched_ros2_publishers_reach_late_ros1(running: Deployment) -> None:
-    publishers = [running.ros2() for _ in range(3)]
-    ids = [p.advertise("/note", STRING, latched=True, depth=1) for p in publishers]
+def test_three_latched_ros2_publishers_reach_late_ros1(shared: Deployment) -> None:
+    publishers = [shared.ros2() for _ in range(3)]
+    ids = [p.advertise("/word", STRING, latched=True, depth=1) for p in publishers]
     for number, (publisher, id_) in enumerate(zip(publishers, ids, strict=True)):
-        publisher.publish(id_, {"data": f"note {number}"})
-    running.until_route("ros1", "/note", "out", sources=3, messages=3)
-    for joiner in (running.ros1(), running.ros1()):
-        assert sorted(m["data"] for m in late(joiner, "/note", 3)) == ["note 0", "note 1", "note 2"]
+        publisher.publish(id_, {"data": f"word {number}"})
+    shared.until_route("ros1", "/word", "out", sources=3, messages=3)
+    for joiner in (shared.ros1(), shared.ros1()):
+        assert sorted(m["data"] for m in late(joiner, "/word", 3)) == ["word 0", "word 1", "word 2"]
     publishers[0].stop()
-    running.until_route("ros1", "/note", "out", sources=2)
-    assert sorted(m["data"] for m in late(running.ros1(), "/note", 2)) == ["note 1", "note 2"]
+    shared.until_route("ros1", "/word", "out", sources=2)
+    assert sorted(m["data"] for m in late(shared.ros1(), "/word", 2)) == ["word 1", "word 2"]
 
 
-def test_whole_tf_static_of_three_broadcasters_both_ways(running: Deployment) -> None:
-    for make, side, joiner in ((running.ros1, "ros2", running.ros2), (running.ros2, "ros1", running.ros1)):
+def test_whole_tf_static_of_three_broadcasters_both_ways(shared: Deployment) -> None:
+    for make, side, joiner in ((shared.ros1, "ros2", shared.ros2), (shared.ros2, "ros1", shared.ros1)):
         frames = [f"from_{side}_{number}" for number in range(3)]
         for frame in frames:
             broadcaster = make()

@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import itertools
+import math
+import subprocess
 from typing import Any
 
 from tests.interop.deployment import Deployment
+from tests.support.ros1 import ROS1_PYTHON
 from tests.support.wait import until
 
 STRING = "std_msgs/String"
@@ -22,8 +25,8 @@ def cross(sender: Any, out: int, hearer: Any, heard: int, message: dict) -> dict
     return first
 
 
-def test_every_way_between_ros1_ros2_and_zenoh(running: Deployment) -> None:
-    programs = {"ros1": running.ros1(), "ros2": running.ros2(), "sdk": running.sdk()}
+def test_every_way_between_ros1_ros2_and_zenoh(shared: Deployment) -> None:
+    programs = {"ros1": shared.ros1(), "ros2": shared.ros2(), "sdk": shared.sdk()}
     for (from_, sender), (to, hearer) in itertools.permutations(programs.items(), 2):
         topic = f"/{from_}_to_{to}"
         heard = hearer.subscribe(topic, STRING)
@@ -31,9 +34,69 @@ def test_every_way_between_ros1_ros2_and_zenoh(running: Deployment) -> None:
         assert cross(sender, out, hearer, heard, {"data": topic}) == {"data": topic}
 
 
-def test_no_loop_whatever_the_nodes_are_called(running: Deployment) -> None:
+def test_a_start_without_a_covariance_reaches_a_localiser_with_one(shared: Deployment) -> None:
+    """Real amcl (1.17.3) takes zeros at their word, and its particles all stand on one point."""
+    start = {"pose": {"pose": {"orientation": {"w": 1.0}}, "covariance": [0.0] * 36}}
+    programs = {"ros1": shared.ros1(), "ros2": shared.ros2()}
+    for (from_, sender), (_, hearer) in itertools.permutations(programs.items(), 2):
+        topic = f"/{from_}/initialpose"
+        heard = hearer.subscribe(topic, "geometry_msgs/PoseWithCovarianceStamped")
+        out = sender.advertise(topic, "geometry_msgs/PoseWithCovarianceStamped")
+        got = cross(sender, out, hearer, heard, start)["pose"]["covariance"]
+        assert [got[0], got[7], got[35]] == [0.25, 0.25, math.radians(15.0) ** 2]
+
+
+ONCE = """
+import sys, rospy
+from std_msgs.msg import String
+rospy.init_node("once", anonymous=True)
+publisher = rospy.Publisher("/once", String, queue_size=10)
+while not publisher.get_num_connections():
+    rospy.sleep(0.005)
+publisher.publish(sys.argv[1])
+rospy.sleep(1.5)
+"""
+
+
+def test_a_program_that_waits_for_a_listener_is_heard(shared: Deployment) -> None:
+    """Who asked such a program what it publishes was its listener: its one message went there, six times out of six."""
+    hearer = shared.ros2()
+    heard = hearer.subscribe("/once", STRING)
+    for number in range(3):
+        said = f"once {number}"
+        subprocess.run([ROS1_PYTHON, "-c", ONCE, said], env=shared.master.env, check=True, timeout=60)
+        assert hearer.wait(heard, number + 1, 10)[number:] == [{"data": said}]
+
+
+COMMANDS = """
+import rospy
+from geometry_msgs.msg import Twist
+rospy.init_node("commander", anonymous=True)
+publisher = rospy.Publisher("/cmd_vel_once", Twist, queue_size=10)
+old, new = Twist(), Twist()
+old.linear.x, new.linear.x = 1.0, 2.0
+while not publisher.get_num_connections():
+    rospy.sleep(0.005)
+for _ in range(3):
+    publisher.publish(old)
+rospy.sleep(3.0)
+for _ in range(20):
+    publisher.publish(new)
+    rospy.sleep(0.05)
+"""
+
+
+def test_a_command_to_who_asks_what_is_published_is_not_delivered_late(shared: Deployment) -> None:
+    """Such messages wait until the route is made. Velocities must not: their commander may be silent by then."""
+    hearer = shared.ros2()
+    heard = hearer.subscribe("/cmd_vel_once", "geometry_msgs/Twist")
+    subprocess.run([ROS1_PYTHON, "-c", COMMANDS], env=shared.master.env, check=True, timeout=60)
+    assert {message["linear"]["x"] for message in hearer.wait(heard, 1, 10)} == {2.0}
+
+
+def test_no_loop_whatever_the_nodes_are_called(shared: Deployment) -> None:
     """All three publish and listen on one topic; the names of the bridge's own nodes are taken by users' nodes."""
-    ros1, ros2, zenoh = running.ros1("midspan_ros2"), running.ros2("midspan"), running.zenoh()
+    ros1, ros2, zenoh = shared.ros1("midspan_ros2"), shared.ros2("midspan"), shared.zenoh()
     programs: dict[str, Any] = {"ros1": ros1, "ros2": ros2, "zenoh": zenoh}
     heard = {name: program.subscribe("/all", STRING, depth=200) for name, program in programs.items()}
     out = {name: program.advertise("/all", STRING, depth=200) for name, program in programs.items()}
@@ -53,7 +116,7 @@ def test_no_loop_whatever_the_nodes_are_called(running: Deployment) -> None:
         assert sorted(counted) == sorted(expected), name
 
 
-def test_custom_types_between_ros1_and_ros2(running: Deployment) -> None:
+def test_custom_types_between_ros1_and_ros2(shared: Deployment) -> None:
     thing = {
         "header": {"frame_id": "map"},
         "number": 513,
@@ -61,7 +124,7 @@ def test_custom_types_between_ros1_and_ros2(running: Deployment) -> None:
         "words": ["a", "", "ccc"],
         "done": True,
     }
-    ros1, ros2 = running.ros1(), running.ros2()
+    ros1, ros2 = shared.ros1(), shared.ros2()
     for sender, hearer, topic in ((ros1, ros2, "/things_a"), (ros2, ros1, "/things_b")):
         heard = hearer.subscribe(topic, "contract_msgs/Thing")
         out = sender.advertise(topic, "contract_msgs/Thing")
@@ -70,17 +133,17 @@ def test_custom_types_between_ros1_and_ros2(running: Deployment) -> None:
         assert got == thing
 
 
-def test_a_type_that_only_a_connection_header_tells(running: Deployment) -> None:
+def test_a_type_that_only_a_connection_header_tells(shared: Deployment) -> None:
     """No package, no folder: the definition comes from rospy's connection header, the ROS 2 package is built."""
-    ros1, far = running.ros1(), running.zenoh()
+    ros1, far = shared.ros1(), shared.zenoh()
     point = "=" * 80 + "\nMSG: geometry_msgs/Point\nfloat64 x\nfloat64 y\nfloat64 z\n"
     text = "string name\nint16[] blob\ngeometry_msgs/Point at\n" + point
     ros1.ask("define", type="header_only_msgs/Marked", definition=text)
     out = ros1.advertise("/marked", "header_only_msgs/Marked", latched=True)
     message = {"name": "x", "blob": [1, 2, 255], "at": {"x": 1.0, "y": 2.0, "z": 3.0}}
     ros1.publish(out, message)
-    running.until_route("ros1", "/marked", "in", messages=1)
-    running.until_route("ros2", "/marked", "out", messages=1)
+    shared.until_route("ros1", "/marked", "in", messages=1)
+    shared.until_route("ros2", "/marked", "out", messages=1)
     far.registry.learn_ros2(
         "header_only_msgs/msg/Marked", text.replace("MSG: geometry_msgs/Point", "MSG: geometry_msgs/msg/Point")
     )
@@ -88,15 +151,15 @@ def test_a_type_that_only_a_connection_header_tells(running: Deployment) -> None
     assert far.wait(heard, 1) == [message]
 
 
-def test_a_best_effort_sensor_is_heard(running: Deployment) -> None:
-    ros1, ros2 = running.ros1(), running.ros2()
+def test_a_best_effort_sensor_is_heard(shared: Deployment) -> None:
+    ros1, ros2 = shared.ros1(), shared.ros2()
     heard = ros1.subscribe("/sensor", STRING)
     out = ros2.advertise("/sensor", STRING, best_effort=True)
     assert cross(ros2, out, ros1, heard, {"data": "measured"}) == {"data": "measured"}
 
 
-def test_a_burst_of_a_thousand_crosses_whole(running: Deployment) -> None:
-    ros1, ros2 = running.ros1(), running.ros2()
+def test_a_burst_of_a_thousand_crosses_whole(shared: Deployment) -> None:
+    ros1, ros2 = shared.ros1(), shared.ros2()
     for sender, hearer, topic in ((ros1, ros2, "/burst_a"), (ros2, ros1, "/burst_b")):
         heard = hearer.subscribe(topic, STRING, depth=2000)
         out = sender.advertise(topic, STRING, depth=2000, **({"queue": 2000} if sender is ros1 else {}))
@@ -109,19 +172,19 @@ def test_a_burst_of_a_thousand_crosses_whole(running: Deployment) -> None:
         )
 
 
-def test_incompatible_qos_is_reported(running: Deployment) -> None:
-    ros1, ros2 = running.ros1(), running.ros2()
+def test_incompatible_qos_is_reported(shared: Deployment) -> None:
+    ros1, ros2 = shared.ros1(), shared.ros2()
     ros1.advertise("/volatile", STRING)
     ros2.subscribe("/volatile", STRING, latched=True)
-    running.until_route("ros2", "/volatile", "out")
-    named = lambda: [w for w in running.worker("ros2")["warnings"] if "/volatile" in w]  # noqa: E731
+    shared.until_route("ros2", "/volatile", "out")
+    named = lambda: [w for w in shared.worker("ros2")["warnings"] if "/volatile" in w]  # noqa: E731
     until(named, "the mismatch is named", 20, every=0.2)
 
 
-def test_diagnostics_on_both_ros_sides(running: Deployment) -> None:
-    ros1, ros2 = running.ros1(), running.ros2()
+def test_diagnostics_on_both_ros_sides(shared: Deployment) -> None:
+    ros1, ros2 = shared.ros1(), shared.ros2()
     ros1.advertise("/watched", STRING)
-    running.until_route("ros2", "/watched", "out")
+    shared.until_route("ros2", "/watched", "out")
     for program, side in ((ros1, "ros1"), (ros2, "ros2")):
         heard = program.subscribe("/diagnostics", "diagnostic_msgs/DiagnosticArray")
 

@@ -18,7 +18,7 @@ from tests.support.rosbags_messages import Messages
 from tests.support.wait import until
 from tests.support.zenoh_programs import JsonProgram, Ros1Bridge, Ros2ddsBridge
 
-PAGE = Path(__file__).parents[2] / "docs" / "zenoh.md"
+PAGE = Path(__file__).parents[2] / "docs" / "sides" / "zenoh.md"
 STRING, GRID = "std_msgs/String", "nav_msgs/OccupancyGrid"
 MAP = {"info": {"resolution": 0.5, "width": 2, "height": 2}, "data": [0, 100, -1, 50]}
 SIDES = ("zenoh_ros2dds", "zenoh_ros1", "zenoh_json")

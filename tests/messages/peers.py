@@ -10,14 +10,12 @@ import sys
 from pathlib import Path
 from typing import Any
 
-import pytest
-
-from tests.messages.samples import GENPY
+from tests.support.missing import ROS1, ROS2, need, needs
 
 HERE = Path(__file__).parent
 SYSTEM_PYTHON = Path("/usr/bin/python3")
 
-needs_genpy = pytest.mark.skipif(not (GENPY / "genpy").is_dir(), reason="ROS 1 is not installed")
+needs_genpy = needs(ROS1)
 
 
 def genpy(items: list[dict[str, Any]]) -> list[dict[str, Any]]:
@@ -27,6 +25,7 @@ def genpy(items: list[dict[str, Any]]) -> list[dict[str, Any]]:
 
 def rclpy(items: list[dict[str, Any]]) -> list[dict[str, Any]]:
     """What ``rclpy_peer.py`` answers."""
+    need(ROS2)
     return _batch(Path(sys.executable), "rclpy_peer.py", items, None)
 
 

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from bridge.messages.definition import FieldType, Schema, Shape
+from bridge.messages.definitions.schema import FieldType, Schema, Shape
 
 RANGES = {
     "byte": 127,  # rosbags takes octets beyond for negative numbers

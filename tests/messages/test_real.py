@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from bridge.messages.definition import Schema, Shape
+from bridge.messages.definitions.schema import Schema, Shape
 from bridge.messages.errors import MessageTypeError
 from bridge.messages.json import from_json, to_json
 from bridge.messages.registry import Registry
@@ -77,7 +77,7 @@ def one_sided(registry: Registry, ros2_name: str, ros1_name: str) -> bool:
                 found |= {f"{field.name.lower()}.{one}" for one in inner}
         return found
 
-    ros1 = registry._messages.find_ros1(ros1_name, "")
+    ros1 = registry.ros1_schema(ros1_name)
     return bool(fields(registry.schema(ros2_name), ros2_name, True) - fields(ros1, ros1_name, True))
 
 

@@ -45,7 +45,7 @@ def test_nothing_is_read_before_it_is_asked_for(monkeypatch: pytest.MonkeyPatch)
     def refuse(*_: object) -> str:
         pytest.fail("a file was read")
 
-    monkeypatch.setattr("bridge.messages.sources.read_text", refuse)
+    monkeypatch.setattr("bridge.messages.definitions.sources.read_text", refuse)
     Registry(folders=[DATA])
 
 

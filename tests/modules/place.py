@@ -29,13 +29,16 @@ class Place:
         self.far = HubSide(Hub.open(self.hubs.settings("far")), Registry())
         self.names = NameClient(Address("127.0.0.1", self.port), namespace="/root")
 
+    def yarp_section(self, **more: Any) -> dict[str, Any]:
+        """The section that leads to the name server."""
+        return {"address": f"127.0.0.1:{self.port}", "namespace": "/root", "ip": "127.0.0.1", **more}
+
     def config(self, *own: dict[str, Any], **sections: Any) -> Config:
-        yarp = {"address": f"127.0.0.1:{self.port}", "namespace": "/root", "ip": "127.0.0.1"}
         return Config.model_validate({
             "name": "here",
             "state": self.folder,
             "hub": {"listen": self.hubs.endpoint},
-            "yarp": yarp,
+            "yarp": self.yarp_section(),
             **sections,
             "modules": {"own": list(own), **sections.get("modules", {})},
         })  # fmt: skip

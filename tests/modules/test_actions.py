@@ -9,15 +9,15 @@ from typing import Any
 import pytest
 
 from bridge.clock import SYSTEM
-from bridge.hub.call import CallError
+from bridge.hub.endpoints.calls import CallError
 from bridge.hub.session import Hub
+from bridge.messages.actions import GoalState
 from bridge.messages.errors import ConversionError
 from bridge.messages.registry import Registry
-from bridge.modules.action_client import CANCEL_AGAIN
 from bridge.modules.action_server import Goal
-from bridge.modules.goal import Status
-from bridge.modules.loop import Loop
-from bridge.modules.node import Node
+from bridge.modules.clients import CANCEL_AGAIN, ActionClient, Client
+from bridge.modules.host import Node
+from bridge.modules.loop import EventLoop
 from tests.support.quick_hub import QuickHub
 from tests.support.wait import until
 
@@ -32,7 +32,7 @@ class Two:
         self.hubs = QuickHub()
         self.nodes: list[Node] = []
         for name in ("server", "client"):
-            loop = Loop(name)
+            loop = EventLoop(name)
             loop.start()
             self.nodes.append(Node(Hub.open(self.hubs.settings(name)), REGISTRY, loop, SYSTEM))
         self.server, self.client = self.nodes
@@ -137,7 +137,7 @@ class Sent:
             lambda: client.send({"target_frame": word}, lambda *end: self.ends.append(end), self.feedback.append),
         )
 
-    def ended(self) -> tuple[Status, Any, str]:
+    def ended(self) -> tuple[GoalState, Any, str]:
         goal, result, why = until(lambda: self.ends, "the goal ends")[0]
         return goal.status, result, why
 
@@ -147,7 +147,7 @@ def test_goals_end_as_their_server_says(two: Two) -> None:
     client = two.client.action_client("/lookup", LOOKUP)
     until(lambda: client.ready, "there is a server")
     status, result, _ = Sent(two, client, "done").ended()
-    assert status is Status.SUCCEEDED
+    assert status is GoalState.SUCCEEDED
     assert result["transform"]["child_frame_id"] == "here"
     assert "rejected" in Sent(two, client, "no").ended()[2]
     assert "ValueError" in Sent(two, client, "broken").ended()[2]
@@ -161,13 +161,13 @@ def test_goals_end_as_their_server_says(two: Two) -> None:
     until(lambda: (two.on(two.server, lambda: goal.feedback({})), late.feedback)[1], "feedback comes")
     assert not late.ends
     two.on(two.server, lambda: (goal.abort(), goal.succeed()))
-    assert late.ended()[0] is Status.ABORTED
+    assert late.ended()[0] is GoalState.ABORTED
     assert len(late.ends) == 1
     again: list[Any] = []
     asks = two.client.client("/lookup/_action/get_result", f"{LOOKUP}_GetResult")
     until(lambda: asks.ready, "it can be asked")
     asks.call({"goal_id": {"uuid": list(goal.id)}}, again.append)
-    assert until(lambda: again, "the result is kept")[0]["status"] == Status.ABORTED
+    assert until(lambda: again, "the result is kept")[0]["status"] == GoalState.ABORTED
 
 
 def test_one_goal_or_all_are_cancelled(two: Two) -> None:
@@ -188,35 +188,50 @@ def test_one_goal_or_all_are_cancelled(two: Two) -> None:
     served.may_cancel = True
     two.on(two.client, goals[0].goal.cancel)
     goal = next(g for g in served.goals if g.id == goals[0].goal.id)
-    until(lambda: goal.status is Status.CANCELING, "the server heard it")
+    until(lambda: goal.status is GoalState.CANCELING, "the server heard it")
     two.on(two.server, goal.canceled)
-    assert goals[0].ended()[0] is Status.CANCELED
+    assert goals[0].ended()[0] is GoalState.CANCELED
     two.on(two.client, client.cancel)
     until(lambda: all(g.cancel_wanted for g in served.goals), "all are to end")
     two.on(two.server, lambda: [g.canceled() for g in served.goals])
-    assert [sent.ended()[0] for sent in goals] == [Status.CANCELED] * 3
+    assert [sent.ended()[0] for sent in goals] == [GoalState.CANCELED] * 3
+
+
+CANCEL_GOAL = "/lookup/_action/cancel_goal"
+
+
+def until_cancelling(two: Two, client: ActionClient) -> None:
+    """Wait until goals can be sent, and cancelled."""
+    cancelling = two.client.client(CANCEL_GOAL, "action_msgs/srv/CancelGoal")
+    until(lambda: client.ready and cancelling.ready, "there is a server")
+
+
+def cancellations(monkeypatch: pytest.MonkeyPatch, fails: Callable[[int], bool]) -> list[bytes]:
+    """The goals whose cancellation was asked for; the so manieth call may find no server."""
+    asked, call = list[bytes](), Client.call
+
+    def calling(self: Client, request: dict[str, Any], replied: Callable[[Any], None]) -> Any:
+        if self.topic != CANCEL_GOAL:
+            return call(self, request, replied)
+        asked.append(bytes(request["goal_info"]["goal_id"]["uuid"]))
+        return replied(CallError("no server")) if fails(len(asked)) else call(self, request, replied)
+
+    monkeypatch.setattr(Client, "call", calling)
+    return asked
 
 
 def test_a_cancel_that_cannot_be_asked_for_is_asked_for_again(two: Two, monkeypatch: pytest.MonkeyPatch) -> None:
     served = Served(two)
     client = two.client.action_client("/lookup", LOOKUP)
-    until(lambda: client.ready and client._cancel.ready, "there is a server")
-    sent, asked, ask = Sent(two, client, "wait"), list[bytes](), client._cancel.call
-
-    def fails(request: dict[str, Any], replied: Callable[[Any], None]) -> None:
-        asked.append(bytes(request["goal_info"]["goal_id"]["uuid"]))
-        if len(asked) < 3 or served.goals[0].status is Status.CANCELED:
-            replied(CallError("no server"))
-        else:
-            ask(request, replied)
-
-    monkeypatch.setattr(client._cancel, "call", fails)
+    until_cancelling(two, client)
+    sent = Sent(two, client, "wait")
+    asked = cancellations(monkeypatch, lambda count: count < 3 or served.goals[0].status is GoalState.CANCELED)
     until(lambda: sent.goal.accepted, "it is accepted")
     two.on(two.client, sent.goal.cancel)
     until(lambda: served.goals[0].cancel_wanted, "the server heard it")
     assert asked == [sent.goal.id] * 3
     two.on(two.server, served.goals[0].canceled)
-    assert sent.ended()[0] is Status.CANCELED
+    assert sent.ended()[0] is GoalState.CANCELED
     two.on(two.client, sent.goal.cancel)
     again = threading.Event()
     two.client.loop.after(1.5 * CANCEL_AGAIN, again.set)
@@ -229,18 +244,9 @@ def test_a_cancellation_of_all_goals_is_asked_for_again_until_one_is_sent(
 ) -> None:
     served = Served(two)
     client = two.client.action_client("/lookup", LOOKUP)
-    until(lambda: client.ready and client._cancel.ready, "there is a server")
-    asked, ask = list[bytes](), client._cancel.call
-    monkeypatch.setattr("bridge.modules.action_client.CANCEL_ALL_SECONDS", 60.0)
-
-    def call(request: dict[str, Any], replied: Callable[[Any], None]) -> None:
-        asked.append(bytes(request["goal_info"]["goal_id"]["uuid"]))
-        if len(asked) != 3:
-            replied(CallError("no server"))
-        else:
-            ask(request, replied)
-
-    monkeypatch.setattr(client._cancel, "call", call)
+    until_cancelling(two, client)
+    monkeypatch.setattr("bridge.modules.clients.CANCEL_ALL_SECONDS", 60.0)
+    asked = cancellations(monkeypatch, lambda count: count != 3)
     sent = Sent(two, client, "wait")
     until(lambda: sent.goal.accepted, "it is accepted")
     two.on(two.client, client.cancel)
@@ -253,13 +259,15 @@ def test_a_cancellation_of_all_goals_is_asked_for_again_until_one_is_sent(
     assert len(asked) == 4, "the goal that was sent since is not cancelled"
 
 
-def test_a_server_that_leaves_ends_its_goals(two: Two) -> None:
-    served = Served(two)
+def test_a_server_that_leaves_ends_its_goals(two: Two, monkeypatch: pytest.MonkeyPatch) -> None:
+    asked, ask = list[None](), Goal.ask
+    monkeypatch.setattr(Goal, "ask", lambda goal, answer: asked.append(ask(goal, answer)))
+    Served(two)
     client = two.client.action_client("/lookup", LOOKUP)
     until(lambda: client.ready, "there is a server")
     sent = Sent(two, client, "wait")
-    until(lambda: served.goals and served.goals[0]._asking, "its result is asked for")
+    until(lambda: asked, "its result is asked for")
     two.server.close()
     status, _, why = sent.ended()
-    assert status is Status.ABORTED
+    assert status is GoalState.ABORTED
     assert "left" in why

@@ -8,19 +8,20 @@ from collections.abc import Iterator
 
 import pytest
 
-from bridge.modules.loop import Loop
+from bridge.modules.loop import EventLoop, Newest
+from bridge.progress import working
 from tests.support.wait import until
 
 
 @pytest.fixture
-def loop() -> Iterator[Loop]:
-    made = Loop("a loop")
+def loop() -> Iterator[EventLoop]:
+    made = EventLoop("a loop", limit=0.5)
     made.start()
     yield made
     made.close()
 
 
-def test_actions_run_in_order_on_one_thread(loop: Loop) -> None:
+def test_actions_run_in_order_on_one_thread(loop: EventLoop) -> None:
     seen: list[tuple[int, int]] = []
     for number in range(100):
         loop.post(lambda n=number: seen.append((n, threading.get_ident())))
@@ -29,19 +30,19 @@ def test_actions_run_in_order_on_one_thread(loop: Loop) -> None:
     assert len({thread for _, thread in seen} - {threading.get_ident()}) == 1
 
 
-def test_a_call_gives_the_result_and_the_error_and_may_be_nested(loop: Loop) -> None:
+def test_a_call_gives_the_result_and_the_error_and_may_be_nested(loop: EventLoop) -> None:
     assert loop.call(lambda: loop.call(lambda: 7)) == 7
     with pytest.raises(ZeroDivisionError):
         loop.call(lambda: 1 // 0)
 
 
-def test_what_fails_does_not_end_the_thread(loop: Loop, caplog: pytest.LogCaptureFixture) -> None:
+def test_what_fails_does_not_end_the_thread(loop: EventLoop, caplog: pytest.LogCaptureFixture) -> None:
     loop.post(lambda: 1 // 0)
     assert loop.call(lambda: "on") == "on"
     assert "one step failed" in caplog.text
 
 
-def test_a_timer_leaves_out_the_times_that_were_missed(loop: Loop) -> None:
+def test_a_timer_leaves_out_the_times_that_were_missed(loop: EventLoop) -> None:
     ran = threading.Semaphore(0)
     timer = loop.every(0.01, ran.release)
     for _ in range(3):
@@ -64,7 +65,7 @@ def test_a_timer_leaves_out_the_times_that_were_missed(loop: Loop) -> None:
     assert counted() <= (time.monotonic() - went_on) / 0.01 + 2
 
 
-def test_a_timer_that_is_closed_runs_no_more(loop: Loop) -> None:
+def test_a_timer_that_is_closed_runs_no_more(loop: EventLoop) -> None:
     ran: list[int] = []
     done = threading.Event()
 
@@ -78,7 +79,7 @@ def test_a_timer_that_is_closed_runs_no_more(loop: Loop) -> None:
     assert not ran
 
 
-def test_timers_and_what_is_posted_take_turns(loop: Loop) -> None:
+def test_timers_and_what_is_posted_take_turns(loop: EventLoop) -> None:
     loop.every(1e-9, lambda: None)  # due again as soon as it has run
     assert loop.call(lambda: "its turn") == "its turn"
 
@@ -91,20 +92,88 @@ def test_timers_and_what_is_posted_take_turns(loop: Loop) -> None:
     assert ran.wait(40)
 
 
-def test_a_step_that_stands_still_is_told(loop: Loop) -> None:
+def test_a_step_that_stands_still_is_told(loop: EventLoop) -> None:
     gate, begun = threading.Event(), threading.Event()
     loop.post(lambda: (begun.set(), gate.wait(40)))
     assert begun.wait(40)
     with pytest.raises(TimeoutError, match="a loop has not answered"):
         loop.call(lambda: None, seconds=0.05)
-    assert loop.stuck_for() > 0.04
+    until(lambda: hung(loop), "it hangs")
     gate.set()
     loop.call(lambda: None)
-    until(lambda: loop.stuck_for() < 0.04, "nothing stands still any more")
+    assert loop.computes() == ""
+
+
+def compute(done: threading.Event) -> None:
+    while not done.is_set():
+        sum(range(1000))
+
+
+def hung(loop: EventLoop) -> str:
+    """Why, once it is so."""
+    try:
+        loop.computes()
+    except TimeoutError as err:
+        return str(err)
+    return ""
+
+
+def test_a_step_that_computes_is_told_from_one_that_hangs(loop: EventLoop) -> None:
+    done = threading.Event()
+    loop.post(lambda: compute(done))
+    try:
+        until(lambda: loop.computes() == "computes for 2 s", "it computes for far longer than a step may stand still")
+    finally:
+        done.set()
+    loop.call(lambda: None)
+    assert loop.computes() == ""
+    gate = threading.Event()
+    loop.post(lambda: gate.wait(40))
+    until(lambda: "computes nothing" in hung(loop), "it hangs")
+    gate.set()
+
+
+def test_a_step_without_an_end_is_told(loop: EventLoop, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("bridge.progress.ENDLESS", 2)
+    done = threading.Event()
+    loop.post(lambda: compute(done))
+    try:
+        until(lambda: "a loop is in a loop without an end" in hung(loop), "it is told")
+    finally:
+        done.set()
+
+
+def test_work_is_waited_for_while_it_goes_on(loop: EventLoop) -> None:
+    done = threading.Event()
+    threading.Timer(1.5, done.set).start()
+    assert loop.work(lambda: (compute(done), "done")[1]) == "done", "three times what a step may stand still"
+    with pytest.raises(ZeroDivisionError):
+        loop.work(lambda: 1 // 0)
+
+
+def test_work_behind_a_step_that_hangs_is_left_out(loop: EventLoop) -> None:
+    gate, ran = threading.Event(), list[int]()
+    loop.post(lambda: gate.wait(40))
+    with pytest.raises(TimeoutError, match="a loop hangs: it has been in one step for"):
+        loop.work(lambda: ran.append(1))
+    gate.set()
+    loop.call(lambda: None)
+    assert not ran
+
+
+def test_who_works_for_the_main_thread_counts_as_its_progress(loop: EventLoop) -> None:
+    done = threading.Event()
+    with working.busy("waiting"):
+        threading.Timer(1.0, done.set).start()
+        loop.work(lambda: compute(done))
+        busy = working.now()
+        assert busy is not None
+        assert busy.used - time.thread_time() > 0.05
+    assert working.now() is None
 
 
 def test_after_the_end_nothing_is_taken() -> None:
-    loop = Loop("an ended loop")
+    loop = EventLoop("an ended loop")
     loop.start()
     loop.close()
     loop.close()
@@ -115,7 +184,7 @@ def test_after_the_end_nothing_is_taken() -> None:
 
 
 def test_who_waits_for_a_loop_that_ends_is_told_at_once() -> None:
-    loop = Loop("an ending loop")
+    loop = EventLoop("an ending loop")
     gate, errors = threading.Event(), list[str]()
     loop.start()
     loop.post(lambda: gate.wait(40))
@@ -128,7 +197,7 @@ def test_who_waits_for_a_loop_that_ends_is_told_at_once() -> None:
 
     asking = threading.Thread(target=ask)
     asking.start()
-    until(lambda: len(loop._ready) == 1, "the call waits")
+    until(lambda: loop.waiting == 1, "the call waits")
     loop.close(seconds=0)
     asking.join(20)
     assert errors == ["an ending loop has ended"], "the step that is under way need not be over"
@@ -138,5 +207,22 @@ def test_who_waits_for_a_loop_that_ends_is_told_at_once() -> None:
     loop.close()
 
 
-def test_a_loop_that_ends_itself_still_answers_for_its_last_step(loop: Loop) -> None:
+def test_a_loop_that_ends_itself_still_answers_for_its_last_step(loop: EventLoop) -> None:
     assert loop.call(lambda: (loop.close(), "the last word")[1]) == "the last word"
+
+
+def test_while_the_thread_is_busy_the_newest_alone_waits() -> None:
+    loop, go_on = EventLoop("the module"), threading.Event()
+    loop.start()
+    taken: list[int] = []
+    newest = Newest(loop, taken.append)
+    loop.post(lambda: go_on.wait(40))
+    for number in range(5):
+        newest.put(number)
+    go_on.set()
+    loop.call(lambda: None)
+    assert taken == [4]
+    newest.put(5)
+    loop.call(lambda: None)
+    assert taken == [4, 5]
+    loop.close()

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from bridge.config.model import Config
-from bridge.modules.loop import Loop
+from bridge.modules.loop import EventLoop
 from bridge.modules.ports import Ports
 from tests.support.ports import free_port
 from tests.support.wait import until
@@ -45,7 +45,7 @@ class Held(threading.Event):
 
 
 def test_ports_that_are_closed_as_their_thread_wakes_up_end_it(config: Config, monkeypatch: pytest.MonkeyPatch) -> None:
-    ports, wake = Ports(config), Held()
+    ports, wake = Ports(config, "test"), Held()
     monkeypatch.setattr(ports, "_wake", wake)
     monkeypatch.setattr(ports, "_open", lambda port: setattr(port, "trouble", ""))
     ports.output("/said:o")
@@ -59,7 +59,7 @@ def test_ports_that_are_closed_as_their_thread_wakes_up_end_it(config: Config, m
 
 
 def test_who_asks_a_module_whose_thread_has_ended_is_told(config: Config) -> None:
-    loop, ports = Loop("the thread"), Ports(config)
+    loop, ports = EventLoop("the thread"), Ports(config, "test")
     loop.start()
     with NameServer(port=Address(*config.yarp.place).port, gc_seconds=0):
         port = ports.respond("/rpc", lambda values: loop.call(lambda: ["heard", *values]))
@@ -72,7 +72,7 @@ def test_who_asks_a_module_whose_thread_has_ended_is_told(config: Config) -> Non
 
 
 def test_who_connects_as_a_port_is_registered_loses_nothing(config: Config, monkeypatch: pytest.MonkeyPatch) -> None:
-    ports = Ports(config)
+    ports = Ports(config, "test")
     monkeypatch.setattr(ports, "_open", lambda port: port.core.is_open or port.core.open())  # it goes no further
     with NameServer(port=Address(*config.yarp.place).port, gc_seconds=0):
         port = ports.output("/said:o")

@@ -14,6 +14,7 @@ from tests.support.wait import until
 from yarp_compat.naming import connections
 from yarp_compat.naming.server import NameServer
 from yarp_compat.pythonic import Client, Reader, Writer
+from yarp_compat.wire.generation import Generation
 
 ECHO = "tests.modules.echo:Echo"
 
@@ -85,10 +86,8 @@ def test_its_ports_open_when_a_name_server_comes(place: Place) -> None:
 
 def test_what_comes_to_a_module_that_has_stopped_is_left_undone(place: Place, monkeypatch: pytest.MonkeyPatch) -> None:
     place.worker.start(place.config(echo()))
-    running = place.worker._running["echo"]
-    host, module = running._host, running._module
-    assert host is not None
-    assert module is not None
+    running = place.worker.running("echo")
+    host, module = running.host, running.module
     done: list[str] = []
     close = host.yarp.close
 
@@ -113,7 +112,7 @@ def test_one_that_cannot_say_how_it_is_ends_no_other(
     place: Place, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     place.worker.start(place.config(echo(), echo("other")))
-    module = place.worker._running["echo"]._module
+    module = place.worker.running("echo").module
     assert module is not None
     monkeypatch.setattr(module, "health", lambda: [][0])
     for _ in range(2):
@@ -141,6 +140,24 @@ def test_reload_touches_what_changed_alone(place: Place) -> None:
     assert again is not None
     assert again["zid"] != before["zid"]
     assert not place.worker.reload(place.config(echo(), name="elsewhere")), "the worker is to be started again"
+
+
+def test_a_release_of_yarp_is_taken_up_while_all_runs(place: Place) -> None:
+    """Nothing restarts, and who is connected stays so: the next call is answered otherwise."""
+    place.worker.start(place.config(echo(), yarp=place.yarp_section()))
+    before = place.answer("echo")
+    host = place.worker.running("echo").host
+    assert host is not None
+    assert not host.yarp.generations.of("/nav").sure
+    topics = [{"topic": "/scan", "as": "natural"}]  # what other workers' ports carry
+    for changed in ({"release": "3.9"}, {"peers": [{"port": "/nav", "release": "3.9"}], "topics": topics}):
+        assert place.worker.reload(place.config(echo(), yarp=place.yarp_section(**changed)))
+        assert host.yarp.generations.of("/nav").generation is Generation.YARP_3_6
+    assert not host.yarp.generations.of("/other").sure
+    assert place.answer("echo")["zid"] == before["zid"], "it goes on"
+    assert not place.worker.reload(place.config(echo(), yarp=place.yarp_section(namespace="/other"))), (
+        "its ports are others"
+    )
 
 
 def test_one_that_cannot_start_keeps_no_other_from_it_and_is_tried_again(place: Place) -> None:

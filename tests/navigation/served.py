@@ -10,11 +10,11 @@ from typing import Any
 
 from bridge.clock import SYSTEM
 from bridge.hub.session import Hub
+from bridge.messages.actions import GoalState
 from bridge.messages.registry import Registry
-from bridge.modules.action_client import SentGoal
-from bridge.modules.goal import Status
-from bridge.modules.loop import Loop
-from bridge.modules.node import Node
+from bridge.modules.clients import SentGoal
+from bridge.modules.host import Host, Node
+from bridge.modules.loop import EventLoop
 from tests.modules.place import Place
 from tests.support.wait import until
 from yarp_compat.naming import connections
@@ -33,7 +33,7 @@ class Program:
     """
 
     def __init__(self, hub: Hub, registry: Registry, planner: str) -> None:
-        self.loop = Loop("robot")
+        self.loop = EventLoop("robot")
         self.loop.start()
         self.node = Node(hub, registry, self.loop, SYSTEM)
         self._action = f"{planner}/navigate_to_pose"
@@ -65,7 +65,7 @@ class Sent:
     def __init__(self, program: Program, goal: dict[str, Any]) -> None:
         self.feedback: list[dict[str, Any]] = []
         self._over = threading.Event()
-        self._end: tuple[Status, dict[str, Any] | None, str] | None = None
+        self._end: tuple[GoalState, dict[str, Any] | None, str] | None = None
         self._loop, client = program.loop, program.client
         self.goal: SentGoal = self._loop.call(lambda: client.send(goal, self._ended, self.feedback.append))
 
@@ -76,7 +76,7 @@ class Sent:
     def cancel(self) -> None:
         self._loop.call(self.goal.cancel)
 
-    def end(self) -> tuple[Status, dict[str, Any]]:
+    def end(self) -> tuple[GoalState, dict[str, Any]]:
         assert self._over.wait(60), "it ends"
         assert self._end is not None
         status, result, why = self._end
@@ -99,8 +99,16 @@ class Served(Place):
         self.yarp.open()
 
     @property
+    def host(self) -> Host:
+        return self.worker.running(self._name).host
+
+    @property
     def module(self) -> Any:
-        return self.worker._running[self._name]._module
+        return self.worker.running(self._name).module
+
+    def received(self, port: str) -> int:
+        """Messages that came by one of the module's ports."""
+        return sum(one["messages"] for one in self.host.yarp.status() if one["port"] == port)
 
     def registered(self, port: str) -> str:
         until(lambda: connections.exists(self.names, port), f"{port} is registered", 30)

@@ -4,19 +4,20 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from functools import partial
 from types import SimpleNamespace
 from typing import Any
 
 import pytest
 
+from bridge.messages.scan import Turn
 from bridge.tf.stamped import TF, TF_STATIC, Stamped, write
-from navigation.frames import Frames, FramesError
+from navigation.frames import FramesError, RobotFrames
 from navigation.goals import goal_of
-from navigation.plan_error import PlanError
 from navigation.pose import Pose
 from navigation.robot_goto.module import RobotGoto
-from navigation.robot_path_planner.laser import Laser
-from navigation.scan import Turn
+from navigation.robot_path_planner.module import ObstacleScans
+from navigation.status import PlanError
 
 S = 1_000_000_000
 START = 1_790_000_000 * S
@@ -28,10 +29,12 @@ class Said:
     def __init__(self, **options: Any) -> None:
         self.now = START
         self.heard: dict[str, Callable[[bytes], None]] = {}
-        node = SimpleNamespace(subscription_cdr=lambda topic, _type, heard, _qos: self.heard.update({topic: heard}))
-        clock = SimpleNamespace(now_ns=lambda: self.now)
-        host: Any = SimpleNamespace(node=node, clock=clock, on_jump=lambda _: None)
-        self.frames = Frames(host, **options)
+        node = SimpleNamespace(
+            subscription_cdr=lambda topic, _type, heard, _qos, *, at_once: self.heard.update({topic: heard})  # noqa: ARG005
+        )
+        clock = SimpleNamespace(now_ns=lambda: self.now, on_jump=lambda _: None)
+        host: Any = SimpleNamespace(node=node, clock=clock)
+        self.frames = RobotFrames(host, **options)
 
     def say(self, parent: str, child: str, pose: Pose, ago: float = 0.0, topic: str = TF) -> None:
         turned = (0.0, 0.0, math.sin(pose.theta / 2), math.cos(pose.theta / 2))
@@ -134,10 +137,11 @@ def test_a_laser_that_hangs_upside_down_sees_what_is_on_its_left_on_the_right() 
     message = {"header": {"stamp": stamp, "frame_id": "laser"}, **scan}
     seen: list[tuple[Pose, Turn]] = []
     planner: Any = SimpleNamespace(active=True, scan=lambda _now, pose, turn: seen.append((pose, turn)))
-    Laser(planner, said.frames).take(0.0, message)
+    ObstacleScans(planner, said.frames).take(0.0, message)
     driver = SimpleNamespace(scan=lambda turn, _moved, laser: seen.append((laser, turn)))
     clock = SimpleNamespace(now_ns=lambda: said.now)
     goto: Any = SimpleNamespace(_frames=said.frames, driver=driver, now=lambda: 0.0, _host=SimpleNamespace(clock=clock))
+    goto._see = partial(RobotGoto._see, goto)
     RobotGoto._scanned(goto, message)
     assert len(seen) == 2
     for pose, turn in seen:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from navigation.scan import ScanError, believed, is_blind, of_ros, of_yarp
-from yarp_compat.dev.laserscan import LaserScan2D
+from yarp_compat.dev.rangefinder import LaserScan2D
 from yarp_compat.sig.vector import Vector
 
 

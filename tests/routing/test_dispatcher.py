@@ -4,12 +4,21 @@ from __future__ import annotations
 
 import threading
 
+import pytest
+
 from bridge.routing.dispatcher import Dispatcher
-from bridge.routing.priority import Priority
+from bridge.routing.limits import Priority
 from tests.support.wait import until
 
 
-def test_work_on_the_callers_thread_is_watched() -> None:
+def stuck(dispatcher: Dispatcher) -> str:
+    try:
+        return dispatcher.alive("publishing")
+    except TimeoutError as err:
+        return str(err).partition(" for ")[0]
+
+
+def test_work_on_the_callers_thread_is_watched(monkeypatch: pytest.MonkeyPatch) -> None:
     dispatcher = Dispatcher("test")
     inside, go_on = threading.Event(), threading.Event()
 
@@ -20,10 +29,11 @@ def test_work_on_the_callers_thread_is_watched() -> None:
     thread = threading.Thread(target=dispatcher.here, args=(work,))
     thread.start()
     assert inside.wait(40)
-    until(lambda: dispatcher.stuck_for() > 0.01, "the work under way is seen")
+    monkeypatch.setattr("bridge.routing.dispatcher._STUCK_SECONDS", 0.01)
+    until(lambda: stuck(dispatcher) == "publishing has been stuck", "the work under way is seen")
     go_on.set()
     thread.join()
-    assert dispatcher.stuck_for() == 0.0
+    assert dispatcher.alive("publishing") == ""
 
 
 def test_work_that_fails_stops_nothing() -> None:

@@ -11,7 +11,7 @@ from zlib import crc32
 
 import pytest
 
-from bridge.adapters.base import Sighting
+from bridge.routing.edge import Sighting
 from bridge.routing.election import (
     CUT,
     PERIOD,
@@ -76,9 +76,9 @@ class World:
         self.gone.add(worker.name)
 
     def _hub(self, worker: Worker) -> HubView:
-        crew = [w for w in self.workers if w.alive and self.same_hub(w, worker)]
-        members = {w.name: w.election.outcome.members for w in crew if w.active}
-        return HubView(frozenset(w.name for w in crew), join(members), settled=self.now > worker.started + 1.0)
+        sessions = [w for w in self.workers if w.alive and self.same_hub(w, worker)]
+        members = {w.name: w.election.outcome.members for w in sessions if w.active}
+        return HubView(frozenset(w.name for w in sessions), join(members), settled=self.now > worker.started + 1.0)
 
     def turn(self, worker: Worker) -> None:
         sightings = [s for (to, _), s in self._heard.items() if to == worker.name]
@@ -89,7 +89,7 @@ class World:
             self._hub(worker),
             settled=self.now > worker.started + self.settle,
         )
-        worker.election.told(record)
+        worker.election.sent(record)
         worker.record = record.encode()
         for other in self.neighbours(worker):
             self._on_the_way.append((self.now + other.delay, other.name, worker.name, worker.record))

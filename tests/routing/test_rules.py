@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from bridge.config.sections.routing import RoutingSection
-from bridge.hub.qos import Durability, Qos, Reliability
+from bridge.hub.wire.qos import Durability, Qos, Reliability
 from bridge.routing.rules import RuleSet
 
 STRING = "std_msgs/msg/String"
@@ -96,7 +96,7 @@ def test_a_rename_at_the_entry_is_not_done_again_at_the_exit() -> None:
 
 
 def test_qos_and_depth_are_overridden() -> None:
-    decision = rules({"qos": {"durability": "transient_local", "reliability": "best_effort"}, "depth": 3}).enter(
+    policy = rules({"qos": {"durability": "transient_local", "reliability": "best_effort"}, "depth": 3}).enter(
         "ros1", "/a", STRING
     )
-    assert decision.override(Qos()) == Qos(Reliability.BEST_EFFORT, Durability.TRANSIENT_LOCAL, depth=3)
+    assert policy.override(Qos()) == Qos(Reliability.BEST_EFFORT, Durability.TRANSIENT_LOCAL, depth=3)

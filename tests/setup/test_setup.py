@@ -22,6 +22,32 @@ def test_a_fresh_machine_gets_everything_once(tmp_path: Path) -> None:
     assert machine.calls == ["midspan interfaces build"]
 
 
+def test_kernels_are_compiled_once_and_where_they_cannot_be_that_is_said(tmp_path: Path) -> None:
+    machine = Machine(tmp_path)
+    assert machine.setup().returncode == 0
+    assert len(machine.called("build_ext", "--inplace")) == 1
+    machine.setup()
+    assert not machine.called("build_ext")
+    without = Machine(tmp_path / "without")
+    done = without.setup(NO_COMPILER="1")
+    assert done.returncode == 0, "the rest goes on"
+    assert "2 of 3 kernels are not compiled" in done.stderr
+    assert "apt install g++" in done.stderr
+    assert without.setup(NO_COMPILER="1", CI="true").returncode == 1
+
+
+def test_the_log_is_of_the_last_run_that_did_something(tmp_path: Path) -> None:
+    machine = Machine(tmp_path)
+    machine.setup()
+    log = machine.checkout / ".cache" / "setup.log"
+    log.write_text("of an earlier run\n", encoding="utf-8")
+    machine.setup()
+    assert "earlier" in log.read_text(encoding="utf-8"), "there was nothing to do"
+    (machine.checkout / "requirements.lock").write_text("more==1.0\n", encoding="utf-8")
+    machine.setup()
+    assert "earlier" not in log.read_text(encoding="utf-8")
+
+
 def test_a_new_lock_file_is_installed(tmp_path: Path) -> None:
     machine = Machine(tmp_path)
     machine.setup()

@@ -12,8 +12,8 @@ from pydantic import ValidationError
 
 from bridge.config.sections.sim import SimSection
 from sim import robot
-from sim.base import Pose, Twist
-from sim.errors import SimError
+from sim.base import BasePose, Twist
+from sim.environment import SimError
 from sim.simulation import Simulation
 from tests.sim.floors import INSIDE, drive, simulation, turn_wheels
 
@@ -119,7 +119,7 @@ def test_the_same_seed_and_commands_give_the_same_run_bit_for_bit() -> None:
         there = Simulation(SimSection(plan="lab", seed=seed, **options))
         rng, digest = np.random.default_rng(1), hashlib.sha256()
         for _ in range(40):
-            there.command(Twist(*rng.uniform(-0.3, 0.3, 1), 0.0, *rng.uniform(-1, 1, 1)))
+            there.command(Twist(rng.uniform(-0.3, 0.3), 0.0, rng.uniform(-1, 1)))
             there.run(0.1)
             digest.update(np.array([*there.base.pose(), *there.estimate.pose]).tobytes() + there.scan.ranges.tobytes())
         return digest.hexdigest()
@@ -236,9 +236,9 @@ def test_robots_are_described_in_files(tmp_path: Path) -> None:
         robot.load(str(own))
     data = robot.load("r1").model_dump()
     with pytest.raises(ValidationError, match="'ikart_V2' are not written yet"):
-        robot.Robot.model_validate({**data, "kinematics": "ikart_V2"})
+        robot.RobotDescription.model_validate({**data, "kinematics": "ikart_V2"})
     with pytest.raises(ValidationError, match="3 wheels, not 2"):
-        robot.Robot.model_validate({**data, "kinematics": "ikart_V1"})
+        robot.RobotDescription.model_validate({**data, "kinematics": "ikart_V1"})
     with pytest.raises(SimError, match="neither a file nor one of the robots"):
         robot.load("nobody")
 
@@ -247,6 +247,6 @@ def test_it_begins_again_as_at_the_start() -> None:
     there = simulation(start=(0.5, 0.5, 90.0))
     drive(there, 2, 0.3)
     there.begin()
-    assert np.allclose(there.base.pose(), Pose(0.5, 0.5, math.pi / 2))
+    assert np.allclose(there.base.pose(), BasePose(0.5, 0.5, math.pi / 2))
     assert there.estimate.travelled == 0.0
     assert there.time_ns == 2_000_000_000

@@ -9,15 +9,16 @@ import pytest
 from PIL import Image
 
 from bridge.cli.main import main
-from sim import export, plans
-from sim.picture import draw
+from sim import export
+from sim.export import draw
+from sim.plan import load_plan
 from tests.sim.floors import simulation
 from yarp_compat.dev.mapgrid import MapFlag, MapGrid2D
 from yarp_compat.dev.places import Places
 
 
 def test_a_plans_map_shows_what_the_laser_sees() -> None:
-    plan = plans.load("apartment")
+    plan = load_plan("apartment")
     grid = export.grid(plan, "apartment", 0.05)
     floor = plan.floors["apartment"]
 
@@ -42,12 +43,12 @@ def test_a_plans_map_shows_what_the_laser_sees() -> None:
 
 
 def test_two_floors_become_two_maps_and_a_link(tmp_path: Path) -> None:
-    plan = plans.load("two_storeys")
+    plan = load_plan("two_storeys")
     written = {file.name for file in export.save(plan, tmp_path / "out", 0.1)}
     assert {"ground.map", "upper.map", "ground.yaml", "locations.ini", "maps_collection.ini"} <= written
     grid = MapGrid2D.load(tmp_path / "out" / "ground.map")
     assert grid.isIdenticalTo(export.grid(plan, "ground", 0.1))
-    again = plans.load(str(tmp_path / "out" / "upper.yaml"))
+    again = load_plan(str(tmp_path / "out" / "upper.yaml"))
     assert len(next(iter(again.floors.values())).boxes) > 5
     places = Places.load(tmp_path / "out" / "locations.ini")
     assert places.locations["upper_lift"].map_id == "upper"

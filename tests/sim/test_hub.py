@@ -10,9 +10,10 @@ from typing import Any
 import pytest
 
 from bridge.config.model import Config
+from bridge.config.sections.yarp import Topic, YarpSection
 from bridge.hub.session import Hub
 from bridge.messages.registry import Registry
-from sim.worker import SimWorker
+from sim.simulator import SimWorker
 from tests.contract.hubside import HubSide
 from tests.support.ports import free_port
 from tests.support.quick_hub import QuickHub
@@ -197,3 +198,18 @@ def test_what_is_wrong_is_told_and_mended_by_a_reload(place: Place) -> None:
     assert place.worker.reload(place.config(plan="hall", speed="max"))
     assert place.worker.health().state == "running"
     until(lambda: place.status()["time"] > 1, "as fast as it can")
+
+
+def test_a_release_of_yarp_leaves_the_simulation_alone(place: Place) -> None:
+    """It began anew: the robot was back at its start, and everybody's connection gone."""
+    config = place.config(speed="max")
+    place.worker.start(config)
+    until(lambda: place.status()["time"] > 1, "it runs")
+    for changed in ({"release": "3.9"}, {"topics": [Topic.model_validate({"topic": "/scan", "as": "natural"})]}):
+        before = place.status()
+        config = config.model_copy(update={"yarp": config.yarp.model_copy(update=changed)})
+        assert place.worker.reload(config)
+        after = place.status()
+        assert after["zid"] == before["zid"]
+        assert after["time"] >= before["time"]
+    assert not place.worker.reload(config.model_copy(update={"yarp": YarpSection(namespace="/other")}))

@@ -9,10 +9,11 @@ import numpy as np
 import pytest
 
 from bridge.config.sections.sim import LaserSection
-from sim import bodies, plans, robot
+from sim import bodies, robot
 from sim.laser import Laser, reference
 from sim.laser_kernel import cast
 from sim.pieces import Piece
+from sim.plan import load_plan
 from tests.sim.floors import drive, simulation
 
 NOTHING = np.zeros((0, 3))
@@ -52,7 +53,7 @@ def test_it_equals_brute_force(seed: int, first: float, span: float) -> None:
     for _ in range(5):
         pose = (*rng.uniform(-1, 1, 2), rng.uniform(-7, 7))
         out = np.empty(count)
-        cast()(segments, circles, *pose, beams, first, step, 8.0, out)
+        cast(segments, circles, *pose, beams, first, step, 8.0, out)
         wanted = reference(segments, circles, pose, angles, 8.0)
         assert (np.isinf(out) == np.isinf(wanted)).all()
         assert np.isfinite(out).any()
@@ -68,7 +69,7 @@ def test_it_equals_darts_own_rays() -> None:
     angles = -math.pi + np.arange(360) * math.radians(1)
     beams = np.ascontiguousarray(np.stack([np.cos(angles), np.sin(angles)], axis=1))
     out = np.empty(360)
-    cast()(*shapes(pieces), 0.3, -0.2, 0.5, beams, -math.pi, math.radians(1), 15.0, out)
+    cast(*shapes(pieces), 0.3, -0.2, 0.5, beams, -math.pi, math.radians(1), 15.0, out)
     worst = 0.0
     for i in range(360):
         a = angles[i] + 0.5
@@ -141,6 +142,6 @@ def test_people_crates_and_closed_doors_are_seen_and_what_is_low_is_not() -> Non
 
 
 def test_a_plan_is_seen_where_it_is() -> None:
-    hall = plans.load("hall")
+    hall = load_plan("hall")
     there = simulation(floor={"walls": hall.floors["hall"].walls}, laser={"beams": 4})
     np.testing.assert_allclose(there.scan.ranges, [9.95, 6.95, 9.95, 6.95], atol=1e-9)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from bridge.hub.qos import Qos
+from bridge.hub.wire.qos import Qos
 from bridge.modules.host import Host
 from bridge.modules.module import Module
 from bridge.modules.worker import ModulesWorker

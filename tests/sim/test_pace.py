@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from sim import pace
-from sim.pace import Pace
+from sim import simulator
+from sim.simulator import Pace
 
 
 class Clock:
@@ -20,7 +20,7 @@ class Clock:
 @pytest.fixture
 def clock(monkeypatch: pytest.MonkeyPatch) -> Clock:
     made = Clock()
-    monkeypatch.setattr(pace, "time", made)
+    monkeypatch.setattr(simulator, "time", made)
     return made
 
 

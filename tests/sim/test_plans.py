@@ -10,36 +10,35 @@ import pytest
 from PIL import Image
 
 from bridge.config.sections.sim import SimSection
-from sim import files, pieces, plans
-from sim.base import Pose
-from sim.errors import SimError
-from sim.grid import rectangles
-from sim.people import Walker
-from sim.plan import Box, Floor, Person
+from sim import pieces
+from sim.base import BasePose
+from sim.environment import SimError, ready
+from sim.pieces import Walker
+from sim.plan import Box, Floor, Person, load_plan, rectangles
 from sim.simulation import Simulation
 from tests.sim.floors import INSIDE, drive, simulation
 from yarp_compat.dev.mapgrid import MapFlag, MapGrid2D
 
 
-@pytest.mark.parametrize("name", files.ready("plans"))
+@pytest.mark.parametrize("name", ready("plans"))
 def test_one_can_stand_at_every_place_of_every_plan(name: str) -> None:
-    plan = plans.load(name)
+    plan = load_plan(name)
     for floor_name, floor in plan.floors.items():
         there = Simulation(SimSection(), plan.model_copy(update={"floors": {floor_name: floor}, "links": ()}))
         for person in list(there.world.people):
             there.world.remove(person)
         for place, (x, y, degrees) in floor.places.items():
             try:
-                there.teleport(Pose(x, y, math.radians(degrees)))
+                there.teleport(BasePose(x, y, math.radians(degrees)))
             except SimError as err:
                 pytest.fail(f"{name}/{floor_name}/{place}: {err}")
 
 
 def test_the_plans_that_are_there() -> None:
-    assert files.ready("plans") == ["apartment", "hall", "lab", "office", "two_storeys"]
-    assert {"kitchen", "bedroom"} < plans.load("apartment").floors["apartment"].rooms.keys()
+    assert ready("plans") == ["apartment", "hall", "lab", "office", "two_storeys"]
+    assert {"kitchen", "bedroom"} < load_plan("apartment").floors["apartment"].rooms.keys()
     with pytest.raises(SimError, match="neither a file nor one of the plans"):
-        plans.load("castle")
+        load_plan("castle")
 
 
 def test_walls_have_holes_for_doors_and_openings_and_closed_corners() -> None:
@@ -78,7 +77,7 @@ def test_people_walk_and_wait_for_the_robot() -> None:
     person.send([(-1.5, 0.0), (-1.5, 1.5)])
     drive(there, 5, 0.0)
     assert (person.x, person.y) == (-1.5, 1.5)
-    there.teleport(Pose(-1.5, 0.5, math.pi / 2))
+    there.teleport(BasePose(-1.5, 0.5, math.pi / 2))
     drive(there, 5, 0.3)
     assert there.base.pose().y < 1.5 - 0.2 - 0.2  # a person is not driven through
     assert (person.x, person.y) == (-1.5, 1.5)
@@ -112,12 +111,12 @@ def test_things_come_and_go() -> None:
     with pytest.raises(SimError, match="the robot stands there"):
         there.world.spawn(Box(at=(0.1, 0, 0), size=(0.1, 0.1, 0.1)), "in_the_way")
     with pytest.raises(SimError, match="chest is there"):
-        there.teleport(Pose(0.0, -0.8, 0.0))
+        there.teleport(BasePose(0.0, -0.8, 0.0))
     for name in ("crate", "eve", "chest"):
         there.world.remove(name)
     there.run(0.2)
     assert there.scan.ranges[360] == pytest.approx(INSIDE, abs=5e-3)
-    there.teleport(Pose(0.0, -0.8, 0.0))
+    there.teleport(BasePose(0.0, -0.8, 0.0))
     with pytest.raises(SimError, match="cannot be taken away; what can be: nothing"):
         there.world.remove("eve")
 
@@ -127,12 +126,12 @@ def test_a_lift_leads_to_the_other_floor_and_back() -> None:
     with pytest.raises(SimError, match="not within 1 m of an end of the link 'lift'"):
         there.ride("lift")
     x, y, _ = there.world.floor.locations["lift"]
-    there.teleport(Pose(x - 0.3, y, 0.0))
+    there.teleport(BasePose(x - 0.3, y, 0.0))
     assert there.ride("lift") == "upper"
     assert np.allclose(there.base.pose(), (11.0, 5.6, math.pi), atol=1e-3)
     drive(there, 3, 0.3)
     assert there.base.pose().x < 10.6
-    there.teleport(Pose(11.0, 5.6, 0.0))
+    there.teleport(BasePose(11.0, 5.6, 0.0))
     assert there.ride("lift") == "ground"
     with pytest.raises(SimError, match="links: lift"):
         there.ride("stairs")
@@ -142,7 +141,7 @@ def test_a_plans_mistakes_are_named_with_their_line(tmp_path: Path) -> None:
     file = tmp_path / "bad.yaml"
     file.write_text("walls:\n  - [[0, 0], [1, 0]]\ndoors:\n  - {name: d, line: [[0, 0]]}\nrooom: {}\n")
     with pytest.raises(SimError) as caught:
-        plans.load(str(file))
+        load_plan(str(file))
     assert f"{file}:4" in str(caught.value)
     assert f"{file}:5" in str(caught.value)
     assert "rooms" in str(caught.value)
@@ -167,10 +166,10 @@ def test_a_map_and_an_image_become_the_same_room(tmp_path: Path) -> None:
     Image.fromarray(np.where(flags == MapFlag.WALL, 0, 255).astype(np.uint8)).save(tmp_path / "room.png")
     found = []
     for name in ("room.map", "other.yaml", "room.png"):
-        there = Simulation(SimSection(laser={"beams": 8}), plans.load(str(tmp_path / name), 0.1))
+        there = Simulation(SimSection(laser={"beams": 8}), load_plan(str(tmp_path / name), 0.1))
         assert there.base.pose()[:2] == pytest.approx((3.0, 2.0))
         found.append(there.scan.ranges)
-        there.teleport(Pose(1.0, 3.25, 0.0))
+        there.teleport(BasePose(1.0, 3.25, 0.0))
         there.run(0.1)
         assert there.scan.ranges[4] == pytest.approx(1.0, abs=5e-3)
     assert np.allclose(found[0], found[1])
@@ -178,7 +177,7 @@ def test_a_map_and_an_image_become_the_same_room(tmp_path: Path) -> None:
     assert found[0] == pytest.approx([2.9, math.hypot(1.9, 1.9), 1.9, math.hypot(1.9, 1.9)] * 2)
     (tmp_path / "no.png").write_bytes(b"nothing")
     with pytest.raises(SimError, match="no image"):
-        plans.load(str(tmp_path / "no.png"))
+        load_plan(str(tmp_path / "no.png"))
 
 
 def test_two_thousand_walls_do_not_slow_it_down() -> None:

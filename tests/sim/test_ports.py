@@ -7,11 +7,9 @@ from pathlib import Path
 
 from tests.sim.test_hub import Place
 from tests.support.wait import until
-from yarp_compat.dev.basecontrol import IOdometry2DMsgs
+from yarp_compat.dev.basecontrol import IOdometry2DMsgs, OdometryData
 from yarp_compat.dev.client import ServiceClient
-from yarp_compat.dev.laserscan import LaserScan2D
-from yarp_compat.dev.odometry import OdometryData
-from yarp_compat.dev.rangefinder import DeviceStatus, IRangefinder2DMsgs
+from yarp_compat.dev.rangefinder import DeviceStatus, IRangefinder2DMsgs, LaserScan2D
 from yarp_compat.naming import connections
 from yarp_compat.naming.client import NameClient
 from yarp_compat.naming.config import Address

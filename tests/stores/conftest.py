@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from bridge.stores.replica import Limits, Replica
+from bridge.stores.replica import Replica, StoreLimits
 from bridge.stores.store import Store
 
 Make = Callable[..., Store]
@@ -18,7 +18,7 @@ def make(tmp_path: Path) -> Iterator[Make]:
     """Opens the store of a name; all are closed at the end."""
     opened: list[Store] = []
 
-    def open_store(name: str = "one", limits: Limits | None = None) -> Store:
+    def open_store(name: str = "one", limits: StoreLimits | None = None) -> Store:
         store = Store(Replica(tmp_path / f"{name}.sqlite", name, limits))
         opened.append(store)
         return store

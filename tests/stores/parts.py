@@ -7,8 +7,8 @@ from types import TracebackType
 from typing import Self
 
 from bridge.hub.session import Hub, HubSettings
-from bridge.stores.replica import Limits, Replica
-from bridge.stores.sharing import Share
+from bridge.stores.replica import Replica, StoreLimits
+from bridge.stores.sharing import StoreSync
 from bridge.stores.store import Store
 from bridge.stores.wire import prefix
 
@@ -25,12 +25,12 @@ class Shared:
     """
 
     def __init__(
-        self, folder: Path, name: str, router: str | None, limits: Limits | None = None, domain: int = 0
+        self, folder: Path, name: str, router: str | None, limits: StoreLimits | None = None, domain: int = 0
     ) -> None:
         self.name, self.domain = name, domain
         self.replica = Replica(folder / f"{name}.sqlite", name, limits)
         self.store = Store(self.replica)
-        self.share: Share | None = None
+        self.share: StoreSync | None = None
         self.hub: Hub | None = None
         if router is not None:
             self.join(router)
@@ -40,7 +40,7 @@ class Shared:
         self.hub = Hub.open(
             HubSettings(self.domain, router, node=f"store_{self.name}", daemon=self.name, worker="store")
         )
-        self.share = Share(self.replica, self.hub.keyspace(prefix(self.domain)), self.hub.zid)
+        self.share = StoreSync(self.replica, self.hub.keyspace(prefix(self.domain)), self.hub.zid)
 
     def leave(self) -> None:
         """Leave the hub; the store goes on alone."""

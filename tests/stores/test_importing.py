@@ -7,17 +7,14 @@ from pathlib import Path
 
 import pytest
 
-from bridge.config.sections.store import StoreSection
-from bridge.stores.importing import import_at_start
+from bridge.config.sections.maps import StoreSection
 from bridge.stores.kinds import AREA, BEHAVIOUR, LINK, LOCATION, MAP
+from bridge.stores.service import import_at_start
 from tests.stores.conftest import Make
 from tests.stores.test_store import KITCHEN, grid
-from yarp_compat.dev.area_behaviour import AreaBehaviour
-from yarp_compat.dev.extras import Extras, extras_file
+from yarp_compat.dev.extras import AreaBehaviour, Extras, MapLink, extras_file
 from yarp_compat.dev.locations import Map2DArea, Map2DLocation
-from yarp_compat.dev.mapcollection import save_maps
-from yarp_compat.dev.maplink import MapLink
-from yarp_compat.dev.places import Places
+from yarp_compat.dev.places import Places, save_maps
 from yarp_compat.sig.vec2d import Vec2D
 
 

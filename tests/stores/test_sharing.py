@@ -12,19 +12,19 @@ from pathlib import Path
 import pytest
 import zenoh
 
-from bridge.hub.keyspace import KeySpace
+from bridge.hub.endpoints.keyspace import KeySpace
 from bridge.hub.session import Hub
 from bridge.stores.client import StoreClient
-from bridge.stores.errors import StoreError
+from bridge.stores.entry import StoreError
 from bridge.stores.kinds import AREA, BEHAVIOUR, LOCATION, MAP
-from bridge.stores.replica import Limits
+from bridge.stores.replica import StoreLimits
 from bridge.stores.store import Write
 from bridge.stores.wire import prefix
 from tests.stores.parts import Shared
 from tests.stores.test_store import KITCHEN, grid
 from tests.support.quick_hub import QuickHub
 from tests.support.wait import until
-from yarp_compat.dev.area_behaviour import AreaBehaviour
+from yarp_compat.dev.extras import AreaBehaviour
 from yarp_compat.dev.locations import Map2DArea, Map2DLocation
 
 SECONDS = 30.0
@@ -238,7 +238,7 @@ def test_a_client_reads_what_it_wrote(hub: QuickHub, tmp_path: Path) -> None:
                     client.write([bad])
             with pytest.raises(StoreError, match="there is no map 'm2'; those that are: m1"):
                 client.use_map("m2")
-            two.replica.limits = Limits(keys=1)
+            two.replica.limits = StoreLimits(keys=1)
             with pytest.raises(StoreError, match=r"store\.keys"):
                 client.write([Write(LOCATION, "one more", KITCHEN)])
 

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from bridge.stores.errors import StoreError
+from bridge.stores.entry import StoreError
 from bridge.stores.kinds import (
     AREA,
     BEHAVIOUR,
@@ -21,17 +21,16 @@ from bridge.stores.kinds import (
     MAP,
     OBJECT,
     PATH,
-    Kind,
+    ValueKind,
 )
-from bridge.stores.replica import Change, Limits, Replica
+from bridge.stores.replica import Change, Replica, StoreLimits
 from bridge.stores.store import Store, Write
-from bridge.stores.table import Table
+from bridge.stores.table import EntryTable
 from tests.stores.conftest import Make
 from tests.support.wait import until
-from yarp_compat.dev.area_behaviour import AreaBehaviour
+from yarp_compat.dev.extras import AreaBehaviour, MapLink
 from yarp_compat.dev.locations import Map2DArea, Map2DLocation, Map2DObject, Map2DPath
 from yarp_compat.dev.mapgrid import MapGrid2D
-from yarp_compat.dev.maplink import MapLink
 from yarp_compat.sig.vec2d import Vec2D
 
 KITCHEN = Map2DLocation("m1", 1.0, 2.5, 90.0, 'the "kitchen", große')
@@ -46,7 +45,7 @@ def grid(name: str = "m1", seed: int = 1, shape: tuple[int, int] = (30, 20)) -> 
     return MapGrid2D.of(flags, occupancy, name=name, resolution=0.05, origin=(-1.5, 2.0, 30.0))
 
 
-VALUES: list[tuple[Kind[Any], Any]] = [
+VALUES: list[tuple[ValueKind[Any], Any]] = [
     (MAP, grid()),
     (LOCATION, KITCHEN),
     (AREA, Map2DArea("m1", CORNERS, "hall")),
@@ -60,7 +59,7 @@ VALUES: list[tuple[Kind[Any], Any]] = [
 
 
 @pytest.mark.parametrize(("kind", "value"), VALUES, ids=lambda each: getattr(each, "name", type(each).__name__))
-def test_every_kind_comes_back(make: Make, kind: Kind[Any], value: Any) -> None:
+def test_every_kind_comes_back(make: Make, kind: ValueKind[Any], value: Any) -> None:
     store = make()
     store.put(kind, "m1", value)
     assert store.get(kind, "m1") == value
@@ -195,7 +194,7 @@ HEAD = {"midspan": "map", "version": 1, "width": 30, "height": 20, "resolution":
         (MAP, json.dumps({**HEAD, "version": 2}).encode() + b"\n"),
     ],
 )
-def test_a_body_that_is_none_is_refused(kind: Kind[Any], body: bytes) -> None:
+def test_a_body_that_is_none_is_refused(kind: ValueKind[Any], body: bytes) -> None:
     with pytest.raises(StoreError, match=f"{kind.name} 'a'"):
         kind.decode("a", body)
 
@@ -231,7 +230,7 @@ def test_changes_are_heard_in_order(store: Store) -> None:
 
 
 def test_a_full_store_takes_no_more_and_goes_on(make: Make) -> None:
-    store = make(limits=Limits(keys=2, size=10_000))
+    store = make(limits=StoreLimits(keys=2, size=10_000))
     store.put(LOCATION, "a", KITCHEN)
     store.put(LOCATION, "b", KITCHEN)
     with pytest.raises(StoreError, match="may have 2"):
@@ -245,7 +244,7 @@ def test_a_full_store_takes_no_more_and_goes_on(make: Make) -> None:
 
 
 def test_deleted_keys_are_remembered_up_to_a_number(make: Make) -> None:
-    store = make(limits=Limits(deleted=3))
+    store = make(limits=StoreLimits(deleted=3))
     for number in range(6):
         store.put(LOCATION, str(number), KITCHEN)
         store.delete(LOCATION, str(number))
@@ -282,7 +281,7 @@ def test_a_closed_store_says_so(store: Store) -> None:
 
 
 def test_what_is_acknowledged_is_synced_to_the_disk(tmp_path: Path) -> None:
-    table = Table(tmp_path / "s.sqlite")
+    table = EntryTable(tmp_path / "s.sqlite")
     try:
         assert table._base.execute("PRAGMA synchronous").fetchone() == (2,)  # FULL
         assert table._base.execute("PRAGMA journal_mode").fetchone() == ("wal",)

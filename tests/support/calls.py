@@ -6,7 +6,7 @@ import threading
 from collections.abc import Callable
 from typing import Any
 
-from bridge.hub.call import Abandon, Call, CallError, Done
+from bridge.hub.endpoints.calls import Abandon, Call, CallError, Done
 from bridge.messages.json import from_json, to_json
 from bridge.messages.registry import Registry
 

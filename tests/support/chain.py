@@ -20,14 +20,16 @@ from typing import Any, Self
 import yaml
 
 from bridge.clock import SYSTEM
-from bridge.hub.call import CallError
-from bridge.hub.qos import Durability, Qos
+from bridge.hub.endpoints.calls import CallError
 from bridge.hub.session import Hub, HubSettings
+from bridge.hub.wire.qos import Durability, Qos
+from bridge.messages.actions import GoalState
 from bridge.messages.registry import Registry
-from bridge.modules.goal import Status
-from bridge.modules.loop import Loop
-from bridge.modules.node import Node
-from sim import export, plans
+from bridge.modules.host import Node
+from bridge.modules.loop import EventLoop
+from sim import export
+from sim.plan import load_plan
+from tests.support.missing import COMPILER, DART, need
 from tests.support.ports import free_port
 from tests.support.process import Process
 from tests.support.wait import until
@@ -63,7 +65,7 @@ class Asked:
     began: float = field(default_factory=time.monotonic)
     accepted: bool | None = None
     feedback: list[dict[str, Any]] = field(default_factory=list)
-    status: Status | None = None
+    status: GoalState | None = None
     reason: str = ""
     code: int = 0
     ended: float | None = None
@@ -74,7 +76,7 @@ class Client:
     """A program on the hub that gives goals and listens."""
 
     def __init__(self, settings: HubSettings) -> None:
-        self._loop = Loop("client")
+        self._loop = EventLoop("client")
         self.hub = Hub.open(settings)
         self.node = Node(self.hub, Registry(), self._loop, SYSTEM)
         self._loop.start()
@@ -144,9 +146,11 @@ class Chain:
     def __init__(
         self, folder: Path, *, speed: float = 1.0, sim: Mapping[str, Any] | None = None, **sections: Any
     ) -> None:
+        for reason in (DART, COMPILER):
+            need(reason)
         self.folder, self.port = folder, free_port()
         self.file, self.log = folder / "midspan.yaml", folder / "log"
-        self.plan = plans.load((sim or {}).get("plan", "apartment"), 0.05)
+        self.plan = load_plan((sim or {}).get("plan", "apartment"), 0.05)
         floor = self.plan.floors[self.plan.first]
         self.places = floor.places
         export.save(self.plan, folder / "maps")

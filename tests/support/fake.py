@@ -8,13 +8,13 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 
-from bridge.adapters.base import Deliver, Edge, EdgeListener, Endpoint, Kind, MadeBy, Sighting
-from bridge.hub.call import Abandon, Call, CallError, Done
-from bridge.hub.origin import Origin
-from bridge.hub.qos import Qos
-from bridge.messages.conversion import Conversion, ServiceConversion, SideType
+from bridge.hub.endpoints.calls import Abandon, Call, CallError, Done
+from bridge.hub.graph.tokens import Origin
+from bridge.hub.wire.qos import Qos
 from bridge.messages.errors import MessageTypeError
 from bridge.messages.registry import Registry
+from bridge.messages.transcode.conversion import Conversion, ServiceConversion, SideType
+from bridge.routing.edge import Deliver, Edge, EdgeListener, Endpoint, Kind, MadeBy, Sighting
 
 
 @dataclass(eq=False)
@@ -69,9 +69,15 @@ class FakeNetwork:
             self._servers = [s for s in self._servers if s.endpoint.made_by is MadeBy.MIDSPAN]
         self._changed()
 
+    def retained(self) -> list[bytes]:
+        """What latched writers keep for late readers."""
+        with self._lock:
+            return [payload for writer in self._writers for payload in writer.retained.values()]
+
     def endpoints(self) -> list[Endpoint]:
         with self._lock:
-            return [thing.endpoint for thing in (*self._writers, *self._readers, *self._servers)]
+            things: list[Writer | Reader | Server] = [*self._writers, *self._readers, *self._servers]
+            return [thing.endpoint for thing in things]
 
     def write_on(self, topic: str, type_: str, qos: Qos, made_by: MadeBy, node: str) -> Writer:
         endpoint = Endpoint(f"w{next(self._ids)}", Kind.PUBLISHER, topic, type_, qos, made_by, node)
@@ -103,6 +109,10 @@ class FakeNetwork:
             readers = [r for r in self._readers if r.endpoint.topic == writer.endpoint.topic]
         for reader in readers:
             reader.deliver(payload, writer.endpoint.id, None)
+
+    def is_heard(self, topic: str) -> bool:
+        with self._lock:
+            return any(r.endpoint.topic == topic and r.endpoint.made_by is MadeBy.NATIVE for r in self._readers)
 
     def serve(self, name: str, type_: str, made_by: MadeBy, node: str, call: Call) -> Server:
         endpoint = Endpoint(f"s{next(self._ids)}", Kind.SERVER, name, type_, Qos(), made_by, node)
@@ -154,6 +164,10 @@ class _Publisher:
     @property
     def dropped(self) -> int:
         return 0
+
+    @property
+    def heard(self) -> bool:
+        return self.network.is_heard(self.writer.endpoint.topic)
 
     def send(self, payload: bytes, source: str) -> None:
         self.network.write(self.writer, payload, source)

@@ -14,7 +14,7 @@ for module, names in (
     (signal, "SIGHUP SIGKILL SIGUSR1 SIGUSR2 SIGPIPE SIGCHLD SIGQUIT SIGALRM pthread_sigmask sigwait alarm setitimer"),
     (socket, "AF_UNIX SO_REUSEPORT MSG_DONTWAIT MSG_NOSIGNAL CMSG_LEN send_fds recv_fds TCP_QUICKACK"),
     (select, "poll epoll"),
-    (time, "clock_gettime clock_settime"),
+    (time, "clock_gettime clock_settime pthread_getcpuclockid"),
 ):
     for name in names.split():
         if hasattr(module, name):
@@ -41,7 +41,7 @@ selectors.DefaultSelector = selectors.SelectSelector
 """Run in a process before anything of ours is imported."""
 
 LIBRARIES = """
-import cryptography.x509, numba, psutil, pydantic, rich.console, rosbags.typesys, ruamel.yaml, xxhash, yaml, zenoh
+import cryptography.x509, numpy, psutil, pydantic, rich.console, rosbags.typesys, ruamel.yaml, xxhash, yaml, zenoh
 import os, types
 
 whole = types.ModuleType("os")

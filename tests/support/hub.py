@@ -4,12 +4,17 @@ from __future__ import annotations
 
 import json
 import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import asdict
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
 
+import zenoh
+
 from bridge.hub.session import HubSettings
+from bridge.hub.zenoh_config import make_config, session_tree
 from tests.support.peer import Peer
 from tests.support.ports import free_port
 from tests.support.process import Process
@@ -89,6 +94,13 @@ class HubNetwork:
 
     def __exit__(self, kind: type[BaseException] | None, err: BaseException | None, tb: TracebackType | None) -> None:
         self.stop_router()
+
+    @contextmanager
+    def program(self) -> Iterator[zenoh.Session]:
+        """A session of a plain zenoh program, which knows nothing of the hub."""
+        tree = session_tree(self.endpoint, shared_memory=False, max_payload=1 << 20)
+        with zenoh.open(make_config(tree, {"mode": "client"})) as session:
+            yield session
 
     def hub_peer(self, node: str, **more: Any) -> Peer:
         """A hub session in a process of its own, driven by `tests.support.hub_peer`'s commands."""

@@ -13,12 +13,12 @@ import sys
 import threading
 from typing import Any
 
-from bridge.hub.call import Abandon, Done
-from bridge.hub.origin import Origin
-from bridge.hub.publisher import HubPublisher
-from bridge.hub.qos import Durability, Qos
+from bridge.hub.endpoints.calls import Abandon, Done
+from bridge.hub.endpoints.publisher import HubPublisher
+from bridge.hub.endpoints.subscription import HubSample, HubSubscription
+from bridge.hub.graph.tokens import Origin
 from bridge.hub.session import Hub, HubSettings
-from bridge.hub.subscription import HubSample, HubSubscription
+from bridge.hub.wire.qos import Durability, Qos
 from tests.support.wait import until
 
 TYPE, HASH = "std_msgs/msg/String", "RIHS01_" + "5e" * 32

@@ -7,7 +7,7 @@ import time
 from typing import Any
 
 from bridge.modules.action_server import Goal
-from navigation.gateway.link import NAVIGATE
+from navigation.messages import NAVIGATE
 from tests.navigation.gateway.rig import Program, pose
 
 SPEED, PATIENCE, UNREACHABLE = 2.0, 0.5, 900.0
@@ -19,7 +19,7 @@ class HubPlanner(Program):
 
     def __init__(self, settings: Any, name: str) -> None:
         super().__init__(settings)
-        self._x, self._since = 0.0, 0.0
+        self.x, self._since = 0.0, 0.0
         self._goal: Goal | None = None
         self.on(
             lambda: self.node.action_server(f"/planner/{name}/navigate_to_pose", NAVIGATE, self._take, self._cancel)
@@ -45,14 +45,14 @@ class HubPlanner(Program):
         if goal is None:
             return
         x = goal.goal["pose"]["pose"]["position"]["x"]
-        left = x - self._x
+        left = x - self.x
         if x >= UNREACHABLE:
             if time.monotonic() - self._since > PATIENCE:
                 self._goal = None
                 goal.abort({"error_code": 9006, "error_msg": "no way leads there"})
             return
-        self._x += math.copysign(min(abs(left), 0.1 * SPEED), left)
-        goal.feedback({"current_pose": pose(self._x), "distance_remaining": abs(left)})
+        self.x += math.copysign(min(abs(left), 0.1 * SPEED), left)
+        goal.feedback({"current_pose": pose(self.x), "distance_remaining": abs(left)})
         if abs(left) <= 0.1 * SPEED:
             self._goal = None
             goal.succeed()

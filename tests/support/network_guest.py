@@ -12,8 +12,8 @@ from pathlib import Path
 
 import zenoh
 
-from bridge.hub import attachment
-from bridge.hub.settings import make_config, session_tree
+from bridge.hub.wire.keys import pack_attachment
+from bridge.hub.zenoh_config import make_config, session_tree
 from bridge.messages.registry import Registry
 
 TWIST = "geometry_msgs/msg/Twist"
@@ -39,7 +39,7 @@ def main(keys: Path, door: str, listen: str) -> None:
         number = 0
         while time.monotonic() < end:
             number += 1
-            said = attachment.pack(number, time.time_ns(), bytes(16))
+            said = pack_attachment(number, time.time_ns(), bytes(16))
             for key in (f"0/cmd_vel/geometry_msgs::msg::dds_::Twist_/{type_hash}", "0/cmd_vel/**", "**"):
                 session.put(key, forged, attachment=said)
             time.sleep(0.1)

@@ -8,11 +8,11 @@ from typing import Any
 import numpy as np
 
 from bridge.clock import SYSTEM
-from bridge.hub.qos import Durability, Qos
 from bridge.hub.session import Hub, HubSettings
+from bridge.hub.wire.qos import Durability, Qos
 from bridge.messages.registry import Registry
-from bridge.modules.loop import Loop
-from bridge.modules.node import Node
+from bridge.modules.host import Node
+from bridge.modules.loop import EventLoop
 
 PERIOD = 0.02
 TIMEOUT = 0.3
@@ -31,7 +31,7 @@ class PointRobot:
     def __init__(self, settings: HubSettings, size: tuple[float, float]) -> None:
         self.x = self.y = self.theta = 0.0
         self._speed, self._turn, self._silent = 0.0, 0.0, 0.0
-        self._loop = Loop(settings.node)
+        self._loop = EventLoop(settings.node)
         self._node = node = Node(Hub.open(settings), Registry(), self._loop, SYSTEM)
         self._loop.start()
         self._tf = node.publisher("/tf", "tf2_msgs/msg/TFMessage", Qos(depth=10))

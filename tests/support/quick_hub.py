@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import zenoh
 
 from bridge.hub.control import Control
-from bridge.hub.mesh import MEMBERS
-from bridge.hub.settings import MAX_PAYLOAD, make_config, router_tree
+from bridge.hub.links import MEMBERS
+from bridge.hub.zenoh_config import MAX_PAYLOAD, make_config, router_tree
 from tests.support.hub import HubNetwork
 
 
@@ -22,6 +24,12 @@ class QuickHub(HubNetwork):
         me = {"zid": str(session.zid())}
         self._session, self._control = session, Control(session, self.domain, "quick", "router")
         self._control.serve(MEMBERS, lambda _: me | {"members": [str(t.zid) for t in session.info.transports()]})
+
+    def also_say(self, members: Any) -> None:
+        """Have another answer in the router's name to who asks for its members."""
+        assert self._session is not None
+        router = str(self._session.info.zid())
+        self._control.serve(MEMBERS, lambda _: {"zid": router, "members": members})
 
     def stop_router(self) -> None:
         """End the router."""

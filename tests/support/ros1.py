@@ -12,8 +12,8 @@ from typing import Any, Self
 from xmlrpc.client import ServerProxy
 
 import psutil
-import pytest
 
+from tests.support.missing import ROS1, need, needs
 from tests.support.peer import Peer
 from tests.support.ports import free_port
 from tests.support.process import Process
@@ -24,10 +24,7 @@ ROS1_PEER = Path(__file__).with_name("ros1_peer.py")
 
 ROS1_PYTHON = Path("/usr/bin/python3")
 
-needs_ros1 = pytest.mark.skipif(
-    not (shutil.which("roscore", path="/usr/bin") and Path("/usr/lib/python3/dist-packages/rospy").is_dir()),
-    reason="no ROS 1 on this machine (Debian, Ubuntu: apt install python3-rospy ros-core)",
-)
+needs_ros1 = needs(ROS1)
 
 
 def ros1_environment(master: str = "", environ: Mapping[str, str] = os.environ) -> dict[str, str]:
@@ -45,6 +42,7 @@ class RosMaster:
     """A roscore (master, parameters, rosout) on a port of its own, which it keeps when it is started anew."""
 
     def __init__(self) -> None:
+        need(ROS1)
         self.port = free_port()
         self.uri = f"http://127.0.0.1:{self.port}/"
         self._folder = tempfile.mkdtemp(prefix="midspan-test-ros1-")
@@ -65,6 +63,11 @@ class RosMaster:
         if self._process is not None:
             self._process.stop()
             self._process = None
+
+    def signal(self, number: int) -> None:
+        """Send roscore a signal."""
+        assert self._process is not None
+        self._process.signal(number)
 
     def kill(self) -> None:
         """Kill roscore, which takes a second to stop by itself; its nodes stay."""

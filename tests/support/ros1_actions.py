@@ -1,6 +1,6 @@
 """Actions of the rospy program `tests.support.ros1_peer`; see `tests.support.peer` for the commands.
 
-Runs on the system's Python alone. A goal's ``status`` and ``cancel`` are told as ROS 2 would: see docs/actions.md.
+Runs on the system's Python alone. A goal's ``status`` and ``cancel`` are as ROS 2's: see docs/sides/actions.md.
 """
 # ruff: noqa: ANN003, ANN202, ANN204  # it runs without Midspan
 

@@ -1,5 +1,7 @@
 """A stand-in for ROS 1's map_server: one map of a YAML file, latched on /map.
 
+As the real one (navigation 1.17.3) it has /map_metadata and serves /static_map and /change_map; it changes nothing.
+
 ros1_map_server.py apartment.yaml
 """
 
@@ -8,7 +10,8 @@ from pathlib import Path
 
 import rospy
 import yaml
-from nav_msgs.msg import OccupancyGrid
+from nav_msgs.msg import MapMetaData, OccupancyGrid
+from nav_msgs.srv import GetMap, GetMapResponse, LoadMap, LoadMapResponse
 
 
 def pixels(file):
@@ -36,5 +39,9 @@ for row in reversed(range(height)):
         dark = (255 - value) / 255.0
         grid.data.append(100 if dark > said["occupied_thresh"] else 0 if dark < said["free_thresh"] else -1)
 publisher = rospy.Publisher("map", OccupancyGrid, queue_size=1, latch=True)
+metadata = rospy.Publisher("map_metadata", MapMetaData, queue_size=1, latch=True)
+rospy.Service("static_map", GetMap, lambda _request: GetMapResponse(grid))
+rospy.Service("change_map", LoadMap, lambda _request: LoadMapResponse(grid, LoadMapResponse.RESULT_UNDEFINED_FAILURE))
+metadata.publish(grid.info)
 publisher.publish(grid)
 rospy.spin()

@@ -1,26 +1,31 @@
-"""A stand-in for ROS 1's move_base: a real actionlib server on rospy, whose robot is a point that the stand-in moves.
+"""A stand-in for ROS 1's move_base: a real actionlib server on rospy, which drives the base of `ros1_base.py`.
 
 It behaves as a real move_base was measured to (navigation 1.17, Noetic): an unknown frame, or one with a slash, stays
 ACTIVE for ever; a new goal preempts the old one; ``/move_base_simple/goal`` becomes a goal on ``/move_base/goal``; the
-texts are move_base's. What actionlib's server does (RECALLED by stamps, repeated ids, cancel-all, a list of many
-statuses, results that are not latched) is its own.
+texts are move_base's; it comes up once it knows where the base is. What actionlib's server does (RECALLED by stamps,
+repeated ids, cancel-all, a list of many statuses, results that are not latched) is its own.
 
-Goals with x of 900 and more are unreachable. Runs on the system's Python alone.
-Usage: ros1_move_base.py SPEED PATIENCE
+Goals with x of 900 and more are unreachable. Runs on the system's Python alone. It starts the base as a process of its
+own, but where the base is said to be there already: that one goes on when the stand-in is killed or stopped.
+Usage: ros1_move_base.py SPEED PATIENCE [there]
 """
 # ruff: noqa: ANN204  # it runs without Midspan
 
 import math
+import subprocess
 import sys
+from pathlib import Path
 
 import actionlib
 import rospy
-from geometry_msgs.msg import PoseStamped, TransformStamped, Twist
+from geometry_msgs.msg import PoseStamped, Twist
 from move_base_msgs.msg import MoveBaseAction, MoveBaseActionGoal, MoveBaseFeedback, MoveBaseResult
 from nav_msgs.srv import GetPlan, GetPlanResponse
 from tf2_msgs.msg import TFMessage
 
 PERIOD = 0.1
+NEAR, GAIN = 0.05, 5.0
+"""It is there within so many metres; before that it goes so many m/s slower for each metre less."""
 UNREACHABLE = 900.0
 FRAMES = ("map", "odom", "base_link")
 ACCEPTED = "This goal has been accepted by the simple action server"
@@ -34,17 +39,21 @@ class MoveBase:
 
     def __init__(self, speed, patience):
         self.speed, self.patience = speed, patience
-        self.x = self.y = 0.0
+        self.place = None
         self.current, self.since, self.cancelled = None, 0, False
         self.velocity = rospy.Publisher("cmd_vel", Twist, queue_size=1)
         self.target = rospy.Publisher("move_base/current_goal", PoseStamped, queue_size=10)
         self.goals = rospy.Publisher("move_base/goal", MoveBaseActionGoal, queue_size=10)
-        self.frames = rospy.Publisher("tf", TFMessage, queue_size=10)
+        rospy.Subscriber("tf", TFMessage, self.see, queue_size=10, tcp_nodelay=True)
         rospy.Subscriber("move_base_simple/goal", PoseStamped, self.simple, queue_size=1)
         rospy.Service("move_base/make_plan", GetPlan, self.plan)
         self.server = actionlib.ActionServer("move_base", MoveBaseAction, self.take, self.cancel, auto_start=False)
         self.lock = self.server.lock  # it calls us under its own: a second one would be taken in both orders
-        self.server.start()
+
+    def see(self, told):
+        for frame in told.transforms:
+            if frame.child_frame_id == "base_link":
+                self.place = frame.transform.translation
 
     def simple(self, pose):
         goal = MoveBaseActionGoal()
@@ -90,7 +99,6 @@ class MoveBase:
     def step(self):
         """One control cycle."""
         with self.lock:
-            self.tell_frame()
             if self.current is None:
                 return
             self.since += 1
@@ -106,35 +114,31 @@ class MoveBase:
                 self.drive(goal.pose.position)
 
     def drive(self, place):
-        dx, dy = place.x - self.x, place.y - self.y
+        dx, dy = place.x - self.place.x, place.y - self.place.y
         left = math.hypot(dx, dy)
-        step = min(1.0, self.speed * PERIOD / left) if left else 1.0
-        self.x, self.y = self.x + step * dx, self.y + step * dy
         self.current.publish_feedback(MoveBaseFeedback(base_position=self.pose()))
-        if step == 1.0:
+        if left < NEAR:
             self.end("set_succeeded", "Goal reached.")
             return
-        moving = Twist()
-        moving.linear.x = self.speed
+        speed, moving = min(self.speed, GAIN * left), Twist()
+        moving.linear.x, moving.linear.y = speed * dx / left, speed * dy / left
         self.velocity.publish(moving)
 
     def pose(self):
         pose = PoseStamped()
         pose.header.frame_id, pose.header.stamp = "map", rospy.Time.now()
-        pose.pose.position.x, pose.pose.position.y, pose.pose.orientation.w = self.x, self.y, 1.0
+        pose.pose.position.x, pose.pose.position.y, pose.pose.orientation.w = self.place.x, self.place.y, 1.0
         return pose
-
-    def tell_frame(self):
-        frame, pose = TransformStamped(), self.pose()
-        frame.header, frame.child_frame_id = pose.header, "base_link"
-        frame.transform.translation.x, frame.transform.translation.y = self.x, self.y
-        frame.transform.rotation = pose.pose.orientation
-        self.frames.publish([frame])
 
 
 def main():
+    if sys.argv[3:] != ["there"]:
+        subprocess.Popen([sys.executable, str(Path(__file__).with_name("ros1_base.py"))])
     rospy.init_node("move_base")
     planner = MoveBase(float(sys.argv[1]), float(sys.argv[2]))
+    while planner.place is None and not rospy.is_shutdown():
+        rospy.sleep(PERIOD)
+    planner.server.start()
     print("ready", flush=True)
     while not rospy.is_shutdown():
         planner.step()

@@ -12,6 +12,7 @@ from pathlib import Path
 
 from bridge.adapters.ros2.environment import worker_environment
 from bridge.config.model import Config
+from tests.support.missing import ROS2, need
 
 ROS2_PEER = Path(__file__).with_name("ros2_peer.py")
 """The program that `tests.support.peer.Peer` drives on the ROS 2 side; run it with `sys.executable`."""
@@ -64,5 +65,6 @@ def ros2_environment(**extra: str) -> dict[str, str]:
 
 
 def ros2_python() -> Path:
-    """The interpreter that has rclpy."""
+    """The interpreter that has rclpy; skips the test where none has."""
+    need(ROS2)
     return Path(sys.executable)

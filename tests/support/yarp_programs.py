@@ -15,15 +15,14 @@ from typing import Any
 from bridge.messages.registry import Registry
 from tests.support.ports import free_port
 from yarp_compat.naming import connections
-from yarp_compat.naming.client import NameClient
+from yarp_compat.naming.client import KEEPER, NameClient
 from yarp_compat.naming.config import Address
-from yarp_compat.naming.keeper import KEEPER
 from yarp_compat.naming.server import NameServer
-from yarp_compat.os.nested import LATCHED, PUBLISHER, SUBSCRIBER, NestedName
-from yarp_compat.ports.events import ConnectionEvent
-from yarp_compat.ports.message import Message as PortMessage
+from yarp_compat.os.ports.nested import LATCHED, PUBLISHER, SUBSCRIBER, NestedName
+from yarp_compat.ports.connections import ConnectionEvent
+from yarp_compat.ports.message import PortMessage as PortMessage
 from yarp_compat.ports.port import PortCore
-from yarp_compat.rosmsg.library import Library
+from yarp_compat.rosmsg.library import MessageLibrary
 from yarp_compat.rosmsg.message import Message, TickTime
 
 
@@ -50,7 +49,7 @@ class Names:
             server.close()
 
 
-class Definitions(Library):
+class Definitions(MessageLibrary):
     """Finds definitions where the bridge's tests have them."""
 
     def __init__(self, folders: tuple[Path, ...]) -> None:
@@ -105,7 +104,7 @@ class YarpProgram:
         return core
 
     def _join(self, own: NestedName) -> None:
-        """Connect with the other YARP ends of a topic, as `yarp_compat.os.node` does."""
+        """Connect with the other YARP ends of a topic, as `yarp_compat.os.ports.node` does."""
         for contact in self._naming.list():
             other = NestedName.parse(contact.name)
             if other.topic == own.topic and other.role != own.role:

@@ -99,7 +99,7 @@ class ActionClient:
                 lambda sample: heard.append(bridge.decode(type_, sample.payload.to_bytes())), indirect=False
             )
 
-        self._parts = [
+        self._parts: list[zenoh.Subscriber | ext.AdvancedSubscriber] = [
             session.declare_subscriber(
                 bridge.key(f"{name}/_action/feedback"), hear(self.feedback, f"{_NAME}_FeedbackMessage")
             ),

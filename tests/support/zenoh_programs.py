@@ -320,7 +320,7 @@ class Ros1Bridge(Program):
 
     def __init__(self, endpoint: str, messages: Messages, namespace: str = "*", period: float = 1.0) -> None:
         super().__init__(endpoint)
-        self._messages, self._namespace, self._period = messages, namespace, period
+        self._messages, self.namespace, self._period = messages, namespace, period
         self.wire = Wire(
             self.encode, self.decode, lambda text: text.encode(), lambda q: q.payload is not None, lambda: None
         )
@@ -346,7 +346,7 @@ class Ros1Bridge(Program):
     def key(self, topic: str, type_: str, md5: str = "") -> str:
         """The key of a topic's samples, byte for byte."""
         hex_type = type_.replace("/msg/", "/").encode().hex()
-        return f"{hex_type}/{md5 or self._messages.type_id(type_)}/{self._namespace}/{topic.strip('/')}"
+        return f"{hex_type}/{md5 or self._messages.type_id(type_)}/{self.namespace}/{topic.strip('/')}"
 
     def discovery(self, letters: str, topic: str, type_: str, md5: str = "") -> str:
         """The key of a topic's beacon, byte for byte."""

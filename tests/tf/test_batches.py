@@ -10,9 +10,9 @@ import threading
 import pytest
 
 from bridge.messages.registry import Registry
-from bridge.messages.values import Writer
+from bridge.messages.values import MessageWriter
 from bridge.tf.buffer import TransformBuffer
-from bridge.tf.errors import Refusal, TransformError
+from bridge.tf.errors import FrameRefusal, TransformError
 from bridge.tf.intake import Sample
 from tests.support.wait import until
 from tests.tf import trees
@@ -25,7 +25,7 @@ SCHEMA = Registry().schema("tf2_msgs/msg/TFMessage")
 
 def message(samples: list[Sample]) -> bytes:
     """A TFMessage by another way than the one under test."""
-    return Writer(SCHEMA).message({"transforms": [stamped(*sample) for sample in samples]})
+    return MessageWriter(SCHEMA).message({"transforms": [stamped(*sample) for sample in samples]})
 
 
 def stamped(parent: str, child: str, stamp: int, moved: tuple, turned: tuple) -> dict:
@@ -59,7 +59,7 @@ def test_batches_and_messages_are_as_one_by_one(monkeypatch: pytest.MonkeyPatch)
         steps = trees.sets(dice, names)
         stamps = [step[3] for step in steps] or [START]
         buffers = [TransformBuffer(max_future=20.0, now=lambda: trees.START) for _ in range(3)]
-        answers: list[list[Refusal | None]] = [[], [], []]
+        answers: list[list[FrameRefusal | None]] = [[], [], []]
         while steps:
             static, count = steps[0][6], dice.randint(1, 5)
             together = 1
@@ -106,9 +106,9 @@ def test_large_messages_and_odd_ones() -> None:
     assert buffer.set_message(message(many), "arm") == [None] * 1000
     assert buffer.set_message(message([])) == []
     assert buffer.lookup_transform("base", "link999").translation == (999, 0, 0)
-    assert buffer.set_message(message([("base", "link1", -S, (0, 0, 0), UNIT)])) == [Refusal.INVALID_STAMP]
+    assert buffer.set_message(message([("base", "link1", -S, (0, 0, 0), UNIT)])) == [FrameRefusal.INVALID_STAMP]
     odd = [("/base", "/größe", START, (5, 0, 0), UNIT), ("größe", "größe", START, (5, 0, 0), UNIT)]
-    assert buffer.set_message(message(odd)) == [None, Refusal.SELF_TRANSFORM]
+    assert buffer.set_message(message(odd)) == [None, FrameRefusal.SELF_TRANSFORM]
     assert buffer.lookup_transform("base", "größe").translation == (5, 0, 0)
 
 
@@ -126,7 +126,7 @@ def test_a_batch_wakes_who_waits_for_its_last() -> None:
     answers: list[object] = []
     thread = threading.Thread(target=lambda: answers.append(buffer.lookup_transform("a", "d", timeout=40)))
     thread.start()
-    until(lambda: buffer._waiting == 1, "it waits", 30)
+    until(lambda: buffer.waiting == 1, "it waits", 30)
     before = buffer.changes
     buffer.set_message(message([(a, b, START, (1, 0, 0), UNIT) for a, b in ("ab", "bc", "cd")]))
     thread.join(30)

@@ -16,9 +16,9 @@ from bridge.tf.buffer import TransformBuffer
 from bridge.tf.errors import (
     ConnectivityError,
     ExtrapolationError,
+    FrameRefusal,
     InvalidArgumentError,
     LookupError_,
-    Refusal,
 )
 from bridge.tf.history import LARGEST
 from tests.support.wait import until
@@ -86,25 +86,29 @@ def test_stamps_are_held_against_the_clock() -> None:
     now = START
     buffer = TransformBuffer(max_future=2.0, now=lambda: now)
 
-    def told(stamp: int, **more: bool) -> Refusal | None:
+    def told(stamp: int, **more: bool) -> FrameRefusal | None:
         return buffer.set_transform("map", "odom", stamp, (0, 0, 0), UNIT, "amcl", **more)
 
     assert told(now - 60 * S) is None
     assert told(now + 2 * S) is None
-    assert told(now + 2 * S + 1) is Refusal.FUTURE
-    assert told(now + 3600 * S) is Refusal.FUTURE
-    assert told(17 * S) is Refusal.TIME_SCALE  # a simulation's
-    assert told(0) is Refusal.TIME_SCALE
-    assert told(-1) is Refusal.INVALID_STAMP
-    assert told(1 << 70) is Refusal.INVALID_STAMP
-    assert told(1 << 61, static=True) is Refusal.TIME_SCALE  # the frame has a history, which that would end
+    assert told(now + 2 * S + 1) is FrameRefusal.FUTURE
+    assert told(now + 3600 * S) is FrameRefusal.FUTURE
+    assert told(17 * S) is FrameRefusal.TIME_SCALE  # a simulation's
+    assert told(0) is FrameRefusal.TIME_SCALE
+    assert told(-1) is FrameRefusal.INVALID_STAMP
+    assert told(1 << 70) is FrameRefusal.INVALID_STAMP
+    assert told(1 << 61, static=True) is FrameRefusal.TIME_SCALE  # the frame has a history, which that would end
     assert buffer.set_transform("base", "laser", 0, (0, 0, 0), UNIT, static=True) is None
-    assert buffer.refused == {Refusal.FUTURE: 2, Refusal.TIME_SCALE: 3, Refusal.INVALID_STAMP: 2}
-    assert "amcl" in buffer.last_refused[Refusal.TIME_SCALE]
-    assert "use_sim_time" in buffer.last_refused[Refusal.TIME_SCALE]
+    assert buffer.refused == {
+        FrameRefusal.FUTURE: 2,
+        FrameRefusal.TIME_SCALE: 3,
+        FrameRefusal.INVALID_STAMP: 2,
+    }
+    assert "amcl" in buffer.last_refused[FrameRefusal.TIME_SCALE]
+    assert "use_sim_time" in buffer.last_refused[FrameRefusal.TIME_SCALE]
     assert buffer.lookup_transform("map", "odom").stamp == now + 2 * S
     now = 5 * S  # a run on /clock that hears a stamp of the machine's clock
-    assert told(START) is Refusal.TIME_SCALE
+    assert told(START) is FrameRefusal.TIME_SCALE
 
 
 def test_a_refusal_is_logged_once_of_its_kind(buffer: TransformBuffer, caplog: pytest.LogCaptureFixture) -> None:
@@ -113,7 +117,7 @@ def test_a_refusal_is_logged_once_of_its_kind(buffer: TransformBuffer, caplog: p
             buffer.set_transform("a", "b", START, (math.nan, 0, 0), UNIT, "me")
         buffer.set_transform("a", "a", START, (0, 0, 0), UNIT, "me")
     assert [record.getMessage().split(":")[0] for record in caplog.records] == ["TF_NAN_INPUT", "TF_SELF_TRANSFORM"]
-    assert buffer.refused == {Refusal.NAN_INPUT: 5, Refusal.SELF_TRANSFORM: 1}
+    assert buffer.refused == {FrameRefusal.NAN_INPUT: 5, FrameRefusal.SELF_TRANSFORM: 1}
     assert buffer.can_transform("a", "b") == (
         False,
         '"a" passed to lookupTransform argument target_frame does not exist. ',
@@ -169,8 +173,8 @@ def test_loops_are_refused_where_they_are_met(buffer: TransformBuffer) -> None:
 def test_names(buffer: TransformBuffer) -> None:
     assert buffer.set_transform("/map", "/odom", START, (1, 0, 0), UNIT) is None
     assert buffer.lookup_transform("map", "/odom").frame_id == "map"
-    assert buffer.set_transform("map", "/", START, (1, 0, 0), UNIT) is Refusal.NO_CHILD_FRAME_ID
-    assert buffer.set_transform("/map", "map", START, (1, 0, 0), UNIT) is Refusal.SELF_TRANSFORM
+    assert buffer.set_transform("map", "/", START, (1, 0, 0), UNIT) is FrameRefusal.NO_CHILD_FRAME_ID
+    assert buffer.set_transform("/map", "map", START, (1, 0, 0), UNIT) is FrameRefusal.SELF_TRANSFORM
     with pytest.raises(InvalidArgumentError, match="cannot be empty"):
         buffer.lookup_transform("map", "", timeout=30)
     assert buffer.can_transform_full("map", 0, "odom", START, "map") == (True, "")
@@ -193,7 +197,7 @@ def test_a_lookup_waits_for_what_comes(buffer: TransformBuffer, asker: list[thre
 
     asker.append(threading.Thread(target=ask))
     asker[0].start()
-    until(lambda: buffer._waiting == 1, "it waits", 30)
+    until(lambda: buffer.waiting == 1, "it waits", 30)
     buffer.set_transform("map", "odom", START, (1, 0, 0), UNIT, static=True)
     assert not answers
     moving(buffer, "odom", "base")
@@ -238,7 +242,7 @@ def test_many_times_at_once(buffer: TransformBuffer) -> None:
 def test_clear_keeps_static_frames(buffer: TransformBuffer) -> None:
     moving(buffer, "odom", "base")
     buffer.set_transform("base", "laser", 0, (0, 0, 1), UNIT, "urdf", static=True)
-    assert buffer.set_transform("odom", "base", 5 * S, (0, 0, 0), UNIT) is Refusal.OLD_DATA
+    assert buffer.set_transform("odom", "base", 5 * S, (0, 0, 0), UNIT) is FrameRefusal.OLD_DATA
     buffer.clear()
     assert not buffer.can_transform("odom", "base")[0]
     assert buffer.lookup_transform("base", "laser", 7 * S).translation == (0, 0, 1)
@@ -285,7 +289,7 @@ def test_a_fast_frame_fills_no_memory(buffer: TransformBuffer) -> None:
 def test_made_up_names_fill_no_memory(buffer: TransformBuffer, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(frames_module, "MAX_FRAMES", 10)
     said = [buffer.set_transform("a", f"b{n}", START, (0, 0, 0), UNIT) for n in range(20)]
-    assert said.count(Refusal.TOO_MANY_FRAMES) > 5
+    assert said.count(FrameRefusal.TOO_MANY_FRAMES) > 5
     assert buffer.set_transform("a", "b0", START + 1, (0, 0, 0), UNIT) is None
 
 

@@ -9,7 +9,7 @@ import pytest
 import yaml
 
 from bridge.clock import RunClock
-from bridge.modules.goal import Status
+from bridge.messages.actions import GoalState
 from bridge.tf.buffer import TransformBuffer
 from bridge.tf.server.buffer_server import ACTION, FRAME_GRAPH, FRAMES, LOOKUP, BufferServer
 from tests.modules.test_actions import Two
@@ -56,7 +56,7 @@ class Asked:
 
 def result(ends: list[Any]) -> Any:
     goal, result, why = until(lambda: ends, "the goal ends")[0]
-    assert goal.status is Status.SUCCEEDED, why
+    assert goal.status is GoalState.SUCCEEDED, why
     return result
 
 
@@ -143,7 +143,7 @@ def test_a_lookup_that_waits_is_cancelled(asked: Asked) -> None:
     asked.waits()
     asked.two.on(asked.two.client, asked.client.cancel)
     until(lambda: ends, "the goal ends")
-    assert ends[0][0].status is Status.CANCELED
+    assert ends[0][0].status is GoalState.CANCELED
     asked.waits(0)
 
 

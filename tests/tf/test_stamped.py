@@ -7,7 +7,7 @@ import random
 import pytest
 
 from bridge.messages.registry import Registry
-from bridge.messages.values import Writer
+from bridge.messages.values import MessageWriter
 from bridge.tf.stamped import TF_TYPE, Stamped, read, write
 
 
@@ -17,7 +17,7 @@ def test_the_bytes_are_those_of_the_general_writer() -> None:
     check = registry.hub_check(TF_TYPE, registry.ros2(TF_TYPE).type_id)
     for _ in range(100):
         given = [some(chance) for _ in range(chance.randrange(5))]
-        whole = Writer(schema).message({"transforms": [value(transform) for transform in given]})
+        whole = MessageWriter(schema).message({"transforms": [value(transform) for transform in given]})
         assert write(given) == whole
         assert read(check(whole)) == given
 

@@ -70,8 +70,8 @@ def same_text(ours: str, theirs: str) -> bool:
     return between == ours_between and (mine == said or (len(said) in CUT and mine.startswith(said)))
 
 
+@pytest.mark.thorough
 @needs_ros1
-@pytest.mark.real
 def test_answers_and_errors_are_tf2s(monkeypatch: pytest.MonkeyPatch) -> None:
     seed = int.from_bytes(os.urandom(4), "big")
     monkeypatch.setattr(logging.getLogger("bridge.tf.intake"), "disabled", True)  # each buffer says its first refusal

@@ -10,8 +10,7 @@ import pytest
 import yarp_compat as yarp
 from tests.support.wait import until
 from yarp_compat import aio
-from yarp_compat.naming.errors import PortError
-from yarp_compat.ports.naming import LocalNaming
+from yarp_compat.ports.naming import LocalNaming, PortError
 from yarp_compat.pythonic import Client, Reader, Server, Writer
 from yarp_compat.wire import binary
 from yarp_compat.wire.profile import Profile

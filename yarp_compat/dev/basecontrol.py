@@ -10,37 +10,66 @@ Ports (`mobileBaseVelocityControl_nws_yarp`, `odometry2D_nws_yarp` of YARP 4): `
 
 from __future__ import annotations
 
-from typing import Self
+from dataclasses import dataclass
+from typing import Self, Unpack
 
-from yarp_compat.dev.client import PATIENCE, ServiceClient
-from yarp_compat.dev.odometry import OdometryData
-from yarp_compat.dev.outcome import UNREACHED, called
-from yarp_compat.dev.returnvalue import CallFailed, ReturnValue
+from yarp_compat.dev.client import ClientOptions, ServiceClient, Stream
+from yarp_compat.dev.fields import Generated
+from yarp_compat.dev.returnvalue import UNREACHED, CallFailed, ReturnValue, called
 from yarp_compat.dev.service import Service, rpc
-from yarp_compat.dev.stream import Stream
-from yarp_compat.naming.naming import Naming
+from yarp_compat.ports.sockets import closed_on_failure
 from yarp_compat.wire.errors import WireError
+
+
+@dataclass
+class OdometryData(Generated):
+    """A base's pose and velocity.
+
+    Attributes:
+        odom_x, odom_y, odom_theta: the pose: metres, metres, degrees.
+        base_vel_x, base_vel_y, base_vel_theta: the velocity in the base's frame: metres and degrees per second.
+        odom_vel_x, odom_vel_y, odom_vel_theta: the same in the odometry's frame.
+    """
+
+    odom_x: float = 0.0
+    odom_y: float = 0.0
+    odom_theta: float = 0.0
+    base_vel_x: float = 0.0
+    base_vel_y: float = 0.0
+    base_vel_theta: float = 0.0
+    odom_vel_x: float = 0.0
+    odom_vel_y: float = 0.0
+    odom_vel_theta: float = 0.0
+
+
+@dataclass
+class MobileBaseVelocity(Generated):
+    """A velocity to drive at: forward and to the left, metres per second; counterclockwise, degrees per second."""
+
+    vel_x: float = 0.0
+    vel_y: float = 0.0
+    vel_theta: float = 0.0
+
 
 DEFAULT_TIMEOUT = 0.1
 """Seconds for which a command holds where a caller does not say (`INavigation2DVelocityActions.h`)."""
 
 
+@rpc
 class INavigation2DVelocityActionsMsgs(Service):
-    """What a mobile base's port answers."""
+    """The methods of a mobile base's port."""
 
-    @rpc
     def applyVelocityCommandRPC(self, x_vel: float, y_vel: float, theta_vel: float, timeout: float) -> ReturnValue:
         """Drive: m/s, m/s, deg/s, for so many seconds."""
 
-    @rpc
     def getLastVelocityCommandRPC(self) -> tuple[ReturnValue, float, float, float]:
-        """What was commanded last."""
+        """The last command."""
 
 
+@rpc
 class IOdometry2DMsgs(Service):
-    """What an odometry's port answers."""
+    """The methods of an odometry's port."""
 
-    @rpc
     def reset_odometry_RPC(self) -> ReturnValue:
         """Begin at zero from here."""
 
@@ -56,14 +85,11 @@ class MobileBaseVelocityControl(ServiceClient[INavigation2DVelocityActionsMsgs])
     Args:
         server: its port.
         name: the own port's name; empty lets the name server choose one.
-        timeout: seconds to wait for a reply; None: for ever.
-        naming: who knows the names; by default the name server of ``yarp.conf``.
+        options: as of `ClientOptions`.
     """
 
-    def __init__(
-        self, server: str, name: str = "", *, timeout: float | None = PATIENCE, naming: Naming | None = None
-    ) -> None:
-        super().__init__(INavigation2DVelocityActionsMsgs, server, name, timeout=timeout, naming=naming)
+    def __init__(self, server: str, name: str = "", **options: Unpack[ClientOptions]) -> None:
+        super().__init__(INavigation2DVelocityActionsMsgs, server, name, **options)
 
     def applyVelocityCommand(
         self, x_vel: float, y_vel: float, theta_vel: float, timeout: float = DEFAULT_TIMEOUT
@@ -94,33 +120,24 @@ class Odometry2DClient(ServiceClient[IOdometry2DMsgs]):
     """Hears an odometry, and begins it anew, as YARP's ``odometry2D_nwc_yarp`` does (`IOdometry2D`).
 
     Args:
-        server: what its ports begin with, ``/baseControl/odometry`` or ``/cer/odometry``.
-        name: what the own ports begin with; empty lets the name server choose names.
-        timeout: seconds to wait for a reply; None: for ever.
-        naming: who knows the names; by default the name server of ``yarp.conf``.
+        server: begins the names of its ports: ``/baseControl/odometry`` or ``/cer/odometry``.
+        name: begins the names of the own ports; empty lets the name server choose names.
+        options: as of `ClientOptions`.
     """
 
-    def __init__(
-        self, server: str, name: str = "", *, timeout: float | None = PATIENCE, naming: Naming | None = None
-    ) -> None:
+    def __init__(self, server: str, name: str = "", **options: Unpack[ClientOptions]) -> None:
         mine = name.rstrip("/")
-        super().__init__(IOdometry2DMsgs, f"{server}/rpc", mine and f"{mine}/rpc", timeout=timeout, naming=naming)
-        self._stream = Stream(f"{server}/odometry:o", OdometryData, mine and f"{mine}/odometry:i", naming=naming)
+        super().__init__(IOdometry2DMsgs, f"{server}/rpc", mine and f"{mine}/rpc", **options)
+        self._stream = Stream(
+            f"{server}/odometry:o", OdometryData, mine and f"{mine}/odometry:i", naming=options.get("naming")
+        )
         self._last: tuple[OdometryData, float] | None = None
 
     def open(self) -> Self:
-        """Open both ports and connect them.
-
-        Raises:
-            NamingError: there is no name server.
-            PortError: there is no such server.
-        """
+        """Open both ports and connect them; errors as of `ServiceClient.open`."""
         super().open()
-        try:
+        with closed_on_failure(self):
             self._stream.open()
-        except BaseException:
-            self.close()
-            raise
         return self
 
     def close(self) -> None:

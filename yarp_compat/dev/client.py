@@ -1,22 +1,151 @@
-"""A client of an interface: a port of its own that is connected to a server's, and again where the server was away."""
+"""A client of an interface, its port, and what a server streams.
+
+The port is connected to the server's, and again where the server was away.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import Generic, Self, TypeVar
+from collections.abc import Callable, Iterator
+from typing import Generic, Self, TypedDict, TypeVar, Unpack
 
-from yarp_compat.dev.channel import PortChannel
 from yarp_compat.dev.service import Service
-from yarp_compat.naming.errors import PortError
-from yarp_compat.naming.naming import Naming
-from yarp_compat.pythonic import Client
+from yarp_compat.naming import connections
+from yarp_compat.os.data.stamp import Stamp
+from yarp_compat.ports.naming import Naming, PortError
+from yarp_compat.ports.port import PortCore
+from yarp_compat.ports.sockets import closed_on_failure
+from yarp_compat.pythonic import Client, Reader, Received
+from yarp_compat.wire.framing import Buffer
 from yarp_compat.wire.generation import Generation
-from yarp_compat.wire.message import Buffer
+from yarp_compat.wire.portable import Portable
 
 S = TypeVar("S", bound=Service)
 
 PATIENCE = 10.0
 """Seconds to wait for a reply by default."""
+
+
+class PortChannel:
+    """Sends an interface's requests through a port.
+
+    Args:
+        port: connected to the server's port, by a binary carrier.
+        generation: the server's, until its port or its replies tell.
+        timeout: seconds to wait for a reply; None: for ever.
+        connect: connects the port again before a call; a call that was under way is never made twice.
+    """
+
+    def __init__(
+        self, port: PortCore, generation: Generation = Generation.YARP_3_12, timeout: float | None = None,
+        connect: Callable[[], object] | None = None,
+    ) -> None:  # fmt: skip
+        self._connect = connect
+        self._generation = generation
+        self._has_told = False
+        self._port = port
+        self._timeout = timeout
+
+    @property
+    def generation(self) -> Generation:
+        """The server's, as far as it is known; its replies set it."""
+        profile = self._port.answers_in
+        if not self._has_told and profile is not None and profile is not self._generation.profile:
+            self._generation = Generation.newest(profile)
+        return self._generation
+
+    @generation.setter
+    def generation(self, generation: Generation) -> None:
+        self._generation, self._has_told = generation, True
+
+    def request(self, payload: bytes, parse: Callable[[Buffer], int]) -> Buffer:
+        """Send a request and return the reply; raises `TimeoutError`, or `ConnectionError` without a server."""
+        if self._connect is not None and self._port.is_open and not self._port.connections.outputs:
+            try:
+                self._connect()
+            except PortError as error:
+                raise ConnectionRefusedError(str(error)) from error
+        return self._port.request(payload, timeout=self._timeout, parse=parse)
+
+
+T = TypeVar("T", bound=Portable)
+
+
+class Stream(Generic[T]):
+    """Hears a port that writes one kind of data, between ``with`` and its end.
+
+    A position whose coordinates are no numbers is that of a robot which does not know where it is.
+
+    Args:
+        source: the port; ``udp://robot/odometry:o`` says the carrier too.
+        kind: `Map2DLocation`, `OdometryData`, `Bottle` for the text of a ``status:o``, ...
+        name: the own port's name; empty lets the name server choose one.
+        strict: give every message; by default the newest one only.
+        naming: knows the names; by default the name server of ``yarp.conf``.
+    """
+
+    def __init__(
+        self, source: str, kind: type[T], name: str = "", *, strict: bool = False, naming: Naming | None = None
+    ) -> None:
+        self._source, self._kind = source, kind
+        self._reader = Reader(name, strict=strict, naming=naming)
+
+    def open(self) -> Self:
+        """Open the port and connect the source to it.
+
+        Raises:
+            NamingError: no name server answers.
+            PortError: no such port exists.
+        """
+        self._reader.open()
+        with closed_on_failure(self):
+            connections.connect(self._reader.core.naming, self._source, self._reader.name)
+        return self
+
+    def close(self) -> None:
+        """Close the port; who iterates comes to the end."""
+        self._reader.close()
+
+    def read(self) -> tuple[T, float] | None:
+        """Wait for the next message: the data, and its time in seconds, 0 where it has none. None once this is closed.
+
+        Raises:
+            WireError: it is something else.
+        """
+        return self._taken(self._reader.read())
+
+    def read_now(self) -> tuple[T, float] | None:
+        """The next message, if there is one."""
+        return self._taken(self._reader.read_now())
+
+    def __iter__(self) -> Iterator[tuple[T, float]]:
+        while (taken := self.read()) is not None:
+            yield taken
+
+    def __enter__(self) -> Self:
+        return self.open()
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def _taken(self, received: Received | None) -> tuple[T, float] | None:
+        if received is None:
+            return None
+        stamp = Stamp()
+        if received.envelope:
+            stamp.from_text(received.envelope)
+        return received.to(self._kind), stamp.getTime()
+
+
+class ClientOptions(TypedDict, total=False):
+    """The way from a client to its server.
+
+    Attributes:
+        timeout: seconds to wait for a reply, `PATIENCE` by default; None: for ever.
+        naming: who knows the names; by default the name server of ``yarp.conf``.
+    """
+
+    timeout: float | None
+    naming: Naming | None
 
 
 class ServiceClient(Client, Generic[S]):
@@ -26,21 +155,13 @@ class ServiceClient(Client, Generic[S]):
         interface: what the server offers.
         server: its port; ``fast_tcp://map2D_nws_yarp/rpc`` says the carrier too.
         name: the own port's name; empty lets the name server choose one.
-        timeout: seconds to wait for a reply; None: for ever.
-        naming: who knows the names; by default the name server of ``yarp.conf``.
+        options: as of `ClientOptions`.
     """
 
-    def __init__(
-        self,
-        interface: type[S],
-        server: str,
-        name: str = "",
-        *,
-        timeout: float | None = PATIENCE,
-        naming: Naming | None = None,
-    ) -> None:
-        super().__init__(server, name, naming=naming)
-        self._channel = _Lasting(self, timeout)
+    def __init__(self, interface: type[S], server: str, name: str = "", **options: Unpack[ClientOptions]) -> None:
+        super().__init__(server, name, naming=options.get("naming"))
+        timeout = options.get("timeout", PATIENCE)
+        self._channel = PortChannel(self.core, timeout=timeout, connect=lambda: self.connect(self.server))
         self.remote = interface(self._channel)
 
     @property
@@ -52,30 +173,10 @@ class ServiceClient(Client, Generic[S]):
         """Open the port, connect it, and introduce it: so YARP 4's servers want it.
 
         Raises:
-            NamingError: there is no name server.
-            PortError: there is no such server.
+            NamingError: no name server answers.
+            PortError: no such server exists.
         """
         super().open()
-        try:
+        with closed_on_failure(self):
             self.remote.introduce()
-        except BaseException:
-            self.close()
-            raise
         return self
-
-
-class _Lasting(PortChannel):
-    """A channel that connects again before a call; a call that was under way is never made twice."""
-
-    def __init__(self, client: Client, timeout: float | None) -> None:
-        super().__init__(client.core, timeout=timeout)
-        self._client = client
-
-    def request(self, payload: bytes, parse: Callable[[Buffer], int]) -> Buffer:
-        core = self._client.core
-        if core.is_open and not core.connections.outputs:
-            try:
-                self._client.connect(self._client.server)
-            except PortError as error:
-                raise ConnectionRefusedError(str(error)) from error
-        return super().request(payload, parse)

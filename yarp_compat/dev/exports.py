@@ -11,10 +11,9 @@ import math
 from collections.abc import Iterable, Mapping
 from typing import Any
 
-from yarp_compat.dev.area_behaviour import AreaBehaviour
+from yarp_compat.dev.extras import AreaBehaviour, MapLink
 from yarp_compat.dev.locations import Map2DLocation
 from yarp_compat.dev.mapfile import decimal
-from yarp_compat.dev.maplink import MapLink
 from yarp_compat.dev.places import Places
 
 
@@ -24,12 +23,12 @@ def to_geojson(
     links: Mapping[str, MapLink] | None = None,
     map_name: str = "",
 ) -> str:
-    """The GeoJSON of places: points, polygons and lines.
+    """The GeoJSON of places: points, polygons and lines; their numbers are metres and degrees.
 
     Args:
-        places: locations, objects, areas and paths. Their numbers are metres and degrees.
+        places: locations, objects, areas and paths.
         behaviours: of areas, which become properties of them.
-        links: which become lines between two locations.
+        links: become lines between two locations.
         map_name: leave out what is on other maps; by default everything is there.
     """
     features = [
@@ -43,10 +42,8 @@ def to_geojson(
 def to_waypoints(locations: Mapping[str, Map2DLocation]) -> str:
     """The file of waypoints that Nav2's panel in rviz loads and saves, for its "Waypoint mode".
 
-    ``waypoints: {NAME: {pose: [x, y, z], orientation: [w, x, y, z]}}``; it does not say on which map they are.
-
-    Args:
-        locations: in the order in which they are passed, by the waypoints' names.
+    ``waypoints: {NAME: {pose: [x, y, z], orientation: [w, x, y, z]}}``, in the order in which they are passed; the file
+    does not say on which map they are.
     """
     lines = ["waypoints:" if locations else "waypoints: {}"]
     for name, place in locations.items():

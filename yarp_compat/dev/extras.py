@@ -1,4 +1,4 @@
-"""What YARP's files of places cannot hold: how to behave in areas, and links between maps, in a file beside them.
+"""Rules for areas, and links between maps, in a file beside YARP's of places, which cannot hold them.
 
 It looks as theirs do: ``Version:`` and ``1``; ``Behaviours:`` with lines of an area's name and its settings, ``corridor
 max_speed=0.3 on_obstacle=wait``; ``Links:`` with lines of a name, two locations' names and a cost, ``lift lift_0
@@ -7,54 +7,28 @@ lift_1 20.0``.
 
 from __future__ import annotations
 
+import math
+import re
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Self
 
-from yarp_compat.dev.area_behaviour import AreaBehaviour
-from yarp_compat.dev.mapfile import MapFileError, decimal, found, read_text, write
-from yarp_compat.dev.maplink import MapLink
+from yarp_compat.dev.mapfile import MapFileError, TextFile, decimal
 from yarp_compat.wire.text import from_text, value_text
 
 _SECTIONS = ("Behaviours:", "Links:")
 
 
 @dataclass
-class Extras:
-    """What such a file holds.
-
-    Attributes:
-        behaviours: by their areas' names.
-        links: by their own names.
-    """
+class Extras(TextFile):
+    """The content of such a file: behaviours by their areas' names, links by their own."""
 
     behaviours: dict[str, AreaBehaviour] = field(default_factory=dict)
     links: dict[str, MapLink] = field(default_factory=dict)
 
     @classmethod
-    def load(cls, path: str | Path, jail: Path | None = None) -> Extras:
-        """Read a file.
-
-        Raises:
-            MapFileError: it is not there, or a line means nothing.
-        """
-        file = found(path, Path(), jail)
-        return cls.from_text(read_text(file), str(file))
-
-    def save(self, path: str | Path) -> None:
-        """Write a file.
-
-        Raises:
-            MapFileError: it cannot be written.
-        """
-        write(Path(path), self.to_text())
-
-    @classmethod
-    def from_text(cls, text: str, source: str = "the file") -> Extras:
-        """What a file's text says; ``source`` is what errors call it.
-
-        Raises:
-            MapFileError: a line means nothing, or says a name for the second time.
-        """
+    def from_text(cls, text: str, source: str = "the file") -> Self:
+        """The content of a file's text, which errors call ``source``; raises `MapFileError` for a wrong line."""
         lines = [line.strip() for line in text.split("\n")]
         if lines[:2] != ["Version:", "1"]:
             raise MapFileError(f"{source} does not begin with a line 'Version:' and one that says 1")
@@ -97,3 +71,94 @@ class Extras:
 def extras_file(places: str | Path) -> Path:
     """The file beside one of places: ``locations_extras.ini`` beside ``locations.ini``."""
     return Path(places).with_name(f"{Path(places).stem}_extras.ini")
+
+
+_SETTING = re.compile(r"\b(max_speed|on_obstacle|keep_out)\b(?:[ \t]*=[ \t]*([^\s,;]*))?")
+_OBSTACLE = ("", "wait", "around")
+_TRUTH = {None: True, "1": True, "true": True, "yes": True, "0": False, "false": False, "no": False}
+
+
+@dataclass(frozen=True)
+class AreaBehaviour:
+    """The rules of an area.
+
+    Attributes:
+        max_speed: metres per second, above 0; None where the area sets no limit. `keep_out` says that nobody may drive
+            there: a limit of 0 means no limit to others.
+        on_obstacle: ``wait`` until it is gone or go ``around`` it; empty where the area does not say.
+        keep_out: nobody plans a way through.
+    """
+
+    max_speed: float | None = None
+    on_obstacle: str = ""
+    keep_out: bool = False
+
+    def __post_init__(self) -> None:
+        speed = self.max_speed
+        if speed is not None and not (math.isfinite(speed) and speed > 0):
+            raise ValueError(f"max_speed is metres per second above 0, not {speed}: say keep_out to keep robots away")
+        if self.on_obstacle not in _OBSTACLE:
+            raise ValueError(f"on_obstacle is wait or around, not {self.on_obstacle!r}")
+
+    @classmethod
+    def from_text(cls, text: str) -> AreaBehaviour | None:
+        """The rules in a description, None where it has none; raises `ValueError` for senseless ones."""
+        said: dict[str, str | None] = {}
+        for setting in _SETTING.finditer(text):
+            name, value = setting.groups()
+            if name in said:
+                raise ValueError(f"{name} stands twice in {text!r:.100}")
+            if value is None and name != "keep_out":
+                continue  # the word in a sentence
+            said[name] = value
+        if not said:
+            return None
+        return cls(
+            _speed(said["max_speed"]) if "max_speed" in said else None,
+            said.get("on_obstacle") or "",
+            "keep_out" in said and _truth(said["keep_out"]),
+        )
+
+    def to_text(self) -> str:
+        """The same as it stands in a description."""
+        words = [] if self.max_speed is None else [f"max_speed={self.max_speed!r}"]
+        if self.on_obstacle:
+            words.append(f"on_obstacle={self.on_obstacle}")
+        if self.keep_out:
+            words.append("keep_out")
+        return " ".join(words)
+
+
+def _speed(text: str | None) -> float:
+    try:
+        return float(text or "")
+    except ValueError:
+        raise ValueError(f"max_speed is metres per second, not {text!r}") from None
+
+
+def _truth(text: str | None) -> bool:
+    try:
+        return _TRUTH[text and text.lower()]
+    except KeyError:
+        raise ValueError(f"keep_out is true or false, not {text!r}") from None
+
+
+@dataclass(frozen=True)
+class MapLink:
+    """Two locations on two maps between which robots change maps, either way.
+
+    Attributes:
+        first: a location's name.
+        second: the name of the location on the other map.
+        cost: what the change costs whoever plans a way, as so many metres of way.
+    """
+
+    first: str
+    second: str
+    cost: float = 0.0
+
+    def __post_init__(self) -> None:
+        if not (self.first and self.second and self.first != self.second):
+            raise ValueError(f"a link joins two locations, not {self.first!r} and {self.second!r}")
+        if not (math.isfinite(self.cost) and self.cost >= 0):
+            raise ValueError(f"a link's cost is 0 or more, not {self.cost}")

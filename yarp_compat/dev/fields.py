@@ -1,52 +1,53 @@
-"""How the types that YARP's interfaces declare are written: what its generated (thrift) code does with each.
+"""The types that YARP's interfaces declare, as its generated (thrift) code writes them.
 
 A Python annotation names the type: ``bool``, ``int`` (32 bits), ``float`` (a double), ``str``, ``bytes``, an Enum (of
 vocabs where its values are text, else of 32-bit numbers), ``list[...]``, a Portable's class; or ``Annotated`` with one
 of the fields below for the rest, such as ``Annotated[int, INT8]``. (`yarpidl_thrift/src/t_yarp_generator.cc`)
 """
 
+# ruff: noqa: D102 - the base class says what each method does
+
 from __future__ import annotations
 
+import dataclasses
 from abc import ABC, abstractmethod
+from collections.abc import Callable
 from enum import Enum, IntEnum
-from typing import Annotated, Any, get_args, get_origin
+from functools import cache
+from typing import Annotated, Any, get_args, get_origin, get_type_hints
 
 from yarp_compat.wire import tags
+from yarp_compat.wire.binary import decode
+from yarp_compat.wire.elements import ElementReader, ElementWriter
 from yarp_compat.wire.errors import WireError
-from yarp_compat.wire.message import Buffer
 from yarp_compat.wire.portable import Portable
 from yarp_compat.wire.profile import Profile
-from yarp_compat.wire.reader import Reader
-from yarp_compat.wire.writer import Writer
+from yarp_compat.wire.text import to_text
 
 
-class Field(ABC):
-    """A type of an argument, a result or a structure's field.
-
-    Attributes:
-        name: what help calls it.
-    """
+class FieldCodec(ABC):
+    """A type of an argument, a result or a structure's field; help calls it ``name``."""
 
     name: str
 
     @abstractmethod
-    def write(self, out: Writer, value: Any, *, tagged: bool = True) -> None:
+    def write(self, out: ElementWriter, value: Any, *, tagged: bool = True) -> None:
         """Put a value on the wire, with its tag or, in a list that has it, without."""
 
     @abstractmethod
-    def read(self, source: Reader) -> Any:
+    def read(self, source: ElementReader) -> Any:
         """Take a value."""
 
     @abstractmethod
     def default(self) -> Any:
-        """What C++ has where nothing was set."""
+        """The value that C++ has where nothing was set."""
 
     def tag(self, _profile: Profile) -> int:
         """The tag that a list of such values has; 0 where each value has its own."""
         return 0
 
 
-class Integer(Field):
+class Integer(FieldCodec):
     """An integer of a tag's size; unsigned ones keep their bits."""
 
     def __init__(self, bits: int, *, unsigned: bool = False) -> None:
@@ -56,14 +57,12 @@ class Integer(Field):
         self._wrap = self._high if unsigned else 0
         self.name = f"{'u' if unsigned else 'i'}{bits}"
 
-    def write(self, out: Writer, value: Any, *, tagged: bool = True) -> None:
-        """Put it on the wire."""
+    def write(self, out: ElementWriter, value: Any, *, tagged: bool = True) -> None:
         if isinstance(value, int) and not self._low <= value < self._high:
             raise WireError(f"{value} is no {self.name}")
         out.integer(value, self._tag, tagged=tagged)
 
-    def read(self, source: Reader) -> int:
-        """Take an integer of any size that fits."""
+    def read(self, source: ElementReader) -> int:
         value = source.integer()
         if value < 0 and self._wrap:
             value += self._wrap
@@ -72,94 +71,39 @@ class Integer(Field):
         return value
 
     def default(self) -> int:
-        """Zero."""
         return 0
 
     def tag(self, _profile: Profile) -> int:
-        """The tag."""
         return self._tag
 
 
-class _Float64(Field):
-    name = "double"
+class _Plain(FieldCodec):
+    """A type that `ElementWriter` and `ElementReader` have a method for."""
 
-    def write(self, out: Writer, value: Any, *, tagged: bool = True) -> None:
-        out.float64(value, tagged=tagged)
+    def __init__(
+        self, name: str, write: Callable[..., None], read: Callable[[ElementReader], Any], default: Any,
+        tag: Callable[[Profile], int],
+    ) -> None:  # fmt: skip
+        self.name = name
+        self._write, self._read, self._default, self._tag_in = write, read, default, tag
 
-    def read(self, source: Reader) -> float:
-        return source.float64()
+    def write(self, out: ElementWriter, value: Any, *, tagged: bool = True) -> None:
+        self._write(out, value, tagged=tagged)
 
-    def default(self) -> float:
-        return 0.0
+    def read(self, source: ElementReader) -> Any:
+        return self._read(source)
 
-    def tag(self, profile: Profile) -> int:
-        return profile.float64_tag
-
-
-class _Float32(_Float64):
-    name = "float"
-
-    def write(self, out: Writer, value: Any, *, tagged: bool = True) -> None:
-        out.float32(value, tagged=tagged)
+    def default(self) -> Any:
+        return self._default
 
     def tag(self, profile: Profile) -> int:
-        return profile.float32_tag
+        return self._tag_in(profile)
 
 
-class _Boolean(Field):
-    name = "bool"
-
-    def write(self, out: Writer, value: Any, *, tagged: bool = True) -> None:
-        out.boolean(value, tagged=tagged)
-
-    def read(self, source: Reader) -> bool:
-        return source.boolean()
-
-    def default(self) -> bool:
-        return False
-
-    def tag(self, _profile: Profile) -> int:
-        return tags.VOCAB32
-
-
-class _Text(Field):
-    name = "string"
-
-    def write(self, out: Writer, value: Any, *, tagged: bool = True) -> None:
-        out.string(value, tagged=tagged)
-
-    def read(self, source: Reader) -> str:
-        return source.string()
-
-    def default(self) -> str:
-        return ""
-
-    def tag(self, _profile: Profile) -> int:
-        return tags.STRING
-
-
-class _Blob(Field):
-    name = "binary"
-
-    def write(self, out: Writer, value: Buffer, *, tagged: bool = True) -> None:
-        out.blob(value, tagged=tagged)
-
-    def read(self, source: Reader) -> bytes:
-        return bytes(source.blob())
-
-    def default(self) -> bytes:
-        return b""
-
-    def tag(self, _profile: Profile) -> int:
-        return tags.BLOB
-
-
-class Choice(Field):
+class Choice(FieldCodec):
     """An enumeration: of vocabs where its values are text, else of 32-bit numbers.
 
-    Args:
-        kind: its class; the first of its members is what nothing set.
-        vocab: numbers are written with the tag of a vocab, as YARP does for some.
+    The first member of ``kind`` is what nothing set; ``vocab``: numbers have the tag of a vocab, as YARP does for some.
     """
 
     def __init__(self, kind: type[Enum], *, vocab: bool = False) -> None:
@@ -168,8 +112,7 @@ class Choice(Field):
         self._tag = tags.VOCAB32 if vocab or self._words else tags.INT32
         self.name = kind.__name__
 
-    def write(self, out: Writer, value: Any, *, tagged: bool = True) -> None:
-        """Put it on the wire."""
+    def write(self, out: ElementWriter, value: Any, *, tagged: bool = True) -> None:
         try:
             member = self._kind(value)
         except ValueError:
@@ -182,8 +125,7 @@ class Choice(Field):
         else:
             out.integer(member.value, tagged=tagged)
 
-    def read(self, source: Reader) -> Enum:
-        """Take a vocab or a word, or a number."""
+    def read(self, source: ElementReader) -> Enum:
         value = source.word() if self._words else source.integer()
         if value == "":  # the vocab 0, which C++ has where nothing was set: beside an outcome that is not ok
             return self.default()
@@ -194,81 +136,72 @@ class Choice(Field):
             raise WireError(f"{value!r} before byte {source.at} is no {self.name}: those are {choices}") from None
 
     def default(self) -> Enum:
-        """The first member."""
         return next(iter(self._kind))
 
     def tag(self, _profile: Profile) -> int:
-        """The tag."""
         return self._tag
 
 
-class ListOf(Field):
+class ListOf(FieldCodec):
     """A list of values of one type."""
 
-    def __init__(self, element: Field) -> None:
+    def __init__(self, element: FieldCodec) -> None:
         self._element = element
         self.name = f"list<{element.name}>"
 
-    def write(self, out: Writer, value: Any, *, tagged: bool = True) -> None:  # noqa: ARG002
-        """Put it on the wire; a list's header is its tag."""
+    def write(self, out: ElementWriter, value: Any, *, tagged: bool = True) -> None:  # noqa: ARG002
         tag = self._element.tag(out.profile)
         out.begin(len(value), tag)
         for element in value:
             self._element.write(out, element, tagged=not tag)
 
-    def read(self, source: Reader) -> list[Any]:
-        """Take a list, whose elements may have a tag each or all one."""
+    def read(self, source: ElementReader) -> list[Any]:
         count = source.begin()
         values = [self._element.read(source) for _ in range(count)]
         source.end()
         return values
 
     def default(self) -> list[Any]:
-        """An empty list."""
         return []
 
 
-class Nested(Field):
+class Nested(FieldCodec):
     """A value of a class of its own."""
 
     def __init__(self, kind: type[Portable]) -> None:
         self.kind = kind
         self.name = kind.__name__
 
-    def write(self, out: Writer, value: Any, *, tagged: bool = True) -> None:  # noqa: ARG002
-        """Put it on the wire; its list's header is its tag."""
+    def write(self, out: ElementWriter, value: Any, *, tagged: bool = True) -> None:  # noqa: ARG002
         if not isinstance(value, self.kind):
             raise WireError(f"{value!r:.60} is no {self.name}")
         value._write(out)
 
-    def read(self, source: Reader) -> Portable:
-        """Take one."""
+    def read(self, source: ElementReader) -> Portable:
         value = self.kind()
         value._read(source)
         return value
 
     def default(self) -> Portable:
-        """A new one."""
         return self.kind()
 
 
-BOOLEAN, INT32, FLOAT64, TEXT, BLOB = _Boolean(), Integer(32), _Float64(), _Text(), _Blob()
-INT8, INT16, INT64 = Integer(8), Integer(16), Integer(64)
-UINT8, UINT16, UINT32 = Integer(8, unsigned=True), Integer(16, unsigned=True), Integer(32, unsigned=True)
-FLOAT32 = _Float32()
+BOOLEAN = _Plain("bool", ElementWriter.boolean, ElementReader.boolean, False, lambda _: tags.VOCAB32)
+FLOAT64 = _Plain("double", ElementWriter.float64, ElementReader.float64, 0.0, lambda profile: profile.float64_tag)
+FLOAT32 = _Plain("float", ElementWriter.float32, ElementReader.float64, 0.0, lambda profile: profile.float32_tag)
+TEXT = _Plain("string", ElementWriter.string, ElementReader.string, "", lambda _: tags.STRING)
+BLOB = _Plain("binary", ElementWriter.blob, lambda source: bytes(source.blob()), b"", lambda _: tags.BLOB)
+INT8, INT16, INT32, INT64 = (Integer(bits) for bits in (8, 16, 32, 64))
+UINT8, UINT16, UINT32 = (Integer(bits, unsigned=True) for bits in (8, 16, 32))
 
-_PLAIN: dict[Any, Field] = {bool: BOOLEAN, int: INT32, float: FLOAT64, str: TEXT, bytes: BLOB}
+_PLAIN: dict[Any, FieldCodec] = {bool: BOOLEAN, int: INT32, float: FLOAT64, str: TEXT, bytes: BLOB}
 
 
-def field_of(annotation: Any) -> Field:
-    """The field that an annotation names.
-
-    Raises:
-        TypeError: it names none.
-    """
+def field_of(annotation: Any) -> FieldCodec:
+    """The field that an annotation names; raises `TypeError` where it names none."""
     origin = get_origin(annotation)
     if origin is Annotated:
-        fields = [extra for extra in get_args(annotation)[1:] if isinstance(extra, Field)]
+        fields = [extra for extra in get_args(annotation)[1:] if isinstance(extra, FieldCodec)]
         return fields[0] if fields else field_of(get_args(annotation)[0])
     if origin is list:
         return ListOf(field_of(get_args(annotation)[0]))
@@ -278,5 +211,50 @@ def field_of(annotation: Any) -> Field:
         return Choice(annotation)
     if isinstance(annotation, type) and issubclass(annotation, Portable):
         return Nested(annotation)
-    msg = f"{annotation!r} is no type of YARP's interfaces"
-    raise TypeError(msg)
+    raise TypeError(f"{annotation!r} is no type of YARP's interfaces")
+
+
+class Structure(Portable):
+    """A dataclass whose annotated fields go on the wire, see :mod:`yarp_compat.dev.fields`."""
+
+    def _write(self, out: ElementWriter) -> None:
+        fields = fields_of(type(self))
+        out.begin(len(fields))
+        name = ""
+        try:
+            for name, field in fields:
+                field.write(out, getattr(self, name))
+        except WireError as error:
+            raise type(error)(f"{type(self).__name__}.{name}: {error}") from None
+
+    def _read(self, source: ElementReader) -> None:
+        fields = fields_of(type(self))
+        count = source.begin()
+        if count != len(fields):
+            raise WireError(f"a {type(self).__name__} has {len(fields)} fields, not {count}")
+        found = {}
+        name = ""
+        try:
+            for name, field in fields:
+                found[name] = field.read(source)
+        except WireError as error:
+            raise type(error)(f"{type(self).__name__}.{name}: {error}") from None
+        source.end()
+        for name, value in found.items():
+            setattr(self, name, value)
+
+
+class Generated(Structure):
+    """A structure whose C++ class is generated, so that its text is a Bottle's; others have words of their own."""
+
+    def toString(self) -> str:
+        """The fields as a Bottle's text."""
+        return to_text(decode(self.to_bytes(Profile.YARP3), Profile.YARP3))
+
+
+@cache
+def fields_of(kind: type[Structure]) -> tuple[tuple[str, FieldCodec], ...]:
+    """A structure's fields in their order, by name."""
+    hints = get_type_hints(kind, include_extras=True)
+    fields = dataclasses.fields(kind)  # type: ignore[arg-type] # structures are dataclasses
+    return tuple((field.name, field_of(hints[field.name])) for field in fields)

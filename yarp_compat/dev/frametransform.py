@@ -1,16 +1,21 @@
-"""Transforms between frames (`yarp/math/FrameTransform.h`)."""
+"""Transforms between frames (`yarp/math/FrameTransform.h`), and the services of a server of them.
+
+The services are those of `frameTransformStorageMsgs.thrift`; the ports have YARP's names.
+"""
+
+# mypy: disable-error-code="empty-body"
 
 from __future__ import annotations
 
 import struct
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Annotated
 
-from yarp_compat.dev.fields import INT8
-from yarp_compat.dev.structure import Structure
+from yarp_compat.dev.fields import INT8, Structure
+from yarp_compat.dev.returnvalue import ReturnValue
+from yarp_compat.dev.service import Service, rpc
 from yarp_compat.wire import tags
-from yarp_compat.wire.reader import Reader
-from yarp_compat.wire.writer import Writer
+from yarp_compat.wire.elements import ElementReader, ElementWriter
 
 _FIELDS = 11
 _HEAD = struct.Struct("<4i")
@@ -21,20 +26,15 @@ _TAIL = struct.Struct("<id ib" + " id" * 7)
 
 @dataclass
 class FrameTransform(Structure):
-    """Where a frame is in its parent's.
+    """The place of a frame in its parent's.
 
     Attributes:
         src_frame_id: the parent.
         dst_frame_id: the child.
         timestamp: seconds since 1970.
         isStatic: 1 for one that does not expire, else 0.
-        tX: metres.
-        tY: metres.
-        tZ: metres.
-        qX: the rotation's quaternion.
-        qY: the rotation's quaternion.
-        qZ: the rotation's quaternion.
-        qW: the rotation's quaternion.
+        tX, tY, tZ: metres.
+        qX, qY, qZ, qW: the rotation's quaternion.
     """
 
     TYPE = "yarp/frameTransform"
@@ -50,7 +50,7 @@ class FrameTransform(Structure):
     qZ: float = 0.0
     qW: float = 1.0
 
-    def _write(self, out: Writer) -> None:
+    def _write(self, out: ElementWriter) -> None:
         """The fields at once: servers send hundreds of these a hundred times a second."""
         double = out.profile.float64_tag
         try:
@@ -67,7 +67,7 @@ class FrameTransform(Structure):
         head = _HEAD.pack(tags.LIST, _FIELDS, tags.STRING, len(parent))
         out.block(b"".join((head, parent, _NEXT.pack(tags.STRING, len(child)), child, tail)))
 
-    def _read(self, source: Reader) -> None:
+    def _read(self, source: ElementReader) -> None:
         """The usual layout at once; any other that means the same field by field."""
         at, data = source.at, source.data
         try:
@@ -98,3 +98,41 @@ class FrameTransform(Structure):
         self.src_frame_id, self.dst_frame_id = parent, child
         self.timestamp, self.isStatic = found[1], found[3]
         self.tX, self.tY, self.tZ, self.qX, self.qY, self.qZ, self.qW = found[5::2]
+
+
+SERVER, CLIENT = "/frameTransformServer", "/frameTransformClient"
+SET, GET = "/frameTransformSet_nws_yarp/thrift", "/frameTransformGet_nws_yarp/thrift"
+STREAM = "/frameTransformGet_nws_yarp/tf:o"
+
+
+@rpc
+class FrameTransformStorageSetRPC(Service):
+    """Takes transforms."""
+
+    def setTransformsRPC(self, transforms: list[FrameTransform]) -> ReturnValue:
+        """Take several; the newest of each pair of frames counts."""
+
+    def setTransformRPC(self, transform: FrameTransform) -> ReturnValue:
+        """Take one."""
+
+    def deleteTransformRPC(self, src: str, dst: str) -> ReturnValue:
+        """Forget what is between two frames, either way round; ``*`` is any frame."""
+
+    def clearAllRPC(self) -> ReturnValue:
+        """Forget all."""
+
+
+@rpc
+class FrameTransformStorageGetRPC(Service):
+    """Gives transforms."""
+
+    def getTransformsRPC(self) -> tuple[ReturnValue, list[FrameTransform]]:
+        """All that are known and have not expired."""
+
+
+@dataclass
+class AllTransforms(Structure):
+    """The message that a server streams: YARP's ``return_getAllTransforms``."""
+
+    retvalue: ReturnValue = field(default_factory=ReturnValue)
+    transforms_list: list[FrameTransform] = field(default_factory=list)

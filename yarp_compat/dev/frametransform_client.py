@@ -12,36 +12,36 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Callable, Iterator, Mapping
-from typing import Self
+from typing import Self, Unpack
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from yarp_compat.dev.client import PATIENCE, ServiceClient
-from yarp_compat.dev.frametransform import FrameTransform
-from yarp_compat.dev.frametransformstorage import (
+from yarp_compat.dev.client import ClientOptions, ServiceClient
+from yarp_compat.dev.frametransform import (
     CLIENT,
     GET,
     SERVER,
     SET,
     STREAM,
+    AllTransforms,
+    FrameTransform,
     FrameTransformStorageGetRPC,
     FrameTransformStorageSetRPC,
-    Transforms,
 )
 from yarp_compat.dev.frametree import FrameTree, Pose, TransformError, transform_of
 from yarp_compat.dev.iframetransform import IFrameTransform
 from yarp_compat.dev.returnvalue import CallFailed, ReturnValue
 from yarp_compat.naming import connections
 from yarp_compat.naming.client import NameClient
-from yarp_compat.naming.errors import PortError
-from yarp_compat.naming.naming import Naming
 from yarp_compat.os.time import now
-from yarp_compat.ports.message import Message
+from yarp_compat.ports.message import PortMessage
+from yarp_compat.ports.naming import PortError
 from yarp_compat.ports.port import PortCore
+from yarp_compat.ports.sockets import closed_on_failure
+from yarp_compat.wire.elements import ElementReader
+from yarp_compat.wire.framing import Buffer
 from yarp_compat.wire.generation import Generation
-from yarp_compat.wire.message import Buffer
-from yarp_compat.wire.reader import Reader
 
 LIFETIME = 0.2
 """Seconds after which what was received is too old, but for static transforms."""
@@ -56,35 +56,24 @@ _POLL = 0.01
 class TransformClient(IFrameTransform):
     """Frames of a server, between ``with`` and its end.
 
-    What the server streams is all that it has; it is taken apart when somebody asks. What came longer ago than
+    The server streams all that it has; the client takes that apart when somebody asks. What came longer ago than
     `LIFETIME` is no longer known, by this machine's clock alone.
 
     Args:
         server: begins the names of the server's ports: ``/robot`` for ``/robot/frameTransformServer/...``.
-        name: begins the names of the own ports, as ``/gui`` for ``/gui/frameTransformClient/...``; empty lets the
-            name server choose them.
-        streaming: hear the server's stream; else it is asked whenever somebody asks here.
-        timeout: seconds to wait for a reply; None: for ever.
-        naming: who knows the names; by default the name server of ``yarp.conf``.
+        name: begins the names of the own ports, as ``/gui`` for ``/gui/frameTransformClient/...``; empty lets the name
+            server choose them.
+        streaming: hear the server's stream; else ask the server whenever somebody asks here.
+        options: as of `ClientOptions`.
     """
 
     def __init__(
-        self,
-        server: str = "",
-        name: str = "",
-        *,
-        streaming: bool = True,
-        timeout: float | None = PATIENCE,
-        naming: Naming | None = None,
+        self, server: str = "", name: str = "", *, streaming: bool = True, **options: Unpack[ClientOptions]
     ) -> None:
-        self._naming = naming or NameClient()
+        self._naming = options["naming"] = options.get("naming") or NameClient()
         own = name and name + CLIENT
-        self._setter = ServiceClient(
-            FrameTransformStorageSetRPC, server + SERVER + SET, _of(own, SET), timeout=timeout, naming=self._naming
-        )
-        self._getter = ServiceClient(
-            FrameTransformStorageGetRPC, server + SERVER + GET, _of(own, GET), timeout=timeout, naming=self._naming
-        )
+        self._setter = ServiceClient(FrameTransformStorageSetRPC, server + SERVER + SET, _of(own, SET), **options)
+        self._getter = ServiceClient(FrameTransformStorageGetRPC, server + SERVER + GET, _of(own, GET), **options)
         self._streamed = server + SERVER + STREAM
         self._input = (
             PortCore(_of(own, STREAM).replace(":o", ":i"), on_message=self._take, naming=self._naming, is_output=False)
@@ -98,13 +87,8 @@ class TransformClient(IFrameTransform):
         self._again = 0.0
 
     def open(self) -> Self:
-        """Open the ports, unless they are, and connect them.
-
-        Raises:
-            NamingError: there is no name server.
-            PortError: there is no such server.
-        """
-        try:
+        """Open the ports, unless they are, and connect them; errors as of `ServiceClient.open`."""
+        with closed_on_failure(self):
             self._setter.open()
             self._getter.open()
             if self._input is not None:
@@ -112,9 +96,6 @@ class TransformClient(IFrameTransform):
                 if not self._input.is_open:
                     self._input.open()
                 connections.connect(self._naming, self._streamed, self._input.name)
-        except BaseException:
-            self.close()
-            raise
         return self
 
     def close(self) -> None:
@@ -133,7 +114,7 @@ class TransformClient(IFrameTransform):
     # -- the Python way: errors are exceptions ------------------------------------------------------------------------
 
     def pose(self, child: str, parent: str, *, timeout: float = 0.0) -> Pose:
-        """Where a frame is in another, (4, 4).
+        """The pose of a frame in another, (4, 4).
 
         Args:
             child: the frame.
@@ -159,7 +140,7 @@ class TransformClient(IFrameTransform):
         return moved
 
     def set(self, child: str, parent: str, pose: ArrayLike, *, static: bool = False) -> None:
-        """Say where a frame is in its parent, now or for ever.
+        """Set the pose of a frame in its parent, now or for ever.
 
         Raises:
             CallFailed: the server refuses it.
@@ -168,7 +149,7 @@ class TransformClient(IFrameTransform):
         self.set_all({(child, parent): pose}, static=static)
 
     def set_all(self, poses: Mapping[tuple[str, str], ArrayLike], *, static: bool = False) -> None:
-        """Say where many frames are, in one call; by frame and parent. Errors as `set`."""
+        """Set the poses of many frames, in one call; by frame and parent. Errors as `set`."""
         stamp = now()
         _succeeded(self.send([transform_of(*names, pose, stamp, static=static) for names, pose in poses.items()]))
 
@@ -243,18 +224,18 @@ class TransformClient(IFrameTransform):
         _succeeded(outcome)
         return transforms
 
-    def _take(self, message: Message) -> None:
+    def _take(self, message: PortMessage) -> None:
         """Keep what was streamed, on its connection's thread."""
         with self._came:
             self._newest = time.monotonic(), message.payload
             self._came.notify_all()
 
     def _parsed(self, payload: Buffer) -> list[FrameTransform]:
-        """What was streamed, in the release that the server's replies told."""
+        """Reads a streamed message, in the release that the server's replies told."""
         generation = self._getter.generation
         if generation is not Generation.YARP_3_11:
-            return Transforms.from_bytes(payload).transforms_list
-        source, found = Reader(payload, generation.profile, generation), Transforms()
+            return AllTransforms.from_bytes(payload).transforms_list
+        source, found = ElementReader(payload, generation.profile, generation), AllTransforms()
         found._read(source)
         source.finish()
         return found.transforms_list

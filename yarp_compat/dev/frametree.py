@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from yarp_compat.dev.frametransform import FrameTransform
-from yarp_compat.sig.quaternion import Quaternion
+from yarp_compat.sig.matrix import Quaternion
 
 Pose = NDArray[np.float64]
 """(4, 4): takes a point's coordinates in the frame to those in the frame that it is given in; metres."""
@@ -20,11 +20,7 @@ class TransformError(LookupError):
 
 
 class FrameTree:
-    """Frames with their parents.
-
-    Args:
-        transforms: of a frame that has two parents the first counts, as in YARP.
-    """
+    """Frames with their parents; of a frame that has two parents the first counts, as in YARP."""
 
     def __init__(self, transforms: Iterable[FrameTransform] = ()) -> None:
         self.transforms = list(transforms)
@@ -54,10 +50,10 @@ class FrameTree:
         return one == other or not {*self._way(one)}.isdisjoint(self._way(other))
 
     def pose(self, child: str, parent: str) -> Pose:
-        """Where a frame is in another, which may be anywhere in the tree.
+        """The pose of a frame in another, which may be anywhere in the tree.
 
         Raises:
-            TransformError: one of them is not known, or there is no way between them.
+            TransformError: one of them is not known, or they are not connected.
         """
         if child == parent:
             return np.eye(4)
@@ -69,7 +65,7 @@ class FrameTree:
         return result
 
     def _along(self, way: Sequence[str]) -> Pose:
-        """Where the first frame of a way up is in the parent of the last."""
+        """The pose of the first frame of a way up in the parent of the last."""
         found = np.eye(4)
         for step in way:
             found = matrix_of(self._above[step]) @ found
@@ -99,15 +95,10 @@ def matrix_of(transform: FrameTransform) -> Pose:
 
 
 def transform_of(child: str, parent: str, pose: ArrayLike, stamp: float, *, static: bool = False) -> FrameTransform:
-    """A matrix as a transform.
-
-    Raises:
-        ValueError: it is not 4 by 4.
-    """
+    """A matrix as a transform; raises `ValueError` where it is not 4 by 4."""
     given = np.asarray(pose, float)
     if given.shape != (4, 4):
-        msg = f"a transform is a matrix of 4 by 4, not of {given.shape}"
-        raise ValueError(msg)
+        raise ValueError(f"a transform is a matrix of 4 by 4, not of {given.shape}")
     turned = Quaternion()
     turned.fromRotationMatrix(given)
     x, y, z = given[:3, 3].tolist()

@@ -14,10 +14,9 @@ import numpy as np
 
 from yarp_compat.dev.frametransform import FrameTransform
 from yarp_compat.dev.frametree import FrameTree, TransformError, angles_of, of_angles, transform_of
-from yarp_compat.dev.returnvalue import ReturnCode, ReturnValue
+from yarp_compat.dev.returnvalue import ReturnCode, ReturnValue, called, given
 from yarp_compat.os.time import now
-from yarp_compat.sig.matrix import Matrix
-from yarp_compat.sig.quaternion import Quaternion
+from yarp_compat.sig.matrix import Matrix, Quaternion
 from yarp_compat.sig.vector import Vector
 from yarp_compat.wire.errors import WireError
 
@@ -37,11 +36,7 @@ class IFrameTransform(ABC):
 
     @abstractmethod
     def tree(self) -> FrameTree:
-        """All frames as they are known now.
-
-        Raises:
-            OSError: who knows them is away.
-        """
+        """All frames as they are known now; raises `OSError` where the server is away."""
 
     @abstractmethod
     def send(self, transforms: list[FrameTransform]) -> ReturnValue:
@@ -61,21 +56,21 @@ class IFrameTransform(ABC):
 
     def allFramesAsString(self, all_frames: MutableSequence[str] | None = None) -> Any:
         """All transforms as text."""
-        return _given(self._asked(lambda tree: "".join(_words(t) + " " for t in tree.transforms)), all_frames)
+        return given(*self._asked(lambda tree: "".join(_words(t) + " " for t in tree.transforms)), all_frames)
 
     def canTransform(
         self, target_frame: str, source_frame: str, canTransform: MutableSequence[bool] | None = None
     ) -> Any:
         """Whether there is a way between two frames."""
-        return _given(self._asked(lambda tree: tree.connected(target_frame, source_frame)), canTransform)
+        return given(*self._asked(lambda tree: tree.connected(target_frame, source_frame)), canTransform)
 
     def clear(self) -> ReturnValue:
         """Delete all transforms."""
-        return _called(self.forget_all)
+        return called(self.forget_all)
 
     def frameExists(self, frame_id: str, exists: MutableSequence[bool] | None = None) -> Any:
         """Whether there is a frame."""
-        return _given(self._asked(lambda tree: frame_id in tree), exists)
+        return given(*self._asked(lambda tree: frame_id in tree), exists)
 
     def getAllFrameIds(self, ids: MutableSequence[str]) -> ReturnValue:
         """The names of all frames."""
@@ -85,12 +80,12 @@ class IFrameTransform(ABC):
         return outcome
 
     def getParent(self, frame_id: str, parent_frame_id: MutableSequence[str] | None = None) -> Any:
-        """The parent of a frame; it fails where there is none."""
+        """The parent of a frame; it fails for a root."""
         outcome, parent = self._asked(lambda tree: tree.parent(frame_id))
-        return _given((outcome if parent is not None else _or_failed(outcome), parent or ""), parent_frame_id)
+        return given(outcome if parent is not None else _or_failed(outcome), parent or "", parent_frame_id)
 
     def getTransform(self, target_frame: str, source_frame: str, transform: Matrix) -> ReturnValue:
-        """Where the target is in the source, as a matrix of 4 by 4."""
+        """The pose of the target in the source, as a matrix of 4 by 4."""
         outcome, pose = self._asked(lambda tree: tree.pose(target_frame, source_frame))
         if outcome:
             transform.resize(4, 4)
@@ -98,7 +93,7 @@ class IFrameTransform(ABC):
         return outcome
 
     def setTransform(self, target_frame: str, source_frame: str, transform: Matrix) -> ReturnValue:
-        """Say where the target is in the source now; it fails where that follows from other transforms."""
+        """Set the pose of the target in the source; fails where it follows from other transforms."""
 
         def follows(tree: FrameTree) -> bool:
             return tree.connected(target_frame, source_frame) and not tree.direct(target_frame, source_frame)
@@ -106,16 +101,13 @@ class IFrameTransform(ABC):
         return self._set(target_frame, source_frame, transform, follows, static=False)
 
     def setTransformStatic(self, target_frame: str, source_frame: str, transform: Matrix) -> ReturnValue:
-        """Say where the target is in the source for ever; it fails where there is a way between them already."""
-
-        def there(tree: FrameTree) -> bool:
-            return tree.connected(target_frame, source_frame)
-
+        """Set the static pose of the target in the source; fails where they are connected already."""
+        there = self._connected(target_frame, source_frame)
         return self._set(target_frame, source_frame, transform, there, static=True)
 
     def deleteTransform(self, target_frame: str, source_frame: str) -> ReturnValue:
         """Delete the transform between two frames, whichever is the parent; ``*`` stands for any frame."""
-        return _called(lambda: self.forget(target_frame, source_frame))
+        return called(self.forget, target_frame, source_frame)
 
     def transformPoint(
         self, target_frame: str, source_frame: str, input_point: Vector, transformed_point: Vector
@@ -156,14 +148,15 @@ class IFrameTransform(ABC):
 
     def waitForTransform(self, target_frame: str, source_frame: str, timeout: float) -> ReturnValue:
         """Wait for a way between two frames; it fails after so many seconds."""
-
-        def known(tree: FrameTree) -> bool:
-            return tree.connected(target_frame, source_frame)
-
+        known = self._connected(target_frame, source_frame)
         try:
             return ReturnValue(_OK if self.wait_until(known, timeout) else _FAILED)
         except (OSError, WireError):
             return ReturnValue(ReturnCode.COMMUNICATION)
+
+    @staticmethod
+    def _connected(one: str, other: str) -> Callable[[FrameTree], bool]:
+        return lambda tree: tree.connected(one, other)
 
     def _asked(self, question: Callable[[FrameTree], Any]) -> tuple[ReturnValue, Any]:
         """The answer to a question about the frames; None where it has none."""
@@ -184,28 +177,11 @@ class IFrameTransform(ABC):
             made = transform_of(child, parent, transform, now(), static=static)
         except ValueError:
             return ReturnValue(_FAILED)
-        return _called(lambda: self.send([made]))
-
-
-def _called(call: Callable[[], ReturnValue]) -> ReturnValue:
-    try:
-        return call()
-    except (OSError, WireError):
-        return ReturnValue(ReturnCode.COMMUNICATION)
+        return called(self.send, [made])
 
 
 def _or_failed(outcome: ReturnValue) -> ReturnValue:
     return outcome if not outcome else ReturnValue(_FAILED)
-
-
-def _given(answer: tuple[ReturnValue, Any], into: MutableSequence[Any] | None) -> Any:
-    """An answer as the caller wants it: in a list, with the outcome returned; or by itself."""
-    outcome, value = answer
-    if into is None:
-        return value
-    if outcome:
-        into[:] = [value]
-    return outcome
 
 
 def _fill(vector: Vector, values: Any) -> None:

@@ -1,6 +1,6 @@
 """INavigation2D on the wire: goals, their control, and velocities (`INavigation2DMsgs.thrift`, `INavigation2D.h`).
 
-Requests are the same in all releases from 3.6 on; ``follow_path`` came with 3.12. Maps, localisation, and what YARP's
+Requests are the same in all releases from 3.6 on; ``follow_path`` came with 3.10. Maps, localisation, and what YARP's
 client computes from them, are asked of other servers: see `yarp_compat.dev.navigation2d_client`.
 """
 
@@ -19,7 +19,7 @@ _STATUS = "navigation_status_"
 
 
 class NavigationStatusEnum(Enum):
-    """How a planner is getting on."""
+    """The state of a planner."""
 
     navigation_status_idle = "idle"
     navigation_status_preparing_before_move = "prep"
@@ -65,83 +65,66 @@ def statusToString(status: NavigationStatusEnum) -> str:
     return status.name
 
 
+@rpc
 class INavigation2DMsgs(Service):
-    """What a planner's port answers; methods as YARP's service has them. Metres, degrees, seconds."""
+    """The methods of a planner's port, as YARP's service has them. Metres, degrees, seconds."""
 
     # -- control ------------------------------------------------------------------------------------------------------
 
-    @rpc
     def stop_navigation_RPC(self) -> ReturnValue:
         """End it for good."""
 
-    @rpc
     def resume_navigation_RPC(self) -> ReturnValue:
         """Go on where it was suspended."""
 
-    @rpc
     def suspend_navigation_RPC(self, time_s: float) -> ReturnValue:
         """Stand still for so long; for ever where that is infinite."""
 
-    @rpc
     def recompute_current_navigation_path_RPC(self) -> ReturnValue:
         """Find the way anew."""
 
-    @rpc
     def get_navigation_status_RPC(self) -> tuple[ReturnValue, NavigationStatusEnum]:
-        """How it is getting on."""
+        """The state of the navigation."""
 
-    @rpc
     def get_current_nav_waypoint_RPC(self) -> tuple[ReturnValue, Map2DLocation]:
-        """Where it drives to just now."""
+        """The waypoint that it drives to."""
 
-    @rpc
     def get_all_navigation_waypoints_RPC(self, trajectory_type: TrajectoryTypeEnum) -> tuple[ReturnValue, Map2DPath]:
         """Its way."""
 
-    @rpc
     def get_current_navigation_map_RPC(self, map_type: NavigationMapTypeEnum) -> tuple[ReturnValue, MapGrid2D]:
         """The map that it goes by."""
 
     # -- targets ------------------------------------------------------------------------------------------------------
 
-    @rpc
     def goto_target_by_absolute_location_RPC(self, loc: Map2DLocation) -> ReturnValue:
         """Drive to a place."""
 
-    @rpc
     def follow_path_RPC(self, path: Map2DPath) -> ReturnValue:
         """Drive along a way."""
 
-    @rpc
     def goto_target_by_relative_location1_RPC(self, x: float, y: float) -> ReturnValue:
         """Drive to a place in the robot's frame, in any heading."""
 
-    @rpc
     def goto_target_by_relative_location2_RPC(self, x: float, y: float, theta: float) -> ReturnValue:
         """Drive to a pose in the robot's frame."""
 
-    @rpc
     def get_absolute_location_of_current_target_RPC(self) -> tuple[ReturnValue, Map2DLocation]:
-        """Where it is going."""
+        """The current target's pose."""
 
-    @rpc
     def get_relative_location_of_current_target_RPC(self) -> tuple[ReturnValue, float, float, float]:
-        """Where it is going, in the robot's frame: x, y, theta."""
+        """The current target's pose in the robot's frame: x, y, theta."""
 
-    @rpc
     def goto_target_by_absolute_location_and_set_name_RPC(self, loc: Map2DLocation, name: str) -> ReturnValue:
         """Drive to a place that has a name."""
 
     # -- velocities ---------------------------------------------------------------------------------------------------
 
-    @rpc
     def apply_velocity_command_RPC(self, x_vel: float, y_vel: float, theta_vel: float, timeout: float) -> ReturnValue:
         """Drive: m/s, m/s, deg/s, for so many seconds. Servers of 3.12 and 4.0 forget the seconds, and take 0.1."""
 
-    @rpc
     def get_last_velocity_command_RPC(self) -> tuple[ReturnValue, float, float, float]:
-        """What was commanded last."""
+        """The last command."""
 
-    @rpc
     def get_name_of_current_target_RPC(self) -> tuple[ReturnValue, str]:
         """The name that the target was given; empty where it has none."""

@@ -10,21 +10,13 @@ import random
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 
-from yarp_compat.dev.structure import Structure
+from yarp_compat.dev.fields import Structure
 from yarp_compat.sig.vec2d import Vec2D
 
 
 @dataclass
 class Map2DLocation(Structure):
-    """A pose on a map.
-
-    Attributes:
-        map_id: the map's name.
-        x: metres.
-        y: metres.
-        theta: degrees.
-        description: for people.
-    """
+    """A pose on the map ``map_id``: metres, metres, degrees; the description is for people."""
 
     map_id: str = ""
     x: float = 0.0
@@ -52,18 +44,7 @@ class Map2DLocation(Structure):
 
 @dataclass
 class Map2DObject(Structure):
-    """A pose in space on a map.
-
-    Attributes:
-        map_id: the map's name.
-        x: metres.
-        y: metres.
-        z: metres.
-        roll: angle about the first axis.
-        pitch: angle about the second axis.
-        yaw: angle about the third axis.
-        description: for people.
-    """
+    """A pose in space on the map ``map_id``: metres, and angles about the three axes; the description is for people."""
 
     map_id: str = ""
     x: float = 0.0
@@ -89,13 +70,7 @@ class Map2DObject(Structure):
 
 @dataclass
 class Map2DArea(Structure):
-    """A polygon on a map.
-
-    Attributes:
-        map_id: the map's name.
-        points: its corners, metres.
-        description: for people.
-    """
+    """A polygon on the map ``map_id``, with corners in metres; the description is for people."""
 
     map_id: str = ""
     points: list[Vec2D] = field(default_factory=list)
@@ -118,7 +93,7 @@ class Map2DArea(Structure):
         return len(self.points) >= 3 and sum(border <= x for border in self._borders(y)) % 2 == 1
 
     def findAreaBounds(self) -> tuple[Map2DLocation, Map2DLocation] | None:
-        """The corners of least and of greatest x and y of what it covers; None where it is none.
+        """The corners of least and of greatest x and y of its polygon; None where it is no area.
 
         YARP finds 0 for the greatest where all are below.
         """
@@ -128,7 +103,7 @@ class Map2DArea(Structure):
         return Map2DLocation(self.map_id, min(xs), min(ys)), Map2DLocation(self.map_id, max(xs), max(ys))
 
     def getCentroid(self) -> Map2DLocation | None:
-        """The middle of its bounds; None where it is none. YARP gives half its size instead."""
+        """The middle of its bounds; None where it is no area. YARP gives half its size instead."""
         bounds = self.findAreaBounds()
         if bounds is None:
             return None
@@ -151,7 +126,7 @@ class Map2DArea(Structure):
         return None
 
     def clear(self) -> None:
-        """Be no area."""
+        """Become no area."""
         self.map_id, self.description = "", ""
         self.points.clear()
 
@@ -170,7 +145,7 @@ class Map2DArea(Structure):
         return True  # an empty one too is an area
 
     def _borders(self, y: float) -> list[float]:
-        """Where a line along the x axis crosses the polygon."""
+        """The crossings of the polygon and a line along the x axis."""
         corners = zip(self.points, [*self.points[1:], *self.points[:1]], strict=True)
         return [
             (there.x - here.x) * (y - here.y) / (there.y - here.y) + here.x
@@ -181,18 +156,13 @@ class Map2DArea(Structure):
 
 @dataclass
 class Map2DPath(Structure):
-    """A way.
-
-    Attributes:
-        waypoints: the poses to pass.
-        description: for people.
-    """
+    """A way: the poses to pass, and a description for people."""
 
     waypoints: list[Map2DLocation] = field(default_factory=list)
     description: str = ""
 
     def size(self) -> int:
-        """How many poses it has."""
+        """The number of poses."""
         return len(self.waypoints)
 
     def getLength(self) -> float:
@@ -212,7 +182,7 @@ class Map2DPath(Structure):
         self.waypoints.append(loc)
 
     def clear(self) -> None:
-        """Be no way."""
+        """Become no path."""
         self.waypoints.clear()
         self.description = ""
 

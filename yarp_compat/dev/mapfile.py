@@ -1,4 +1,8 @@
-"""Files of maps and places that come from anywhere: found where they may be, read up to a size, written at once."""
+"""Files of maps and places that come from anywhere: found where they may be, read up to a size, written at once.
+
+Images of maps are pgm and ppm (binary or ascii), png, bmp, of any depth. Pillow reads and writes them; of those that
+are not packed (binary pgm and ppm, grey bmp) it reads the header alone.
+"""
 
 from __future__ import annotations
 
@@ -6,11 +10,15 @@ import os
 import re
 import stat
 import threading
+from abc import ABC, abstractmethod
 from pathlib import Path
+from typing import Any, Self
 
 import numpy as np
+from numpy.typing import NDArray
 
-from yarp_compat.wire.message import Buffer
+from yarp_compat.dev.mapflag import MAX_CELLS, too_large
+from yarp_compat.wire.framing import Buffer
 
 LONGEST_TEXT = 1 << 22
 """A text file of more bytes is refused."""
@@ -23,12 +31,9 @@ class MapFileError(ValueError):
 
 
 def found(name: str | os.PathLike[str], beside: Path, jail: Path | None) -> Path:
-    """The file of a name, which may be absolute or relative.
+    """The file of a name, which may be absolute or relative to the folder ``beside``.
 
-    Args:
-        name: as another file says it.
-        beside: the folder that relative names begin at.
-        jail: the folder that it must be in, whatever links there are; by default it may be anywhere.
+    Where a ``jail`` is given, the file must be in that folder, whatever links exist.
 
     Raises:
         MapFileError: it is outside of the jail, or no file.
@@ -63,12 +68,31 @@ def read_text(path: Path) -> str:
     return data.decode("utf-8-sig", "surrogateescape")
 
 
-def file_name(name: str) -> str:
-    """A map's name, if it can be a part of a file's name.
+class TextFile(ABC):
+    """The content of a text file of maps and places."""
 
-    Raises:
-        MapFileError: it cannot.
-    """
+    @classmethod
+    @abstractmethod
+    def from_text(cls, text: str, source: str = "the file") -> Self:
+        """The content of a file's text, which errors call ``source``; raises `MapFileError` for a wrong line."""
+
+    @abstractmethod
+    def to_text(self) -> str:
+        """The text of a file, sorted by names."""
+
+    @classmethod
+    def load(cls, path: str | Path, jail: Path | None = None) -> Self:
+        """Read a file, in the folder ``jail`` where that is given; raises `MapFileError` for a missing or wrong one."""
+        file = found(path, Path(), jail)
+        return cls.from_text(read_text(file), str(file))
+
+    def save(self, path: str | Path) -> None:
+        """Write a file; raises `MapFileError` where that fails."""
+        write(Path(path), self.to_text())
+
+
+def file_name(name: str) -> str:
+    """A map's name, if it can be a part of a file's name; else raises `MapFileError`."""
     if _NO_FILE_NAME.search(name) or len(name.encode("utf-8", "surrogateescape")) > 200:
         raise MapFileError(
             f"a map named {name!r:.100} cannot be saved: files are named after it, so its name has up to 200 bytes, no "
@@ -78,11 +102,7 @@ def file_name(name: str) -> str:
 
 
 def write(path: Path, *content: Buffer | str) -> None:
-    """Write a file, which is as it was or whole at any time.
-
-    Raises:
-        MapFileError: it cannot be written.
-    """
+    """Write a file, which is as it was or whole at any time; raises `MapFileError` where that fails."""
     fresh = path.with_name(f".{path.name}.{os.getpid()}.{threading.get_ident()}.new")
     data = [part.encode("utf-8", "surrogateescape") if isinstance(part, str) else part for part in content]
     try:
@@ -99,3 +119,98 @@ def write(path: Path, *content: Buffer | str) -> None:
 def decimal(number: float) -> str:
     """A number without an exponent, which some readers of YAML take for a word; it comes back exactly."""
     return np.format_float_positional(number, trim="0")
+
+
+_FORMATS = ("PPM", "PNG", "BMP")
+
+
+def read_image(path: Path) -> NDArray[Any]:
+    """An image's pixels, without copies of more than one.
+
+    Greys are of shape (height, width), in bytes or uint16, which reaches from 0 to 65,535 then; colours of (height,
+    width, 3 or 4): red, green, blue and opacity in bytes.
+
+    Raises:
+        MapFileError: it is no such image, or too large, which is known before its pixels are read.
+    """
+    from PIL import Image
+
+    try:
+        with Image.open(path, formats=_FORMATS) as image:
+            width, height = image.size
+            pixels = _pixels(image) if width * height <= MAX_CELLS else None
+    except (Image.DecompressionBombError, Image.DecompressionBombWarning) as error:
+        raise MapFileError(f"{path}: more than {MAX_CELLS} cells: {error}") from None
+    except (OSError, ValueError, SyntaxError, EOFError, MemoryError) as error:
+        raise MapFileError(f"{path} cannot be read as pgm, ppm, png or bmp: {error}") from None
+    if pixels is None:
+        raise MapFileError(f"{path}: {too_large(width, height)}")
+    return pixels
+
+
+def grey_image(kind: str, pixels: NDArray[np.uint8]) -> list[Buffer]:
+    """The parts of an image's file, in a kind that is ``pgm``, ``png`` or ``bmp``.
+
+    The pixels are greys of shape (height, width), or, not for pgm, red, green, blue and opacity of (height, width, 4).
+    """
+    if kind == "pgm":
+        return _binary(b"P5", pixels)
+    import io
+
+    from PIL import Image
+
+    file = io.BytesIO()
+    Image.fromarray(pixels).save(file, kind, **({"compress_level": 1} if kind == "png" else {}))
+    return [file.getbuffer()]
+
+
+def write_greys(path: Path, pixels: NDArray[np.uint8]) -> None:
+    """Write a pgm (P5); raises `MapFileError`."""
+    write(path, *_binary(b"P5", pixels))
+
+
+def write_colours(path: Path, pixels: NDArray[np.uint8]) -> None:
+    """Write a ppm (P6) of shape (height, width, 3); raises `MapFileError`."""
+    write(path, *_binary(b"P6", pixels))
+
+
+def _binary(magic: bytes, pixels: NDArray[np.uint8]) -> list[Buffer]:
+    return [b"%b\n%d %d\n255\n" % (magic, pixels.shape[1], pixels.shape[0]), np.ascontiguousarray(pixels).data]
+
+
+def _uncoded(image: Any) -> NDArray[np.uint8] | None:
+    """The bytes of an image that stand in its file as they are, without Pillow's copies; None of any other."""
+    if len(image.tile) != 1 or image.mode not in ("L", "RGB"):
+        return None
+    coding, _, offset, said = image.tile[0]
+    if coding != "raw":
+        return None
+    mode, stride, direction = (said, 0, 1) if isinstance(said, str) else said
+    if mode != image.mode:
+        return None
+    width, height = image.size
+    length = width * len(mode)
+    rows = np.empty((height, stride or length), np.uint8)
+    image.fp.seek(offset)
+    if image.fp.readinto(rows.data) != rows.size:
+        return None  # Pillow says what is missing
+    pixels = rows[::direction, :length]
+    return pixels if mode == "L" else pixels.reshape(height, width, 3)
+
+
+def _pixels(image: Any) -> NDArray[Any]:
+    uncoded = _uncoded(image)
+    if uncoded is not None:
+        return uncoded
+    mode = image.mode
+    if mode in ("I", "I;16", "I;16B", "I;16L"):
+        deep: NDArray[Any] = np.clip(np.asarray(image), 0, 65535).astype(np.uint16)
+        return deep
+    if "transparency" in image.info or mode in ("LA", "PA"):
+        image = image.convert("RGBA")
+    elif mode == "1":
+        image = image.convert("L")
+    elif mode not in ("L", "RGB", "RGBA"):
+        image = image.convert("RGB")
+    pixels: NDArray[Any] = np.asarray(image)
+    return pixels

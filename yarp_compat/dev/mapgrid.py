@@ -16,16 +16,25 @@ from typing import Any, ClassVar, Self
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from yarp_compat.dev.mapcolours import flags_of_picture, picture_of_flags
-from yarp_compat.dev.mapflag import MAX_CELLS, UNKNOWN, MapFlag, flags_of, occupancy_of, too_large
-from yarp_compat.dev.mapinfo import MapGrid2DInfo, MapGrid2DOrigin, Pair, numbers
-from yarp_compat.dev.mapobstacles import enlarge
+from yarp_compat.dev.mapflag import (
+    MAX_CELLS,
+    UNKNOWN,
+    MapFlag,
+    flags_of,
+    flags_of_picture,
+    occupancy_of,
+    picture_of_flags,
+    too_large,
+)
+from yarp_compat.dev.mapinfo import MapContents, MapGrid2DInfo, MapGrid2DOrigin, Pair, numbers
+from yarp_compat.dev.rosmap import load_ros, save_ros
+from yarp_compat.dev.yarpmap import load_yarp, save_yarp
 from yarp_compat.sig.image import ImageMono, ImageRgb
+from yarp_compat.wire.accessors import getter
+from yarp_compat.wire.elements import ElementReader, ElementWriter
 from yarp_compat.wire.errors import WireError
 from yarp_compat.wire.portable import Portable
-from yarp_compat.wire.reader import Reader
 from yarp_compat.wire.tags import INT8
-from yarp_compat.wire.writer import Writer
 
 __all__ = ["MAX_CELLS", "UNKNOWN", "MapFlag", "MapGrid2D", "flags_of", "occupancy_of", "too_large"]
 
@@ -69,7 +78,7 @@ class MapGrid2D(MapGrid2DInfo, Portable):
                 nothing is known.
             name: the map's.
             resolution: metres per cell.
-            origin: where the lower left corner is: metres, metres, degrees.
+            origin: the lower left corner: metres, metres, degrees.
 
         Raises:
             ValueError: something does not fit.
@@ -89,7 +98,7 @@ class MapGrid2D(MapGrid2DInfo, Portable):
 
     @property
     def occupancy(self) -> NDArray[np.uint8]:
-        """How surely each cell is occupied, 0 to 100, or 255; shaped as the flags, may be changed in place."""
+        """The occupancy of each cell, 0 to 100, or 255; shaped as the flags, may be changed in place."""
         return self._occupancy
 
     def set_cells(self, flags: ArrayLike, occupancy: ArrayLike | None = None) -> None:
@@ -105,17 +114,9 @@ class MapGrid2D(MapGrid2DInfo, Portable):
         self._flags, self._occupancy = new, cells
         self.m_height, self.m_width = new.shape
 
-    def width(self) -> int:
-        """Cells."""
-        return self.m_width
-
-    def height(self) -> int:
-        """Cells."""
-        return self.m_height
-
-    def getMapName(self) -> str:
-        """The map's name."""
-        return self.m_map_name
+    width = getter("m_width", int, "Cells.")
+    height = getter("m_height", int, "Cells.")
+    getMapName = getter("m_map_name", str, "The map's name.")
 
     def setMapName(self, name: str) -> bool:
         """Have another name; False where it is empty."""
@@ -123,19 +124,17 @@ class MapGrid2D(MapGrid2DInfo, Portable):
             self.m_map_name = name
         return bool(name)
 
-    def getResolution(self) -> float:
-        """Metres per cell."""
-        return self.m_resolution
+    getResolution = getter("m_resolution", float, "Metres per cell.")
 
     def setResolution(self, resolution: float) -> bool:
-        """Have cells of another size; False where there are none such."""
+        """Have cells of another size; False where that is no size."""
         if not (math.isfinite(resolution) and resolution > 0):
             return False
         self.m_resolution = float(resolution)
         return True
 
     def getOrigin(self) -> tuple[float, float, float]:
-        """Where the lower left corner is: metres, metres, degrees."""
+        """The place of the lower left corner: metres, metres, degrees."""
         return self.m_origin.x, self.m_origin.y, self.m_origin.theta
 
     def setOrigin(self, x: float, y: float, theta: float) -> bool:
@@ -165,19 +164,19 @@ class MapGrid2D(MapGrid2DInfo, Portable):
         return self.setSize_in_cells(int(width / self.m_resolution), int(height / self.m_resolution))
 
     def getMapFlag(self, cell: Pair) -> MapFlag | None:
-        """A cell's flag; None where there is no such cell."""
+        """A cell's flag; None outside of the map."""
         at = self._at(cell)
         return None if at is None else MapFlag(self._flags[at])
 
     def setMapFlag(self, cell: Pair, flag: MapFlag | int) -> bool:
-        """Give a cell another flag; False where there is no such cell."""
+        """Give a cell another flag; False outside of the map."""
         at = self._at(cell)
         if at is not None:
             self._flags[at] = MapFlag(flag)
         return at is not None
 
     def getOccupancyData(self, cell: Pair) -> float | None:
-        """How surely a cell is occupied, 0 to 100, or -1 for unknown; None where there is no such cell."""
+        """The occupancy of a cell, 0 to 100, or -1 for unknown; None outside of the map."""
         at = self._at(cell)
         if at is None:
             return None
@@ -185,7 +184,7 @@ class MapGrid2D(MapGrid2DInfo, Portable):
         return -1.0 if occupancy == UNKNOWN else float(occupancy)
 
     def setOccupancyData(self, cell: Pair, occupancy: float) -> bool:
-        """Say how surely a cell is occupied, below 0 for unknown; False where there is no such cell."""
+        """Set the occupancy of a cell, below 0 for unknown; False outside of the map."""
         if not occupancy <= 100:
             raise ValueError(f"a cell is occupied to 0 to 100, not {occupancy}")
         at = self._at(cell)
@@ -222,10 +221,9 @@ class MapGrid2D(MapGrid2DInfo, Portable):
         self._flags[temporary] = MapFlag.FREE
 
     def enlargeObstacles(self, size: float) -> bool:
-        """Make free cells that are nearer than this to any that is not free enlarged obstacles; 0 undoes that.
+        """Make free cells nearer than ``size`` metres to one that is not free enlarged obstacles; 0 undoes that.
 
-        Args:
-            size: metres; along rows and columns, and as far on the diagonals' sides, as YARP does.
+        The distance is along rows and columns, and as far on the diagonals' sides, as YARP does.
         """
         if size > 0:
             enlarge(self._flags, math.ceil(min(size / self.m_resolution, self.m_width + self.m_height)))
@@ -237,10 +235,7 @@ class MapGrid2D(MapGrid2DInfo, Portable):
         """Keep a part: columns from left on to before right, rows from top on to before bottom.
 
         Where a number is below 0, that side goes to the outermost cell of which something is known. (YARP loses one
-        column at the right there.)
-
-        Returns:
-            False where that is no part of the map; then nothing changes.
+        column at the right there.) Returns False where that is no part of the map; then nothing changes.
         """
         if min(left, top, right, bottom) < 0:
             known = self._occupancy != UNKNOWN
@@ -283,7 +278,7 @@ class MapGrid2D(MapGrid2DInfo, Portable):
         return True
 
     def loadFromFile(self, map_filename: str) -> bool:
-        """Become the map of a ``.map`` file; False, and a word in the log, where there is none."""
+        """Become the map of a ``.map`` file; False, and a word in the log, where that fails."""
         try:
             found = type(self).load(map_filename)
         except ValueError as error:
@@ -306,38 +301,29 @@ class MapGrid2D(MapGrid2DInfo, Portable):
     def load(cls, path: str | Path, jail: Path | None = None) -> Self:
         """Read a map of YARP (``.map``) or of ROS (any other file, which is YAML).
 
-        Args:
-            path: the file; those that it names stand beside it, or where it says.
-            jail: a folder that all files must be in; by default they may be anywhere.
+        Where a ``jail`` is given, all files must be in that folder; those that the file names stand beside it, or where
+        it says.
 
         Raises:
-            MapFileError: a file is not there or wrong.
+            MapFileError: a file does not exist or is wrong.
         """
-        from yarp_compat.dev.rosmap import load_ros
-        from yarp_compat.dev.yarpmap import load_yarp
-
         found = load_yarp(path, jail) if Path(path).suffix.lower() == ".map" else load_ros(path, jail)
-        made = cls()
-        made._become(found)  # type: ignore[arg-type] # what it takes over is the same
-        return made
+        return cls.of(found.flags, found.occupancy, name=found.name, resolution=found.resolution, origin=found.origin)
 
     def save(self, path: str | Path, **ros: Any) -> None:
         """Write a map for YARP (``.map``), or for ROS (any other name, which should end with ``.yaml``).
 
-        Args:
-            path: the file; the others go beside it. Those of YARP are named after the map.
-            ros: as of :func:`yarp_compat.dev.rosmap.save_ros`.
+        Other files go beside it; those of YARP are named after the map. ``ros`` as of
+        :func:`yarp_compat.dev.rosmap.save_ros`.
 
         Raises:
             MapFileError: it cannot be written.
         """
-        from yarp_compat.dev.rosmap import save_ros
-        from yarp_compat.dev.yarpmap import save_yarp
-
+        contents = MapContents(self._flags, self._occupancy, self.m_map_name, self.m_resolution, self.m_origin)
         if Path(path).suffix.lower() == ".map":
-            save_yarp(self, path)
+            save_yarp(contents, path)
         else:
-            save_ros(self, path, **ros)
+            save_ros(contents, path, **ros)
 
     def enable_map_compression_over_network(self, enable: bool) -> bool:
         """Whether the cells are zipped on the wire."""
@@ -361,8 +347,6 @@ class MapGrid2D(MapGrid2DInfo, Portable):
     def __eq__(self, other: object) -> bool:
         return self.isIdenticalTo(other) if isinstance(other, MapGrid2D) else NotImplemented
 
-    __hash__ = None  # type: ignore[assignment] # it changes
-
     def __repr__(self) -> str:
         return f"<MapGrid2D {self.m_map_name!r} of {self.m_width} x {self.m_height} cells of {self.m_resolution} m>"
 
@@ -379,7 +363,7 @@ class MapGrid2D(MapGrid2DInfo, Portable):
         column, row = map(int, numbers(cell))
         return (row, column) if 0 <= column < self.m_width and 0 <= row < self.m_height else None
 
-    def _write(self, out: Writer) -> None:
+    def _write(self, out: ElementWriter) -> None:
         if len(self.m_map_name.encode("utf-8", "surrogateescape")) > _LONGEST_NAME:
             raise WireError(f"a map's name has up to {_LONGEST_NAME} bytes, unlike {self.m_map_name!r:.60}")
         out.begin(10)
@@ -393,7 +377,7 @@ class MapGrid2D(MapGrid2DInfo, Portable):
             flat = np.ascontiguousarray(cells).reshape(-1)
             out.blob(zlib.compress(flat.data) if self._compressed else flat.data)
 
-    def _read(self, source: Reader) -> None:
+    def _read(self, source: ElementReader) -> None:
         count = source.begin()
         if count != 10:
             raise WireError(f"a map has 10 fields, not {count}")
@@ -424,3 +408,27 @@ def _cells(data: memoryview, count: int, *, compressed: bool) -> NDArray[np.uint
     if len(content) != count:
         raise WireError(f"a map of {count} cells does not have {len(content)}")
     return np.frombuffer(content, np.uint8).copy()
+
+
+def enlarge(flags: NDArray[np.uint8], cells: int) -> None:
+    """Make free cells enlarged obstacles where any other flag is within so many cells, diagonal steps counted as one.
+
+    That equals as many passes over all eight neighbours, as YARP does it. ``flags``, of shape (height, width), is
+    changed in place.
+    """
+    near = (flags >= MapFlag.KEEP_OUT) & (flags <= MapFlag.UNKNOWN)
+    near = _spread(_spread(near, cells).T, cells).T
+    flags[near & (flags == MapFlag.FREE)] = MapFlag.ENLARGED_OBSTACLE
+
+
+def _spread(marks: NDArray[np.bool_], cells: int) -> NDArray[np.bool_]:
+    """Marks along rows, so many cells further both ways: by steps that double what there is."""
+    cells = min(cells, marks.shape[1])
+    done = 0
+    while done < cells:
+        step = min(done + done + 1, cells) - done
+        wider = marks.copy()
+        wider[:, step:] |= marks[:, :-step]
+        wider[:, :-step] |= marks[:, step:]
+        marks, done = wider, done + step
+    return marks

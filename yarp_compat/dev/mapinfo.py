@@ -1,4 +1,4 @@
-"""What a map is apart from its cells: its name, size, resolution and where it lies (`yarp/dev/MapGrid2DInfo.h`).
+"""A map without its cells: its name, size, resolution and place (`yarp/dev/MapGrid2DInfo.h`).
 
 Cell (0, 0) is the upper left one, and YARP takes a cell's lower left corner for its place. The corner that lies ``d``
 metres right of and above the one of the whole map is at ``R(-theta) (origin + d)`` in the map's frame. ROS says
@@ -9,51 +9,34 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Iterator, Sequence
-from typing import Self
+from typing import NamedTuple, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from yarp_compat.dev.locations import Map2DLocation
 from yarp_compat.sig.vec2d import Vec2D, Vec2DInt, Vec2DSize
+from yarp_compat.wire.accessors import getter
 
 Pair = Vec2D | Vec2DInt | Sequence[float]
 """YARP's XYCell or XYWorld, or just two numbers."""
 
 
 class MapGrid2DOrigin:
-    """Where a map's lower left corner is.
-
-    Args:
-        x: metres, before the turn.
-        y: metres, before the turn.
-        theta: degrees, by which the map is turned clockwise about the frame's origin.
-    """
+    """The place of a map's lower left corner: metres before the turn, degrees clockwise about the frame's origin."""
 
     def __init__(self, x: float = 0.0, y: float = 0.0, theta: float = 0.0) -> None:
         self.setOrigin(x, y, theta)
 
     def setOrigin(self, x: float, y: float, theta: float) -> None:
-        """Be there; whole turns are left out.
-
-        Raises:
-            ValueError: it is nowhere.
-        """
+        """Move there; whole turns are left out. Raises `ValueError` for numbers that are not finite."""
         if not all(map(math.isfinite, (x, y, theta))):
             raise ValueError(f"a map's origin cannot be {(x, y, theta)}")
         self.x, self.y, self.theta = float(x), float(y), math.fmod(theta, 360.0)
 
-    def get_x(self) -> float:
-        """Metres."""
-        return self.x
-
-    def get_y(self) -> float:
-        """Metres."""
-        return self.y
-
-    def get_theta(self) -> float:
-        """Degrees."""
-        return self.theta
+    get_x = getter("x", float, "Metres.")
+    get_y = getter("y", float, "Metres.")
+    get_theta = getter("theta", float, "Degrees.")
 
     def get_ca(self) -> float:
         """The angle's cosine."""
@@ -83,8 +66,6 @@ class MapGrid2DOrigin:
             return NotImplemented
         return (self.x, self.y, self.theta) == (other.x, other.y, other.theta)
 
-    __hash__ = None  # type: ignore[assignment] # it changes
-
     def __iter__(self) -> Iterator[float]:
         return iter((self.x, self.y, self.theta))
 
@@ -92,16 +73,26 @@ class MapGrid2DOrigin:
         return f"MapGrid2DOrigin({self.x}, {self.y}, {self.theta})"
 
 
-class MapGrid2DInfo:
-    """A map without its cells.
+class MapContents(NamedTuple):
+    """A map as its files have it.
 
-    Args:
+    Attributes:
+        flags: a `MapFlag` for each cell, of shape (height, width), rows from the top one down.
+        occupancy: 0 to 100 or 255, of the same shape.
         name: the map's.
-        width: cells.
-        height: cells.
         resolution: metres per cell.
-        origin: where its lower left corner is.
+        origin: the place of the lower left corner.
     """
+
+    flags: NDArray[np.uint8]
+    occupancy: NDArray[np.uint8]
+    name: str
+    resolution: float
+    origin: MapGrid2DOrigin
+
+
+class MapGrid2DInfo:
+    """A map without its cells: its name, width and height in cells, metres per cell, and origin."""
 
     def __init__(
         self,
@@ -128,7 +119,7 @@ class MapGrid2DInfo:
 
     @property
     def origin(self) -> MapGrid2DOrigin:
-        """Where its lower left corner is."""
+        """The place of its lower left corner."""
         return self.m_origin
 
     def cell2World(self, cell: Pair) -> Vec2D:
@@ -167,13 +158,9 @@ class MapGrid2DInfo:
         return Vec2D(location.x, location.y)
 
     def cells_at(self, points: ArrayLike) -> NDArray[np.intp]:
-        """The cells that hold places.
+        """The columns and rows of the cells that hold places: x and y in metres, of shape (..., 2).
 
-        Args:
-            points: x and y in metres, of shape (..., 2).
-
-        Returns:
-            columns and rows, of the same shape; outside of the map where a place is.
+        The result has the same shape, and is outside of the map where a place is.
         """
         found = self.in_cells(points)
         return np.stack((np.floor(found[..., 0]), np.ceil(found[..., 1]) - 1), -1).astype(np.intp)
@@ -181,8 +168,7 @@ class MapGrid2DInfo:
     def in_cells(self, points: ArrayLike) -> NDArray[np.float64]:
         """Places in cells to the right of and below the map's upper left corner, with fractions.
 
-        Args:
-            points: x and y in metres, of shape (..., 2).
+        ``points`` are x and y in metres, of shape (..., 2).
         """
         places = np.asarray(points, float)
         ca, sa = self.m_origin.get_ca(), self.m_origin.get_sa()
@@ -191,14 +177,7 @@ class MapGrid2DInfo:
         return np.stack((right, self.m_height - up), -1)
 
     def centers_of(self, cells: ArrayLike) -> NDArray[np.float64]:
-        """The places of cells' middles.
-
-        Args:
-            cells: columns and rows, of shape (..., 2).
-
-        Returns:
-            x and y in metres, of the same shape.
-        """
+        """The middles of cells (columns and rows, of shape (..., 2)): x and y in metres, of the same shape."""
         found = np.asarray(cells, float)
         x = (found[..., 0] + 0.5) * self.m_resolution + self.m_origin.x
         y = (self.m_height - 0.5 - found[..., 1]) * self.m_resolution + self.m_origin.y

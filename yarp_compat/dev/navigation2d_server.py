@@ -13,7 +13,6 @@ from __future__ import annotations
 
 import math
 
-from yarp_compat.dev.device_calls import DeviceCalls
 from yarp_compat.dev.inavigation2d import (
     INavigation2DMsgs,
     NavigationMapTypeEnum,
@@ -23,6 +22,7 @@ from yarp_compat.dev.inavigation2d import (
 from yarp_compat.dev.locations import Map2DLocation, Map2DPath
 from yarp_compat.dev.mapgrid import MapGrid2D
 from yarp_compat.dev.returnvalue import OK, CallFailed, ReturnCode, ReturnValue
+from yarp_compat.dev.server import DeviceCalls
 
 _NO_TARGET = "there is no target"
 _FARTHEST = 1e7
@@ -32,16 +32,14 @@ _FARTHEST = 1e7
 class Navigation2DServer(INavigation2DMsgs):
     """Answers with a device. What it gets is sound: a goal's x and y are on some map, a path has waypoints.
 
-    A heading that is no number means that any will do, as it does to YARP's robotGoto.
+    A heading that is no number means that any will do, as it does to YARP's robotGoto. ``target_name`` is the name of
+    the current target, or "".
 
     Args:
         device: any object with the methods of YARP's INavigation2DTargetActions, ...ControlActions and
             ...VelocityActions, or some of them; see `DeviceCalls`. They run on the threads of the connections, several
             at a time. ``getNavigationStatus`` returns a status or its name (``moving``);
-            ``gotoTargetByRelativeLocation`` has a heading always.
-
-    Attributes:
-        target_name: what the current target is called; "" where it has no name.
+            ``gotoTargetByRelativeLocation`` always has a heading.
     """
 
     def __init__(self, device: object) -> None:

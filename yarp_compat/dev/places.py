@@ -1,7 +1,9 @@
-"""Files of locations, objects, areas and paths, as YARP's map storage keeps them (`map2DStorage/Map2DStorage.cpp`).
+"""The files of YARP's map storage (`map2DStorage/Map2DStorage.cpp`): places, and collections of maps.
 
-``Version:``, its number, and a section each, whose lines are Bottles. Version 1 has locations and areas, 2 paths too, 3
-descriptions, 4 objects; 4 is written. Numbers come back exactly, of which YARP keeps six digits.
+Locations, objects, areas and paths: ``Version:``, its number, and a section each, whose lines are Bottles. Version 1
+has locations and areas, 2 paths too, 3 descriptions, 4 objects; 4 is written. Numbers come back exactly, of which YARP
+keeps six digits. Collections (``maps_collection.ini``): a line for each map, ``mapfile: name.map``, behind which
+``crop`` leaves out what is unknown at its edges.
 """
 
 from __future__ import annotations
@@ -9,10 +11,11 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 from yarp_compat.dev.locations import Map2DArea, Map2DLocation, Map2DObject, Map2DPath
-from yarp_compat.dev.mapfile import MapFileError, decimal, found, read_text, write
+from yarp_compat.dev.mapfile import MapFileError, TextFile, decimal, file_name, found, read_text, write
+from yarp_compat.dev.mapgrid import MapGrid2D
 from yarp_compat.sig.vec2d import Vec2D
 from yarp_compat.wire.errors import WireError
 from yarp_compat.wire.text import from_text, value_text
@@ -23,15 +26,8 @@ Line = list[Any]
 
 
 @dataclass
-class Places:
-    """What such a file holds, each by its name.
-
-    Attributes:
-        locations: poses.
-        objects: poses in space.
-        areas: polygons.
-        paths: ways.
-    """
+class Places(TextFile):
+    """The content of such a file, each by its name: locations, objects, areas and paths."""
 
     locations: dict[str, Map2DLocation] = field(default_factory=dict)
     objects: dict[str, Map2DObject] = field(default_factory=dict)
@@ -39,34 +35,8 @@ class Places:
     paths: dict[str, Map2DPath] = field(default_factory=dict)
 
     @classmethod
-    def load(cls, path: str | Path, jail: Path | None = None) -> Places:
-        """Read a file.
-
-        Args:
-            path: the file.
-            jail: a folder that it must be in.
-
-        Raises:
-            MapFileError: it is not there, or a line means nothing.
-        """
-        file = found(path, Path(), jail)
-        return cls.from_text(read_text(file), str(file))
-
-    def save(self, path: str | Path) -> None:
-        """Write a file.
-
-        Raises:
-            MapFileError: it cannot be written.
-        """
-        write(Path(path), self.to_text())
-
-    @classmethod
-    def from_text(cls, text: str, source: str = "the file") -> Places:
-        """What a file's text says.
-
-        Args:
-            text: of any version.
-            source: what errors call it.
+    def from_text(cls, text: str, source: str = "the file") -> Self:
+        """The content of a file's text, of any version; errors call it ``source``.
 
         Raises:
             MapFileError: a line means nothing, or says a name for the second time.
@@ -204,3 +174,48 @@ def _pose_text(head: str, numbers: Sequence[float]) -> str:
 def _quoted(text: str) -> str:
     word = value_text(text)
     return word if word.startswith('"') else f'"{word}"'
+
+
+def map_files(path: str | Path, jail: Path | None = None) -> list[tuple[Path, bool]]:
+    """The maps' files that a collection names, and whether each is to be cropped.
+
+    They stand beside the collection's file, or where it says; with a ``jail`` all must be in that folder.
+
+    Raises:
+        MapFileError: a file does not exist, or a line means nothing.
+    """
+    file = found(path, Path(), jail)
+    files = []
+    for number, line in enumerate(read_text(file).split("\n"), 1):
+        text = line.strip()
+        if not text or text.startswith("#"):
+            continue
+        key, _, rest = text.partition(" ")
+        name, crop = rest.strip(), False
+        if name.endswith(" crop"):
+            name, crop = name.removesuffix(" crop").rstrip(), True
+        if key != "mapfile:" or not name:
+            raise MapFileError(f"{file}, line {number}: expected 'mapfile: NAME.map [crop]', found {text!r:.100}")
+        files.append((found(name, file.parent, jail), crop))
+    return files
+
+
+def load_maps(path: str | Path, jail: Path | None = None) -> dict[str, MapGrid2D]:
+    """Read a collection's maps, by name; raises `MapFileError` as `map_files`, and where two maps have one name."""
+    maps: dict[str, MapGrid2D] = {}
+    for file, crop in map_files(path, jail):
+        grid = MapGrid2D.load(file, jail)
+        if grid.name in maps:
+            raise MapFileError(f"{file}: a map named {grid.name!r} is in the collection {path} already")
+        if crop:
+            grid.crop()
+        maps[grid.name] = grid
+    return maps
+
+
+def save_maps(maps: Mapping[str, MapGrid2D], path: str | Path) -> None:
+    """Write a collection, and its maps beside it; raises `MapFileError` where a map's name cannot be a file's."""
+    file = Path(path)
+    for name, grid in maps.items():
+        grid.save(file.with_name(f"{file_name(name)}.map"))
+    write(file, "".join(f"mapfile: {name}.map\n" for name in sorted(maps)))

@@ -1,26 +1,73 @@
-"""What a laser's port answers (`IRangefinder2DMsgs.thrift`), and the same asked in the older words.
+"""Laser scans (`yarp/sig/LaserScan2D.h`), and what a laser's port answers (`IRangefinder2DMsgs.thrift`).
 
 Ports (`rangefinder2D_nws_yarp` of YARP 3.6 to 4.0): the stream of LaserScan2D, and beside it ``<name>/rpc:i``. Clients
-before 3.10 ask ``[get] [ilas] [lsdr]`` and are answered ``[is] [lsdr] 0.1 20.0`` (`IRangefinder2D.h`).
+before 3.10 use older words: ``[get] [ilas] [lsdr]`` is answered ``[is] [lsdr] 0.1 20.0`` (`IRangefinder2D.h`).
 """
 
 # mypy: disable-error-code="empty-body"
 
 from __future__ import annotations
 
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, field
 from enum import IntEnum
-from typing import Annotated
+from typing import Annotated, Any, Concatenate, ParamSpec
 
-from yarp_compat.dev.fields import Choice
+from yarp_compat.dev.fields import Choice, Generated
 from yarp_compat.dev.returnvalue import CallFailed, ReturnValue
 from yarp_compat.dev.service import Service, rpc
+from yarp_compat.sig.vector import Vector
+from yarp_compat.wire.elements import ElementReader, ElementWriter
 from yarp_compat.wire.portable import Portable
-from yarp_compat.wire.reader import Reader
-from yarp_compat.wire.writer import Writer
+
+P = ParamSpec("P")
+
+
+@dataclass
+class LaserScan2D(Generated):
+    """One turn of a laser: what it measured, from the first angle to the last.
+
+    Attributes:
+        angle_min, angle_max: the first and the last ray's direction, degrees.
+        range_min, range_max: the nearest and the farthest that the laser sees, metres.
+        scans: distances, metres; infinite where nothing was hit.
+        status: the device's: 0 stands by, 1 in use, 2 error, 3 time-out.
+    """
+
+    angle_min: float = 0.0
+    angle_max: float = 0.0
+    range_min: float = 0.0
+    range_max: float = 0.0
+    scans: Vector = field(default_factory=Vector)
+    status: int = 3
+
+
+class LaserMeasurementData:
+    """One point of a scan, in either kind of coordinates: x and y or distance in metres, the angle in radians."""
+
+    def __init__(self) -> None:
+        self._x = self._y = self._rho = self._theta = 0.0
+
+    def set_cartesian(self, x: float, y: float) -> None:
+        """Become this point."""
+        self._x, self._y, self._rho, self._theta = x, y, math.hypot(x, y), math.atan2(y, x)
+
+    def set_polar(self, rho: float, theta: float) -> None:
+        """Become this point."""
+        self._rho, self._theta, self._x, self._y = rho, theta, rho * math.cos(theta), rho * math.sin(theta)
+
+    def get_cartesian(self) -> tuple[float, float]:
+        """Its x and y."""
+        return self._x, self._y
+
+    def get_polar(self) -> tuple[float, float]:
+        """Distance and angle."""
+        return self._rho, self._theta
 
 
 class DeviceStatus(IntEnum):
-    """How a laser is."""
+    """The state of a laser."""
 
     DEVICE_OK_STANDBY = 0
     DEVICE_OK_IN_USE = 1
@@ -28,18 +75,13 @@ class DeviceStatus(IntEnum):
     DEVICE_TIMEOUT = 3
 
 
-class Told(Portable):
-    """An answer in the older words: ``[is]``, what was asked for, and its values.
-
-    Args:
-        what: a vocab.
-        values: numbers or a text.
-    """
+class OldAnswer(Portable):
+    """An answer in the older words: ``[is]``, the vocab of what was asked for, and its values (numbers or a text)."""
 
     def __init__(self, what: str = "", *values: float | str) -> None:
         self.what, self.values = what, values
 
-    def _write(self, out: Writer) -> None:
+    def _write(self, out: ElementWriter) -> None:
         out.begin(2 + len(self.values))
         out.vocab("is")
         out.vocab(self.what)
@@ -49,7 +91,7 @@ class Told(Portable):
             else:
                 out.float64(value)
 
-    def _read(self, source: Reader) -> None:
+    def _read(self, source: ElementReader) -> None:
         count = source.begin()
         source.word()
         self.what = source.word()
@@ -57,137 +99,102 @@ class Told(Portable):
         source.end()
 
 
+@rpc
 class IRangefinder2DMsgs(Service):
-    """What a laser's port answers."""
+    """The methods of a laser's port."""
 
-    @rpc
     def getDeviceStatus_RPC(self) -> tuple[ReturnValue, Annotated[DeviceStatus, Choice(DeviceStatus, vocab=True)]]:
-        """How it is."""
+        """The laser's state."""
 
-    @rpc
     def getDistanceRange_RPC(self) -> tuple[ReturnValue, float, float]:
         """The least and greatest distance, metres."""
 
-    @rpc
     def setDistanceRange_RPC(self, min: float, max: float) -> ReturnValue:  # noqa: A002 - YARP's names
         """Have others."""
 
-    @rpc
     def getScanLimits_RPC(self) -> tuple[ReturnValue, float, float]:
         """The first and last direction, degrees."""
 
-    @rpc
     def setScanLimits_RPC(self, min: float, max: float) -> ReturnValue:  # noqa: A002 - YARP's names
         """Have others."""
 
-    @rpc
     def getHorizontalResolution_RPC(self) -> tuple[ReturnValue, float]:
         """Between two rays, degrees."""
 
-    @rpc
     def setHorizontalResolution_RPC(self, step: float) -> ReturnValue:
         """Have another."""
 
-    @rpc
     def getScanRate_RPC(self) -> tuple[ReturnValue, float]:
         """Turns per second."""
 
-    @rpc
     def setScanRate_RPC(self, rate: float) -> ReturnValue:
         """Have another."""
 
-    @rpc
     def getDeviceInfo_RPC(self) -> tuple[ReturnValue, str]:
-        """What it is."""
+        """The laser's description."""
 
 
+@rpc
 class OlderWords(Service):
     """The same in the words of clients before 3.10."""
 
-    @rpc
-    def get_ilas_lsdr(self) -> Told:
+    def get_ilas_lsdr(self) -> OldAnswer:
         """The least and greatest distance."""
 
-    @rpc
-    def get_ilas_lsar(self) -> Told:
+    def get_ilas_lsar(self) -> OldAnswer:
         """The first and last direction."""
 
-    @rpc
-    def get_ilas_lsas(self) -> Told:
+    def get_ilas_lsas(self) -> OldAnswer:
         """The resolution."""
 
-    @rpc
-    def get_ilas_lssr(self) -> Told:
+    def get_ilas_lssr(self) -> OldAnswer:
         """Turns per second."""
 
-    @rpc
-    def get_ilas_lsnf(self) -> Told:
-        """What it is."""
+    def get_ilas_lsnf(self) -> OldAnswer:
+        """The laser's description."""
 
-    @rpc
     def set_ilas_lsdr(self, min: float, max: float) -> bool:  # noqa: A002 - YARP's names
         """Have other distances."""
 
-    @rpc
     def set_ilas_lsar(self, min: float, max: float) -> bool:  # noqa: A002 - YARP's names
         """Have other directions."""
 
-    @rpc
     def set_ilas_lsas(self, step: float) -> bool:
         """Have another resolution."""
 
-    @rpc
     def set_ilas_lssr(self, rate: float) -> bool:
         """Have another rate."""
+
+
+def _asks(what: str, method: Callable[..., Any]) -> Callable[[Any], OldAnswer]:
+    def ask(self: Any) -> OldAnswer:
+        outcome, *values = getattr(self, method.__name__)()
+        if not outcome:
+            raise CallFailed(outcome.code)
+        return OldAnswer(what, *values)
+
+    return ask
+
+
+def _does(method: Callable[Concatenate[Any, P], ReturnValue]) -> Callable[Concatenate[Any, P], bool]:
+    def do(self: Any, /, *arguments: P.args, **named: P.kwargs) -> bool:
+        outcome = getattr(self, method.__name__)(*arguments, **named)
+        if not outcome:
+            raise CallFailed(outcome.code)
+        return True
+
+    return do
 
 
 class Rangefinder2D(IRangefinder2DMsgs, OlderWords):
-    """A laser that answers clients of every release; the older words are made of the newer methods."""
+    """A laser that answers clients of every release; the older words call the newer methods."""
 
-    def get_ilas_lsdr(self) -> Told:
-        """The least and greatest distance."""
-        return _told("lsdr", self.getDistanceRange_RPC())
-
-    def get_ilas_lsar(self) -> Told:
-        """The first and last direction."""
-        return _told("lsar", self.getScanLimits_RPC())
-
-    def get_ilas_lsas(self) -> Told:
-        """The resolution."""
-        return _told("lsas", self.getHorizontalResolution_RPC())
-
-    def get_ilas_lssr(self) -> Told:
-        """Turns per second."""
-        return _told("lssr", self.getScanRate_RPC())
-
-    def get_ilas_lsnf(self) -> Told:
-        """What it is."""
-        return _told("lsnf", self.getDeviceInfo_RPC())
-
-    def set_ilas_lsdr(self, min: float, max: float) -> bool:  # noqa: A002 - YARP's names
-        """Have other distances."""
-        return _done(self.setDistanceRange_RPC(min, max))
-
-    def set_ilas_lsar(self, min: float, max: float) -> bool:  # noqa: A002 - YARP's names
-        """Have other directions."""
-        return _done(self.setScanLimits_RPC(min, max))
-
-    def set_ilas_lsas(self, step: float) -> bool:
-        """Have another resolution."""
-        return _done(self.setHorizontalResolution_RPC(step))
-
-    def set_ilas_lssr(self, rate: float) -> bool:
-        """Have another rate."""
-        return _done(self.setScanRate_RPC(rate))
-
-
-def _told(what: str, found: tuple[ReturnValue, *tuple[float | str, ...]]) -> Told:
-    if not found[0]:
-        raise CallFailed(found[0].code)
-    return Told(what, *found[1:])
-
-
-def _done(outcome: ReturnValue) -> bool:
-    if not outcome:
-        raise CallFailed(outcome.code)
-    return True
+    get_ilas_lsdr = _asks("lsdr", IRangefinder2DMsgs.getDistanceRange_RPC)
+    get_ilas_lsar = _asks("lsar", IRangefinder2DMsgs.getScanLimits_RPC)
+    get_ilas_lsas = _asks("lsas", IRangefinder2DMsgs.getHorizontalResolution_RPC)
+    get_ilas_lssr = _asks("lssr", IRangefinder2DMsgs.getScanRate_RPC)
+    get_ilas_lsnf = _asks("lsnf", IRangefinder2DMsgs.getDeviceInfo_RPC)
+    set_ilas_lsdr = _does(IRangefinder2DMsgs.setDistanceRange_RPC)
+    set_ilas_lsar = _does(IRangefinder2DMsgs.setScanLimits_RPC)
+    set_ilas_lsas = _does(IRangefinder2DMsgs.setHorizontalResolution_RPC)
+    set_ilas_lssr = _does(IRangefinder2DMsgs.setScanRate_RPC)

@@ -32,60 +32,48 @@ _SWITCHES = {
 }
 
 
+@rpc
 class RobotGotoMsgs(Service):
-    """What robotGoto's port answers, in either form; the words call the same methods."""
+    """The methods of robotGoto's port; the older words call the same."""
 
-    @rpc
     def ResetParams(self) -> ReturnValue:
         """Take the parameters of the start again."""
 
-    @rpc
     def Approach(self, dir: float, speed: float, time: float) -> ReturnValue:  # noqa: A002 - its name
         """Drive in a direction, degrees, at a speed, m/s, for so many seconds."""
 
-    @rpc
     def SetLinearTolerance(self, tol: float) -> ReturnValue:
-        """How near is there, metres."""
+        """The tolerance of the goal, metres."""
 
-    @rpc
     def SetAngularTolerance(self, tol: float) -> ReturnValue:
-        """How near to a heading is there, degrees."""
+        """The tolerance of the goal's heading, degrees."""
 
-    @rpc
     def SetMaxLinearSpeed(self, maxLin: float) -> ReturnValue:
         """The highest speed, m/s."""
 
-    @rpc
     def SetMaxAngularSpeed(self, maxAng: float) -> ReturnValue:
         """The fastest turning, deg/s."""
 
-    @rpc
     def SetMinLinearSpeed(self, minLin: float) -> ReturnValue:
         """The lowest speed, m/s."""
 
-    @rpc
     def SetMinAngularSpeed(self, minAng: float) -> ReturnValue:
         """The slowest turning, deg/s."""
 
-    @rpc
     def SetLinearSpeedGain(self, LinGain: float) -> ReturnValue:
         """Speed for each metre of distance."""
 
-    @rpc
     def SetAngularSpeedGain(self, AngGain: float) -> ReturnValue:
         """Turning for each degree of error."""
 
-    @rpc
     def SetObstacoleAvoidance(self, enable: bool) -> ReturnValue:
         """Go round obstacles, or not."""
 
-    @rpc
     def SetObstacoleStop(self, enable: bool) -> ReturnValue:
         """Stop before obstacles, or not."""
 
-    @rpc
     def GetNavigationStatus(self) -> tuple[ReturnValue, str]:
-        """How it is getting on: ``navigation_status_moving``."""
+        """The state of the navigation: ``navigation_status_moving``."""
 
     def command(self, words: list[Any]) -> Sequence[Any] | None:
         """Answer in words."""

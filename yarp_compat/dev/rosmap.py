@@ -1,7 +1,7 @@
 """Maps as ROS keeps them: a YAML file that names an image (http://wiki.ros.org/map_server, nav2_map_server's map_io).
 
 ``image resolution origin: [x, y, yaw] negate occupied_thresh free_thresh mode``, with the yaw in radians. YARP writes
-``origin: [ x y theta ]``, without commas and in degrees, which no map server reads; here it is told by its look.
+``origin: [ x y theta ]``, without commas and in degrees, which no map server reads; this recognises it.
 """
 
 from __future__ import annotations
@@ -16,11 +16,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from yarp_compat.dev.mapfile import MapFileError, decimal, file_name, found, read_text, write
+from yarp_compat.dev.mapfile import MapFileError, decimal, file_name, found, grey_image, read_image, read_text, write
 from yarp_compat.dev.mapflag import UNKNOWN, flags_of, looked_up
-from yarp_compat.dev.mapgrid import MapGrid2D
-from yarp_compat.dev.mapimage import grey_image, read_image
-from yarp_compat.dev.mapinfo import MapGrid2DOrigin
+from yarp_compat.dev.mapinfo import MapContents, MapGrid2DOrigin
 
 MODES = ("trinary", "scale", "raw")
 _LONGEST = 1 << 16
@@ -39,12 +37,12 @@ _BEYOND = np.where(np.arange(256) <= 100, 0, UNKNOWN).astype(np.uint8)
 
 @dataclass(frozen=True)
 class RosMapHeader:
-    """What the YAML file says.
+    """The content of the YAML file.
 
     Attributes:
         image: the image's file.
         resolution: metres per cell.
-        origin: the place of the lower left corner, as it stands there.
+        origin: the place of the lower left corner, as the file says it.
         degrees: the origin is YARP's, whose third number is its theta in degrees, and not ROS's yaw in radians.
         negate: white is occupied, not black.
         occupied_thresh: pixels that are more surely occupied are occupied, 0 to 1.
@@ -73,28 +71,24 @@ class RosMapHeader:
         )
 
 
-def load_ros(path: str | Path, jail: Path | None = None, name: str = "") -> MapGrid2D:
-    """Read a map of ROS.
+def load_ros(path: str | Path, jail: Path | None = None) -> MapContents:
+    """Read a map of ROS, from the YAML file; with a ``jail`` all files must be in that folder.
 
-    The flags are those that YARP gives such a map: free below 50, wall from there on, unknown.
-
-    Args:
-        path: the YAML file.
-        jail: a folder that all files must be in.
-        name: the map's; by default the YAML file's.
+    The flags are those that YARP gives such a map: free below 50, wall from there on, unknown. The map's name is by
+    default the file's.
 
     Raises:
-        MapFileError: a file is not there or wrong.
+        MapFileError: a file does not exist or is wrong.
     """
     file = found(path, Path(), jail)
     header = read_header(file)
     flags, occupancy = _cells(read_image(found(header.image, file.parent, jail)), header)
     origin = MapGrid2DOrigin(*header.origin) if header.degrees else MapGrid2DOrigin.from_ros(*header.origin)
-    return MapGrid2D.of(flags, occupancy, name=name or file.stem, resolution=header.resolution, origin=origin)
+    return MapContents(flags, occupancy, file.stem, header.resolution, origin)
 
 
 def save_ros(
-    grid: MapGrid2D,
+    grid: MapContents,
     path: str | Path,
     *,
     image: str = "pgm",
@@ -134,11 +128,7 @@ def save_ros(
 
 
 def read_header(path: Path) -> RosMapHeader:
-    """What a YAML file says.
-
-    Raises:
-        MapFileError: it is none of a map.
-    """
+    """The content of a YAML file; raises `MapFileError` where it is none of a map."""
     said = _mapping(path)
     for key in ("image", "resolution", "origin"):
         if key not in said:
@@ -161,11 +151,9 @@ def read_header(path: Path) -> RosMapHeader:
 
 
 def occupancy_of_image(pixels: NDArray[Any], header: RosMapHeader) -> NDArray[np.uint8]:
-    """What a map server takes for the occupancy of pixels, 0 to 100 or 255.
+    """The occupancy that a map server reads from pixels (as of `read_image`): 0 to 100 or 255.
 
-    Args:
-        pixels: as of :func:`yarp_compat.dev.mapimage.read_image`.
-        header: how they are meant. In ``trinary`` the opacity counts as a colour, as in the map servers.
+    In ``trinary`` the opacity counts as a colour, as in the map servers.
     """
     if pixels.ndim == 2:
         if header.mode == "raw" and pixels.dtype == np.uint8:

@@ -2,28 +2,31 @@
 
 What it takes is what YARP's servers take: the name in one word or in several, vocabs or strings, in a list that says
 its elements' type or not; ``help``; the introduction of YARP 4's clients. What nobody knows is answered by ``[fail]``.
+Where a peer's generation is a guess, no generation reads a failure as success (`yarp_compat.dev.returnvalue`).
 """
 
 from __future__ import annotations
 
 import logging
 import time
-from collections.abc import Sequence
-from typing import Any, Protocol
+from collections.abc import Callable, Sequence
+from typing import Any
 
-from yarp_compat.dev.call import Call
-from yarp_compat.dev.returnvalue import CallFailed, ReturnCode, ReturnValue
-from yarp_compat.dev.service import INTRODUCTION, Service, write_version
-from yarp_compat.ports.events import ConnectionEvent
+from yarp_compat.dev import returnvalue
+from yarp_compat.dev.returnvalue import OK, CallFailed, ReturnCode, ReturnValue
+from yarp_compat.dev.service import INTRODUCTION, Call, Service, write_version
+from yarp_compat.ports.connections import ConnectionEvent
+from yarp_compat.ports.message import PortMessage
+from yarp_compat.ports.naming import Naming
+from yarp_compat.pythonic import OpenPort
 from yarp_compat.wire.binary import decode, encode
+from yarp_compat.wire.elements import ElementReader, ElementWriter
 from yarp_compat.wire.errors import WireError
-from yarp_compat.wire.generation import Generation, Generations
-from yarp_compat.wire.message import Buffer
+from yarp_compat.wire.framing import Buffer
+from yarp_compat.wire.generation import Generation, GenerationDecision, Generations, PeerAddress
 from yarp_compat.wire.profile import Profile
-from yarp_compat.wire.reader import Reader
 from yarp_compat.wire.tags import VOCAB32
 from yarp_compat.wire.values import Vocab, begun_by_vocab
-from yarp_compat.wire.writer import Writer
 
 log = logging.getLogger(__name__)
 
@@ -37,27 +40,11 @@ _HELP = (
 )
 
 
-class Request(Protocol):
-    """A message that a port received."""
-
-    payload: Buffer
-
-    @property
-    def peer(self) -> Any:
-        """The connection it came on: its route, carrier and profile."""
-
-    def reply(self, payload: Buffer) -> None:
-        """Answer it."""
-
-
 class Server:
     """Makes an interface's implementation what a port calls for each message.
 
-    It is a port's ``on_message``, and its :meth:`on_event` the port's.
-
-    Args:
-        service: the implementation.
-        generations: what peers are answered in; kept by who owns it, so that it can be shown.
+    It is a port's ``on_message``, and its :meth:`on_event` the port's. The owner keeps ``generations``, so that it can
+    show what peers are answered in.
     """
 
     def __init__(self, service: Service, generations: Generations | None = None) -> None:
@@ -69,30 +56,45 @@ class Server:
         """Requests that were none."""
         self._silent = 0.0
 
-    def __call__(self, request: Request) -> None:
+    def __call__(self, request: PortMessage) -> None:
         """Answer a message."""
         peer = request.peer
-        name = peer.route.source
-        request.reply(self.answer(request.payload, name, peer.profile, text=peer.carrier.text))
-        if not peer.carrier.text and self.generations.of(name).generation is Generation.YARP_4:
+        name, link = peer.route.source, peer.address
+        reply = self.answer(request.payload, name, peer.profile, link, text=peer.carrier.text, acked=peer.carrier.ack)
+        if isinstance(reply, _Outcome):
+            request.reply(reply, slack=returnvalue.SPARE)
+        else:
+            request.reply(reply)
+        if not peer.carrier.text and self.generations.of(name, peer.profile, link).generation is Generation.YARP_4:
             peer.profile = Profile.YARP4
 
     def on_event(self, event: ConnectionEvent) -> None:
-        """Hear that a connection came or went: who calls now may be another than who had its name before."""
-        if event.incoming and event.up:
-            self.generations.forget(event.route.source)
+        """Hear that a connection came or went: who calls on it now may be another than before."""
+        if event.incoming:
+            self.generations.forget(event.route.source, event.address)
 
-    def answer(self, payload: Buffer, peer: str = "", profile: Profile | None = None, *, text: bool = False) -> bytes:
+    def answer(
+        self,
+        payload: Buffer,
+        peer: str = "",
+        profile: Profile | None = None,
+        link: PeerAddress = ("", 0),
+        *,
+        text: bool = False,
+        acked: bool = False,
+    ) -> bytes:
         """The reply to a request.
 
         Args:
             payload: the request.
             peer: the port that sent it.
             profile: its dialect, where that is known.
+            link: its connection.
             text: the reply is printed, so it must be a Bottle.
+            acked: the carrier acknowledges, and `returnvalue.SPARE` bytes can be behind that.
         """
-        generation = self.generations.of(peer).generation
-        likely = profile or generation.profile
+        decision = self.generations.of(peer, profile, link)
+        likely = profile or decision.generation.profile
         try:
             words, call, arguments, found = self._taken(payload, likely)
         except WireError as error:
@@ -107,13 +109,36 @@ class Server:
             if said is not None:
                 return said
         if call is None:
-            return self._special(words, arguments, peer, profile, text=text)
-        if not text and found is not generation.profile:
-            self.generations.recognised(peer, found)
-            generation = self.generations.of(peer).generation
+            return self._special(words, arguments, peer, profile, link, text=text)
         if text:
-            generation = Generation.YARP_3_6
-        return self._called(call, arguments, generation, found if text else generation.profile, peer)
+            return self._called(call, arguments, GenerationDecision(peer, Generation.YARP_3_6, "it is text"), found)
+        if "_" in _first_word(payload, found) and not self.generations.of(peer, profile, link).sure:
+            # generated code splits names: this is a person at `yarp rpc`, or a script, who reads a Bottle
+            return self._called(
+                call, arguments, GenerationDecision(peer, Generation.YARP_3_6, "its words are typed"), found
+            )
+        decision = self._learned(call, found, peer, profile, link)
+        return self._called(call, arguments, decision, decision.generation.profile, acked=acked)
+
+    def _learned(
+        self, call: Call, found: Profile, peer: str, profile: Profile | None, link: PeerAddress
+    ) -> GenerationDecision:
+        """Decides the generation of the answer, by all that a request tells."""
+        generations = self.generations
+        if found is not generations.of(peer, profile, link).generation.profile:
+            generations.recognised(peer, found, link)
+        if call.since is not None and generations.of(peer, profile, link).generation.profile is Profile.YARP3:
+            generations.called(peer, call.name, call.since, link)
+        decision = generations.of(peer, profile, link)
+        cure = generations.hint(decision) if call.tells else ""
+        if cure:
+            log.warning(
+                "nothing tells which release of YARP %s is of; its calls are answered as %s does, with care (%s)",
+                peer or "?",
+                decision.generation.value,
+                cure,
+            )
+        return decision
 
     def _commanded(self, payload: Buffer, profile: Profile | None, likely: Profile) -> bytes | None:
         """The answer to a request in words; None where it means nothing to the service."""
@@ -136,7 +161,7 @@ class Server:
         other = Profile.YARP3 if likely is Profile.YARP4 else Profile.YARP4
         first: WireError | None = None
         for profile, whole in ((likely, True), (other, True), (likely, False)):
-            source = Reader(payload, profile)
+            source = ElementReader(payload, profile)
             try:
                 words, call = self._named(source)
                 arguments = [] if call is None else call.read_arguments(source)
@@ -150,7 +175,7 @@ class Server:
                 return words, call, arguments, profile
         raise first or WireError("no profile fits")
 
-    def _named(self, source: Reader) -> tuple[str, Call | None]:
+    def _named(self, source: ElementReader) -> tuple[str, Call | None]:
         """The name in a request; without a call where it is one that every service knows."""
         source.begin()
         name = source.word()
@@ -165,12 +190,14 @@ class Server:
                 raise WireError(f"there is no method {name!r}")
             name += "_" + source.word()
 
-    def _special(self, name: str, arguments: list[Any], peer: str, profile: Profile | None, *, text: bool) -> bytes:
+    def _special(
+        self, name: str, arguments: list[Any], peer: str, profile: Profile | None, link: PeerAddress, *, text: bool
+    ) -> bytes:
         if name == INTRODUCTION and text:
             return encode([self._service.PROTOCOL, 4, 0, 0], Profile.YARP3)
         if name == INTRODUCTION:
-            self.generations.introduced(peer, profile)
-            return write_version(self._service.PROTOCOL, self.generations.of(peer).generation)
+            self.generations.introduced(peer, profile, link)
+            return write_version(self._service.PROTOCOL, self.generations.of(peer, link=link).generation)
         return self._help(arguments[0] if arguments else "--all")
 
     def _help(self, name: str) -> bytes:
@@ -182,7 +209,7 @@ class Server:
             lines = [self._calls[name].prototype]
         else:
             lines = ["Command not found"]
-        out = Writer(Profile.YARP3)
+        out = ElementWriter(Profile.YARP3)
         out.begin(2)
         out.vocab("many")
         out.begin(len(lines))
@@ -190,31 +217,54 @@ class Server:
             out.string(line)
         return out.payload()
 
-    def _called(self, call: Call, arguments: list[Any], generation: Generation, profile: Profile, peer: str) -> bytes:
+    def _called(
+        self, call: Call, arguments: list[Any], decision: GenerationDecision, profile: Profile, *, acked: bool = False
+    ) -> bytes:
+        peer = decision.peer or "?"
         try:
             results: list[Any] | None = _results(call, getattr(self._service, call.name)(*arguments))
         except CallFailed as error:
-            log.debug("%s for %s: %s", call.name, peer or "?", error)
+            log.debug("%s for %s: %s", call.name, peer, error)
             results = _failed(call, error.code)
         except NotImplementedError:
             results = _failed(call, ReturnCode.NOT_IMPLEMENTED)
         except Exception:
-            self._log("%s for %s", call.name, peer or "?", exc_info=True)
+            self._log("%s for %s", call.name, peer, exc_info=True)
             results = _failed(call, ReturnCode.GENERIC)
         if results is None:
             return _fail()
         try:
-            return call.reply(results, generation, profile)
+            return _written(call, results, decision, profile, acked=acked)
         except WireError:
-            self._log("%s for %s returned what cannot be written", call.name, peer or "?", exc_info=True)
+            self._log("%s for %s returned what cannot be written", call.name, peer, exc_info=True)
             failed = _failed(call, ReturnCode.GENERIC)
-            return _fail() if failed is None else call.reply(failed, generation, profile)
+            return _fail() if failed is None else _written(call, failed, decision, profile, acked=acked)
 
     def _log(self, what: str, *arguments: object, exc_info: bool = False) -> None:
         now = time.monotonic()
         if now >= self._silent:
             self._silent = now + SILENCE
             log.warning(f"%s: {what}", type(self._service).__name__, *arguments, exc_info=exc_info)  # noqa: G004
+
+
+def _first_word(payload: Buffer, profile: Profile) -> str:
+    source = ElementReader(payload, profile)
+    source.begin()
+    return source.word()
+
+
+class _Outcome(bytes):
+    """A reply of `returnvalue.alone`, which wants `returnvalue.SPARE` bytes behind its acknowledgement."""
+
+
+def _written(call: Call, results: list[Any], decision: GenerationDecision, profile: Profile, *, acked: bool) -> bytes:
+    """The reply, such that a peer whose generation is a guess reads no failure as a success."""
+    if call.tells and not decision.sure and isinstance(results[0], ReturnValue):
+        if acked and call.alone and decision.generation.profile is Profile.YARP3:
+            return _Outcome(returnvalue.alone(results[0]))
+        if not results[0] and not (call.alone and decision.generation is Generation.YARP_3_12):
+            results = [returnvalue.Refused(results[0].code), *results[1:]]
+    return call.reply(results, decision.generation, profile)
 
 
 def _results(call: Call, returned: Any) -> list[Any]:
@@ -232,7 +282,7 @@ def _results(call: Call, returned: Any) -> list[Any]:
 
 
 def _failed(call: Call, code: ReturnCode) -> list[Any] | None:
-    """What a call that failed returns: its outcome, and of the rest what C++ has where nothing was set."""
+    """The results of a call that failed: its outcome, and C++'s defaults for the rest."""
     return [ReturnValue(code), *_defaults(call)] if call.tells else None
 
 
@@ -241,7 +291,65 @@ def _defaults(call: Call) -> list[Any]:
 
 
 def _fail() -> bytes:
-    out = Writer(Profile.YARP3)
+    out = ElementWriter(Profile.YARP3)
     out.begin(1, VOCAB32)
     out.vocab("fail", tagged=False)
     return out.payload()
+
+
+class DeviceCalls:
+    """Calls a device, which may be any object with methods under YARP's names; what it lacks is not implemented.
+
+    Its methods return their results, or None where that is all; or an outcome; or they raise `CallFailed`.
+    """
+
+    def __init__(self, device: object) -> None:
+        self._device = device
+
+    def done(self, method: str, *arguments: Any) -> ReturnValue:
+        """The outcome of a method that returns nothing."""
+        returned = self._method(method)(*arguments)
+        return returned if isinstance(returned, ReturnValue) else OK
+
+    def found(self, method: str, *arguments: Any, lacking: str) -> Any:
+        """The result of a method; ``lacking`` is the error where it returns None."""
+        returned = self._method(method)(*arguments)
+        if isinstance(returned, ReturnValue):
+            raise CallFailed(returned.code if not returned else ReturnCode.METHOD_FAILED, lacking)
+        if returned is None:
+            raise CallFailed(ReturnCode.METHOD_FAILED, lacking)
+        return returned
+
+    def _method(self, name: str) -> Callable[..., Any]:
+        method = getattr(self._device, name, None)
+        if method is None:
+            raise NotImplementedError(name)
+        return method  # type: ignore[no-any-return] # any object's method
+
+
+class ServiceServer(OpenPort):
+    """Answers clients of every release of YARP, each on the thread of its connection.
+
+    Args:
+        name: the port's name.
+        service: the implementation.
+        generations: what peers are answered in; by default as they introduce themselves.
+        naming: knows the names; by default the name server of ``yarp.conf``.
+        options: more arguments of `PortCore`.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        service: Service,
+        *,
+        generations: Generations | None = None,
+        naming: Naming | None = None,
+        **options: Any,
+    ) -> None:
+        self._server = Server(service, generations)
+        options = {"is_output": False, "rpc": True, "on_event": self._server.on_event, **options}
+        super().__init__(name, naming=naming, **options)
+
+    def _take(self, message: PortMessage) -> None:
+        self._server(message)

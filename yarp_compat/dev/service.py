@@ -12,17 +12,20 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from functools import wraps
-from typing import Any, ClassVar, Protocol, TypeVar
+from inspect import isfunction, signature
+from typing import Any, ClassVar, Protocol, TypeVar, get_args, get_origin, get_type_hints
 
-from yarp_compat.dev.call import Call
+from yarp_compat.dev.fields import FieldCodec, Nested, field_of
+from yarp_compat.dev.returnvalue import ReturnValue
 from yarp_compat.wire.binary import decode_prefix
-from yarp_compat.wire.errors import Incomplete
+from yarp_compat.wire.elements import ElementReader, ElementWriter
+from yarp_compat.wire.errors import Incomplete, WireError
+from yarp_compat.wire.framing import Buffer
 from yarp_compat.wire.generation import Generation
-from yarp_compat.wire.message import Buffer
 from yarp_compat.wire.profile import Profile
-from yarp_compat.wire.tags import LIST, VOCAB32
-from yarp_compat.wire.writer import Writer
+from yarp_compat.wire.tags import INT32, LIST, STRING, VOCAB32
 
 INTRODUCTION = "getRemoteProtocolVersion"
 """The method that clients of YARP 4 call before any other; 3.12 has it too, and its stock clients do not call it."""
@@ -33,11 +36,7 @@ _Method = TypeVar("_Method", bound=Callable[..., Any])
 
 
 class Channel(Protocol):
-    """How a client reaches its server.
-
-    Attributes:
-        generation: the server's; set by what it answers.
-    """
+    """A client's way to its server; what the server answers sets its ``generation``."""
 
     generation: Generation
 
@@ -48,8 +47,7 @@ class Channel(Protocol):
 class Service:
     """An interface; its methods marked :func:`rpc` are what clients can call.
 
-    Args:
-        channel: how its server is reached; none where this is the server.
+    A client has a channel to its server, a server has none.
     """
 
     PROTOCOL: ClassVar[int] = 0
@@ -68,13 +66,13 @@ class Service:
         return found
 
     def introduce(self) -> tuple[int, int, int, int] | None:
-        """Ask the server for its protocol, as clients of YARP 4 do; servers since 3.12 say it and what they are.
+        """Ask the server for its protocol, as clients of YARP 4 do; servers since 3.12 say it and their version.
 
-        Returns:
-            the protocol, and YARP's major, minor and patch number; None where the server does not know the question.
+        Returns the protocol, and YARP's major, minor and patch number; None where the server does not know the
+        question.
         """
         channel = self._reached(INTRODUCTION)
-        out = Writer(Profile.YARP4)
+        out = ElementWriter(Profile.YARP4)
         out.begin(1)
         out.string(INTRODUCTION)
         reply = channel.request(out.payload(), version_end)
@@ -108,11 +106,18 @@ def rpc(method: _Method) -> _Method:
     """Mark a method of an interface: where the interface has a channel, calling it calls the server's.
 
     Its annotations are what is on the wire, see :mod:`yarp_compat.dev.fields`; ``tuple[ReturnValue, ...]`` is what
-    YARP's structures ``return_...`` are.
+    YARP's structures ``return_...`` are. On a class it marks all public methods that `Service` does not have.
     """
+    if isinstance(method, type):
+        for name, member in list(vars(method).items()):
+            if isfunction(member) and not name.startswith("_") and not hasattr(Service, name):
+                setattr(method, name, rpc(member))
+        return method
 
     @wraps(method)
-    def remote(self: Service, *arguments: Any) -> Any:
+    def remote(self: Service, *arguments: Any, **named: Any) -> Any:
+        if named:
+            arguments = signature(method).bind(self, *arguments, **named).args[1:]
         channel = self._reached(method.__name__)
         call = type(self).calls()[method.__name__]
         reply = channel.request(
@@ -125,6 +130,16 @@ def rpc(method: _Method) -> _Method:
 
     remote.__dict__["rpc"] = method
     return remote  # type: ignore[return-value] # it is called as the method is
+
+
+def since(generation: Generation) -> Callable[[_Method], _Method]:
+    """Mark a method, below :func:`rpc`: clients of older generations have it not, so who calls it is none of them."""
+
+    def marked(method: _Method) -> _Method:
+        method.__dict__["since"] = generation
+        return method
+
+    return marked
 
 
 def write_version(protocol: int, generation: Generation = Generation.YARP_4) -> bytes:
@@ -144,7 +159,7 @@ def read_version(reply: Buffer) -> tuple[int, int, int, int] | None:
 
 
 def version_end(data: Buffer) -> int:
-    """Where the reply to an introduction ends."""
+    """The end of the reply to an introduction."""
     size = memoryview(data).nbytes
     if size < 4:
         raise Incomplete(f"{size} bytes of a reply")
@@ -163,3 +178,139 @@ def _calls(kind: type[Service]) -> Mapping[str, Call]:
             if method is not None:
                 found[name] = Call.of(method)
     return found
+
+
+_ONE, _THREE = struct.Struct("<i"), struct.Struct("<iii")
+
+
+@dataclass(frozen=True, slots=True)
+class Reply:
+    """A reply taken apart: the method's results, the bytes that it took, and the generation that its bytes tell."""
+
+    results: list[Any]
+    size: int
+    generation: Generation
+
+
+@dataclass(frozen=True, slots=True)
+class Call:
+    """A method.
+
+    Attributes:
+        name: its name.
+        arguments: their names and types.
+        results: the types of its results.
+        alone: it returns one value, not a structure of several.
+        prototype: its line in help.
+        since: the first generation that has it, where that is not the first of all.
+    """
+
+    name: str
+    arguments: tuple[tuple[str, FieldCodec], ...]
+    results: tuple[FieldCodec, ...]
+    alone: bool
+    prototype: str
+    since: Generation | None = None
+
+    @classmethod
+    def of(cls, method: Callable[..., Any]) -> Call:
+        """The call that a method's annotations declare; raises `TypeError` for a type that YARP's interfaces lack."""
+        hints = get_type_hints(method, include_extras=True)
+        returned = hints.pop("return", None)
+        alone = get_origin(returned) is not tuple
+        kinds = () if returned in (None, type(None)) else (returned,) if alone else get_args(returned)
+        arguments = tuple((name, field_of(hint)) for name, hint in hints.items())
+        results = tuple(map(field_of, kinds))
+        listed = ", ".join(f"{field.name} {name}" for name, field in arguments)
+        returns = " ".join(field.name for field in results) or "void"
+        prototype = f"{returns} {method.__name__}({listed})"
+        since = getattr(method, "since", None)
+        return cls(method.__name__, arguments, results, alone and bool(results), prototype, since)
+
+    @property
+    def tells(self) -> bool:
+        """Whether the first of its results is the call's outcome."""
+        return bool(self.results) and getattr(self.results[0], "kind", None) is ReturnValue
+
+    def request(self, arguments: Sequence[Any], profile: Profile) -> bytes:
+        """The request with these arguments; raises `WireError` where their number or a type is wrong."""
+        if len(arguments) != len(self.arguments):
+            raise WireError(f"{self.name} takes {len(self.arguments)} arguments, not {len(arguments)}")
+        out = ElementWriter(profile)
+        words = self.name.split("_")
+        out.begin(len(words) + len(arguments))
+        for word in words:
+            (out.vocab if len(word) <= 4 else out.string)(word)
+        for (name, field), value in zip(self.arguments, arguments, strict=True):
+            try:
+                field.write(out, value)
+            except WireError as error:
+                raise WireError(f"{self.name}, {name}: {error}") from None
+        return out.payload()
+
+    def read_arguments(self, source: ElementReader) -> list[Any]:
+        """The arguments of a request, whose name has been read; raises `WireError` where one is missing or wrong."""
+        found = []
+        for name, field in self.arguments:
+            try:
+                found.append(field.read(source))
+            except WireError as error:
+                raise type(error)(f"{self.name}, {name}: {error}") from None
+        return found
+
+    def reply(self, results: Sequence[Any], generation: Generation, profile: Profile | None = None) -> bytes:
+        """The reply with these results, with the tags of ``profile``, by default the generation's.
+
+        Raises:
+            WireError: a result is not of its type.
+        """
+        out = ElementWriter(profile or generation.profile, generation)
+        if not (self._itself and not (self.tells and generation is Generation.YARP_3_6)):
+            out.begin(len(self.results))
+        for place, (field, value) in enumerate(zip(self.results, results, strict=True)):
+            try:
+                field.write(out, value)
+            except WireError as error:
+                raise WireError(f"{self.name}, result {place}: {error}") from None
+        return out.payload()
+
+    def read_reply(self, data: Buffer, generation: Generation) -> Reply:
+        """Take a reply apart, which ``data`` begins with; where the bytes tell another generation, that counts.
+
+        Raises:
+            WireError: it is none of this method's, such as ``[fail]`` of a server that does not know it; Incomplete: it
+                has not ended yet.
+        """
+        if self.tells:
+            generation = _told(data, generation, alone=self.alone)
+        source = ElementReader(data, generation.profile, generation)
+        if self._itself:
+            return Reply([self.results[0].read(source)], source.at, generation)
+        count = source.begin()
+        if count != len(self.results):
+            raise WireError(f"{self.name} returns {len(self.results)} values, and the reply has {count}")
+        found = [field.read(source) for field in self.results]
+        source.end()
+        return Reply(found, source.at, generation)
+
+    @property
+    def _itself(self) -> bool:
+        """Whether the one result is the reply, being a list of its own."""
+        return self.alone and isinstance(self.results[0], Nested)
+
+
+def _told(data: Buffer, generation: Generation, *, alone: bool) -> Generation:
+    """The generation that wrote a reply with an outcome, where its first bytes tell."""
+    try:
+        first = _ONE.unpack_from(data, 0)[0] if alone else _THREE.unpack_from(data, 0)[2]
+    except struct.error as error:
+        raise Incomplete(f"{memoryview(data).nbytes} bytes do not hold a call's outcome") from error
+    if alone and first & LIST:
+        return generation  # ([ok]) of 3.6 to 3.10 and of 4.0 are the same
+    if first & LIST:
+        return Generation.YARP_4
+    if first in (VOCAB32, STRING):
+        return Generation.YARP_3_6
+    if first == INT32:  # "ok" of 3.12, or "failed" of 3.11 without a tag
+        return generation if generation is Generation.YARP_3_11 else Generation.YARP_3_12
+    return Generation.YARP_3_11

@@ -16,26 +16,34 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from yarp_compat.dev.mapcolours import GREYS, OCCUPANCIES, flags_of_picture, picture_of_flags
-from yarp_compat.dev.mapfile import MapFileError, decimal, file_name, found, read_text, write
-from yarp_compat.dev.mapflag import flags_of, looked_up, occupancy_of
-from yarp_compat.dev.mapgrid import MapGrid2D
-from yarp_compat.dev.mapimage import read_image, write_colours, write_greys
+from yarp_compat.dev.mapfile import (
+    MapFileError,
+    decimal,
+    file_name,
+    found,
+    read_image,
+    read_text,
+    write,
+    write_colours,
+    write_greys,
+)
+from yarp_compat.dev.mapflag import (
+    GREYS,
+    OCCUPANCIES,
+    flags_of,
+    flags_of_picture,
+    looked_up,
+    occupancy_of,
+    picture_of_flags,
+)
+from yarp_compat.dev.mapinfo import MapContents, MapGrid2DOrigin
 from yarp_compat.dev.rosmap import RosMapHeader, occupancy_of_image, read_header
 
 _LINE = re.compile(r'\s*(\w+)(?:\s*=\s*|\s+)("(?:[^"\\]|\\.)*"|.*?)\s*(?:\s(?:#|//).*)?$')
 
 
-def load_yarp(path: str | Path, jail: Path | None = None) -> MapGrid2D:
-    """Read a map of YARP.
-
-    Args:
-        path: the ``.map`` file.
-        jail: a folder that all files must be in.
-
-    Raises:
-        MapFileError: a file is not there or wrong.
-    """
+def load_yarp(path: str | Path, jail: Path | None = None) -> MapContents:
+    """Read a map of YARP, in the folder ``jail`` where that is given; raises `MapFileError` for a wrong file."""
     file = found(path, Path(), jail)
     said = _settings(read_text(file))
     if "MapName" not in said:
@@ -64,10 +72,10 @@ def load_yarp(path: str | Path, jail: Path | None = None) -> MapGrid2D:
         )
     x, y, angle = header.origin
     theta = angle if header.degrees else float(np.degrees(angle))
-    return MapGrid2D.of(flags, occupancy, name=said["MapName"], resolution=header.resolution, origin=(x, y, theta))
+    return MapContents(flags, occupancy, said["MapName"], header.resolution, MapGrid2DOrigin(x, y, theta))
 
 
-def save_yarp(grid: MapGrid2D, path: str | Path) -> None:
+def save_yarp(grid: MapContents, path: str | Path) -> None:
     """Write a map for YARP: the ``.map`` file and, named after the map, three more beside it.
 
     Raises:
@@ -84,7 +92,7 @@ def save_yarp(grid: MapGrid2D, path: str | Path) -> None:
         f"RosMapData {_word(name + '_grid.yaml')}",
     ]  # fmt: skip
     if grid.origin.theta:
-        lines.append(f"origin ({' '.join(map(decimal, grid.getOrigin()))})")
+        lines.append(f"origin ({' '.join(map(decimal, grid.origin))})")
     write(file, "\n".join(lines) + "\n")
 
 

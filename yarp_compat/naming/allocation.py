@@ -1,4 +1,4 @@
-"""What the name server gives out: port numbers (the same again for the same name), names and multicast addresses.
+"""Gives out port numbers (the same again for the same name), names and multicast addresses.
 
 Numbers start two above the name server's own and go up to 9999 above it, and only then are freed ones given to other
 names, as in yarpserver 3.12 (``AllocatorOnTriples.cpp``). Unlike there, a number that some port registered for itself
@@ -16,12 +16,19 @@ _MAX_NAMES = 100_000
 _MAX_GROUPS = 254 * 254
 
 
-class Allocator:
-    """Gives out numbers, names and multicast addresses, and remembers who had what.
+def beside(base: int) -> range:
+    """Port numbers that no name server at ``base`` gives out: as many, next above its own, or where none are, below it.
 
-    Args:
-        base: the name server's own port number.
+    A yarpserver that forgot everything gives out its numbers from the first on and tries none of them. A port that kept
+    one of those makes the program that gets it fail ("address conflict"), and as names keep their numbers, again each
+    time.
     """
+    size = LAST_OFFSET + 1
+    return range(base + size, base + 2 * size) if base + 2 * size <= 0x10000 else range(base - size, base)
+
+
+class Allocator:
+    """Gives out numbers (from ``base``, the name server's own), names and multicast addresses, and remembers them."""
 
     def __init__(self, base: int) -> None:
         self._first = base + FIRST_OFFSET
@@ -36,9 +43,7 @@ class Allocator:
     def number(self, name: str, taken: Container[int] = ()) -> int | None:
         """A port number for a name, if possible the one it had before; None where all are in use.
 
-        Args:
-            name: who asks.
-            taken: numbers that ports chose for themselves.
+        ``taken`` are the numbers that ports chose for themselves.
         """
         number = self._number.get(name)
         if number is None or number in taken:

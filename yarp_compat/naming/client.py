@@ -6,20 +6,24 @@ quotes left out, ended by LF where an answer of lines is expected and CR LF wher
 
 from __future__ import annotations
 
+import logging
 import os
+import random
 import socket
+import threading
 import weakref
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
-from yarp_compat.naming import config, talk
+from yarp_compat.naming import config
+from yarp_compat.naming.allocation import beside
 from yarp_compat.naming.config import Address
-from yarp_compat.naming.errors import NameRefusedError, NamingError, NoNameServerError
-from yarp_compat.naming.keeper import KEEPER
-from yarp_compat.naming.lines import LineSocket
+from yarp_compat.ports import text_client
+from yarp_compat.ports.naming import NameRefusedError, NamingError, NoNameServerError
+from yarp_compat.ports.text_client import LineSocket
 from yarp_compat.wire.carriers import CARRIERS
-from yarp_compat.wire.contact import Contact, is_name
+from yarp_compat.wire.contact import PortContact, is_name
 from yarp_compat.wire.text import from_text, plain_text, value_text
 
 Lines = list[str]
@@ -29,6 +33,12 @@ TIMEOUT = 5.0
 MAX_ANSWER = 32 << 20
 """Bytes of the largest answer that is taken: a list of ten thousand ports is 1 MB."""
 
+PERIOD = 2.0
+"""Seconds between looks, give or take a quarter."""
+AT_ONCE = 5
+"""Ports asked for at a look, as long as nothing is amiss."""
+_log = logging.getLogger("yarp.names")
+
 
 class NameClient:
     """Asks a name server.
@@ -37,13 +47,20 @@ class NameClient:
         address: where it is; None looks it up in yarp.conf, again whenever it was not reached.
         namespace: the network's name; None: what the environment or YARP's file says.
         timeout: seconds that any command may take.
+        numbers: the TCP port numbers that ports registered here choose from; None: those of `allocation.beside`.
 
-    Every method raises NoNameServerError where nobody answers, and ConfigError where yarp.conf cannot be used.
+    Every method raises NoNameServerError where nobody answers, and NamingConfigError where yarp.conf cannot be used.
     """
 
     def __init__(
-        self, address: Address | None = None, *, namespace: str | None = None, timeout: float = TIMEOUT
+        self,
+        address: Address | None = None,
+        *,
+        namespace: str | None = None,
+        timeout: float = TIMEOUT,
+        numbers: range | None = None,
     ) -> None:
+        self._numbers = numbers
         self._given = address
         self._namespace = namespace
         self._found: Address | None = None
@@ -55,24 +72,28 @@ class NameClient:
 
     @property
     def address(self) -> Address:
-        """Where the name server should be.
+        """The configured address of the name server.
 
         Raises:
             NoNameServerError: no file says it.
-            ConfigError: the file cannot be used.
+            NamingConfigError: the file cannot be used.
         """
         address = self._given or self._found or config.read(self._namespace)
         if address is None:
-            msg = (
+            raise NoNameServerError(
                 f"no file says where YARP's name server is: {config.file(self._namespace)} should hold a line such as"
                 " '127.0.0.1 10000 yarp' ('yarp detect --write' or 'midspan yarp server --write' makes it)"
             )
-            raise NoNameServerError(msg)
         self._found = address
         return address
 
     @property
-    def contact(self) -> Contact:
+    def numbers(self) -> range:
+        """The TCP port numbers that ports choose theirs from; see `Naming.numbers`."""
+        return beside(self.address.port) if self._numbers is None else self._numbers
+
+    @property
+    def contact(self) -> PortContact:
         """The name server's own port."""
         return self.address.contact(self._namespace or config.namespace())
 
@@ -81,18 +102,19 @@ class NameClient:
         self._given = address
 
     def hurry(self, seconds: float) -> None:
-        """From now on every command may take so long, those under way too; after one that takes longer, all fail."""
+        """Limit every command to so many seconds, those under way too; after one that takes longer, all fail."""
         self._timeout, self._hurried = seconds, True
         for peer in list(self._asking):
             peer.hurry(seconds)
 
-    def register(self, name: str, host: str = "", port: int = 0, *, carrier: str = "") -> Contact:
+    def register(self, name: str, host: str = "", port: int = 0, *, carrier: str = "") -> PortContact:
         """Register a port, and say what a C++ port says of itself; see `Naming.register`."""
         wanted = "..." if name in ("", "...") else name
         if not is_name(wanted):
-            msg = f"{name!r} cannot be the name of a port: YARP's names are like /robot/camera, without spaces"
-            raise NameRefusedError(msg)
-        host = host or self._own_host()
+            raise NameRefusedError(
+                f"{name!r} cannot be the name of a port: YARP's names are like /robot/camera, without spaces"
+            )
+        host = host or ("" if carrier == "mcast" else self._own_host())  # a group's address is the name server's
         command: list[Any] = ["register", wanted]
         if host or port or carrier:
             command += [carrier or "tcp", host or "...", port or "..."]
@@ -100,14 +122,13 @@ class NameClient:
         self._registered[contact.name] = _Registered(contact)
         return contact
 
-    def _enter(self, command: Sequence[Any]) -> Contact:
+    def _enter(self, command: Sequence[Any]) -> PortContact:
         """Register a port, and say what a C++ port says of itself."""
-        contact = Contact.from_registration(self.line(command))
+        contact = PortContact.from_registration(self.line(command))
         if contact is None:
-            msg = (
+            raise NameRefusedError(
                 f"the name server at {self._where()} did not take {command[1]}: it may be full, or the name is its own"
             )
-            raise NameRefusedError(msg)
         for key, words in self._about().items():
             self.line(["set", contact.name, key, *words])
         return contact
@@ -147,9 +168,9 @@ class NameClient:
         """Another port has taken a name of ours: `unregister` will leave it to that one."""
         self._left.add(name)
 
-    def query(self, name: str) -> Contact | None:
-        """Where a port is; see `Naming.query`. ``tcp://host:10002/`` is its own answer."""
-        known = Contact.parse(name)
+    def query(self, name: str) -> PortContact | None:
+        """The address of a port; see `Naming.query`. ``tcp://host:10002/`` is its own answer."""
+        known = PortContact.parse(name)
         if known.is_valid:
             return known
         if not is_name(known.name):
@@ -157,11 +178,11 @@ class NameClient:
         if known.name == (self._namespace or config.namespace()):
             return self.contact
         answer = self.lines(["query", known.name])
-        return Contact.from_registration(answer[0]) if answer else None
+        return PortContact.from_registration(answer[0]) if answer else None
 
-    def list(self, prefix: str = "") -> list[Contact]:
+    def list(self, prefix: str = "") -> list[PortContact]:
         """All registered ports, or those at and below a prefix."""
-        found = [Contact.from_registration(line) for line in self.lines(["list", prefix] if prefix else ["list"])]
+        found = [PortContact.from_registration(line) for line in self.lines(["list", prefix] if prefix else ["list"])]
         return [contact for contact in found if contact is not None]
 
     def set_property(self, name: str, key: str, *values: Any) -> None:
@@ -173,7 +194,7 @@ class NameClient:
     def _set(self, name: str, key: str, values: Sequence[Any]) -> None:
         command = ["set", name, key, *values]
         if any(_is_quoted(v) for v in values):
-            talk.ask(self.contact, command, timeout=self._timeout)  # a carrier that keeps quotes
+            text_client.ask(self.contact, command, timeout=self._timeout)  # a carrier that keeps quotes
         else:
             self.line(command)
 
@@ -185,7 +206,7 @@ class NameClient:
         """Say that a port listens now, or that it does not respond; see `Naming.announce`.
 
         A port that was registered here is looked after from then on: a name server that comes back without its memory
-        is told of it again, until it is unregistered.
+        hears of it again, until it is unregistered.
         """
         self.lines(["announce", name] if alive else ["announce", name, 0])
         if alive and name in self._registered:
@@ -252,7 +273,7 @@ class NameClient:
         return f"{address.host} port {address.port}" if address else "its address"
 
     def _own_host(self) -> str:
-        """What ``YARP_IP`` says: an address, or the beginning of that one of ours that is to be used."""
+        """The address that ``YARP_IP`` chooses: it is one, or the beginning of one of this machine's."""
         prefix = os.environ.get("YARP_IP", "")
         return next((ip for ip in self._own_addresses() if ip.startswith(prefix)), prefix) if prefix else ""
 
@@ -277,9 +298,9 @@ class NameClient:
 
 @dataclass(slots=True)
 class _Registered:
-    """A port that was registered here, and what was set at it."""
+    """A port that this client registered, with its properties."""
 
-    contact: Contact
+    contact: PortContact
     properties: dict[str, Sequence[Any]] = field(default_factory=dict)
 
 
@@ -294,6 +315,93 @@ def _text(command: Sequence[Any]) -> bytes:
     words = [plain_text(w) if isinstance(w, str) else value_text(w) for w in command]
     text = " ".join(["NAME_SERVER", *words]).replace('"', "")
     if "\n" in text or "\r" in text:
-        msg = "a name server's command is one line: no line breaks in names and properties"
-        raise NamingError(msg)
+        raise NamingError("a name server's command is one line: no line breaks in names and properties")
     return text.encode("utf-8", "surrogateescape")
+
+
+class Keeper:
+    """Keeps ports registered: registers them again at a name server that returns without its memory.
+
+    YARP's own ports do not do that. One thread of the process asks for a few of its ports now and then, and for all of
+    them where one is missing or the name server was away; it ends with the last port.
+    """
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._kept: dict[NameClient, dict[str, PortContact]] = {}
+        self._away: set[NameClient] = set()
+        self._elsewhere: set[tuple[NameClient, str]] = set()
+        self._turn = 0
+        self._wake = threading.Event()
+        self._thread: threading.Thread | None = None
+
+    def keep(self, names: NameClient, contact: PortContact) -> None:
+        """Look after a port that is registered there and listens."""
+        with self._lock:
+            self._kept.setdefault(names, {})[contact.name] = contact
+            if self._thread is None:
+                self._wake.clear()
+                self._thread = threading.Thread(target=self._run, name="yarp names", daemon=True)
+                self._thread.start()
+
+    def forget(self, names: NameClient, name: str) -> None:
+        """Look after a port no more; returns when the thread has ended, where it was the last."""
+        with self._lock:
+            ports = self._kept.get(names, {})
+            ports.pop(name, None)
+            self._elsewhere.discard((names, name))
+            if not ports:
+                self._kept.pop(names, None)
+                self._away.discard(names)
+            ended = None if self._kept else self._thread
+            if ended is not None:
+                self._thread = None
+                self._wake.set()
+        if ended is not None and ended is not threading.current_thread():
+            ended.join(1.0)  # longer only where a name server does not answer
+
+    def _run(self) -> None:
+        me = threading.current_thread()
+        while not self._wake.wait(PERIOD * random.uniform(0.75, 1.25)):  # noqa: S311 - no secret
+            with self._lock:
+                if self._thread is not me:
+                    return
+                todo = [(names, list(ports.values())) for names, ports in self._kept.items()]
+            self._turn += 1
+            for names, contacts in todo:
+                try:
+                    self._look(names, contacts)
+                except NamingError as err:
+                    if names not in self._away:
+                        _log.info("%s", err)
+                    self._away.add(names)
+                except Exception:
+                    _log.exception("ports cannot be kept registered")
+
+    def _look(self, names: NameClient, contacts: list[PortContact]) -> None:
+        first = self._turn * AT_ONCE % len(contacts)
+        some = (contacts[first:] + contacts[:first])[:AT_ONCE]
+        lost = self._lost(names, some)
+        if lost or names in self._away:
+            lost += self._lost(names, [c for c in contacts if c not in some])
+        for contact in lost:
+            names.restore(contact.name)
+        if lost or names in self._away:
+            _log.info("the name server is back: %d of %d ports are registered again", len(lost), len(contacts))
+        self._away.discard(names)
+
+    def _lost(self, names: NameClient, contacts: list[PortContact]) -> list[PortContact]:
+        lost = []
+        for contact in contacts:
+            found = names.query(contact.name)
+            if found is None:
+                lost.append(contact)
+            elif (found.host, found.port) != (contact.host, contact.port):
+                if (names, contact.name) not in self._elsewhere:
+                    _log.warning("the name %s was taken by a port at %s", contact.name, found.uri)
+                self._elsewhere.add((names, contact.name))
+        return lost
+
+
+KEEPER = Keeper()
+"""The process's own."""

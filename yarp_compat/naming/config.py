@@ -1,4 +1,4 @@
-"""Where the name server is: YARP's own small files.
+"""Reads and writes YARP's own small files, which say where the name server is.
 
 ``yarp.conf`` in YARP's configuration folder holds one line, ``<address> <port> yarp``; the older form ``[name]``,
 ``host X``, ``port N`` is read too. A network other than ``/root`` (its name server's port name, the namespace) has its
@@ -19,8 +19,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-from yarp_compat.naming.errors import ConfigError
-from yarp_compat.wire.contact import Contact, is_name
+from yarp_compat.ports.naming import NamingConfigError
+from yarp_compat.wire.contact import PortContact, is_name
 
 DEFAULT_NAMESPACE = "/root"
 DEFAULT_PORT = 10000
@@ -30,21 +30,15 @@ _MAX_BYTES = 64 * 1024
 
 @dataclass(frozen=True, slots=True)
 class Address:
-    """Where a name server is.
-
-    Attributes:
-        host: its address or host name.
-        port: its TCP port number.
-        mode: what serves there, ``yarp`` but for what only old files say.
-    """
+    """The address of a name server; ``mode`` is what serves there, ``yarp`` except in old files."""
 
     host: str
     port: int
     mode: str = "yarp"
 
-    def contact(self, namespace: str) -> Contact:
+    def contact(self, namespace: str) -> PortContact:
         """The name server's own port."""
-        return Contact(namespace, self.host, self.port)
+        return PortContact(namespace, self.host, self.port)
 
 
 def folder(environment: Mapping[str, str] | None = None, platform: str = sys.platform) -> str:
@@ -66,7 +60,7 @@ def namespaces(environment: Mapping[str, str] | None = None) -> list[str]:
     """The networks to look in, the own one first: of ``YARP_NAMESPACE``, else of the file, else ``/root``.
 
     Raises:
-        ConfigError: the file cannot be read.
+        NamingConfigError: the file cannot be read.
     """
     env = os.environ if environment is None else environment
     text = env.get("YARP_NAMESPACE") or _read(Path(folder(env)) / NAMESPACE_FILE)
@@ -82,8 +76,7 @@ def namespace(environment: Mapping[str, str] | None = None) -> str:
 def write_namespace(name: str, environment: Mapping[str, str] | None = None) -> Path:
     """Make a network the own one, for programs without ``YARP_NAMESPACE``; returns the file written."""
     if not is_name(name):
-        msg = f"{name!r} is not a name for a YARP network: write it as /robot, without spaces"
-        raise ConfigError(msg)
+        raise NamingConfigError(f"{name!r} is not a name for a YARP network: write it as /robot, without spaces")
     return _write(Path(folder(environment)) / NAMESPACE_FILE, f"{name}\n")
 
 
@@ -95,10 +88,10 @@ def file(name: str | None = None, environment: Mapping[str, str] | None = None) 
 
 
 def read(name: str | None = None, environment: Mapping[str, str] | None = None) -> Address | None:
-    """Where the name server of a network is; None where no file says it.
+    """The address of a network's name server; None where no file says it.
 
     Raises:
-        ConfigError: the file cannot be read, or does not say it in a form that YARP knows.
+        NamingConfigError: the file cannot be read, or does not say it in a form that YARP knows.
     """
     path = file(name, environment)
     text = _read(path)
@@ -106,30 +99,25 @@ def read(name: str | None = None, environment: Mapping[str, str] | None = None) 
         return None
     try:
         return parse(text)
-    except ConfigError as err:
-        msg = f"{path}: {err}"
-        raise ConfigError(msg) from None
+    except NamingConfigError as err:
+        raise NamingConfigError(f"{path}: {err}") from None
 
 
 def write(address: Address, name: str | None = None, environment: Mapping[str, str] | None = None) -> Path:
-    """Say where the name server of a network is; returns the file written (whole or not at all)."""
+    """Write the address of a network's name server; returns the file written (whole or not at all)."""
     return _write(file(name, environment), f"{address.host} {address.port} {address.mode}\n")
 
 
 def parse(text: str) -> Address:
-    """Read either form of the file.
-
-    Raises:
-        ConfigError: it is neither.
-    """
+    """Read either form of the file; raises `NamingConfigError` where it is neither."""
     words = re.split(r'["\s]+', text.strip().strip('"'))
     fields = _old_form(text) if words[0].startswith("[") else words
     if len(fields) < 2 or not fields[0]:
-        msg = f"expected '<address> <port> yarp', for example '127.0.0.1 10000 yarp', not {text.strip()[:80]!r}"
-        raise ConfigError(msg)
+        raise NamingConfigError(
+            f"expected '<address> <port> yarp', for example '127.0.0.1 10000 yarp', not {text.strip()[:80]!r}"
+        )
     if not fields[1].isdecimal() or not 0 < int(fields[1]) <= 0xFFFF:
-        msg = f"the port must be a number from 1 to 65535, not {fields[1][:80]!r}"
-        raise ConfigError(msg)
+        raise NamingConfigError(f"the port must be a number from 1 to 65535, not {fields[1][:80]!r}")
     return Address(fields[0], int(fields[1]), fields[2] if len(fields) > 2 else "yarp")
 
 
@@ -154,11 +142,9 @@ def _read(path: Path) -> str:
     except (FileNotFoundError, NotADirectoryError):
         return ""
     except OSError as err:
-        msg = f"{path} cannot be read: {err.strerror or err}"
-        raise ConfigError(msg) from None
+        raise NamingConfigError(f"{path} cannot be read: {err.strerror or err}") from None
     if len(data) > _MAX_BYTES:
-        msg = f"{path} is larger than {_MAX_BYTES} bytes: it is not a file that YARP wrote"
-        raise ConfigError(msg)
+        raise NamingConfigError(f"{path} is larger than {_MAX_BYTES} bytes: it is not a file that YARP wrote")
     return data.decode("utf-8", "replace")
 
 
@@ -167,8 +153,7 @@ def _write(path: Path, text: str) -> Path:
         path.parent.mkdir(parents=True, exist_ok=True)
         replace_file(path, text.encode())
     except OSError as err:
-        msg = f"{path} cannot be written: {err.strerror or err}"
-        raise ConfigError(msg) from None
+        raise NamingConfigError(f"{path} cannot be written: {err.strerror or err}") from None
     return path
 
 

@@ -1,4 +1,4 @@
-"""The name server's mind: commands in, answers out, no sockets.
+"""The name server's logic: commands in, answers out, no sockets.
 
 Commands and answers as those of yarpserver 3.12.3 and 4.0 (``NameServiceOnTriples.cpp``, ``Subscriber.cpp``, and what
 was captured from them). Beyond that: names are checked, everything is bounded, and a port that registers again
@@ -7,18 +7,123 @@ exactly what is known of it (as ours do when the name server was away) changes n
 
 from __future__ import annotations
 
+import itertools
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
 from yarp_compat.naming.allocation import Allocator
-from yarp_compat.naming.answers import HELP, OLD, STYLE, Answer, as_bottle, as_value, as_words, code
-from yarp_compat.naming.command import Command, plain_name, wants_json
-from yarp_compat.naming.subscriptions import Subscriptions, Wish
-from yarp_compat.wire.contact import MAX_NAME, Contact, is_name
-from yarp_compat.wire.text import plain_text
+from yarp_compat.naming.subscriptions import Subscriptions, WantedConnection
+from yarp_compat.wire.contact import MAX_NAME, PortContact, is_name
+from yarp_compat.wire.text import from_text, plain_text, to_text
 from yarp_compat.wire.values import Vocab
+
+
+@dataclass(slots=True)
+class Command:
+    """A command, and what comes of it.
+
+    Attributes:
+        words: the command's values.
+        bot: it is answered as a Bottle.
+        remote: the address that it comes from.
+        values: the answer as a Bottle's values; beginning with `OLD` it is sent as lines.
+        events: what the listeners at the name server's port get: ``[add] /p`` and ``[del] /p``.
+        wishes: connections to be made.
+        changed: it leaves something to remember that was not there before.
+    """
+
+    words: Sequence[Any] = ()
+    bot: bool = False
+    remote: str = ""
+    values: list[Any] = field(default_factory=lambda: [OLD])
+    events: list[list[Any]] = field(default_factory=list)
+    wishes: list[WantedConnection] = field(default_factory=list)
+    changed: bool = False
+
+    def word(self, index: int) -> str:
+        """A word of it as text; empty where there are fewer."""
+        return plain_text(self.words[index]) if index < len(self.words) else ""
+
+    def name(self, index: int) -> str:
+        """A word of it that is a string; empty where it is anything else (a browser's request has lists behind)."""
+        value = self.words[index] if index < len(self.words) else ""
+        return str(value) if isinstance(value, str) else ""
+
+    @property
+    def head(self) -> list[Any]:
+        """The beginning of an empty answer."""
+        return [] if self.bot else [OLD]
+
+
+def plain_name(name: str) -> str:
+    """A name without carrier and without the network that was asked for (``/net=eth0/p``)."""
+    name = PortContact.parse(name).name if ":/" in name else name
+    if name[:5].lower() == "/net=" and "/" in name[5:]:
+        return name[name.index("/", 5) :]
+    return name
+
+
+def wants_json(words: Sequence[Any]) -> bool:
+    """Whether a browser's request asks for json, which needs values instead of lines."""
+    return ["format", "json"] in words or ("format", "json") in itertools.pairwise(words)
+
+
+OLD = "old"
+"""The first word of an answer that is sent as lines of text, as YARP's oldest programs expect it."""
+
+STYLE = (
+    "body {\n  background: white;\n  color: black;\n  font-family: sans-serif;\n}\nh1 {\n  color: #336;\n}\n"
+    "div {\n  padding-bottom: 10px;\n}\na {\n  color: #114499;\n  text-decoration: none;\n}\n"
+)
+
+HELP = (
+    "+ help",
+    "+ list [$prefix]",
+    "+ register $portname",
+    "+ register $portname $carrier $ipAddress $portNumber",
+    "  (if you want a field set automatically, write '...')",
+    "+ unregister $portname",
+    "+ query $portname",
+    "+ set $portname $property $value",
+    "+ get $portname $property",
+    "+ check $portname $property",
+    "+ route $port1 $port2",
+    "+ runners",
+    "  (to get a list of the yarprun ports)",
+)
+
+
+def lines(values: Sequence[Any]) -> list[str]:
+    """An answer that begins with `OLD`, as the lines that are sent, without their ends."""
+    shown = [to_text(v).replace('"', "") if isinstance(v, list | tuple) else plain_text(v) for v in values[1:]]
+    return [*filter(None, shown), "*** end of message"]
+
+
+def as_words(c: PortContact) -> list[Any]:
+    """The description of a port in lines."""
+    return ["registration", "name", c.name, "ip", c.host, "port", c.port, "type", c.carrier]
+
+
+def as_bottle(c: PortContact) -> list[Any]:
+    """The description of a port as a Bottle."""
+    return ["port", ["name", c.name], ["ip", c.host], ["port_number", c.port], ["carrier", c.carrier]]
+
+
+def as_value(text: str) -> Any:
+    """A property's word as the value that it was set to."""
+    try:
+        values = from_text(text)
+    except ValueError:
+        return text
+    return values[0] if len(values) == 1 else text
+
+
+def code(done: bool) -> list[Any]:
+    """``[ok]`` or ``[fail]``."""
+    return [Vocab("ok" if done else "fail")]
+
 
 MAX_PORTS = 10_000
 MAX_PROPERTY_CHARACTERS = 8 * 1024
@@ -28,72 +133,35 @@ MAX_OWNED_DEPTH = 16
 
 
 @dataclass(slots=True)
-class Entry:
-    """One registered port.
+class PortEntry:
+    """One registered port; ``since`` is in seconds of the registry's clock; ``announced``: it said that it listens."""
 
-    Attributes:
-        contact: its name and address.
-        since: when it was registered, in seconds of the registry's clock.
-        properties: words kept under keys.
-        announced: it has said that it listens.
-    """
-
-    contact: Contact
+    contact: PortContact
     since: float
     properties: dict[str, list[str]] = field(default_factory=dict)
     announced: bool = False
 
 
-class Registry:
-    """All that a name server knows.
+class PortRegistry:
+    """The state of a name server, whose own port is registered from the start; ``clock`` never goes back."""
 
-    Args:
-        server: the name server's own port, registered from the start.
-        clock: gives seconds that never go back.
-    """
-
-    def __init__(self, server: Contact, *, clock: Callable[[], float] = time.monotonic) -> None:
+    def __init__(self, server: PortContact, *, clock: Callable[[], float] = time.monotonic) -> None:
         self.server = server
         self._clock = clock
-        self._ports: dict[str, Entry] = {}
+        self._ports: dict[str, PortEntry] = {}
         self._allocator = Allocator(server.port)
         self._subscriptions = Subscriptions(self._is_port)
         self._types: dict[tuple[str, str], str] = {}
-        self._commands: dict[str, Callable[[Command], list[Any]]] = {
-            "register": self._register,
-            "unregister": self._unregister,
-            "query": self._query,
-            "list": self._list,
-            "runners": self._runners,
-            "set": self._set,
-            "get": self._get,
-            "check": self._check,
-            "route": self._route,
-            "gc": lambda _: [OLD, ["garbage collection done."]],
-            "help": self._help,
-            "subscribe": self._subscribe,
-            "unsubscribe": self._unsubscribe,
-            "announce": self._announce,
-            "topic": self._topic,
-            "untopic": self._untopic,
-            "type": self._type,
-            "web": lambda _: ["web", STYLE, "mime", "text/css"],
-        }
         self.add(server)
         self._ports[server.name].properties["nameserver"] = ["true"]
 
-    def add(self, contact: Contact) -> None:
+    def add(self, contact: PortContact) -> None:
         """Register a port of which everything is known, such as the name server's own."""
-        self._ports[contact.name] = Entry(contact, self._clock(), announced=True)
+        self._ports[contact.name] = PortEntry(contact, self._clock(), announced=True)
         self._subscriptions.welcome(contact.name)
 
-    def apply(self, words: Sequence[Any], remote: str = "") -> Answer:
-        """Answer one command.
-
-        Args:
-            words: the command's values; ``NAME_SERVER`` and ``bot`` may stand before it.
-            remote: the address that it comes from.
-        """
+    def apply(self, words: Sequence[Any], remote: str = "") -> Command:
+        """Answer a command that comes from ``remote``; ``NAME_SERVER`` and ``bot`` may stand before its words."""
         words = list(words)
         bot = wants_json(words)
         if words and words[0] == "NAME_SERVER":
@@ -101,32 +169,33 @@ class Registry:
         if words and words[0] == "bot":
             bot, words = True, words[1:]
         command = Command(words, bot, remote)
-        perform = self._commands.get(command.word(0))
-        values = perform(command) if perform else [OLD]
-        return Answer(values, tuple(command.events), tuple(command.wishes), command.changed)
+        perform = getattr(self, f"_do_{command.word(0)}", None)
+        if perform:
+            command.values = perform(command)
+        return command
 
-    def remove(self, names: Iterable[str]) -> Answer:
-        """Forget ports that are dead; returns the events of that."""
-        command = Command((), bot=False, remote="")
+    def remove(self, names: Iterable[str]) -> Command:
+        """Forget ports that are dead; returns what comes of that."""
+        command = Command()
         for name in names:
             if name != self.server.name:
                 self._forget(command, name)
-        return Answer([OLD], tuple(command.events), (), command.changed)
+        return command
 
-    def entries(self) -> list[Entry]:
+    def entries(self) -> list[PortEntry]:
         """All registered ports, in order of their names."""
         return [self._ports[name] for name in sorted(self._ports, key=_in_bytes)]
 
-    def find(self, name: str) -> Contact | None:
-        """Where a port is; None where it is not known."""
+    def find(self, name: str) -> PortContact | None:
+        """The address of a port; None where it is not known."""
         entry = self._ports.get(name)
         return entry.contact if entry else None
 
-    def wanted(self) -> list[Wish]:
+    def wanted(self) -> list[WantedConnection]:
         """Every persistent connection that is wanted now."""
         return self._subscriptions.wanted()
 
-    def age(self, entry: Entry) -> float:
+    def age(self, entry: PortEntry) -> float:
         """Seconds since a port was registered."""
         return self._clock() - entry.since
 
@@ -154,7 +223,7 @@ class Registry:
         for name, carrier, host, port, properties in state["ports"]:
             sane = is_name(name) and is_name(carrier) and is_name(host) and 0 <= int(port) <= 0xFFFF
             if sane and name != self.server.name and len(self._ports) < MAX_PORTS:
-                self.add(Contact(name, host, int(port), carrier))
+                self.add(PortContact(name, host, int(port), carrier))
                 self._ports[name].properties.update(_properties(properties))
         self._types = {(str(family), str(name)): str(value) for family, name, value in state["types"]}
         self._allocator.restore(state["allocation"])
@@ -162,7 +231,7 @@ class Registry:
 
     # -- registering ---------------------------------------------------------------------------------------------
 
-    def _register(self, command: Command) -> list[Any]:
+    def _do_register(self, command: Command) -> list[Any]:
         asked = self._asked(command)
         if asked is None:
             return [OLD]
@@ -175,7 +244,7 @@ class Registry:
         contact = self._completed(asked)
         if contact is None or len(self._ports) >= MAX_PORTS:
             return [OLD]
-        self._ports[contact.name] = Entry(contact, self._clock())
+        self._ports[contact.name] = PortEntry(contact, self._clock())
         type_name = command.name(5)
         if type_name and type_name != "*":
             self._ports[contact.name].properties["type"] = [type_name]
@@ -184,7 +253,7 @@ class Registry:
             command.events.append([Vocab("add"), contact.name])
         return self._described(command, contact.name)
 
-    def _asked(self, command: Command) -> Contact | None:
+    def _asked(self, command: Command) -> PortContact | None:
         """The contact as far as the command says it; None where it cannot be registered."""
         name, carrier, host = (command.name(i) for i in (1, 2, 3))
         number = command.word(4)
@@ -198,9 +267,9 @@ class Registry:
             return None
         if not (is_name(name) and is_name(carrier) and is_name(host)):
             return None
-        return Contact(name, host, port, carrier)
+        return PortContact(name, host, port, carrier)
 
-    def _completed(self, asked: Contact) -> Contact | None:
+    def _completed(self, asked: PortContact) -> PortContact | None:
         """Fill in the name, the address and the number that were not said."""
         name: str | None = asked.name
         if asked.name == "..." or asked.name.startswith("="):
@@ -218,9 +287,9 @@ class Registry:
             number = self._allocator.number(name, {e.contact.port for e in self._ports.values()})
         if host is None or number is None:
             return None
-        return Contact(name, host, number, asked.carrier)
+        return PortContact(name, host, number, asked.carrier)
 
-    def _unregister(self, command: Command) -> list[Any]:
+    def _do_unregister(self, command: Command) -> list[Any]:
         name = command.name(1)
         if name != self.server.name:
             self._forget(command, name)
@@ -243,7 +312,7 @@ class Registry:
 
     # -- asking --------------------------------------------------------------------------------------------------
 
-    def _query(self, command: Command) -> list[Any]:
+    def _do_query(self, command: Command) -> list[Any]:
         return self._described(command, plain_name(command.name(1)))
 
     def _described(self, command: Command, name: str) -> list[Any]:
@@ -255,31 +324,37 @@ class Registry:
             return [OLD, *line] if command.word(0) in ("register", "unregister") else line
         return [OLD, as_words(entry.contact)] if entry else [OLD]
 
-    def _list(self, command: Command) -> list[Any]:
+    def _do_list(self, command: Command) -> list[Any]:
         prefix = command.name(1)
         inside = prefix if prefix.endswith("/") else prefix + "/"
         return self._shown(command, lambda name, _: not prefix or name == prefix or name.startswith(inside))
 
-    def _runners(self, command: Command) -> list[Any]:
+    def _do_runners(self, command: Command) -> list[Any]:
         return self._shown(command, lambda _, entry: "true" in entry.properties.get("yarprun", ()))
 
-    def _shown(self, command: Command, chosen: Callable[[str, Entry], bool]) -> list[Any]:
+    def _shown(self, command: Command, chosen: Callable[[str, PortEntry], bool]) -> list[Any]:
         entries = [e for e in self.entries() if chosen(e.contact.name, e)]
         if command.bot:
             return ["ports", *(as_bottle(e.contact) for e in entries)]
         return [OLD, *(as_words(e.contact) for e in entries)]
 
-    def _route(self, command: Command) -> list[Any]:
+    def _do_route(self, command: Command) -> list[Any]:
         source, target = command.name(1), command.name(2)
         return [OLD, ["port", source, "route", target, "=", f"tcp:/{target}"]]
 
-    def _help(self, command: Command) -> list[Any]:
+    def _do_gc(self, _command: Command) -> list[Any]:
+        return [OLD, ["garbage collection done."]]
+
+    def _do_web(self, _command: Command) -> list[Any]:
+        return ["web", STYLE, "mime", "text/css"]
+
+    def _do_help(self, command: Command) -> list[Any]:
         head = [] if command.bot else [OLD, "Here are some ways to use the name server:"]
         return [*head, *HELP]
 
     # -- properties ----------------------------------------------------------------------------------------------
 
-    def _set(self, command: Command) -> list[Any]:
+    def _do_set(self, command: Command) -> list[Any]:
         entry, key = self._ports.get(command.name(1)), command.word(2)
         if entry is None:
             return command.head
@@ -289,9 +364,9 @@ class Registry:
         if others + len(key) + sum(map(len, values)) <= MAX_PROPERTY_CHARACTERS:
             command.changed = kept.get(key) != values
             kept[key] = values
-        return self._get(command)
+        return self._do_get(command)
 
-    def _get(self, command: Command) -> list[Any]:
+    def _do_get(self, command: Command) -> list[Any]:
         name, key = command.name(1), command.word(2)
         entry = self._ports.get(name)
         if entry is None:
@@ -301,7 +376,7 @@ class Registry:
             return [as_value(v) for v in values]
         return [OLD, ["port", name, "property", key, "=", *values]]
 
-    def _check(self, command: Command) -> list[Any]:
+    def _do_check(self, command: Command) -> list[Any]:
         name, key, value = command.name(1), command.word(2), command.word(3)
         entry = self._ports.get(name)
         if entry is None:
@@ -311,21 +386,21 @@ class Registry:
 
     # -- persistent connections and topics -------------------------------------------------------------------------
 
-    def _subscribe(self, command: Command) -> list[Any]:
+    def _do_subscribe(self, command: Command) -> list[Any]:
         source, target, mode = (command.name(i) for i in (1, 2, 3))
         if not target:
-            return self._subscriptions.listing(Contact.parse(source).name)
+            return self._subscriptions.listing(PortContact.parse(source).name)
         wishes = self._subscriptions.add(source, target, mode)
         command.changed = wishes is not None
         command.wishes += wishes or ()
         return code(wishes is not None)
 
-    def _unsubscribe(self, command: Command) -> list[Any]:
+    def _do_unsubscribe(self, command: Command) -> list[Any]:
         self._subscriptions.remove(command.name(1), command.name(2))
         command.changed = True
         return code(True)
 
-    def _announce(self, command: Command) -> list[Any]:
+    def _do_announce(self, command: Command) -> list[Any]:
         name = command.name(1)
         alive = len(command.words) < 3 or command.words[2] != 0
         # one that does not respond is not forgotten for that: who could not reach it may be at fault
@@ -335,7 +410,7 @@ class Registry:
             command.changed = entry.announced = True
         return code(True)
 
-    def _topic(self, command: Command) -> list[Any]:
+    def _do_topic(self, command: Command) -> list[Any]:
         if len(command.words) < 2:
             return list(self._subscriptions.topics())
         wishes = self._subscriptions.set_topic(command.name(1), command.name(2))
@@ -343,12 +418,12 @@ class Registry:
         command.wishes += wishes or ()
         return code(wishes is not None)
 
-    def _untopic(self, command: Command) -> list[Any]:
+    def _do_untopic(self, command: Command) -> list[Any]:
         self._subscriptions.remove_topic(command.name(1))
         command.changed = True
         return code(True)
 
-    def _type(self, command: Command) -> list[Any]:
+    def _do_type(self, command: Command) -> list[Any]:
         key = command.word(1), command.word(2)
         sane = all(len(command.word(i)) <= MAX_NAME for i in (1, 2, 3))
         if len(command.words) == 4 and sane and (key in self._types or len(self._types) < MAX_PORTS):

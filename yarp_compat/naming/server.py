@@ -8,28 +8,96 @@ in a file, so that its restart disturbs nobody, and forgets ports at whose addre
 from __future__ import annotations
 
 import contextlib
+import errno
+import ipaddress
+import json
 import logging
+import selectors
+import socket
 import threading
 import time
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
 
-from yarp_compat.naming import probe
-from yarp_compat.naming.answers import OLD, Answer, lines
 from yarp_compat.naming.config import DEFAULT_NAMESPACE, DEFAULT_PORT, Address, replace_file
-from yarp_compat.naming.connector import Connector
-from yarp_compat.naming.errors import NamingError
-from yarp_compat.naming.registry import Registry
-from yarp_compat.naming.state import dumps, loads
-from yarp_compat.ports.message import Message
+from yarp_compat.naming.connections import Connector
+from yarp_compat.naming.registry import OLD, Command, PortRegistry, lines
+from yarp_compat.ports.message import PortMessage
+from yarp_compat.ports.naming import NamingError, SilentNaming
 from yarp_compat.ports.port import PortCore
 from yarp_compat.wire.binary import decode, encode
-from yarp_compat.wire.contact import Contact
+from yarp_compat.wire.contact import PortContact
 from yarp_compat.wire.errors import WireError
 from yarp_compat.wire.profile import Profile
 from yarp_compat.wire.text import from_text, to_text
+
+AT_ONCE = 200
+_UNDER_WAY = (0, errno.EINPROGRESS, errno.EWOULDBLOCK, getattr(errno, "WSAEWOULDBLOCK", 0))
+_REFUSED = (errno.ECONNREFUSED, getattr(errno, "WSAECONNREFUSED", errno.ECONNREFUSED))
+
+
+def refused(contacts: Iterable[PortContact], seconds: float) -> set[str]:
+    """The names of those ports whose address refuses connections, as far as it answers within ``seconds``.
+
+    A machine that does not answer, or a name that only DNS knows, says nothing of its port: those are left out.
+    """
+    dead: set[str] = set()
+    todo = [c for c in contacts if _is_address(c.host)]
+    end = time.monotonic() + seconds
+    while todo and time.monotonic() < end:
+        batch, todo = todo[:AT_ONCE], todo[AT_ONCE:]
+        dead |= _refused(batch, end)
+    return dead
+
+
+def _refused(batch: list[PortContact], end: float) -> set[str]:
+    dead: set[str] = set()
+    with selectors.DefaultSelector() as waiting:
+        for contact in batch:
+            _begin(contact, waiting, dead)
+        try:
+            while waiting.get_map() and (left := end - time.monotonic()) > 0:
+                for key, _ in waiting.select(left):
+                    probe = key.fileobj
+                    assert isinstance(probe, socket.socket)
+                    if probe.getsockopt(socket.SOL_SOCKET, socket.SO_ERROR) in _REFUSED:
+                        dead.add(key.data)
+                    waiting.unregister(probe)
+                    probe.close()
+        finally:
+            for key in list(waiting.get_map().values()):
+                assert isinstance(key.fileobj, socket.socket)
+                key.fileobj.close()
+    return dead
+
+
+def _begin(contact: PortContact, waiting: selectors.BaseSelector, dead: set[str]) -> None:
+    try:
+        probe = socket.socket(socket.AF_INET6 if ":" in contact.host else socket.AF_INET, socket.SOCK_STREAM)
+    except OSError:
+        return  # no descriptors are left: no reason to think a port dead
+    probe.setblocking(False)
+    host = "127.0.0.1" if contact.host == "localhost" else contact.host
+    try:
+        result = probe.connect_ex((host, contact.port))
+    except (OSError, OverflowError):
+        result = errno.EINVAL
+    if result in _UNDER_WAY:
+        waiting.register(probe, selectors.EVENT_WRITE, contact.name)
+        return
+    if result in _REFUSED:
+        dead.add(contact.name)
+    probe.close()
+
+
+def _is_address(host: str) -> bool:
+    try:
+        return host == "localhost" or bool(ipaddress.ip_address(host.partition("%")[0]))
+    except ValueError:
+        return False
+
 
 _log = logging.getLogger("yarp.names")
 
@@ -46,12 +114,18 @@ class NameServer:
     """A name server; a context manager.
 
     Args:
-        host: the address at which it listens and by which others are told of it.
+        host: the address at which it listens, and that it tells others.
         port: its TCP port number; ports get numbers from two above it.
         namespace: its port's name, which is the network's name.
         state: the file in which it remembers; None: a restart knows nothing, and ports must register again.
-        gc_seconds: how often it looks for dead ports; 0: only when told (``gc``).
+        gc_seconds: how often it looks for dead ports; 0: only on the command ``gc``.
         profile: how it writes Bottles to those who did not send any.
+
+    Attributes:
+        address: where it listens.
+        contact: its own port.
+        registry: what is registered.
+        changes: how often its ports, their properties or wished connections changed since it was opened.
     """
 
     def __init__(
@@ -66,7 +140,7 @@ class NameServer:
     ) -> None:
         self.address = Address(host, port)
         self.contact = self.address.contact(namespace)
-        self.registry = Registry(self.contact)
+        self.registry = PortRegistry(self.contact)
         self._state = state
         self._gc_seconds = gc_seconds
         self._profile = profile
@@ -74,6 +148,7 @@ class NameServer:
         self._suspects: set[str] = set()
         self._wake = threading.Event()
         self._dirty = False
+        self.changes = 0
         self._stop = threading.Event()
         self._thread: threading.Thread | None = None
         self._naming = _Own(self)
@@ -100,11 +175,10 @@ class NameServer:
             self._port.open()
         except OSError as err:
             a = self.address
-            msg = (
+            raise NamingError(
                 f"no name server can be opened at {a.host} port {a.port}: {err.strerror or err}."
                 " Is another one running there? ('midspan yarp where' asks it)"
-            )
-            raise NamingError(msg) from None
+            ) from None
         self._thread = threading.Thread(target=self._keep_house, name="yarp name server", daemon=True)
         self._thread.start()
         for wish in self.registry.wanted():
@@ -129,12 +203,13 @@ class NameServer:
     ) -> None:
         self.close()
 
-    def apply(self, words: Sequence[Any], remote: str) -> Answer:
+    def apply(self, words: Sequence[Any], remote: str) -> Command:
         """Answer one command and do what follows from it."""
         if words and words[-1] == "gc" and len(words) < 3:
             self.collect(patience=1)
         with self._lock:
             answer = self.registry.apply(words, remote)
+            self._count(answer)
             self._tell(answer)
         self._follow(answer)
         return answer
@@ -142,8 +217,7 @@ class NameServer:
     def collect(self, patience: int = 2) -> list[str]:
         """Forget the ports at whose address nobody listens; returns their names.
 
-        Args:
-            patience: 2: only those that were found dead the time before too; 1: at once.
+        With a ``patience`` of 2 it forgets only those that were dead the time before too, with 1 all.
         """
         with self._lock:
             entries = [
@@ -153,28 +227,33 @@ class NameServer:
                 and e.contact != self.contact
                 and self.registry.age(e) > YOUNG
             ]
-        dead = probe.refused(entries, PROBE_SECONDS)
+        dead = refused(entries, PROBE_SECONDS)
         gone = sorted(dead if patience == 1 else dead & self._suspects)
         self._suspects = dead - set(gone)
         if gone:
             _log.info("nobody listens any more at the ports %s: forgotten", ", ".join(gone[:20]))
             with self._lock:
                 answer = self.registry.remove(gone)
+                self._count(answer)
                 self._tell(answer)
             self._follow(answer)
         return gone
 
-    def _tell(self, answer: Answer) -> None:
-        """Tell who listens what changed; with the lock held, as that waits for nobody, so that all hear it in order."""
+    def _tell(self, answer: Command) -> None:
+        """Tell listeners what changed; with the lock held, as that waits for nobody, so that all hear it in order."""
         for event in answer.events:
             self._port.write(encode(event, self._profile), strict=True)
 
-    def _follow(self, answer: Answer) -> None:
+    def _follow(self, answer: Command) -> None:
         for wish in answer.wishes:
             self._connector.want(wish)
         if answer.changed:
             self._dirty = True
             self._wake.set()
+
+    def _count(self, answer: Command) -> None:
+        """Count what changed; with the lock held, so that who saw a number has not seen less than it stands for."""
+        self.changes += answer.changed
 
     # -- who asks ------------------------------------------------------------------------------------------------
 
@@ -188,7 +267,7 @@ class NameServer:
         values = self.apply(words, address[0]).values
         return _in_lines(values) if values[:1] == [OLD] else _encoded(to_text(values) + "\r\n")
 
-    def _bottle(self, message: Message) -> None:
+    def _bottle(self, message: PortMessage) -> None:
         """A command as a Bottle, over any carrier."""
         try:
             words = decode(message.payload, message.peer.profile)
@@ -220,7 +299,7 @@ class NameServer:
             with contextlib.suppress(OSError):
                 self._state.replace(spoilt)
             _log.warning("%s: %s; it is kept as %s, and the name server begins empty", self._state, err, spoilt.name)
-            self.registry = Registry(self.contact)
+            self.registry = PortRegistry(self.contact)
 
     def _save(self) -> None:
         if self._state is None:
@@ -250,31 +329,18 @@ class NameServer:
                 looked = time.monotonic()
 
 
-class _Own:
+class _Own(SilentNaming):
     """The naming of the name server's own port: it knows everything, and needs no connection for that."""
 
     def __init__(self, server: NameServer) -> None:
         self._server = server
 
-    def register(self, name: str, host: str = "", port: int = 0, *, carrier: str = "") -> Contact:
+    def register(self, name: str, host: str = "", port: int = 0, *, carrier: str = "") -> PortContact:
         del name, host, port, carrier
         return self._server.contact
 
-    def unregister(self, name: str) -> None:
-        pass
-
-    def query(self, name: str) -> Contact | None:
+    def query(self, name: str) -> PortContact | None:
         return self._server.registry.find(name)
-
-    def set_property(self, name: str, key: str, *values: Any) -> None:
-        pass
-
-    def get_property(self, name: str, key: str) -> Sequence[Any]:
-        del name, key
-        return ()
-
-    def announce(self, name: str, alive: bool = True) -> None:
-        pass
 
 
 def _in_lines(values: Sequence[Any]) -> bytes:
@@ -283,3 +349,19 @@ def _in_lines(values: Sequence[Any]) -> bytes:
 
 def _encoded(text: str) -> bytes:
     return text.encode("utf-8", "surrogateescape")
+
+
+def dumps(registry: PortRegistry) -> bytes:
+    """A registry's state as a file holds it."""
+    return json.dumps({"version": 1, **registry.state()}, indent=1).encode()
+
+
+def loads(registry: PortRegistry, data: bytes) -> None:
+    """Restore a registry from what `dumps` gave; raises `ValueError` where it is something else."""
+    try:
+        state = json.loads(data)
+        if state["version"] != 1:
+            raise ValueError(f"it is of version {state['version']!r}, not 1")
+        registry.restore(state)
+    except (AttributeError, KeyError, OverflowError, TypeError, RecursionError) as err:
+        raise ValueError(f"it is not a name server's state ({type(err).__name__}: {err})") from None

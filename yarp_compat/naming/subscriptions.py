@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
-from yarp_compat.wire.contact import Contact, is_name
+from yarp_compat.wire.contact import PortContact, is_name
 
 MAX_SUBSCRIPTIONS = 10_000
 MAX_TOPICS = 10_000
@@ -21,14 +21,11 @@ MODES = ("", "from", "to")
 
 
 @dataclass(frozen=True, slots=True)
-class Wish:
-    """A connection to be made.
+class WantedConnection:
+    """A connection to be made, in the subscription's spelling: ``target`` has the carrier (``udp://r``).
 
-    Attributes:
-        source: the port that writes, as the subscription spells it.
-        target: the port that reads, with the carrier that was asked for (``udp://r``).
-        anew: even if the writing port believes that it is connected: that was to a former program of this name, of
-            whose end it need not know before it writes.
+    ``anew``: even if the writing port believes that it is connected: that was to a former program of this name, of
+    whose end it need not know before it writes.
     """
 
     source: str
@@ -37,30 +34,26 @@ class Wish:
 
 
 @dataclass(frozen=True, slots=True)
-class Subscription:
+class PersistentConnection:
     """One persistent connection, both ends as they were spelled, and when it ends by itself."""
 
-    source: Contact
-    target: Contact
+    source: PortContact
+    target: PortContact
     mode: str = ""
 
 
 class Subscriptions:
-    """All persistent connections of a name server.
-
-    Args:
-        known: tells whether a port is registered (a ``topic`` is no port).
-    """
+    """All persistent connections of a name server; ``known`` says whether a name is a port's (a ``topic`` is none)."""
 
     def __init__(self, known: Callable[[str], bool]) -> None:
         self._known = known
-        self._all: dict[tuple[str, str], Subscription] = {}
+        self._all: dict[tuple[str, str], PersistentConnection] = {}
         self._live: set[str] = set()
         self._topics: dict[str, str] = {}
 
-    def add(self, source: str, target: str, mode: str) -> list[Wish] | None:
+    def add(self, source: str, target: str, mode: str) -> list[WantedConnection] | None:
         """Take a persistent connection; None where it cannot be, else the connections that this wants now."""
-        one, two = Contact.parse(source), Contact.parse(target)
+        one, two = PortContact.parse(source), PortContact.parse(target)
         if not (is_name(one.name) and is_name(two.name)) or mode not in MODES:
             return None
         key = one.name, two.name
@@ -69,7 +62,7 @@ class Subscriptions:
         topics = [end.name for end in (one, two) if end.carrier == "topic"]
         if len({*self._topics, *topics}) > MAX_TOPICS:
             return None
-        subscription = Subscription(one, two, mode)
+        subscription = PersistentConnection(one, two, mode)
         self._all[key] = subscription
         for topic in topics:
             self._topics.setdefault(topic, "")
@@ -81,9 +74,9 @@ class Subscriptions:
 
     def remove(self, source: str, target: str) -> None:
         """Forget a persistent connection; the connection itself stays."""
-        self._all.pop((Contact.parse(source).name, Contact.parse(target).name), None)
+        self._all.pop((PortContact.parse(source).name, PortContact.parse(target).name), None)
 
-    def welcome(self, port: str, anew: bool = False) -> list[Wish]:
+    def welcome(self, port: str, anew: bool = False) -> list[WantedConnection]:
         """A port says that it listens (``anew``: for the first time); returns the connections that are wanted now."""
         self._live.add(port)
         return [replace(wish, anew=anew) for wish in self._hookup(port)]
@@ -99,7 +92,7 @@ class Subscriptions:
         for key in ended:
             del self._all[key]
 
-    def set_topic(self, topic: str, structure: str) -> list[Wish] | None:
+    def set_topic(self, topic: str, structure: str) -> list[WantedConnection] | None:
         """Make a name a YARP topic; None where it cannot be, else the connections that this wants now."""
         if not is_name(topic) or (topic not in self._topics and len(self._topics) >= MAX_TOPICS):
             return None
@@ -116,7 +109,7 @@ class Subscriptions:
         return list(self._topics)
 
     def listing(self, port: str = "") -> list[Any]:
-        """What ``subscribe`` without a target answers: all persistent connections, or those of one port."""
+        """The answer to ``subscribe`` without a target: all persistent connections, or those of one port."""
         shown: list[Any] = ["subscriptions"]
         for (source, target), s in sorted(self._all.items()):
             if port and port not in (source, target):
@@ -129,7 +122,7 @@ class Subscriptions:
             shown.append(line)
         return shown
 
-    def wanted(self) -> list[Wish]:
+    def wanted(self) -> list[WantedConnection]:
         """Every connection that is wanted between ports that listen, as after a restart of the name server."""
         both = [*self._all.values(), *(j for topic in self._topics for j in self._joined(topic))]
         return [w for s in both if self._is_live(s) for w in self._wanted(s)]
@@ -149,29 +142,29 @@ class Subscriptions:
             KeyError, TypeError, ValueError: it is not what `state` gives.
         """
         for source, target, mode in state["subscriptions"]:
-            one, two = Contact.parse(str(source)), Contact.parse(str(target))
-            self._all[one.name, two.name] = Subscription(one, two, str(mode))
+            one, two = PortContact.parse(str(source)), PortContact.parse(str(target))
+            self._all[one.name, two.name] = PersistentConnection(one, two, str(mode))
         self._topics = {str(topic): str(structure) for topic, structure in state["topics"].items()}
         self._live = {str(name) for name in state["live"] if self._known(str(name))}
 
-    def _hookup(self, port: str) -> list[Wish]:
+    def _hookup(self, port: str) -> list[WantedConnection]:
         direct = [s for s in self._all.values() if port in (s.source.name, s.target.name)]
         # what goes through a topic: every source of it to every target of it
         touched = {end.name for s in direct for end in (s.source, s.target)} & self._topics.keys()
         through = [j for topic in touched for j in self._joined(topic) if port in (j.source.name, j.target.name)]
         return [w for s in [*direct, *through] if self._is_live(s) for w in self._wanted(s)]
 
-    def _is_live(self, s: Subscription) -> bool:
+    def _is_live(self, s: PersistentConnection) -> bool:
         return s.source.name in self._live and s.target.name in self._live
 
-    def _joined(self, topic: str) -> Iterator[Subscription]:
+    def _joined(self, topic: str) -> Iterator[PersistentConnection]:
         sources = [s.source for s in self._all.values() if s.target.name == topic]
         targets = [s.target for s in self._all.values() if s.source.name == topic]
-        every = (Subscription(source, target) for source in sources for target in targets)
+        every = (PersistentConnection(source, target) for source in sources for target in targets)
         return itertools.islice(every, MAX_WISHES)
 
-    def _wanted(self, s: Subscription) -> list[Wish]:
+    def _wanted(self, s: PersistentConnection) -> list[WantedConnection]:
         source, target = self._known(s.source.name), self._known(s.target.name)
         if (s.mode == "from" and not source) or (s.mode == "to" and not target):
             self._all.pop((s.source.name, s.target.name), None)
-        return [Wish(s.source.target, s.target.target)] if source and target else []
+        return [WantedConnection(s.source.target, s.target.target)] if source and target else []

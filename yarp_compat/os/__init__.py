@@ -1,1 +1,1 @@
-"""What YARP users know from `yarp::os`: Bottle, Port, Network, RFModule and their kin."""
+"""The classes of `yarp::os`: Bottle, Port, Network, RFModule and their kin."""

@@ -1,4 +1,4 @@
-"""YARP's network clock: a port that says the time, followed by whoever asks for it (`yarp/os/NetworkClock.h`).
+"""YARP's network clock: a port that publishes the time (`yarp/os/NetworkClock.h`).
 
 Each message is a Bottle of two integers, seconds and nanoseconds. The connection is a persistent one: the name server
 makes it when the clock's port comes, and again when that returns.
@@ -15,11 +15,10 @@ import sys
 import threading
 from pathlib import Path
 
-from yarp_compat.naming.errors import NamingError, PortError
-from yarp_compat.os.contact import ContactStyle
-from yarp_compat.os.network import Network
+from yarp_compat.os import time
 from yarp_compat.os.runtime import RUNTIME
-from yarp_compat.ports.message import Message
+from yarp_compat.ports.message import PortMessage
+from yarp_compat.ports.naming import NamingError, PortError
 from yarp_compat.ports.port import PortCore
 from yarp_compat.wire import binary
 from yarp_compat.wire.errors import WireError
@@ -29,29 +28,26 @@ log = logging.getLogger("yarp.os.NetworkClock")
 DEFAULT = "/clock"
 """The clock's port where nobody names another."""
 
+VARIABLE = "YARP_CLOCK"
+"""The environment variable that names the clock's port."""
+
 
 def read_time(values: list[object]) -> float | None:
-    """The time in a clock's Bottle, in seconds; None where it is none. Nested in one list it is taken too."""
+    """The time in a clock's Bottle, in seconds; None if it has none. It may be nested in one list."""
     if len(values) == 1 and isinstance(values[0], list):
         values = values[0]
-    if len(values) < 2 or not all(isinstance(value, int | float) for value in values[:2]):
-        return None
-    seconds, nanoseconds = values[0], values[1]
-    assert isinstance(seconds, int | float)
-    assert isinstance(nanoseconds, int | float)
-    return seconds + nanoseconds * 1e-9
+    match values:
+        case [int() | float() as seconds, int() | float() as nanoseconds, *_]:
+            return seconds + nanoseconds * 1e-9
+    return None
 
 
 class NetworkClock:
-    """Follows a clock's port.
-
-    Args:
-        source: the clock's port.
-        local: the name of the own port, "" for ``/<host>/<program>/<process>/clock:i``.
+    """Follows a clock's port; ``local`` names the own port, "" for ``/<host>/<program>/<process>/clock:i``.
 
     Raises:
         NamingError: the own port cannot be opened.
-        PortError: there is no name server that could make the connection.
+        PortError: no name server can make the connection.
     """
 
     def __init__(self, source: str = DEFAULT, local: str = "") -> None:
@@ -64,11 +60,9 @@ class NetworkClock:
         name = local or f"/{socket.gethostname()}/{Path(sys.argv[0]).name or 'python'}/{os.getpid()}/clock:i"
         self._port = PortCore(name, on_message=self._hear, naming=RUNTIME.naming, is_output=False)
         self._port.open()
-        style = ContactStyle(persistent=True)
-        if not Network.connect(self.source, self._port.name, style):
+        if not self._persistent("subscribe"):
             self._port.close()
-            msg = f"no name server connects the clock {self.source}"
-            raise PortError(msg)
+            raise PortError(f"no name server connects the clock {self.source}")
 
     @property
     def is_valid(self) -> bool:
@@ -95,19 +89,23 @@ class NetworkClock:
         return stop is not None and stop.is_set()
 
     def close(self) -> None:
-        """Follow the clock no more; whoever waits goes on."""
+        """Stop following the clock, and release waiting threads."""
         with self._condition:
             self._closed = True
             waiters, self._waiters = self._waiters, []
         for _, _, passed in waiters:
             passed.set()
-        try:
-            Network.disconnect(self.source, self._port.name, ContactStyle(persistent=True))
-        except NamingError as err:
-            log.debug("%s", err)
+        self._persistent("unsubscribe")
         self._port.close()
 
-    def _hear(self, message: Message) -> None:
+    def _persistent(self, word: str) -> bool:
+        try:
+            return RUNTIME.persistent(word, self.source, self._port.name)
+        except (NamingError, OSError, ValueError) as err:
+            log.error("cannot %s %s to %s: %s", word, self.source, self._port.name, err)
+            return False
+
+    def _hear(self, message: PortMessage) -> None:
         try:
             found = read_time(binary.decode(bytes(message.payload)))
         except WireError:
@@ -123,3 +121,38 @@ class NetworkClock:
                 heapq.heapify(self._waiters)
             while self._waiters and self._waiters[0][0] - found < 1e-12:
                 heapq.heappop(self._waiters)[2].set()
+
+
+def useNetworkClock(clock: str, localPortName: str = "") -> None:
+    """Use a network clock, now and whenever its port returns ("" for ``/clock``); ``localPortName`` names the own port.
+
+    Raises:
+        NamingError: no name server answers, or it refuses the port.
+        PortError: the connection cannot be asked for.
+    """
+    time.use(NetworkClock(clock, localPortName))
+
+
+def use_the_asked_clock() -> None:
+    """Use the clock that ``YARP_CLOCK`` names, as the network begins, if any; errors as `useNetworkClock`."""
+    asked = os.environ.get(VARIABLE)
+    if asked:
+        useNetworkClock(asked)
+        logging.getLogger("yarp.os.Time").info("the time is that of %s", asked)
+
+
+class Time:
+    """The functions of time under YARP's class name: ``yarp.Time.now()``."""
+
+    now = staticmethod(time.now)
+    delay = staticmethod(time.delay)
+    yield_c = staticmethod(time.yield_c)
+    useSystemClock = staticmethod(time.useSystemClock)
+    useNetworkClock = staticmethod(useNetworkClock)
+    isSystemClock = staticmethod(time.isSystemClock)
+    isNetworkClock = staticmethod(time.isNetworkClock)
+    isCustomClock = staticmethod(time.isCustomClock)
+    isValid = staticmethod(time.isValid)
+    isClockInitialized = staticmethod(time.isClockInitialized)
+    getClockType = staticmethod(time.getClockType)
+    clockTypeToString = staticmethod(time.clockTypeToString)

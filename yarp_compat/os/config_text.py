@@ -11,105 +11,117 @@ from __future__ import annotations
 import logging
 import os
 import re
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple, Protocol
 
-from yarp_compat.wire.decoder import dict_of
-from yarp_compat.wire.encoder import entries_of, entry_values
-from yarp_compat.wire.text import from_text, is_complete, plain_text
-
-if TYPE_CHECKING:
-    from yarp_compat.os.searchable import Searchable
+from yarp_compat.wire.text import dict_of, from_text, is_complete, plain_text
+from yarp_compat.wire.values import entries_of, entry_values
 
 log = logging.getLogger(__name__)
 
 DEEPEST = 32
-"""How deep files may include each other."""
+"""The deepest nesting of files that include each other."""
 
 _VARIABLE = re.compile(r"(\\.)|\$([({]?)([A-Za-z0-9_]*)", re.DOTALL)
 
 Entries = dict[str, Any]
 
+FindImport = Callable[[str, str], str]
+"""Finds a file in a context, by the context's and the file's names; empty where it is not found."""
 
-class Place(NamedTuple):
-    """Where a key stands: the file's name as it was opened, and the line, counted from 1."""
+
+class Environment(Protocol):
+    """Where variables are looked up."""
+
+    def find(self, key: str, /) -> Any:
+        """The value of a key; its ``toString()`` is the text."""
+
+
+class KeyPlace(NamedTuple):
+    """The file and line (from 1) of a key."""
 
     file: str
     line: int
 
 
-Places = dict[tuple[str, ...], Place]
+Places = dict[tuple[str, ...], KeyPlace]
 """The places of keys: ``("GROUP", "key")``, and ``("GROUP",)`` for the group itself; the last of several."""
 
 
-def read_file(name: str, entries: Entries, env: Searchable | None, wipe: bool, places: Places | None = None) -> bool:
-    """Take a file, or all files of a folder, into a dict of entries.
+def read_file(
+    name: str,
+    entries: Entries,
+    env: Environment | None,
+    wipe: bool,
+    places: Places | None = None,
+    *,
+    find_import: FindImport | None = None,
+) -> bool:
+    """Take a file, or all files of a folder, into a dict of entries; False where none exists, and nothing changes.
 
     Args:
         name: of the file.
         entries: takes what is read.
         env: where variables are looked up.
-        wipe: whether what is in ``entries`` goes.
+        wipe: remove first what is in ``entries``.
         places: takes where each key stands, for messages to people.
-
-    Returns:
-        False where there is none; then nothing changes.
+        find_import: finds what ``[import ...]`` names.
     """
-    return _File(env, [], 0, {} if places is None else places).read(name, entries, wipe)
+    return _File(env, {} if places is None else places, find_import).read(name, entries, wipe)
 
 
-def read_folder(name: str, section: str, entries: Entries, wipe: bool) -> bool:
+def read_folder(
+    name: str, section: str, entries: Entries, wipe: bool, *, find_import: FindImport | None = None
+) -> bool:
     """Take all ``.ini`` files of a folder; with a section, each as a group named like its file."""
     if not section:
-        return read_file(name, entries, None, wipe)
+        return read_file(name, entries, None, wipe, find_import=find_import)
     files = _inis(Path(name))
     if files is None:
         log.error("cannot read the folder %s", name)
         return False
     if wipe:
         entries.clear()
-    read("".join(f'[include {section} "{file}" "{file}"]\n' for file in files), entries, None)
+    read("".join(f'[include {section} "{file}" "{file}"]\n' for file in files), entries, None, find_import=find_import)
     return True
 
 
-def read(text: str, entries: Entries, env: Searchable | None) -> None:
+def read(text: str, entries: Entries, env: Environment | None, *, find_import: FindImport | None = None) -> None:
     """Take a file's text into a dict of entries."""
-    _File(env, [], 0, {}).take(text, entries)
+    _File(env, {}, find_import).take(text, entries)
 
 
+@dataclass
 class _File:
     """One file, with what it may look up and where it may look for others; ``within`` are the groups it stands in."""
 
-    def __init__(
-        self,
-        env: Searchable | None,
-        folders: list[str],
-        depth: int,
-        places: Places,
-        name: str = "",
-        within: tuple[str, ...] = (),
-    ) -> None:
-        self._env = env
-        self._places, self._name, self._within = places, name, within
-        self._depth = depth
-        self._folders = folders
-        if env is not None and not folders and (path := env.find("CONFIG_PATH").toString()):
-            self._folders = path.split(";")
+    env: Environment | None
+    places: Places
+    find_import: FindImport | None
+    folders: list[str] = field(default_factory=list)
+    depth: int = 0
+    name: str = ""
+    within: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        if self.env is not None and not self.folders and (path := self.env.find("CONFIG_PATH").toString()):
+            self.folders = path.split(";")
 
     def read(self, name: str, entries: Entries, wipe: bool) -> bool:
         """Take a file or folder by its name."""
-        if self._depth > DEEPEST:
+        if self.depth > DEEPEST:
             log.error("%s is not read: files include each other more than %d deep", name, DEEPEST)
             return False
-        for folder in ("", *self._folders):
+        for folder in ("", *self.folders):
             path = Path(folder, name)
             text = _text(path)
             if text is not None:
                 if wipe:
                     entries.clear()
-                folders = [*self._folders, str(path.parent)]
-                _File(self._env, folders, self._depth + 1, self._places, str(path), self._within).take(text, entries)
+                folders = [*self.folders, str(path.parent)]
+                replace(self, folders=folders, depth=self.depth + 1, name=str(path)).take(text, entries)
                 return True
         log.error("cannot read the configuration file %s", name)
         return False
@@ -140,10 +152,10 @@ class _File:
 
     def _note(self, line: int, *keys: str) -> None:
         if any(keys):
-            self._places[*self._within, *filter(None, keys)] = Place(self._name, line)
+            self.places[*self.within, *filter(None, keys)] = KeyPlace(self.name, line)
 
     def _header(self, header: str, entries: Entries) -> str:
-        """What stands in brackets: the name of the group that begins, or empty."""
+        """Reads what stands in brackets; returns the name of the group that begins, or empty."""
         words = [plain_text(value) for value in from_text(header)] if " " in header else []
         if len(words) > 1 and words[0] == "include":
             self._include(words[1:], entries)
@@ -168,20 +180,14 @@ class _File:
         if listed:
             _list_name(listed[0], group, entries)
         inner = dict_of(list(entry_values(entries.get(group, ()))))
-        within = (*self._within, group)
-        _File(self._env, self._folders, self._depth, self._places, within=within).read(name, inner, wipe=False)
+        within = (*self.within, group)
+        replace(self, name="", within=within).read(name, inner, wipe=False)
         if inner:
             entries.update(dict_of([[group, *entries_of(inner)]]))
 
     def _import(self, context: str, name: str, entries: Entries) -> None:
         """Take a file of another context."""
-        from yarp_compat.os.resource_finder import ResourceFinder
-
-        finder = ResourceFinder()
-        finder.setDefaultContext(context)
-        finder.setDefaultConfigFile(name)
-        finder.configure([])
-        file = finder.findFile(name)
+        file = self.find_import(context, name) if self.find_import is not None else ""
         if file:
             self.read(file, entries, wipe=False)
         else:
@@ -206,7 +212,7 @@ class _File:
     def _variable(self, name: str, entries: Entries) -> str:
         if text := os.environ.get(name, ""):
             return text
-        if self._env is not None and (text := self._env.find(name).toString()):
+        if self.env is not None and (text := str(self.env.find(name).toString())):
             return text
         values = entry_values(entries.get(name, ()))
         return plain_text(values[0]) if values else "1" if name == "__YARP__" else ""

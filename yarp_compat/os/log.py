@@ -1,4 +1,4 @@
-"""``Log`` as the Python bindings have it: ``yarp.Log().info("...")``, in the format of YARP's own lines.
+"""``Log`` as in the Python bindings: ``yarp.Log().info("...")``, in the format of YARP's own lines.
 
 The format (``[INFO] |component| text``), the streams and the environment variables are those of
 src/libYARP_os/src/yarp/os/Log.cpp: trace, debug and info go to standard output, the rest to standard error. YARP's own
@@ -14,12 +14,13 @@ import threading
 import time
 from collections.abc import Callable, Mapping
 from enum import IntEnum
+from typing import Any
 
 _lock = threading.Lock()
 
 
 class LogType(IntEnum):
-    """How grave a message is."""
+    """The severity of a message."""
 
     LogTypeUnknown = 0
     TraceType = 1
@@ -31,22 +32,8 @@ class LogType(IntEnum):
     LogTypeReserved = 255
 
 
-_WORDS = {
-    LogType.TraceType: "TRACE",
-    LogType.DebugType: "DEBUG",
-    LogType.InfoType: "INFO",
-    LogType.WarningType: "WARNING",
-    LogType.ErrorType: "ERROR",
-    LogType.FatalType: "FATAL",
-}
-_COLOURS = {
-    LogType.TraceType: "\033[01;37m",
-    LogType.DebugType: "\033[01;32m",
-    LogType.InfoType: "\033[01;34m",
-    LogType.WarningType: "\033[01;33m",
-    LogType.ErrorType: "\033[01;31m",
-    LogType.FatalType: "\033[01;37m\033[41m",
-}
+_WORDS = {kind: kind.name.removesuffix("Type").upper() for kind in LogType if kind.name.endswith("Type")}
+_COLOURS = dict(zip(_WORDS, ("01;37", "01;32", "01;34", "01;33", "01;31", "01;37m\033[41"), strict=True))
 
 
 def enabled(environment: Mapping[str, str], name: str, *, default: bool) -> bool:
@@ -58,7 +45,7 @@ def enabled(environment: Mapping[str, str], name: str, *, default: bool) -> bool
 def line(kind: LogType, text: str, component: str = "", *, colour: bool = False) -> str:
     """One line as YARP prints it."""
     word = _WORDS[kind]
-    shown = f"{_COLOURS[kind]}{word}\033[00m" if colour else word
+    shown = f"\033[{_COLOURS[kind]}m{word}\033[00m" if colour else word
     return f"[{shown}] |{component}| {text}" if component else f"[{shown}] {text}"
 
 
@@ -81,8 +68,16 @@ def _first_level() -> LogType:
     return LogType.TraceType if enabled(os.environ, "YARP_TRACE_ENABLE", default=False) else LogType.DebugType
 
 
+def _prints(kind: LogType, doc: str) -> classmethod[Any, ..., None]:
+    def say(cls: type[Log], text: str, *values: object) -> None:
+        cls._say(kind, text, values)
+
+    say.__doc__ = doc
+    return classmethod(say)
+
+
 class Log:
-    """Prints messages: ``yarp.Log().info("speed %f", 0.3)``, and straight on the class too: ``yarp.Log.info("...")``.
+    """Prints messages: ``yarp.Log().info("speed %f", 0.3)``, or on the class: ``yarp.Log.info("...")``.
 
     ``fatal`` prints and ends the program with status 1 (the C++ library aborts).
     """
@@ -99,38 +94,15 @@ class Log:
     _minimum = _first_level()
     _callback: PrintCallback = staticmethod(_print)
 
-    @classmethod
-    def trace(cls, text: str, *values: object) -> None:
-        """Print for whoever follows each step; not shown unless ``YARP_TRACE_ENABLE`` is 1."""
-        cls._say(LogType.TraceType, text, values)
-
-    @classmethod
-    def debug(cls, text: str, *values: object) -> None:
-        """Print for developers; not shown when ``YARP_DEBUG_ENABLE`` is 0."""
-        cls._say(LogType.DebugType, text, values)
-
-    @classmethod
-    def info(cls, text: str, *values: object) -> None:
-        """Print what users want to know."""
-        cls._say(LogType.InfoType, text, values)
-
-    @classmethod
-    def warning(cls, text: str, *values: object) -> None:
-        """Print what may be wrong."""
-        cls._say(LogType.WarningType, text, values)
-
-    @classmethod
-    def error(cls, text: str, *values: object) -> None:
-        """Print what is wrong."""
-        cls._say(LogType.ErrorType, text, values)
+    trace = _prints(LogType.TraceType, "Print for whoever follows each step; only where ``YARP_TRACE_ENABLE`` is 1.")
+    debug = _prints(LogType.DebugType, "Print for developers; not shown when ``YARP_DEBUG_ENABLE`` is 0.")
+    info = _prints(LogType.InfoType, "Print what users want to know.")
+    warning = _prints(LogType.WarningType, "Print what may be wrong.")
+    error = _prints(LogType.ErrorType, "Print what is wrong.")
 
     @classmethod
     def fatal(cls, text: str, *values: object) -> None:
-        """Print, and end the program.
-
-        Raises:
-            SystemExit: always.
-        """
+        """Print, and end the program by `SystemExit`."""
         cls._say(LogType.FatalType, text, values)
         raise SystemExit(1)
 

@@ -7,16 +7,17 @@ import time
 from collections.abc import Callable
 from typing import Any, Self
 
-from yarp_compat.naming import connections, talk
+from yarp_compat.naming import connections
 from yarp_compat.naming.client import NameClient
 from yarp_compat.naming.config import Address, file, folder, namespace
-from yarp_compat.naming.errors import NamingError
-from yarp_compat.os import bridge
-from yarp_compat.os.contact import Contact, ContactStyle
-from yarp_compat.os.runtime import RUNTIME
-from yarp_compat.os.value import Value
+from yarp_compat.os.clock import use_the_asked_clock
+from yarp_compat.os.data.bottle import Value
+from yarp_compat.os.ports.contact import Contact, ContactStyle
+from yarp_compat.os.runtime import RUNTIME, definition_from_daemon
+from yarp_compat.ports import text_client
+from yarp_compat.ports.naming import NamingError
 from yarp_compat.rosmsg.library import LIBRARY
-from yarp_compat.wire.contact import Contact as WireContact
+from yarp_compat.wire.contact import PortContact as WireContact
 from yarp_compat.wire.contact import is_port_name
 
 log = logging.getLogger("yarp.os.Network")
@@ -26,7 +27,7 @@ _POLL = 0.1
 
 
 class Network:
-    """Everything about the network that is not a port. ``Network.init()`` comes first, ``Network.fini()`` last.
+    """The functions of the network that belong to no port. ``Network.init()`` comes first, ``Network.fini()`` last.
 
     An object of it does both: ``network = yarp.Network()`` begins, and the end of the object ends, as does ``with``.
     All methods are static, return False where something could not be done, and log why.
@@ -54,8 +55,8 @@ class Network:
     def init(clockType: int = 0) -> None:
         """Begin to use the network."""
         del clockType
-        LIBRARY.ask = bridge.definition
-        RUNTIME.init()
+        LIBRARY.ask = definition_from_daemon
+        RUNTIME.init(use_the_asked_clock)
 
     initMinimum = autoInitMinimum = init
 
@@ -99,15 +100,11 @@ class Network:
         style = _style(carrier, quiet)
         if style.persistent:
             return _persistent("subscribe", src, dest, style)
-        name = style.carrier
-
-        def connect() -> bool:
-            text = connections.connect(RUNTIME.naming, src, dest, name, **_timeout(style))
-            if not style.quiet:
-                log.info("%s", text)
-            return True
-
-        return _done(connect, f"cannot connect {src} to {dest}")
+        return _said(
+            lambda: connections.connect(RUNTIME.naming, src, dest, style.carrier, **_timeout(style)),
+            f"cannot connect {src} to {dest}",
+            quiet=style.quiet,
+        )
 
     @staticmethod
     def disconnect(src: str, dest: str, carrier: str | ContactStyle | bool | None = "", quiet: bool = True) -> bool:
@@ -116,13 +113,11 @@ class Network:
         if style.persistent:
             return _persistent("unsubscribe", src, dest, style)
 
-        def disconnect() -> bool:
-            text = connections.disconnect(RUNTIME.naming, src, dest, **_timeout(style))
-            if not style.quiet:
-                log.info("%s", text)
-            return True
-
-        return _done(disconnect, f"cannot disconnect {src} from {dest}")
+        return _said(
+            lambda: connections.disconnect(RUNTIME.naming, src, dest, **_timeout(style)),
+            f"cannot disconnect {src} from {dest}",
+            quiet=style.quiet,
+        )
 
     @staticmethod
     def isConnected(src: str, dest: str, carrier: str | ContactStyle | bool | None = "", quiet: bool = True) -> bool:
@@ -165,7 +160,7 @@ class Network:
 
     @staticmethod
     def queryName(name: str) -> Contact:
-        """Where a port is; an invalid contact when it is not registered."""
+        """The contact of a port; invalid when it is not registered."""
         return Contact.of(_value(lambda: RUNTIME.naming.query(name), f"cannot ask for {name}"))
 
     @staticmethod
@@ -199,15 +194,17 @@ class Network:
         plain = value.plain if isinstance(value, Value) else value
         values = plain if isinstance(plain, (list, tuple)) else [plain]
 
+        problem = f"cannot set the property {key} of {name}"
+
         def set_property() -> bool:
             RUNTIME.naming.set_property(name, key, *values)
             return True
 
-        return _done(set_property, f"cannot set the property {key} of {name}")
+        return _done(set_property, problem)
 
     @staticmethod
     def getProperty(name: str, key: str) -> Value | None:
-        """The value under a key of a registered port; None where there is none."""
+        """The value under a key of a registered port, or None."""
         found = _value(lambda: RUNTIME.naming.get_property(name, key), f"cannot get the property {key} of {name}")
         if not found:
             return None
@@ -220,7 +217,7 @@ class Network:
 
     @staticmethod
     def getNameServerContact() -> Contact:
-        """Where the name server should be."""
+        """The configured address of the name server."""
         client = RUNTIME.client
         return Contact.of(_value(lambda: client.contact, "no name server is known") if client else None)
 
@@ -256,24 +253,20 @@ class Network:
 
     @staticmethod
     def write(contact: Contact | str, command: Any, reply: Any, *options: Any) -> bool:
-        """Send one message to a port and read its reply.
+        """Send one message, usually a Bottle, to a port and read its reply into ``reply``.
 
-        Args:
-            contact: the port, or its name.
-            command: the message, usually a Bottle.
-            reply: takes the reply.
-            options: a `ContactStyle`, or ``admin``, ``quiet`` and ``timeout`` in this order.
+        ``options`` are a `ContactStyle`, or ``admin``, ``quiet`` and ``timeout`` in this order.
         """
         style = _write_style(options)
 
         def write() -> bool:
             address = _found(contact)
-            timeout = style.timeout if style.timeout > 0 else talk.TIMEOUT
-            lines = talk.ask(address, command.to_values(), admin=style.admin, timeout=timeout)
+            timeout = style.timeout if style.timeout > 0 else text_client.TIMEOUT
+            lines = text_client.ask(address, command.to_values(), admin=style.admin, timeout=timeout)
             reply.from_text(lines[0] if lines else "")
             return True
 
-        return _done(write, f"cannot write to {_said(contact)}", quiet=style.quiet)
+        return _done(write, f"cannot write to {contact}", quiet=style.quiet)
 
     @staticmethod
     def writeToNameServer(command: Any, reply: Any, style: ContactStyle | None = None) -> bool:
@@ -284,8 +277,7 @@ class Network:
     def assertion(shouldBeTrue: bool) -> None:
         """Raise unless this holds."""
         if not shouldBeTrue:
-            msg = "an assertion does not hold"
-            raise AssertionError(msg)
+            raise AssertionError("an assertion does not hold")
 
 
 NetworkBase = Network
@@ -296,13 +288,8 @@ def _found(contact: Contact | str) -> WireContact:
     known = WireContact.parse(contact) if isinstance(contact, str) else contact.address
     address = known if known.is_valid else RUNTIME.naming.query(name)
     if address is None:
-        msg = f"there is no port {name} at the name server"
-        raise NamingError(msg)
+        raise NamingError(f"there is no port {name} at the name server")
     return address
-
-
-def _said(contact: Contact | str) -> str:
-    return contact if isinstance(contact, str) else contact.toString()
 
 
 def _write_style(options: tuple[Any, ...]) -> ContactStyle:
@@ -326,12 +313,7 @@ def _timeout(style: ContactStyle) -> dict[str, float]:
 
 def _persistent(word: str, src: str, dest: str, style: ContactStyle) -> bool:
     """A connection that the name server keeps up."""
-    client = RUNTIME.client
-    if client is None:
-        log.error("there are no persistent connections in local mode: %s -> %s", src, dest)
-        return False
-    target = f"{style.carrier}:/{dest}" if style.carrier else dest
-    return _done(lambda: client.line([word, src, target]).startswith("[ok]"), f"cannot {word} {src} to {dest}")
+    return _done(lambda: RUNTIME.persistent(word, src, dest, style.carrier), f"cannot {word} {src} to {dest}")
 
 
 def _wait(ready: Callable[[], bool], limit: float | None, what: str, *, quiet: bool) -> bool:
@@ -350,16 +332,20 @@ def _wait(ready: Callable[[], bool], limit: float | None, what: str, *, quiet: b
 
 def _done(action: Callable[[], bool], problem: str, *, quiet: bool = False) -> bool:
     """Whether it worked; why not goes to the log."""
+    return bool(_value(action, problem, quiet=quiet))
+
+
+def _said(action: Callable[[], str], problem: str, *, quiet: bool) -> bool:
+    """Whether it worked; what a port says of it goes to the log."""
+    text = _value(action, problem)
+    if text is not None and not quiet:
+        log.info("%s", text)
+    return text is not None
+
+
+def _value(action: Callable[[], Any], problem: str, *, quiet: bool = False) -> Any:
     try:
         return action()
     except (NamingError, OSError, ValueError) as err:
         log.log(logging.DEBUG if quiet else logging.ERROR, "%s: %s", problem, err)
-        return False
-
-
-def _value(action: Callable[[], Any], problem: str) -> Any:
-    try:
-        return action()
-    except (NamingError, OSError, ValueError) as err:
-        log.error("%s: %s", problem, err)
         return None

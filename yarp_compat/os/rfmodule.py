@@ -1,4 +1,4 @@
-"""``RFModule``: a program that is configured, updated at its period, answers commands, and stops when it is told to."""
+"""``RFModule``: a program that is configured, updated at its period, answers commands, and stops on demand."""
 
 from __future__ import annotations
 
@@ -10,9 +10,10 @@ from types import FrameType
 from typing import Any
 
 from yarp_compat.os import time as clock
-from yarp_compat.os.bottle import Bottle
-from yarp_compat.os.connection import ConnectionReader, PortReader
+from yarp_compat.os.data.bottle import Bottle
+from yarp_compat.os.ports.connection import ConnectionReader, PortReader
 from yarp_compat.os.resource_finder import ResourceFinder
+from yarp_compat.wire.accessors import setter
 
 log = logging.getLogger("yarp.os.RFModule")
 
@@ -70,8 +71,7 @@ class RFModule:
 
     def updateModule(self) -> bool:
         """Do one round; False ends the module."""
-        msg = f"{type(self).__name__} has no updateModule"
-        raise NotImplementedError(msg)
+        raise NotImplementedError(f"{type(self).__name__} has no updateModule")
 
     def getPeriod(self) -> float:
         """The time from one round to the next, in seconds."""
@@ -110,11 +110,7 @@ class RFModule:
         return bool(self.respond(command, reply)) or self._basic_respond(command, reply)
 
     def runModule(self, rf: ResourceFinder | None = None) -> int:
-        """Configure (when given a finder), then run until stopped.
-
-        Returns:
-            0 after a clean stop; 1 when configuring failed or the module ran before.
-        """
+        """Configure (when given a finder), then run until stopped; 1 where configuring fails or it ran before."""
         if self._ran:
             return 1
         if rf is not None and not self.configure(rf):
@@ -176,9 +172,7 @@ class RFModule:
             subName = f"/{subName}"
         return self._name + subName
 
-    def setName(self, name: str) -> None:
-        """Name the module."""
-        self._name = name
+    setName = setter("_name", str, "Name the module.")
 
     def _loop(self) -> None:
         while not self.isStopping():

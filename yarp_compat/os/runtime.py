@@ -1,4 +1,7 @@
-"""What a program's ports share: the name server they use, and the list of them, so that the end closes what is open."""
+"""The state that a program's ports share: their name server, and the list of open ports, which the end closes.
+
+Also Midspan's daemon, as a YARP program sees it: ports that a property at the name server marks.
+"""
 
 from __future__ import annotations
 
@@ -7,24 +10,19 @@ import logging
 import os
 import threading
 import weakref
-from typing import Protocol
+from collections.abc import Callable
 
 from yarp_compat.naming.client import NameClient
-from yarp_compat.naming.naming import Naming
 from yarp_compat.os.log import print_as_yarp
-from yarp_compat.os.time import use_the_asked_clock, useSystemClock
-from yarp_compat.ports.naming import LocalNaming, Unregistered
-from yarp_compat.wire.contact import Contact
+from yarp_compat.os.time import useSystemClock
+from yarp_compat.ports import text_client
+from yarp_compat.ports.naming import LocalNaming, Naming, NamingError, Unregistered
+from yarp_compat.ports.sockets import Closable
+from yarp_compat.wire.contact import PortContact
 from yarp_compat.wire.profile import Profile
+from yarp_compat.wire.text import from_text
 
 log = logging.getLogger("yarp.os.Network")
-
-
-class Closable(Protocol):
-    """Something to close at the end."""
-
-    def close(self) -> None:
-        """Close it."""
 
 
 class Runtime:
@@ -42,14 +40,14 @@ class Runtime:
         """Whether `init` was called more often than `fini`."""
         return self._users > 0
 
-    def init(self) -> None:
-        """Begin to use the network."""
+    def init(self, prepare: Callable[[], None]) -> None:
+        """Begin to use the network; the first user prepares it."""
         with self._lock:
             self._users += 1
             if self._users == 1:
                 print_as_yarp()
                 atexit.register(self.close_all)
-                use_the_asked_clock()
+                prepare()
 
     def fini(self) -> None:
         """Stop using it; the last one closes all ports that are open."""
@@ -77,7 +75,7 @@ class Runtime:
 
     @property
     def naming(self) -> Naming:
-        """Who knows the names: the name server, or in local mode a table of this process."""
+        """The name server's client, or in local mode a table of this process."""
         with self._lock:
             if self._local is not None:
                 return self._local
@@ -96,7 +94,7 @@ class Runtime:
         naming = self.naming
         return naming if isinstance(naming, NameClient) else None
 
-    def listed(self, folder: str = "") -> list[Contact]:
+    def listed(self, folder: str = "") -> list[PortContact]:
         """The registered ports, all or those below a name."""
         naming = self.naming
         return naming.list(folder) if isinstance(naming, (NameClient, LocalNaming)) else []
@@ -105,6 +103,14 @@ class Runtime:
         """Use this name server from now on."""
         with self._lock:
             self._client = client
+
+    def persistent(self, word: str, source: str, target: str, carrier: str = "") -> bool:
+        """``subscribe`` or ``unsubscribe`` a connection that the name server keeps up."""
+        client = self.client
+        if client is None:
+            log.error("there are no persistent connections in local mode: %s -> %s", source, target)
+            return False
+        return client.line([word, source, f"{carrier}:/{target}" if carrier else target]).startswith("[ok]")
 
     @property
     def is_local(self) -> bool:
@@ -128,3 +134,31 @@ class Runtime:
 
 
 RUNTIME = Runtime()
+
+
+_node_log = logging.getLogger("yarp.os.Node")
+
+_FOLDER = "/midspan/daemon"
+"""Below this name each daemon has the port that answers."""
+
+_MARK = "midspan_owner"
+"""The property at the name server that tells them from others."""
+
+
+def find_daemon() -> PortContact | None:
+    """A port of a Midspan daemon on this network, or None."""
+    return next((c for c in RUNTIME.listed(_FOLDER) if RUNTIME.naming.get_property(c.name, _MARK)), None)
+
+
+def definition_from_daemon(type_name: str) -> str | None:
+    """The full definition of a message type from a daemon; None where none answers, or it does not know the type."""
+    if not RUNTIME.is_up:
+        return None
+    try:
+        daemon = find_daemon()
+        lines = [] if daemon is None else text_client.ask(daemon, ["definition", type_name])
+    except NamingError as err:
+        _node_log.warning("no daemon tells the definition of %s: %s", type_name, err)
+        return None
+    words = from_text(lines[0]) if lines else []
+    return str(words[1]) if len(words) == 2 and words[0] == "ok" else None

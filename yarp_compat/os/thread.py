@@ -5,6 +5,7 @@ from __future__ import annotations
 import threading
 
 from yarp_compat.os import time as clock
+from yarp_compat.wire.accessors import getter
 
 
 class Thread:
@@ -91,11 +92,7 @@ class Thread:
 
 
 class PeriodicThread(Thread):
-    """Derive from it; ``run`` is called once a period.
-
-    Args:
-        period: in seconds.
-    """
+    """Derive from it; ``run`` is called once a period, in seconds."""
 
     def __init__(self, period: float) -> None:
         super().__init__()
@@ -108,13 +105,8 @@ class PeriodicThread(Thread):
         self._period = period
         return True
 
-    def getPeriod(self) -> float:
-        """The period in seconds."""
-        return self._period
-
-    def getIterations(self) -> int:
-        """How many rounds there were."""
-        return self._rounds
+    getPeriod = getter("_period", float, "The period in seconds.")
+    getIterations = getter("_rounds", int, "The number of rounds.")
 
     def suspend(self) -> None:
         """Skip rounds until `resume`."""
@@ -124,9 +116,7 @@ class PeriodicThread(Thread):
         """Go on after `suspend`."""
         self._suspended = False
 
-    def isSuspended(self) -> bool:
-        """Whether rounds are skipped."""
-        return self._suspended
+    isSuspended = getter("_suspended", bool, "Whether rounds are skipped.")
 
     def askToStop(self) -> None:
         """Tell the thread to end after this round, without waiting."""

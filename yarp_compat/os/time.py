@@ -1,17 +1,10 @@
-"""``Time`` and ``yarp.delay``/``yarp.now``, on the system's clock or a network clock (``YARP_CLOCK``)."""
+"""The time and waiting: ``yarp.now`` and ``yarp.delay``, on the system's clock or the clock in use."""
 
 from __future__ import annotations
 
-import logging
-import os
 import threading
 import time
-from typing import TYPE_CHECKING
-
-if TYPE_CHECKING:
-    from yarp_compat.os.clock import NetworkClock
-
-log = logging.getLogger("yarp.os.Time")
+from typing import Protocol
 
 YARP_CLOCK_UNINITIALIZED = -1
 YARP_CLOCK_DEFAULT = 0
@@ -19,14 +12,28 @@ YARP_CLOCK_SYSTEM = 1
 YARP_CLOCK_NETWORK = 2
 YARP_CLOCK_CUSTOM = 3
 
-VARIABLE = "YARP_CLOCK"
-"""The environment variable that names the clock's port."""
+
+class Clock(Protocol):
+    """A clock other than the system's."""
+
+    @property
+    def is_valid(self) -> bool:
+        """Whether it has said the time yet."""
+
+    def now(self) -> float:
+        """The time in seconds."""
+
+    def wait(self, seconds: float, stop: threading.Event | None = None) -> bool:
+        """Wait in the clock's time; whether ``stop`` was set."""
+
+    def close(self) -> None:
+        """Release waiting threads."""
 
 
 class _InUse:
     """Which clock is in use: a network clock, or None for the system's."""
 
-    clock: NetworkClock | None = None
+    clock: Clock | None = None
     lock = threading.Lock()
 
 
@@ -64,23 +71,7 @@ def yield_c() -> None:
 
 def useSystemClock() -> None:
     """Use the system's clock."""
-    _use(None)
-
-
-def useNetworkClock(clock: str, localPortName: str = "") -> None:
-    """Use a network clock, now and whenever its port returns.
-
-    Args:
-        clock: its port; "" for ``/clock``.
-        localPortName: name of the port that hears it.
-
-    Raises:
-        NamingError: no name server answers, or it refuses the port.
-        PortError: the connection cannot be asked for.
-    """
-    from yarp_compat.os.clock import NetworkClock
-
-    _use(NetworkClock(clock, localPortName))
+    use(None)
 
 
 def isSystemClock() -> bool:
@@ -120,38 +111,9 @@ def clockTypeToString(kind: int) -> str:
     return names.get(kind, "YARP_CLOCK_UNINITIALIZED")
 
 
-def use_the_asked_clock() -> None:
-    """Use the clock that ``YARP_CLOCK`` names, as the network begins; the system's where it names none.
-
-    Raises:
-        NamingError: as `useNetworkClock`.
-        PortError: as `useNetworkClock`.
-    """
-    asked = os.environ.get(VARIABLE)
-    if asked:
-        useNetworkClock(asked)
-        log.info("the time is that of %s", asked)
-
-
-def _use(clock: NetworkClock | None) -> None:
+def use(clock: Clock | None) -> None:
+    """Use a clock, or the system's; the one in use until now is closed."""
     with _InUse.lock:
         before, _InUse.clock = _InUse.clock, clock
     if before is not None:
         before.close()
-
-
-class Time:
-    """The functions of this module under YARP's class name: ``yarp.Time.now()``."""
-
-    now = staticmethod(now)
-    delay = staticmethod(delay)
-    yield_c = staticmethod(yield_c)
-    useSystemClock = staticmethod(useSystemClock)
-    useNetworkClock = staticmethod(useNetworkClock)
-    isSystemClock = staticmethod(isSystemClock)
-    isNetworkClock = staticmethod(isNetworkClock)
-    isCustomClock = staticmethod(isCustomClock)
-    isValid = staticmethod(isValid)
-    isClockInitialized = staticmethod(isClockInitialized)
-    getClockType = staticmethod(getClockType)
-    clockTypeToString = staticmethod(clockTypeToString)

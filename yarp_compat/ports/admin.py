@@ -1,6 +1,7 @@
-"""The administrative commands: what the companion, yarpmanager and robot interfaces ask of a port.
+"""The administrative commands, which the companion, yarpmanager and robot interfaces send to a port.
 
-The answers' texts are YARP's own (measured; ``PortCore.cpp``), as tools look at how they begin.
+The answers' texts are YARP's own (measured; ``PortCore.cpp``), as tools look at how they begin. Ports obey the
+one-letter commands that people type, and tools send, here too.
 """
 
 from __future__ import annotations
@@ -10,15 +11,15 @@ import platform
 import sys
 import threading
 from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
+from yarp_compat.ports.connecting import ConnectingPort
+from yarp_compat.wire import framing
 from yarp_compat.wire.carriers import CARRIERS
-from yarp_compat.wire.contact import Route
+from yarp_compat.wire.contact import ConnectionRoute
+from yarp_compat.wire.framing import PortCommand
 from yarp_compat.wire.profile import Profile
 from yarp_compat.wire.values import Vocab
-
-if TYPE_CHECKING:
-    from yarp_compat.ports.port import PortCore
 
 _HELP = (
     "[help]                  # give this help",
@@ -48,7 +49,7 @@ MOST_PROPERTIES = 1000
 """Properties of one port; more are not kept."""
 
 
-def answer(port: PortCore, words: Sequence[Any]) -> list[Any]:
+def answer(port: ConnectingPort, words: Sequence[Any]) -> list[Any]:
     """The answer to an administrative command."""
     known = _COMMANDS.get(_word(words, 0))
     return known(port, words) if known else list(_UNKNOWN)
@@ -64,26 +65,26 @@ def _is_input(words: Sequence[Any]) -> bool:
     return _word(words, 1) == "in"
 
 
-def _help(_port: PortCore, _words: Sequence[Any]) -> list[Any]:
+def _help(_port: ConnectingPort, _words: Sequence[Any]) -> list[Any]:
     return [Vocab("many"), *_HELP]
 
 
-def _ver(_port: PortCore, _words: Sequence[Any]) -> list[Any]:
+def _ver(_port: ConnectingPort, _words: Sequence[Any]) -> list[Any]:
     return [Vocab("ver"), 1, 2, 3]
 
 
-def _pid(port: PortCore, _words: Sequence[Any]) -> list[Any]:
-    """ROS' question, which YARP 3's ports know and YARP 4's do not: by that they are told apart."""
+def _pid(port: ConnectingPort, _words: Sequence[Any]) -> list[Any]:
+    """ROS' question, which YARP 3's ports know and YARP 4's do not: that tells them apart."""
     return [1, "", os.getpid()] if port.profile is Profile.YARP3 else list(_UNKNOWN)
 
 
-def _add(port: PortCore, words: Sequence[Any]) -> list[Any]:
+def _add(port: ConnectingPort, words: Sequence[Any]) -> list[Any]:
     target, carrier = _word(words, 1), _word(words, 2)
     done, told = port.add_output(f"{carrier}:/{target}" if carrier else target)
     return [0 if done else -1, told + "\r\n"]
 
 
-def _del(port: PortCore, words: Sequence[Any]) -> list[Any]:
+def _del(port: ConnectingPort, words: Sequence[Any]) -> list[Any]:
     name = _word(words, 1)
     out, told_out = port.remove_output(name)
     into, told_in = port.remove_input(name)
@@ -91,7 +92,7 @@ def _del(port: PortCore, words: Sequence[Any]) -> list[Any]:
     return [0 if out or into else -1, "".join(f"{line}\r\n" for line in told)]
 
 
-def _list(port: PortCore, words: Sequence[Any]) -> list[Any]:
+def _list(port: ConnectingPort, words: Sequence[Any]) -> list[Any]:
     incoming, wanted = _is_input(words), _word(words, 2)
     routes = port.inputs() if incoming else port.outputs()
     names = [(r.source if incoming else r.target, r) for r in routes]
@@ -100,23 +101,23 @@ def _list(port: PortCore, words: Sequence[Any]) -> list[Any]:
     return [part for name, route in names if name == wanted for part in _described(route)]
 
 
-def _described(route: Route) -> list[Any]:
+def _described(route: ConnectionRoute) -> list[Any]:
     told: list[Any] = [["from", route.source], ["to", route.target], ["carrier", route.carrier]]
     if CARRIERS[route.carrier].connectionless:
         told.append(["connectionless", 1])
     return told
 
 
-def _set(port: PortCore, words: Sequence[Any]) -> list[Any]:
+def _set(port: ConnectingPort, words: Sequence[Any]) -> list[Any]:
     return _parameters(port, words, [0, "Configured connection {}\r\n"])
 
 
-def _get(port: PortCore, words: Sequence[Any]) -> list[Any]:
+def _get(port: ConnectingPort, words: Sequence[Any]) -> list[Any]:
     return _parameters(port, words, [{}])
 
 
-def _parameters(port: PortCore, words: Sequence[Any], found: list[Any]) -> list[Any]:
-    """Parameters of a connection's carrier, which have none here, or of a portmonitor, which there is none."""
+def _parameters(port: ConnectingPort, words: Sequence[Any], found: list[Any]) -> list[Any]:
+    """Parameters of a connection's carrier, which has none here, or of a portmonitor, which this port never has."""
     incoming, wanted = _is_input(words), _word(words, 2)
     if not wanted:
         return [-1, "target port is not specified.\r\n"]
@@ -129,7 +130,7 @@ def _parameters(port: PortCore, words: Sequence[Any], found: list[Any]) -> list[
     return [-1, f"Could not find an incoming connection {direction} {wanted}\r\n"]
 
 
-def _prop(port: PortCore, words: Sequence[Any]) -> list[Any]:
+def _prop(port: ConnectingPort, words: Sequence[Any]) -> list[Any]:
     action, key = _word(words, 1), _word(words, 2)
     if action == "get":
         return _prop_get(port, key)
@@ -138,7 +139,7 @@ def _prop(port: PortCore, words: Sequence[Any]) -> list[Any]:
     return [_FAIL, "property action not known"]
 
 
-def _prop_get(port: PortCore, key: str) -> list[Any]:
+def _prop_get(port: ConnectingPort, key: str) -> list[Any]:
     if not key:
         return [[name, value] for name, value in sorted(port.properties.items())]
     if key == port.name:
@@ -151,7 +152,7 @@ def _prop_get(port: PortCore, key: str) -> list[Any]:
     return [port.properties[key]] if key in port.properties else []
 
 
-def _about(port: PortCore) -> list[Any]:
+def _about(port: ConnectingPort) -> list[Any]:
     """About the port, its process and its machine."""
     program, *arguments = sys.orig_argv or ["python"]
     process = {
@@ -167,11 +168,8 @@ def _about(port: PortCore) -> list[Any]:
     ]
 
 
-def _prop_set(port: PortCore, key: str, words: Sequence[Any]) -> list[Any]:
-    """Keep a property.
-
-    Priorities of processes and packets (the words behind a port's name) are accepted and not applied.
-    """
+def _prop_set(port: ConnectingPort, key: str, words: Sequence[Any]) -> list[Any]:
+    """Keep a property. Priorities of processes and packets (words behind a port's name) are accepted, not applied."""
     if not key or len(words) < 4 or (key not in port.properties and len(port.properties) >= MOST_PROPERTIES):
         return [_FAIL]
     if key.startswith("/"):
@@ -181,19 +179,19 @@ def _prop_set(port: PortCore, key: str, words: Sequence[Any]) -> list[Any]:
     return [_OK]
 
 
-def _attach(_port: PortCore, words: Sequence[Any]) -> list[Any]:
+def _attach(_port: ConnectingPort, words: Sequence[Any]) -> list[Any]:
     if _word(words, 1) not in ("in", "out"):
         return [_FAIL, "attach command must be followed by [out] or [in]"]
     return [_FAIL, "portmonitor plug-ins are not offered by this port: it is no C++ program"]
 
 
-def _detach(_port: PortCore, words: Sequence[Any]) -> list[Any]:
+def _detach(_port: ConnectingPort, words: Sequence[Any]) -> list[Any]:
     if _word(words, 1) not in ("in", "out"):
         return [_FAIL, "detach command must be followed by [out] or [in]"]
     return [_FAIL]
 
 
-_COMMANDS: dict[str, Callable[[PortCore, Sequence[Any]], list[Any]]] = {
+_COMMANDS: dict[str, Callable[[ConnectingPort, Sequence[Any]], list[Any]]] = {
     "help": _help,
     "ver": _ver,
     "getPid": _pid,
@@ -207,3 +205,27 @@ _COMMANDS: dict[str, Callable[[PortCore, Sequence[Any]], list[Any]]] = {
     "atch": _attach,
     "dtch": _detach,
 }
+
+
+def obey(port: ConnectingPort, word: PortCommand) -> tuple[str, ...]:
+    """The lines that text carriers answer to a command. No port that faces a network obeys ``i`` (end the process)."""
+    if word.key == "/":
+        return (port.add_output(word.text)[1],)
+    if word.key == "!":
+        return (port.remove_output(word.text[1:])[1],)
+    if word.key == "~":
+        return (port.remove_input(word.text[1:])[1],)
+    if word.key == "*":
+        return describe(port)
+    return framing.HELP if word.key in ("?", "h") else framing.NOT_UNDERSTOOD
+
+
+def describe(port: ConnectingPort) -> tuple[str, ...]:
+    """The port and its connections."""
+    outs = [f"There is an output connection from {r.source} to {r.target} using {r.carrier}" for r in port.outputs()]
+    ins = [f"There is an input connection from {r.source} to {r.target} using {r.carrier}" for r in port.inputs()]
+    return (
+        f"This is {port.name} at {port.contact.uri}",
+        *(outs or ["There are no outgoing connections"]),
+        *(ins or ["There are no incoming connections"]),
+    )

@@ -1,16 +1,29 @@
-"""The connections of one port: which there are, and how they come and go."""
+"""The connections of one port: which exist, how they come and go, and the events that tell the port's owner."""
 
 from __future__ import annotations
 
 import logging
 import threading
+from collections import Counter
 from collections.abc import Callable
+from dataclasses import dataclass, field
 
 from yarp_compat.ports.datagrams import DatagramOutput
-from yarp_compat.ports.events import ConnectionEvent
 from yarp_compat.ports.inputs import Input
+from yarp_compat.ports.message import MessagePeer
 from yarp_compat.ports.output import Output
-from yarp_compat.wire.contact import Route, rooted
+from yarp_compat.wire.contact import ConnectionRoute, rooted
+
+
+@dataclass(frozen=True, slots=True)
+class ConnectionEvent:
+    """A connection came (``up``) or went; two inputs of one name differ in their ``address``, where they come from."""
+
+    route: ConnectionRoute
+    incoming: bool
+    up: bool
+    address: tuple[str, int] = field(default=("", 0), compare=False)
+
 
 _log = logging.getLogger("yarp.ports")
 
@@ -20,18 +33,14 @@ MOST_OUTPUTS = 1000
 """Output connections of one port; no more are made."""
 
 _UNTOLD = ("admin", "null")
-"""What tools call themselves that only ask something, or look whether a port is there; no events are told of them."""
+"""Names of tools that only ask something, or check whether a port exists; they cause no events."""
 
 OnEvent = Callable[[ConnectionEvent], None]
 AnyOutput = Output | DatagramOutput
 
 
 class Connections:
-    """A port's inputs and outputs. Lists are replaced, not changed: whoever has one may go through it without a lock.
-
-    Args:
-        on_event: told when a connection comes or goes.
-    """
+    """A port's inputs and outputs. Lists are replaced, not changed, so readers need no lock."""
 
     def __init__(self, on_event: OnEvent | None) -> None:
         self.on_event = on_event
@@ -39,6 +48,8 @@ class Connections:
         self.leaving: list[Input] = []
         """Inputs that are out of the list and have not ended yet: what came of them is still taken."""
         self.outputs: list[AnyOutput] = []
+        self.lost: Counter[str] = Counter()
+        """Messages that outputs dropped, by reason; those of outputs that have ended too."""
         self._lock = threading.Lock()
         self._closed = True
 
@@ -52,7 +63,7 @@ class Connections:
             self._closed = True
 
     def add_input(self, connection: Input) -> bool:
-        """Take an input, in the place of a former one from the same port; False where there is no room."""
+        """Take an input, in place of a former one from the same port; False where there is no room."""
         former: list[Input] = []
         silent: Input | None = None
         with self._lock:
@@ -72,19 +83,20 @@ class Connections:
         if silent is not None:
             silent.close()
             self.remove_input(silent)
-        self._tell(connection.route, incoming=True, up=True)
+        self._tell(connection.route, incoming=True, up=True, address=connection.address)
         return True
 
-    def remove_input(self, connection: Input) -> None:
+    def remove_input(self, connection: MessagePeer) -> None:
         """An input is listed no longer, and ends soon."""
         with self._lock:
-            if connection not in self.inputs:
+            found = [i for i in self.inputs if i is connection]
+            if not found:
                 return
             self.inputs = [i for i in self.inputs if i is not connection]
-            self.leaving = [*self.leaving, connection]
-        self._tell(connection.route, incoming=True, up=False)
+            self.leaving = [*self.leaving, *found]
+        self._tell(connection.route, incoming=True, up=False, address=connection.address)
 
-    def ended(self, connection: Input) -> None:
+    def ended(self, connection: MessagePeer) -> None:
         """An input is over."""
         self.remove_input(connection)
         with self._lock:
@@ -99,17 +111,18 @@ class Connections:
         self._tell(output.route, incoming=False, up=True)
         return True
 
-    def remove_output(self, output: AnyOutput) -> None:
-        """An output is over."""
+    def remove_output(self, output: AnyOutput) -> bool:
+        """An output is over; whether that is news."""
         with self._lock:
             if output not in self.outputs:
-                return
+                return False
             self.outputs = [o for o in self.outputs if o is not output]
         self._tell(output.route, incoming=False, up=False)
+        return True
 
-    def _tell(self, route: Route, *, incoming: bool, up: bool) -> None:
+    def _tell(self, route: ConnectionRoute, *, incoming: bool, up: bool, address: tuple[str, int] = ("", 0)) -> None:
         if self.on_event is not None and route.source not in _UNTOLD:
             try:
-                self.on_event(ConnectionEvent(route, incoming, up))
+                self.on_event(ConnectionEvent(route, incoming, up, address))
             except Exception:
                 _log.exception("the owner of a port failed to take an event of %s -> %s", route.source, route.target)

@@ -1,4 +1,4 @@
-"""Connections of udp."""
+"""Connections of udp, and the base of those of mcast."""
 
 from __future__ import annotations
 
@@ -6,114 +6,153 @@ import contextlib
 import logging
 import socket
 import threading
+from collections import Counter
 from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING
 
-from yarp_compat.ports.counters import Counters
+from yarp_compat.ports.base import MessageCounters, PortBase
 from yarp_compat.ports.inputs import Input
-from yarp_compat.ports.message import Message
-from yarp_compat.ports.waiting import Item
-from yarp_compat.wire import carriers, message
-from yarp_compat.wire.contact import Route
+from yarp_compat.ports.message import PortMessage
+from yarp_compat.ports.outgoing import Item
+from yarp_compat.ports.sockets import closed_on_failure
+from yarp_compat.wire import carriers, framing
+from yarp_compat.wire.carriers import Group, Opening
+from yarp_compat.wire.contact import ConnectionRoute
 from yarp_compat.wire.datagrams import Assembler, split
 from yarp_compat.wire.errors import WireError
-from yarp_compat.wire.header import Opening
-from yarp_compat.wire.message import Buffer
-
-if TYPE_CHECKING:
-    from yarp_compat.ports.port import PortCore
-    from yarp_compat.wire.profile import Profile
+from yarp_compat.wire.framing import Buffer
+from yarp_compat.wire.profile import Profile
 
 _log = logging.getLogger("yarp.ports")
 _LARGEST = 1 << 16
-_ROOM = 4 << 20
+ROOM = 4 << 20
 """Bytes of datagrams that the system is asked to keep for a busy reader."""
+_HOPS = 1
+"""Routers are not crossed, as by YARP's own ports."""
 
 
 def datagram_socket(like: socket.socket) -> socket.socket:
     """A socket for the datagrams of a peer that called at ``like``."""
     made = socket.socket(like.family, socket.SOCK_DGRAM)
-    try:
+    with closed_on_failure(made):
         with contextlib.suppress(OSError):
-            made.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, _ROOM)
+            made.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, ROOM)
         made.bind((like.getsockname()[0], 0))
-    except BaseException:
-        made.close()
-        raise
     return made
 
 
 class DatagramInput(Input):
-    """An input of udp. Datagrams from other machines than the one that called are not looked at."""
+    """An input of datagrams. Datagrams from other machines than the caller's are ignored."""
 
-    def __init__(self, port: PortCore, sock: socket.socket, opened: Opening, address: tuple[str, int]) -> None:
+    def __init__(self, port: PortBase, sock: socket.socket, opened: Opening, address: tuple[str, int]) -> None:
         super().__init__(port, sock, opened, b"", address)
         self._assembler = Assembler(port.limit)
+
+    def _assembler_of(self, sender: tuple[str, int]) -> Assembler:
+        """The assembler of a sender's datagrams."""
+        del sender
+        return self._assembler
 
     def _no_more(self) -> None:
         self._closing = True
         self.wake()
 
     def wake(self) -> None:
-        """Let whoever waits for datagrams see the connection's end."""
+        """Wake threads that wait for datagrams: the connection has ended."""
         with contextlib.suppress(OSError), socket.socket(self.sock.family, socket.SOCK_DGRAM) as sock:
             sock.sendto(b"", self.sock.getsockname())
+
+    def _receive(self, memory: memoryview) -> tuple[int, tuple[str, int]]:
+        """Wait for a datagram: its size, and who sent it."""
+        size, sender = self.sock.recvfrom_into(memory)
+        return size, sender
 
     def take(self) -> bool:
         """Take messages until the connection is closed."""
         memory = memoryview(bytearray(_LARGEST))
         while not self._closing:
             try:
-                size, sender = self.sock.recvfrom_into(memory)
+                size, sender = self._receive(memory)
             except ConnectionResetError:
                 continue  # Windows tells so of datagrams that we sent
             if sender[0] != self.address[0]:
                 continue
+            assembler = self._assembler_of(sender)
             try:
-                found = self._assembler.add(memory[:size])
+                found = assembler.add(memory[:size])
                 ended = found is not None and self._message(found)
             except WireError as error:
-                self.counters.dropped["malformed"] += 1
-                self.port.counters.dropped["malformed"] += 1
+                self.counters.refuse(error)
+                self.port.counters.refuse(error)
                 _log.debug("datagrams from %s: %s", self.route.source, error)
                 continue
-            self.counters.dropped["checksum"] = self._assembler.spoiled
-            self.counters.dropped["incomplete"] = self._assembler.incomplete
+            self._count(assembler)
             if ended:
                 break
         return False
 
+    def _count(self, assembler: Assembler) -> None:
+        self.counters.dropped["checksum"] = assembler.spoiled
+        self.counters.dropped["incomplete"] = assembler.incomplete
+
     def _message(self, data: bytes) -> bool:
         """Take a whole message; whether it was the last."""
-        word, payload = message.parse(data, self.port.limit)
+        word, payload = framing.parse(data, self.port.limit)
         if word.key in ("d", "D"):
             self.counters.received += 1
-            found = Message(payload, word.envelope, self)
+            found = PortMessage(payload, word.envelope, self)
             self.port.deliver(found)
             return found.is_last
         return word.key == "q"
 
 
-class DatagramOutput:
-    """An output of udp: what the system does not take at once is lost.
+class SendingGroup:
+    """A group that a port writes to, by one of this machine's addresses; its ``lock`` keeps messages apart."""
 
-    Args:
-        sock: connected.
-        route: the connection's names.
-        lost: told when the peer is gone.
+    def __init__(self, name: str, address: Group, interface: str) -> None:
+        self.name, self.address, self.interface = name, address, interface
+        self.lock = threading.Lock()
+        self.profile: Profile | None = None
+        self.readers = 0
+        self._sock = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        with closed_on_failure(self._sock):
+            self._sock.setsockopt(socket.IPPROTO_IP, socket.IP_MULTICAST_IF, socket.inet_aton(interface))
+            self._sock.setsockopt(socket.IPPROTO_IP, socket.IP_MULTICAST_TTL, _HOPS)
+            self._sock.connect(address)
+
+    def socket(self) -> socket.socket:
+        """Another handle of the socket, so that each output may close its own."""
+        return self._sock.dup()
+
+    def close(self) -> None:
+        """Send no more."""
+        self._sock.close()
+
+
+class DatagramOutput:
+    """An output of udp or mcast: a datagram that the system does not take at once is lost.
+
+    ``lost`` is called when the peer is gone; ``dropped`` counts the port's drops. With mcast, other outputs of the port
+    may be of the same ``group``.
     """
 
-    carrier = carriers.UDP
-
-    def __init__(self, sock: socket.socket, route: Route, lost: Callable[[DatagramOutput], None]) -> None:
+    def __init__(
+        self,
+        sock: socket.socket,
+        route: ConnectionRoute,
+        lost: Callable[[DatagramOutput], object],
+        group: SendingGroup | None = None,
+        dropped: Counter[str] | None = None,
+    ) -> None:
         self.route = route
+        self.group = group
+        self.carrier = carriers.UDP if group is None else carriers.MCAST
         self.profile: Profile | None = None
-        self.counters = Counters()
+        self.counters = MessageCounters(whole=dropped)
         self.closed = False
         self.busy = False
         self._sock = sock
         self._lost = lost
-        self._lock = threading.Lock()
+        self._lock = threading.Lock() if group is None else group.lock
         sock.setblocking(False)
 
     def begin(self, buffers: Sequence[Buffer], strict: bool, wait: bool) -> Item | None:
@@ -127,7 +166,7 @@ class DatagramOutput:
                 for datagram in split(buffers):
                     self._sock.send(datagram)
             except BlockingIOError:
-                self.counters.dropped["full"] += 1
+                self.counters.drop("full")
                 return None
             except OSError as error:
                 failed = error
@@ -149,7 +188,7 @@ class DatagramOutput:
 
     def request(self, *_: object) -> bytes:
         """Datagrams carry no replies."""
-        msg = f"udp carries no replies: connect {self.route.source} to {self.route.target} by tcp"
+        msg = f"{self.carrier.name} carries no replies: connect {self.route.source} to {self.route.target} by tcp"
         raise ConnectionRefusedError(msg)
 
     def wait_idle(self, deadline: float | None) -> bool:
@@ -173,7 +212,7 @@ class DatagramOutput:
             self._fail(failed)
 
     def close(self) -> None:
-        """Close it; the peer does not notice, and is to be told otherwise."""
+        """Close it; the peer does not notice, so something else must say it."""
         with self._lock:
             self.closed = True
             self._sock.close()
@@ -183,9 +222,9 @@ class DatagramOutput:
         self._sock.close()
 
     def _fail(self, error: OSError) -> None:
-        if isinstance(error, ConnectionError):
+        if isinstance(error, ConnectionError) and self.group is None:  # one reader less is no end of a group
             self._lost(self)
             self.close()
         else:
-            self.counters.dropped["full"] += 1
-            _log.debug("udp to %s: %s", self.route.target, error)
+            self.counters.drop("full")
+            _log.debug("%s to %s: %s", self.carrier.name, self.route.target, error)

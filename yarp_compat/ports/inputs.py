@@ -8,23 +8,18 @@ import select
 import selectors
 import socket
 import threading
-from typing import TYPE_CHECKING
 
-from yarp_compat.ports.counters import Counters
-from yarp_compat.ports.dialects import dialect_of
-from yarp_compat.ports.message import Message, Payload
-from yarp_compat.ports.sending import send_all
-from yarp_compat.ports.stream import Stream
-from yarp_compat.wire import command
-from yarp_compat.wire.contact import Route
+from yarp_compat.ports.base import MessageCounters, PortBase, dialect_of
+from yarp_compat.ports.loop import PortLoop
+from yarp_compat.ports.message import Payload, PortMessage
+from yarp_compat.ports.sockets import send_all
+from yarp_compat.ports.stream import ByteStream
+from yarp_compat.wire import framing
+from yarp_compat.wire.carriers import Opening
+from yarp_compat.wire.contact import ConnectionRoute
 from yarp_compat.wire.errors import WireError
-from yarp_compat.wire.header import Opening
-from yarp_compat.wire.message import ACK
-
-if TYPE_CHECKING:
-    from yarp_compat.ports.loop import Loop
-    from yarp_compat.ports.port import PortCore
-    from yarp_compat.wire.profile import Profile
+from yarp_compat.wire.framing import ACK, acknowledgement
+from yarp_compat.wire.profile import Profile
 
 _log = logging.getLogger("yarp.ports")
 EMPTY = b"\x00\x01\x00\x00\x00\x00\x00\x00"
@@ -32,14 +27,14 @@ EMPTY = b"\x00\x01\x00\x00\x00\x00\x00\x00"
 
 
 class Input:
-    """One input connection; its kinds say what is done with its bytes.
+    """One input connection; subclasses handle its bytes.
 
     The messages of one connection are taken one after another, each when the port's owner is done with the one before;
     so a sender that waits for acknowledgements goes no faster than the owner.
 
     Args:
         port: whose input it is.
-        sock: connected; the peer has introduced itself, and was answered.
+        sock: connected; the peer has introduced itself.
         opened: the introduction.
         already: what came behind that.
         address: the peer's.
@@ -47,35 +42,35 @@ class Input:
     """
 
     def __init__(
-        self, port: PortCore, sock: socket.socket, opened: Opening, already: bytes, address: tuple[str, int],
+        self, port: PortBase, sock: socket.socket, opened: Opening, already: bytes, address: tuple[str, int],
         greeting: bytes = b"",
     ) -> None:  # fmt: skip
         self.port = port
-        self.route = Route(opened.sender, port.name, opened.carrier.name)
+        self.route = ConnectionRoute(opened.sender, port.name, opened.carrier.name)
         self.carrier = opened.carrier
         self.address = address
         self.profile: Profile | None = port.profile if opened.carrier.text else None  # lines become that port's Bottles
-        self.counters = Counters()
+        self.counters = MessageCounters()
         self.sock = sock
         sock.setblocking(True)
-        self.stream = Stream(sock, already, port.limit)
+        self.stream = ByteStream(sock, already, port.limit)
         self._already = bool(already)
         self._greeting = greeting
         self._thread: threading.Thread | None = None
         self._over = threading.Event()
         self._closing = False
-        self._waiting: Message | None = None
+        self._waiting: PortMessage | None = None
 
     # -- life ---------------------------------------------------------------------------------------------------------
 
-    def start(self, loop: Loop) -> None:
+    def start(self, loop: PortLoop) -> None:
         """Wait for the first bytes; only a connection that says something gets a thread."""
         if self._already or self._greeting:
             self._begin()
         else:
             loop.call(lambda: self._await(loop))
 
-    def _await(self, loop: Loop) -> None:
+    def _await(self, loop: PortLoop) -> None:
         def ready(_: int) -> None:
             loop.ignore(self.sock)
             if self._closing:
@@ -129,7 +124,7 @@ class Input:
         self._over.set()
 
     def wake(self) -> None:
-        """Let whoever waits for bytes of the connection see its end."""
+        """Wake threads that wait for bytes: the connection has ended."""
         with contextlib.suppress(OSError):
             self.sock.shutdown(socket.SHUT_RDWR)
 
@@ -151,11 +146,11 @@ class Input:
             if self._greeting:
                 self._greet()
             if self.take():
-                self.port.turned(self, self.sock)
+                self.port.ended(self, self.sock)
                 self._over.set()
                 return
         except WireError as error:
-            self.counters.dropped["malformed"] += 1
+            self.counters.refuse(error)
             self.port.refused(self.route, error)
         except OSError as error:
             if not self._closing:
@@ -178,8 +173,8 @@ class Input:
         """Take messages until the end; True where the connection is to be turned round."""
         raise NotImplementedError
 
-    def deliver(self, message: Message) -> Payload:
-        """Give a message that wants a reply to the port's owner; the reply. Call `answered` when it is sent."""
+    def deliver(self, message: PortMessage) -> Payload:
+        """Give a message that wants a reply to the port's owner; returns the reply. Call `answered` when it is sent."""
         self._waiting = message
         self.port.deliver(message)
         reply = message.wait()
@@ -201,21 +196,22 @@ class BinaryInput(Input):
             key, text, payload = found
             if key == "D":
                 self.counters.received += 1
-                message = Message(payload, text[2:], self)
+                message = PortMessage(payload, text[2:], self)
                 deliver(message)
                 if ack:
                     send(ack)
             elif key == "d":
                 self.counters.received += 1
-                message = Message(payload, text[2:], self, wants_reply=True)
-                self._answer(self.deliver(message), ack)
+                message = PortMessage(payload, text[2:], self, wants_reply=True)
+                answer = self.deliver(message)
+                self._answer(answer, acknowledgement(message.slack) if ack and message.slack else ack)
                 self.answered()
             elif key == "a":
                 self._answer(self.port.administer(payload, self), ack)
                 continue
             else:
                 if key not in ("q", "r"):
-                    self.port.obey(command.PortCommand(key, text))
+                    self.port.obey(framing.PortCommand(key, text))
                 if ack:
                     send(ack)
                 if key in ("q", "r"):
@@ -223,7 +219,7 @@ class BinaryInput(Input):
                 continue
             if message.is_last:
                 return False
-            message = found = payload = None  # type: ignore[assignment]  # so a large one's memory can be used again
+            message = found = payload = answer = None  # type: ignore[assignment]  # so a large one's memory can be used again
         return False
 
     def _answer(self, answer: Payload, ack: bytes) -> None:

@@ -9,11 +9,11 @@ import selectors
 import socket
 from collections.abc import Callable
 
-from yarp_compat.ports.loop import Loop
-from yarp_compat.ports.sending import tune
-from yarp_compat.wire import header
+from yarp_compat.ports.loop import PortLoop
+from yarp_compat.ports.sockets import tune
+from yarp_compat.wire import carriers
+from yarp_compat.wire.carriers import Opening
 from yarp_compat.wire.errors import WireError
-from yarp_compat.wire.header import Opening
 
 _log = logging.getLogger("yarp.ports")
 
@@ -31,15 +31,11 @@ Refused = Callable[[str, WireError], None]
 class Listener:
     """Accepts connections, on the shared thread, and hands on those that introduced themselves.
 
-    Args:
-        loop: the shared thread.
-        sock: listening.
-        opened: takes a connection with its introduction, what came behind that, and the peer's address. Called on the
-            shared thread.
-        refused: told of a connection that introduced itself wrongly, with the peer's address.
+    ``opened`` takes a connection with its introduction, what came behind that, and the peer's address; ``refused``
+    hears of connections that introduced themselves wrongly. Both are called on the shared thread.
     """
 
-    def __init__(self, loop: Loop, sock: socket.socket, opened: Opened, refused: Refused) -> None:
+    def __init__(self, loop: PortLoop, sock: socket.socket, opened: Opened, refused: Refused) -> None:
         self._loop = loop
         self._sock = sock
         self._opened = opened
@@ -110,7 +106,7 @@ class Listener:
         self._silent.pop(sock, None)
 
     @property
-    def loop(self) -> Loop:
+    def loop(self) -> PortLoop:
         """The shared thread."""
         return self._loop
 
@@ -148,10 +144,10 @@ class _Introduction:
             return
         self._came += came
         try:
-            opened = header.parse_opening(self._came)
+            opened = carriers.parse_opening(self._came)
         except WireError as error:
             with contextlib.suppress(OSError):
-                self._sock.send(header.PROTOCOL_ERROR)
+                self._sock.send(carriers.PROTOCOL_ERROR)
             self._listener.refuse(self._address, error)
             self.drop()
             return

@@ -1,7 +1,4 @@
-"""The thread that all ports of a process share.
-
-It accepts, does handshakes, and sends what a slow peer did not take at once.
-"""
+"""The thread that all ports of a process share: it accepts, does handshakes, and sends what slow peers did not take."""
 
 from __future__ import annotations
 
@@ -21,11 +18,11 @@ from dataclasses import dataclass, field
 
 _log = logging.getLogger("yarp.ports")
 _lock = threading.Lock()
-_shared: Loop | None = None
+_shared: PortLoop | None = None
 
 
 @dataclass(slots=True, order=True)
-class Timer:
+class LoopTimer:
     """Something to call at a time of the monotonic clock."""
 
     at: float
@@ -37,7 +34,7 @@ def _nothing() -> None:
     pass
 
 
-class Loop:
+class PortLoop:
     """One thread that waits for sockets, for times, and for calls from other threads.
 
     Its callbacks must not block. ``watch`` and ``ignore`` are for its own thread.
@@ -49,7 +46,7 @@ class Loop:
         self._wake_in.setblocking(False)
         self._wake_out.setblocking(False)
         self._calls: deque[Callable[[], None]] = deque()
-        self._timers: list[Timer] = []
+        self._timers: list[LoopTimer] = []
         self._cancelled = 0
         self._order = itertools.count()
         self._running = True
@@ -79,13 +76,13 @@ class Loop:
         self.call(call)
         done.wait()
 
-    def later(self, seconds: float, callback: Callable[[], None]) -> Timer:
+    def later(self, seconds: float, callback: Callable[[], None]) -> LoopTimer:
         """Have the thread call it after a while; for its own thread."""
-        timer = Timer(time.monotonic() + seconds, next(self._order), callback)
+        timer = LoopTimer(time.monotonic() + seconds, next(self._order), callback)
         heapq.heappush(self._timers, timer)
         return timer
 
-    def cancel(self, timer: Timer) -> None:
+    def cancel(self, timer: LoopTimer) -> None:
         """Let a timer not call; for its own thread."""
         timer.callback = None
         self._cancelled += 1
@@ -159,17 +156,17 @@ class Loop:
             _log.exception("a callback of the ports' shared thread failed")
 
 
-def acquire() -> Loop:
+def acquire() -> PortLoop:
     """The process's loop, for a port that opens; it ends with the last port."""
     global _shared
     with _lock:
         if _shared is None:
-            _shared = Loop()
+            _shared = PortLoop()
         _shared.users += 1
         return _shared
 
 
-def release(loop: Loop) -> None:
+def release(loop: PortLoop) -> None:
     """Give back what :func:`acquire` returned."""
     global _shared
     with _lock:

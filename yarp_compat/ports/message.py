@@ -1,4 +1,4 @@
-"""A message as the owner of a port gets it."""
+"""An incoming message, as the owner of a port gets it."""
 
 from __future__ import annotations
 
@@ -7,79 +7,76 @@ from collections.abc import Sequence
 from typing import Protocol
 
 from yarp_compat.wire.carriers import Carrier
-from yarp_compat.wire.contact import Route
-from yarp_compat.wire.message import Buffer
+from yarp_compat.wire.contact import ConnectionRoute
+from yarp_compat.wire.framing import Buffer
 from yarp_compat.wire.profile import Profile
 
 Payload = Buffer | Sequence[Buffer]
 
 
-class Peer(Protocol):
+class MessagePeer(Protocol):
     """The connection a message came on.
 
-    Attributes:
-        route: the connection's names.
-        carrier: how it carries.
-        address: the IP address and port number that it comes from.
-        profile: the dialect its sender writes, where that is known; whoever recognises it by a message may set it.
+    Whoever recognises the dialect of its sender by a message may set ``profile``.
     """
 
-    route: Route
+    route: ConnectionRoute
     carrier: Carrier
     address: tuple[str, int]
     profile: Profile | None
 
 
-class Message:
+class PortMessage:
     """One message that came in.
 
     Attributes:
         payload: its bytes, this message's own. Text carriers: the line as a Bottle in the port's dialect.
         envelope: its envelope's text, or "".
         peer: the connection it came on.
-        wants_reply: the sender waits for a reply; one is always sent, an empty Bottle where the owner gives none, but
-            where the port closes first.
+        wants_reply: the sender waits for a reply; it always gets one, an empty Bottle where the owner gives none,
+            unless the port closes first.
         replied: the reply.
         is_plain: the reply is sent as it is on text carriers too.
+        slack: bytes behind the reply's acknowledgement, which tells the reader to pass over them.
         is_last: the connection ends behind the reply.
-        is_retired: the port closes: it waits no more for a reply from another thread, nor does who sent the request.
+        is_retired: the port closes and waits no more for a reply from another thread.
     """
 
     __slots__ = (
         "_answered", "_later", "envelope", "is_last", "is_plain", "is_retired", "payload", "peer", "replied",
-        "wants_reply",
+        "slack", "wants_reply",
     )  # fmt: skip
 
-    def __init__(self, payload: Buffer, envelope: str, peer: Peer, wants_reply: bool = False) -> None:
+    def __init__(self, payload: Buffer, envelope: str, peer: MessagePeer, wants_reply: bool = False) -> None:
         self.payload = payload
         self.envelope = envelope
         self.peer = peer
         self.wants_reply = wants_reply
         self.replied: Payload | None = None
         self.is_plain = False
+        self.slack = 0
         self.is_last = False
         self._later: threading.Event | None = None
         self.is_retired = self._answered = False
 
-    def reply(self, payload: Payload, *, plain: bool = False) -> None:
+    def reply(self, payload: Payload, *, plain: bool = False, slack: int = 0) -> None:
         """Answer; once, and only where a reply is wanted (elsewhere it goes nowhere).
 
         Args:
             payload: a Bottle, or with ``plain`` lines of text, which are sent as they are on every carrier.
             plain: it is no Bottle.
+            slack: bytes that its acknowledgement says are behind it, where the carrier has acknowledgements.
         """
         if not self._answered:
             self._answered = True
             self.replied = payload
             self.is_plain = plain
+            self.slack = slack
             if self._later is not None:
                 self._later.set()
 
     def drop(self) -> None:
-        """End the connection, when it has been answered.
-
-        Before the port's ``on_message`` returns, or before the reply.
-        """
+        """End the connection behind the reply; call it before ``on_message`` returns, or before the reply."""
         self.is_last = True
 
     def later(self) -> None:
@@ -89,11 +86,7 @@ class Message:
             self.give_up()
 
     def retire(self) -> bool:
-        """The port closes: a reply that was to come from another thread is given up.
-
-        Returns:
-            whether a reply still comes: the owner gave it, or has the message at this moment.
-        """
+        """Give up a reply that was to come from another thread, as the port closes; whether one still comes."""
         self.is_retired = True
         if self._later is None or self._answered:
             return True
@@ -101,13 +94,13 @@ class Message:
         return False
 
     def give_up(self) -> None:
-        """Let the connection go on without a reply, if there is none yet."""
+        """Let the connection go on without a reply, unless it has one."""
         self._answered = True
         if self._later is not None:
             self._later.set()
 
     def wait(self) -> Payload | None:
-        """The reply, or None; waits where it was said to come later.
+        """The reply, or None; waits where it comes later.
 
         Raises:
             ConnectionAbortedError: it was to come later, and the port has closed before it did.
@@ -115,6 +108,5 @@ class Message:
         if self._later is not None:
             self._later.wait()
             if self.is_retired and self.replied is None:
-                msg = "the port closed before the reply came"
-                raise ConnectionAbortedError(msg)
+                raise ConnectionAbortedError("the port closed before the reply came")
         return self.replied

@@ -1,35 +1,97 @@
-"""Name servers for ports that nobody else is to find: a table in this process, or one that is only asked."""
+"""The interface that ports need of a name server, its errors, and name servers for ports that nobody else finds.
+
+NamingError (an OSError)
+  NoNameServerError     no name server answers where it should be, or not in time
+  NameRefusedError      the name server answered, and did not take the name
+  PortError             a port does not exist, does not answer, or does not do what it is asked
+  NamingConfigError           the file that says where the name server is cannot be used
+"""
 
 from __future__ import annotations
 
 import itertools
 import threading
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, Protocol
 
-from yarp_compat.naming.naming import Naming
-from yarp_compat.wire.contact import Contact
+from yarp_compat.wire.contact import PortContact
+
+
+class NamingError(OSError):
+    """A name could not be asked for or registered."""
+
+
+class NoNameServerError(NamingError):
+    """No name server answers where the configuration says it is."""
+
+
+class NameRefusedError(NamingError):
+    """The name server did not take a name."""
+
+
+class NamingConfigError(NamingError):
+    """The file that says where the name server is, is missing what it needs."""
+
+
+class PortError(NamingError):
+    """A port does not exist, does not answer, or does not do what it is asked."""
+
+
+class Naming(Protocol):
+    """Registers ports and finds them. Every call may raise NamingError, and takes a bounded time."""
+
+    @property
+    def numbers(self) -> range:
+        """The TCP port numbers that ports choose theirs from; empty where the name server chooses."""
+        ...
+
+    def register(self, name: str, host: str = "", port: int = 0, *, carrier: str = "") -> PortContact:
+        """Register a port; the server fills in what is empty or 0 (the name too: ``/tmp/port/N``).
+
+        Raises:
+            NoNameServerError: nobody answers.
+            NameRefusedError: the server did not take the name.
+        """
+        ...
+
+    def unregister(self, name: str) -> None:
+        """Forget a port; one that is not known is no error."""
+        ...
+
+    def query(self, name: str) -> PortContact | None:
+        """The address of a port; None where it is not known."""
+        ...
+
+    def set_property(self, name: str, key: str, *values: Any) -> None:
+        """Keep values under a key of a registered port."""
+        ...
+
+    def get_property(self, name: str, key: str) -> Sequence[Any]:
+        """The values under a key of a registered port; may be empty."""
+        ...
+
+    def announce(self, name: str, alive: bool = True) -> None:
+        """Say that a port listens now (the server makes its persistent connections), or that it does not respond."""
+        ...
 
 
 class LocalNaming:
-    """Knows the ports of one process.
+    """Knows the ports of one process, without a socket: for tests, and for ports that nobody else is to find."""
 
-    No socket, and nothing outlives the process. For tests, and for ports that nobody else is to find.
-    """
-
-    def __init__(self, host: str = "127.0.0.1") -> None:
-        self._host = host
+    def __init__(self) -> None:
         self._lock = threading.Lock()
-        self._contacts: dict[str, Contact] = {}
+        self._contacts: dict[str, PortContact] = {}
         self._properties: dict[tuple[str, str], tuple[Any, ...]] = {}
         self._numbers = itertools.count(1)
 
-    def register(self, name: str, host: str = "", port: int = 0, *, carrier: str = "") -> Contact:
-        """Register a port; with a number of 0 it is to choose one, and register again."""
+    numbers = range(0)
+
+    def register(self, name: str, host: str = "", port: int = 0, *, carrier: str = "") -> PortContact:
+        """Register a port; one with a number of 0 chooses one, and registers again."""
         with self._lock:
             if name in ("", "..."):
                 name = f"/tmp/port/{next(self._numbers)}"  # noqa: S108  # a port's name, no file's
-            contact = Contact(name, host or self._host, port, carrier or "tcp")
+            contact = PortContact(name, host or "127.0.0.1", port, carrier or "tcp")
             self._contacts[name] = contact
             return contact
 
@@ -38,12 +100,12 @@ class LocalNaming:
         with self._lock:
             self._contacts.pop(name, None)
 
-    def query(self, name: str) -> Contact | None:
-        """Where a port is."""
+    def query(self, name: str) -> PortContact | None:
+        """The address of a port."""
         with self._lock:
             return self._contacts.get(name)
 
-    def list(self, prefix: str = "") -> list[Contact]:
+    def list(self, prefix: str = "") -> list[PortContact]:
         """All registered ports, or those whose names begin so."""
         with self._lock:
             return [contact for name, contact in self._contacts.items() if name.startswith(prefix)]
@@ -60,22 +122,43 @@ class LocalNaming:
         """Nobody waits for it here."""
 
 
-class Unregistered:
-    """A name server that is only asked, not told: for ports that call others and are not to be found themselves."""
+class SilentNaming:
+    """A name server that registers nothing, and knows nobody."""
 
-    def __init__(self, naming: Naming) -> None:
-        self.query = naming.query
-        self.get_property = naming.get_property
+    numbers = range(0)
 
-    def register(self, name: str, host: str = "", port: int = 0, *, carrier: str = "") -> Contact:
+    def register(self, name: str, host: str = "", port: int = 0, *, carrier: str = "") -> PortContact:
         """Have the port listen where it wants to."""
-        return Contact(name, host or "127.0.0.1", port, carrier or "tcp")
+        return PortContact(name, host or "127.0.0.1", port, carrier or "tcp")
 
     def unregister(self, name: str) -> None:
-        """There is nothing to forget."""
+        """Do nothing."""
+
+    def query(self, name: str) -> PortContact | None:  # noqa: ARG002
+        """Know no port."""
+        return None
 
     def set_property(self, name: str, key: str, *values: Any) -> None:
-        """Nobody keeps properties of a port that is not registered."""
+        """Do nothing."""
+
+    def get_property(self, name: str, key: str) -> Sequence[Any]:  # noqa: ARG002
+        """Know no property."""
+        return ()
 
     def announce(self, name: str, alive: bool = True) -> None:
-        """Nobody waits for it."""
+        """Do nothing."""
+
+
+class Unregistered(SilentNaming):
+    """A name server at which ports are not registered: for ports that only call others."""
+
+    def __init__(self, naming: Naming) -> None:
+        self._naming = naming
+
+    def query(self, name: str) -> PortContact | None:
+        """The address of a port."""
+        return self._naming.query(name)
+
+    def get_property(self, name: str, key: str) -> Sequence[Any]:
+        """The values under a key of a port."""
+        return self._naming.get_property(name, key)

@@ -1,30 +1,113 @@
-"""A message on its way to several outputs: written once for each carrier and dialect among them."""
+"""A message on its way to outputs, written once for each carrier and dialect, and the queue of one connection."""
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Callable
 
-from yarp_compat.ports.lines import to_line
 from yarp_compat.ports.message import Payload
-from yarp_compat.ports.sending import flat
-from yarp_compat.wire import carriers, message
+from yarp_compat.ports.sockets import flat
+from yarp_compat.wire import carriers, framing
+from yarp_compat.wire.binary import decode, encode
 from yarp_compat.wire.carriers import Carrier
-from yarp_compat.wire.message import Buffer
+from yarp_compat.wire.framing import Buffer
 from yarp_compat.wire.profile import Profile
+from yarp_compat.wire.text import from_text, to_text
+
+
+def to_line(payload: Payload, profile: Profile | None = None, *, plain: bool = False) -> bytes:
+    """A Bottle's line, with its end; ``plain``: it is text already, and stays as it is.
+
+    Raises:
+        WireError: it is no Bottle.
+    """
+    data = payload if isinstance(payload, (bytes, bytearray, memoryview)) else b"".join(payload)
+    if plain:
+        return bytes(data)
+    return to_text(decode(data, profile)).encode(errors="surrogateescape") + b"\r\n"
+
+
+def from_line(line: bytes, profile: Profile) -> bytes:
+    """The Bottle of a line."""
+    return encode(from_text(line.decode(errors="surrogateescape")), profile)
+
+
+ITEM_BYTES = 192
+"""The cost of a message in the queue besides its own bytes (measured: 174 in CPython 3.11)."""
+
+
+class Item:
+    """A message on its way out."""
+
+    __slots__ = ("buffers", "done", "dropped", "ours")
+
+    def __init__(self, buffers: list[Buffer], ours: bool) -> None:
+        self.buffers = buffers
+        self.done = False
+        self.dropped = False
+        """It made room for another one."""
+        self.ours = ours
+        """The thread that wrote it also sees it through."""
+
+    def own(self) -> None:
+        """Have its bytes to itself: their owner may change them from now on."""
+        if self.buffers:
+            self.buffers = [b"".join(self.buffers)]
+
+
+class SendQueue:
+    """A queue bounded in bytes, with what each message costs besides; one message always fits."""
+
+    def __init__(self, limit: int, dropped: Callable[[str], None]) -> None:
+        self._limit = limit
+        self._dropped = dropped
+        self._items: deque[Item] = deque()
+        self._bytes = 0
+
+    def __bool__(self) -> bool:
+        return bool(self._items)
+
+    def put(self, item: Item, strict: bool) -> None:
+        """Queue a message behind the others, the oldest of which make room; not ``strict``: in their place."""
+        if not strict:
+            while (replaced := self.next()) is not None:
+                self._drop(replaced, "replaced")
+        size = _cost(item)
+        while self._bytes + size > self._limit and (oldest := self.next()) is not None:
+            self._drop(oldest, "full")
+        self._items.append(item)
+        self._bytes += size
+
+    def _drop(self, item: Item, reason: str) -> None:
+        item.dropped = True
+        self._dropped(reason)
+
+    def next(self) -> Item | None:
+        """The message whose turn it is."""
+        if not self._items:
+            return None
+        item = self._items.popleft()
+        self._bytes -= _cost(item)
+        return item
+
+    def clear(self) -> int:
+        """Empty the queue; how many messages there were."""
+        count = len(self._items)
+        self._items.clear()
+        self._bytes = 0
+        return count
+
+
+def _cost(item: Item) -> int:
+    return framing.size(item.buffers) + ITEM_BYTES
+
 
 Content = Payload | Callable[[Profile], Payload]
 """A payload, or what makes it in the dialect of its reader."""
 
 
-class Outgoing:
-    """One message.
-
-    Args:
-        content: its payload.
-        envelope: sent with it, or "".
-        key: ``D``, or ``d`` where a reply is wanted.
-        text: makes the line for text carriers; None: the payload's own text.
-    """
+class OutgoingMessage:
+    """One message: ``key`` is ``D``, or ``d`` where a reply is wanted; ``text`` makes the line for text carriers."""
 
     __slots__ = ("_content", "_envelope", "_key", "_text", "_written")
 
@@ -62,7 +145,7 @@ def _one_line(envelope: str) -> str:
 def framed(payload: Payload, envelope: str, key: str) -> list[Buffer]:
     """All bytes of a message in binary."""
     if isinstance(payload, bytes):
-        head = message.prefix(len(payload), key, envelope)
-        return [head + payload] if len(payload) < message.JOINED else [head, payload]
+        head = framing.prefix(len(payload), key, envelope)
+        return [head + payload] if len(payload) < framing.JOINED else [head, payload]
     buffers = [payload] if isinstance(payload, (bytearray, memoryview)) else payload
-    return flat([message.prefix(message.size(payload), key, envelope), *buffers])
+    return flat([framing.prefix(framing.size(payload), key, envelope), *buffers])

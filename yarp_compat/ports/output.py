@@ -3,25 +3,26 @@
 from __future__ import annotations
 
 import contextlib
+import logging
 import selectors
 import socket
 import threading
 import time
+from collections import Counter
 from collections.abc import Callable
-from typing import TYPE_CHECKING
 
-from yarp_compat.ports.counters import Counters
-from yarp_compat.ports.replies import ReplyEnd, ReplyWatch
-from yarp_compat.ports.speaker import Speaker
-from yarp_compat.ports.waiting import Item, Waiting
+from yarp_compat.ports.base import MessageCounters
+from yarp_compat.ports.loop import PortLoop
+from yarp_compat.ports.outgoing import Item, SendQueue
+from yarp_compat.ports.output_socket import OutputSocket
 from yarp_compat.wire.carriers import Carrier
-from yarp_compat.wire.contact import Route
+from yarp_compat.wire.contact import ConnectionRoute
 from yarp_compat.wire.errors import WireError
-from yarp_compat.wire.message import Buffer
+from yarp_compat.wire.framing import Buffer
+from yarp_compat.wire.profile import Profile
+from yarp_compat.wire.reply import ReplyEnd, ReplyWatch
 
-if TYPE_CHECKING:
-    from yarp_compat.ports.loop import Loop
-    from yarp_compat.wire.profile import Profile
+_log = logging.getLogger("yarp.ports")
 
 
 class Output:
@@ -35,25 +36,30 @@ class Output:
         route: the connection's names.
         carrier: how it carries.
         loop: the shared thread.
-        lost: told when the peer is gone.
+        lost: called when the peer is gone.
         limit: bytes of a reply.
         room: bytes of the queue.
+        dropped: counts the port's drops, by reason.
     """
+
+    group = None
+    """Only datagrams are sent to a group."""
 
     def __init__(
         self,
         sock: socket.socket,
-        route: Route,
+        route: ConnectionRoute,
         carrier: Carrier,
-        loop: Loop,
-        lost: Callable[[Output], None],
+        loop: PortLoop,
+        lost: Callable[[Output], object],
         limit: int,
         room: int,
+        dropped: Counter[str] | None = None,
     ) -> None:
         self.route = route
         self.carrier = carrier
         self.profile: Profile | None = None
-        self.counters = Counters()
+        self.counters = MessageCounters(whole=dropped)
         self.closed = False
         self._loop = loop
         self._lost = lost
@@ -61,23 +67,20 @@ class Output:
         self._lock = threading.Lock()
         self._changed = threading.Condition(self._lock)
         self._waiters = 0
-        self._pending = Waiting(room, self.counters.dropped)
+        self._pending = SendQueue(room, self.counters.drop)
         self._driven = False
         self._current: Item | None = None
-        self._speaker = Speaker(sock, route, carrier, limit)
+        self._speaker = OutputSocket(sock, route, carrier, limit)
 
     # -- writing ------------------------------------------------------------------------------------------------------
 
     def begin(self, buffers: list[Buffer], strict: bool, wait: bool) -> Item | None:
-        """Send a message as far as that goes at once; the rest follows.
+        """Send a message as far as that goes at once; the rest follows. None where the peer is gone.
 
         Args:
             buffers: all of its bytes; kept uncopied while ``wait``.
             strict: queue it behind others, else it takes the place of what waits.
             wait: the caller will call :meth:`finish` where the message is not done.
-
-        Returns:
-            The message, or None where the peer is gone.
         """
         item = Item(buffers, wait)
         with self._lock:
@@ -108,8 +111,7 @@ class Output:
     def finish(self, item: Item, deadline: float | None = None) -> bool:
         """Wait until a message was sent and, where the carrier does that, acknowledged.
 
-        Returns:
-            False where it was not by the deadline, made room for another one, or the peer is gone.
+        False where it was not by the deadline, made room for another one, or the peer is gone.
         """
         if item is not self._current or not item.ours:
             with self._lock:
@@ -214,7 +216,7 @@ class Output:
         self._dispose()
 
     def _step(self) -> int | None:
-        """What to wait for; 0 where the connection is closed; None where nothing is left: another thread may drive."""
+        """The events to wait for; 0 where the connection is closed; None where another thread may drive."""
         while not self.closed:
             item = self._current
             if self._speaker.due and not self._speaker.take_ack():
@@ -244,11 +246,7 @@ class Output:
         return self._driven or self._speaker.due
 
     def wait_idle(self, deadline: float | None) -> bool:
-        """Wait until nothing is on its way any more, acknowledgements included.
-
-        Returns:
-            False where something still is by the deadline.
-        """
+        """Wait until nothing is on its way, acknowledgements included; False where something is by the deadline."""
         with self._lock:
             if not self._wait_for(lambda: not self._driven or self.closed, deadline):
                 return False
@@ -261,18 +259,15 @@ class Output:
     # -- requests -----------------------------------------------------------------------------------------------------
 
     def request(self, buffers: list[Buffer], parse: ReplyEnd | None, deadline: float | None) -> bytes:
-        """Send a message that wants a reply, and wait for it.
+        """Send a message that wants a reply, and wait for it until the deadline of the monotonic clock.
 
-        Args:
-            buffers: all of its bytes.
-            parse: where a reply ends; None: a Bottle's end, or with a text carrier the line's.
-            deadline: of the monotonic clock.
+        ``parse`` says where the reply ends; None: at a Bottle's end, or with a text carrier at the line's.
 
         Raises:
             TimeoutError: no reply by the deadline; the connection is closed, as the reply may still come.
             ConnectionError: the connection broke.
-            WireError: the reply is no Bottle, or above the limit, and the connection is closed; or there was none, only
-                an acknowledgement.
+            WireError: the reply is no Bottle, or above the limit, and the connection is closed; or only an
+                acknowledgement came.
         """
         with self._lock:
             if self._driven:
@@ -280,8 +275,7 @@ class Output:
             if self.closed:
                 raise ConnectionResetError(self._speaker.gone())
             if self._driven:
-                msg = f"{self.route.target} is still busy with another message"
-                raise TimeoutError(msg)
+                raise TimeoutError(f"{self.route.target} is still busy with another message")
             self._driven = True
         item = self._current = Item(buffers, ours=True)
         try:
@@ -298,8 +292,7 @@ class Output:
             raise
         self._settle(item)
         if reply is None:
-            msg = f"{self.route.target} acknowledged a request and did not reply to it"
-            raise WireError(msg)
+            raise WireError(f"{self.route.target} acknowledged a request and did not reply to it")
         self.counters.received += 1
         return reply
 
@@ -307,15 +300,14 @@ class Output:
         if self.closed:
             raise ConnectionAbortedError(self._speaker.gone())
         if deadline is not None and time.monotonic() > deadline:
-            msg = f"no reply from {self.route.target} in time"
-            raise TimeoutError(msg)
+            raise TimeoutError(f"no reply from {self.route.target} in time")
 
     # -- the end ------------------------------------------------------------------------------------------------------
 
     def check(self) -> None:
         """Look whether the peer is still there, and has acknowledged: nothing is read from an idle connection.
 
-        That waits for nobody, so the lock is held meanwhile: who writes at this moment is not to find it busy.
+        That waits for nobody, so the lock is held meanwhile: who writes at this moment must not find it busy.
         """
         with self._lock:
             if self._driven or self.closed:
@@ -353,16 +345,18 @@ class Output:
     def _dispose(self) -> None:
         """Close the socket; only its driver does that."""
         with self._lock:
-            self.counters.dropped["lost"] += self._pending.clear()
+            self.counters.drop("lost", self._pending.clear())
             self._changed.notify_all()
         self._speaker.close()
+        if lost := self.counters.dropped["lost"]:
+            _log.info("%s -> %s ended with %d messages that were not sent", self.route.source, self.route.target, lost)
 
     def _fail(self) -> None:
         """The peer is gone."""
         with self._lock:
             told = self.closed
             if self._current is not None and not self._current.done:
-                self.counters.dropped["lost"] += 1
+                self.counters.drop("lost")
         try:
             if not told:
                 self._lost(self)  # before anybody finds it closed: nobody is to find this connection in the list then

@@ -2,44 +2,41 @@
 
 from __future__ import annotations
 
-import contextlib
 import logging
-import socket
 import threading
 import time
+from collections import Counter
 from collections.abc import Callable
 from typing import Any
 
-from yarp_compat.naming.naming import Naming
-from yarp_compat.ports import accepting, admin, closing, commands, connecting, loop, process
-from yarp_compat.ports.address import listening
+from yarp_compat.ports import admin, loop
+from yarp_compat.ports.base import MessageCounters, OnLine, OnMessage, note_closed, note_open
+from yarp_compat.ports.connecting import ConnectingPort
 from yarp_compat.ports.connections import AnyOutput, Connections, OnEvent
-from yarp_compat.ports.counters import Counters
-from yarp_compat.ports.inputs import Input
-from yarp_compat.ports.lines import from_line
+from yarp_compat.ports.datagrams import SendingGroup
 from yarp_compat.ports.listener import Listener
-from yarp_compat.ports.message import Message
-from yarp_compat.ports.outgoing import Content, Outgoing
-from yarp_compat.ports.replies import ReplyEnd
-from yarp_compat.ports.waiting import Item
-from yarp_compat.wire import carriers, message
+from yarp_compat.ports.message import MessagePeer
+from yarp_compat.ports.multicast import SendingGroups
+from yarp_compat.ports.naming import Naming
+from yarp_compat.ports.outgoing import Content, Item, OutgoingMessage, from_line
+from yarp_compat.ports.sockets import registered
+from yarp_compat.wire import carriers, framing
 from yarp_compat.wire.binary import decode, encode
-from yarp_compat.wire.command import PortCommand
-from yarp_compat.wire.contact import Contact, Route
+from yarp_compat.wire.contact import PortContact
 from yarp_compat.wire.errors import WireError
-from yarp_compat.wire.header import Opening
-from yarp_compat.wire.message import Buffer
+from yarp_compat.wire.framing import Buffer, PortCommand
 from yarp_compat.wire.profile import Profile
+from yarp_compat.wire.reply import ReplyEnd
 
 _log = logging.getLogger("yarp.ports")
 _LOOK = 0.5
 """Seconds between looks whether the peers of idle outputs are still there."""
 
-OnMessage = Callable[[Message], Any]
-OnLine = Callable[[str, tuple[str, int]], bytes]
+_KEPT_FOR = 5.0
+"""Seconds for which an input keeps the memory of a large message for the next one."""
 
 
-class PortCore:
+class PortCore(ConnectingPort):
     """A port. All methods may be called from any thread.
 
     Args:
@@ -51,7 +48,7 @@ class PortCore:
         type_name: the type of what it writes or reads, as it announces it.
         limit: bytes of the largest message or reply that is taken, and at most of each output's queue.
         host: where to listen; by default where the name server says the port is.
-        number: its TCP port; 0: the name server chooses.
+        number: its TCP port; 0: one of the naming's `numbers`, or the name server chooses.
         profile: the dialect of Bottles made from text.
         is_input: it reads, as it announces.
         is_output: it writes; otherwise no outputs are made.
@@ -62,12 +59,12 @@ class PortCore:
 
     def __init__(
         self, name: str, *, on_message: OnMessage | None = None, naming: Naming, rpc: bool = False, type_name: str = "",
-        limit: int = message.DEFAULT_LIMIT, host: str | None = None, number: int = 0, profile: Profile = Profile.YARP3,
+        limit: int = framing.DEFAULT_LIMIT, host: str | None = None, number: int = 0, profile: Profile = Profile.YARP3,
         is_input: bool = True, is_output: bool = True, on_event: OnEvent | None = None, on_line: OnLine | None = None,
         replies: bool | None = None,
     ) -> None:  # fmt: skip
         self.name = name
-        self.contact = Contact(name)
+        self.contact = PortContact(name)
         self.naming = naming
         self.rpc = rpc
         self.type_name = type_name
@@ -78,46 +75,36 @@ class PortCore:
         self.on_message = on_message
         self.on_line = on_line
         self.replies = rpc if replies is None else replies
-        self.counters = Counters()
+        self.counters = MessageCounters()
         self.properties: dict[str, Any] = {}
         self.connections = Connections(on_event)
+        self.groups = SendingGroups(naming)
         self._host = host
         self._number = number
         self._life, self._closed = threading.Lock(), threading.Event()
         self._closed.set()
-        self._loop: loop.Loop | None = None
+        self._loop: loop.PortLoop | None = None
         self._listener: Listener | None = None
         self._interrupted = False
 
     # -- life ---------------------------------------------------------------------------------------------------------
 
-    def open(self) -> Contact:
+    def open(self) -> PortContact:
         """Register the port and listen; where another thread closes it, when that is done.
 
         Raises:
-            NamingError: the name server cannot be reached, or refuses.
-            OSError: its address cannot be listened on.
+            NamingError: nobody answers at the name server's address, or it refuses.
+            OSError: the port cannot listen on its address.
         """
         self._closed.wait()
         with self._life:
-            contact = self.naming.register(self.name, self._host or "", self._number)
-            sock: socket.socket | None = None
-            try:
-                host = self._host or contact.host
-                sock = listening(host, contact.port, host_fixed=bool(self._host), number_fixed=bool(self._number))
-                if (found := sock.getsockname()[1]) != contact.port:
-                    contact = self.naming.register(contact.name, contact.host, found)
-            except BaseException:
-                if sock is not None:
-                    sock.close()
-                self.naming.unregister(contact.name)
-                raise
+            contact, sock = registered(self.naming, self.name, self._host, self._number)
             self.contact, self.name = contact, contact.name
             self._loop = shared = loop.acquire()
             self.connections.open()
             self._listener = Listener(shared, sock, self._opened, self._refused)
             shared.call(self._look)
-            process.add(self)
+            note_open(self)
         try:
             self.naming.announce(self.name)
         except OSError:
@@ -134,9 +121,21 @@ class PortCore:
                 return
             self._closed.clear()
         try:
-            closing.end(self, shared, listener)
+            self._end(shared, listener)
         finally:
             self._closed.set()
+
+    def _end(self, shared: loop.PortLoop, listener: Listener) -> None:
+        self.interrupt()
+        note_closed(self)
+        listener.close()
+        self._end_connections()
+        try:
+            self.naming.unregister(self.name)
+        except OSError as error:
+            _log.warning("port %s could not be unregistered: %s", self.name, error)
+        loop.release(shared)
+        self.resume()
 
     def abandon(self) -> None:
         """In a child process of fork: let go of the sockets, and say nothing to anybody."""
@@ -148,6 +147,7 @@ class PortCore:
         for connection in (*self.connections.inputs, *self.connections.leaving, *self.connections.outputs):
             connection.abandon()
         self.connections = Connections(None)
+        self.groups.abandon()
 
     def interrupt(self) -> None:
         """Take and send nothing any more until :meth:`resume`."""
@@ -158,18 +158,13 @@ class PortCore:
         self._interrupted = False
 
     @property
-    def loop(self) -> loop.Loop | None:
-        """The thread that the port shares with others, None where it is not open."""
-        return self._loop
-
-    @property
     def is_open(self) -> bool:
         """Whether the port is open."""
         return self._loop is not None
 
     @property
     def on_event(self) -> OnEvent | None:
-        """Told when a connection comes or goes; must not block."""
+        """The callback for connections that come or go; it must not block."""
         return self.connections.on_event
 
     @on_event.setter
@@ -183,21 +178,17 @@ class PortCore:
         timeout: float | None = None, text: Callable[[], str] | None = None,
         chosen: Callable[[AnyOutput], bool] | None = None,
     ) -> int:  # fmt: skip
-        """Send a message to all outputs.
+        """Send a message to all outputs; returns how many took it. A text carrier takes Bottles only.
 
         Args:
             payload: its bytes, in one or several buffers; or what makes them in the dialect of each output.
             envelope: sent with it.
-            strict: where an earlier message is still on its way to a peer, queue this one behind it, the oldest of the
-                queue go where it is full; else this one takes the place of what waits.
-            wait: return when all peers took it, and acknowledged it where the carrier does that; without it, never
-                wait.
+            strict: queue it behind messages that are still on their way to a peer; the oldest make room in a full
+                queue. Else it takes the place of what waits.
+            wait: return when all peers took it, and acknowledged it where the carrier does that; else never wait.
             timeout: seconds to wait at most.
             text: makes the line for text carriers; by default the payload's own text.
             chosen: which of the outputs get it; by default all.
-
-        Returns:
-            how many outputs took it. A text carrier takes Bottles only.
         """
         if self._interrupted:
             self.counters.dropped["interrupted"] += 1
@@ -205,9 +196,10 @@ class PortCore:
         outputs = self.connections.outputs
         if not outputs:
             return 0
-        made = Outgoing(payload, envelope, "D", text)
+        made = OutgoingMessage(payload, envelope, "D", text)
         self.counters.sent += 1
         begun: list[tuple[AnyOutput, Item]] = []
+        shared: dict[SendingGroup | None, Item] = {}
         try:
             for output in outputs:
                 if chosen is not None and not chosen(output):
@@ -219,8 +211,10 @@ class PortCore:
                         raise
                     self.counters.dropped["no text"] += 1  # who reads it as text must not harm who does not
                     continue
-                item = output.begin(buffers, strict or wait, wait)
+                item = shared.get(output.group) or output.begin(buffers, strict or wait, wait)
                 if item is not None:
+                    if output.group is not None:
+                        shared[output.group] = item  # one message for all readers of the group
                     begun.append((output, item))
             return _finished(begun, timeout) if wait else len(begun)
         except BaseException:  # one cannot be made, or an interrupt from the keyboard: the others go on by themselves
@@ -231,17 +225,14 @@ class PortCore:
     def request(
         self, payload: Content, envelope: str = "", *, timeout: float | None = None, parse: ReplyEnd | None = None
     ) -> bytes:
-        """Send a message that wants a reply over the first output, and wait for it.
+        """Send a request over the first output, and wait for the reply, ``timeout`` seconds at most.
 
-        Args:
-            payload: the request.
-            envelope: sent with it.
-            timeout: seconds to wait at most.
-            parse: where the reply ends that begins these bytes (raises Incomplete for more); by default a Bottle's end.
+        ``parse`` says where the reply ends that begins these bytes (raises Incomplete for more); by default a Bottle's
+        end.
 
         Raises:
             TimeoutError: no reply in time; the connection is closed.
-            ConnectionError: there is no output, or it broke.
+            ConnectionError: the port has no output, or it broke.
             WireError: the reply is no Bottle, or above the limit.
         """
         outputs = self.connections.outputs
@@ -251,14 +242,14 @@ class PortCore:
         output = outputs[0]
         deadline = None if timeout is None else time.monotonic() + timeout
         profile = output.profile or self.profile
-        made = Outgoing(payload, envelope, "d").buffers(output.carrier, profile)
+        made = OutgoingMessage(payload, envelope, "d").buffers(output.carrier, profile)
         self.counters.sent += 1
         reply = output.request(made, parse, deadline)
         return from_line(reply.strip(), profile) if output.carrier.text else reply
 
     @property
     def answers_in(self) -> Profile | None:
-        """The dialect of the port that answers requests; None where it is not known, or there is none."""
+        """The dialect of the port that answers requests; None where it is not known, or no port does."""
         outputs = self.connections.outputs
         return outputs[0].profile if outputs else None
 
@@ -268,38 +259,16 @@ class PortCore:
         return any(output.busy for output in self.connections.outputs)
 
     def wait_writes(self, timeout: float | None = None) -> bool:
-        """Wait until all messages have been sent, and acknowledged where the carrier does that.
-
-        False where not in time.
-        """
+        """Wait until all messages are sent, and acknowledged where the carrier does that; False where not in time."""
         deadline = None if timeout is None else time.monotonic() + timeout
         return all(output.wait_idle(deadline) for output in self.connections.outputs)
 
-    # -- connections --------------------------------------------------------------------------------------------------
+    @property
+    def lost(self) -> Counter[str]:
+        """Messages that its outputs dropped, by reason; those of outputs that have ended too."""
+        return self.connections.lost
 
-    def inputs(self) -> list[Route]:
-        """The input connections."""
-        return [i.route for i in self.connections.inputs]
-
-    def outputs(self) -> list[Route]:
-        """The output connections."""
-        return [o.route for o in self.connections.outputs]
-
-    def add_output(self, target: str) -> tuple[bool, str]:
-        """Connect this port to another: ``/name``, ``carrier://name`` or ``carrier:/name``.
-
-        Returns:
-            whether that was done, and YARP's words about it.
-        """
-        return connecting.add_output(self, target)
-
-    def remove_output(self, name: str) -> tuple[bool, str]:
-        """End the output connection to a port; whether there was one, and YARP's words."""
-        return connecting.remove_output(self, name)
-
-    def remove_input(self, name: str) -> tuple[bool, str]:
-        """End the input connection from a port; whether there was one, and YARP's words."""
-        return connecting.remove_input(self, name)
+    # -- on the shared thread, and what comes in ----------------------------------------------------------------------
 
     def _look(self) -> None:
         """On the shared thread, now and then: are the peers of idle outputs still there."""
@@ -307,88 +276,27 @@ class PortCore:
         if shared is not None:
             for output in self.connections.outputs:
                 output.check()
+            for connection in self.connections.inputs:
+                connection.stream.give_back(_KEPT_FOR)
             shared.later(_LOOK, self._look)
-
-    # -- what comes in ------------------------------------------------------------------------------------------------
-
-    def _opened(self, sock: socket.socket, opened: Opening, rest: bytes, address: tuple[str, int]) -> None:
-        """A connection introduced itself; on the shared thread."""
-        connection = accepting.answer(self, sock, opened, rest, address)
-        if connection is not None:
-            self._attach(connection)
-
-    def attach(self, sock: socket.socket, opened: Opening) -> None:
-        """Take a connection from a port of the same process."""
-        self._attach(accepting.made_of(self, sock, opened, b"", ("", 0)))
-
-    def _attach(self, connection: Input) -> None:
-        shared = self._loop
-        if shared is None or not self.connections.add_input(connection):
-            connection.abandon()
-        else:
-            connection.start(shared)
 
     def _refused(self, peer: str, error: WireError) -> None:
         self.counters.dropped["malformed"] += 1
         level = logging.WARNING if isinstance(error, carriers.CarrierError) else logging.INFO
         _log.log(level, "port %s refused a connection from %s: %s", self.name, peer, error)
 
-    def refused(self, route: Route, error: WireError) -> None:
-        """A connection said something that is no message."""
-        self.counters.dropped["malformed"] += 1
-        _log.warning("port %s ends the connection from %s: %s", self.name, route.source, error)
-
-    def ended(self, connection: Input) -> None:
-        """An input connection is over."""
-        self.connections.ended(connection)
-
-    def turned(self, connection: Input, sock: socket.socket) -> None:
-        """An input connection asked to be an output."""
-        self.ended(connection)
-        route = Route(self.name, connection.route.source, connection.route.carrier)
-        with contextlib.suppress(ConnectionAbortedError):
-            connecting.take_output(self, sock, route, connection.carrier, connection.profile)
-
-    def deliver(self, incoming: Message) -> None:
-        """Give a message to the port's owner.
-
-        Raises:
-            ConnectionAbortedError: the port closes: nobody gets an empty reply, or an acknowledgement, for that.
-        """
-        if self._loop is None:
-            msg = f"port {self.name} is closed"
-            raise ConnectionAbortedError(msg)
-        counters = self.counters
-        counters.received += 1
-        if self.on_message is None:
-            counters.dropped["no reader"] += 1
-        elif self._interrupted:
-            counters.dropped["interrupted"] += 1
-        else:
-            try:
-                self.on_message(incoming)
-            except Exception:
-                counters.dropped["failed"] += 1
-                incoming.give_up()
-                _log.exception("port %s: its owner failed on a message from %s", self.name, incoming.peer.route.source)
-
-    def administer(self, payload: Buffer, connection: Input) -> bytes:
-        """Obey an administrative command; the answer's Bottle."""
+    def administer(self, payload: Buffer, peer: MessagePeer) -> bytes:
+        """Obey an administrative command; returns the answer's Bottle."""
         try:
-            words = decode(payload, connection.profile)
+            words = decode(payload, peer.profile)
         except WireError as error:
-            told = "port %s: %s sends an administrative command that is none: %s"
-            _log.info(told, self.name, connection.route.source, error)
+            _log.info("port %s: %s sends no administrative command: %s", self.name, peer.route.source, error)
             words = []
-        return encode(admin.answer(self, words), connection.profile or self.profile)
+        return encode(admin.answer(self, words), peer.profile or self.profile)
 
     def obey(self, word: PortCommand) -> tuple[str, ...]:
-        """Obey a port command; the lines that text carriers answer."""
-        return commands.obey(self, word)
-
-    def describe(self) -> tuple[str, ...]:
-        """The port and its connections, in YARP's words."""
-        return commands.describe(self)
+        """Obey a port command; returns the lines that text carriers answer."""
+        return admin.obey(self, word)
 
 
 def _finished(begun: list[tuple[AnyOutput, Item]], timeout: float | None) -> int:

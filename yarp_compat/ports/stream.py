@@ -1,31 +1,32 @@
-"""Reading a connection: whole messages or lines from a blocking socket, with few system calls and bounded memory."""
+"""Reads whole messages or lines from a blocking socket, with few system calls and bounded memory."""
 
 from __future__ import annotations
 
 import socket
 import struct
+import time
 
-from yarp_compat.wire import command, message
-from yarp_compat.wire.errors import WireError
-from yarp_compat.wire.message import Buffer
+from yarp_compat.wire import framing
+from yarp_compat.wire.errors import TooLargeError, WireError
+from yarp_compat.wire.framing import Buffer
 
 _BUFFER = 1 << 16
 _AT_ONCE = 1 << 20
 """Bytes given to a large message before any of it came; more only as it comes."""
 _COMMON = struct.Struct("<18sIIiIsBBB")
 _COMMON_SIZE = _COMMON.size
-_COMMON_HEAD = message.prefix(0)[: message.HEAD_SIZE]
+_COMMON_HEAD = framing.prefix(0)[: framing.HEAD_SIZE]
 _KEYS = {ord(k): k for k in "dDaq"}
 
 
-class Stream:
+class ByteStream:
     """A connection's incoming bytes.
 
     Payloads are ``bytes``, or for large ones a writable memoryview of memory that is used again only when nothing
     refers to it any more.
     """
 
-    def __init__(self, sock: socket.socket, already: bytes = b"", limit: int = message.DEFAULT_LIMIT) -> None:
+    def __init__(self, sock: socket.socket, already: bytes = b"", limit: int = framing.DEFAULT_LIMIT) -> None:
         self._sock = sock
         self._limit = limit
         self._buffer = bytearray(max(4096, len(already)))
@@ -34,13 +35,14 @@ class Stream:
         self._start = 0
         self._end = len(already)
         self._spare = bytearray()
+        self._spared = 0.0
 
     def message(self) -> tuple[str, str, Buffer] | None:
         """Wait for a message: its key, its command's text if any, and its payload; None at the connection's end.
 
         Raises:
             WireError: for anything that is no message, and for one above the limit.
-            OSError: where the connection broke.
+            OSError: the connection broke.
         """
         while True:
             start, have = self._start, self._end - self._start
@@ -48,13 +50,12 @@ class Stream:
                 head, first, length, _, _, mark, key, _, _ = _COMMON.unpack_from(self._buffer, start)
                 if head == _COMMON_HEAD and first == 8 and key in _KEYS and mark == b"~":
                     if length > self._limit:
-                        msg = f"a message announces {length} bytes; at most {self._limit} are taken"
-                        raise WireError(msg)
+                        raise TooLargeError(f"a message announces {length} bytes; at most {self._limit} are taken")
                     self._start = start + _COMMON_SIZE
                     payload = self._take(length)
                     return None if payload is None else (_KEYS[key], "", payload)
-            if have >= message.HEAD_SIZE:
-                size = message.index_size(self._buffer, start)
+            if have >= framing.HEAD_SIZE:
+                size = framing.index_size(self._buffer, start)
                 if have >= size:
                     return self._uncommon(start, size)
             if not self._more():
@@ -62,12 +63,12 @@ class Stream:
 
     def _uncommon(self, start: int, size: int) -> tuple[str, str, Buffer] | None:
         """A message with an envelope, in many blocks, or with a command alone."""
-        total = message.body_size(self._buffer, start, self._limit)
+        total = framing.body_size(self._buffer, start, self._limit)
         self._start = start + size
         body = self._take(total)
         if body is None:
             return None
-        word, begin = command.parse(body)
+        word, begin = framing.parse_command(body)
         return word.key, word.text, body[begin:]
 
     def _take(self, length: int) -> Buffer | None:
@@ -96,7 +97,7 @@ class Stream:
             if not got:
                 return None
             have += got
-        self._spare = memory
+        self._spare, self._spared = memory, time.monotonic()
         return memoryview(memory)
 
     def _memory(self, length: int) -> bytearray:
@@ -111,11 +112,21 @@ class Stream:
                 return spare
         return bytearray(min(length, _AT_ONCE))
 
+    @property
+    def kept(self) -> int:
+        """Bytes of memory that are kept for the next large message."""
+        return len(self._spare)
+
+    def give_back(self, seconds: float) -> None:
+        """Keep no memory when no large message came for so long. From any thread."""
+        if self._spare and time.monotonic() - self._spared >= seconds:
+            self._spare = bytearray()
+
     def line(self, longest: int | None = None) -> bytes | None:
         r"""Wait for a line; without its end (``\n`` or ``\r\n``). None at the connection's end.
 
         Raises:
-            WireError: for a line longer than ``longest`` bytes, by default the connection's limit.
+            WireError: the line is longer than ``longest`` bytes, by default the connection's limit.
         """
         longest = min(longest or self._limit, self._limit)
         parts: list[bytes] = []
@@ -125,8 +136,7 @@ class Stream:
             stop = self._end if end < 0 else end
             size += stop - self._start
             if size > longest:
-                msg = f"a line is longer than {longest} bytes"
-                raise WireError(msg)
+                raise WireError(f"a line is longer than {longest} bytes")
             parts.append(bytes(self._view[self._start : stop]))
             self._start = stop if end < 0 else end + 1
             if end >= 0:
@@ -147,7 +157,7 @@ class Stream:
         return b"".join(parts)
 
     def left(self) -> bytes:
-        """What came and was not read."""
+        """The bytes that came and were not read."""
         return bytes(self._view[self._start : self._end])
 
     def _more(self) -> bool:

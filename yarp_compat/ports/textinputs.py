@@ -1,12 +1,22 @@
-"""Inputs that speak lines of text: text, text_ack, and the name server's own."""
+"""Inputs that speak text: the carriers text and text_ack, the name server's own, and browsers.
+
+A browser gets a page about the port, sends a message from a form, or reads a stream of what the port writes.
+"""
 
 from __future__ import annotations
 
+from typing import Any
+
 from yarp_compat.ports.inputs import Input
-from yarp_compat.ports.lines import from_line, to_line
-from yarp_compat.ports.message import Message
-from yarp_compat.wire import command
-from yarp_compat.wire.command import PortCommand
+from yarp_compat.ports.message import PortMessage
+from yarp_compat.ports.outgoing import from_line, to_line
+from yarp_compat.wire import framing, http
+from yarp_compat.wire.binary import decode, encode
+from yarp_compat.wire.contact import PortContact
+from yarp_compat.wire.errors import WireError
+from yarp_compat.wire.framing import PortCommand
+from yarp_compat.wire.http import PageRequest
+from yarp_compat.wire.text import from_text, to_text
 
 _ACK = b"<ACK>\r\n"
 LONGEST_REQUEST = 64 << 10
@@ -19,10 +29,10 @@ class TextInput(Input):
     def take(self) -> bool:
         """Take messages until the end; True where the connection is to be turned round."""
         ack = _ACK if self.carrier.ack else b""
-        while (line := self.stream.line(command.LONGEST_TEXT)) is not None:
+        while (line := self.stream.line(framing.LONGEST_TEXT)) is not None:
             if not line:
                 continue
-            word = command.parse_line(line)
+            word = framing.parse_command_line(line)
             answer, last = b"", False
             if word.key in ("d", "D", "a"):
                 content = self.stream.line()
@@ -39,13 +49,13 @@ class TextInput(Input):
         return False
 
     def _content(self, word: PortCommand, payload: bytes) -> tuple[bytes, bool]:
-        """What is answered to a command with a Bottle; and whether the connection is to end."""
+        """The answer to a command with a Bottle; and whether the connection is to end."""
         if word.key == "a":
             answer = to_line(self.port.administer(payload, self), self.profile)
             return (answer if self.carrier.reply else b""), False
         data_only = word.text == "do"
         quiet = word.key == "D" or data_only or not self.carrier.reply
-        message = Message(payload, "" if data_only else word.envelope, self, not quiet)
+        message = PortMessage(payload, "" if data_only else word.envelope, self, not quiet)
         self.counters.received += 1
         if quiet:
             self.port.deliver(message)
@@ -54,10 +64,7 @@ class TextInput(Input):
 
 
 class NameInput(Input):
-    """An input of name_ser.
-
-    Lines that begin with ``NAME_SERVER``. Without a hook for them, they are messages like others.
-    """
+    """An input of name_ser: lines that begin with ``NAME_SERVER``. Without a hook they are messages like others."""
 
     def take(self) -> bool:
         """Answer lines until the end."""
@@ -73,5 +80,79 @@ class NameInput(Input):
     def _answer(self, text: str, line: bytes) -> bytes:
         if self.port.on_line is not None:
             return self.port.on_line(text, self.address)
-        message = Message(from_line(line, self.port.profile), "", self, wants_reply=True)
+        message = PortMessage(from_line(line, self.port.profile), "", self, wants_reply=True)
         return to_line(self.deliver(message), plain=message.is_plain)
+
+
+class PageInput(Input):
+    """An input of http: one request."""
+
+    def take(self) -> bool:
+        """Answer the request; True where the port's messages are to be streamed from now on."""
+        head = b""
+        while True:
+            line = self.stream.line(http.LONGEST_HEAD)
+            if line is None:
+                return False
+            if not line and head:
+                break
+            head += line + b"\n"
+            if len(head) > http.LONGEST_HEAD:
+                self.sock.sendall(http.response(b"too long\n", "text/plain", "431 Request Header Fields Too Large"))
+                return False
+        try:
+            request = http.parse(head)
+            if request.length:
+                request = request.with_form(self.stream.exactly(request.length) or b"")
+            if request.path in ("r", "read"):
+                self.sock.sendall(http.STREAM_HEAD)
+                return True
+            answer = self._answer(request)
+        except WireError as error:
+            answer = http.response(f"{error}\n".encode(), "text/plain; charset=utf-8", "400 Bad Request")
+        self.sock.sendall(answer)
+        return False
+
+    def _answer(self, request: PageRequest) -> bytes:
+        query = request.query
+        if request.path == "favicon.ico":
+            return http.response(b"", "image/x-icon", "404 Not Found")
+        if request.foreign and (query or request.path):
+            msg = "another site's page must not talk to a port"
+            return http.response(msg.encode() + b"\n", "text/plain", "403 Forbidden")
+        if "admin" in query:
+            told = query["admin"] or query.get("data", "")
+            words = decode(self.port.administer(encode(from_text(told), self.port.profile), self))
+            return self._page([to_text(words)])
+        if "req" in query:
+            fields = {"format": "json", **query, "REQUEST_URI": request.target}
+            values = [*from_text(query["req"]), *([key, fields[key]] for key in sorted(fields))]
+            return self._message(values, query.get("outer", "auto"))
+        if "data" in query:
+            return self._message(
+                from_text(query["data"]), query.get("outer", "auto") if query.get("format") == "json" else ""
+            )
+        if not request.path:
+            return self._page(self.port.obey(PortCommand("*")))
+        words = [*from_text(request.path.replace("/", " ")), *([[k, v] for k, v in query.items()])]
+        return self._message(words)
+
+    def _message(self, values: list[Any], json: str = "") -> bytes:
+        """Give the port's owner a message, and show the reply; as JSON ``dict``, ``list``, ``auto``."""
+        message = PortMessage(encode(values, self.port.profile), "", self, wants_reply=True)
+        self.counters.received += 1
+        reply = self.deliver(message)
+        data = reply if isinstance(reply, (bytes, bytearray, memoryview)) else b"".join(reply)
+        if message.is_plain:
+            return self._page(bytes(data).decode(errors="replace").split("\r\n"))
+        told = decode(data)
+        if json:
+            return http.response(http.as_json(told, json), "text/json")
+        if told[:1] == ["web"] and len(told) > 1:  # a page that the owner made himself
+            kind = told[3] if told[2:3] == ["mime"] and len(told) > 3 else "text/html"
+            return http.response(str(told[1]).encode(errors="replace"), str(kind))
+        return self._page([str(v) for v in told[1:]] if told[:1] == ["many"] else [to_text(told)])
+
+    def _page(self, lines: tuple[str, ...] | list[str]) -> bytes:
+        names = getattr(self.port.naming, "contact", None)
+        return http.response(http.page(self.port.name, lines, names if isinstance(names, PortContact) else None))

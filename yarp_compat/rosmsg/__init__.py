@@ -32,8 +32,7 @@ class _Package:
 
 def __getattr__(name: str) -> _Package:
     if name.startswith("_") or not name.isidentifier():
-        msg = f"module {__name__!r} has no attribute {name!r}"
-        raise AttributeError(msg)
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     return _Package(name)
 
 

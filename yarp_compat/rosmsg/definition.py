@@ -35,14 +35,14 @@ class DefinitionError(ValueError):
 
 
 @dataclass(frozen=True, slots=True)
-class Field:
+class MessageField:
     """One field.
 
     Attributes:
         name: its name.
         type: a number type, ``string``, ``time``, ``duration``, or another message's ``package/Name``.
         is_array: whether it holds any number of these.
-        length: how many, of an array of a fixed length; else 0.
+        length: of an array of a fixed length; else 0.
     """
 
     name: str
@@ -57,17 +57,11 @@ class Field:
 
 
 @dataclass(frozen=True, slots=True)
-class Definition:
-    """A message type.
-
-    Attributes:
-        name: ``package/Name``.
-        fields: in the order of the text.
-        constants: by name.
-    """
+class MessageDefinition:
+    """A message type, ``package/Name``, with its fields in the order of the text, and its constants by name."""
 
     name: str
-    fields: tuple[Field, ...]
+    fields: tuple[MessageField, ...]
     constants: dict[str, int | float | str | bool]
 
 
@@ -81,52 +75,49 @@ def full_name(name: str, package: str = "") -> str:
     if len(parts) == 3 and parts[1] == "msg":
         return f"{parts[0]}/{parts[2]}"
     if len(parts) != 2:
-        msg = f"{name!r} is not the name of a ROS message: write package/Name, as in std_msgs/String"
-        raise DefinitionError(msg)
+        raise DefinitionError(f"{name!r} is not the name of a ROS message: write package/Name, as in std_msgs/String")
     return "/".join(parts)
 
 
-def parse(text: str, name: str) -> dict[str, Definition]:
+def parse(text: str, name: str) -> dict[str, MessageDefinition]:
     """Read a definition, and those appended to it after lines of ``=`` and ``MSG: package/Name``.
 
-    Returns:
-        The definitions by name; the first is ``name``'s own.
+    Returns the definitions by name; the first is ``name``'s own.
 
     Raises:
         DefinitionError: naming the type and the line that cannot be read.
     """
     if len(text) > MAX_TEXT:
-        msg = f"the definition of {name} is longer than {MAX_TEXT} characters"
-        raise DefinitionError(msg)
+        raise DefinitionError(f"the definition of {name} is longer than {MAX_TEXT} characters")
     own, *rest = _SEPARATOR.split(text.replace("\r\n", "\n"))
     found = {full_name(name): _definition(own, full_name(name))}
     for part in rest:
         head, _, body = part.lstrip("\n").partition("\n")
         if not head.startswith("MSG:"):
-            msg = (
+            raise DefinitionError(
                 f"the definition of {name} has a section that does not begin with 'MSG: package/Name' but {head[:60]!r}"
             )
-            raise DefinitionError(msg)
         nested = full_name(head.removeprefix("MSG:").strip())
         found.setdefault(nested, _definition(body, nested))
     return found
 
 
-def _definition(text: str, name: str) -> Definition:
-    fields: dict[str, Field] = {}
+def _definition(text: str, name: str) -> MessageDefinition:
+    fields: dict[str, MessageField] = {}
     constants: dict[str, int | float | str | bool] = {}
     package = name.split("/")[0]
     for number, line in enumerate(text.split("\n"), 1):
         try:
             _read_line(line.strip(), package, fields, constants)
         except (ValueError, KeyError) as err:
-            msg = f"the definition of {name} cannot be read: line {number}, {line.strip()[:80]!r}: {err}"
-            raise DefinitionError(msg) from None
-    return Definition(name, tuple(fields.values()), constants)
+            raise DefinitionError(
+                f"the definition of {name} cannot be read: line {number}, {line.strip()[:80]!r}: {err}"
+            ) from None
+    return MessageDefinition(name, tuple(fields.values()), constants)
 
 
 def _read_line(
-    line: str, package: str, fields: dict[str, Field], constants: dict[str, int | float | str | bool]
+    line: str, package: str, fields: dict[str, MessageField], constants: dict[str, int | float | str | bool]
 ) -> None:
     bare = line.partition("#")[0].strip()
     # A constant string takes the rest of its line, comments and all.
@@ -136,32 +127,28 @@ def _read_line(
         return
     match = _LINE.fullmatch(bare)
     if match is None:
-        msg = "expected '<type> <name>'"
-        raise ValueError(msg)
+        raise ValueError("expected '<type> <name>'")
     type_text, name, is_constant, value, _default = match.groups()
     if is_constant:
         constants[name] = _constant(type_text, value.strip())
         return
     if name in fields:
-        msg = f"there are two fields named {name!r}"
-        raise ValueError(msg)
+        raise ValueError(f"there are two fields named {name!r}")
     fields[name] = _field(type_text, name, package)
 
 
-def _field(text: str, name: str, package: str) -> Field:
+def _field(text: str, name: str, package: str) -> MessageField:
     match = _TYPE.fullmatch(text)
     if match is None:
-        msg = f"{text!r} is not a type"
-        raise ValueError(msg)
+        raise ValueError(f"{text!r} is not a type")
     base, brackets, count = match.groups()
     if base not in PRIMITIVES and base not in STRINGS and base not in TIMES:
         base = full_name(base, package)
         base = _BUILTIN_TIMES.get(base, base)
     length = int(count) if count and "<=" not in brackets else 0
     if length > MAX_ARRAY:
-        msg = f"an array of more than {MAX_ARRAY} elements"
-        raise ValueError(msg)
-    return Field(name, "string" if base in STRINGS else base, brackets is not None, length)
+        raise ValueError(f"an array of more than {MAX_ARRAY} elements")
+    return MessageField(name, "string" if base in STRINGS else base, brackets is not None, length)
 
 
 def _constant(type_text: str, value: str) -> int | float | str | bool:
@@ -174,5 +161,4 @@ def _constant(type_text: str, value: str) -> int | float | str | bool:
         return float(value)
     if base in PRIMITIVES:
         return int(value, 0)
-    msg = f"no constant of type {base!r} exists"
-    raise ValueError(msg)
+    raise ValueError(f"no constant of type {base!r} exists")

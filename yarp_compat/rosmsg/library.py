@@ -1,8 +1,8 @@
 """Finds the definitions of ROS message types and makes their classes, each once.
 
-Where it looks, in this order: what was given (`Library.add`), folders (`Library.folders`, then ``YARP_ROSMSG_PATH``),
-what is installed of either ROS (``ROS_PACKAGE_PATH``, ``AMENT_PREFIX_PATH``, ``CMAKE_PREFIX_PATH``), and last a Midspan
-daemon on the YARP network (`Library.ask`). Nothing is fetched from anywhere else.
+Where it looks, in this order: what was given (``add``), folders (``folders``, then ``YARP_ROSMSG_PATH``), what is
+installed of either ROS (``ROS_PACKAGE_PATH``, ``AMENT_PREFIX_PATH``, ``CMAKE_PREFIX_PATH``), and last a Midspan daemon
+on the YARP network (``ask``). Nothing is fetched from anywhere else.
 """
 
 from __future__ import annotations
@@ -13,11 +13,11 @@ import threading
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 
-from yarp_compat.rosmsg.definition import MAX_TEXT, Definition, DefinitionError, full_name, parse
+from yarp_compat.rosmsg.definition import MAX_TEXT, DefinitionError, MessageDefinition, full_name, parse
 from yarp_compat.rosmsg.message import Message, make_class
 
 MAX_DEPTH = 32
-"""How deep messages may nest each other."""
+"""The deepest nesting of messages."""
 
 _NAME = re.compile(r"[A-Za-z]\w*/[A-Za-z]\w*")
 
@@ -25,7 +25,7 @@ _NAME = re.compile(r"[A-Za-z]\w*/[A-Za-z]\w*")
 _KNOWN = {"std_msgs/Header": "uint32 seq\ntime stamp\nstring frame_id\n", "std_msgs/String": "string data\n"}
 
 
-class Library:
+class MessageLibrary:
     """Message classes by type name.
 
     Attributes:
@@ -37,16 +37,12 @@ class Library:
         self.folders: list[Path] = []
         self.ask: Callable[[str], str | None] | None = None
         self._environment = os.environ if environment is None else environment
-        self._definitions: dict[str, Definition] = {}
+        self._definitions: dict[str, MessageDefinition] = {}
         self._classes: dict[str, type[Message]] = {}
         self._lock = threading.RLock()
 
     def add(self, name: str, text: str) -> None:
-        """Give a type's definition, alone or with those that it needs appended.
-
-        Raises:
-            DefinitionError: it cannot be read.
-        """
+        """Give a type's definition, alone or with those that it needs appended; raises `DefinitionError`."""
         with self._lock:
             self._definitions |= parse(text, name)
 
@@ -61,8 +57,9 @@ class Library:
 
     def _class(self, name: str, path: tuple[str, ...]) -> type[Message]:
         if name in path or len(path) > MAX_DEPTH:
-            msg = f"{path[0]} cannot be used: {name} contains itself, or messages nest more than {MAX_DEPTH} deep"
-            raise DefinitionError(msg)
+            raise DefinitionError(
+                f"{path[0]} cannot be used: {name} contains itself, or messages nest more than {MAX_DEPTH} deep"
+            )
         if name not in self._classes:
             definition = self._definition(name, path)
             needed = [field.type for field in definition.fields if field.is_message]
@@ -70,19 +67,17 @@ class Library:
             self._classes[name] = make_class(definition, nested)
         return self._classes[name]
 
-    def _definition(self, name: str, path: tuple[str, ...]) -> Definition:
+    def _definition(self, name: str, path: tuple[str, ...]) -> MessageDefinition:
         if not _NAME.fullmatch(name):
-            msg = f"{name!r} is not the name of a ROS message"
-            raise DefinitionError(msg)
+            raise DefinitionError(f"{name!r} is not the name of a ROS message")
         if name not in self._definitions:
             text = self._find(name)
             if text is None:
                 wanted = f", which {path[-1]} contains," if path else ""
-                msg = (
+                raise DefinitionError(
                     f"no definition of {name}{wanted} is known: give a folder with its .msg file in YARP_ROSMSG_PATH "
                     "or yarp.rosmsg.folders, install the package, or start a Midspan daemon on this YARP network"
                 )
-                raise DefinitionError(msg)
             found = parse(text, name)
             self._definitions = found | self._definitions
         return self._definitions[name]
@@ -116,9 +111,8 @@ def _read(path: Path, name: str) -> str:
             data = file.read(MAX_TEXT + 1)
         return data.decode()
     except (OSError, UnicodeDecodeError) as err:
-        msg = f"the definition of {name} in {path} cannot be read: {err}"
-        raise DefinitionError(msg) from None
+        raise DefinitionError(f"the definition of {name} in {path} cannot be read: {err}") from None
 
 
-LIBRARY = Library()
+LIBRARY = MessageLibrary()
 """The program's own, behind ``yarp.rosmsg``."""

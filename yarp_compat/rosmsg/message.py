@@ -10,16 +10,15 @@ from __future__ import annotations
 import math
 import struct
 from collections.abc import Mapping
-from typing import Any, ClassVar, Self
+from typing import Any, ClassVar
 
-from yarp_compat.rosmsg.definition import PRIMITIVES, TIMES, Definition, Field
+from yarp_compat.rosmsg.definition import PRIMITIVES, TIMES, MessageDefinition, MessageField
+from yarp_compat.wire.elements import ElementReader, ElementWriter
 from yarp_compat.wire.errors import WireError
-from yarp_compat.wire.message import Buffer
+from yarp_compat.wire.framing import Buffer
 from yarp_compat.wire.portable import Portable
 from yarp_compat.wire.profile import Profile
-from yarp_compat.wire.reader import Reader
 from yarp_compat.wire.tags import BLOB, INT8, INT16, INT32, INT64, LIST, STRING
-from yarp_compat.wire.writer import Writer
 
 _TAGS = {1: INT8, 2: INT16, 4: INT32, 8: INT64}
 _LETTERS = {
@@ -64,7 +63,7 @@ class Message(Portable):
         text = String(data="hello")
     """
 
-    _definition: ClassVar[Definition]
+    _definition: ClassVar[MessageDefinition]
     _nested: ClassVar[Mapping[str, type[Message]]]
     _names: ClassVar[frozenset[str]] = frozenset()
 
@@ -75,8 +74,7 @@ class Message(Portable):
 
     def __setattr__(self, name: str, value: Any) -> None:
         if name not in self._names:  # a field misspelt would be published empty
-            msg = f"{self.TYPE} has no field {name!r}, only {', '.join(sorted(self._names)) or 'none'}"
-            raise AttributeError(msg)
+            raise AttributeError(f"{self.TYPE} has no field {name!r}, only {', '.join(sorted(self._names)) or 'none'}")
         self.__dict__[name] = value
 
     @classmethod
@@ -91,8 +89,6 @@ class Message(Portable):
     def __eq__(self, other: object) -> bool:
         return type(other) is type(self) and self.to_wire() == other.to_wire()
 
-    __hash__ = None  # type: ignore[assignment]  # messages change
-
     def __repr__(self) -> str:
         fields = ", ".join(f"{field.name}={getattr(self, field.name)!r}" for field in self._definition.fields)
         return f"{self.TYPE.replace('/', '.')}({fields})"
@@ -103,7 +99,7 @@ class Message(Portable):
 
     toString_c = toString
 
-    def _write(self, out: Writer) -> None:
+    def _write(self, out: ElementWriter) -> None:
         out.begin(len(self._definition.fields))
         for field in self._definition.fields:
             value = getattr(self, field.name)
@@ -113,14 +109,12 @@ class Message(Portable):
                 if field.is_message and isinstance(err, WireError):
                     raise  # the nested message said which of its fields it is
                 kind = f"{field.type}{'[]' * field.is_array}"
-                msg = f"{self.TYPE}.{field.name} is {kind}, not {value!r:.80}: {err}"
-                raise WireError(msg) from None
+                raise WireError(f"{self.TYPE}.{field.name} is {kind}, not {value!r:.80}: {err}") from None
 
-    def _read(self, source: Reader) -> None:
+    def _read(self, source: ElementReader) -> None:
         count = source.begin()
         if count != len(self._definition.fields):
-            msg = f"a {self.TYPE} has {len(self._definition.fields)} fields, and {count} came"
-            raise WireError(msg)
+            raise WireError(f"a {self.TYPE} has {len(self._definition.fields)} fields, and {count} came")
         values = {}
         for field in self._definition.fields:
             try:
@@ -130,19 +124,18 @@ class Message(Portable):
             except WireError as err:
                 if field.is_message:
                     raise
-                msg = f"{self.TYPE}.{field.name} is {field.type}{'[]' * field.is_array}: {err}"
-                raise type(err)(msg) from None
+                raise type(err)(f"{self.TYPE}.{field.name} is {field.type}{'[]' * field.is_array}: {err}") from None
         source.end()
         self.__dict__.update(values)
 
     @classmethod
-    def _default(cls, field: Field) -> Any:
+    def _default(cls, field: MessageField) -> Any:
         if field.is_array:
             return [cls._single(field) for _ in range(field.length)]
         return cls._single(field)
 
     @classmethod
-    def _single(cls, field: Field) -> Any:
+    def _single(cls, field: MessageField) -> Any:
         if field.is_message:
             return cls._nested[field.type]()
         if field.type in TIMES:
@@ -150,7 +143,7 @@ class Message(Portable):
         return {"string": "", "bool": False}.get(field.type, 0.0 if field.type in _FLOATS else 0)
 
     @classmethod
-    def _read_array(cls, source: Reader, field: Field) -> Any:
+    def _read_array(cls, source: ElementReader, field: MessageField) -> Any:
         if source.next_tag() == BLOB and PRIMITIVES.get(field.type) == 1:
             found = list(struct.unpack(f"<{len(data := source.blob())}{_LETTERS[field.type]}", data))
         elif field.type in PRIMITIVES:
@@ -159,12 +152,11 @@ class Message(Portable):
             found = [cls._read_single(source, field) for _ in range(source.begin())]
             source.end()
         if field.length and len(found) != field.length:
-            msg = f"{len(found)} elements, not {field.length}"
-            raise WireError(msg)
+            raise WireError(f"{len(found)} elements, not {field.length}")
         return found
 
     @classmethod
-    def _read_numbers(cls, source: Reader, field: Field) -> list[Any]:
+    def _read_numbers(cls, source: ElementReader, field: MessageField) -> list[Any]:
         tag, count, data = source.numbers()
         if data is None:
             found = [cls._read_single(source, field) for _ in range(count)]
@@ -179,13 +171,12 @@ class Message(Portable):
             if field.type in _FLOATS:
                 return [float(number) for number in found]
             if letters.get(tag, "i") in "fd":
-                msg = f"numbers with a fraction, of tag {tag}"
-                raise WireError(msg)
+                raise WireError(f"numbers with a fraction, of tag {tag}")
             found = [_integer(field.type, number) for number in found]
         return [bool(number) for number in found] if field.type == "bool" else found
 
     @classmethod
-    def _read_single(cls, source: Reader, field: Field) -> Any:
+    def _read_single(cls, source: ElementReader, field: MessageField) -> Any:
         if field.is_message:
             message = cls._nested[field.type]()
             message._read(source)
@@ -199,11 +190,8 @@ class Message(Portable):
         number = source.integer()
         return bool(number) if field.type == "bool" else _integer(field.type, number)
 
-    def _become(self, other: Self) -> None:
-        self.__dict__.update(other.__dict__)
 
-
-def make_class(definition: Definition, nested: Mapping[str, type[Message]]) -> type[Message]:
+def make_class(definition: MessageDefinition, nested: Mapping[str, type[Message]]) -> type[Message]:
     """The class of a message type whose nested types' classes are known."""
     fields = ", ".join(f"{field.type}{'[]' * field.is_array} {field.name}" for field in definition.fields)
     body: dict[str, Any] = {name: value for name, value in definition.constants.items() if not hasattr(Message, name)}
@@ -218,10 +206,9 @@ def make_class(definition: Definition, nested: Mapping[str, type[Message]]) -> t
     return type(definition.name.split("/")[1], (Message,), body)
 
 
-def _write_array(out: Writer, field: Field, value: Any) -> None:
+def _write_array(out: ElementWriter, field: MessageField, value: Any) -> None:
     if field.length and len(value) != field.length:
-        msg = f"{len(value)} elements, not {field.length}"
-        raise ValueError(msg)
+        raise ValueError(f"{len(value)} elements, not {field.length}")
     if field.is_message or field.type in TIMES:
         out.begin(len(value))
         for element in value:
@@ -246,7 +233,7 @@ def _packed(type_name: str, value: Any) -> Buffer:
     return struct.pack(f"<{len(value)}{letter}", *value)
 
 
-def _write_single(out: Writer, field: Field, value: Any) -> None:
+def _write_single(out: ElementWriter, field: MessageField, value: Any) -> None:
     if field.is_message:
         value._write(out)
     elif field.type in TIMES:
@@ -264,7 +251,7 @@ def _write_single(out: Writer, field: Field, value: Any) -> None:
         out.integer(_integer(field.type, int(value)), _TAGS[PRIMITIVES[field.type]])
 
 
-def _read_time(source: Reader, type_name: str) -> TickTime:
+def _read_time(source: ElementReader, type_name: str) -> TickTime:
     if not source.next_tag() & LIST:
         return TickTime(source.float64())
     source.begin()
@@ -287,6 +274,5 @@ def _integer(type_name: str, value: int) -> int:
     if unsigned and -(1 << bits - 1) <= value < 0:
         value += 1 << bits
     if not least <= value < least + (1 << bits):
-        msg = f"{value} does not fit {type_name}"
-        raise WireError(msg)
+        raise WireError(f"{value} does not fit {type_name}")
     return value

@@ -12,27 +12,188 @@ looked at.
 from __future__ import annotations
 
 import struct
-from typing import Any, Self
+from typing import Any, ClassVar, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
-from yarp_compat.sig.conversion import convert
-from yarp_compat.sig.pixels import PIXELS, PixelCode, format_of
-from yarp_compat.sig.raster import Raster, padded
+from yarp_compat.sig.pixels import PIXELS, Format, PixelCode, convert, format_of
+from yarp_compat.sig.vector import Comparable, VectorOf, as_array
+from yarp_compat.wire.accessors import getter
+from yarp_compat.wire.elements import ElementReader, ElementWriter
 from yarp_compat.wire.errors import WireError
-from yarp_compat.wire.message import Buffer
+from yarp_compat.wire.framing import Buffer
 from yarp_compat.wire.portable import Portable
 from yarp_compat.wire.profile import Profile
-from yarp_compat.wire.reader import Reader
 from yarp_compat.wire.tags import BLOB, INT32, LIST, VOCAB32
-from yarp_compat.wire.writer import Writer
+
+QUANTUM = 8
+"""Bytes to whose multiple rows are padded where nothing else is asked for."""
+
+
+class RawImage(np.ndarray[Any, np.dtype[np.uint8]]):
+    """An image's bytes, as a pointer to them where that is asked for."""
+
+    def __int__(self) -> int:
+        return int(self.ctypes.data)
+
+
+class Raster:
+    """Pixels in memory."""
+
+    code: ClassVar[int] = PixelCode.INVALID
+    """The pixel code that every image of the class has; INVALID: whatever comes."""
+
+    def __init__(self) -> None:
+        self._code: int = self.code
+        self._quantum = 0
+        self._width = self._height = self._row = 0
+        self._memory = memoryview(bytearray())
+        self._external = False
+
+    def numpy(self) -> NDArray[Any]:
+        """The pixels as an array (height, width) or (height, width, channels) in the image's memory.
+
+        It cannot be written to where the image came in memory that cannot. It stays what it is when the image becomes
+        another size or is read anew.
+        """
+        form = self._format()
+        shape: tuple[int, ...] = (self._height, self._width)
+        strides: tuple[int, ...] = (self._row, form.size)
+        if len(form.channels) > 1:
+            shape, strides = (*shape, len(form.channels)), (*strides, form.dtype.itemsize)
+        return np.ndarray(shape, form.dtype, self._memory, 0, strides)
+
+    def __array__(self, dtype: Any = None, copy: bool | None = None) -> NDArray[Any]:
+        return as_array(self.numpy(), dtype, copy)
+
+    width = getter("_width", int, "Pixels in a row.")
+    height = getter("_height", int, "Rows.")
+
+    def getPixelCode(self) -> int:
+        """The content of the pixels: a :class:`PixelCode`, or minus their size."""
+        return int(self._code)
+
+    def getPixelSize(self) -> int:
+        """Bytes of a pixel."""
+        return self._format().size if self._code else 0
+
+    getRowSize = getter("_row", int, "Bytes of a row, its padding among them.")
+    getQuantum = getter("_quantum", int, "Bytes to whose multiple rows are padded; 0 before the first size.")
+
+    def getPadding(self) -> int:
+        """Bytes of padding at the end of a row."""
+        return self._row - self._width * self.getPixelSize()
+
+    def getRawImage(self) -> RawImage:
+        """The rows' bytes, which are the image's memory; ``int`` of it is where they are."""
+        return np.ndarray(self._memory.nbytes, np.uint8, self._memory).view(RawImage)
+
+    getRawImageSize = getter("_memory.nbytes", int, "The number of bytes of the rows.")
+
+    def getRow(self, row: int) -> memoryview:
+        """One row's bytes, which are the image's memory."""
+        self._check(0, row)
+        return self._memory[row * self._row : row * self._row + self._width * self.getPixelSize()]
+
+    def resize(self, width: int | Raster, height: int = 0) -> None:
+        """Become of this size, or another image's; the content of an image that changes its size is 0."""
+        if isinstance(width, Raster):
+            height, width = width.height(), width.width()
+        if width < 0 or height < 0:
+            raise ValueError(f"an image cannot be {width} x {height} pixels")
+        if (width, height) == (self._width, self._height):
+            return
+        self._quantum = self._quantum or QUANTUM
+        row = padded(width * self._format().size, self._quantum)
+        self._place(width, height, row, memoryview(bytearray(row * height)))
+
+    def setQuantum(self, quantum: int) -> None:
+        """Pad rows to a multiple of so many bytes from now on, those that there are too."""
+        if quantum <= 0:
+            raise ValueError(f"rows cannot be padded to a multiple of {quantum} bytes")
+        self._quantum = quantum
+        if self._row != padded(self._width * self.getPixelSize(), quantum):
+            self._fill(self.numpy())
+
+    def setExternal(self, data: Buffer | NDArray[Any] | VectorOf, width: int, height: int) -> None:
+        """Use this memory for the pixels: an array, a vector's, or any buffer in one piece.
+
+        Rows count as padded to the image's quantum, or not at all where the memory's size says so. The image is read
+        into this memory as long as what comes has this size and kind.
+
+        Raises:
+            ValueError: it is too small, or not in one piece.
+        """
+        held = data.numpy() if isinstance(data, VectorOf) else data  # which scripts for YARP's bindings do
+        view = held.data if isinstance(held, np.ndarray) else memoryview(held)
+        if not view.c_contiguous:
+            raise ValueError("the memory of an image must be in one piece: numpy.ascontiguousarray makes it so")
+        memory = view.cast("B") if view.nbytes else memoryview(b"")
+        quantum = self._quantum or 1
+        bare = width * self._format().size
+        row = padded(bare, quantum)
+        if memory.nbytes == bare * height and row != bare:
+            quantum, row = 1, bare
+        if memory.nbytes < row * height:
+            raise ValueError(f"{width} x {height} pixels need {row * height} bytes, and there are {memory.nbytes}")
+        self._quantum = quantum
+        self._place(width, height, row, memory[: row * height], external=True)
+
+    setExternal2 = setExternal
+
+    def tostring(self) -> bytes:
+        """The rows' bytes."""
+        return bytes(self._memory)
+
+    def fromstring(self, data: Buffer, width: int, height: int) -> None:
+        """Use these bytes for the rows."""
+        self.setExternal(data, width, height)
+
+    def zero(self) -> None:
+        """Set every byte to 0."""
+        self._own()
+        np.ndarray(self._memory.nbytes, np.uint8, self._memory)[:] = 0
+
+    def isPixel(self, x: int, y: int) -> bool:
+        """Whether there is such a pixel."""
+        return 0 <= x < self._width and 0 <= y < self._height
+
+    def _format(self) -> Format:
+        return format_of(self._code)
+
+    def _check(self, x: int, y: int) -> None:
+        if not (0 <= x < max(self._width, 1) and 0 <= y < self._height):
+            raise IndexError(f"there is no pixel ({x}, {y}) in an image of {self._width} x {self._height}")
+
+    def _place(self, width: int, height: int, row: int, memory: memoryview, *, external: bool = False) -> None:
+        self._width, self._height, self._row, self._memory, self._external = width, height, row, memory, external
+
+    def _own(self) -> None:
+        """Have memory that can be changed."""
+        if self._memory.readonly:
+            self._memory = memoryview(bytearray(self._memory))
+
+    def _fill(self, pixels: NDArray[Any]) -> None:
+        """Become these pixels, in the memory that there is where they fit, else in new memory."""
+        height, width = pixels.shape[:2]
+        self._quantum = self._quantum or QUANTUM
+        row = padded(width * self._format().size, self._quantum)
+        if (width, height, row) != (self._width, self._height, self._row) or self._memory.readonly:
+            self._place(width, height, row, memoryview(bytearray(row * height)))
+        self.numpy()[...] = pixels
+
+
+def padded(size: int, quantum: int) -> int:
+    """Bytes of a row with its padding."""
+    return -(-size // quantum) * quantum if quantum else size
+
 
 _HEADER = struct.Struct("<13i")
 _MAT = int.from_bytes(b"mat\0", "little")
 
 
-class Image(Raster, Portable):
+class Image(Raster, Comparable, Portable):
     """A picture. Use the class of its pixels (:class:`ImageRgb`), or :class:`FlexImage` for any."""
 
     TYPE = "yarp/image"
@@ -60,7 +221,7 @@ class Image(Raster, Portable):
     access = pixel
 
     def safePixel(self, x: int, y: int) -> Any:
-        """The pixel, or one of 0 where there is none."""
+        """The pixel, or one of 0 where none exists."""
         if self.isPixel(x, y):
             return self.pixel(x, y)
         kind = PIXELS.get(self._code)
@@ -94,22 +255,12 @@ class Image(Raster, Portable):
         self._fill(pixels)
         return True
 
-    def isEqual(self, other: object) -> bool:
-        """Whether both are the same picture of the same pixels."""
-        return self == other
-
-    def notEqual(self, other: object) -> bool:
-        """Whether they differ."""
-        return self != other
-
     def __eq__(self, other: object) -> bool:
         if not isinstance(other, Image):
             return NotImplemented
         if self._code != other.getPixelCode() or (self._width, self._height) != (other.width(), other.height()):
             return False
         return not self._code or self.numpy().tobytes() == other.numpy().tobytes()
-
-    __hash__ = None  # type: ignore[assignment] # it changes
 
     def __repr__(self) -> str:
         return f"<{type(self).__name__} {self._width} x {self._height} of code {self._code}>"
@@ -118,14 +269,13 @@ class Image(Raster, Portable):
         form = self._format()
         channels = array.shape[2] if array.ndim == 3 else 1
         if array.ndim not in (2, 3) or channels != len(form.channels) or array.dtype != form.dtype:
-            msg = (
+            raise ValueError(
                 f"an image of {'/'.join(form.channels)} in {form.dtype} cannot be made of an array of {array.shape} in "
                 f"{array.dtype}"
             )
-            raise ValueError(msg)
         self.setExternal(np.ascontiguousarray(array, form.dtype), array.shape[1], array.shape[0])
 
-    def _write(self, out: Writer) -> None:
+    def _write(self, out: ElementWriter) -> None:
         form = format_of(self._code) if self._code else None
         size = self._memory.nbytes
         out.begin(4)
@@ -136,12 +286,12 @@ class Image(Raster, Portable):
         out.block(self._memory)
 
     def _whole(self, data: Buffer, profile: Profile) -> None:
-        source = Reader(data, profile)
+        source = ElementReader(data, profile)
         found = _parsed(source)
         source.finish()
         self._take(*found)
 
-    def _read(self, source: Reader) -> None:
+    def _read(self, source: ElementReader) -> None:
         self._take(*_parsed(source))
 
     def _take(self, code: int, quantum: int, width: int, height: int, data: memoryview) -> None:
@@ -168,7 +318,7 @@ class Image(Raster, Portable):
             raise WireError(str(error)) from error
 
 
-def _parsed(source: Reader) -> tuple[int, int, int, int, memoryview]:
+def _parsed(source: ElementReader) -> tuple[int, int, int, int, memoryview]:
     """An image's code, quantum, width, height and rows."""
     at = source.at
     count = source.begin()
@@ -198,7 +348,7 @@ class FlexImage(Image):
         """Have pixels of this code; the content goes where they are of another size.
 
         Raises:
-            ValueError: there are none such.
+            ValueError: no such pixels exist.
         """
         size = format_of(code).size if code else 0
         if size != self.getPixelSize():
@@ -217,79 +367,25 @@ class ImageMono(Image):
     code = PixelCode.MONO
 
 
-class ImageMono16(Image):
-    """Grey in two bytes."""
-
-    code = PixelCode.MONO16
-
-
 class ImageRgb(Image):
     """Red, green, blue in bytes."""
 
     code = PixelCode.RGB
 
 
-class ImageRgba(Image):
-    """Red, green, blue, opacity in bytes."""
-
-    code = PixelCode.RGBA
+def _class(name: str, code: PixelCode, doc: str) -> type[Image]:
+    return type(name, (Image,), {"code": code, "__doc__": doc, "__module__": __name__})
 
 
-class ImageBgr(Image):
-    """Blue, green, red in bytes."""
-
-    code = PixelCode.BGR
-
-
-class ImageBgra(Image):
-    """Blue, green, red, opacity in bytes."""
-
-    code = PixelCode.BGRA
-
-
-class ImageInt(Image):
-    """Integers of four bytes."""
-
-    code = PixelCode.INT
-
-
-class ImageFloat(Image):
-    """Floats, as depth images are."""
-
-    code = PixelCode.MONO_FLOAT
-
-
-class ImageRgbFloat(Image):
-    """Red, green, blue in floats."""
-
-    code = PixelCode.RGB_FLOAT
-
-
-class ImageRgbInt(Image):
-    """Red, green, blue in integers of four bytes."""
-
-    code = PixelCode.RGB_INT
-
-
-class ImageRgbSigned(Image):
-    """Red, green, blue in signed bytes."""
-
-    code = PixelCode.RGB_SIGNED
-
-
-class ImageMonoSigned(Image):
-    """Grey in signed bytes."""
-
-    code = PixelCode.MONO_SIGNED
-
-
-class ImageHsv(Image):
-    """Hue, saturation, value in bytes."""
-
-    code = PixelCode.HSV
-
-
-class ImageHsvFloat(Image):
-    """Hue, saturation, value in floats."""
-
-    code = PixelCode.HSV_FLOAT
+ImageMono16 = _class("ImageMono16", PixelCode.MONO16, "Grey in two bytes.")
+ImageRgba = _class("ImageRgba", PixelCode.RGBA, "Red, green, blue, opacity in bytes.")
+ImageBgr = _class("ImageBgr", PixelCode.BGR, "Blue, green, red in bytes.")
+ImageBgra = _class("ImageBgra", PixelCode.BGRA, "Blue, green, red, opacity in bytes.")
+ImageInt = _class("ImageInt", PixelCode.INT, "Integers of four bytes.")
+ImageFloat = _class("ImageFloat", PixelCode.MONO_FLOAT, "Floats, as depth images are.")
+ImageRgbFloat = _class("ImageRgbFloat", PixelCode.RGB_FLOAT, "Red, green, blue in floats.")
+ImageRgbInt = _class("ImageRgbInt", PixelCode.RGB_INT, "Red, green, blue in integers of four bytes.")
+ImageRgbSigned = _class("ImageRgbSigned", PixelCode.RGB_SIGNED, "Red, green, blue in signed bytes.")
+ImageMonoSigned = _class("ImageMonoSigned", PixelCode.MONO_SIGNED, "Grey in signed bytes.")
+ImageHsv = _class("ImageHsv", PixelCode.HSV, "Hue, saturation, value in bytes.")
+ImageHsvFloat = _class("ImageHsvFloat", PixelCode.HSV_FLOAT, "Hue, saturation, value in floats.")

@@ -1,34 +1,28 @@
-"""Matrices of doubles (`yarp/sig/Matrix.h`): ``(rows cols (values row by row))``.
+"""Matrices of doubles (`yarp/sig/Matrix.h`): ``(rows cols (values row by row))``; rotations as quaternions.
 
 Real YARP refuses to read a matrix without elements, and a real client that waits for one in a reply hangs: send none
-there. This reads it.
+there. This reads it. Of a quaternion (`yarp/math/Quaternion.h`) w comes first on the wire, last in C++'s constructor.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import Any, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from yarp_compat.sig.numbers import as_array, read_numbers, write_numbers
-from yarp_compat.sig.vector import Vector
+from yarp_compat.sig.vector import Comparable, Vector, as_array, read_numbers, write_numbers
+from yarp_compat.wire.elements import ElementReader, ElementWriter
 from yarp_compat.wire.errors import WireError
 from yarp_compat.wire.portable import Portable
-from yarp_compat.wire.reader import Reader
-from yarp_compat.wire.writer import Writer
 
 _FLOAT64 = np.dtype("<f8")
 
 
-class Matrix(Portable):
-    """A matrix.
-
-    Args:
-        rows: how many, or the matrix as an array or lists of rows.
-        cols: how many.
-    """
+class Matrix(Comparable, Portable):
+    """A matrix, of so many rows and columns, or of an array or lists of rows."""
 
     def __init__(self, rows: int | ArrayLike = 0, cols: int = 0) -> None:
         if isinstance(rows, int):
@@ -48,11 +42,11 @@ class Matrix(Portable):
         return as_array(self._values, dtype, copy)
 
     def rows(self) -> int:
-        """How many rows there are."""
+        """The number of rows."""
         return int(self._values.shape[0])
 
     def cols(self) -> int:
-        """How many columns there are."""
+        """The number of columns."""
         return int(self._values.shape[1])
 
     def resize(self, rows: int, cols: int) -> None:
@@ -74,7 +68,7 @@ class Matrix(Portable):
         return self
 
     def diagonal(self, values: Vector | Sequence[float]) -> Self:
-        """Become 0 but for these values on the diagonal."""
+        """Become 0 except for these values on the diagonal."""
         self.zero()
         given = np.asarray(values)
         np.fill_diagonal(self._values[: len(given), : len(given)], given)
@@ -101,11 +95,11 @@ class Matrix(Portable):
         return Vector(self._values[:, col])
 
     def setRow(self, row: int, values: Vector) -> bool:
-        """Change one row; False where there is none such or its length is another."""
+        """Change one row; False if it does not exist or its length is another."""
         return len(values) == self.cols() and self._put(values.numpy()[None, :], row, 0)
 
     def setCol(self, col: int, values: Vector) -> bool:
-        """Change one column; False where there is none such or its length is another."""
+        """Change one column; False if it does not exist or its length is another."""
         return len(values) == self.rows() and self._put(values.numpy()[:, None], 0, col)
 
     def get(self, row: int, col: int) -> float:
@@ -130,20 +124,10 @@ class Matrix(Portable):
 
     __str__ = toString_c
 
-    def isEqual(self, other: object) -> bool:
-        """Whether both have the same elements."""
-        return self == other
-
-    def notEqual(self, other: object) -> bool:
-        """Whether they differ."""
-        return self != other
-
     def __eq__(self, other: object) -> bool:
         if not isinstance(other, Matrix):
             return NotImplemented
         return np.array_equal(self._values, other.numpy())
-
-    __hash__ = None  # type: ignore[assignment] # it changes
 
     def __getitem__(self, place: tuple[int, int]) -> float:
         return float(self._values[place])
@@ -166,13 +150,13 @@ class Matrix(Portable):
         self._own()[row : row + values.shape[0], col : col + values.shape[1]] = values
         return True
 
-    def _write(self, out: Writer) -> None:
+    def _write(self, out: ElementWriter) -> None:
         out.begin(3)
         out.integer(self.rows())
         out.integer(self.cols())
         write_numbers(out, np.ascontiguousarray(self._values).reshape(-1))
 
-    def _read(self, source: Reader) -> None:
+    def _read(self, source: ElementReader) -> None:
         count = source.begin()
         if count != 3:
             raise WireError(f"a matrix has rows, columns and a list, not {count} elements")
@@ -182,3 +166,90 @@ class Matrix(Portable):
         if rows < 0 or cols < 0 or rows * cols != len(values):
             raise WireError(f"a matrix of {rows} rows and {cols} columns does not have {len(values)} elements")
         self._values = values.reshape(rows, cols)
+
+
+class Quaternion(Portable):
+    """A rotation."""
+
+    TYPE = "yarp/quaternion"
+
+    def __init__(self, x: float = 0.0, y: float = 0.0, z: float = 0.0, w: float = 1.0) -> None:
+        self._values = (w, x, y, z)
+
+    def w(self) -> float:
+        """The real part."""
+        return self._values[0]
+
+    def x(self) -> float:
+        """The part of the first axis."""
+        return self._values[1]
+
+    def y(self) -> float:
+        """The part of the second axis."""
+        return self._values[2]
+
+    def z(self) -> float:
+        """The part of the third axis."""
+        return self._values[3]
+
+    def toRotationMatrix3x3(self) -> Matrix:
+        """The rotation as a matrix; as in YARP the quaternion's length does not matter."""
+        return self.toRotationMatrix4x4().submatrix(0, 2, 0, 2)
+
+    def toRotationMatrix4x4(self) -> Matrix:
+        """The rotation as a transform that moves nothing; raises `ValueError` for a quaternion of zeros."""
+        length = math.sqrt(sum(value * value for value in self._values))
+        if not length:
+            raise ValueError("a quaternion of zeros is no rotation")
+        w, x, y, z = (value / length for value in self._values)
+        return Matrix([
+            [w * w + x * x - y * y - z * z, 2 * (x * y - w * z), 2 * (x * z + w * y), 0.0],
+            [2 * (x * y + w * z), w * w - x * x + y * y - z * z, 2 * (y * z - w * x), 0.0],
+            [2 * (x * z - w * y), 2 * (y * z + w * x), w * w - x * x - y * y + z * z, 0.0],
+            [0.0, 0.0, 0.0, 1.0],
+        ])  # fmt: skip
+
+    def fromRotationMatrix(self, R: Matrix | ArrayLike) -> None:
+        """Become the rotation of a matrix of 3 by 3 or more.
+
+        Where YARP has a choice it takes w, else the largest of the others, as positive.
+        """
+        r = np.asarray(R, float)
+        trace = r[0, 0] + r[1, 1] + r[2, 2]
+        if trace > 0.0:
+            twice = math.sqrt(trace + 1.0)
+            part = 0.5 / twice
+            w, x, y, z = 0.5 * twice, (r[2, 1] - r[1, 2]) * part, (r[0, 2] - r[2, 0]) * part, (r[1, 0] - r[0, 1]) * part
+            self._values = (float(w), float(x), float(y), float(z))
+            return
+        i = 1 if r[1, 1] > r[0, 0] and r[1, 1] > r[2, 2] else 2 if r[2, 2] > r[0, 0] else 0
+        j, k = (i + 1) % 3, (i + 2) % 3
+        twice = math.sqrt(max(r[i, i] - r[j, j] - r[k, k] + 1.0, 0.0))
+        part = 0.5 / twice if twice > 0.0 else 0.0
+        axes = [0.0, 0.0, 0.0]
+        axes[i] = 0.5 * twice
+        axes[j], axes[k] = float((r[j, i] + r[i, j]) * part), float((r[k, i] + r[i, k]) * part)
+        self._values = (float((r[k, j] - r[j, k]) * part), axes[0], axes[1], axes[2])
+
+    def __eq__(self, other: object) -> bool:
+        return self._values == other._values if isinstance(other, Quaternion) else NotImplemented
+
+    def __hash__(self) -> int:
+        return hash(self._values)
+
+    def __repr__(self) -> str:
+        w, x, y, z = self._values
+        return f"Quaternion(x={x}, y={y}, z={z}, w={w})"
+
+    def _write(self, out: ElementWriter) -> None:
+        out.begin(4, out.profile.float64_tag)
+        for value in self._values:
+            out.float64(value, tagged=False)
+
+    def _read(self, source: ElementReader) -> None:
+        count = source.begin()
+        if count != 4:
+            raise WireError(f"a quaternion has four numbers, not {count}")
+        w, x, y, z = (source.float64() for _ in range(4))
+        source.end()
+        self._values = (w, x, y, z)

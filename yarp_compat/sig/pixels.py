@@ -1,13 +1,19 @@
-"""The pixel codes of YARP's images and what a pixel of each holds (`yarp/sig/Image.h`, the same from 3.4 to 4.0).
+"""The pixels of YARP's images: their codes, what a pixel of each holds, and conversion (`yarp/sig/Image.h`).
 
-On the wire a code is a vocab; a negative code -n means pixels of n bytes of which nothing else is known.
+On the wire a code is a vocab, the same from 3.4 to 4.0; a negative code -n means pixels of n bytes of which nothing
+else is known.
+
+Pixels of another kind are made as YARP does it when an image is copied or read into one of another kind: grey is the
+mean of red, green and blue; from grey all three are the same; opacity becomes 255; brightness alone becomes the value
+of hue, saturation, value. Integers keep their lowest bits, floats are cut to what the integer can hold (C++ leaves that
+open). What YARP cannot convert either (from or to hue, bayer patterns, YUV) is refused (`Image.copyPixels.cpp`).
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from enum import IntEnum
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -54,12 +60,7 @@ class PixelCode(IntEnum):
 
 @dataclass(frozen=True, slots=True)
 class Format:
-    """What a pixel holds.
-
-    Attributes:
-        dtype: type of each number.
-        channels: the numbers' names in their order in memory; one pixel is one number where there is one name.
-    """
+    """The content of a pixel: the type of each number, and the numbers' names in their order in memory."""
 
     dtype: np.dtype[Any]
     channels: tuple[str, ...]
@@ -97,33 +98,25 @@ _FORMATS = {
 
 
 def format_of(code: int) -> Format:
-    """What pixels of a code hold.
-
-    Raises:
-        ValueError: it is no code of YARP's.
-    """
+    """The content of pixels of a code; raises `ValueError` where YARP has no such code."""
     if -LARGEST <= code < 0:
         return Format(np.dtype("u1"), tuple(f"byte{index}" for index in range(-code)))
     try:
         return _FORMATS[PixelCode(code)]
     except (ValueError, KeyError):
         word = (code & 0xFFFFFFFF).to_bytes(4, "little").rstrip(b"\0")
-        msg = f"there are no pixels of code {word.decode('latin-1')!r} ({code})"
-        raise ValueError(msg) from None
+        raise ValueError(f"there are no pixels of code {word.decode('latin-1')!r} ({code})") from None
 
 
 class Pixel:
-    """One pixel of several numbers, in an image's memory or its own; setting one changes the image.
-
-    Args:
-        values: its numbers, in the order of the code's name, by default 0.
-    """
+    """One pixel of several numbers, in an image's memory or its own, by default 0; setting one changes the image."""
 
     __slots__ = ("_memory",)
     names: tuple[str, ...] = ()
+    dtype: ClassVar[np.dtype[Any]]
 
     def __init__(self, *values: float) -> None:
-        self._memory: Any = np.zeros(len(self.names), self._kind())
+        self._memory: Any = np.zeros(len(self.names), self.dtype)
         for name, value in zip(self._arguments(), values, strict=False):
             setattr(self, name, value)
 
@@ -135,10 +128,6 @@ class Pixel:
         return pixel
 
     @classmethod
-    def _kind(cls) -> np.dtype[Any]:
-        return _KINDS[cls]
-
-    @classmethod
     def _arguments(cls) -> tuple[str, ...]:
         """The names in the order in which C++ takes them: red first, whatever the memory's order."""
         return tuple(sorted(cls.names, key="rgbahsv".index))
@@ -147,8 +136,7 @@ class Pixel:
         try:
             return self._memory[self.names.index(name)].item()
         except ValueError:
-            msg = f"{type(self).__name__} has no {name!r}, only {', '.join(self.names)}"
-            raise AttributeError(msg) from None
+            raise AttributeError(f"{type(self).__name__} has no {name!r}, only {', '.join(self.names)}") from None
 
     def __setattr__(self, name: str, value: Any) -> None:
         if name == "_memory":
@@ -156,8 +144,7 @@ class Pixel:
         elif name in self.names:
             self._memory[self.names.index(name)] = value
         else:
-            msg = f"{type(self).__name__} has no {name!r}, only {', '.join(self.names)}"
-            raise AttributeError(msg)
+            raise AttributeError(f"{type(self).__name__} has no {name!r}, only {', '.join(self.names)}")
 
     def __iter__(self) -> Any:
         return iter(self._memory.tolist())
@@ -167,86 +154,78 @@ class Pixel:
             return NotImplemented
         return list(self) == list(other)
 
-    __hash__ = None  # type: ignore[assignment] # it changes
-
     def __repr__(self) -> str:
         values = ", ".join(f"{name}={getattr(self, name)}" for name in self.names)
         return f"{type(self).__name__}({values})"
 
 
-class PixelRgb(Pixel):
-    """Red, green, blue in bytes."""
-
-    __slots__ = ()
-    names = tuple("rgb")
-
-
-class PixelBgr(Pixel):
-    """Blue, green, red in bytes."""
-
-    __slots__ = ()
-    names = tuple("bgr")
-
-
-class PixelRgba(Pixel):
-    """Red, green, blue, opacity in bytes."""
-
-    __slots__ = ()
-    names = tuple("rgba")
-
-
-class PixelBgra(Pixel):
-    """Blue, green, red, opacity in bytes."""
-
-    __slots__ = ()
-    names = tuple("bgra")
-
-
-class PixelHsv(Pixel):
-    """Hue, saturation, value in bytes."""
-
-    __slots__ = ()
-    names = tuple("hsv")
-
-
-class PixelRgbSigned(Pixel):
-    """Red, green, blue in signed bytes."""
-
-    __slots__ = ()
-    names = tuple("rgb")
-
-
-class PixelRgbInt(Pixel):
-    """Red, green, blue in integers of four bytes."""
-
-    __slots__ = ()
-    names = tuple("rgb")
-
-
-class PixelRgbFloat(Pixel):
-    """Red, green, blue in floats."""
-
-    __slots__ = ()
-    names = tuple("rgb")
-
-
-class PixelHsvFloat(Pixel):
-    """Hue, saturation, value in floats."""
-
-    __slots__ = ()
-    names = tuple("hsv")
-
-
-PIXELS: dict[int, type[Pixel]] = {
-    PixelCode.RGB: PixelRgb,
-    PixelCode.BGR: PixelBgr,
-    PixelCode.RGBA: PixelRgba,
-    PixelCode.BGRA: PixelBgra,
-    PixelCode.HSV: PixelHsv,
-    PixelCode.RGB_SIGNED: PixelRgbSigned,
-    PixelCode.RGB_INT: PixelRgbInt,
-    PixelCode.RGB_FLOAT: PixelRgbFloat,
-    PixelCode.HSV_FLOAT: PixelHsvFloat,
-}
+PIXELS: dict[int, type[Pixel]] = {}
 """The class of pixels of several numbers, by code."""
-_KINDS = {found: format_of(code).dtype for code, found in PIXELS.items()}
+
+
+def _class(name: str, code: PixelCode, doc: str) -> type[Pixel]:
+    body = {"__slots__": (), "names": _FORMATS[code].channels, "dtype": _FORMATS[code].dtype, "__doc__": doc}
+    PIXELS[code] = type(name, (Pixel,), {**body, "__module__": __name__})
+    return PIXELS[code]
+
+
+PixelRgb = _class("PixelRgb", PixelCode.RGB, "Red, green, blue in bytes.")
+PixelBgr = _class("PixelBgr", PixelCode.BGR, "Blue, green, red in bytes.")
+PixelRgba = _class("PixelRgba", PixelCode.RGBA, "Red, green, blue, opacity in bytes.")
+PixelBgra = _class("PixelBgra", PixelCode.BGRA, "Blue, green, red, opacity in bytes.")
+PixelHsv = _class("PixelHsv", PixelCode.HSV, "Hue, saturation, value in bytes.")
+PixelRgbSigned = _class("PixelRgbSigned", PixelCode.RGB_SIGNED, "Red, green, blue in signed bytes.")
+PixelRgbInt = _class("PixelRgbInt", PixelCode.RGB_INT, "Red, green, blue in integers of four bytes.")
+PixelRgbFloat = _class("PixelRgbFloat", PixelCode.RGB_FLOAT, "Red, green, blue in floats.")
+PixelHsvFloat = _class("PixelHsvFloat", PixelCode.HSV_FLOAT, "Hue, saturation, value in floats.")
+
+_RAW = {code for code in PixelCode if "BAYER" in code.name or "YUV" in code.name}
+_RGB = ("r", "g", "b")
+
+
+def convert(pixels: NDArray[Any], source: int, target: int) -> NDArray[Any]:
+    """Other pixels of the same picture, of shape (height, width) or (height, width, channels), from code to code.
+
+    Raises:
+        ValueError: YARP has no conversion.
+    """
+    if source == target:
+        return pixels
+    given, wanted = format_of(source), format_of(target)
+    if source in _RAW or target in _RAW or source < 0 or target < 0:
+        raise _none(source, target)
+    if given.channels == wanted.channels:
+        return _cast(pixels, wanted.dtype)
+    if wanted.channels == ("value",):
+        if not set(_RGB) <= set(given.channels):
+            raise _none(source, target)
+        return _cast(_mean(pixels, given, wanted.dtype), wanted.dtype)
+    if given.channels == ("value",):
+        planes: dict[str, Any] = {**dict.fromkeys(_RGB, pixels), "h": 0, "s": 0, "v": pixels, "a": 255}
+    elif set(_RGB) <= set(given.channels) and set(_RGB) <= set(wanted.channels):
+        planes = {"a": 255, **{name: pixels[..., place] for place, name in enumerate(given.channels)}}
+    else:
+        raise _none(source, target)
+    made = np.empty((*pixels.shape[:2], len(wanted.channels)), wanted.dtype)
+    for place, name in enumerate(wanted.channels):
+        plane = planes[name]
+        made[..., place] = plane if isinstance(plane, int) else _cast(plane, wanted.dtype)
+    return made
+
+
+def _mean(pixels: NDArray[Any], given: Format, wanted: np.dtype[Any]) -> NDArray[Any]:
+    places = [given.channels.index(name) for name in _RGB]
+    total: NDArray[Any] = pixels[..., places].sum(axis=2, dtype=np.float64 if given.dtype.kind == "f" else np.int64)
+    return total / 3.0 if "f" in (wanted.kind, given.dtype.kind) else np.trunc(total / 3.0).astype(np.int64)
+
+
+def _cast(values: NDArray[Any], wanted: np.dtype[Any]) -> NDArray[Any]:
+    if values.dtype.kind == "f" and wanted.kind != "f":
+        limits = np.iinfo(wanted)
+        return np.clip(np.nan_to_num(values.astype(np.float64)), limits.min, limits.max).astype(wanted)
+    return values.astype(wanted)
+
+
+def _none(source: int, target: int) -> ValueError:
+    names = [PixelCode(code).name if code > 0 else f"of {-code} bytes" for code in (source, target)]
+    return ValueError(f"YARP has no way from {names[0]} pixels to {names[1]} pixels: read them into a FlexImage")

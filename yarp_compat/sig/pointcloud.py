@@ -14,18 +14,18 @@ from typing import Any, ClassVar, Self
 import numpy as np
 from numpy.typing import NDArray
 
+from yarp_compat.wire.accessors import getter
+from yarp_compat.wire.elements import ElementReader, ElementWriter
 from yarp_compat.wire.errors import WireError
 from yarp_compat.wire.portable import Portable
-from yarp_compat.wire.reader import Reader
 from yarp_compat.wire.tags import LIST
-from yarp_compat.wire.writer import Writer
 
 _HEADER = struct.Struct("<iiib")
 _LIST = struct.Struct("<ii")
 
 
 class PointType(IntEnum):
-    """What points hold, as the sum of what YARP numbers in `yarp/sig/PointCloudTypes.h`; the kinds that YARP sends."""
+    """The content of points, a sum of YARP's numbers in `yarp/sig/PointCloudTypes.h`; the kinds that YARP sends."""
 
     XY = 1 << 0
     XYZ = 1 << 1
@@ -63,9 +63,7 @@ LAYOUTS: Mapping[int, np.dtype[Any]] = {
 class PointCloud(Portable):
     """A cloud of whatever points come; the classes below hold one type, and convert what is of another.
 
-    Args:
-        width: points in a row.
-        height: rows; 1 where the points have no order.
+    ``height`` is 1 where the points have no order.
     """
 
     TYPE = "yarp/pointCloud"
@@ -90,8 +88,7 @@ class PointCloud(Portable):
         cloud = cls()
         kind = cloud._point if cls.fixed else next((kind for kind, form in LAYOUTS.items() if form == points.dtype), 0)
         if points.dtype != LAYOUTS.get(kind):
-            msg = f"a {cls.__name__} cannot be made of points of {points.dtype}"
-            raise ValueError(msg)
+            raise ValueError(f"a {cls.__name__} cannot be made of points of {points.dtype}")
         cloud._point, cloud._height = kind, points.shape[0] if points.ndim == 2 else 1
         cloud._points, cloud.dense = np.ascontiguousarray(points).reshape(-1), dense
         return cloud
@@ -108,31 +105,22 @@ class PointCloud(Portable):
         """Points in a row."""
         return len(self._points) // self._height if self._height else 0
 
-    def height(self) -> int:
-        """Rows."""
-        return self._height
+    height = getter("_height", int, "Rows.")
 
     def size(self) -> int:
-        """How many points there are."""
+        """The number of points."""
         return len(self._points)
 
     __len__ = size
 
-    def getPointType(self) -> int:
-        """What the points hold."""
-        return self._point
+    getPointType = getter("_point", int, "What the points hold.")
 
     def isOrganized(self) -> bool:
         """Whether the points are in rows, as an image's."""
         return self._height > 1
 
-    def isDense(self) -> bool:
-        """Whether all points are finite."""
-        return self.dense
-
-    def dataSizeBytes(self) -> int:
-        """Bytes of the points."""
-        return self._points.nbytes
+    isDense = getter("dense", bool, "Whether all points are finite.")
+    dataSizeBytes = getter("_points.nbytes", int, "Bytes of the points.")
 
     def wireSizeBytes(self) -> int:
         """Bytes of the points and of the header."""
@@ -169,17 +157,15 @@ class PointCloud(Portable):
         mine = (self._point, self._height, self.dense, self._points.tolist())
         return mine == (other._point, other._height, other.dense, other._points.tolist())
 
-    __hash__ = None  # type: ignore[assignment] # it changes
-
     def __repr__(self) -> str:
         return f"<{type(self).__name__} {self.width()} x {self._height} of type {self._point}>"
 
-    def _write(self, out: Writer) -> None:
+    def _write(self, out: ElementWriter) -> None:
         out.raw(_HEADER, self.width(), self._height, self._point, int(self.dense))
         out.begin(len(self._points), out.profile.float64_tag)
         out.block(self.bytes_of_points())
 
-    def _read(self, source: Reader) -> None:
+    def _read(self, source: ElementReader) -> None:
         width, height, kind, dense = source.raw(_HEADER)
         layout = LAYOUTS.get(kind)
         if layout is None:
@@ -203,53 +189,19 @@ def _converted(points: NDArray[Any], layout: np.dtype[Any]) -> NDArray[Any]:
     return made
 
 
-class _Fixed(PointCloud):
-    fixed = True
+def _class(name: str, point: PointType, doc: str) -> type[PointCloud]:
+    return type(name, (PointCloud,), {"fixed": True, "point": point, "__doc__": doc, "__module__": __name__})
 
 
-class PointCloudXY(_Fixed):
-    """Points in a plane."""
-
-    point = PointType.XY
-
-
-class PointCloudXYZ(_Fixed):
-    """Points in space."""
-
-    point = PointType.XYZ
-
-
-class PointCloudXYZRGBA(_Fixed):
-    """Points in space with a colour."""
-
-    point = PointType.XYZ_RGBA
-
-
-class PointCloudXYZI(_Fixed):
-    """Points in space with an intensity."""
-
-    point = PointType.XYZ_I
-
-
-class PointCloudInterestPointXYZ(_Fixed):
-    """Points in space with a strength."""
-
-    point = PointType.INTEREST_POINT_XYZ
-
-
-class PointCloudNormal(_Fixed):
-    """Normals with a curvature."""
-
-    point = PointType.NORMAL
-
-
-class PointCloudXYZNormal(_Fixed):
-    """Points in space with their normals."""
-
-    point = PointType.XYZ_NORMAL
-
-
-class PointCloudXYZNormalRGBA(_Fixed):
-    """Points in space with their normals and a colour."""
-
-    point = PointType.XYZ_NORMAL_RGBA
+PointCloudXY = _class("PointCloudXY", PointType.XY, "Points in a plane.")
+PointCloudXYZ = _class("PointCloudXYZ", PointType.XYZ, "Points in space.")
+PointCloudXYZRGBA = _class("PointCloudXYZRGBA", PointType.XYZ_RGBA, "Points in space with a colour.")
+PointCloudXYZI = _class("PointCloudXYZI", PointType.XYZ_I, "Points in space with an intensity.")
+PointCloudInterestPointXYZ = _class(
+    "PointCloudInterestPointXYZ", PointType.INTEREST_POINT_XYZ, "Points in space with a strength."
+)
+PointCloudNormal = _class("PointCloudNormal", PointType.NORMAL, "Normals with a curvature.")
+PointCloudXYZNormal = _class("PointCloudXYZNormal", PointType.XYZ_NORMAL, "Points in space with their normals.")
+PointCloudXYZNormalRGBA = _class(
+    "PointCloudXYZNormalRGBA", PointType.XYZ_NORMAL_RGBA, "Points in space with their normals and a colour."
+)

@@ -9,7 +9,7 @@ The bytes changed with nearly every release, and only the length of the outer li
 ======  ==============================================================================
 
 All are read; YARP 4 is written the first, YARP 3 the second. Before 3.9 a sound was a pair of an image and a Bottle,
-which this does not know. Real YARP spoils sounds of one byte per sample on the wire; here there are none.
+which this does not know. Real YARP spoils sounds of one byte per sample on the wire; this refuses them.
 """
 
 from __future__ import annotations
@@ -21,13 +21,13 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from yarp_compat.sig.numbers import write_numbers
+from yarp_compat.sig.vector import write_numbers
+from yarp_compat.wire.accessors import always, getter, setter
+from yarp_compat.wire.elements import ElementReader, ElementWriter
 from yarp_compat.wire.errors import WireError
 from yarp_compat.wire.portable import Portable
 from yarp_compat.wire.profile import Profile
-from yarp_compat.wire.reader import Reader
 from yarp_compat.wire.tags import INT16, LIST
-from yarp_compat.wire.writer import Writer
 
 _SAMPLE = np.dtype("<i2")
 _FIELDS = struct.Struct("<8i")
@@ -39,13 +39,7 @@ _LARGEST = 2**31 - 1
 
 @dataclass(frozen=True, slots=True)
 class SoundMarker:
-    """A place in a sound.
-
-    Attributes:
-        label: its name.
-        channel: where it is, or -1.
-        sample_id: when.
-    """
+    """A named place in a sound: a channel, or -1, and a sample."""
 
     label: str = ""
     channel: int = -1
@@ -57,8 +51,7 @@ class Sound(Portable):
 
     def __init__(self, bytesPerSample: int = 2) -> None:
         if bytesPerSample != 2:
-            msg = f"sounds have 2 bytes per sample, not {bytesPerSample}"
-            raise ValueError(msg)
+            raise ValueError(f"sounds have 2 bytes per sample, not {bytesPerSample}")
         self._samples: NDArray[Any] = np.zeros((1, 0), _SAMPLE)
         self._frequency = 0
         self._markers: dict[str, SoundMarker] = {}
@@ -99,7 +92,7 @@ class Sound(Portable):
         return 0 <= channel < self.getChannels() and 0 <= sample < self.getSamples()
 
     def getSafe(self, sample: int, channel: int = 0) -> int:
-        """One sample, or 0 where there is none."""
+        """One sample, or 0 where none exists."""
         return self.get(sample, channel) if self.isSample(sample, channel) else 0
 
     def setSafe(self, value: int, sample: int, channel: int = 0) -> None:
@@ -107,33 +100,23 @@ class Sound(Portable):
         if self.isSample(sample, channel):
             self.set(value, sample, channel)
 
-    def getFrequency(self) -> int:
-        """Samples per second."""
-        return self._frequency
-
-    def setFrequency(self, frequency: int) -> None:
-        """Change how many samples there are in a second."""
-        self._frequency = frequency
-
-    def getBytesPerSample(self) -> int:
-        """Bytes of a sample."""
-        return 2
+    getFrequency = getter("_frequency", int, "Samples per second.")
+    setFrequency = setter("_frequency", int, "Change how many samples there are in a second.")
+    getBytesPerSample = always(2, "Bytes of a sample.")
 
     def getSamples(self) -> int:
         """Samples in a channel."""
         return int(self._samples.shape[1])
 
     def getChannels(self) -> int:
-        """How many channels there are."""
+        """The number of channels."""
         return int(self._samples.shape[0])
 
     def getDuration(self) -> float:
         """Seconds."""
         return self.getSamples() / self._frequency if self._frequency else 0.0
 
-    def getRawDataSize(self) -> int:
-        """Bytes of all samples."""
-        return self._samples.nbytes
+    getRawDataSize = getter("_samples.nbytes", int, "Bytes of all samples.")
 
     def sound2VecNonInterleaved(self) -> list[int]:
         """All samples, channel after channel."""
@@ -160,7 +143,7 @@ class Sound(Portable):
         return [self._markers[label] for label in sorted(self._markers)]
 
     def getMarkersCount(self) -> int:
-        """How many there are."""
+        """The number of them."""
         return len(self._markers)
 
     def remove_all_markers(self) -> None:
@@ -173,12 +156,10 @@ class Sound(Portable):
         same = (self._frequency, self._markers) == (other._frequency, other._markers)
         return same and np.array_equal(self._samples, other._samples)
 
-    __hash__ = None  # type: ignore[assignment] # it changes
-
     def __repr__(self) -> str:
         return f"<Sound of {self.getSamples()} samples in {self.getChannels()} channels at {self._frequency} Hz>"
 
-    def _write(self, out: Writer) -> None:
+    def _write(self, out: ElementWriter) -> None:
         newest = out.profile is Profile.YARP4
         out.begin(6 if newest else 5)
         for number in (self.getSamples(), self.getChannels(), 2, self._frequency):
@@ -192,7 +173,7 @@ class Sound(Portable):
                 out.string(marker.label, tagged=False)
                 out.raw(_PLACE, marker.channel, marker.sample_id)
 
-    def _read(self, source: Reader) -> None:
+    def _read(self, source: ElementReader) -> None:
         parts = source.begin()
         if parts not in (4, 5, 6):
             raise WireError(f"a sound has 4, 5 or 6 parts, not {parts}")
@@ -211,7 +192,7 @@ class Sound(Portable):
         self._samples, self._frequency, self._markers = values.reshape(channels, samples), frequency, markers
 
 
-def _markers(source: Reader) -> dict[str, SoundMarker]:
+def _markers(source: ElementReader) -> dict[str, SoundMarker]:
     code, count = source.raw(_LIST)
     if code != LIST or count < 0:
         raise WireError(f"a sound's markers are a list, not {code} of {count}")
@@ -224,7 +205,7 @@ def _markers(source: Reader) -> dict[str, SoundMarker]:
     return markers
 
 
-def _text(source: Reader) -> str:
+def _text(source: ElementReader) -> str:
     size = int(source.raw(_LENGTH)[0])
     if size < 0:
         raise WireError(f"a string of {size} bytes before byte {source.at}")

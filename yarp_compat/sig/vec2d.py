@@ -5,11 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import ClassVar
 
+from yarp_compat.wire.elements import ElementReader, ElementWriter
 from yarp_compat.wire.errors import WireError
 from yarp_compat.wire.portable import Portable
-from yarp_compat.wire.reader import Reader
 from yarp_compat.wire.tags import INT32, INT64
-from yarp_compat.wire.writer import Writer
 
 
 @dataclass
@@ -20,12 +19,12 @@ class Vec2D(Portable):
     x: float = 0.0
     y: float = 0.0
 
-    def _write(self, out: Writer) -> None:
+    def _write(self, out: ElementWriter) -> None:
         out.begin(2, out.profile.float64_tag)
         out.float64(self.x, tagged=False)
         out.float64(self.y, tagged=False)
 
-    def _read(self, source: Reader) -> None:
+    def _read(self, source: ElementReader) -> None:
         _pair(source)
         x, y = source.float64(), source.float64()
         source.end()
@@ -41,12 +40,12 @@ class Vec2DInt(Portable):
     x: int = 0
     y: int = 0
 
-    def _write(self, out: Writer) -> None:
+    def _write(self, out: ElementWriter) -> None:
         out.begin(2, self.TAG)
         out.integer(self.x, self.TAG, tagged=False)
         out.integer(self.y, self.TAG, tagged=False)
 
-    def _read(self, source: Reader) -> None:
+    def _read(self, source: ElementReader) -> None:
         _pair(source)
         x, y = source.integer(), source.integer()
         source.end()
@@ -60,7 +59,7 @@ class Vec2DSize(Vec2DInt):
     TAG = INT64
 
 
-def _pair(source: Reader) -> None:
+def _pair(source: ElementReader) -> None:
     count = source.begin()
     if count != 2:
         raise WireError(f"a pair has two numbers, not {count}")

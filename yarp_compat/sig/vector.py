@@ -14,20 +14,94 @@ from typing import Any, ClassVar, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from yarp_compat.sig.numbers import as_array, read_numbers, tag_of, write_numbers
+from yarp_compat.wire.accessors import getter
+from yarp_compat.wire.elements import ElementReader, ElementWriter
+from yarp_compat.wire.errors import WireError
 from yarp_compat.wire.portable import Portable
 from yarp_compat.wire.profile import Profile
-from yarp_compat.wire.reader import Reader
-from yarp_compat.wire.writer import Writer
+from yarp_compat.wire.tags import formats
+
+_TYPES = {
+    profile: {tag: np.dtype("<" + letter) for tag, letter in formats(profile).items()} for profile in Profile
+}  # fmt: skip
+_TAGS = {profile: {found: tag for tag, found in types.items()} for profile, types in _TYPES.items()}
 
 
-class VectorOf(Portable):
-    """A vector; the classes below are those of each type.
+def tag_of(dtype: np.dtype[Any], profile: Profile) -> int:
+    """The tag of a numpy type; an unsigned one has that of the signed type of its size, as YARP's vectors do."""
+    if dtype.kind == "u":
+        dtype = np.dtype(f"<i{dtype.itemsize}")
+    return _TAGS[profile][dtype]
 
-    Args:
-        content: how many elements, or the elements.
-        fill: what each element is, where only their number is given.
+
+def as_array(values: NDArray[Any], dtype: Any, copy: bool | None) -> NDArray[Any]:
+    """An array of these values as numpy asks for one: of another type, or with memory of its own.
+
+    Raises:
+        ValueError: that needs a copy, which was forbidden.
     """
+    if dtype is not None and np.dtype(dtype) != values.dtype:
+        if copy is False:
+            raise ValueError(f"numbers of {values.dtype} are no array of {np.dtype(dtype)} without a copy")
+        return values.astype(dtype)
+    return values.copy() if copy else values
+
+
+def write_numbers(out: ElementWriter, values: NDArray[Any]) -> None:
+    """A list of numbers, one after another in memory, which are passed on uncopied where they are many."""
+    out.begin(values.size, tag_of(values.dtype, out.profile))
+    out.block(values.view(np.uint8).data)
+
+
+def read_numbers(source: ElementReader, dtype: np.dtype[Any]) -> NDArray[Any]:
+    """A list of numbers; a view into the payload where they are of this type, else a copy.
+
+    YARP's own readers take only lists of exactly their type; this also takes what people type, such as ``1 2.5``.
+
+    Raises:
+        WireError: it is something else, or a number is none of this type.
+    """
+    tag, count, data = source.numbers()
+    if data is None:
+        read = source.float64 if dtype.kind == "f" else source.integer
+        values = [read() for _ in range(count)]
+        source.end()
+        return _exact(values, dtype)
+    if tag == tag_of(dtype, source.profile):
+        return np.frombuffer(data, dtype, count)
+    found = _TYPES[source.profile].get(tag)
+    if found is None:
+        raise WireError(f"expected a list of numbers, found one of tag {tag}")
+    return _exact(np.frombuffer(data, found, count), dtype)
+
+
+def _exact(values: Any, dtype: np.dtype[Any]) -> NDArray[Any]:
+    """The same numbers as this type; those of a float type may lose digits."""
+    given = np.asarray(values)
+    if dtype.kind == "f" or not given.size:
+        return given.astype(dtype)
+    if given.dtype.kind == "f":
+        raise WireError("expected a list of integers, found floats")
+    limits = np.iinfo(dtype)
+    if int(given.min()) < limits.min or int(given.max()) > limits.max:
+        raise WireError(f"a number in the list is no {dtype.name}")
+    return given.astype(dtype)
+
+
+class Comparable:
+    """YARP's names for ``==`` and ``!=``."""
+
+    def isEqual(self, other: object) -> bool:
+        """Whether both hold the same."""
+        return self == other
+
+    def notEqual(self, other: object) -> bool:
+        """Whether they differ."""
+        return self != other
+
+
+class VectorOf(Comparable, Portable):
+    """A vector, of so many elements of value ``fill``, or of the given ones; the classes below have a type each."""
 
     TYPE = "yarp/vector"
     dtype: ClassVar[np.dtype[Any]]
@@ -59,23 +133,19 @@ class VectorOf(Portable):
     def __array__(self, dtype: Any = None, copy: bool | None = None) -> NDArray[Any]:
         return as_array(self.numpy(), dtype, copy)
 
-    def size(self) -> int:
-        """How many elements there are."""
-        return self._count
+    size = getter("_count", int, "How many elements there are.")
 
     length = size
     getListSize = size
 
-    def getElementSize(self) -> int:
-        """Bytes of an element."""
-        return self.dtype.itemsize
+    getElementSize = getter("dtype.itemsize", int, "Bytes of an element.")
 
     def getBottleTag(self) -> int:
         """The elements' tag, in YARP 3."""
         return tag_of(self.dtype, Profile.YARP3)
 
     def capacity(self) -> int:
-        """How many elements there is memory for."""
+        """The number of elements that have memory."""
         return len(self._room)
 
     def reserve(self, size: int) -> None:
@@ -88,8 +158,7 @@ class VectorOf(Portable):
     def resize(self, size: int, fill: Any = None) -> None:
         """Become so long; new elements are 0, or all are ``fill`` where it is given."""
         if size < 0:
-            msg = f"a vector cannot have {size} elements"
-            raise ValueError(msg)
+            raise ValueError(f"a vector cannot have {size} elements")
         if size != self._count:
             room = np.zeros(size, self.dtype)
             kept = min(size, self._count)
@@ -118,8 +187,7 @@ class VectorOf(Portable):
     def pop_back(self) -> None:
         """Remove the last element."""
         if not self._count:
-            msg = "the vector is empty"
-            raise IndexError(msg)
+            raise IndexError("the vector is empty")
         self._count -= 1
 
     def get(self, index: int) -> Any:
@@ -133,7 +201,7 @@ class VectorOf(Portable):
         self[index] = value
 
     def subVector(self, first: int, last: int) -> Self:
-        """The elements from one to another, both included; an empty vector where there are none such."""
+        """The elements from one to another, both included; an empty vector outside of it."""
         if 0 <= first <= last < self._count:
             return type(self)(self._room[first : last + 1])
         return type(self)()
@@ -161,20 +229,10 @@ class VectorOf(Portable):
 
     __str__ = toString_c
 
-    def isEqual(self, other: object) -> bool:
-        """Whether both have the same elements."""
-        return self == other
-
-    def notEqual(self, other: object) -> bool:
-        """Whether they differ."""
-        return self != other
-
     def __eq__(self, other: object) -> bool:
         if not isinstance(other, VectorOf) or other.dtype != self.dtype:
             return NotImplemented
         return np.array_equal(self.numpy(), other.numpy())
-
-    __hash__ = None  # type: ignore[assignment] # it changes
 
     def __len__(self) -> int:
         return self._count
@@ -198,10 +256,10 @@ class VectorOf(Portable):
             self._room = self._room.copy()
         return self._room[: self._count]
 
-    def _write(self, out: Writer) -> None:
+    def _write(self, out: ElementWriter) -> None:
         write_numbers(out, self.numpy())
 
-    def _read(self, source: Reader) -> None:
+    def _read(self, source: ElementReader) -> None:
         self._room = read_numbers(source, self.dtype)
         self._count = len(self._room)
 
@@ -212,71 +270,25 @@ class Vector(VectorOf):
     dtype = np.dtype("<f8")
 
 
-class VectorFloat(VectorOf):
-    """Floats of four bytes."""
-
-    dtype = np.dtype("<f4")
+def _class(name: str, dtype: str, doc: str) -> type[VectorOf]:
+    return type(name, (VectorOf,), {"dtype": np.dtype(dtype), "__doc__": doc, "__module__": __name__})
 
 
-class VectorInt(VectorOf):
-    """Integers of four bytes."""
-
-    dtype = np.dtype("<i4")
-
-
-class VectorInt8(VectorOf):
-    """Integers of one byte."""
-
-    dtype = np.dtype("<i1")
-
-
-class VectorInt16(VectorOf):
-    """Integers of two bytes."""
-
-    dtype = np.dtype("<i2")
-
-
-class VectorInt64(VectorOf):
-    """Integers of eight bytes."""
-
-    dtype = np.dtype("<i8")
-
-
-class VectorUInt8(VectorOf):
-    """Unsigned integers of one byte."""
-
-    dtype = np.dtype("<u1")
-
-
-class VectorUInt16(VectorOf):
-    """Unsigned integers of two bytes."""
-
-    dtype = np.dtype("<u2")
-
-
-class VectorUInt32(VectorOf):
-    """Unsigned integers of four bytes."""
-
-    dtype = np.dtype("<u4")
-
-
-class VectorUInt64(VectorOf):
-    """Unsigned integers of eight bytes."""
-
-    dtype = np.dtype("<u8")
-
-
+VectorFloat = _class("VectorFloat", "<f4", "Floats of four bytes.")
+VectorInt = _class("VectorInt", "<i4", "Integers of four bytes.")
+VectorInt8 = _class("VectorInt8", "<i1", "Integers of one byte.")
+VectorInt16 = _class("VectorInt16", "<i2", "Integers of two bytes.")
+VectorInt64 = _class("VectorInt64", "<i8", "Integers of eight bytes.")
+VectorUInt8 = _class("VectorUInt8", "<u1", "Unsigned integers of one byte.")
+VectorUInt16 = _class("VectorUInt16", "<u2", "Unsigned integers of two bytes.")
+VectorUInt32 = _class("VectorUInt32", "<u4", "Unsigned integers of four bytes.")
+VectorUInt64 = _class("VectorUInt64", "<u8", "Unsigned integers of eight bytes.")
 _CLASSES: dict[np.dtype[Any], type[VectorOf]] = {found.dtype: found for found in VectorOf.__subclasses__()}
 
 
 def vector_of(dtype: Any) -> type[VectorOf]:
-    """The class of vectors of a numpy type.
-
-    Raises:
-        TypeError: YARP has no vectors of it.
-    """
+    """The class of vectors of a numpy type; raises `TypeError` where YARP has none."""
     found = _CLASSES.get(np.dtype(dtype).newbyteorder("<"))
     if found is None:
-        msg = f"YARP has no vectors of {np.dtype(dtype)}"
-        raise TypeError(msg)
+        raise TypeError(f"YARP has no vectors of {np.dtype(dtype)}")
     return found

@@ -1,4 +1,4 @@
-"""Bottles to bytes and back.
+"""Encodes Bottles to bytes and decodes them.
 
 A Bottle is ``int32 256 | unit``, ``int32 n``, n elements, little-endian. Where all elements are of one type other than
 a list, ``unit`` is their tag and they have none of their own. (`yarp/os/impl/BottleImpl.cpp`)
@@ -7,14 +7,364 @@ a list, ``unit`` is their tag and they have none of their own. (`yarp/os/impl/Bo
 from __future__ import annotations
 
 import struct
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from struct import Struct, unpack_from
 from typing import Any
 
-from yarp_compat.wire.decoder import Data, Decoder, array
-from yarp_compat.wire.encoder import Encoder
-from yarp_compat.wire.errors import WireError
-from yarp_compat.wire.message import Buffer
+from yarp_compat.wire import tags
+from yarp_compat.wire.errors import Incomplete, WireError
+from yarp_compat.wire.framing import Buffer
 from yarp_compat.wire.profile import Profile
+from yarp_compat.wire.text import dict_of
+from yarp_compat.wire.values import Float32, Int8, Int16, Int64, Vocab, Vocab64, entries_of, plain, vocab32, vocab64
+
+_TWO = Struct("<ii").pack
+_WORD = Struct("<i").pack
+_TAG_INT8 = Struct("<ib").pack
+_TAG_INT16 = Struct("<ih").pack
+_TAG_INT64 = Struct("<iq").pack
+_TAG_FLOAT = Struct("<if").pack
+_TAG_DOUBLE = Struct("<id").pack
+
+_TRUE = 0x31
+_FAMILIES: dict[type, str] = {
+    float: "float64", int: "int", Int64: "int", str: "string", bytes: "blob", bool: "vocab", Vocab: "vocab",
+    Vocab64: "vocab", Int8: "int8", Int16: "int16", Float32: "float32", list: "list", tuple: "list", dict: "dict",
+}  # fmt: skip
+"""Types that may be written with one tag. Those of two families in one list surely are not."""
+
+_ARRAY_TAGS = {"i1": tags.INT8, "u1": tags.INT8, "i2": tags.INT16, "u2": tags.INT16, "i4": tags.INT32,
+               "u4": tags.INT32, "i8": tags.INT64, "u8": tags.INT64}  # fmt: skip
+
+
+Array = Callable[[Buffer, int, int, str], Any]
+"""Makes an array of numbers: from the data, at an offset, so many, of a format character."""
+
+_READ_WORD = Struct("<i").unpack_from
+_READ_TWO = Struct("<ii").unpack_from
+_INT64 = Struct("<q").unpack_from
+_FLOAT = Struct("<f").unpack_from
+_DOUBLE = Struct("<d").unpack_from
+
+_INT8 = {value: Int8(value) for value in range(-128, 128)}
+_KEPT: dict[str, Callable[[Any], Any]] = {"b": _INT8.__getitem__, "h": Int16, "q": Int64, "f": Float32}
+"""The classes of numbers whose size is not the one of their plain value."""
+
+
+class Encoder:
+    """Writes the lists of one profile."""
+
+    def __init__(self, profile: Profile) -> None:
+        self._float32 = profile.float32_tag
+        self._float64 = profile.float64_tag
+        self._vocab64 = profile.vocab64_tag
+        self._array_tags = {**_ARRAY_TAGS, "f4": self._float32, "f8": self._float64}
+        self._runs: dict[type, tuple[int, str]] = {
+            float: (self._float64, "d"), Float32: (self._float32, "f"), Int8: (tags.INT8, "b"),
+            Int16: (tags.INT16, "h"), Int64: (tags.INT64, "q"),
+        }  # fmt: skip
+        self._rare: dict[type, Callable[[Any, list[Buffer], int], None]] = {
+            Int8: lambda value, out, _depth: out.append(_TAG_INT8(tags.INT8, value)),
+            Int16: lambda value, out, _depth: out.append(_TAG_INT16(tags.INT16, value)),
+            Int64: lambda value, out, _depth: out.append(_TAG_INT64(tags.INT64, value)),
+            Float32: lambda value, out, _depth: out.append(_TAG_FLOAT(self._float32, value)),
+            Vocab: self._number,
+            Vocab64: self._number,
+            dict: self._dict,
+        }
+
+    def bottle(self, values: Any, out: list[Buffer], depth: int = 0) -> None:
+        """Append a list's pieces: its header, which is that of a top-level Bottle too, and its elements.
+
+        Raises:
+            WireError: there is a value that no Bottle can hold.
+        """
+        if depth > tags.MAX_DEPTH:
+            raise WireError(f"lists are nested deeper than {tags.MAX_DEPTH}")
+        if not isinstance(values, (list, tuple)):
+            return self._array(values, out, depth)
+        kinds = set(map(type, values))
+        if len(kinds) == 1:
+            (kind,) = kinds
+            run = self._runs.get(kind)
+            count = len(values)
+            if run is not None:
+                out.append(struct.pack(f"<ii{count}{run[1]}", tags.LIST | run[0], count, *values))
+                return None
+            if kind is int:
+                try:
+                    out.append(struct.pack(f"<ii{count}i", tags.LIST | tags.INT32, count, *values))
+                except struct.error:
+                    self._family(values, out)
+                return None
+            if kind in (str, bytes):
+                return self._blocks(values, out, kind)
+        if any(kind not in _FAMILIES for kind in kinds):
+            values = [value if type(value) in _FAMILIES else plain(value) for value in values]
+            if any(type(value) not in _FAMILIES for value in values):  # numpy arrays
+                return self._mixed(values, out, depth)
+            return self.bottle(values, out, depth)
+        if {_FAMILIES[kind] for kind in kinds} in ({"int"}, {"vocab"}):
+            return self._family(values, out)
+        return self._mixed(values, out, depth)
+
+    def _blocks(self, values: Sequence[Any], out: list[Buffer], kind: type) -> None:
+        """Strings or blobs only."""
+        out.append(_TWO(tags.LIST | (tags.STRING if kind is str else tags.BLOB), len(values)))
+        for value in values:
+            block = _utf8(value) if kind is str else value
+            out.append(_WORD(len(block)))
+            out.append(block)
+
+    def _family(self, values: Sequence[Any], out: list[Buffer]) -> None:
+        """Ints or vocabs whose tags depend on the values."""
+        pairs = [self._tag_and_body(value) for value in values]
+        units = {tag for tag, _ in pairs}
+        unit = units.pop() if len(units) == 1 else 0
+        out.append(_TWO(tags.LIST | unit, len(values)))
+        if unit:
+            out.extend(body for _, body in pairs)
+        else:
+            out.extend(_WORD(tag) + body for tag, body in pairs)
+
+    def _tag_and_body(self, value: Any) -> tuple[int, bytes]:
+        if value is True or value is False:
+            return tags.VOCAB32, _WORD(_TRUE if value else 0)
+        if isinstance(value, Vocab):
+            letters = _utf8(value)
+            if self._vocab64 is None:
+                return tags.VOCAB32, letters[:4].ljust(4, b"\0")
+            if len(letters) > 8:
+                raise WireError(f"the vocab {value!r} is longer than 8 bytes")
+            if len(letters) > 4 or type(value) is Vocab64:
+                return self._vocab64, letters.ljust(8, b"\0")
+            return tags.VOCAB32, letters.ljust(4, b"\0")
+        if type(value) is int and -0x80000000 <= value <= 0x7FFFFFFF:
+            return tags.INT32, _WORD(value)
+        return tags.INT64, value.to_bytes(8, "little", signed=True)
+
+    def _number(self, value: Any, out: list[Buffer], _depth: int) -> None:
+        tag, body = self._tag_and_body(value)
+        out.append(_WORD(tag) + body)
+
+    def _mixed(self, values: Sequence[Any], out: list[Buffer], depth: int) -> None:
+        """Elements each with its tag."""
+        add = out.append
+        float64 = self._float64
+        add(_TWO(tags.LIST, len(values)))
+        for value in values:
+            kind = type(value)
+            if kind is float:
+                add(_TAG_DOUBLE(float64, value))
+            elif kind is int:
+                add(_TWO(tags.INT32, value) if -0x80000000 <= value <= 0x7FFFFFFF else _TAG_INT64(tags.INT64, value))
+            elif kind is str:
+                block = _utf8(value)
+                add(_TWO(tags.STRING, len(block)))
+                add(block)
+            elif kind is list or kind is tuple:
+                self.bottle(value, out, depth + 1)
+            elif kind is bool:
+                add(_TWO(tags.VOCAB32, _TRUE if value else 0))
+            elif kind is bytes:
+                add(_TWO(tags.BLOB, len(value)))
+                add(value)
+            elif kind in self._rare:
+                self._rare[kind](value, out, depth)
+            else:
+                self.bottle(value, out, depth + 1)
+
+    def _dict(self, value: dict[Any, Any], out: list[Buffer], depth: int) -> None:
+        out.append(_WORD(tags.LIST | tags.DICT))
+        self.bottle(entries_of(value), out, depth + 2)
+
+    def _array(self, values: Any, out: list[Buffer], depth: int) -> None:
+        """A numpy array: its numbers as they lie in memory; of more dimensions: lists of lists."""
+        if not hasattr(values, "dtype"):
+            return self.bottle(list(values), out, depth)
+        kind = values.dtype.str[1:]
+        if values.ndim != 1 or kind not in self._array_tags:
+            wider = {"f2": "<f4", "f16": "<f8", "g16": "<f8"}.get(kind)
+            return self.bottle(list(values.astype(wider)) if wider else list(values), out, depth)
+        out.append(_TWO(tags.LIST | (self._array_tags[kind] if len(values) else 0), len(values)))
+        if len(values):
+            out.append(block_of(values))
+        return None
+
+
+def block_of(values: Any) -> Buffer:
+    """The little-endian bytes of a numpy array, without a copy where they lie so in memory."""
+    if values.dtype.str[0] == ">":
+        values = values.astype(values.dtype.newbyteorder("<"))
+    if not values.flags.c_contiguous:
+        return bytes(values.tobytes())
+    return memoryview(values).cast("B")
+
+
+def _utf8(text: str) -> bytes:
+    try:
+        return text.encode(errors="surrogateescape")
+    except UnicodeEncodeError as err:
+        raise WireError(f"{text!r} cannot be written as UTF-8: {err.reason}") from None
+
+
+class Decoder:
+    """Reads the lists of one profile; ``array`` makes the numbers of a list of one type, by default a plain list."""
+
+    def __init__(self, profile: Profile, array: Array | None = None) -> None:
+        self._float32 = profile.float32_tag
+        self._float64 = profile.float64_tag
+        self._vocab64 = profile.vocab64_tag
+        self._formats = tags.formats(profile)
+        self._sizes = tags.sizes(profile)
+        self._array = array
+
+    def bottle(self, data: Buffer, offset: int) -> tuple[Any, int]:
+        """A Bottle with its header; and where it ends.
+
+        Raises:
+            WireError: it is none; Incomplete where the data ends before it does.
+        """
+        return self._bottle(data, offset, 0)
+
+    def _bottle(self, data: Buffer, offset: int, depth: int) -> tuple[Any, int]:
+        if len(data) - offset < 8:
+            raise Incomplete(f"a list's header at byte {offset} needs 8 bytes; there are {len(data) - offset}")
+        tag, count = _READ_TWO(data, offset)
+        if tag & ~tags.UNIT != tags.LIST:
+            raise WireError(f"{tag:#x} at byte {offset} is no list's tag")
+        return self._list(data, offset + 8, tag & tags.UNIT, count, depth)
+
+    def _list(self, data: Buffer, offset: int, unit: int, count: int, depth: int) -> tuple[Any, int]:
+        """The elements of a list, of one type where ``unit`` is its tag."""
+        if depth > tags.MAX_DEPTH:
+            raise WireError(f"lists are nested deeper than {tags.MAX_DEPTH} at byte {offset}")
+        if count < 0:
+            raise WireError(f"a list before byte {offset} has {count} elements")
+        if unit == 0:
+            return self._mixed(data, offset, count, depth)
+        size = self._sizes.get(unit)
+        if size is None:
+            if unit in (tags.STRING, tags.BLOB):
+                return self._blocks(data, offset, unit, count)
+            raise WireError(f"{unit} in a list's tag before byte {offset} is no type's tag")
+        end = offset + count * size
+        if end > len(data):
+            raise Incomplete(f"a list of {count} elements at byte {offset} needs {end - offset} bytes")
+        if unit == tags.VOCAB32:
+            return [vocab32(number) for number in unpack_from(f"<{count}i", data, offset)], end
+        if unit == self._vocab64:
+            return [vocab64(number) for number in unpack_from(f"<{count}q", data, offset)], end
+        code = self._formats[unit]
+        if self._array is not None:
+            return self._array(data, offset, count, code), end
+        numbers = unpack_from(f"<{count}{code}", data, offset)
+        kept = _KEPT.get(code)
+        return list(map(kept, numbers) if kept else numbers), end
+
+    def _blocks(self, data: Buffer, offset: int, unit: int, count: int) -> tuple[list[Any], int]:
+        """Strings or blobs, which have their lengths before them."""
+        if len(data) - offset < 4 * count:
+            raise Incomplete(f"a list of {count} strings or blobs at byte {offset} needs at least {4 * count} bytes")
+        values: list[Any] = []
+        whole = len(data)
+        for _ in range(count):
+            if whole - offset < 4:
+                raise Incomplete(f"the length of a string or blob at byte {offset} is missing")
+            (length,) = _READ_WORD(data, offset)
+            begin = offset + 4
+            offset = begin + length
+            if length < 0 or offset > whole:
+                raise _too_long(length, begin)
+            block = data[begin:offset]
+            values.append(str(block, "utf-8", "surrogateescape") if unit == tags.STRING else bytes(block))
+        return values, offset
+
+    def _mixed(self, data: Buffer, offset: int, count: int, depth: int) -> tuple[list[Any], int]:
+        """Elements each with a tag. All but the smallest have a word after it, which is read with it."""
+        whole = len(data)
+        if whole - offset < 5 * count:
+            raise Incomplete(f"a list of {count} elements at byte {offset} needs at least {5 * count} bytes")
+        values: list[Any] = []
+        add = values.append
+        float64 = self._float64
+        for _ in range(count):
+            if whole - offset < 8:
+                value, offset = self._small(data, offset)
+                add(value)
+                continue
+            tag, word = _READ_TWO(data, offset)
+            if tag == float64:
+                if whole - offset < 12:
+                    raise Incomplete(f"a number at byte {offset} needs 12 bytes")
+                add(_DOUBLE(data, offset + 4)[0])
+                offset += 12
+            elif tag == tags.INT32:
+                add(word)
+                offset += 8
+            elif tag in (tags.STRING, tags.BLOB):
+                begin = offset + 8
+                offset = begin + word
+                if word < 0 or offset > whole:
+                    raise _too_long(word, begin)
+                block = data[begin:offset]
+                add(str(block, "utf-8", "surrogateescape") if tag == tags.STRING else bytes(block))
+            elif tag & ~tags.UNIT == tags.LIST:
+                value, offset = self._list(data, offset + 8, tag & tags.UNIT, word, depth + 1)
+                add(value)
+            elif tag == tags.VOCAB32:
+                add(vocab32(word))
+                offset += 8
+            else:
+                value, offset = self._rare(data, offset, tag, depth)
+                add(value)
+        return values, offset
+
+    def _rare(self, data: Buffer, offset: int, tag: int, depth: int) -> tuple[Any, int]:
+        """The types that few send."""
+        if tag == self._float32:
+            return Float32(_FLOAT(data, offset + 4)[0]), offset + 8
+        if tag in (tags.INT64, self._vocab64):
+            if len(data) - offset < 12:
+                raise Incomplete(f"a number at byte {offset} needs 12 bytes")
+            (number,) = _INT64(data, offset + 4)
+            return (Int64(number) if tag == tags.INT64 else vocab64(number)), offset + 12
+        if tag in (tags.INT8, tags.INT16):
+            return self._small(data, offset)
+        if tag & ~tags.UNIT == tags.LIST | tags.DICT:
+            return self._dict(data, offset + 4, depth + 2)
+        raise WireError(f"{tag} at byte {offset} is no type's tag")
+
+    def _small(self, data: Buffer, offset: int) -> tuple[int, int]:
+        """An int of one or two bytes, which may be all that is left."""
+        if len(data) - offset < 4:
+            raise Incomplete(f"an element's tag at byte {offset} is cut off")
+        (tag,) = _READ_WORD(data, offset)
+        body = data[offset + 4 : offset + 6]
+        if tag == tags.INT8 and len(body) >= 1:
+            return _INT8[body[0] - 256 if body[0] > 127 else body[0]], offset + 5
+        if tag == tags.INT16 and len(body) == 2:
+            return Int16(int.from_bytes(body, "little", signed=True)), offset + 6
+        raise Incomplete(f"the element at byte {offset} with the tag {tag} is cut off")
+
+    def _dict(self, data: Buffer, offset: int, depth: int) -> tuple[dict[str, Any], int]:
+        """A Bottle of lists, each a key and its values; YARP skips what is no such list."""
+        entries, end = self._bottle(data, offset, depth)
+        return dict_of(entries), end
+
+
+def array(data: Buffer, offset: int, count: int, code: str) -> Any:
+    """A numpy array that looks at the numbers where they are."""
+    import numpy as np
+
+    return np.frombuffer(data, f"<{code}", count, offset) if count else np.empty(0, f"<{code}")
+
+
+def _too_long(length: int, begin: int) -> WireError:
+    if length < 0:
+        return WireError(f"the string or blob at byte {begin} has a length of {length}")
+    return Incomplete(f"the string or blob of {length} bytes at byte {begin} is cut off")
+
 
 _ENCODER3 = Encoder(Profile.YARP3)
 _ENCODER4 = Encoder(Profile.YARP4)
@@ -47,12 +397,10 @@ def encode_parts(values: Sequence[Any], profile: Profile) -> list[Buffer]:
     return out
 
 
-def decode(data: Data, profile: Profile | None = None) -> list[Any]:
+def decode(data: Buffer, profile: Profile | None = None) -> list[Any]:
     """The values of exactly one Bottle.
 
-    Args:
-        data: its bytes.
-        profile: whose they are; None: the one that accounts for every byte, YARP 3 where both do.
+    Without a profile it takes the one that accounts for every byte, YARP 3 where both do.
 
     Raises:
         WireError: they are no Bottle of that profile.
@@ -61,7 +409,7 @@ def decode(data: Data, profile: Profile | None = None) -> list[Any]:
     return values
 
 
-def decode_arrays(data: Data, profile: Profile | None = None) -> Any:
+def decode_arrays(data: Buffer, profile: Profile | None = None) -> Any:
     """The same with numpy arrays for lists of numbers of one type, the Bottle's own among them.
 
     They are views into the data, writable where it is: nothing is copied.
@@ -72,7 +420,7 @@ def decode_arrays(data: Data, profile: Profile | None = None) -> Any:
     return _decoded(data, profile, _ARRAYS3, _ARRAYS4)
 
 
-def decode_prefix(data: Data, profile: Profile, offset: int = 0) -> tuple[list[Any], int]:
+def decode_prefix(data: Buffer, profile: Profile, offset: int = 0) -> tuple[list[Any], int]:
     """The values of the Bottle that begins at an offset, and where it ends.
 
     Raises:
@@ -81,7 +429,7 @@ def decode_prefix(data: Data, profile: Profile, offset: int = 0) -> tuple[list[A
     return (_DECODER3 if profile is Profile.YARP3 else _DECODER4).bottle(data, offset)
 
 
-def _decoded(data: Data, profile: Profile | None, decoder3: Decoder, decoder4: Decoder) -> Any:
+def _decoded(data: Buffer, profile: Profile | None, decoder3: Decoder, decoder4: Decoder) -> Any:
     if profile is not None:
         return _whole(decoder3 if profile is Profile.YARP3 else decoder4, data)
     try:
@@ -93,7 +441,7 @@ def _decoded(data: Data, profile: Profile | None, decoder3: Decoder, decoder4: D
             raise err from None
 
 
-def _whole(decoder: Decoder, data: Data) -> Any:
+def _whole(decoder: Decoder, data: Buffer) -> Any:
     values, end = decoder.bottle(data, 0)
     if end != len(data):
         raise WireError(f"the Bottle ends at byte {end}, but {len(data) - end} bytes follow")

@@ -1,4 +1,4 @@
-"""Where a port is: its name, its address and the carrier it was registered with; and the names of connections.
+"""Contacts: a port's name, its address and the carrier it was registered with; and the names of connections.
 
 Spellings (measured, see the tests): ``/name``, ``tcp://name`` and ``tcp:/name`` (a carrier for the port ``/name``),
 ``tcp://host:10002/``, ``/host:10002/name`` (an address that needs no name server), and the name server's line
@@ -18,14 +18,14 @@ _REFUSED = re.compile(r"[\x00-\x20\x7f\"\\]")
 
 
 @dataclass(frozen=True, slots=True)
-class Contact:
-    """A port's registration at a name server, or as much of it as was said.
+class PortContact:
+    """A port's registration at a name server, or as much of it as is known.
 
     Attributes:
         name: the port's registered name, with its leading slash; empty where only the address is known.
         host: its IP address or host name; empty where it is not known.
         port: its TCP (for mcast UDP) port number; -1 where it is not known.
-        carrier: the carrier it was registered with; empty where none was said.
+        carrier: the carrier it was registered with; may be empty.
     """
 
     name: str
@@ -54,16 +54,16 @@ class Contact:
         """The name server's line about this contact, without its line end."""
         return f"registration name {self.name} ip {self.host} port {self.port} type {self.carrier}"
 
-    def named(self, name: str) -> Contact:
+    def named(self, name: str) -> PortContact:
         """The same address under another name."""
         return replace(self, name=name)
 
-    def by(self, carrier: str) -> Contact:
+    def by(self, carrier: str) -> PortContact:
         """The same contact by another carrier."""
         return replace(self, carrier=carrier)
 
     @classmethod
-    def parse(cls, text: str) -> Contact:
+    def parse(cls, text: str) -> PortContact:
         """Read any spelling but the registration line; what is not said stays empty."""
         carrier, rest = "", text
         at = text.find(":/")
@@ -84,7 +84,7 @@ class Contact:
         )
 
     @classmethod
-    def from_registration(cls, line: str) -> Contact | None:
+    def from_registration(cls, line: str) -> PortContact | None:
         """Read the name server's line; None where it is not one."""
         words = [word for word in line.replace('"', "").strip("\r\n").split(" ") if word]
         if len(words) < 9 or words[0] != "registration":
@@ -95,7 +95,7 @@ class Contact:
 
 
 @dataclass(frozen=True, slots=True)
-class Route:
+class ConnectionRoute:
     """One connection, in the direction its data flow."""
 
     source: str

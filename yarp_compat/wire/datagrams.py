@@ -11,9 +11,9 @@ import struct
 import zlib
 from collections.abc import Iterator, Sequence
 
-from yarp_compat.wire import message
+from yarp_compat.wire import framing
 from yarp_compat.wire.errors import WireError
-from yarp_compat.wire.message import Buffer
+from yarp_compat.wire.framing import Buffer
 
 LARGEST = 65499
 """Bytes of a message in one datagram at most."""
@@ -47,14 +47,10 @@ class Assembler:
     """Puts messages together again.
 
     Datagrams of a message must come in order; one that is lost, comes twice or late loses its message, and the next
-    number 0 begins anew.
-
-    Attributes:
-        spoiled: datagrams with a wrong checksum.
-        incomplete: messages that were begun and not ended, or whose beginning was missing.
+    number 0 begins anew. ``spoiled`` counts wrong checksums, ``incomplete`` messages without their beginning or end.
     """
 
-    def __init__(self, limit: int = message.DEFAULT_LIMIT) -> None:
+    def __init__(self, limit: int = framing.DEFAULT_LIMIT) -> None:
         self._limit = limit
         self._came = bytearray()
         self._next = 0
@@ -64,10 +60,10 @@ class Assembler:
         self.incomplete = 0
 
     def add(self, data: Buffer) -> bytes | None:
-        """Take a datagram; the message that it completes, or None.
+        """Take a datagram; returns the message that it completes, or None.
 
         Raises:
-            WireError: it belongs to no message that is taken: nonsense, or above the limit.
+            WireError: the message is nonsense, or above the limit.
         """
         if len(data) < _HEAD.size:
             self.spoiled += 1
@@ -108,17 +104,16 @@ class Assembler:
     def _whole(self) -> bytes | None:
         came = self._came
         if not self._size:
-            if len(came) < message.HEAD_SIZE:
+            if len(came) < framing.HEAD_SIZE:
                 return None
-            index = message.index_size(came)
+            index = framing.index_size(came)
             if len(came) < index:
                 return None
-            self._size = index + message.body_size(came, 0, self._limit)
+            self._size = index + framing.body_size(came, 0, self._limit)
         if len(came) < self._size:
             return None
         if len(came) > self._size:
-            msg = f"datagrams of a message of {self._size} bytes hold {len(came)}"
-            raise WireError(msg)
+            raise WireError(f"datagrams of a message of {self._size} bytes hold {len(came)}")
         self._came = bytearray()
         self._next, self._size = 0, 0
         return bytes(came)

@@ -1,8 +1,9 @@
-"""What may be wrong with bytes or texts from the network.
+"""Errors in bytes or texts from the network.
 
 - ValueError
     - WireError: these bytes mean nothing, or the values cannot be written
         - Incomplete: they may be right, but stop early
+        - TooLargeError: they announce more than is taken
 """
 
 from __future__ import annotations
@@ -14,3 +15,7 @@ class WireError(ValueError):
 
 class Incomplete(WireError):  # noqa: N818 - it need not be an error: more may come
     """The bytes end before the message does."""
+
+
+class TooLargeError(WireError):
+    """A message announces more bytes than are taken."""

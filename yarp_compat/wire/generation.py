@@ -1,7 +1,8 @@
-"""The four generations of replies, and which of them a peer is answered in: the one place that decides it.
+"""Decides in which of YARP's four generations of replies a peer is answered.
 
-YARP's generated (thrift) services have answered with a bool, a bare number, a tagged number and a list, in turn; the
-requests never changed, so nothing in them tells the first three apart.
+YARP's generated (thrift) services have answered with a bool, a bare number, a tagged number and a list, in turn. Few
+requests tell who makes them: 4.0 asks for the protocol's version and has its own tags for numbers, and some methods
+came with 3.12. Whom nothing tells apart is answered by a guess, and then with care, see `yarp_compat.dev.returnvalue`.
 """
 
 from __future__ import annotations
@@ -20,7 +21,7 @@ MOST_PEERS = 4096
 
 
 class Generation(Enum):
-    """How a release of YARP writes what a call returned; its value is the first release that did so."""
+    """The way in which releases of YARP write a call's results; its value is the first such release."""
 
     YARP_3_6 = "3.6"
     """A bool: the vocab ``[ok]`` or ``[fail]``."""
@@ -38,10 +39,7 @@ class Generation(Enum):
 
     @classmethod
     def of(cls, version: str) -> Generation:
-        """The generation of a release of YARP.
-
-        Args:
-            version: such as ``3.9.1`` or ``4``.
+        """The generation of a release of YARP, such as ``3.9.1`` or ``4``.
 
         Raises:
             ValueError: this is no version of YARP from 3.6 on.
@@ -54,8 +52,9 @@ class Generation(Enum):
             first = tuple(map(int, generation.value.split(".")))
             if release >= first:
                 return generation
-        msg = f"{version!r} is no version of YARP that this knows: give one from 3.6 on, such as 3.9, 3.12 or 4.0"
-        raise ValueError(msg)
+        raise ValueError(
+            f"{version!r} is no version of YARP that this knows: give one from 3.6 on, such as 3.9, 3.12 or 4.0"
+        )
 
     @classmethod
     def newest(cls, profile: Profile) -> Generation:
@@ -63,100 +62,128 @@ class Generation(Enum):
         return cls.YARP_4 if profile is Profile.YARP4 else cls.YARP_3_12
 
 
+PeerAddress = tuple[str, int]
+"""The address of a connection, which tells two of one name apart."""
+_NOWHERE: PeerAddress = ("", 0)
+
+
 @dataclass(frozen=True, slots=True)
-class Decision:
-    """What a peer is answered in, and why."""
+class GenerationDecision:
+    """The generation for a peer, and the reason; ``cure`` says what would make a guess certain, else it is empty."""
 
     peer: str
     generation: Generation
     reason: str
+    cure: str = ""
+
+    @property
+    def sure(self) -> bool:
+        """Whether the peer or a setting has said it."""
+        return not self.cure
 
     def as_dict(self) -> dict[str, str]:
-        """Generation and reason, for a status document."""
-        return {"generation": self.generation.value, "generation_why": self.reason}
+        """Generation and reason, for a status document; and the cure of a guess."""
+        said = {"generation": self.generation.value, "generation_why": self.reason}
+        return said if self.sure else {**said, "generation_cure": self.cure}
 
 
 class Generations:
-    """Decides for each peer of a name server, and remembers what the peers told of themselves.
+    """Decides for each connection, and remembers what its peer disclosed.
 
     Args:
-        default: what peers on this name server are taken for.
-        rules: patterns of port names (``/cer/*``) and what those are taken for, the first that fits.
-        older: what a peer is taken for whose bytes are YARP 3's where everything else says 4.0.
+        default: what peers on this name server are, where somebody said it.
+        rules: patterns of port names (``/cer/*``) and what those are, the first that fits.
+        guess: what peers count as where neither they nor any setting say it.
+        cure: how it can be said, for people; ``{peer}`` stands for the peer.
     """
 
     def __init__(
         self,
-        default: Generation = Generation.YARP_3_12,
+        default: Generation | None = None,
         rules: Sequence[tuple[str, Generation]] = (),
-        older: Generation = Generation.YARP_3_12,
+        *,
+        guess: Generation = Generation.YARP_3_12,
+        cure: str = "give the server the Generations of its peers",
     ) -> None:
-        self._default = default
+        self._default, self._guess, self._cure = default, guess, cure
         self._rules = tuple(rules)
-        self._older = older
-        self._told: dict[str, tuple[Generation, str]] = {}
+        self._told: dict[tuple[str, PeerAddress], GenerationDecision] = {}
+        self._hinted = False
         self._lock = threading.Lock()
 
-    def introduced(self, peer: str, profile: Profile | None = None) -> None:
-        """The peer asked for the protocol's version, as clients of 4.0 do, and some of 3.12.
+    def adopt(self, other: Generations) -> None:
+        """Take over the settings of another; what peers told of themselves stays."""
+        self._default, self._guess, self._cure, self._rules = other._default, other._guess, other._cure, other._rules
+        self._hinted = False
 
-        Args:
-            peer: its name.
-            profile: its dialect, where that is known.
-        """
+    def introduced(self, peer: str, profile: Profile | None = None, link: PeerAddress = _NOWHERE) -> None:
+        """The peer asked for the protocol's version, as clients of 4.0 do, and some of 3.12."""
         asked = "it asked for the protocol's version"
         if profile is Profile.YARP3:
-            self._remember(peer, Generation.YARP_3_12, f"{asked}, and is of YARP 3, of which only 3.12 does")
+            reason = f"{asked}, and is of YARP 3, of which only 3.12 does"
+            self._remember(link, GenerationDecision(peer, Generation.YARP_3_12, reason))
         else:
-            self._remember(peer, Generation.YARP_4, f"{asked}, as clients of 4.0 do")
+            self._remember(link, GenerationDecision(peer, Generation.YARP_4, f"{asked}, as clients of 4.0 do"))
 
-    def recognised(self, peer: str, profile: Profile) -> None:
+    def recognised(self, peer: str, profile: Profile, link: PeerAddress = _NOWHERE) -> None:
         """The peer wrote bytes that only one profile explains: that outweighs all else, also an introduction.
 
         (Clients of services of one's own may introduce themselves in 3.12 too.)
         """
-        if profile is self.of(peer).generation.profile:
-            return
-        found = Generation.YARP_4 if profile is Profile.YARP4 else self._older
-        self._remember(peer, found, _bytes_of(profile))
+        if profile is not self.of(peer, link=link).generation.profile:
+            self._remember(link, self._by_bytes(peer, profile))
 
-    def of(self, peer: str, profile: Profile | None = None) -> Decision:
-        """What this peer, a port's name, is answered in.
+    def called(self, peer: str, method: str, since: Generation, link: PeerAddress = _NOWHERE) -> None:
+        """The peer, of YARP 3, called a method that releases before ``since`` lack: a guess is none any more."""
+        if not self.of(peer, link=link).sure:
+            self._remember(link, GenerationDecision(peer, since, f"it called {method}, which came with {since.value}"))
 
-        Args:
-            peer: its name.
-            profile: its dialect, where that is known without its ever having called: it outweighs the rules.
-        """
-        told = self._told.get(peer)
+    def of(self, peer: str, profile: Profile | None = None, link: PeerAddress = _NOWHERE) -> GenerationDecision:
+        """The generation for this peer. A known profile outweighs the rules, even where it never called."""
+        told = self._told.get((peer, link))
         if told is not None:
-            return Decision(peer, *told)
+            return told
         decision = self._ruled(peer)
-        if profile in (None, decision.generation.profile):
-            return decision
-        return Decision(peer, Generation.YARP_4 if profile is Profile.YARP4 else self._older, _bytes_of(profile))
+        return decision if profile in (None, decision.generation.profile) else self._by_bytes(peer, profile)
 
-    def _ruled(self, peer: str) -> Decision:
+    def _ruled(self, peer: str) -> GenerationDecision:
         for pattern, generation in self._rules:
             if fnmatchcase(peer, pattern):
-                return Decision(peer, generation, f"the rule for {pattern} says so")
-        return Decision(peer, self._default, "its name server's generation")
+                return GenerationDecision(peer, generation, f"the rule for {pattern} says so")
+        if self._default is not None:
+            return GenerationDecision(peer, self._default, "its name server's generation")
+        return self._guessed(peer, self._guess, "a guess: nothing that it sent tells its release")
 
-    def forget(self, peer: str) -> None:
-        """The peer's connection is gone; its next one may be another release's."""
+    def _by_bytes(self, peer: str, profile: Profile | None) -> GenerationDecision:
+        reason = f"its bytes are YARP {'4' if profile is Profile.YARP4 else '3'}'s"
+        if profile is Profile.YARP4:
+            return GenerationDecision(peer, Generation.YARP_4, reason)
+        if self._default not in (None, Generation.YARP_4):
+            return GenerationDecision(peer, self._default, reason)
+        return self._guessed(peer, Generation.YARP_3_12, f"{reason}; which release of it is a guess")
+
+    def _guessed(self, peer: str, generation: Generation, reason: str) -> GenerationDecision:
+        return GenerationDecision(peer, generation, reason, self._cure.format(peer=peer))
+
+    def forget(self, peer: str, link: PeerAddress = _NOWHERE) -> None:
+        """The peer's connection came or is gone; the next one may be another release's."""
         with self._lock:
-            self._told.pop(peer, None)
+            self._told.pop((peer, link), None)
 
-    def explain(self) -> list[Decision]:
+    def hint(self, decision: GenerationDecision) -> str:
+        """The cure of a guess, the first time that one is made; else "": one line in the log is enough."""
+        if decision.sure or self._hinted:
+            return ""
+        self._hinted = True
+        return decision.cure
+
+    def explain(self) -> list[GenerationDecision]:
         """Every peer that told of itself, the longest known first."""
         with self._lock:
-            return [Decision(peer, *told) for peer, told in self._told.items()]
+            return list(self._told.values())
 
-    def _remember(self, peer: str, generation: Generation, reason: str) -> None:
+    def _remember(self, link: PeerAddress, decision: GenerationDecision) -> None:
         with self._lock:
-            self._told[peer] = generation, reason
+            self._told[decision.peer, link] = decision
             while len(self._told) > MOST_PEERS:
                 del self._told[next(iter(self._told))]
-
-
-def _bytes_of(profile: Profile | None) -> str:
-    return f"its bytes are YARP {'4' if profile is Profile.YARP4 else '3'}'s"

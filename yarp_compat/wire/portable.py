@@ -1,4 +1,4 @@
-"""What every typed value has: bytes in either profile, text, and YARP's own read and write."""
+"""The base of every typed value: bytes in either profile, text, and YARP's own read and write."""
 
 from __future__ import annotations
 
@@ -6,27 +6,26 @@ from abc import ABC, abstractmethod
 from typing import Any, ClassVar, Protocol, Self
 
 from yarp_compat.wire import binary, text
+from yarp_compat.wire.elements import ElementReader, ElementWriter
 from yarp_compat.wire.errors import WireError
+from yarp_compat.wire.framing import Buffer
 from yarp_compat.wire.generation import Generation
-from yarp_compat.wire.message import Buffer
 from yarp_compat.wire.profile import Profile
-from yarp_compat.wire.reader import Reader
-from yarp_compat.wire.writer import Writer
 
 
-class Source(Protocol):
-    """What a value can be read from: YARP's ConnectionReader."""
+class ReaderHolder(Protocol):
+    """A source to read a value from: YARP's ConnectionReader."""
 
     @property
-    def reader(self) -> Reader:
+    def reader(self) -> ElementReader:
         """Where the value begins."""
 
 
-class Sink(Protocol):
-    """What a value can be written to: YARP's ConnectionWriter."""
+class WriterHolder(Protocol):
+    """A sink to write a value to: YARP's ConnectionWriter."""
 
     @property
-    def writer(self) -> Writer:
+    def writer(self) -> ElementWriter:
         """Where the value goes."""
 
 
@@ -37,39 +36,29 @@ class Portable(ABC):
     """The name under which YARP's ports announce it; empty where YARP has none."""
 
     @abstractmethod
-    def _write(self, out: Writer) -> None:
+    def _write(self, out: ElementWriter) -> None:
         """Put the value's elements on the wire."""
 
     @abstractmethod
-    def _read(self, source: Reader) -> None:
-        """Become what comes next.
-
-        Raises:
-            WireError: it is something else; the value stays what it was.
-        """
+    def _read(self, source: ElementReader) -> None:
+        """Become what comes next; raises `WireError` where it is something else, and stays what it was."""
 
     def to_wire(self, profile: Profile = Profile.YARP3, generation: Generation | None = None) -> list[Buffer]:
         """The value's bytes in pieces, large arrays uncopied: they must stay unchanged until they are sent."""
-        out = Writer(profile, generation)
+        out = ElementWriter(profile, generation)
         self._write(out)
         return out.buffers()
 
     def to_bytes(self, profile: Profile = Profile.YARP3, generation: Generation | None = None) -> bytes:
-        """The value's bytes in one piece.
-
-        Raises:
-            WireError: the value does not fit YARP's type.
-        """
-        out = Writer(profile, generation)
+        """The value's bytes in one piece; raises `WireError` where it does not fit YARP's type."""
+        out = ElementWriter(profile, generation)
         self._write(out)
         return out.payload()
 
     def from_wire(self, data: Buffer, profile: Profile | None = None) -> None:
-        """Become what a whole payload holds.
+        """Become what a whole payload holds; arrays stay views into it.
 
-        Args:
-            data: the payload; arrays stay views into it.
-            profile: whose bytes they are; by default both are tried, YARP 3 first.
+        By default both profiles are tried, YARP 3 first.
 
         Raises:
             WireError: it is something else; the value stays what it was.
@@ -97,11 +86,7 @@ class Portable(ABC):
         return binary.decode(self.to_bytes(Profile.YARP4), Profile.YARP4)
 
     def from_values(self, values: list[Any]) -> None:
-        """Become what a Bottle of this content holds.
-
-        Raises:
-            WireError: it is something else; the value stays what it was.
-        """
+        """Become what a Bottle of this content holds; raises `WireError` as `from_wire`."""
         self.from_wire(binary.encode(values, Profile.YARP4), Profile.YARP4)
 
     def to_text(self) -> str:
@@ -109,14 +94,10 @@ class Portable(ABC):
         return text.to_text(self.to_values())
 
     def from_text(self, line: str) -> None:
-        """Become what a line of a text carrier says.
-
-        Raises:
-            WireError: it says something else; the value stays what it was.
-        """
+        """Become what a line of a text carrier says; raises `WireError` as `from_wire`."""
         self.from_values(text.from_text(line))
 
-    def write(self, connection: Sink) -> bool:
+    def write(self, connection: WriterHolder) -> bool:
         """Put the value on a connection; False where it cannot be written."""
         try:
             self._write(connection.writer)
@@ -124,7 +105,7 @@ class Portable(ABC):
             return False
         return True
 
-    def read(self, connection: Source) -> bool:
+    def read(self, connection: ReaderHolder) -> bool:
         """Become what a connection holds next; False where that is something else."""
         try:
             self._read(connection.reader)
@@ -133,7 +114,7 @@ class Portable(ABC):
         return True
 
     def _whole(self, data: Buffer, profile: Profile) -> None:
-        source = Reader(data, profile)
+        source = ElementReader(data, profile)
         value = type(self)()
         value._read(source)
         source.finish()

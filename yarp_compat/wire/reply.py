@@ -1,15 +1,17 @@
-"""Where a Bottle ends in bytes that come in pieces. Replies have no length, so their structure must tell.
+"""Finds where a Bottle ends in bytes that come in pieces. Replies have no length, so their structure must tell.
 
 Each byte is looked at once, however many pieces it comes in; strings and runs of numbers are skipped, not read.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from struct import Struct
 
 from yarp_compat.wire import tags
-from yarp_compat.wire.decoder import Data
+from yarp_compat.wire.carriers import Carrier
 from yarp_compat.wire.errors import Incomplete, WireError
+from yarp_compat.wire.framing import Buffer
 from yarp_compat.wire.profile import Profile
 
 LIMIT = 64 << 20
@@ -40,11 +42,8 @@ class ReplyReader:
         self._acked = acked
         self._walks = {one: _Walk(one, limit) for one in ([profile] if profile is not None else Profile)}
 
-    def end(self, data: Data) -> int:
-        """Where the reply ends.
-
-        Args:
-            data: all that has come of it up to now.
+    def end(self, data: Buffer) -> int:
+        """The end of the reply, all of whose bytes up to now are ``data``.
 
         Raises:
             WireError: it is no Bottle, or longer than the limit; Incomplete: it has not ended yet.
@@ -66,7 +65,7 @@ class ReplyReader:
             return self._decided(*ends.items())
         return self._between(ends, missing, data)
 
-    def _between(self, ends: dict[Profile, int], missing: Incomplete | None, data: Data) -> int:
+    def _between(self, ends: dict[Profile, int], missing: Incomplete | None, data: Buffer) -> int:
         """The end where the bytes may be those of both profiles."""
         if len(set(ends.values())) == 1 and missing is None:
             return next(iter(ends.values()))
@@ -86,8 +85,8 @@ class ReplyReader:
         return end
 
 
-def plain_end(data: Data, profile: Profile | None) -> int:
-    """Where a Bottle of numbers of one type ends, at a glance; 0 where it is another, or may be either profile's."""
+def plain_end(data: Buffer, profile: Profile | None) -> int:
+    """The end of a Bottle of numbers of one type, at a glance; 0 for another one, or one of unclear profile."""
     if len(data) < 8:
         return 0
     tag, count = _TWO(data, 0)
@@ -96,8 +95,8 @@ def plain_end(data: Data, profile: Profile | None) -> int:
     return 8 + count * size if size and count >= 0 else 0
 
 
-def recognise(data: Data) -> Profile | None:
-    """Whose bytes a whole Bottle has; None where they are the same for all.
+def recognise(data: Buffer) -> Profile | None:
+    """The profile of a whole Bottle's bytes; None where they are the same for all.
 
     A tag that only one profile has tells, and where both may be meant, which of them accounts for every byte.
 
@@ -132,7 +131,7 @@ class _Walk:
         self._unit = 0
         self._outer: list[tuple[int, int]] = []
 
-    def end(self, data: Data) -> int:
+    def end(self, data: Buffer) -> int:
         if not self._begun:
             self._enter(data, 0)
             self._begun = True
@@ -149,7 +148,7 @@ class _Walk:
             else:
                 self._block(data, self._at)
 
-    def _element(self, data: Data) -> None:
+    def _element(self, data: Buffer) -> None:
         """Pass one element with its tag, or enter it where it is a list."""
         at = self._at
         (tag,) = _WORD(data, self._there(data, at, 4))
@@ -166,7 +165,7 @@ class _Walk:
         else:
             raise WireError(f"{tag} at byte {at} is no type's tag")
 
-    def _block(self, data: Data, at: int) -> None:
+    def _block(self, data: Buffer, at: int) -> None:
         """Pass a string or blob whose length is at this place."""
         (length,) = _WORD(data, self._there(data, at, 4))
         if length < 0:
@@ -174,7 +173,7 @@ class _Walk:
         self._left -= 1
         self._skip(at + 4 + length)
 
-    def _enter(self, data: Data, at: int) -> None:
+    def _enter(self, data: Buffer, at: int) -> None:
         """Pass a list's header; its elements come next, or behind them where they are numbers."""
         tag, count = _TWO(data, self._there(data, at, 8))
         unit = tag & tags.UNIT
@@ -200,11 +199,65 @@ class _Walk:
             raise WireError(f"the Bottle is longer than the limit of {self._limit} bytes")
         self._at = to
 
-    def _there(self, data: Data, at: int, size: int) -> int:
+    def _there(self, data: Buffer, at: int, size: int) -> int:
         if at + size > len(data):
             raise Incomplete(f"{at + size - len(data)} bytes are missing")
         return at
 
 
-def _is_acknowledgement(data: Data, at: int) -> bool:
+def _is_acknowledgement(data: Buffer, at: int) -> bool:
     return bytes(data[at : at + 2]) == b"YA" and bytes(data[at + 6 : at + 8]) == b"RP"
+
+
+ReplyEnd = Callable[[Buffer], int]
+"""Finds the end of the reply that begins these bytes; raises Incomplete when more must come."""
+_LONG = 1 << 16
+
+
+class ReplyWatch:
+    """Looks at a reply, which ends where ``parse`` says; by default with the Bottle, or with a text carrier's line.
+
+    ``profile`` is the peer's dialect, where it is known; afterwards, where the reply told it.
+    """
+
+    __slots__ = ("_carrier", "_limit", "_next_look", "_parse", "_reader", "profile")
+
+    def __init__(self, parse: ReplyEnd | None, carrier: Carrier, profile: Profile | None, limit: int) -> None:
+        self.profile = profile
+        self._carrier = carrier
+        self._limit = limit
+        self._parse = parse or (_line_end if carrier.text else None)
+        self._reader: ReplyReader | None = None
+        self._next_look = 1
+
+    def end(self, came: Buffer) -> int:
+        """The end of the reply, 0 where more must come; raises `WireError` where it is none."""
+        if len(came) < self._next_look:
+            return 0
+        try:
+            if self._parse is not None:
+                return self._parse(came)
+            end = plain_end(came, self.profile)
+            if 0 < end <= len(came):
+                return end
+            reader = self._reader
+            if reader is None:
+                reader = self._reader = ReplyReader(self.profile, acked=self._carrier.ack, limit=self._limit)
+            end = reader.end(came)
+            self.profile = reader.profile
+        except Incomplete:
+            # a caller's parser begins anew each time: a long reply is looked at again when it has grown by half
+            self._next_look = len(came) + len(came) // 2 if self._parse is not None and len(came) > _LONG else 1
+            return 0
+        return end
+
+    def pause(self) -> None:
+        """Nothing came for a while: perhaps it is all there."""
+        self._next_look = 1
+
+
+def _line_end(came: Buffer) -> int:
+    found = bytes(came).find(b"\n")
+    if found < 0:
+        raise Incomplete("a line ends early")
+    return found + 1

@@ -23,7 +23,7 @@ UNIT = 255
 """The part of a list's tag that is the tag of its elements."""
 
 MAX_DEPTH = 128
-"""How deep lists may be nested; a dict counts twice. Real messages stay below ten."""
+"""The deepest nesting of lists; a dict counts twice. Real messages stay below ten."""
 
 _SIZES = {INT8: 1, INT16: 2, INT32: 4, INT64: 8, VOCAB32: 4}
 _FORMATS = {INT8: "b", INT16: "h", INT32: "i", INT64: "q"}

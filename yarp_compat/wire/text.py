@@ -9,17 +9,15 @@ what is not closed at its end is lost, and so it is here.
 from __future__ import annotations
 
 import contextlib
+import math
 import re
 import struct
 from collections.abc import Iterable
 from typing import Any
 
-from yarp_compat.wire.decoder import vocab32, vocab64
-from yarp_compat.wire.encoder import entries_of, plain
 from yarp_compat.wire.errors import WireError
-from yarp_compat.wire.number_text import number
 from yarp_compat.wire.tags import MAX_DEPTH
-from yarp_compat.wire.values import Float32, Vocab, Vocab64
+from yarp_compat.wire.values import DictKey, Float32, Vocab, Vocab64, entries_of, plain, vocab32, vocab64
 
 LARGEST_WORK = 4 << 20
 """Characters looked at, beyond its own, in a text that is not well formed."""
@@ -30,7 +28,7 @@ _NEXT = re.compile(
     ) (?=[ \t\n\r,)]|\Z) )""",
     re.DOTALL | re.VERBOSE,
 )
-"""What comes next in a well formed text: a list begins (1) or ends (2), or there is another word (3)."""
+"""The next word of a well formed text: a list begins (1) or ends (2), or there is another word (3)."""
 _SPECIAL = re.compile(r'[\\"(){}]')
 _WORDS = re.compile(r"[^ \t\n\r,]+")
 _MARK = re.compile(r'\\.|[ \t\n\r,"(){}]', re.DOTALL)
@@ -48,12 +46,19 @@ _PLAIN_NUMBERS = re.compile(r"[0-9 ]*")
 _ESCAPES = str.maketrans({"\n": "\\n", "\r": "\\r", "\0": "\\0", "\\": "\\\\", '"': '\\"'})
 
 
-def from_text(text: str) -> list[Any]:
-    """The values of a Bottle's text.
+_INT = re.compile(r"[+-]?(?:0|[1-9][0-9]{0,17})")
+_FLOAT = re.compile(r"[+-]?(?:[0-9]+\.[0-9]*|\.[0-9]+|[0-9]+(?=[eE]))(?:[eE][+-]?[0-9]+)?")
+_LIKE = re.compile(r"([0+\-]*)[0-9.eE+\-]*")
+_LIKE_HEX = re.compile(r"([0+\-xX]*)[0-9.a-fA-F+\-]*")
+_C_INT = re.compile(r"([+-]?)(?:0[xX]([0-9a-fA-F]+)|(0[0-7]*)|([1-9][0-9]*))")
+_C_FLOAT = re.compile(r"[+-]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]+)?")
+_C_HEX_FLOAT = re.compile(r"[+-]?0[xX](?:[0-9a-fA-F]+\.?[0-9a-fA-F]*|\.[0-9a-fA-F]+)")
 
-    Raises:
-        WireError: lists are nested too deep, or so that it would take too long.
-    """
+_LARGEST = 2**63 - 1
+
+
+def from_text(text: str) -> list[Any]:
+    """The values of a Bottle's text; raises `WireError` where lists are nested too deep, or it would take too long."""
     if _SPECIAL.search(text) is None:
         return [_value(word) for word in _WORDS.findall(text)]
     at = 0
@@ -77,7 +82,7 @@ def from_text(text: str) -> list[Any]:
     else:
         if not outer and not text[at:].strip(_SEPARATORS):
             return values
-    return _Reader(text).values(text, 0)
+    return _TextReader(text).values(text, 0)
 
 
 def is_complete(text: str) -> bool:
@@ -86,11 +91,7 @@ def is_complete(text: str) -> bool:
 
 
 def to_text(values: Iterable[Any]) -> str:
-    """The text of a Bottle of these values.
-
-    Raises:
-        WireError: there is a value that no Bottle can hold.
-    """
+    """The text of a Bottle of these values; raises `WireError` where no Bottle can hold one."""
     return _joined(values, 0)
 
 
@@ -107,7 +108,20 @@ def plain_text(value: Any) -> str:
     return text[1:-1] if text[0] in "([{" else text
 
 
-class _Reader:
+def dict_of(entries: list[Any]) -> dict[str, Any]:
+    """The dict of lists of a key and its values; the last of several for a key counts, other elements do not."""
+    found: dict[str, Any] = {}
+    for entry in entries:
+        if isinstance(entry, list) and entry:
+            key, *values = entry
+            if type(key) is not str:
+                key = DictKey.of(key, plain_text(key))
+                found.pop(key, None)  # else the older key would stay, which may be of another type
+            found[key] = values[0] if len(values) == 1 else tuple(values)
+    return found
+
+
+class _TextReader:
     """Reads any text as YARP does: each list's text is what stands between its word's first and last character.
 
     It looks at a text once more for each level of nesting, so well formed texts are read without it.
@@ -241,12 +255,52 @@ def _print_float(value: float) -> str:
 
 
 def rounded(value: float) -> float:
-    """A float as four bytes hold it.
-
-    Raises:
-        WireError: it is too large for them.
-    """
+    """A float as four bytes hold it; raises `WireError` where it is too large for them."""
     try:
         return float(struct.unpack("<f", struct.pack("<f", value))[0])
     except OverflowError:
         raise WireError(f"{value!r} is too large for four bytes") from None
+
+
+def number(word: str) -> int | float | None:
+    """The number that a word is to YARP; None where it is a string.
+
+    Ints saturate at 64 bits. What looks like an int but is none counts as far as it is one: ``-`` is 0, ``1-2`` is 1,
+    ``010`` is 8 (octal). What looks like a float but is none is 0.0: ``1.5-2`` (since YARP 3.6).
+    """
+    if _INT.fullmatch(word):
+        return int(word)
+    if _FLOAT.fullmatch(word) or word in ("inf", "-inf", "nan"):
+        return float(word)
+    if word[:1] not in "+-.0123456789" or word in ("", ".") or word.count(".") > 1:
+        return None
+    hexadecimal = "x" in word or "X" in word
+    like = (_LIKE_HEX if hexadecimal else _LIKE).fullmatch(word)
+    if like is None or like[1].count("+") + like[1].count("-") > 1:
+        return None
+    if hexadecimal and len(word) - 1 - max(word.rfind("x"), word.rfind("X")) > 8:
+        return None
+    if "." in word or (not hexadecimal and ("e" in word or "E" in word)):
+        return _c_float(word)
+    return _c_int(word)
+
+
+def _c_int(word: str) -> int:
+    """The int that `strtoll` with base 0 finds at the beginning of a word."""
+    found = _C_INT.match(word)
+    if found is None:
+        return 0
+    sign, hexadecimal, octal, decimal = found.groups()
+    digits, base = (hexadecimal, 16) if hexadecimal else (octal, 8) if octal else (decimal, 10)
+    digits = digits.lstrip("0") or "0"
+    value = int(digits, base) if len(digits) <= 22 else math.inf
+    if sign == "-":
+        return int(max(-value, -_LARGEST - 1))
+    return int(min(value, _LARGEST))
+
+
+def _c_float(word: str) -> float:
+    """The float that `strtod` finds, where it takes the whole word."""
+    if _C_HEX_FLOAT.fullmatch(word):
+        return float.fromhex(word)
+    return float(word) if _C_FLOAT.fullmatch(word) else 0.0

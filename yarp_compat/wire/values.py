@@ -27,7 +27,10 @@ for a tuple: ``{"n": 1, "GROUP": (["a", 1], ["b", 2])}`` is ``((GROUP (a 1) (b 2
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import lru_cache
 from typing import Any
+
+from yarp_compat.wire.errors import WireError
 
 
 class Int8(int):
@@ -63,18 +66,14 @@ class Vocab(str):
     __slots__ = ()
 
 
-class Key(str):
-    """A dict's key that is no string on the wire; it compares as the string that it is looked for by.
-
-    Attributes:
-        value: what it is on the wire.
-    """
+class DictKey(str):
+    """A dict's key that is not a string on the wire, where it is ``value``; it compares as its text."""
 
     __slots__ = ("value",)
     value: Any
 
     @classmethod
-    def of(cls, value: Any, text: str) -> Key:
+    def of(cls, value: Any, text: str) -> DictKey:
         """The key for a value whose text this is."""
         made = cls(text)
         made.value = value
@@ -89,6 +88,66 @@ class Vocab64(Vocab):
     """A vocab written in eight bytes, also where four would do (YARP 4)."""
 
     __slots__ = ()
+
+
+@lru_cache(1024)
+def vocab32(number: int) -> Vocab | bool:
+    """The vocab, or truth value, that this number stands for."""
+    if number in (0, 0x31):
+        return number != 0
+    return Vocab(_letters(number.to_bytes(4, "little", signed=True)))
+
+
+@lru_cache(1024)
+def vocab64(number: int) -> Vocab64:
+    """The vocab that this number stands for."""
+    return Vocab64(_letters(number.to_bytes(8, "little", signed=True)))
+
+
+def _letters(data: bytes) -> str:
+    return data.rstrip(b"\0").decode(errors="surrogateescape")
+
+
+def entries_of(value: dict[Any, Any]) -> list[list[Any]]:
+    """The lists that a dict is on the wire, in the order of their keys."""
+    wrong = [key for key in value if not isinstance(key, str)]
+    if wrong:
+        raise WireError(f"the key {wrong[0]!r} of a dict is no str")
+    return [[key.value if type(key) is DictKey else key, *entry_values(value[key])] for key in sorted(value)]
+
+
+def entry_values(entry: Any) -> Sequence[Any]:
+    """The values after the key of a dict's entry."""
+    if isinstance(entry, Group):
+        return entries_of(entry)
+    return entry if isinstance(entry, tuple) else [entry]
+
+
+def plain(value: Any) -> Any:
+    """The value of a known type that a subclass's instance or a numpy scalar stands for.
+
+    Raises:
+        WireError: a Bottle cannot hold it.
+    """
+    if isinstance(value, bool):
+        return value
+    if hasattr(value, "dtype"):
+        return value if value.ndim else _scalar(value)
+    kind: Any
+    for kind in (Vocab64, Vocab, Int8, Int16, Int64, Float32, str, int, float, dict):
+        if isinstance(value, kind):
+            return kind(value)
+    if isinstance(value, (bytes, bytearray, memoryview)):
+        return bytes(value)
+    if isinstance(value, Sequence) or hasattr(value, "tolist"):
+        return list(value)
+    raise WireError(f"a Bottle cannot hold {value!r}, which is a {type(value).__name__}")
+
+
+def _scalar(value: Any) -> Any:
+    kind = value.dtype.str[1:]
+    made = {"i1": Int8, "u1": Int8, "i2": Int16, "u2": Int16, "i8": Int64, "u8": Int64, "f2": Float32, "f4": Float32}
+    return plain(made.get(kind, lambda item: item)(value.item()))
 
 
 def begun_by_vocab(values: Sequence[Any]) -> Sequence[Any]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import logging
 import os
 import threading
@@ -11,90 +10,83 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar
 
-from bridge.adapters.base import (
+import bridge.adapters.ros1.without_numpy  # noqa: F401 - before rospy
+from bridge.adapters.ros1 import names
+from bridge.adapters.ros1.actions import discovery
+from bridge.adapters.ros1.actions.actions import Ros1Actions
+from bridge.adapters.ros1.actions.network import ActionNetwork
+from bridge.adapters.ros1.environment import master_uri
+from bridge.adapters.ros1.epoll_loop import EpollLoop
+from bridge.adapters.ros1.graph.presence import Ledger, NodeConnections, NodeEntry, others
+from bridge.adapters.ros1.graph.probe import Ros1Context
+from bridge.adapters.ros1.graph.state import MasterState, Registration
+from bridge.adapters.ros1.peer_pool import PeerPool
+from bridge.adapters.ros1.services.services import Ros1Services
+from bridge.adapters.ros1.topics.topics import Ros1Topics
+from bridge.adapters.side_edge import SideEdge
+from bridge.concurrency import DelayedCalls
+from bridge.config.model import Config
+from bridge.hub.endpoints.calls import Call
+from bridge.hub.graph.tokens import Origin
+from bridge.hub.wire.qos import Durability, Qos
+from bridge.messages.registry import Registry
+from bridge.messages.transcode.conversion import Conversion, ServiceConversion, SideType
+from bridge.routing.edge import (
     Deliver,
-    Edge,
     EdgeCaller,
     EdgeListener,
     EdgePublisher,
     EdgeServer,
     EdgeSubscription,
     Endpoint,
-    Kind,
-    MadeBy,
-    Sighting,
 )
-from bridge.adapters.ros1 import names
-from bridge.adapters.ros1.actions import parts
-from bridge.adapters.ros1.actions.actions import Actions
-from bridge.adapters.ros1.actions.network import Network
-from bridge.adapters.ros1.environment import master_uri
-from bridge.adapters.ros1.graph import Link, Look
-from bridge.adapters.ros1.intake import Intake
-from bridge.adapters.ros1.lanes import Lanes
-from bridge.adapters.ros1.limits import raise_descriptor_limit
-from bridge.adapters.ros1.links import Links
-from bridge.adapters.ros1.presence import Ledger, Presence, others
-from bridge.adapters.ros1.probe import Facts, Prober
-from bridge.adapters.ros1.service import Services
-from bridge.config.model import Config
-from bridge.hub.call import Call
-from bridge.hub.origin import Origin
-from bridge.hub.qos import Durability, Qos
-from bridge.messages.conversion import Conversion, ServiceConversion, SideType
-from bridge.messages.registry import Registry
 
 if TYPE_CHECKING:
-    from bridge.adapters.ros1.master import Master
-    from bridge.adapters.ros1.node import Node
-    from bridge.adapters.ros1.parameters.follower import Parameters
-    from bridge.adapters.ros1.publisher import Publisher
-    from bridge.adapters.ros1.subscription import Subscription
-    from bridge.config.sections.parameters import ParameterRule
+    from bridge.adapters.ros1.graph.master import Master
+    from bridge.adapters.ros1.node import Ros1Node
+    from bridge.adapters.ros1.parameters.follower import ParameterSharing
+    from bridge.config.sections.routing import ParameterRule
     from bridge.hub.session import Hub
 
 _log = logging.getLogger(__name__)
 
-_LATCHED = Qos(durability=Durability.TRANSIENT_LOCAL, depth=1)
-_VOLATILE = Qos()
+_LONG = 1.0
+"""Seconds between two looks at the master from which the other workers' watch is told of the second."""
+
 _CHECK_PERIOD = 2.0
 """Seconds between two looks for connections whose peers are gone; a look asks the system for each topic."""
 
 
-class Ros1Edge(Edge):
+class Ros1Edge(SideEdge):
     """Joins one ROS 1 graph. rospy is one per process, and so is this edge; once stopped it does not start again."""
 
     side: ClassVar[str] = "ros1"
     services: ClassVar[bool] = True
 
     def __init__(self, config: Config, registry: Registry, state: Path) -> None:
-        self._config, self._registry = config, registry
+        super().__init__(config, registry)
         self._ledger = Ledger(state)
-        self._lanes = Lanes()
-        self._intake: Intake | None = None
-        self._prober = Prober(self._lanes, self._caller, self._probed)
+        self._pool, self._loop = PeerPool(), EpollLoop()
+        self._timer = DelayedCalls("midspan-ros1-later")
         self._names = names.NameTable()
         self._lock = threading.Lock()
-        self._following = threading.Lock()  # what was known before must not be followed after what is known now
-        self._look: Look | None = None
-        self._publishers: frozenset[Link] = frozenset()
+        self._look: MasterState | None = None
+        self._publishers: frozenset[Registration] = frozenset()
         self._check_due = 0.0
-        self._subscriptions: set[_Open] = set()
-        self._links = Links(self._caller, self._presence_changed, self._wake_master)
-        self._services = Services(
-            self._lanes, self._caller, config.name,
-            found=self._graph_changed, wake=self._wake_master, doubt=self._doubt_service,
-            limit=config.limits.message_bytes,
-        )  # fmt: skip
+        self._presence = self._links = NodeConnections(self._caller, self._presence_changed, self._wake_master)
+        found, limit = self._graph_changed, config.limits.message_bytes
+        context = Ros1Context(self._pool, self._loop, self._timer, self._caller, config.name, found, limit)
+        self._topics = Ros1Topics(context, self._refuse)
+        self._services = Ros1Services(context, self._wake_master, self._doubt_service)
         check = config.ros1.goal_frames == "check"
-        self._actions = Actions(Network(
-            self._caller, self._prober.facts, registry, lambda: self.clock, self._hear, self._tell, self._refuse, check
+        self._actions = Ros1Actions(ActionNetwork(
+            self._caller, self._topics.prober.facts, registry, lambda: self.clock, self._topics.subscribe,
+            self._topics.advertise, self._refuse, check,
         ))  # fmt: skip
         self._settled = float("-inf")
-        self._listener: EdgeListener | None = None
-        self._node: Node | None = None
+        self._node: Ros1Node | None = None
         self._master: Master | None = None
-        self._parameters: Parameters | None = None
+        self._parameters: ParameterSharing | None = None
         self._stopped = False
 
     # -- life ----------------------------------------------------------------------------------------------------------
@@ -103,16 +95,17 @@ class Ros1Edge(Edge):
         """Put our node up and begin to look for the master; see `Edge.start`."""
         for logger in ("rospy", "rosout", "xmlrpc"):
             logging.getLogger(logger).setLevel(logging.WARNING)
-        from bridge.adapters.ros1.master import Master
-        from bridge.adapters.ros1.node import Node
+        from bridge.adapters.ros1.graph.master import Master
+        from bridge.adapters.ros1.node import Ros1Node, raise_descriptor_limit
 
         raise_descriptor_limit()
         self._listener = listener
-        self._intake = Intake() if Intake.available() else None
         uri = master_uri(self._config, os.environ)
         name = "/" + self._config.ros1.node.strip("/")
         servers = self._services.servers
-        self._node = Node(name, uri, self._wake_master, self._asked_to_stop, self._links.admit, servers)
+        self._node = Ros1Node(
+            name, uri, self._wake_master, self._asked_to_stop, self._links.admit, servers, self._heard
+        )
         period, daemon = self._config.ros1.poll, self._config.name
         self._master = Master(
             uri, self._node, daemon, self._ledger, period, self._seen, listener.edge_failed, self._services.is_gone,
@@ -126,17 +119,16 @@ class Ros1Edge(Edge):
             if self._stopped:
                 return
             self._stopped = True
-            subscriptions, self._subscriptions = list(self._subscriptions), set()
         self._links.close()
         if self._master is not None:
             self._master.stop()
         self._services.stop()
         self._actions.stop()
-        for opened in subscriptions:
-            opened.close()
-        if self._intake is not None:
-            self._intake.stop()
-        self._lanes.stop()
+        self._topics.close()
+        self._loop.stop()
+        self._pool.stop()
+        self._timer.close()
+        self._topics.prober.close()
         if self._node is not None:
             self._node.stop()
         self._look = None
@@ -152,6 +144,11 @@ class Ros1Edge(Edge):
     def _wake_master(self) -> None:
         if self._master is not None:
             self._master.wake()
+
+    def _heard(self, topic: str) -> None:
+        """A subscriber connected to a topic of ours; called on a thread of the node."""
+        if self._actions.awaits(topic):
+            self._wake_master()
 
     def _doubt_service(self, name: str) -> None:
         if self._master is not None:
@@ -176,31 +173,20 @@ class Ros1Edge(Edge):
         look = self._look
         if look is None:
             return ()
-        own, facts = self._caller(), self._prober.facts()
-        found = [self._publisher(link, look, facts.get(link)) for link in look.publishers if link.node != own]
-        found += [self._subscriber(link, look) for link in look.subscribers if link.node != own]
-        found = [e for e in found if not self._actions.is_part(e.topic, e.type)]
-        return [*found, *self._services.endpoints(look), *self._actions.endpoints()]
+        topics = (e for e in self._topics.endpoints(look) if not self._actions.is_part(e.topic, e.type))
+        return [*topics, *self._services.endpoints(look), *self._actions.endpoints()]
 
     def is_heard(self, topic: str) -> bool:
         """See `Edge.is_heard`; asked each second, so without making endpoints of everything."""
         look, own = self._look, self._caller()
         return look is not None and any(s.topic == topic and s.node != own for s in look.subscribers)
 
-    def others(self) -> Sequence[Presence]:
+    def others(self) -> Sequence[NodeEntry]:
         """Other nodes of Midspan's on this network that are alive, in the order of their names."""
         return self._links.living()
 
-    def announce(self, record: bytes) -> None:
-        """See `Edge.announce`."""
-        self._links.announce(record)
-
-    def sightings(self) -> Sequence[Sighting]:
-        """See `Edge.sightings`."""
-        return self._links.sightings()
-
     def settled(self, since: float) -> bool:
-        """Whether we have looked at the master since then, with our own entry on it: who came later sees that one."""
+        """Whether the master was read since then with our own entry on it, which later nodes see."""
         if self._settled < since:
             self._wake_master()
             return False
@@ -216,36 +202,16 @@ class Ros1Edge(Edge):
                 "the ROS 1 nodes run on /clock (parameter /use_sim_time) and this daemon on the machine's clock: set"
                 " clock.source to sim, or the parameter to false"
             )
-        for link, trouble in sorted(self._prober.troubles().items()):
-            warnings.append(f"{link.topic}: its publisher {link.node} does not tell its type: {trouble}")
+        warnings += self._topics.warnings()
         heard = {(s.topic, s.node) for s in self._look.subscribers} if self._look is not None else set()
         turned_away = self._node.turned_away() if self._node is not None else {}
         for (topic, node), why in sorted(turned_away.items()):
             if (topic, node) in heard:
                 warnings.append(f"{topic}: {node} does not hear us: {why}")
-        return [*warnings, *self._services.warnings(), *self._actions.warnings(), *self._parameter_warnings()]
+        parameters = [] if self._parameters is None else self._parameters.warnings()
+        return [*warnings, *self._services.warnings(), *self._actions.warnings(), *parameters]
 
-    @staticmethod
-    def _publisher(link: Link, look: Look, facts: Facts | None) -> Endpoint:
-        from bridge.adapters.ros1.subscription import publisher_id
-
-        if facts is None:
-            type_, qos, made_by, md5, definition = look.types.get(link.topic, ""), _VOLATILE, MadeBy.UNKNOWN, "", ""
-        else:
-            type_, md5, definition = facts.type, facts.md5, facts.definition
-            qos = _LATCHED if facts.latching else _VOLATILE
-            made_by = MadeBy.NATIVE if facts.native else MadeBy.MIDSPAN
-        name = publisher_id(link, latching=qos.latched)
-        return Endpoint(name, Kind.PUBLISHER, link.topic, type_, qos, made_by, link.node, md5, definition)
-
-    @staticmethod
-    def _subscriber(link: Link, look: Look) -> Endpoint:
-        made_by = MadeBy.MIDSPAN if any(p.get("node") == link.node for p in look.presence.values()) else MadeBy.NATIVE
-        name = f"subscription {link.topic} {link.node} {link.uri}"
-        type_ = look.types.get(link.topic, "").replace("*", "")
-        return Endpoint(name, Kind.SUBSCRIPTION, link.topic, type_, _VOLATILE, made_by, link.node)
-
-    def _seen(self, look: Look | None) -> None:
+    def _seen(self, look: MasterState | None) -> None:
         """One look at the master; called on its thread."""
         assert self._node is not None
         if self._stopped:
@@ -258,14 +224,10 @@ class Ros1Edge(Edge):
             self._actions.seen(look)
             links = publishers | look.subscribers | look.servers if look else frozenset()
             self._names.learn({k.topic for k in links} | self._actions.names())
-            self._lanes.forget({k.uri for k in publishers | (look.servers if look else frozenset())})
-        if changed or self._prober.waiting:
-            self._prober.follow(self._publishers)
-        with self._lock:
-            restless = any(opened.subscription.restless for opened in self._subscriptions)
-        if changed or restless:
-            self._follow_subscriptions()
+            self._pool.forget({k.uri for k in publishers | (look.servers if look else frozenset())})
+        self._topics.take_up(self._publishers)
         self._services.seen(look)
+        self._actions.looked()
         if time.monotonic() >= self._check_due:
             self._check_due = time.monotonic() + _CHECK_PERIOD
             self._node.drop_dead_connections()
@@ -273,47 +235,23 @@ class Ros1Edge(Edge):
         if changed:
             self._graph_changed()
 
-    def _probed(self, link: Link) -> None:
-        self._follow_subscriptions(link.topic)
-        self._graph_changed()
-
-    def _graph_changed(self) -> None:
-        if self._listener is not None:
-            self._listener.graph_changed()
-
-    def _follow_subscriptions(self, topic: str = "") -> None:
-        """Have subscriptions follow what is known of the publishers: all, or those of one topic."""
-        with self._lock:
-            subscriptions = [opened for opened in self._subscriptions if topic in ("", opened.subscription.topic)]
-        if not subscriptions:
-            return
-        with self._following:
-            by_topic: dict[str, dict[Link, Facts]] = {}
-            for link, facts in self._prober.facts(topic).items():
-                by_topic.setdefault(link.topic, {})[link] = facts
-            for opened in subscriptions:
-                opened.subscription.follow(by_topic.get(opened.subscription.topic, {}))
-
-    def _watch_others(self, look: Look | None) -> None:
+    def _watch_others(self, look: MasterState | None) -> None:
         """Follow the entries of the other Midspan nodes; while the master is away the nodes still tell each other."""
         assert self._master is not None
         own = self._master.presence()
-        if look is None or Presence.parse(look.presence.get(own.key)) != own:
+        if look is None or NodeEntry.parse(look.presence.get(own.key)) != own:
             self._settled = float("-inf")
             return
         self._links.follow(others(look, own))
-        self._settled = self._master.looked
-        self._presence_changed()
-
-    def _presence_changed(self) -> None:
-        if self._listener is not None:
-            self._listener.presence_changed()
+        before, self._settled = self._settled, self._master.looked
+        if self._settled - before > _LONG:  # the first look, or the first after a standstill: one waits for it
+            self._presence_changed()
 
     # -- types and names -----------------------------------------------------------------------------------------------
 
     def to_hub(self, endpoint: Endpoint) -> Conversion:
         """See `Edge.to_hub`."""
-        if parts.split(endpoint.topic, endpoint.type):
+        if discovery.split_part(endpoint.topic, endpoint.type):
             self._actions.learn(endpoint.topic)
         return self._registry.ros1_to_hub(endpoint.type, endpoint.type_id, endpoint.definition)
 
@@ -323,17 +261,13 @@ class Ros1Edge(Edge):
 
     def service_to_hub(self, endpoint: Endpoint) -> ServiceConversion:
         """See `Edge.service_to_hub`."""
-        if parts.split(endpoint.topic, endpoint.type):
+        if discovery.split_part(endpoint.topic, endpoint.type):
             self._actions.learn(endpoint.topic)
         return self._registry.service_ros1_to_hub(endpoint.type, endpoint.type_id)
 
     def service_from_hub(self, type_name: str, type_hash: str) -> ServiceConversion:
         """See `Edge.service_from_hub`."""
         return self._registry.service_hub_to_ros1(type_name, type_hash)
-
-    def learn(self, type_name: str, definition: str) -> None:
-        """See `Edge.learn`."""
-        self._registry.learn_ros2(type_name, definition)
 
     def side_name(self, hub_name: str) -> str:
         """The ROS 1 spelling of a hub topic name; see `bridge.adapters.ros1.names`."""
@@ -345,51 +279,30 @@ class Ros1Edge(Edge):
 
     # -- our endpoints -------------------------------------------------------------------------------------------------
 
-    def subscribe(self, topic: str, side_type: SideType, qos: Qos, deliver: Deliver) -> EdgeSubscription:  # noqa: ARG002
-        """Hear the native publishers of a topic that have this type; ROS 1 has no QoS to ask for."""
-        part = parts.split(topic, side_type.name)
-        return (
-            self._actions.subscribe(*part, side_type.name, deliver) if part else self._hear(topic, side_type, deliver)
-        )
+    def subscribe(self, topic: str, side_type: SideType, qos: Qos, deliver: Deliver) -> EdgeSubscription:
+        """Hear the native publishers of a topic that have this type.
 
-    def _hear(self, topic: str, side_type: SideType, deliver: Deliver, suffix: str = "") -> _Open:
-        from bridge.adapters.ros1.subscription import Subscription
-
-        subscription = Subscription(
-            topic, side_type.type_id, deliver,
-            lanes=self._lanes, caller=lambda: self._caller() + suffix,
-            doubt=self._prober.doubt, learned=self._prober.learned,
-            refused=lambda reason, why: self._refuse(topic, reason, why), limit=self._config.limits.message_bytes,
-            intake=self._intake,
-        )  # fmt: skip
-        opened = _Open(self, subscription)
-        with self._lock:
-            self._subscriptions.add(opened)
-        self._follow_subscriptions(topic)
-        return opened
-
-    def _refuse(self, topic: str, reason: str, why: str) -> None:
-        if self._listener is not None:
-            self._listener.message_refused(topic, reason, why)
+        Of the QoS that is asked for ROS 1 has one thing: a volatile subscription hears nothing older than itself.
+        """
+        part = discovery.split_part(topic, side_type.name)
+        if part:
+            return self._actions.subscribe(*part, side_type.name, deliver)
+        fresh = qos.durability is Durability.VOLATILE
+        return self._topics.subscribe(topic, side_type, deliver, fresh=fresh)
 
     def advertise(self, topic: str, side_type: SideType, qos: Qos) -> EdgePublisher:
         """Publish on a topic; latched QoS keeps the last ``depth`` messages of each source for late joiners."""
-        part = parts.split(topic, side_type.name)
-        return self._actions.advertise(*part) if part else self._tell(topic, side_type, qos)
-
-    def _tell(self, topic: str, side_type: SideType, qos: Qos) -> Publisher:
-        from bridge.adapters.ros1.publisher import Publisher
-
-        return Publisher(topic, side_type, qos, self._config.name)
+        part = discovery.split_part(topic, side_type.name)
+        return self._actions.advertise(*part) if part else self._topics.advertise(topic, side_type, qos)
 
     def caller(self, name: str, side_type: SideType) -> EdgeCaller:
         """Calls the native server of a service, over persistent connections; see `Edge.caller`."""
-        part = parts.split(name, side_type.name)
+        part = discovery.split_part(name, side_type.name)
         return self._actions.caller(*part, side_type.name) if part else self._services.caller(name, side_type)
 
     def serve(self, name: str, side_type: SideType, call: Call) -> EdgeServer:
         """Serve a service; a native server of the name keeps it, see `Edge.serve`."""
-        part = parts.split(name, side_type.name)
+        part = discovery.split_part(name, side_type.name)
         if part:
             return self._actions.serve(*part, side_type.name, call)
         return self._services.servers.open(name, side_type, call)
@@ -401,45 +314,14 @@ class Ros1Edge(Edge):
         self._parameters = None
         if not rules or self._node is None or self._master is None:
             return super().carry_parameters(rules, hub, active)
-        from bridge.adapters.ros1.parameters.follower import Parameters
-        from bridge.adapters.ros1.parameters.store import Store
+        from bridge.adapters.ros1.parameters.follower import ParameterSharing
+        from bridge.adapters.ros1.parameters.store import ParameterServer
 
-        store = Store(self._master.uri, self._caller, self._node.uri)
-        self._parameters = Parameters(rules, hub, self._registry, store, active)
+        store = ParameterServer(self._master.uri, self._caller, self._node.uri)
+        self._parameters = ParameterSharing(rules, hub, self._registry, store, active)
         self._node.hear_parameters(self._parameters.changed)
         return self._parameters.stop
 
     def details(self) -> dict[str, Any]:
         """The shared parameters."""
         return {} if self._parameters is None else {"parameters": self._parameters.details()}
-
-    def _parameter_warnings(self) -> list[str]:
-        return [] if self._parameters is None else self._parameters.warnings()
-
-    def closed(self, opened: _Open) -> None:
-        """A subscription was given back."""
-        with self._lock:
-            self._subscriptions.discard(opened)
-
-
-class _Open:
-    """An open subscription, as the engine holds it."""
-
-    def __init__(self, edge: Ros1Edge, subscription: Subscription) -> None:
-        self._edge, self.subscription = edge, subscription
-
-    @property
-    def lost(self) -> int:
-        """TCP loses nothing, and a publisher does not tell what its queue dropped."""
-        return 0
-
-    @property
-    def connected(self) -> frozenset[Link]:
-        """The publishers that are heard now."""
-        return self.subscription.connected
-
-    def close(self) -> None:
-        """Stop delivering and give the registration back."""
-        self._edge.closed(self)
-        with contextlib.suppress(RuntimeError):
-            self.subscription.close()

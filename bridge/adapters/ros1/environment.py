@@ -26,7 +26,7 @@ from pathlib import Path
 from urllib.parse import urlsplit
 
 from bridge.config.model import Config
-from bridge.config.state import state_folder
+from bridge.state_file import state_folder
 
 DEFAULT_MASTER = "http://localhost:11311"
 """rosgraph's own default of ROS_MASTER_URI."""
@@ -91,8 +91,9 @@ def worker_environment(config: Config, environ: Mapping[str, str]) -> dict[str, 
     try:
         links = _links(folder, _cache_folder(environ))
     except OSError as err:
-        msg = f"{_cache_folder(environ)} cannot be written: {err.strerror}; name a folder that can in $XDG_CACHE_HOME"
-        raise RuntimeError(msg) from None
+        raise RuntimeError(
+            f"{_cache_folder(environ)} cannot be written: {err.strerror}; name a folder that can in $XDG_CACHE_HOME"
+        ) from None
     env["PYTHONPATH"] = os.pathsep.join([str(links), *_ros1_paths(environ, folder)])
     env["_ROS_WHEELS_BOOTSTRAP_COMPLETE"] = "1"
     _set_or_drop(env, "LD_LIBRARY_PATH", _foreign_libraries(environ))
@@ -197,13 +198,10 @@ def _targets(folder: Path) -> dict[str, Path]:
     """Links to make: every ROS 1 package, and what they need that this Python lacks."""
     targets: dict[str, Path] = {}
     for entry in folder.iterdir():
-        if entry.name in _ROS or _has_messages(entry) or _is_missing_helper(entry):
+        has_messages = any((entry / kind / "__init__.py").is_file() for kind in ("msg", "srv"))
+        if entry.name in _ROS or has_messages or _is_missing_helper(entry):
             targets[entry.name] = entry.resolve()
     return targets
-
-
-def _has_messages(entry: Path) -> bool:
-    return any((entry / kind / "__init__.py").is_file() for kind in ("msg", "srv"))
 
 
 def _is_missing_helper(entry: Path) -> bool:

@@ -12,9 +12,15 @@ from collections.abc import Mapping
 from typing import Any
 from urllib.parse import urlsplit
 
-from bridge.adapters.ros1.deadline import DeadlineSocket
-from bridge.adapters.ros1.errors import ProtocolError, RefusedError, Ros1Error, UnreachableError, unanswered
-from bridge.adapters.ros1.rpc import ask
+from bridge.adapters.ros1_peers import (
+    DeadlineSocket,
+    RefusedError,
+    Ros1Error,
+    Ros1ProtocolError,
+    UnreachableError,
+    ask,
+    unanswered,
+)
 
 MAX_HEADER = 2**20
 """Bytes of the longest header that is read; the definition of the largest common type is about 20 kB."""
@@ -40,15 +46,13 @@ def decode(body: bytes) -> dict[str, str]:
     at = 0
     while at < len(body):
         if at + 4 > len(body):
-            msg = "the connection header ends within a field's length"
-            raise ProtocolError(msg)
+            raise Ros1ProtocolError("the connection header ends within a field's length")
         (length,) = _LENGTH.unpack_from(body, at)
         line = body[at + 4 : at + 4 + length]
         at += 4 + length
         name, equals, value = line.partition(b"=")
         if len(line) != length or not equals:
-            msg = "a field of the connection header is cut short or has no '='"
-            raise ProtocolError(msg)
+            raise Ros1ProtocolError("a field of the connection header is cut short or has no '='")
         # Definitions quote people's names in whatever encoding their editor had.
         fields[name.decode(errors="replace").strip()] = value.decode(errors="replace")
     return fields
@@ -58,19 +62,17 @@ def read_header(sock: DeadlineSocket) -> dict[str, str]:
     """Read one header and not a byte more, until the socket's deadline."""
     (length,) = _LENGTH.unpack(read_exactly(sock, 4))
     if length > MAX_HEADER:
-        msg = f"the connection header claims {length} bytes, at most {MAX_HEADER} are read"
-        raise ProtocolError(msg)
+        raise Ros1ProtocolError(f"the connection header claims {length} bytes, at most {MAX_HEADER} are read")
     return decode(read_exactly(sock, length))
 
 
 def read_exactly(sock: DeadlineSocket, count: int) -> bytes:
-    """Read so many bytes, until the socket's deadline; raises `ProtocolError` where the peer closes before."""
+    """Read so many bytes, until the socket's deadline; raises `Ros1ProtocolError` where the peer closes before."""
     parts: list[bytes] = []
     while count:
         part = sock.recv(min(count, 65536))
         if not part:
-            msg = "the peer closed the connection within its header"
-            raise ProtocolError(msg)
+            raise Ros1ProtocolError("the peer closed the connection within its header")
         parts.append(part)
         count -= len(part)
     return b"".join(parts)
@@ -117,8 +119,9 @@ def connect_service(
     except ValueError:
         host, port = "", 0
     if not host or not port:
-        msg = f"not a ROS 1 service's address: {address[:200]!r} (it should look like rosrpc://host:port)"
-        raise ProtocolError(msg)
+        raise Ros1ProtocolError(
+            f"not a ROS 1 service's address: {address[:200]!r} (it should look like rosrpc://host:port)"
+        )
     ours = {"callerid": caller, "service": service, "tcp_nodelay": "1", **fields}
     return _greet(host, port, deadline, ours, f"{service} is served")
 
@@ -129,8 +132,7 @@ def _greet(host: str, port: int, deadline: float, ours: Header, what: str) -> tu
     except OSError as err:
         raise unanswered(f"cannot connect to {host}:{port} where {what}", err) from None
     except ValueError as err:  # no name of a host
-        msg = f"{host!r:.200} is no host, where {what}: {err}"
-        raise ProtocolError(msg) from None
+        raise Ros1ProtocolError(f"{host!r:.200} is not a host, where {what}: {err}") from None
     try:
         return sock, _converse(sock, ours, f"{host}:{port}")
     except BaseException:
@@ -143,19 +145,16 @@ def _converse(sock: DeadlineSocket, ours: Header, peer: str) -> dict[str, str]:
         sock.sendall(encode(ours))
         header = read_header(sock)
     except TimeoutError:
-        msg = f"{peer} sends no connection header in time"
-        raise UnreachableError(msg) from None
+        raise UnreachableError(f"{peer} sends no connection header in time") from None
     except OSError as err:
-        msg = f"{peer} broke off the handshake: {err}"
-        raise UnreachableError(msg) from None
-    except ProtocolError as err:
-        msg = f"{peer}: {err}"
-        raise ProtocolError(msg) from None
+        raise UnreachableError(f"{peer} broke off the handshake: {err}") from None
+    except Ros1ProtocolError as err:
+        raise Ros1ProtocolError(f"{peer}: {err}") from None
     if "error" in header:
         raise RefusedError(header["error"])
-    if not header.get("type") or not header.get("md5sum"):
-        msg = f"{peer} names no type in its connection header"
-        raise ProtocolError(msg)
+    # A port of YARP 3 that knows no type yet sends our own header back, and "*" in it.
+    if header.get("type") in (None, "", "*") or not header.get("md5sum"):
+        raise Ros1ProtocolError(f"{peer} names no type in its connection header")
     return header
 
 
@@ -163,5 +162,4 @@ def _address(chosen: Any, uri: str) -> tuple[str, int]:
     match chosen:
         case ["TCPROS", str(host), int(port), *_] if 0 < port < 65536:
             return host, port
-    msg = f"{uri} offers no TCPROS connection: {str(chosen)[:200]}"
-    raise Ros1Error(msg)
+    raise Ros1Error(f"{uri} offers no TCPROS connection: {str(chosen)[:200]}")

@@ -41,7 +41,7 @@ def hub_name(side_name: str) -> str:
 
 
 class NameTable:
-    """The way back: which ROS 1 name a hub name stands for, from the names that the ROS 1 graph has had.
+    """The reverse: the ROS 1 name of a hub name, from the names that the ROS 1 graph has had.
 
     Where a name of the graph is spelled as the hub name itself, it wins; else the first in alphabetical order. Names
     that are not legal on the hub are kept when they leave the graph, so that a topic keeps its name when a subscriber
@@ -55,7 +55,7 @@ class NameTable:
         self._back: Mapping[str, str] = {}
 
     def learn(self, side_names: Iterable[str]) -> None:
-        """Take up the names that are on the graph now."""
+        """Update the names that are on the graph."""
         here, before = frozenset(side_names), self._here
         self._here = here
         new = here - before

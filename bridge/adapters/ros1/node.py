@@ -2,15 +2,17 @@
 
 ``init_node`` blocks until a master answers, registers while it holds the topic manager's lock, tries for ever without a
 time limit, never registers again with a restarted master, and publishes the process's log on ``/rosout``. Here rospy's
-parts are put together without that: registrations are only noted, and `bridge.adapters.ros1.master` keeps the master's
-state equal to them.
+parts are put together without that: registrations are only noted, and `bridge.adapters.ros1.graph.master` keeps the
+master's state equal to them.
 
 rospy is one per process, so is this node.
 """
 
 from __future__ import annotations
 
+import contextlib
 import logging
+import resource
 import socket
 import threading
 import time
@@ -25,13 +27,12 @@ import rospy.impl.tcpros_base
 from rosgraph.xmlrpc import SilenceableXMLRPCRequestHandler, XmlRpcNode
 from rospy.impl.masterslave import ROSHandler
 
-from bridge.adapters.ros1 import ended
-from bridge.adapters.ros1.deadline import DeadlineSocket
-from bridge.adapters.ros1.errors import Ros1Error
+from bridge.adapters.ros1.graph.presence import FIELD
 from bridge.adapters.ros1.handshake import Header, encode, read_header
-from bridge.adapters.ros1.lanes import Lane
-from bridge.adapters.ros1.links import FIELD
-from bridge.adapters.ros1.service_server import Servers
+from bridge.adapters.ros1.services.server import ServiceServers
+from bridge.adapters.ros1.topics.publisher import late_header
+from bridge.adapters.ros1_peers import DeadlineSocket, Ros1Error
+from bridge.concurrency import WorkerPool
 
 _log = logging.getLogger(__name__)
 
@@ -47,7 +48,7 @@ _MAX_REQUEST = 2**20
 Changed = Callable[[], None]
 
 
-class _Requests(SilenceableXMLRPCRequestHandler):  # type: ignore[misc]  # rosgraph has no types
+class _RequestHandler(SilenceableXMLRPCRequestHandler):  # type: ignore[misc]  # rosgraph has no types
     """rosgraph's reader of requests, which takes a body of any length into memory."""
 
     def do_POST(self) -> None:  # noqa: N802 - the name is http.server's
@@ -60,17 +61,19 @@ class _Requests(SilenceableXMLRPCRequestHandler):  # type: ignore[misc]  # rosgr
             self.send_error(413, f"a request has a length of at most {_MAX_REQUEST} bytes")
 
 
-class _Handler(ROSHandler):  # type: ignore[misc]  # rospy has no types
+class _SlaveApi(ROSHandler):  # type: ignore[misc]  # rospy has no types
     """rospy's slave API, telling us when the master asks us to go."""
 
-    def __init__(self, name: str, master_uri: str, notes: _Notes, asked_to_stop: Callable[[str], None]) -> None:
+    def __init__(
+        self, name: str, master_uri: str, notes: _RegistrationNotes, asked_to_stop: Callable[[str], None]
+    ) -> None:
         super().__init__(name, master_uri)
         self.reg_man = notes
         self._asked_to_stop = asked_to_stop
         self.parameter_changed: Changed | None = None
 
     def paramUpdate(self, _caller_id: str, _key: str, _value: object) -> tuple[int, str, int]:  # noqa: N802 - ROS 1's
-        """The master tells that a parameter changed that we asked to hear of; what it is now is asked for anew."""
+        """The master reports the change of a subscribed parameter; its value is read anew."""
         if self.parameter_changed is not None:
             self.parameter_changed()
         return 1, "", 0
@@ -83,8 +86,8 @@ class _Handler(ROSHandler):  # type: ignore[misc]  # rospy has no types
         return 1, "shutdown", 0
 
 
-class _Notes(registration.RegistrationListener):  # type: ignore[misc]  # rospy has no types
-    """Stands where rospy's registration manager was: every change only wakes whoever talks to the master."""
+class _RegistrationNotes(registration.RegistrationListener):  # type: ignore[misc]  # rospy has no types
+    """Replaces rospy's registration manager: a change only wakes the thread that talks to the master."""
 
     def __init__(self, changed: Changed) -> None:
         self._changed = changed
@@ -100,7 +103,7 @@ class _Notes(registration.RegistrationListener):  # type: ignore[misc]  # rospy 
         return True
 
     def publisher_update(self, _topic: str, _uris: list[str]) -> None:
-        """The master tells that the publishers of a topic that we subscribe to changed."""
+        """The master reports new publishers of a subscribed topic."""
         self._changed()
 
     def reg_added(self, _name: str, _type_or_uri: str, _kind: str) -> None:
@@ -114,7 +117,7 @@ class _Notes(registration.RegistrationListener):  # type: ignore[misc]  # rospy 
         self._changed()
 
 
-class _Server(rospy.impl.tcpros_base.TCPServer):  # type: ignore[misc]  # rospy has no types
+class _TcprosServer(rospy.impl.tcpros_base.TCPServer):  # type: ignore[misc]  # rospy has no types
     """rospy's TCPROS server, which outlives a moment without free descriptors."""
 
     def run(self) -> None:
@@ -130,7 +133,7 @@ class _Server(rospy.impl.tcpros_base.TCPServer):  # type: ignore[misc]  # rospy 
             self.inbound_handler(sock, address)
 
 
-class Node:
+class Ros1Node:
     """Our node: its name, its address, and what it wants to be registered.
 
     Attributes:
@@ -146,25 +149,25 @@ class Node:
         changed: Changed,
         asked_to_stop: Callable[[str], None],
         visit: Callable[[DeadlineSocket, Header, str], str],
-        servers: Servers,
+        servers: ServiceServers,
+        heard: Callable[[str], None],
     ) -> None:
         if rospy.core.is_initialized():
-            msg = "rospy is already in use in this process: one ROS 1 edge per process"
-            raise RuntimeError(msg)
+            raise RuntimeError("rospy is already in use in this process: one ROS 1 edge per process")
         # rosgraph makes every logger of the process one of its own kind; ours stay as they are.
         logging.setLoggerClass(logging.Logger)
         self._greetings = threading.BoundedSemaphore(_MAX_GREETINGS)
-        self._greeters = Lane("midspan-ros1-greet", _MAX_GREETINGS)
+        self._greeters = WorkerPool(_MAX_GREETINGS, "midspan-ros1-greet")
         self._turned_away: dict[tuple[str, str], str] = {}
-        self._visit, self._servers = visit, servers
+        self._visit, self._servers, self._heard = visit, servers, heard
         self.rename(name)
         self._start_server()
-        self._notes = _Notes(changed)
-        self._handler = _Handler(name, master_uri, self._notes, asked_to_stop)
+        self._notes = _RegistrationNotes(changed)
+        self._handler = _SlaveApi(name, master_uri, self._notes, asked_to_stop)
         self._server = XmlRpcNode(0, self._handler)
         self._server.start()
         self.uri = self._await_uri()
-        self._server.server.RequestHandlerClass = _Requests
+        self._server.server.RequestHandlerClass = _RequestHandler
         rospy.core.set_node_uri(self.uri)
         rospy.rostime.set_rostime_initialized(True)
         rospy.core.set_initialized(True)
@@ -212,23 +215,24 @@ class Node:
         return dict(self._turned_away)
 
     def hear_parameters(self, changed: Changed | None) -> None:
-        """Be told, on a thread of rospy, when a parameter changes that our address is subscribed to."""
+        """Call back, on a thread of rospy, when a parameter changes that our address is subscribed to."""
         self._handler.parameter_changed = changed
 
     def stop(self) -> None:
-        """Close everything; the master is told by whoever registered."""
+        """Close everything; `Master` has unregistered it."""
         registration.get_registration_listeners().clear()
         registration.get_topic_manager().close_all()
         rospy.core.signal_shutdown("midspan stops")
         self._server.shutdown("midspan stops")
-        self._greeters.stop()
+        self._greeters.close()
 
     def _await_uri(self) -> str:
         end = time.monotonic() + 5.0
         while not self._server.uri:
             if time.monotonic() > end:
-                msg = "the node's XML-RPC server did not start: is ROS_IP or ROS_HOSTNAME an address of this machine?"
-                raise RuntimeError(msg)
+                raise RuntimeError(
+                    "the node's XML-RPC server did not start: is ROS_IP or ROS_HOSTNAME an address of this machine?"
+                )
             time.sleep(0.001)
         return str(self._server.uri)
 
@@ -237,7 +241,7 @@ class Node:
     def _start_server(self) -> None:
         rospy.impl.tcpros.init_tcpros()
         self._tcpros = rospy.impl.tcpros_base._tcpros_server
-        server = _Server(self._greet)
+        server = _TcprosServer(self._greet)
         server.server_sock.listen(_BACKLOG)
         self.port = int(server.port)
         self.address = f"rosrpc://{server.get_full_addr()[0]}:{self.port}"
@@ -245,7 +249,7 @@ class Node:
         self._tcpros.tcp_ros_server = server
 
     def _greet(self, sock: socket.socket, address: Any) -> None:
-        """Hear each peer on a thread: rospy hears one after the other, so a silent one would keep all others out."""
+        """Greet each peer on a thread: rospy greets them in turn, so a silent one would block the others."""
         if not self._greetings.acquire(blocking=False):
             sock.close()
             return
@@ -275,15 +279,17 @@ class Node:
         if "topic" in header:
             error = self._hand_over(sock, address, header)
             self._note_type(header, error)
+            if not error:
+                self._heard(header["topic"])
             return error
         if "service" in header:
             return self._servers.admit(sock, header)
         return "neither a topic nor a service is named"
 
     def _hand_over(self, sock: DeadlineSocket, address: Any, header: Header) -> str:
-        """Hand a subscriber to rospy, or let go who comes too late (see `bridge.adapters.ros1.ended`); "" or why."""
+        """Hand a subscriber to rospy, or let go one that comes too late (`late_header`); "" or why."""
         error = str(self._tcpros.topic_connection_handler(sock, address, header) or "")
-        farewell = ended.farewell(header) if error else None
+        farewell = late_header(header) if error else None
         if farewell is None:
             return error
         publication = registration.get_topic_manager().get_publisher_impl(header["topic"])
@@ -294,7 +300,7 @@ class Node:
         return ""
 
     def _note_type(self, header: dict[str, str], error: str) -> None:
-        """Remember who cannot hear us because of its type; a node tells so on its own side alone, if at all."""
+        """Remember subscribers with another definition of the type; a node reports that on its own side, if at all."""
         topic, node, md5 = header["topic"], header.get("callerid", ""), header.get("md5sum", "*")
         publication = registration.get_topic_manager().get_publisher_impl(topic)
         ours = getattr(publication, "data_class", None)
@@ -302,3 +308,16 @@ class Node:
         if error and ours is not None and md5 not in {"*", ours._md5sum} and len(self._turned_away) < _MAX_TURNED_AWAY:
             theirs = f"{header.get('type', ours._type)} with md5 {md5}"
             self._turned_away[topic, node] = f"it asks for {theirs}, we publish {ours._type} with md5 {ours._md5sum}"
+
+
+# -- file descriptors --------------------------------------------------------------------------------------------------
+
+
+def raise_descriptor_limit() -> None:
+    """Raise the soft limit to the hard one: each subscribed publisher and each subscriber costs a descriptor.
+
+    The soft limit of 1,024 that most systems start with is used up by some 900 connections.
+    """
+    _, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
+    with contextlib.suppress(ValueError, OSError):
+        resource.setrlimit(resource.RLIMIT_NOFILE, (hard, hard))

@@ -28,7 +28,7 @@ _CURE = (
 
 
 def available(config: Config) -> str:  # noqa: ARG001 - every side's function has the same form
-    """Nothing where rclpy can be had; else why not, and the cure."""
+    """Why rclpy is not available, and the cure; "" where it is."""
     if find_spec("rclpy") is None and _unsourced() is None:
         return f"rclpy is not installed for {sys.executable}; {_CURE}"
     if find_spec("rclpy") is not None and find_spec("rmw_fastrtps_cpp") is None and not _sourced(os.environ):

@@ -11,10 +11,12 @@ import logging
 import os
 import select
 import threading
-from collections import deque
-from typing import Any, ClassVar, Protocol
+from abc import ABC, abstractmethod
+from collections import Counter, deque
+from typing import Any, ClassVar
 
 from bridge.adapters.ros2 import rcl
+from bridge.adapters.ros2.participant import Participant
 
 TAKES_PER_TURN = 32
 """Messages taken of one subscription before the others get their turn."""
@@ -22,58 +24,43 @@ TAKES_PER_TURN = 32
 _log = logging.getLogger(__name__)
 
 
-class Reader(Protocol):
+class EndpointReader(ABC):
     """What the loop serves: a subscription, a client or a server.
+
+    It holds rclpy's inner object until `destroy`, so that its pointer stays good whatever thread closes it.
 
     Attributes:
         kind: as rclpy's wait sets name it: ``subscription``, ``client`` or ``service``.
+        handle: rclpy's inner object.
+        pointer: ``rcl_subscription_t *``, or of its kind.
     """
 
     kind: ClassVar[str] = "subscription"
 
-    @property
-    def handle(self) -> Any:
-        """Rclpy's inner object."""
-
-    @property
-    def pointer(self) -> int:
-        """``rcl_subscription_t *``, or of its kind."""
+    def __init__(self, participant: Participant, handle: Any) -> None:
+        self._participant, self.handle = participant, handle
+        handle.__enter__()
+        self.pointer = int(handle.pointer)
 
     def wake(self, descriptor: int | None) -> None:
         """Have each new message counted in an eventfd; None ends it."""
+        rcl.wake_by_eventfd(self.kind, self.pointer, descriptor)
 
-    def drain(self, taker: rcl.Taker, limit: int) -> bool:
-        """Take and deliver up to ``limit`` messages; whether there may be more."""
+    @abstractmethod
+    def drain(self, taker: rcl.Taker, limit: int) -> None:
+        """Take and deliver up to ``limit`` messages."""
 
     def destroy(self) -> None:
         """Give the reader back to the middleware; nothing refers to it any more."""
+        self.handle.__exit__(None, None, None)
+        self._participant.destroy(self.handle)
 
 
-class Loop(Protocol):
-    """What serves the readers."""
-
-    def start(self) -> None:
-        """Start the thread."""
-
-    def add(self, reader: Reader) -> None:
-        """Serve a reader from now on, what it already holds included."""
-
-    def remove(self, reader: Reader) -> None:
-        """Stop serving a reader and destroy it, on the loop's thread and soon."""
-
-    def stop(self) -> None:
-        """End the thread and destroy all readers."""
-
-
-class TakeLoop(Loop):
+class ReadLoop(ABC):
     """The thread, and the readers that it serves."""
 
     def __init__(self) -> None:
-        self._epoll = select.epoll()
-        self._wake = os.eventfd(0, os.EFD_NONBLOCK | os.EFD_CLOEXEC)
-        self._epoll.register(self._wake, select.EPOLLIN)
-        self._readers: dict[int, Reader] = {}
-        self._leaving: deque[Reader] = deque()
+        self._readers: dict[int, EndpointReader] = {}
         self._stopping = False
         self._thread = threading.Thread(target=self._run, name="midspan-ros2-take", daemon=True)
 
@@ -81,42 +68,82 @@ class TakeLoop(Loop):
         """Start the thread."""
         self._thread.start()
 
-    def add(self, reader: Reader) -> None:
+    @abstractmethod
+    def add(self, reader: EndpointReader) -> None:
         """Serve a reader from now on, what it already holds included."""
+
+    @abstractmethod
+    def remove(self, reader: EndpointReader) -> None:
+        """Stop serving a reader and destroy it, on the loop's thread and soon."""
+
+    def stop(self) -> None:
+        """End the thread and destroy all readers."""
+        self._stopping = True
+        self._wake_up()
+        if self._thread.is_alive():
+            self._thread.join()
+        self._close()
+
+    def _run(self) -> None:
+        taker = rcl.Taker()
+        try:
+            self._serve_all(taker)
+        finally:
+            taker.close()
+
+    @abstractmethod
+    def _serve_all(self, taker: rcl.Taker) -> None:
+        """Serve the readers until the loop stops."""
+
+    @abstractmethod
+    def _wake_up(self) -> None:
+        """Have the thread look what changed."""
+
+    @abstractmethod
+    def _close(self) -> None:
+        """Destroy all readers; the thread has ended."""
+
+
+class EpollReadLoop(ReadLoop):
+    """Sleeps in epoll, on an eventfd of each reader."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._epoll = select.epoll()
+        self._wake = os.eventfd(0, os.EFD_NONBLOCK | os.EFD_CLOEXEC)
+        self._epoll.register(self._wake, select.EPOLLIN)
+        self._leaving: deque[EndpointReader] = deque()
+
+    def add(self, reader: EndpointReader) -> None:
+        """See `ReadLoop`."""
         descriptor = os.eventfd(0, os.EFD_NONBLOCK | os.EFD_CLOEXEC)
         self._readers[descriptor] = reader
         self._epoll.register(descriptor, select.EPOLLIN)
         reader.wake(descriptor)
 
-    def remove(self, reader: Reader) -> None:
-        """Stop serving a reader and destroy it, on the loop's thread and soon."""
+    def remove(self, reader: EndpointReader) -> None:
+        """See `ReadLoop`."""
         self._leaving.append(reader)
+        self._wake_up()
+
+    def _wake_up(self) -> None:
         os.eventfd_write(self._wake, 1)
 
-    def stop(self) -> None:
-        """End the thread and destroy all readers."""
-        self._stopping = True
-        os.eventfd_write(self._wake, 1)
-        if self._thread.is_alive():
-            self._thread.join()
+    def _close(self) -> None:
         for reader in list(self._readers.values()):
             self._drop(reader)
         self._epoll.close()
         os.close(self._wake)
 
-    def _run(self) -> None:
-        taker = rcl.Taker()
-        try:
-            while not self._stopping:
-                for descriptor, _ in self._epoll.poll():
-                    if descriptor == self._wake:
-                        os.eventfd_read(descriptor)
-                        while self._leaving:
-                            self._drop(self._leaving.popleft())
-                    else:
-                        self._serve(descriptor, taker)
-        finally:
-            taker.close()
+    def _serve_all(self, taker: rcl.Taker) -> None:
+        while not self._stopping:
+            for descriptor, _ in self._epoll.poll():
+                if descriptor == self._wake:
+                    os.eventfd_read(descriptor)
+                    while self._leaving:
+                        self._drop(self._leaving.popleft())
+                else:
+                    self._serve(descriptor, taker)
 
     def _serve(self, descriptor: int, taker: rcl.Taker) -> None:
         reader = self._readers.get(descriptor)
@@ -135,7 +162,7 @@ class TakeLoop(Loop):
         if count > limit:
             os.eventfd_write(descriptor, count - limit)
 
-    def _drop(self, reader: Reader) -> None:
+    def _drop(self, reader: EndpointReader) -> None:
         for descriptor, known in list(self._readers.items()):
             if known is reader:
                 reader.wake(None)
@@ -144,3 +171,73 @@ class TakeLoop(Loop):
                 os.close(descriptor)
                 break
         reader.destroy()
+
+
+# -- without eventfd ---------------------------------------------------------------------------------------------------
+
+_POLL_NS = 1_000_000_000
+_KINDS = ("subscription", "client", "service")
+
+
+class WaitSetReadLoop(ReadLoop):
+    """Waits by rcl's wait set, by the readers' pointers."""
+
+    def __init__(self, participant: Participant) -> None:
+        super().__init__()
+        self._participant = participant
+        self._guard = participant.make_guard_condition()
+        self._changes: deque[tuple[EndpointReader, bool]] = deque()
+
+    def add(self, reader: EndpointReader) -> None:
+        """See `ReadLoop`."""
+        self._changes.append((reader, True))
+        self._wake_up()
+
+    def remove(self, reader: EndpointReader) -> None:
+        """See `ReadLoop`."""
+        self._changes.append((reader, False))
+        self._wake_up()
+
+    def _wake_up(self) -> None:
+        self._guard.trigger_guard_condition()
+
+    def _close(self) -> None:
+        self._apply_changes()
+        for reader in self._readers.values():
+            reader.destroy()
+        self._readers.clear()
+        self._participant.destroy(self._guard)
+
+    def _serve_all(self, taker: rcl.Taker) -> None:
+        with self._guard:
+            wait_set = self._participant.make_wait_set(1)
+            while not self._stopping:
+                if self._apply_changes():
+                    kinds = Counter(reader.kind for reader in self._readers.values())
+                    wait_set = self._participant.make_wait_set(1, *(kinds[kind] for kind in _KINDS))
+                wait_set.clear_entities()
+                for reader in self._readers.values():
+                    getattr(wait_set, f"add_{reader.kind}")(reader.handle)
+                wait_set.add_guard_condition(self._guard)
+                wait_set.wait(_POLL_NS)
+                for kind in _KINDS:
+                    for pointer in wait_set.get_ready_entities(kind):
+                        self._serve(pointer, taker)
+
+    def _serve(self, pointer: int, taker: rcl.Taker) -> None:
+        try:
+            self._readers[pointer].drain(taker, TAKES_PER_TURN)
+        except Exception:
+            _log.exception("taking messages failed")
+
+    def _apply_changes(self) -> bool:
+        changed = False
+        while self._changes:
+            reader, joins = self._changes.popleft()
+            changed = True
+            if joins:
+                self._readers[reader.pointer] = reader
+            else:
+                self._readers.pop(reader.pointer, None)
+                reader.destroy()
+        return changed

@@ -11,17 +11,23 @@ What was measured with Fast DDS 2.14.5, the side's nodes on their defaults:
   after the writer's next heartbeat, which is every 3 s.
 - The default shared-memory segment (512 kB) makes a message of 1 MB five times slower than a large one does.
 - A participant's death without a word is noticed after its lease, 20 s by default; see
-  `bridge.adapters.ros2.spdp` for why it is not shorter here.
+  `bridge.adapters.ros2.graph.spdp` for why it is not shorter here.
 """
 
 from __future__ import annotations
 
+import os
 from dataclasses import dataclass
 from pathlib import Path
 from xml.etree import ElementTree as ET
 
-from bridge.adapters.ros2.mark import participant_number
-from bridge.adapters.ros2.spdp import MULTICAST, PARTICIPANTS
+from bridge.adapters.ros2 import rcl
+from bridge.adapters.ros2.environment import SWITCHES, UNSET
+from bridge.adapters.ros2.graph import neighbours
+from bridge.adapters.ros2.graph.origins import kept_prefixes, new_prefix, participant_number
+from bridge.adapters.ros2.graph.spdp import MULTICAST, PARTICIPANTS
+from bridge.config.model import Config
+from bridge.state_file import keep
 
 _NAMESPACE = "http://www.eprosima.com/XMLSchemas/fastRTPS_Profiles"
 _QUEUE = "8192"
@@ -31,7 +37,7 @@ _UDP_BUFFER = 4 * 1024 * 1024
 
 
 @dataclass(frozen=True, slots=True)
-class Profile:
+class FastDdsProfile:
     """What the participant's profile says.
 
     Attributes:
@@ -101,8 +107,7 @@ def stamped(own: Path, prefix: bytes) -> str:
     try:
         root = ET.fromstring(own.read_bytes())  # noqa: S314 - a file that the configuration names
     except ET.ParseError as err:
-        msg = f"ros2.profile {own}: not XML: {err}"
-        raise ValueError(msg) from None
+        raise ValueError(f"ros2.profile {own}: not XML: {err}") from None
     for element in root.iter():
         # Fast DDS does not heed the namespace, and ElementTree writes none as the default one.
         element.tag = element.tag.rpartition("}")[2]
@@ -112,8 +117,7 @@ def stamped(own: Path, prefix: bytes) -> str:
             _stamp(rtps, prefix)
             root.set("xmlns", _NAMESPACE)
             return ET.tostring(root, encoding="unicode", xml_declaration=True)
-    msg = f'ros2.profile {own}: has no <participant is_default_profile="true"> with an <rtps> element'
-    raise ValueError(msg)
+    raise ValueError(f'ros2.profile {own}: has no <participant is_default_profile="true"> with an <rtps> element')
 
 
 def _stamp(rtps: ET.Element, prefix: bytes) -> None:
@@ -134,3 +138,42 @@ def _stamp(rtps: ET.Element, prefix: bytes) -> None:
 
 def _text(parent: ET.Element, tag: str, text: str) -> None:
     ET.SubElement(parent, tag).text = text
+
+
+# -- this process's profile --------------------------------------------------------------------------------------------
+
+_PROFILE_VARIABLES = ("FASTRTPS_DEFAULT_PROFILES_FILE", "FASTDDS_DEFAULT_PROFILES_FILE")
+
+
+def use_profile(config: Config, state: Path) -> FastDdsProfile:
+    """Write the Fast DDS profile and point this process at it, before Fast DDS is loaded.
+
+    Fast DDS reads the profile once in a process, so a later edge of the same process keeps the first one's.
+    """
+    if _used:
+        return _used[0]
+    prefix = new_prefix(rcl.host_prefix(), kept_prefixes(state / "ros2"))
+    profile = FastDdsProfile(prefix, _segment(config, state), config.ros2.localhost_only)
+    own = config.ros2.profile
+    text = profile.xml() if own is None else stamped(own, profile.prefix)
+    path = state / "ros2" / "fastdds.xml"
+    if not keep(path, text, "the Fast DDS profile is taken from memory"):
+        file = os.memfd_create("midspan-fastdds")  # without a disk, for as long as this process lives
+        os.write(file, text.encode())
+        path = Path(f"/proc/self/fd/{file}")
+    os.environ.update(SWITCHES | dict.fromkeys(_PROFILE_VARIABLES, str(path)))
+    for name in UNSET:
+        os.environ.pop(name, None)
+    _used.append(profile)
+    return profile
+
+
+_used: list[FastDdsProfile] = []
+"""The profile that this process's Fast DDS was loaded with."""
+
+
+def _segment(config: Config, state: Path) -> int:
+    transport = config.ros2.transport
+    if transport == "udp" or (transport == "auto" and (neighbours.other_users() or neighbours.noted(state / "ros2"))):
+        return 0
+    return neighbours.segment_size()

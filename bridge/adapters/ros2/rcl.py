@@ -20,12 +20,17 @@ from ctypes import (
     c_char_p,
     c_int,
     c_int32,
+    c_int64,
     c_size_t,
     c_ubyte,
     c_void_p,
+    cast,
     create_string_buffer,
 )
-from typing import NamedTuple
+from typing import Any, NamedTuple
+
+from bridge.kernels import CURE
+from bridge.messages.errors import MessageTypeError
 
 RET_OK = 0
 RET_TAKE_FAILED = 401
@@ -42,23 +47,13 @@ class _Allocator(Structure):
 
 
 class _Bytes(Structure):
-    _fields_ = [
-        ("buffer", c_void_p),
-        ("length", c_size_t),
-        ("capacity", c_size_t),
-        ("allocator", _Allocator),
-    ]
+    _fields_ = [("buffer", c_void_p), ("length", c_size_t), ("capacity", c_size_t), ("allocator", _Allocator)]
 
 
 class _Content(Structure):
     """The same, around a Python object that outlives the call."""
 
-    _fields_ = [
-        ("buffer", c_char_p),
-        ("length", c_size_t),
-        ("capacity", c_size_t),
-        ("allocator", _Allocator),
-    ]
+    _fields_ = [("buffer", c_char_p), ("length", c_size_t), ("capacity", c_size_t), ("allocator", _Allocator)]
 
 
 _INFO = struct.Struct(f"@qqQQP{_GID_BYTES}s?0P")
@@ -71,23 +66,27 @@ _rcl_held = PyDLL("librcl.so")
 _rcutils = CDLL("librcutils.so")
 _libc = CDLL(None)
 
+
+def _declare(function: Any, result: Any, *arguments: Any) -> None:
+    function.restype, function.argtypes = result, arguments
+
+
 for _library in (_rcl, _rcl_held):
-    _library.rcl_take_serialized_message.argtypes = [c_void_p, POINTER(_Bytes), c_void_p, c_void_p]
-    _library.rcl_take_serialized_message.restype = c_int32
-    _library.rcl_publish_serialized_message.argtypes = [c_void_p, POINTER(_Content), c_void_p]
-    _library.rcl_publish_serialized_message.restype = c_int32
-_rcl.rcl_subscription_set_on_new_message_callback.argtypes = [c_void_p, c_void_p, c_void_p]
-_rcl.rcl_subscription_set_on_new_message_callback.restype = c_int32
-_rcl.rcl_node_get_graph_guard_condition.argtypes = [c_void_p]
-_rcl.rcl_node_get_graph_guard_condition.restype = c_void_p
-_rcl.rcl_wait_set_add_guard_condition.argtypes = [c_void_p, c_void_p, c_void_p]
-_rcl.rcl_wait_set_add_guard_condition.restype = c_int32
-_rcutils.rcutils_get_default_allocator.argtypes = []
-_rcutils.rcutils_get_default_allocator.restype = _Allocator
-_rcutils.rcutils_uint8_array_fini.argtypes = [POINTER(_Bytes)]
-_rcutils.rcutils_uint8_array_fini.restype = c_int
-_rcutils.rcutils_reset_error.argtypes = []
-_rcutils.rcutils_reset_error.restype = None
+    _declare(_library.rcl_take_serialized_message, c_int32, c_void_p, POINTER(_Bytes), c_void_p, c_void_p)
+    _declare(_library.rcl_publish_serialized_message, c_int32, c_void_p, POINTER(_Content), c_void_p)
+_declare(_rcl.rcl_node_get_graph_guard_condition, c_void_p, c_void_p)
+_declare(_rcl.rcl_wait_set_add_guard_condition, c_int32, c_void_p, c_void_p, c_void_p)
+_declare(_rcutils.rcutils_get_default_allocator, _Allocator)
+_declare(_rcutils.rcutils_uint8_array_fini, c_int, POINTER(_Bytes))
+_declare(_rcutils.rcutils_reset_error, None)
+
+_NEW_CALLBACK = {
+    "subscription": _rcl.rcl_subscription_set_on_new_message_callback,
+    "client": _rcl.rcl_client_set_on_new_response_callback,
+    "service": _rcl.rcl_service_set_on_new_request_callback,
+}
+for _function in _NEW_CALLBACK.values():
+    _declare(_function, c_int32, c_void_p, c_void_p, c_void_p)
 
 
 def reset_error() -> None:
@@ -156,15 +155,23 @@ def publish(publisher: int, payload: bytes) -> None:
         raise RclError("rcl_publish_serialized_message", code)
 
 
-def wake_by_eventfd(subscription: int, descriptor: int | None) -> None:
-    """Have each new message of ``rcl_subscription_t *`` counted in an eventfd; None ends it.
+def _check(call: str, code: int) -> None:
+    if code != RET_OK:
+        raise RclError(call, code)
+
+
+def wake_by_eventfd(kind: str, pointer: int, descriptor: int | None) -> None:
+    """Have each new message, reply or request of an endpoint counted in an eventfd; None ends it.
 
     After the call with None the middleware does not touch the descriptor any more.
+
+    Args:
+        kind: ``subscription``, ``client`` or ``service``.
+        pointer: ``rcl_subscription_t *``, or of its kind.
+        descriptor: the eventfd.
     """
-    callback = None if descriptor is None else ctypes.cast(_libc.eventfd_write, c_void_p)
-    code = _rcl.rcl_subscription_set_on_new_message_callback(subscription, callback, descriptor)
-    if code != RET_OK:
-        raise RclError("rcl_subscription_set_on_new_message_callback", code)
+    callback = None if descriptor is None else cast(_libc.eventfd_write, c_void_p)
+    _check(f"waking by the {kind}", _NEW_CALLBACK[kind](pointer, callback, descriptor))
 
 
 def graph_guard_condition(node: int) -> int:
@@ -178,8 +185,7 @@ def graph_guard_condition(node: int) -> int:
 def wait_set_add_guard_condition(wait_set: int, guard_condition: int) -> None:
     """Add ``rcl_guard_condition_t *`` to ``rcl_wait_set_t *``."""
     code = _rcl.rcl_wait_set_add_guard_condition(wait_set, guard_condition, None)
-    if code != RET_OK:
-        raise RclError("rcl_wait_set_add_guard_condition", code)
+    _check("rcl_wait_set_add_guard_condition", code)
 
 
 def host_prefix() -> bytes:
@@ -196,8 +202,7 @@ def host_prefix() -> bytes:
         create = library._ZN8eprosima8fastrtps4rtps14RTPSDomainImpl23create_participant_guidERiRNS1_6GUID_tE
     except (OSError, AttributeError):
         return b"\x01\x0f\x00\x00"
-    create.argtypes = [POINTER(c_int32), POINTER(c_ubyte * _GID_BYTES)]
-    create.restype = c_bool
+    _declare(create, c_bool, POINTER(c_int32), POINTER(c_ubyte * _GID_BYTES))
     create(byref(participant), byref(guid))
     return bytes(guid)[:4]
 
@@ -205,3 +210,156 @@ def host_prefix() -> bytes:
 def has_eventfd() -> bool:
     """Whether the system has eventfd (Linux)."""
     return hasattr(os, "eventfd")
+
+
+# -- requests and replies as bytes -------------------------------------------------------------------------------------
+# rmw has raw topics but no raw services: it hands a C structure to the type support's serializer, and has one filled by
+# its deserializer. Here the structure is a `Wire`, a place in memory, and the two functions copy bytes from there or to
+# there. They are C (service_callbacks.c) and know nothing of Python: the serializer runs while Fast DDS holds a
+# writer's lock, and if it waited for Python's lock there, a thread that makes an endpoint could wait for it in turn,
+# for ever.
+#
+# The functions' forms are those of rosidl_typesupport_fastrtps_cpp/message_type_support.h (Jazzy); of Fast CDR 2.2's
+# ``Cdr`` they use what its header makes public, and the place of its iterators, which is looked for (``end_of``).
+
+try:
+    from bridge.adapters.ros2 import service_callbacks
+except ImportError:  # there was no compiler
+    service_callbacks = None  # type: ignore[assignment]
+
+ENCAPSULATION = b"\x00\x01\x00\x00"
+"""What rmw itself writes before a message: plain CDR, little-endian."""
+
+NOT_COMPILED = "ROS 2 services and actions do not cross: what hands their bytes to rmw is not compiled"
+
+_KEPT = 64 * 1024
+"""Bytes of a buffer that is used again; a larger one is given back after each message."""
+
+_APPEND = "_ZN8eprosima7fastcdr3Cdr15serialize_arrayEPKcm"
+_BEGIN = "_ZN8eprosima7fastcdr3Cdr18get_buffer_pointerEv"
+
+
+class Wire(Structure):
+    """A whole message in memory.
+
+    To be sent: ``start`` and ``length``. Taken: the same, in memory of libc that is grown as it is needed, ``capacity``
+    bytes of it.
+    """
+
+    _fields_ = [("start", c_void_p), ("length", c_size_t), ("capacity", c_size_t)]
+
+
+def outgoing(payload: bytes) -> Wire:
+    """The message for rmw to send; ``payload`` must outlive the call."""
+    return Wire(cast(c_char_p(payload), c_void_p), len(payload), 0)
+
+
+class Incoming:
+    """Where rmw puts what it takes; used again and again, by one thread."""
+
+    def __init__(self) -> None:
+        self._wire = Wire(None, 0, 0)
+        self.pointer = ctypes.addressof(self._wire)
+
+    def payload(self) -> bytes:
+        """The message that was taken last."""
+        payload = ctypes.string_at(self._wire.start or 0, self._wire.length)
+        if self._wire.capacity > _KEPT:
+            self.close()
+        return payload
+
+    def close(self) -> None:
+        """Free the memory."""
+        _libc.free(c_void_p(self._wire.start))
+        self._wire.start, self._wire.capacity = None, 0
+
+
+class Callbacks:
+    """Addresses of the compiled functions, for all services; raises `MessageTypeError` where there is no compiler."""
+
+    def __init__(self) -> None:
+        if service_callbacks is None:
+            raise MessageTypeError(NOT_COMPILED, CURE)
+        library = ctypes.CDLL("libfastcdr.so.2")
+        append, begin = (ctypes.cast(getattr(library, name), c_void_p).value for name in (_APPEND, _BEGIN))
+        assert append is not None
+        assert begin is not None
+        self.serialize, self.deserialize, self.size = service_callbacks.addresses(append, begin)
+
+
+# -- services ----------------------------------------------------------------------------------------------------------
+# All of these give Python's lock away: rmw may wait up to 0.1 s for a client of which it knows only half.
+
+_CLIENT_TAKE_FAILED, _SERVICE_TAKE_FAILED = 501, 601
+_TIMEOUT = 2
+_REQUEST_ID = struct.Struct(f"@{_GID_BYTES}sq")
+"""``rmw_request_id_t``: GID, sequence number."""
+
+_declare(_rcl.rcl_send_request, c_int32, c_void_p, POINTER(Wire), POINTER(c_int64))
+_declare(_rcl.rcl_take_response, c_int32, c_void_p, c_void_p, c_void_p)
+_declare(_rcl.rcl_take_request, c_int32, c_void_p, c_void_p, c_void_p)
+_declare(_rcl.rcl_send_response, c_int32, c_void_p, c_void_p, POINTER(Wire))
+_declare(_rcl.rcl_service_server_is_available, c_int32, c_void_p, c_void_p, POINTER(c_bool))
+
+
+class RequestId(NamedTuple):
+    """Whose request it is: a GID of the client's, by which its reply finds it, and the client's number."""
+
+    gid: bytes
+    number: int
+
+
+class CallTaker:
+    """Takes requests and replies. For one thread."""
+
+    def __init__(self) -> None:
+        self._incoming = Incoming()
+        self._id = create_string_buffer(_REQUEST_ID.size)
+
+    def request(self, service: int) -> tuple[RequestId, bytes] | None:
+        """The next request of ``rcl_service_t *``, None where there is none."""
+        code = _rcl.rcl_take_request(service, self._id, self._incoming.pointer)
+        return self._taken("rcl_take_request", code, _SERVICE_TAKE_FAILED)
+
+    def response(self, client: int) -> tuple[RequestId, bytes] | None:
+        """The next reply to ``rcl_client_t *``, None where there is none."""
+        code = _rcl.rcl_take_response(client, self._id, self._incoming.pointer)
+        return self._taken("rcl_take_response", code, _CLIENT_TAKE_FAILED)
+
+    def _taken(self, call: str, code: int, nothing: int) -> tuple[RequestId, bytes] | None:
+        if code == RET_OK:
+            return RequestId(*_REQUEST_ID.unpack(self._id.raw)), self._incoming.payload()
+        reset_error()
+        if code == nothing:
+            return None
+        raise RclError(call, code)
+
+    def close(self) -> None:
+        """Free the buffer."""
+        self._incoming.close()
+
+
+def send_request(client: int, payload: bytes) -> int:
+    """Send CDR bytes by ``rcl_client_t *``; the request's number."""
+    number = c_int64()
+    _check("rcl_send_request", _rcl.rcl_send_request(client, byref(outgoing(payload)), byref(number)))
+    return number.value
+
+
+def send_response(service: int, request: RequestId, payload: bytes) -> bool:
+    """Send CDR bytes by ``rcl_service_t *``; False where the client cannot be reached."""
+    name = create_string_buffer(_REQUEST_ID.pack(*request), _REQUEST_ID.size)
+    code = _rcl.rcl_send_response(service, name, byref(outgoing(payload)))
+    if code == _TIMEOUT:
+        reset_error()
+        return False
+    _check("rcl_send_response", code)
+    return True
+
+
+def has_server(node: int, client: int) -> bool:
+    """Whether ``rcl_client_t *`` and a server have found each other."""
+    there = c_bool()
+    code = _rcl.rcl_service_server_is_available(node, client, byref(there))
+    _check("rcl_service_server_is_available", code)
+    return there.value

@@ -16,8 +16,10 @@ import ctypes
 import re
 import threading
 from ctypes import CFUNCTYPE, Structure, addressof, c_bool, c_char_p, c_size_t, c_uint8, c_uint32, c_void_p
-from typing import Any, NamedTuple, Protocol
+from functools import cached_property
+from typing import Any, NamedTuple, Protocol, TypeVar
 
+from bridge.adapters.ros2.rcl import Callbacks
 from bridge.messages.errors import MessageTypeError
 
 _NAME = re.compile(r"^([A-Za-z][A-Za-z0-9_]*)/(msg|srv|action)/([A-Za-z][A-Za-z0-9_]*)$")
@@ -25,6 +27,8 @@ _HASH = re.compile(r"^RIHS01_([0-9a-f]{64})$")
 DISPATCH = b"rosidl_typesupport_c"
 FAST_DDS = b"rosidl_typesupport_fastrtps_c"
 INTROSPECTION = b"rosidl_typesupport_introspection_c"
+
+AnySupport = TypeVar("AnySupport", bound=Structure)
 
 FindSupport = CFUNCTYPE(c_void_p, c_void_p, c_char_p)
 GetHash = CFUNCTYPE(c_void_p, c_void_p)
@@ -124,32 +128,18 @@ class Serializers(Protocol):
     size: int
 
 
-class Support:
-    """One type's structures; they must live as long as any endpoint of the type."""
+class TypeStructures:
+    """One type's structures, by implementation; they must live as long as any endpoint of the type."""
 
-    def __init__(self, lender: Lender, of: TypeName, serializers: Serializers | None = None) -> None:
+    def __init__(self, of: TypeName) -> None:
         self._hash = TypeHash(1, (c_uint8 * 32)(*of.digest))
-        self._callbacks = _FastDdsCallbacks.from_buffer_copy(lender.callbacks)
-        self._callbacks.namespace = f"{of.package}::{of.folder}".encode()
-        self._callbacks.name = of.name.encode()
-        if serializers is not None:
-            self._callbacks.serialize = serializers.serialize
-            self._callbacks.deserialize = serializers.deserialize
-            self._callbacks.serialized_size = serializers.size
-        self._members = _Members.from_buffer_copy(lender.members)
-        self._members.namespace = f"{of.package}__{of.folder}".encode()
-        self._members.name = of.name.encode()
         self._find = FindSupport(self._by_identifier)
         self._get_hash = GetHash(lambda _handle: addressof(self._hash))
-        self._handles = {
-            DISPATCH: self._handle(lender.dispatch, None),
-            FAST_DDS: self._handle(lender.fast_dds, addressof(self._callbacks)),
-            INTROSPECTION: self._handle(lender.introspection, addressof(self._members)),
-        }
+        self._handles: dict[bytes, Any] = {}
 
-    def _handle(self, lent: TypeSupport, data: int | None) -> TypeSupport:
-        handle = TypeSupport.from_buffer_copy(lent)
-        handle.data = data
+    def _copy(self, lent: AnySupport, data: Structure | None) -> AnySupport:
+        handle = type(lent).from_buffer_copy(lent)
+        handle.data = None if data is None else addressof(data)
         handle.find = ctypes.cast(self._find, c_void_p).value
         handle.type_hash = ctypes.cast(self._get_hash, c_void_p).value
         return handle
@@ -160,27 +150,127 @@ class Support:
 
     @property
     def pointer(self) -> int:
-        """``rosidl_message_type_support_t *`` that dispatches to the others."""
+        """``rosidl_message_type_support_t *``, or a service's, that dispatches to the others."""
         return self.handle(DISPATCH)
+
+    def handle(self, identifier: bytes) -> int:
+        """The same of one implementation."""
+        return addressof(self._handles[identifier])
+
+
+class MessageStructures(TypeStructures):
+    """The structures of a message type."""
+
+    def __init__(self, lender: Lender, of: TypeName, serializers: Serializers | None = None) -> None:
+        super().__init__(of)
+        self._callbacks = _FastDdsCallbacks.from_buffer_copy(lender.callbacks)
+        self._callbacks.namespace = f"{of.package}::{of.folder}".encode()
+        self._callbacks.name = of.name.encode()
+        if serializers is not None:
+            self._callbacks.serialize = serializers.serialize
+            self._callbacks.deserialize = serializers.deserialize
+            self._callbacks.serialized_size = serializers.size
+        self._members = _Members.from_buffer_copy(lender.members)
+        self._members.namespace = f"{of.package}__{of.folder}".encode()
+        self._members.name = of.name.encode()
+        self._handles = {
+            DISPATCH: self._copy(lender.dispatch, None),
+            FAST_DDS: self._copy(lender.fast_dds, self._callbacks),
+            INTROSPECTION: self._copy(lender.introspection, self._members),
+        }
 
     @property
     def members(self) -> int:
         """``rosidl_typesupport_introspection_c__MessageMembers *``."""
         return addressof(self._members)
 
-    def handle(self, identifier: bytes) -> int:
-        """``rosidl_message_type_support_t *`` of one implementation."""
-        return addressof(self._handles[identifier])
+
+# -- services ----------------------------------------------------------------------------------------------------------
+# A service's request and response get the serializers of `bridge.adapters.ros2.rcl`, so that bytes go through rcl.
+# ``rcl_interfaces/srv/GetParameters``, which rclpy itself needs, lends the rest.
+#
+# Structures: rosidl_runtime_c/service_type_support_struct.h, rosidl_typesupport_fastrtps_cpp/service_type_support.h,
+# rosidl_typesupport_introspection_c/service_introspection.h (Jazzy).
+
+Hashes = tuple[str, str]
+
+
+class _ServiceSupport(Structure):
+    _fields_ = [
+        ("identifier", c_char_p),
+        ("data", c_void_p),
+        ("find", c_void_p),
+        ("request", c_void_p),
+        ("response", c_void_p),
+        ("event", c_void_p),
+        ("create_event", c_void_p),
+        ("destroy_event", c_void_p),
+        ("type_hash", c_void_p),
+        ("description", c_void_p),
+        ("sources", c_void_p),
+    ]
+
+
+class _ServiceMembers(Structure):
+    """Of either implementation; Fast DDS's ends before ``event``."""
+
+    _fields_ = [
+        ("namespace", c_char_p),
+        ("name", c_char_p),
+        ("request", c_void_p),
+        ("response", c_void_p),
+        ("event", c_void_p),
+    ]
+
+
+def _lent() -> _ServiceSupport:
+    library = ctypes.CDLL("librcl_interfaces__rosidl_typesupport_c.so")
+    lend = library.rosidl_typesupport_c__get_service_type_support_handle__rcl_interfaces__srv__GetParameters
+    lend.argtypes, lend.restype = [], c_void_p
+    return _ServiceSupport.from_address(lend())
+
+
+class ServiceStructures(TypeStructures):
+    """The structures of a service type."""
+
+    def __init__(
+        self, lender: Lender, lent: _ServiceSupport, callbacks: Callbacks, of: TypeName, part_hashes: Hashes
+    ) -> None:
+        super().__init__(of)
+        self._request, self._response = (
+            MessageStructures(lender, TypeName.parse(f"{of}_{part}", part_hash), callbacks)
+            for part, part_hash in zip(("Request", "Response"), part_hashes, strict=True)
+        )
+        self._members = {
+            FAST_DDS: self._made(of, "::", FAST_DDS),
+            INTROSPECTION: self._made(of, "__", INTROSPECTION),
+        }
+        self._handles = {name: self._handle(lent, name) for name in (DISPATCH, FAST_DDS, INTROSPECTION)}
+
+    def _made(self, of: TypeName, joint: str, implementation: bytes) -> _ServiceMembers:
+        parts = [support.handle(implementation) for support in (self._request, self._response)]
+        if implementation is INTROSPECTION:
+            parts = [support.members for support in (self._request, self._response)]
+        return _ServiceMembers(f"{of.package}{joint}{of.folder}".encode(), of.name.encode(), *parts, None)
+
+    def _handle(self, lent: _ServiceSupport, identifier: bytes) -> _ServiceSupport:
+        handle = self._copy(lent, self._members.get(identifier))
+        handle.identifier = identifier
+        handle.request, handle.response = self._request.handle(identifier), self._response.handle(identifier)
+        return handle
+
+
+# -- classes -----------------------------------------------------------------------------------------------------------
 
 
 class TypeSupports:
-    """Message classes for raw use with rclpy, one per name and hash, kept for the life of the process."""
+    """Classes for raw use with rclpy, one per type's name and hash, kept for the life of the process."""
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
-        self._lender: Lender | None = None
+        self._for_services: tuple[_ServiceSupport, Callbacks] | None = None
         self._classes: dict[tuple[str, str], Any] = {}
-        self._supports: list[Support] = []
+        self._structures: list[TypeStructures] = []
 
     def message_class(self, type_name: str, type_hash: str) -> Any:
         """A class that rclpy's publishers and raw subscriptions accept; raises `MessageTypeError`.
@@ -192,17 +282,44 @@ class TypeSupports:
         with self._lock:
             found = self._classes.get((type_name, type_hash))
             if found is None:
-                found = self._classes[type_name, type_hash] = self._make(type_name, type_hash)
+                name = TypeName.parse(type_name, type_hash)
+                # rclpy looks at the class's class; the four functions convert message objects, which raw use never has.
+                converters = ("_CREATE_ROS_MESSAGE", "_CONVERT_FROM_PY", "_CONVERT_TO_PY", "_DESTROY_ROS_MESSAGE")
+                found = self._make(
+                    name, type_hash, MessageStructures(self._lender, name), **dict.fromkeys(converters, True)
+                )
             return found
 
-    def _make(self, type_name: str, type_hash: str) -> Any:
-        name = TypeName.parse(type_name, type_hash)
-        if self._lender is None:
-            self._lender = Lender()
-        support = Support(self._lender, name)
-        self._supports.append(support)
-        capsule = make_capsule(support.pointer)
-        # rclpy looks at the class's class; the four functions convert message objects, which raw use never has.
-        converters = ("_CREATE_ROS_MESSAGE", "_CONVERT_FROM_PY", "_CONVERT_TO_PY", "_DESTROY_ROS_MESSAGE")
-        meta = type("RawType", (type,), {"_TYPE_SUPPORT": capsule, **dict.fromkeys(converters, True)})
-        return meta(name.name, (), {"__slots__": (), "type_name": type_name})
+    def prepare_services(self) -> None:
+        """Make what all services share; raises `MessageTypeError` where no service can cross."""
+        with self._lock:
+            if self._for_services is None:
+                self._for_services = _lent(), Callbacks()
+
+    def service_class(self, type_name: str, type_hash: str, part_hashes: Hashes) -> Any:
+        """A class that the inner ``Client`` and ``Service`` accept; raises `MessageTypeError`.
+
+        Args:
+            type_name: ``package/srv/Name`` or ``package/action/Name_SendGoal``.
+            type_hash: the service's ``RIHS01_<64 hex>``.
+            part_hashes: those of its request and its response, which are what DDS endpoints announce.
+        """
+        self.prepare_services()
+        with self._lock:
+            found = self._classes.get((type_name, type_hash))
+            if found is None:
+                name = TypeName.parse(type_name, type_hash)
+                assert self._for_services is not None
+                structures = ServiceStructures(self._lender, *self._for_services, name, part_hashes)
+                found = self._make(name, type_hash, structures)
+            return found
+
+    @cached_property
+    def _lender(self) -> Lender:
+        return Lender()
+
+    def _make(self, name: TypeName, type_hash: str, structures: TypeStructures, **more: bool) -> Any:
+        self._structures.append(structures)
+        meta = type("RawType", (type,), {"_TYPE_SUPPORT": make_capsule(structures.pointer), **more})
+        made = self._classes[str(name), type_hash] = meta(name.name, (), {"__slots__": (), "type_name": str(name)})
+        return made

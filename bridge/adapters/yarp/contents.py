@@ -1,4 +1,4 @@
-"""What the configuration says of topics and ports, made ready for use."""
+"""What ports carry by the configuration: topics, and the requests and replies of services."""
 
 from __future__ import annotations
 
@@ -7,16 +7,111 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
-from bridge.adapters.yarp.call_bottles import CallBottles
 from bridge.config.sections.yarp import Service as ServiceRule
 from bridge.config.sections.yarp import Topic, YarpSection
+from bridge.hub.endpoints.calls import CallError
+from bridge.messages.errors import ConversionError
 from bridge.messages.registry import Registry
-from bridge.messages.yarp.codec import Codec
+from bridge.messages.yarp.bottle import RosBottle, ros1_schema
+from bridge.messages.yarp.codec import Codec, Missing
 from bridge.messages.yarp.contents import Content, Form
-from bridge.messages.yarp.fields import Entry
-from bridge.messages.yarp.natural.kind import Missing
-from bridge.routing.patterns import glob_regex
+from bridge.messages.yarp.fields import BottleEntry, FieldsCodec
+from bridge.routing.rules import glob_regex
+from yarp_compat.wire import binary
+from yarp_compat.wire.errors import WireError
+from yarp_compat.wire.framing import Buffer
 from yarp_compat.wire.profile import Profile
+from yarp_compat.wire.values import Vocab
+
+OK, FAIL = Vocab("ok"), Vocab("fail")
+
+
+class CallBottles:
+    """Converts the calls of one service in one content and profile. Methods may be called from any thread.
+
+    A reply without fields is ``[ok]``. A call that fails is answered ``[fail]`` and the reason, and such an answer is
+    an error, as YARP's modules use it.
+
+    Args:
+        type_name: ROS 2 name of the service's type.
+        type_hash: its hash, "" for the one known here.
+        request: what stands in the request's Bottle; none for all fields as nested lists.
+        reply: the same for the reply.
+        profile: whose bytes are written where a peer's are not known.
+
+    Raises:
+        MessageTypeError: the type is unknown, or cannot be said so.
+    """
+
+    def __init__(
+        self,
+        registry: Registry,
+        type_name: str,
+        type_hash: str,
+        request: Sequence[BottleEntry],
+        reply: Sequence[BottleEntry],
+        profile: Profile,
+    ) -> None:
+        schemas = registry.service_schemas(type_name, type_hash)
+        ways = registry.service_hub_to_ros1(type_name, type_hash)
+        texts = ways.side.definition.partition("\n---\n")[::2]
+        converts = ((ways.request_to_side, ways.request_to_hub), (ways.response_to_side, ways.response_to_hub))
+        made: list[dict[Profile, Codec]] = []
+        for schema, entries, text, (there, back), part in zip(
+            schemas, (request, reply), texts, converts, ("Request", "Response"), strict=True
+        ):
+            made.append({})
+            for known in Profile:
+                if entries:
+                    made[-1][known] = FieldsCodec(schema, entries, known)
+                else:
+                    assert there is not None
+                    assert back is not None
+                    made[-1][known] = RosBottle(ros1_schema(f"{ways.side.name}{part}", text), there, back, known)
+        self._request, self._reply = made
+        self._profile = profile
+        self._silent = not schemas[1].root.fields and not reply
+
+    def request_to_yarp(self, cdr: bytes, profile: Profile | None) -> list[Buffer]:
+        """A request for a port, in its dialect; raises `ConversionError`."""
+        return self._request[profile or self._profile].to_yarp(cdr).payload
+
+    def request_to_hub(self, payload: Buffer, profile: Profile | None) -> tuple[bytes, Profile]:
+        """A port's request for the hub, and its dialect: by the bytes where the port does not say, or is wrong.
+
+        Raises:
+            ConversionError: it is no request of this service in either.
+        """
+        likely = profile or self._profile
+        first: ConversionError | None = None
+        for known in (likely, Profile.YARP3 if likely is Profile.YARP4 else Profile.YARP4):
+            try:
+                return self._request[known].to_hub(payload, known, None), known
+            except ConversionError as err:
+                first = first or err
+        assert first is not None
+        raise first
+
+    def reply_to_yarp(self, reply: bytes | CallError, profile: Profile | None) -> list[Buffer]:
+        """A reply, or an error, for a port that asked; raises `ConversionError`."""
+        used = profile or self._profile
+        if isinstance(reply, CallError):
+            return [binary.encode([FAIL, str(reply)], used)]
+        return [binary.encode([OK], used)] if self._silent else self._reply[used].to_yarp(reply).payload
+
+    def reply_to_hub(self, payload: Buffer, profile: Profile | None) -> bytes:
+        """A port's reply for the hub; raises `ConversionError`, or `CallError` if it reports a failure."""
+        try:
+            values = binary.decode(bytes(payload), profile)
+        except WireError:
+            values = []
+        if values and values[0] == FAIL and isinstance(values[0], Vocab):
+            words = " ".join(str(value) for value in values[1:])
+            raise CallError(words or "the port answered [fail]")
+        if self._silent:
+            payload = binary.encode([], profile or self._profile)
+        return self._reply[profile or self._profile].to_hub(payload, profile, None)
+
 
 BOTTLE = Content()
 
@@ -49,7 +144,6 @@ class Contents:
 
     def __init__(self, section: YarpSection, registry: Registry) -> None:
         self.profile = Profile(section.profile)
-        self.generations = section.generations()
         self._section, self._registry = section, registry
         self._own = [(glob_regex(rule.topic), rule) for rule in section.topics if rule.port is None]
         foreign = [rule for rule in section.topics if rule.port is not None]
@@ -70,18 +164,18 @@ class Contents:
     def _content(self, rule: Topic) -> Content:
         return Content(
             rule.form or self._section.as_,
-            tuple(Entry.parse(entry) for entry in rule.fields),
+            tuple(BottleEntry.parse(entry) for entry in rule.fields),
             Profile(rule.profile or self._section.profile),
             Missing(rule.frame, rule.child_frame, rule.joints),
         )
 
     def of(self, topic: str) -> Content:
-        """What the ports of a topic carry."""
+        """The content of a topic's ports."""
         rule = next((rule for pattern, rule in self._own if pattern.fullmatch(topic)), None)
         return Content(self._section.as_, profile=self.profile) if rule is None else self._content(rule)
 
     def served_by(self, service: str) -> ServiceRule | None:
-        """The rule by which a port of a YARP program is a service; None where there is none."""
+        """The rule that makes a service of a YARP program's port, None without one."""
         return next((rule for rule in self.called if rule.service == service), None)
 
     def bottles(self, service: str, type_name: str, type_hash: str) -> CallBottles:
@@ -90,7 +184,7 @@ class Contents:
         return CallBottles(self._registry, type_name, type_hash, request.fields, reply.fields, self.profile)
 
     def of_service(self, service: str) -> tuple[Content, Content]:
-        """What the RPC port of a service carries: as requests, and as replies."""
+        """The contents of a service's RPC port: requests, and replies."""
         rule = self.served_by(service) or next(
             (rule for pattern, rule in self._services if pattern.fullmatch(service)), None
         )
@@ -99,7 +193,7 @@ class Contents:
 
     def _chosen(self, fields: Sequence[int | float | str]) -> Content:
         form: Form = "fields" if fields else "bottle"
-        return Content(form, tuple(Entry.parse(entry) for entry in fields), self.profile)
+        return Content(form, tuple(BottleEntry.parse(entry) for entry in fields), self.profile)
 
     def latched(self, topic: str) -> bool:
         """Whether the last message from YARP is kept for late joiners."""

@@ -13,40 +13,30 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, ClassVar
 
-from bridge.adapters.base import (
-    Deliver,
-    Edge,
-    EdgeCaller,
-    EdgeListener,
-    EdgePublisher,
-    EdgeServer,
-    EdgeSubscription,
-    Endpoint,
-    Sighting,
-)
-from bridge.adapters.keep import keep
+from bridge.adapters.side_edge import SideEdge
 from bridge.adapters.yarp.contents import Contents
-from bridge.adapters.yarp.endpoints import Endpoints
-from bridge.adapters.yarp.graph import Graph
-from bridge.adapters.yarp.inlet import Inlet
-from bridge.adapters.yarp.names import PRESENCE, PortNames
-from bridge.adapters.yarp.network import YarpNetwork
-from bridge.adapters.yarp.outlet import TopicOutput, TopicPublisher
+from bridge.adapters.yarp.endpoints import PortEndpoints
+from bridge.adapters.yarp.graph import Ros1Ports, YarpContext, YarpGraph
+from bridge.adapters.yarp.network import PRESENCE, PortNames, YarpNetwork
 from bridge.adapters.yarp.plan import Wanted, make_plan
 from bridge.adapters.yarp.ports import OwnPorts
-from bridge.adapters.yarp.presence import Presence
-from bridge.adapters.yarp.services import Services
+from bridge.adapters.yarp.presence import WorkerPresence
+from bridge.adapters.yarp.services import OfferedService, PortCaller, YarpServices
+from bridge.adapters.yarp.topics import InputPort, TopicOutput, YarpPublisher
+from bridge.callers import Callers, callers_file
 from bridge.config.model import Config
-from bridge.hub.call import Call
-from bridge.hub.origin import Origin
-from bridge.hub.qos import Qos
-from bridge.messages.conversion import Conversion, ServiceConversion, SideType
+from bridge.hub.endpoints.calls import Call
+from bridge.hub.graph.tokens import Origin
+from bridge.hub.wire.qos import Qos
+from bridge.messages.actions import split
+from bridge.messages.definitions.text import full_text
 from bridge.messages.errors import MessageTypeError
 from bridge.messages.registry import Registry
-from bridge.messages.text import full_text
-from bridge.messages.yarp.codec import is_stamped
-from bridge.routing.subject import split
-from yarp_compat.naming.errors import NamingError
+from bridge.messages.transcode.conversion import Conversion, ServiceConversion, SideType
+from bridge.messages.yarp.codec import has_header
+from bridge.routing.edge import Deliver, EdgeListener, Endpoint
+from bridge.state_file import keep
+from yarp_compat.ports.naming import NamingError
 
 _log = logging.getLogger(__name__)
 
@@ -61,48 +51,33 @@ _AWAKE = 0.9
 """Seconds since its last record for which another worker is awake; less than `bridge.routing.election.SILENCE`."""
 
 
-class YarpEdge(Edge):
+class YarpEdge(SideEdge):
     """Joins a YARP network."""
 
     side: ClassVar[str] = "yarp"
     services: ClassVar[bool] = True
 
     def __init__(self, config: Config, registry: Registry, state: Path) -> None:
+        super().__init__(config, registry)
         section = config.yarp
-        self._config, self._registry = config, registry
         self._poll = section.poll
         self._names = PortNames(section.output, section.input, section.rpc, config.name)
         self._contents = Contents(section, registry)
         self._network = YarpNetwork(section, state)
-        self._owner = _owner(state / "yarp_owner")
-        self._graph = Graph(registry)
-        self._ports = OwnPorts(
-            self._network.naming,
-            self._owner,
-            config.name,
-            self._contents,
-            self._graph,
-            self._refused,
-            self._wake_up,
-            config.limits.message_bytes,
-            section.ip,
-            self._awake,
-            self._names,
-        )
-        self._presence = Presence(
-            self._owner, config.name, self._network.naming, registry, self._presence_changed, self._wake_up, section.ip
-        )
-        self._services = Services(
-            self._contents, registry, self._network.naming, config.limits.message_bytes, self._wake_up
-        )
+        self._graph, naming = YarpGraph(registry), self._network.naming
+        self._ros1 = Ros1Ports(config, naming)
+        context = YarpContext(
+            registry, naming, _owner(state / "yarp_owner"), config.name, self._names, self._contents, self._graph,
+            self._refuse, self._wake_up, config.limits.message_bytes, section.ip,
+        )  # fmt: skip
+        self._ports = OwnPorts(context, self._awake, Callers(naming, callers_file(state, "worker yarp")))
+        self._presence: WorkerPresence = WorkerPresence(context, self._presence_changed)
+        self._services = YarpServices(context)
         self._lock = threading.Lock()
         self._outputs: dict[str, TopicOutput] = {}
-        self._endpoints = Endpoints(
-            self._names, self._contents, self._graph, self._ports, self._services, self._outputs
-        )
-        self._heard: dict[tuple[str, str], _Subscription] = {}
-        self._listener: EdgeListener | None = None
-        self._told: tuple[object, ...] = ()
+        self._endpoints = PortEndpoints(context, self._ports, self._services, self._outputs)
+        self._subscriptions: dict[tuple[str, str], _Subscription] = {}
+        self._last_seen: tuple[object, ...] = ()
         self._away = True
         self._mark_until = 0.0
         self._wake = threading.Event()
@@ -128,6 +103,7 @@ class YarpEdge(Edge):
             self._clerk.join(2 * _LAST_WORDS)
         self._ports.stop()
         self._presence.close()
+        self._ros1.close()
         self._network.close()
 
     def _run(self) -> None:
@@ -139,9 +115,9 @@ class YarpEdge(Edge):
                 _log.debug("yarp: %s", err)
             except Exception:
                 _log.exception("yarp: following the network failed")
-            self._wake.wait(self._poll)
-            self._wake.clear()
-            self._stopping.wait(_SETTLE)
+            if self._wake.wait(self._poll):
+                self._wake.clear()
+                self._stopping.wait(_SETTLE)
 
     def _turn(self) -> None:
         started, peers = time.monotonic(), self._ports.peers()  # before the list, which then has them all
@@ -151,7 +127,7 @@ class YarpEdge(Edge):
             return
         found = {contact.name: contact for contact in contacts}
         if not self._presence.is_open:
-            self._ports.bury(found, self._names)
+            self._ports.bury(found)
             self._presence.open()
         self._ports.leave_taken(found)
         returned = self._away or started < self._mark_until
@@ -160,17 +136,18 @@ class YarpEdge(Edge):
         if returned:
             self._presence.mark()
         self._ports.mark_again(found, returned=returned)
-        self._graph.update(self._network.naming, contacts, peers)
+        ros1 = frozenset[str]() if self._network.is_own else self._ros1.among(found)
+        self._graph.update(self._network.naming, contacts, peers, ros1)
         self._presence.look(self._graph.contacts, started)
         self._follow()
-        told, self._told = self._told, (self.network(), *self.endpoints())
-        if told != self._told and self._listener is not None:
-            self._listener.graph_changed()
+        before, self._last_seen = self._last_seen, (self.network(), *self.endpoints())
+        if before != self._last_seen:
+            self._graph_changed()
 
     def _follow(self) -> None:
-        """Have the ports that what is routed needs."""
+        """Open the ports that the routes need, and connect them."""
         with self._lock:
-            outputs, heard = dict(self._outputs), dict(self._heard)
+            outputs, heard = dict(self._outputs), dict(self._subscriptions)
         served = self._services.served()
         plan = make_plan(
             [self._wanted(topic, output.side_type) for topic, output in outputs.items()],
@@ -179,18 +156,18 @@ class YarpEdge(Edge):
             self._names,
             self._graph,
         )
-        self._ports.follow(plan | self._services.plan(self._names, served), outputs, served)
+        self._ports.follow(plan | self._services.plan(served), outputs, served)
         self._ports.look_for_callers()
-        for inlet in self._ports.inlets():
-            self._let_hear(inlet)
+        for input_port in self._ports.input_ports():
+            self._connect_subscription(input_port)
         self._ports.connect()
 
-    def _let_hear(self, inlet: Inlet) -> None:
-        """Give an input port to whoever hears its topic now: several threads may find that out at once."""
+    def _connect_subscription(self, input_port: InputPort) -> None:
+        """Connect an input port with its topic's subscription; several threads may do so at once."""
         with self._lock:
-            subscription = self._heard.get((inlet.topic, inlet.type))
-            inlet.hear(None if subscription is None else subscription.deliver)
-        inlet.release()
+            subscription = self._subscriptions.get((input_port.topic, input_port.type))
+            input_port.deliver_to(None if subscription is None else subscription.deliver)
+        input_port.release()
 
     def _wanted(self, topic: str, side_type: SideType) -> Wanted:
         known = self._registry.ros2(side_type.name).type_id
@@ -198,16 +175,7 @@ class YarpEdge(Edge):
 
     def _wake_up(self) -> None:
         self._wake.set()
-        if self._listener is not None:
-            self._listener.graph_changed()
-
-    def _presence_changed(self) -> None:
-        if self._listener is not None:
-            self._listener.presence_changed()
-
-    def _refused(self, topic: str, reason: str, why: str) -> None:
-        if self._listener is not None:
-            self._listener.message_refused(topic, reason, why)
+        self._graph_changed()
 
     # -- the network ---------------------------------------------------------------------------------------------------
 
@@ -216,16 +184,8 @@ class YarpEdge(Edge):
         return self._network.identity if self._presence.is_open else None
 
     def is_own_network(self, origin: Origin) -> bool:
-        """See `Edge.is_own_network`."""
+        """See `Edge`."""
         return origin.side == self.side and origin.network == self._network.identity
-
-    def announce(self, record: bytes) -> None:
-        """See `Edge.announce`."""
-        self._presence.announce(record)
-
-    def sightings(self) -> Sequence[Sighting]:
-        """See `Edge.sightings`."""
-        return self._presence.sightings()
 
     def settled(self, since: float) -> bool:
         """See `Edge.settled`: the name server was asked for all since then."""
@@ -243,7 +203,7 @@ class YarpEdge(Edge):
         """The name server that is away, ports that cannot be opened or connected, types that are unknown."""
         away = [f"the YARP network: {self._network.trouble}"] if self._network.trouble else []
         untyped = [
-            f"{node.port} does not tell its type; give one: yarp.topics, topic {node.topic}"
+            f"{node.port} does not announce its type; give one: yarp.topics, topic {node.topic}"
             for node in self._endpoints.untyped()
         ]
         return [*away, *self._ports.warnings(), *sorted(self._graph.trouble.values()), *untyped]
@@ -255,18 +215,18 @@ class YarpEdge(Edge):
     # -- the graph -----------------------------------------------------------------------------------------------------
 
     def endpoints(self) -> Sequence[Endpoint]:
-        """See `Endpoints`."""
+        """See `Edge`."""
         return self._endpoints.all()
 
     # -- types ---------------------------------------------------------------------------------------------------------
 
     def to_hub(self, endpoint: Endpoint) -> Conversion:
-        """The edge itself converts what comes: each port may carry something else."""
+        """No conversion: the edge itself converts, since each port may carry another content."""
         known = self._side_type(endpoint.type, endpoint.type_id)
         return Conversion(known, known, None)
 
     def from_hub(self, type_name: str, type_hash: str) -> Conversion:
-        """The message is checked; what each port carries is made of it when it is written."""
+        """A check of the message; each port's content is made of it when it is written."""
         known = self._side_type(type_name, type_hash)
         return Conversion(known, known, self._registry.hub_check(type_name, type_hash))
 
@@ -276,10 +236,6 @@ class YarpEdge(Edge):
             return SideType(type_name, type_hash, full_text(schema))
         return self._registry.ros2(type_name)
 
-    def learn(self, type_name: str, definition: str) -> None:
-        """See `Edge.learn`."""
-        self._registry.learn_ros2(type_name, definition)
-
     def why_not(self, topic: str, type_name: str) -> str:  # noqa: ARG002
         """An action's parts are not for YARP programs one by one."""
         return "a part of an action; YARP programs have other ports for goals" if split(topic)[1] else ""
@@ -287,47 +243,47 @@ class YarpEdge(Edge):
     # -- services ------------------------------------------------------------------------------------------------------
 
     def service_to_hub(self, endpoint: Endpoint) -> ServiceConversion:
-        """The edge itself converts what is asked and answered: each port may carry something else."""
+        """Checks only: the edge itself converts calls, since each port may carry another content."""
         return self._services.conversion(endpoint.type)
 
     def service_from_hub(self, type_name: str, type_hash: str) -> ServiceConversion:
-        """See `service_to_hub`."""
+        """See `Edge`."""
         return self._services.conversion(type_name, type_hash)
 
-    def caller(self, name: str, side_type: SideType) -> EdgeCaller:
+    def caller(self, name: str, side_type: SideType) -> PortCaller:
         """Call the RPC port that a rule names."""
         return self._services.caller(name, side_type)
 
-    def serve(self, name: str, side_type: SideType, call: Call) -> EdgeServer:
+    def serve(self, name: str, side_type: SideType, call: Call) -> OfferedService:
         """Serve a service by an RPC port, which is opened as soon as the name server takes it."""
         return self._services.serve(name, side_type, call)
 
     # -- endpoints of ours ---------------------------------------------------------------------------------------------
 
-    def subscribe(self, topic: str, side_type: SideType, qos: Qos, deliver: Deliver) -> EdgeSubscription:  # noqa: ARG002
-        """Hear a topic's ports."""
+    def subscribe(self, topic: str, side_type: SideType, qos: Qos, deliver: Deliver) -> _Subscription:  # noqa: ARG002
+        """Subscribe to a topic's ports."""
         subscription = _Subscription(self, topic, side_type, deliver)
         with self._lock:
-            self._heard[topic, side_type.name] = subscription
-        for inlet in self._ports.inlets():
-            if (inlet.topic, inlet.type) == (topic, side_type.name):
-                self._let_hear(inlet)
-        self._wake.set()
+            self._subscriptions[topic, side_type.name] = subscription
+        self._connect_subscriptions(topic, side_type.name)
         return subscription
 
     def unsubscribe(self, subscription: _Subscription) -> None:
         """A subscription is closed."""
         key = subscription.topic, subscription.side_type.name
         with self._lock:
-            if self._heard.get(key) is not subscription:
+            if self._subscriptions.get(key) is not subscription:
                 return
-            del self._heard[key]
-        for inlet in self._ports.inlets():
-            if (inlet.topic, inlet.type) == key:
-                self._let_hear(inlet)
+            del self._subscriptions[key]
+        self._connect_subscriptions(*key)
+
+    def _connect_subscriptions(self, topic: str, type_name: str) -> None:
+        for input_port in self._ports.input_ports():
+            if (input_port.topic, input_port.type) == (topic, type_name):
+                self._connect_subscription(input_port)
         self._wake.set()
 
-    def advertise(self, topic: str, side_type: SideType, qos: Qos) -> EdgePublisher:
+    def advertise(self, topic: str, side_type: SideType, qos: Qos) -> YarpPublisher:
         """Publish a topic; its ports are opened as soon as the name server takes them."""
         content = self._contents.of(topic)
         known = self._wanted(topic, side_type)
@@ -335,16 +291,17 @@ class YarpEdge(Edge):
         with self._lock:
             output = self._outputs.get(topic)
             if output is None:
-                stamped = is_stamped(self._registry.schema(side_type.name, known.type_hash))
+                stamped = has_header(self._registry.schema(side_type.name, known.type_hash))
                 output = self._outputs[topic] = TopicOutput(topic, side_type, stamped, self._contents)
             elif output.side_type != side_type:
-                msg = f"{topic} is {output.side_type.name} on YARP already"
-                raise MessageTypeError(msg, "rename one of the topics by a rule")
+                raise MessageTypeError(
+                    f"{topic} is {output.side_type.name} on YARP already", "rename one of the topics by a rule"
+                )
             publisher = output.publisher(qos, self._closed)
         self._wake.set()
         return publisher
 
-    def _closed(self, publisher: TopicPublisher) -> None:
+    def _closed(self, publisher: YarpPublisher) -> None:
         output = publisher.output
         with self._lock:
             if output.remove(publisher) and self._outputs.get(output.topic) is output:

@@ -1,43 +1,24 @@
-"""What the ports of a YARP network are to the bridge: publishers, subscriptions and servers."""
+"""The publishers, subscriptions and servers that the ports of a YARP network stand for."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
-from bridge.adapters.base import Endpoint, Kind, MadeBy
-from bridge.adapters.yarp.contents import Contents
-from bridge.adapters.yarp.graph import Graph, NodePort
-from bridge.adapters.yarp.names import PortNames
-from bridge.adapters.yarp.outlet import TopicOutput
+from bridge.adapters.yarp.graph import NodePort, YarpContext
 from bridge.adapters.yarp.ports import OwnPorts
-from bridge.adapters.yarp.services import Services
-from bridge.hub.qos import Durability, Qos
+from bridge.adapters.yarp.services import YarpServices
+from bridge.adapters.yarp.topics import TopicOutput
+from bridge.hub.wire.qos import LATCHED, Qos
+from bridge.routing.edge import Endpoint, Kind, MadeBy
 
-_LATCHED = Qos(durability=Durability.TRANSIENT_LOCAL, depth=1)
 
-
-class Endpoints:
-    """The endpoints of others on the network.
-
-    Args:
-        names: the scheme of our own ports.
-        contents: what rules say of topics and ports.
-        graph: the network.
-        ports: our own ports, and who is connected to them.
-        services: the RPC ports that rules name.
-        outputs: what we publish, by topic.
-    """
+class PortEndpoints:
+    """The endpoints of others on the network."""
 
     def __init__(
-        self,
-        names: PortNames,
-        contents: Contents,
-        graph: Graph,
-        ports: OwnPorts,
-        services: Services,
-        outputs: Mapping[str, TopicOutput],
+        self, context: YarpContext, ports: OwnPorts, services: YarpServices, outputs: Mapping[str, TopicOutput]
     ) -> None:
-        self._names, self._contents, self._graph = names, contents, graph
+        self._names, self._contents, self._graph = context.names, context.contents, context.graph
         self._ports, self._services, self._outputs = ports, services, outputs
 
     def all(self) -> Sequence[Endpoint]:
@@ -45,7 +26,7 @@ class Endpoints:
         return [*self._declared(), *self._foreign(), *self._of_nodes(), *self._of_writers(), *self._called()]
 
     def untyped(self) -> list[NodePort]:
-        """Ports of nodes of which nobody tells the type."""
+        """Ports of nodes whose type is not known."""
         return [node for node in self._graph.nodes if not self._type_of(node.topic, node.type)]
 
     def _called(self) -> list[Endpoint]:
@@ -108,13 +89,13 @@ class Endpoints:
         latched: bool = False,
         type_id: str = "",
     ) -> Endpoint:
-        qos = _LATCHED if latched or self._contents.latched(topic) else Qos()
+        qos = LATCHED if latched or self._contents.latched(topic) else Qos()
         return Endpoint(name, kind, topic, type_name, qos, made_by, node, type_id)
 
-    def _type_of(self, topic: str, told: str) -> str:
+    def _type_of(self, topic: str, named: str) -> str:
         """The type of a port of a node: its own, else that of the topic as a rule or a route has it."""
-        if told:
-            return told
+        if named:
+            return named
         rule = next((rule for rule in self._contents.declared if rule.topic == topic), None)
         if rule is not None and rule.type is not None:
             return rule.type

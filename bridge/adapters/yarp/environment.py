@@ -1,23 +1,29 @@
-"""What a YARP worker's process needs of its environment, and whether there is anything for it to do."""
+"""Whether a YARP worker has anything to do, and the environment of its process."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 
 from bridge.config.model import Config
+from bridge.config.sections.section import Enabled
 from yarp_compat.naming import config as conf
-from yarp_compat.naming.errors import ConfigError
+from yarp_compat.ports.naming import NamingConfigError
 
 
 def available(config: Config) -> str:
-    """Nothing where YARP is used here; else why the worker has nothing to do."""
+    """Why the worker has nothing to do; "" where YARP is used here."""
     if config.yarp.configured:
         return ""
     try:
         known = conf.read(config.yarp.namespace)
-    except ConfigError as err:
+    except NamingConfigError as err:
         return str(err)
     return "" if known is not None else f"YARP is not used here: there is no {conf.file(config.yarp.namespace)}"
+
+
+def enabled(config: Config) -> Enabled:
+    """Off where it is ``auto`` and YARP is not used here, so that no one reads of a side that they do not miss."""
+    return False if config.yarp.enabled == "auto" and available(config) else config.yarp.enabled
 
 
 def worker_environment(config: Config, environ: Mapping[str, str]) -> dict[str, str]:

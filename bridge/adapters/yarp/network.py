@@ -1,4 +1,4 @@
-"""The YARP network: its name server, the site's or our own, and what tells the network from others."""
+"""The YARP network: its name server, its identity, and the names of our own ports."""
 
 from __future__ import annotations
 
@@ -7,16 +7,68 @@ import logging
 import socket
 import time
 import uuid
+from dataclasses import dataclass
 from pathlib import Path
 
 from bridge.config.sections.yarp import YarpSection
 from yarp_compat.naming import config as conf
 from yarp_compat.naming.client import NameClient
 from yarp_compat.naming.config import Address
-from yarp_compat.naming.errors import ConfigError, NamingError
 from yarp_compat.naming.server import NameServer
-from yarp_compat.wire.contact import Contact
+from yarp_compat.ports.naming import NamingConfigError, NamingError
+from yarp_compat.wire.contact import PortContact
 from yarp_compat.wire.profile import Profile
+
+PRESENCE = "/midspan/daemon/"
+"""Where every worker on a YARP network has a port by which the others know it."""
+
+OWNER = "midspan_owner"
+"""The property at the name server that every port of Midspan's has: the id of the worker that opened it."""
+
+DAEMON = "midspan"
+"""The property that names the daemon: on its port of presence, and on ports of topics that it carries."""
+
+
+@dataclass(frozen=True, slots=True)
+class PortNames:
+    """The scheme of the configuration; ``{topic}`` stands for the topic's name.
+
+    Attributes:
+        daemon: the daemon's name, for ports whose name another daemon has.
+    """
+
+    output_scheme: str
+    input_scheme: str
+    rpc_scheme: str
+    daemon: str
+
+    def may_be(self, name: str) -> bool:
+        """Whether the bridge might have called a port so."""
+        return any(
+            name.startswith(scheme.partition("{topic}")[0]) and name.endswith(scheme.partition("{topic}")[2])
+            for scheme in (self.output_scheme, self.input_scheme, self.rpc_scheme)
+        )
+
+    def spare(self, name: str) -> str:
+        """Another name for a port, where a daemon on another hub has a port of the same topic."""
+        for scheme in (self.output_scheme, self.input_scheme, self.rpc_scheme):
+            before, _, behind = scheme.partition("{topic}")
+            if name.startswith(before) and name.endswith(behind):
+                return f"{before}/{self.daemon}{name[len(before) :]}"
+        return name
+
+    def output(self, topic: str) -> str:
+        """The port that writes a topic's messages."""
+        return self.output_scheme.replace("{topic}", topic)
+
+    def input(self, topic: str) -> str:
+        """The port by which anybody writes to a topic."""
+        return self.input_scheme.replace("{topic}", topic)
+
+    def rpc(self, service: str) -> str:
+        """The port that serves a service."""
+        return self.rpc_scheme.replace("{topic}", service)
+
 
 _log = logging.getLogger(__name__)
 
@@ -30,11 +82,20 @@ PATIENCE = 2.0
 """Seconds without an answer after which our own name server is opened, where it may be."""
 
 
+class _Names(NameClient):
+    """A client that looks names up at hand where the name server is this process's."""
+
+    server: NameServer | None = None
+
+    def query(self, name: str) -> PortContact | None:
+        """See `NameClient.query`."""
+        return super().query(name) if self.server is None else self.server.registry.find(name)
+
+
 class YarpNetwork:
     """Joins the network of one name server; one thread calls it.
 
     Args:
-        section: the configuration.
         state: folder in which our own name server remembers.
     """
 
@@ -42,16 +103,20 @@ class YarpNetwork:
         self._section = section
         self._state = state / "yarp_names.json"
         self._address = address_of(section)
-        self.naming = NameClient(self._address, namespace=section.namespace, timeout=ASK_SECONDS)
-        self._server: NameServer | None = None
+        self.naming = _Names(self._address, namespace=section.namespace, timeout=ASK_SECONDS, numbers=section.numbers)
         self._silent_since: float | None = None
+        self._listed: tuple[int, list[PortContact]] | None = None
         self.identity: str | None = None
         self.trouble = ""
 
-    def look(self) -> list[Contact] | None:
-        """All ports that are registered, None where no name server answers."""
+    def look(self) -> list[PortContact] | None:
+        """All ports that are registered, None where no name server answers; ours is asked only where it changed."""
+        server = self.naming.server
+        changes = None if server is None else server.changes
+        if self._listed is not None and self._listed[0] == changes:
+            return self._listed[1]
         try:
-            if self._section.nameserver == "embedded" and self._server is None:
+            if self._section.nameserver == "embedded" and server is None:
                 self._embed()
             found = self.naming.list()
             self._name_network()
@@ -60,12 +125,13 @@ class YarpNetwork:
             self._after_silence()
             return None
         self._silent_since, self.trouble = None, ""
+        self._listed = None if changes is None else (changes, found)
         return found
 
     def _after_silence(self) -> None:
         now = time.monotonic()
         self._silent_since = self._silent_since or now
-        if self._section.nameserver != "auto" or self._server is not None or now - self._silent_since < PATIENCE:
+        if self._section.nameserver != "auto" or self.is_own or now - self._silent_since < PATIENCE:
             return
         try:
             if _is_here(self._place()):
@@ -79,7 +145,7 @@ class YarpNetwork:
     def _embed(self) -> None:
         place = self._place()
         namespace = self._section.namespace or conf.namespace()
-        self._server = NameServer(
+        self.naming.server = NameServer(
             place.host, place.port, namespace=namespace, state=self._state, profile=Profile(self._section.profile)
         ).open()
         _log.info("this worker is the YARP name server now: %s at %s port %d", namespace, place.host, place.port)
@@ -90,33 +156,33 @@ class YarpNetwork:
         """Say where the name server is, for programs of this user: as yarpserver does with ``--write``."""
         try:
             _log.info("wrote %s", conf.write(place, self._section.namespace))
-        except ConfigError as err:
+        except NamingConfigError as err:
             _log.warning("YARP programs will not find the name server: %s", err)
             self.naming.use(place)
 
     def _name_network(self) -> None:
-        """Learn the network's name; give it one where it has none, or forgot it."""
+        """Learn the network's name, or give it one."""
         root = self.naming.contact.name
-        told = [str(value) for value in self.naming.get_property(root, IDENTITY)]
-        if not told:
+        values = [str(value) for value in self.naming.get_property(root, IDENTITY)]
+        if not values:
             self.naming.set_property(root, IDENTITY, self.identity or uuid.uuid4().hex)
-            told = [str(value) for value in self.naming.get_property(root, IDENTITY)]
-        self.identity = told[0] if told else f"{self.naming.address.host}:{self.naming.address.port}{root}"
+            values = [str(value) for value in self.naming.get_property(root, IDENTITY)]
+        self.identity = values[0] if values else f"{self.naming.address.host}:{self.naming.address.port}{root}"
 
     @property
     def is_own(self) -> bool:
         """Whether the name server is this worker's."""
-        return self._server is not None
+        return self.naming.server is not None
 
     def close(self) -> None:
-        """End our own name server, if there is one."""
-        server, self._server = self._server, None
+        """Stop our own name server."""
+        server, self.naming.server = self.naming.server, None
         if server is not None:
             server.close()
 
 
 def address_of(section: YarpSection) -> Address | None:
-    """What the configuration says of the name server's place, None where yarp.conf is to say it."""
+    """The name server's address in the configuration, None where yarp.conf has it."""
     return None if section.place is None else Address(*section.place)
 
 

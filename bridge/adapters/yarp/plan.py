@@ -1,19 +1,22 @@
-"""Which ports the bridge is to have, and whom they are to be connected with: from what is routed and what is there."""
+"""Which ports the bridge opens and connects, from what is routed and what is there; and how they are shown."""
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
+from typing import Any
 
 from bridge.adapters.yarp.contents import BOTTLE, Contents
-from bridge.adapters.yarp.graph import Graph
-from bridge.adapters.yarp.names import PortNames
+from bridge.adapters.yarp.graph import YarpGraph
+from bridge.adapters.yarp.network import PortNames
 from bridge.messages.yarp.contents import Content
+from yarp_compat.ports.port import PortCore
 from yarp_compat.wire.profile import Profile
 
 
 @dataclass(frozen=True, slots=True)
-class Link:
+class PlannedLink:
     """A connection that is to be made.
 
     Attributes:
@@ -45,7 +48,7 @@ class PortPlan:
     content: Content
     own: bool = True
     source: str | None = None
-    links: Mapping[str, Link] = field(default_factory=dict, compare=False, hash=False)
+    links: Mapping[str, PlannedLink] = field(default_factory=dict, compare=False, hash=False)
     reply: Content | None = None
 
     @property
@@ -59,7 +62,6 @@ class Wanted:
     """A topic that is routed.
 
     Attributes:
-        type: ROS 2 name.
         type_hash: its hash, "" for this machine's own definition.
     """
 
@@ -69,17 +71,9 @@ class Wanted:
 
 
 def make_plan(
-    outputs: Iterable[Wanted], inputs: Iterable[Wanted], contents: Contents, names: PortNames, graph: Graph
+    outputs: Iterable[Wanted], inputs: Iterable[Wanted], contents: Contents, names: PortNames, graph: YarpGraph
 ) -> dict[str, PortPlan]:
-    """The ports by name.
-
-    Args:
-        outputs: topics that are published on YARP.
-        inputs: topics that are heard there.
-        contents: the rules.
-        names: the scheme.
-        graph: what is on the network.
-    """
+    """The ports by name, for topics that are published on YARP (``outputs``) and those heard there (``inputs``)."""
     plan: dict[str, PortPlan] = {}
     for wanted in outputs:
         for port in (*_outputs(wanted, contents, names, graph), _input(wanted, contents, names, None)):
@@ -90,30 +84,32 @@ def make_plan(
     return plan
 
 
-def _outputs(wanted: Wanted, contents: Contents, names: PortNames, graph: Graph) -> Iterable[PortPlan]:
+def _outputs(wanted: Wanted, contents: Contents, names: PortNames, graph: YarpGraph) -> Iterable[PortPlan]:
     topic, own = wanted.topic, contents.of(wanted.topic)
-    links: dict[str, Link] = {}
+    links: dict[str, PlannedLink] = {}
     nodes = {
-        node.port: Link()
+        node.port: PlannedLink()
         for node in graph.nodes
         if not node.publishes and node.topic == topic and node.type in ("", wanted.type)
     }
     for port in contents.outgoing:
         if port.topic != topic or port.type not in ("", wanted.type):
             continue
-        link = Link(port.carrier, port.profile)
+        link = PlannedLink(port.carrier, port.profile)
         if _same(port.content, own):
             links[port.port] = link
         else:
-            yield _output(wanted, names.output_to(topic, port.port), port.content, {port.port: link}, own=False)
+            yield _output(wanted, names.output(f"{topic}/to{port.port}"), port.content, {port.port: link}, own=False)
     if _same(own, BOTTLE):
         links |= nodes
     elif nodes:
-        yield _output(wanted, names.output_to_nodes(topic), BOTTLE, nodes, own=False)
+        yield _output(wanted, names.output(f"{topic}/nodes"), BOTTLE, nodes, own=False)
     yield _output(wanted, names.output(topic), own, links)
 
 
-def _output(wanted: Wanted, name: str, content: Content, links: Mapping[str, Link], *, own: bool = True) -> PortPlan:
+def _output(
+    wanted: Wanted, name: str, content: Content, links: Mapping[str, PlannedLink], *, own: bool = True
+) -> PortPlan:
     return PortPlan(name, True, wanted.topic, wanted.type, wanted.type_hash, content, own, links=links)
 
 
@@ -123,25 +119,64 @@ def _input(wanted: Wanted, contents: Contents, names: PortNames, source: str | N
     return PortPlan(name, False, wanted.topic, wanted.type, wanted.type_hash, content, source=source)
 
 
-def _inputs(wanted: Wanted, contents: Contents, names: PortNames, graph: Graph) -> Iterable[PortPlan]:
+def _inputs(wanted: Wanted, contents: Contents, names: PortNames, graph: YarpGraph) -> Iterable[PortPlan]:
     topic = wanted.topic
     declared = any(rule.topic == topic and rule.type == wanted.type for rule in contents.declared)
     yield _input(wanted, contents, names, names.input(topic) if declared else None)
     for port in contents.incoming:
         if port.topic == topic and port.type == wanted.type and graph.is_there(port.port):
-            name = names.input_from(topic, port.port)
-            links = {port.port: Link(port.carrier, port.profile)}
+            name = names.input(f"{topic}/from{port.port}")
+            links = {port.port: PlannedLink(port.carrier, port.profile)}
             yield PortPlan(name, False, topic, wanted.type, wanted.type_hash, port.content, False, port.port, links)
     nodes = {
-        node.port: Link()
+        node.port: PlannedLink()
         for node in graph.nodes
         if node.publishes and node.topic == topic and node.type in ("", wanted.type) and graph.is_there(node.port)
     }
     if nodes:
-        name = names.input_from_nodes(topic)
+        name = names.input(f"{topic}/nodes")
         yield PortPlan(name, False, topic, wanted.type, wanted.type_hash, BOTTLE, False, links=nodes)
 
 
 def _same(one: Content, other: Content) -> bool:
     """Whether two contents are one but for the profile."""
     return (one.form, one.fields, one.missing) == (other.form, other.fields, other.missing)
+
+
+def shown(plan: PortPlan, core: PortCore) -> dict[str, Any]:
+    """The port as it stands in the worker's status document."""
+    connections = core.connections.outputs if plan.writes else core.connections.inputs
+    peers = []
+    for connection in connections:
+        name = connection.route.target if plan.writes else connection.route.source
+        known = _peer(name, connection.carrier.name, connection.profile, plan)
+        peers.append(known | _dropped(connection.counters.dropped))
+    answers = {} if plan.reply is None else {"direction": "rpc", "replies": plan.reply.shown(plan.type)}
+    return {
+        "port": core.name,
+        "direction": "out" if plan.writes else "in",
+        "topic": plan.topic,
+        "type": plan.type,
+        "carries": plan.content.shown(plan.type),
+        "profile": plan.content.profile.value,
+        **_dropped(core.counters.dropped + core.lost),
+        "peers": sorted(peers, key=lambda peer: peer["port"]),
+        **answers,
+    }
+
+
+def _dropped(counted: Counter[str]) -> dict[str, Any]:
+    """The number of dropped messages by reason; empty if none were."""
+    found = {reason: count for reason, count in sorted(counted.items()) if count}
+    return {"dropped": found} if found else {}
+
+
+def _peer(name: str, carrier: str, known: Profile | None, plan: PortPlan) -> dict[str, str]:
+    link = plan.links.get(name)
+    if link is not None and link.profile is not None:
+        profile, why = link.profile, "the rule for it says so"
+    elif known is not None:
+        profile, why = known, "it told so"
+    else:
+        profile, why = plan.content.profile, "as yarp.profile says; bytes that tell another are read as such"
+    return {"port": name, "carrier": carrier, "profile": profile.value, "profile_why": why}

@@ -1,4 +1,4 @@
-"""The bridge's own ports on a YARP network: opened and closed as planned, and connected with whom they should be."""
+"""The bridge's own ports on a YARP network: opens, connects and closes them as planned."""
 
 from __future__ import annotations
 
@@ -9,27 +9,22 @@ from collections.abc import Callable, Mapping
 from concurrent.futures import CancelledError, Future
 from dataclasses import dataclass, field
 from functools import partial
-from typing import Any, Protocol
+from typing import Any
 
-from bridge.adapters.base import MadeBy
-from bridge.adapters.yarp.call_bottles import CallBottles
-from bridge.adapters.yarp.contents import Contents
-from bridge.adapters.yarp.crew import Crew
-from bridge.adapters.yarp.graph import Graph
-from bridge.adapters.yarp.inlet import Inlet
-from bridge.adapters.yarp.names import DAEMON, OWNER, PortNames
-from bridge.adapters.yarp.outlet import Outlet, TopicOutput
-from bridge.adapters.yarp.plan import Link, PortPlan
-from bridge.adapters.yarp.served import ServedPort
-from bridge.adapters.yarp.shown import shown
-from bridge.hub.call import Call
+from bridge.adapters.yarp.graph import YarpContext
+from bridge.adapters.yarp.network import DAEMON, OWNER
+from bridge.adapters.yarp.plan import PlannedLink, PortPlan, shown
+from bridge.adapters.yarp.services import OfferedService, ServedPort
+from bridge.adapters.yarp.topics import InputPort, OutputPort, TopicOutput
+from bridge.callers import Callers
+from bridge.concurrency import WorkerPool
 from bridge.messages.errors import MessageTypeError
+from bridge.routing.edge import MadeBy
 from yarp_compat.naming import connections
-from yarp_compat.naming.client import NameClient
-from yarp_compat.naming.errors import NamingError
-from yarp_compat.ports.events import ConnectionEvent
+from yarp_compat.ports.connections import ConnectionEvent
+from yarp_compat.ports.naming import NamingError
 from yarp_compat.ports.port import PortCore
-from yarp_compat.wire.contact import Contact
+from yarp_compat.wire.contact import PortContact
 
 _log = logging.getLogger(__name__)
 
@@ -46,100 +41,60 @@ _LEAVE_SECONDS = 0.02
 """Seconds that each thread has to end, where it has nothing to do any more."""
 
 
-class Served(Protocol):
-    """A service of the hub that YARP programs may call."""
-
-    @property
-    def name(self) -> str:
-        """The service's."""
-
-    @property
-    def bottles(self) -> CallBottles:
-        """The converter."""
-
-    @property
-    def call(self) -> Call:
-        """The service itself."""
-
-
 @dataclass(eq=False)
-class Own:
+class OwnPort:
     """One port that is open."""
 
     plan: PortPlan
     core: PortCore
-    inlet: Inlet | None
-    output: TopicOutput | None
-    links: Mapping[str, Link]
+    links: Mapping[str, PlannedLink]
+    input_port: InputPort | None = None
+    output: TopicOutput | None = None
     served: ServedPort | None = None
-    service: Served | None = None
+    service: OfferedService | None = None
     due: dict[str, float] = field(default_factory=dict)
     making: dict[str, Future[bool]] = field(default_factory=dict)
 
 
 class OwnPorts:
-    """Opens, connects and closes ports; one thread calls it, but for `inlets` and `peers`.
+    """Opens, connects and closes ports; one thread calls it, but for `input_ports` and `peers`.
 
     Args:
-        naming: the name server.
-        owner: id of this worker.
-        daemon: the daemon's name.
-        contents: the converters.
-        graph: the network.
-        refused: told of messages that are none.
-        changed: called when a connection came or went.
-        limit: bytes of the largest message.
-        ip: address to listen on, None for the usual one.
         awake: tells whether another worker of Midspan's is there and not standing still.
-        names: the scheme.
+        callers: remembers who calls the RPC ports.
     """
 
-    def __init__(
-        self,
-        naming: NameClient,
-        owner: str,
-        daemon: str,
-        contents: Contents,
-        graph: Graph,
-        refused: Callable[[str, str, str], None],
-        changed: Callable[[], None],
-        limit: int,
-        ip: str | None,
-        awake: Callable[[str], bool],
-        names: PortNames,
-    ) -> None:
-        self._awake, self._names = awake, names
-        self._naming, self._owner, self._daemon = naming, owner, daemon
-        self._contents, self._graph = contents, graph
-        self._refused, self._changed = refused, changed
-        self._limit, self._ip = limit, ip
-        self._own: dict[str, Own] = {}
-        self._services: Mapping[str, Served] = {}
+    def __init__(self, context: YarpContext, awake: Callable[[str], bool], callers: Callers) -> None:
+        self._context, self._awake, self._callers = context, awake, callers
+        self._naming, self._owner, self._graph = context.naming, context.owner, context.graph
+        self._asking: Future[bool] | None = None
+        self._own: dict[str, OwnPort] = {}
+        self._services: Mapping[str, OfferedService] = {}
         self._taken: frozenset[str] = frozenset()
         self._stopped = False
         self._trouble: dict[str, tuple[float, str]] = {}
-        self._links, self._ends = Crew(_THREADS, "midspan-yarp-links"), Crew(_THREADS, "midspan-yarp-ends")
+        self._links, self._ends = WorkerPool(_THREADS, "midspan-yarp-links"), WorkerPool(_THREADS, "midspan-yarp-ends")
 
     # -- what there is -------------------------------------------------------------------------------------------------
 
-    def inlets(self) -> list[Inlet]:
+    def input_ports(self) -> list[InputPort]:
         """The input ports."""
-        return [own.inlet for own in list(self._own.values()) if own.inlet is not None]
+        return [own.input_port for own in list(self._own.values()) if own.input_port is not None]
 
     def inputs(self) -> list[tuple[PortPlan, list[str]]]:
         """The topics' own input ports, each with the ports that are connected to it."""
         return [
-            (own.plan, sorted({route.source for route in own.core.inputs()} | own.inlet.waiting()))
+            (own.plan, sorted({route.source for route in own.core.inputs()} | own.input_port.waiting()))
             for own in list(self._own.values())
-            if own.inlet is not None and own.plan.own
+            if own.input_port is not None and own.plan.own
         ]
 
     def peers(self) -> set[str]:
-        """All ports that bring messages, or brought one that is held."""
+        """All ports that send to ours, and those whose message is held."""
         found = set[str]()
         for own in list(self._own.values()):
-            if own.inlet is not None:
-                found |= own.inlet.waiting()
+            if own.input_port is not None:
+                found |= own.input_port.waiting()
                 found.update(route.source for route in own.core.inputs())
         return found
 
@@ -148,16 +103,16 @@ class OwnPorts:
         return name in self._taken
 
     def warnings(self) -> list[str]:
-        """What cannot be opened or connected."""
+        """The ports that cannot be opened or connected, with the reasons."""
         return sorted(text for _, text in list(self._trouble.values()))
 
     def shown(self) -> list[dict[str, Any]]:
         """All ports, for people."""
         owns = sorted(self._own.values(), key=lambda own: own.core.name)
-        return [shown(own.plan, own.core, self._contents.generations) for own in owns]
+        return [shown(own.plan, own.core) for own in owns]
 
     def look_for_callers(self) -> None:
-        """Abandon the calls whose callers have gone."""
+        """Abandon the calls of callers that left."""
         for own in self._own.values():
             if own.served is not None:
                 own.served.look()
@@ -165,7 +120,7 @@ class OwnPorts:
     # -- what there should be ------------------------------------------------------------------------------------------
 
     def follow(
-        self, plan: Mapping[str, PortPlan], outputs: Mapping[str, TopicOutput], services: Mapping[str, Served]
+        self, plan: Mapping[str, PortPlan], outputs: Mapping[str, TopicOutput], services: Mapping[str, OfferedService]
     ) -> None:
         """Make the ports those of the plan."""
         self._services = services
@@ -179,11 +134,18 @@ class OwnPorts:
         for name, port in plan.items():
             own = self._own.get(name)
             if own is not None:
+                self._leave_to_ros1(own, port.links)
                 own.links = port.links
             elif now >= self._trouble.get(name, (0.0, ""))[0]:
                 self._open(port, outputs.get(port.topic))
 
-    def _stale(self, own: Own, outputs: Mapping[str, TopicOutput]) -> bool:
+    def _leave_to_ros1(self, own: OwnPort, links: Mapping[str, PlannedLink]) -> None:
+        """End the connections with ports that turned out to be ROS 1's."""
+        for peer in (own.links.keys() - links.keys()) & self._graph.ros1:
+            end = own.core.remove_output if own.plan.writes else own.core.remove_input
+            end(peer)
+
+    def _stale(self, own: OwnPort, outputs: Mapping[str, TopicOutput]) -> bool:
         if own.service is not None:
             return self._services.get(own.plan.topic) is not own.service
         return own.output is not None and outputs.get(own.plan.topic) is not own.output
@@ -196,13 +158,15 @@ class OwnPorts:
             self._own[port.name] = own
             self._taken |= {own.core.name}
             if output is not None and port.writes:  # before it opens: who connects at once gets what is kept
-                output.add(Outlet(own.core, port.content))
+                output.add(OutputPort(own.core, port.content))
             own.core.open()
             if self._stopped:  # meanwhile, and `stop` found it closed
                 self._close([own])
                 return
             # Before anybody can be asked to connect: what is not marked may be taken for a YARP program's.
             self._naming.set_property(own.core.name, OWNER, self._owner)
+            if port.rpc:
+                self._callers.watch(own.core)
         except (OSError, MessageTypeError) as err:
             self._trouble[port.name] = time.monotonic() + _AGAIN, f"{port.name}: {err}"
             failed = self._own.pop(port.name, None)
@@ -212,31 +176,28 @@ class OwnPorts:
         self._trouble.pop(port.name, None)
 
     def _free_name(self, name: str) -> str:
-        """The name that a port gets: what a dead or stopped worker of ours has is taken over, nobody else's is."""
-        for wanted in (name, self._names.spare(name)):
+        """The name for a port; a name is taken over from a dead or stopped worker of ours alone."""
+        for wanted in (name, self._context.names.spare(name)):
             known = self._naming.query(wanted)
             if known is None or not connections.responds(known, timeout=_CONNECT_SECONDS):
                 return wanted
             owner = [str(value) for value in self._naming.get_property(wanted, OWNER)]
             if owner and (owner == [self._owner] or not self._awake(owner[0])):
                 return wanted
-        msg = "another program has a port of this name; choose other names with yarp.output and yarp.input"
-        raise NamingError(msg)
+        raise NamingError("another program has a port of this name; choose other names with yarp.output and yarp.input")
 
-    def _made(self, port: PortPlan, name: str, output: TopicOutput | None) -> Own:
+    def _made(self, port: PortPlan, name: str, output: TopicOutput | None) -> OwnPort:
         if port.rpc:
             service = self._services[port.topic]
-            served = ServedPort(service.name, service.bottles, service.call, self.made_by, self._refused)
-            return Own(port, self._core(port, name, served), None, None, port.links, served, service)
-        side, profile = port.type, port.content.profile
+            served = ServedPort(service.name, service.bottles, service.call, self.made_by, self._context.refused)
+            return OwnPort(port, self._core(port, name, served), port.links, served=served, service=service)
+        # tells at once what cannot be said
+        codec = self._context.contents.codec(port.content, port.type, port.type_hash, port.content.profile)
         if port.writes:
-            self._contents.codec(port.content, side, port.type_hash, profile)  # tells at once what cannot be said
-            core = self._core(port, name, None)
-            return Own(port, core, None, output, port.links)
-        codec = self._contents.codec(port.content, side, port.type_hash, profile)
-        only = None if port.own else self._linked(port.name)
-        inlet = Inlet(name, port.topic, side, codec, only, port.source, self.made_by, self._refused)
-        return Own(port, self._core(port, name, inlet), inlet, None, port.links)
+            return OwnPort(port, self._core(port, name, None), port.links, output=output)
+        only, refused = None if port.own else self._linked(port.name), self._context.refused
+        input_port = InputPort(name, port.topic, port.type, codec, only, port.source, self.made_by, refused)
+        return OwnPort(port, self._core(port, name, input_port), port.links, input_port)
 
     def _linked(self, name: str) -> Callable[[str], bool]:
         def is_linked(peer: str) -> bool:
@@ -249,15 +210,15 @@ class OwnPorts:
         """Who made a port."""
         return MadeBy.MIDSPAN if self.is_ours(name) else self._graph.made_by(name)
 
-    def _core(self, port: PortPlan, name: str, hearer: Inlet | ServedPort | None) -> PortCore:
+    def _core(self, port: PortPlan, name: str, hearer: InputPort | ServedPort | None) -> PortCore:
         core = PortCore(
             name,
             on_message=hearer.on_message if hearer is not None else None,
             rpc=port.rpc,
             naming=self._naming,
             type_name="",
-            limit=self._limit,
-            host=self._ip,
+            limit=self._context.limit,
+            host=self._context.ip,
             profile=port.content.profile,
             is_input=not port.writes,
             is_output=port.writes,
@@ -266,28 +227,21 @@ class OwnPorts:
         return core
 
     def _on_event(self, name: str, core: PortCore, event: ConnectionEvent) -> None:
-        own = self._own.get(name)
-        if own is not None and event.up and not event.incoming:
-            target = event.route.target
-            link = own.links.get(target)
+        own, peer = self._own.get(name), event.route.source if event.incoming else event.route.target
+        if not event.up:
+            self._graph.forget(peer)
+        elif own is not None:
+            link = own.links.get(peer)
             if link is not None and link.profile is not None:
-                for output in core.connections.outputs:
-                    if output.route.target == target:
-                        output.profile = link.profile
-            if own.output is not None:
-                own.output.welcome(core, target)
-        elif own is not None and event.up:
-            link = own.links.get(event.route.source)
-            if link is not None and link.profile is not None:
-                for one in core.connections.inputs:
-                    if one.route.source == event.route.source:
+                for one in core.connections.inputs if event.incoming else core.connections.outputs:
+                    if peer == (one.route.source if event.incoming else one.route.target):
                         one.profile = link.profile
-        elif not event.up:
-            self._graph.forget(event.route.source if event.incoming else event.route.target)
-        self._changed()
+            if own.output is not None and not event.incoming:
+                own.output.welcome(core, peer)
+        self._context.changed()
 
-    def leave_taken(self, contacts: Mapping[str, Contact]) -> None:
-        """Close the ports whose names others have by now: of two that opened one at once, the first is forgotten."""
+    def leave_taken(self, contacts: Mapping[str, PortContact]) -> None:
+        """Close the ports whose names others have taken: of two that opened at once, the first is forgotten."""
         owned = self._own
         taken = [
             key
@@ -297,7 +251,7 @@ class OwnPorts:
         ]
         self._close([owned.pop(key) for key in taken])
 
-    def mark_again(self, contacts: Mapping[str, Contact], *, returned: bool) -> None:
+    def mark_again(self, contacts: Mapping[str, PortContact], *, returned: bool) -> None:
         """Register and mark the ports that a name server forgot; mark all where it has just returned."""
         for own in self._own.values():
             forgotten = own.core.name not in contacts
@@ -306,10 +260,10 @@ class OwnPorts:
             if forgotten or returned:
                 self._naming.set_property(own.core.name, OWNER, self._owner)
 
-    def bury(self, contacts: Mapping[str, Contact], names: PortNames) -> None:
-        """Remove what a dead predecessor of this worker left at the name server."""
+    def bury(self, contacts: Mapping[str, PortContact]) -> None:
+        """Unregister the ports of a dead predecessor of this worker."""
         for name, contact in contacts.items():
-            if not names.may_be(name):
+            if not self._context.names.may_be(name):
                 continue
             owner = [str(value) for value in self._naming.get_property(name, OWNER)]
             # One without an owner may have been killed before it was marked; a number may have gone to another program.
@@ -321,6 +275,8 @@ class OwnPorts:
     def connect(self) -> None:
         """Make the connections that are missing; those that take long are made meanwhile."""
         now = time.monotonic()
+        if (self._asking is None or self._asking.done()) and any(own.served for own in self._own.values()):
+            self._asking = self._links.submit(self._callers.turn)
         for name, own in self._own.items():
             if not own.links:
                 continue
@@ -339,20 +295,20 @@ class OwnPorts:
             for peer in [peer for peer, future in own.making.items() if future.done()]:
                 del own.making[peer]
 
-    def _link(self, own: Own, peer: str, link: Link) -> bool:
+    def _link(self, own: OwnPort, peer: str, link: PlannedLink) -> bool:
         key, problem = f"{own.core.name} {peer}", ""
         try:
             if self._naming.get_property(peer, OWNER):
                 problem = f"{peer} is a port of Midspan's; what it carries is not taken up again"
             elif self._naming.is_taken(own.core.name):  # while we stood still: its connection would end by ours
-                problem = f"{own.core.name} is the name of another program's port by now"
+                problem = f"{own.core.name} is the name of another program's port"
             elif own.plan.writes:
-                done, told = own.core.add_output(f"{link.carrier}:/{peer}" if link.carrier else peer)
-                problem = "" if done else f"{own.core.name}: {told}"
+                done, why = own.core.add_output(f"{link.carrier}:/{peer}" if link.carrier else peer)
+                problem = "" if done else f"{own.core.name}: {why}"
             else:
                 connections.connect(self._naming, peer, own.core.name, link.carrier, timeout=_CONNECT_SECONDS)
             if not problem and "@" in peer:
-                self._naming.set_property(peer, DAEMON, self._daemon)
+                self._naming.set_property(peer, DAEMON, self._context.daemon)
         except OSError as err:
             problem = str(err)
             self._graph.died(peer)
@@ -360,20 +316,21 @@ class OwnPorts:
             self._trouble[key] = 0.0, problem
         else:
             self._trouble.pop(key, None)
-        self._changed()
+        self._context.changed()
         return not problem
 
     # -- the end -------------------------------------------------------------------------------------------------------
 
-    def _close(self, owns: list[Own]) -> None:
-        """Close ports, all at once; what takes too long goes on without us."""
+    def _close(self, owns: list[OwnPort]) -> None:
+        """Close ports in parallel; those that take too long end on their own."""
         self._taken -= {own.core.name for own in owns}
         for own in owns:
             if own.output is not None:
                 own.output.drop(own.core)
-            if own.inlet is not None:
-                own.inlet.hear(None)
+            if own.input_port is not None:
+                own.input_port.deliver_to(None)
             if own.served is not None:
+                self._callers.leave(own.core)
                 own.served.close()
         ends = [self._ends.submit(partial(self._end, own.core)) for own in owns]
         deadline = time.monotonic() + _STOP_SECONDS
@@ -400,5 +357,5 @@ class OwnPorts:
         self._stopped = True
         owned, self._own = self._own, {}  # another thread may go through it
         self._close(list(owned.values()))
-        for crew in (self._links, self._ends):
-            crew.close(_LEAVE_SECONDS)
+        for pool in (self._links, self._ends):
+            pool.close(_LEAVE_SECONDS)

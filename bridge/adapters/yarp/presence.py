@@ -1,4 +1,4 @@
-"""Midspan's workers on one YARP network: who they are, and what they tell each other.
+"""The Midspan workers on one YARP network, and the records that they send each other.
 
 Each has a port ``/midspan/daemon/<id>`` and connects to all others'. Whoever dies is gone with his connections; one
 that stands still keeps them. The same port answers YARP programs: ``definition std_msgs/String``.
@@ -12,17 +12,16 @@ import threading
 import time
 from collections.abc import Callable, Mapping
 
-from bridge.adapters.base import Sighting
-from bridge.adapters.yarp.names import DAEMON, OWNER, PRESENCE
-from bridge.backoff import Backoff
+from bridge.adapters.yarp.graph import YarpContext
+from bridge.adapters.yarp.network import DAEMON, OWNER, PRESENCE
+from bridge.concurrency import Backoff
 from bridge.messages.errors import MessageTypeError
-from bridge.messages.registry import Registry
-from yarp_compat.naming.client import NameClient
-from yarp_compat.ports.events import ConnectionEvent
-from yarp_compat.ports.message import Message
+from bridge.routing.edge import Sighting
+from yarp_compat.ports.connections import ConnectionEvent
+from yarp_compat.ports.message import PortMessage
 from yarp_compat.ports.port import PortCore
 from yarp_compat.wire.binary import decode, encode
-from yarp_compat.wire.contact import Contact
+from yarp_compat.wire.contact import PortContact
 from yarp_compat.wire.errors import WireError
 from yarp_compat.wire.profile import Profile
 from yarp_compat.wire.values import Vocab
@@ -35,40 +34,24 @@ _AGAIN_LONGEST = 16.0
 """Seconds to the next try of a worker that is not to be reached; who died leaves its name behind for ever."""
 
 
-class Presence:
-    """This worker's port, and what is heard of the others.
+class WorkerPresence:
+    """This worker's port, and the last record of each other worker.
 
     Args:
-        own: id of this worker.
-        daemon: the daemon's name.
-        naming: the name server.
-        registry: for those who ask for definitions.
         changed: called when a worker came, left or told something.
-        wake: has `look` be called soon.
-        ip: address to listen on, None for the usual one.
     """
 
-    def __init__(
-        self,
-        own: str,
-        daemon: str,
-        naming: NameClient,
-        registry: Registry,
-        changed: Callable[[], None],
-        wake: Callable[[], None],
-        ip: str | None,
-    ) -> None:
-        self._daemon, self._own, self._registry = daemon, own, registry
-        self._changed, self._wake = changed, wake
-        self._naming = naming
+    def __init__(self, context: YarpContext, changed: Callable[[], None]) -> None:
+        self._context, self._naming, self._changed = context, context.naming, changed
         self._lock = threading.Lock()
         self._seen: dict[str, Sighting] = {}
-        self._tried: dict[str, tuple[Contact, Backoff, float]] = {}
+        self._tried: dict[str, tuple[PortContact, Backoff, float]] = {}
         self._looked_since = 0.0
         self._left = False
         self._core = PortCore(
-            PRESENCE + own, naming=naming, on_message=self._on_message, on_event=self._on_event, host=ip
-        )
+            PRESENCE + context.owner, naming=context.naming, on_message=self._on_message, on_event=self._on_event,
+            host=context.ip,
+        )  # fmt: skip
 
     @property
     def is_open(self) -> bool:
@@ -86,11 +69,11 @@ class Presence:
         self.mark()
 
     def mark(self) -> None:
-        """Tell the name server whose port it is."""
-        self._naming.set_property(self._core.name, OWNER, self._own)
-        self._naming.set_property(self._core.name, DAEMON, self._daemon)
+        """Mark the port as ours at the name server."""
+        self._naming.set_property(self._core.name, OWNER, self._context.owner)
+        self._naming.set_property(self._core.name, DAEMON, self._context.daemon)
 
-    def look(self, contacts: Mapping[str, Contact], started: float) -> None:
+    def look(self, contacts: Mapping[str, PortContact], started: float) -> None:
         """Find the others in the name server's list, which was asked for at ``started``."""
         others = {name: c for name, c in contacts.items() if name.startswith(PRESENCE) and name != self._core.name}
         out = {route.target for route in self._core.outputs()}
@@ -110,12 +93,12 @@ class Presence:
             self._looked_since = max(self._looked_since, started)
 
     def announce(self, record: bytes) -> None:
-        """Tell all others; never waits."""
+        """Send a record to all others; never waits."""
         if self._core.is_open:
             self._core.write(lambda profile: encode([record], profile))
 
     def sightings(self) -> list[Sighting]:
-        """The others that are there."""
+        """The other workers on the network."""
         with self._lock:
             return list(self._seen.values())
 
@@ -139,7 +122,7 @@ class Presence:
             self._see(other, None)
             if event.incoming:
                 self._tried.pop(other, None)
-            self._wake()  # to connect the other way too
+            self._context.changed()  # to connect the other way too
             return
         linked = {r.source for r in self._core.inputs()} | {r.target for r in self._core.outputs()}
         self._tried.pop(other, None)
@@ -148,7 +131,7 @@ class Presence:
         if gone:
             self._changed()
 
-    def _on_message(self, message: Message) -> None:
+    def _on_message(self, message: PortMessage) -> None:
         source = message.peer.route.source
         if message.wants_reply:
             with contextlib.suppress(WireError):
@@ -170,13 +153,13 @@ class Presence:
             self._seen[name] = Sighting(name, record, time.monotonic())
         self._changed()
 
-    def _answer(self, message: Message) -> list[object]:
-        """What a YARP program asked."""
+    def _answer(self, message: PortMessage) -> list[object]:
+        """The answer to a YARP program."""
         words = decode(message.payload, message.peer.profile)
         match words:
             case ["definition", str(name)]:
                 try:
-                    return [Vocab("ok"), self._registry.ros1(name).definition]
+                    return [Vocab("ok"), self._context.registry.ros1(name).definition]
                 except MessageTypeError as err:
                     return [Vocab("fail"), str(err)]
             case ["help"]:

@@ -4,13 +4,9 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from bridge.adapters.base import Edge
-from bridge.adapters.zenoh.json_keys import JsonKeysEdge
-from bridge.adapters.zenoh.ros1 import Ros1KeysEdge
-from bridge.adapters.zenoh.ros2dds import Ros2ddsEdge
 from bridge.config.model import Config
-from bridge.config.sections.zenoh import Dialect
 from bridge.messages.registry import Registry
+from bridge.routing.edge import Edge
 
 
 def make_edges(config: Config, registry: Registry, state: Path) -> dict[str, Edge]:
@@ -19,14 +15,19 @@ def make_edges(config: Config, registry: Registry, state: Path) -> dict[str, Edg
     json_keys = frozenset(str(key.key) for dialect in dialects if dialect.dialect == "json" for key in dialect.keys)
     edges: dict[str, Edge] = {}
     for dialect in dialects:
-        edge = _make(dialect, config, registry, state, json_keys)
+        edge: Edge
+        if dialect.dialect == "ros2dds":  # only the code of the dialects in use is loaded
+            from bridge.adapters.zenoh.ros2dds import Ros2ddsEdge
+
+            edge = Ros2ddsEdge(config, dialect, registry, state, json_keys)
+        elif dialect.dialect == "json":
+            from bridge.adapters.zenoh.json_keys import JsonKeysEdge
+
+            edge = JsonKeysEdge(config, dialect, registry, state)
+        else:
+            from bridge.adapters.zenoh.ros1 import Ros1KeysEdge
+
+            edge = Ros1KeysEdge(config, dialect, registry, state)
         number = sum(other.side == edge.side for other in edges.values()) + 1
         edges[edge.side if number == 1 else f"{edge.side}_{number}"] = edge
     return edges
-
-
-def _make(dialect: Dialect, config: Config, registry: Registry, state: Path, json_keys: frozenset[str]) -> Edge:
-    if dialect.dialect == "ros2dds":
-        return Ros2ddsEdge(config, dialect, registry, state, json_keys)
-    make = JsonKeysEdge if dialect.dialect == "json" else Ros1KeysEdge
-    return make(config, dialect, registry, state)

@@ -1,34 +1,33 @@
-"""What the edges of all key dialects share: a session of their own, Midspan's neighbours there, their endpoints."""
+"""The base of the key dialects' edges: a session of its own, Midspan's neighbours there, and endpoints."""
 
 from __future__ import annotations
 
-import contextlib
 import json
 import logging
 import threading
 import time
 from abc import abstractmethod
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from pathlib import Path
-from typing import Protocol
+from typing import Protocol, TypeVar
 from urllib.parse import quote
 
 import zenoh
 
-from bridge.adapters.base import Deliver, Edge, EdgeListener, Endpoint, Sighting
-from bridge.adapters.zenoh.inbox import Inbox, Lanes
-from bridge.adapters.zenoh.mark import new_zid
-from bridge.adapters.zenoh.neighbours import Neighbours, remember
+from bridge.adapters.side_edge import SideEdge
+from bridge.adapters.zenoh.neighbours import KeyNeighbours, new_zid, remember
+from bridge.adapters.zenoh.topics import Announcement, KeyContext
+from bridge.concurrency import SerialExecutor
 from bridge.config.model import Config
 from bridge.config.sections.zenoh import Dialect
-from bridge.hub.errands import Errands
+from bridge.hub.endpoints.calls import nothing
 from bridge.hub.errors import HubError, zenoh_reason
-from bridge.hub.origin import Origin
-from bridge.hub.qos import Qos
-from bridge.hub.settings import MAX_PAYLOAD, make_config, session_tree
-from bridge.messages.conversion import SideType
+from bridge.hub.graph.tokens import Origin
+from bridge.hub.zenoh_config import MAX_PAYLOAD, make_config, session_tree
 from bridge.messages.registry import Registry
+from bridge.messages.transcode.conversion import SideType
 from bridge.routing.dispatcher import Dispatcher
+from bridge.routing.edge import EdgeListener, Endpoint
 
 _log = logging.getLogger(__name__)
 
@@ -39,31 +38,33 @@ LINK_SECONDS = 0.5
 """Seconds after which a new link has told all tokens: asked at once, it answers with none."""
 
 
-class Part(Protocol):
-    """A publisher or subscription of ours."""
+class OwnEndpoint(Protocol):
+    """A publisher, subscription, client or server of ours."""
+
+    announcement: Announcement
 
     def close(self) -> None:
         """Give it back."""
 
 
-class KeyEdge(Edge):
-    """Joins one dialect on one zenoh network; ``scope`` tells it from others of the dialect there.
+AnyEndpoint = TypeVar("AnyEndpoint", bound=OwnEndpoint)
+
+
+class KeyEdge(SideEdge):
+    """Joins one dialect on one zenoh network; ``scope`` distinguishes it from others of the dialect there.
 
     Subclasses say what is on the graph and how endpoints are made.
     """
 
     def __init__(self, config: Config, dialect: Dialect, registry: Registry, state: Path, scope: str) -> None:
-        self.config, self.dialect, self.registry = config, dialect, registry
-        self.limit = config.limits.message_bytes
+        super().__init__(config, registry)
+        self.dialect = dialect
         self._scope = scope
         self._file = state / "zenoh" / f"{self.side}-{quote(scope, safe='')}"
         self._lock = threading.Lock()
-        self._parts: set[Part] = set()
-        self.errands = Errands(f"midspan-{self.side}-errands")
-        self._lanes: Lanes | None = None
-        self._listener: EdgeListener | None = None
-        self._session: zenoh.Session | None = None
-        self._neighbours: Neighbours | None = None
+        self._endpoints: set[OwnEndpoint] = set()
+        self._context: KeyContext | None = None
+        self._presence: KeyNeighbours | None = None
         self._linked_since: float | None = None
         self._stopping = threading.Event()
         self._ticker = threading.Thread(target=self._tick_on, name=f"midspan-{self.side}-tick", daemon=True)
@@ -73,12 +74,14 @@ class KeyEdge(Edge):
     def start(self, listener: EdgeListener) -> None:
         """Open the session; it joins the network when it can, and again after a cut."""
         self._listener = listener
-        session = self._session = _open(self.config)
-        zid = str(session.zid())
-        self._lanes = Lanes(*(Dispatcher(f"midspan-{self.side}-in-{size}") for size in ("small", "bulk")))
-        self._lanes.start()
-        past = remember(zid, self._file)
-        self._neighbours = Neighbours(
+        session, executor = _open(self._config), SerialExecutor(f"midspan-{self.side}-executor")
+        small, bulk = (Dispatcher(f"midspan-{self.side}-in-{size}") for size in ("small", "bulk"))
+        small.start()
+        bulk.start()
+        limit = self._config.limits.message_bytes
+        self._context = KeyContext(session, limit, executor, small, bulk, self._unregister)
+        past = remember(str(session.zid()), self._file)
+        self._presence = KeyNeighbours(
             session, self.side, self._scope, past, listener.graph_changed, listener.presence_changed
         )
         self.opened(session)
@@ -89,20 +92,20 @@ class KeyEdge(Edge):
         self._stopping.set()
         if self._ticker.is_alive():
             self._ticker.join(2.0)
-        session, self._session = self._session, None
-        if session is None:
+        context, self._context = self._context, None
+        if context is None:
             return
         with self._lock:
-            parts = list(self._parts)
-        for part in parts:
-            part.close()
+            endpoints = list(self._endpoints)
+        for endpoint in endpoints:
+            endpoint.close()
         self.closing()
-        if self._neighbours is not None:
-            self._neighbours.close()
-        self.errands.close()
-        session.close()  # type: ignore[no-untyped-call]
-        if self._lanes is not None:
-            self._lanes.stop()
+        if self._presence is not None:
+            self._presence.close()
+        context.executor.close()
+        context.session.close()  # type: ignore[no-untyped-call]
+        context.small.stop()
+        context.bulk.stop()
 
     @abstractmethod
     def opened(self, session: zenoh.Session) -> None:
@@ -116,86 +119,60 @@ class KeyEdge(Edge):
 
     def _tick_on(self) -> None:
         while not self._stopping.wait(TICK):
-            session, neighbours = self._session, self._neighbours
-            if session is None or neighbours is None:
+            context, neighbours = self._context, self._presence
+            if context is None or neighbours is None:
                 return
             try:
-                self._look_at_links(session)
+                info = context.session.info
+                linked = bool(info.routers_zid() or info.peers_zid())
+                if linked != (self._linked_since is not None):
+                    self._linked_since = time.monotonic() if linked else None
+                    self._graph_changed()
                 now = time.monotonic()
                 neighbours.tick(now)
                 self.tick(now)
             except Exception:
                 _log.exception("%s: a look at the time failed", self.side)
 
-    def _look_at_links(self, session: zenoh.Session) -> None:
-        linked = bool(session.info.routers_zid() or session.info.peers_zid())
-        if linked != (self._linked_since is not None):
-            self._linked_since = time.monotonic() if linked else None
-            self.changed()
-
     # -- the network ---------------------------------------------------------------------------------------------------
 
     @property
-    def session(self) -> zenoh.Session:
-        """The open session."""
-        if self._session is None:
-            msg = f"the {self.side} edge is not open"
-            raise RuntimeError(msg)
-        return self._session
+    def context(self) -> KeyContext:
+        """What our endpoints share, while the session is open."""
+        if self._context is None:
+            raise RuntimeError(f"the {self.side} edge is not open")
+        return self._context
 
     def network(self) -> str | None:
         """Our session's id, by which the others on this network know it; None while the session has no link."""
-        session = self._session
-        return str(session.zid()) if session is not None and self._linked_since is not None else None
+        context = self._context
+        return str(context.session.zid()) if context is not None and self._linked_since is not None else None
 
     def is_own_network(self, origin: Origin) -> bool:
         """Whether the origin's session is ours or one that is seen here."""
-        neighbours = self._neighbours
+        neighbours = self._presence
         return origin.side == self.side and (neighbours is None or neighbours.is_own(origin.network))
-
-    def announce(self, record: bytes) -> None:
-        """See `Edge.announce`."""
-        neighbours = self._neighbours
-        if neighbours is not None:
-            with contextlib.suppress(zenoh.ZError):  # the session is being closed
-                neighbours.announce(record)
-
-    def sightings(self) -> Sequence[Sighting]:
-        """See `Edge.sightings`; one that dies is gone when zenoh gives up its session, after its lease."""
-        return () if self._neighbours is None else self._neighbours.sightings()
 
     def settled(self, since: float) -> bool:
         """See `Edge.settled`: the network's routers and peers are asked for all tokens."""
-        linked, neighbours = self._linked_since, self._neighbours
+        linked, neighbours = self._linked_since, self._presence
         if linked is None or neighbours is None or time.monotonic() - linked < LINK_SECONDS:
             return False
         return neighbours.settled(since)
 
-    def changed(self) -> None:
-        """The graph changed; may be called from any thread."""
-        if self._listener is not None:
-            self._listener.graph_changed()
-
-    def learn(self, type_name: str, definition: str) -> None:
-        """See `Edge.learn`."""
-        self.registry.learn_ros2(type_name, definition)
-
     # -- endpoints of ours ---------------------------------------------------------------------------------------------
 
-    def inbox(self, deliver: Deliver, qos: Qos) -> Inbox:
-        """A queue for a new subscription."""
-        assert self._lanes is not None
-        return Inbox(deliver, qos, self._lanes)
-
-    def keep(self, part: Part) -> None:
-        """Close a part with the edge."""
+    def register(self, endpoint: AnyEndpoint, prepare: Callable[[], None] = nothing) -> AnyEndpoint:
+        """Close an endpoint with the edge, prepare and announce it; returns it."""
         with self._lock:
-            self._parts.add(part)
+            self._endpoints.add(endpoint)
+        prepare()
+        endpoint.announcement.publish()
+        return endpoint
 
-    def drop(self, part: Part) -> None:
-        """A part was closed."""
+    def _unregister(self, endpoint: OwnEndpoint) -> None:
         with self._lock:
-            self._parts.discard(part)
+            self._endpoints.discard(endpoint)
 
 
 def configured(
@@ -223,5 +200,4 @@ def _open(config: Config) -> zenoh.Session:
     try:
         return zenoh.open(settings)
     except zenoh.ZError as err:
-        msg = f"cannot join the network of the zenoh dialects: {zenoh_reason(err)}"
-        raise HubError(msg) from None
+        raise HubError(f"cannot join the network of the zenoh dialects: {zenoh_reason(err)}") from None

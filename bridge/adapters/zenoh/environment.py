@@ -1,15 +1,21 @@
-"""What a zenoh worker's process needs of its environment, and whether there is anything for it to do."""
+"""Whether a zenoh worker has anything to do, and the environment of its process."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 
 from bridge.config.model import Config
+from bridge.config.sections.section import Enabled
 
 
 def available(config: Config) -> str:
-    """Nothing where a dialect is configured; else why the worker has nothing to do."""
+    """Why the worker has nothing to do; "" where a dialect is configured."""
     return "" if config.zenoh.dialects else "no dialect is configured (zenoh.dialects)"
+
+
+def enabled(config: Config) -> Enabled:
+    """Off where no dialect is configured, whatever the key says."""
+    return config.zenoh.enabled if config.zenoh.dialects else False
 
 
 def worker_environment(config: Config, environ: Mapping[str, str]) -> dict[str, str]:  # noqa: ARG001 - as every side's

@@ -9,37 +9,26 @@ payload.
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Sequence
+import json
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import ClassVar
 
 import zenoh
 
-from bridge.adapters.base import (
-    Deliver,
-    EdgeCaller,
-    EdgePublisher,
-    EdgeServer,
-    EdgeSubscription,
-    Endpoint,
-    Kind,
-    MadeBy,
-)
 from bridge.adapters.zenoh.edge import KeyEdge
-from bridge.adapters.zenoh.json_text import cdr_to_text, text_to_cdr
-from bridge.adapters.zenoh.kept_publisher import KeptPublisher
-from bridge.adapters.zenoh.key_caller import KeyCaller
-from bridge.adapters.zenoh.key_server import KeyServer
-from bridge.adapters.zenoh.subscription import KeySubscription
+from bridge.adapters.zenoh.services import KeyCaller, KeyServer
+from bridge.adapters.zenoh.topics import Announcement, KeyPublisher, KeySubscription
 from bridge.config.model import Config
 from bridge.config.sections.zenoh import Dialect, DialectKey
-from bridge.hub.call import Call
-from bridge.hub.qos import Durability, Qos
-from bridge.messages.conversion import Conversion, ServiceConversion, SideType
-from bridge.messages.errors import MessageTypeError
+from bridge.hub.endpoints.calls import Call
+from bridge.hub.wire.qos import LATCHED, Qos
+from bridge.messages.errors import ConversionError
+from bridge.messages.json import from_json, to_json
 from bridge.messages.registry import Registry
+from bridge.messages.transcode.conversion import Conversion, ServiceConversion, SideType
+from bridge.routing.edge import Deliver, Endpoint, Kind, MadeBy
 
-_LATCHED = Qos(durability=Durability.TRANSIENT_LOCAL, depth=1)
 _ASK_SECONDS = 5.0
 _JSON = zenoh.Encoding.APPLICATION_JSON
 
@@ -71,7 +60,7 @@ class JsonKeysEdge(KeyEdge):
         ]
 
     def _endpoint(self, kind: Kind, key: DialectKey) -> Endpoint:
-        qos = _LATCHED if key.latched else Qos()
+        qos = LATCHED if key.latched else Qos()
         return Endpoint(str(key.key), kind, key.hub_topic, key.type, qos, MadeBy.NATIVE, f"zenoh key {key.key}")
 
     def why_not(self, topic: str, type_name: str) -> str:
@@ -87,18 +76,13 @@ class JsonKeysEdge(KeyEdge):
 
     def to_hub(self, endpoint: Endpoint) -> Conversion:
         """From JSON."""
-        known = self.registry.ros2(endpoint.type)
-        return Conversion(known, known, text_to_cdr(self.registry, endpoint.type))
+        known = self._registry.ros2(endpoint.type)
+        return Conversion(known, known, text_to_cdr(self._registry, endpoint.type))
 
     def from_hub(self, type_name: str, type_hash: str) -> Conversion:
         """To JSON; JSON names the fields, so that the definition must be the publisher's own."""
-        known = self.registry.ros2(type_name)
-        if type_hash and type_hash != known.type_id:
-            raise MessageTypeError(
-                f"{type_name}: its publisher has {type_hash}, this machine's definition has {known.type_id}",
-                "install the same version of the message package on both, or give its .msg folder in types.folders",
-            )
-        return Conversion(known, known, cdr_to_text(self.registry, type_name))
+        known = self._own_type(type_name, type_hash)
+        return Conversion(known, known, cdr_to_text(self._registry, type_name))
 
     def service_to_hub(self, endpoint: Endpoint) -> ServiceConversion:
         """From JSON and back."""
@@ -106,25 +90,24 @@ class JsonKeysEdge(KeyEdge):
 
     def service_from_hub(self, type_name: str, type_hash: str) -> ServiceConversion:
         """To JSON and back; JSON names the fields, so that the definition must be the server's own."""
-        known = self.registry.service_ros2(type_name, type_hash)
+        known = self._registry.service_ros2(type_name, type_hash)
         request, response = f"{known.name}_Request", f"{known.name}_Response"
         return ServiceConversion(
             known,
             known,
-            request_to_side=cdr_to_text(self.registry, request),
-            request_to_hub=text_to_cdr(self.registry, request),
-            response_to_side=cdr_to_text(self.registry, response),
-            response_to_hub=text_to_cdr(self.registry, response),
+            request_to_side=cdr_to_text(self._registry, request),
+            request_to_hub=text_to_cdr(self._registry, request),
+            response_to_side=cdr_to_text(self._registry, response),
+            response_to_hub=text_to_cdr(self._registry, response),
         )
 
     # -- endpoints of ours ---------------------------------------------------------------------------------------------
 
-    def subscribe(self, topic: str, side_type: SideType, qos: Qos, deliver: Deliver) -> EdgeSubscription:  # noqa: ARG002
-        """Hear a key; of a latched one, whoever answers a ``get`` (a program, a zenoh storage) is asked first."""
+    def subscribe(self, topic: str, side_type: SideType, qos: Qos, deliver: Deliver) -> KeySubscription:  # noqa: ARG002
+        """Subscribe to a key; of a latched one, a program or zenoh storage that answers a ``get`` is asked first."""
         key = self._in[topic]
         name = str(key.key)
-        part = KeySubscription(self.session, name, self.inbox(deliver, qos), lambda _sample: name, self.drop)
-        self.keep(part)
+        part = self.register(KeySubscription(self.context, name, qos, deliver, lambda _: name, Announcement()))
         if key.latched and qos.latched:
             self._ask(name, part)
         return part
@@ -136,39 +119,46 @@ class JsonKeysEdge(KeyEdge):
                 if source:
                     part.take(reply.ok, source)
 
-        self.session.get(
-            key,
-            zenoh.handlers.Callback(came, indirect=False),
-            timeout=_ASK_SECONDS,
-            allowed_destination=zenoh.Locality.REMOTE,
-        )
+        handler, remote = zenoh.handlers.Callback(came, indirect=False), zenoh.Locality.REMOTE
+        self.context.session.get(key, handler, timeout=_ASK_SECONDS, allowed_destination=remote)
 
-    def advertise(self, topic: str, side_type: SideType, qos: Qos) -> EdgePublisher:  # noqa: ARG002
+    def advertise(self, topic: str, side_type: SideType, qos: Qos) -> KeyPublisher:  # noqa: ARG002
         """Publish on a key."""
         key = str(self._out[topic].key)
-        publisher = KeptPublisher(self.session, key, qos, _JSON, self.drop, newest=True)
-        self.keep(publisher)
-        return publisher
+        return self.register(KeyPublisher(self.context, key, qos, Announcement(), encoding=_JSON, newest=True))
 
-    def caller(self, name: str, side_type: SideType) -> EdgeCaller:  # noqa: ARG002
+    def caller(self, name: str, side_type: SideType) -> KeyCaller:  # noqa: ARG002
         """Call a key by a ``get``."""
-        part = KeyCaller(
-            self.session, str(self._in[name].key), name, self.limit, self.errands, _nothing, self.drop, encoding=_JSON
-        )
-        self.keep(part)
-        return part
+        return self.register(KeyCaller(self.context, str(self._in[name].key), name, Announcement(), encoding=_JSON))
 
-    def serve(self, name: str, side_type: SideType, call: Call) -> EdgeServer:
+    def serve(self, name: str, side_type: SideType, call: Call) -> KeyServer:
         """Answer each ``get`` on a key."""
-        request, _ = self.registry.service_schemas(side_type.name, side_type.type_id)
+        request, _ = self._registry.service_schemas(side_type.name, side_type.type_id)
         nothing = None if request.root.fields else b"{}"
         key = str(self._out[name].key)
-        part = KeyServer(
-            self.session, key, name, self.limit, call, _nothing, self.drop, nothing=nothing, encoding=_JSON
-        )
-        self.keep(part)
-        return part
+        return self.register(KeyServer(self.context, key, name, call, Announcement(), nothing, _JSON))
 
 
-def _nothing() -> None:
-    """Nothing is announced."""
+def text_to_cdr(registry: Registry, type_name: str) -> Callable[[bytes], bytes]:
+    """The converter of JSON texts to CDR."""
+
+    def convert(text: bytes) -> bytes:
+        try:
+            value = json.loads(text)
+        except (ValueError, RecursionError) as err:
+            raise ConversionError(f"no JSON: {err}") from None
+        if not isinstance(value, dict):
+            raise ConversionError(f"a {type_name} is a JSON object with its fields, not {type(value).__name__}")
+        return from_json(registry, type_name, value)
+
+    return convert
+
+
+def cdr_to_text(registry: Registry, type_name: str) -> Callable[[bytes], bytes]:
+    """The converter of CDR to JSON texts in UTF-8."""
+
+    def convert(cdr: bytes) -> bytes:
+        value = to_json(registry, type_name, cdr)
+        return json.dumps(value, ensure_ascii=False, allow_nan=False, separators=(",", ":")).encode()
+
+    return convert

@@ -1,12 +1,16 @@
-"""Midspan's sessions on one network of keys: who they are, and what they announce.
+"""Midspan's own sessions on a network of keys: their mark, who they are, and what they announce.
 
 Each of our sessions declares the liveliness token ``@midspan/keys/<zid>/<side>/<scope>`` and publishes its records on
 the same key. The scope tells networks of one dialect apart that share a zenoh network: another namespace, other keys.
+
+The mark is the end of a session's id, which stands in the liveliness tokens of its endpoints, in the source info of
+each sample that Midspan sends, and in the time stamps that the session gives. Native sessions have random ids.
 """
 
 from __future__ import annotations
 
 import contextlib
+import secrets
 import threading
 import time
 from collections.abc import Callable
@@ -15,9 +19,43 @@ from urllib.parse import quote
 
 import zenoh
 
-from bridge.adapters.base import Sighting
-from bridge.adapters.keep import keep
-from bridge.adapters.zenoh.mark import is_marked
+from bridge.hub.zenoh_compat import follow_tokens, subscribe, undeclare
+from bridge.routing.edge import Sighting
+from bridge.state_file import keep
+
+MARK = "6d7370616e7a"
+"""Last twelve hex digits of a marked id."""
+
+_DIGITS = 32
+
+
+def new_zid() -> str:
+    """A random session id that carries the mark; zenoh takes up to 32 hex digits, the first not 0."""
+    return secrets.choice("123456789abcdef") + secrets.token_hex(_DIGITS // 2)[: _DIGITS - 1 - len(MARK)] + MARK
+
+
+def is_marked(zid: str) -> bool:
+    """Whether a session is Midspan's."""
+    return len(zid) == _DIGITS and zid.endswith(MARK)
+
+
+def sender(sample: zenoh.Sample) -> str:
+    """The session that sent a sample, "" where the sample does not name it.
+
+    Without source info it is the session that gave the time stamp, which may be a router on the way.
+    """
+    info = sample.source_info
+    if info is not None:
+        return str(info.source_id.zid)
+    stamp = sample.timestamp
+    return "" if stamp is None else str(stamp.get_id())
+
+
+def time_ns(sample: zenoh.Sample) -> int | None:
+    """A sample's time stamp in nanoseconds of system time; set by its source, or by the first router on its way."""
+    stamp = sample.timestamp
+    return None if stamp is None else int(stamp.get_time_as_ntp64().as_nanos())
+
 
 SPACE = "@midspan/keys"
 DISCOVERY_SECONDS = 1.5
@@ -29,12 +67,10 @@ _MAX_UNSURE = 4096
 _LOOK_SECONDS = 5.0
 
 
-class Neighbours:
+class KeyNeighbours:
     """Follows Midspan's other sessions of our side and scope.
 
     Args:
-        session: our session, marked.
-        side: the side's name.
         scope: what tells this network from others of the side on the same zenoh network.
         past: ids of this daemon's own past sessions.
         graph_changed: called when what `is_own` says may have changed.
@@ -57,7 +93,7 @@ class Neighbours:
         self._lock = threading.Lock()
         self._seen: dict[str, Sighting] = {}
         self._unsure: dict[str, float] = {}
-        self._told: set[str] = set()
+        self._settled: set[str] = set()
         self._looking_since: float | None = None
         self._looked_since = 0.0
         space = f"{SPACE}/*/{self._place}"
@@ -68,16 +104,7 @@ class Neighbours:
             express=True,
             allowed_destination=zenoh.Locality.REMOTE,
         )
-        self._subscribers = [
-            session.liveliness().declare_subscriber(
-                space, zenoh.handlers.Callback(self._on_token, indirect=False), history=True
-            ),
-            session.declare_subscriber(
-                space,
-                zenoh.handlers.Callback(self._on_record, indirect=False),
-                allowed_origin=zenoh.Locality.REMOTE,
-            ),
-        ]
+        self._subscribers = follow_tokens(session, space, self._on_token), subscribe(session, space, self._on_record)
         self._token = session.liveliness().declare_token(f"{SPACE}/{self._own}/{self._place}")
 
     def is_own(self, zid: str) -> bool:
@@ -88,14 +115,14 @@ class Neighbours:
         with self._lock:
             if len(self._unsure) > _MAX_UNSURE:
                 self._unsure.clear()
-                self._told.clear()
+                self._settled.clear()
             return now - self._unsure.setdefault(zid, now) < DISCOVERY_SECONDS
 
     def tick(self, now: float) -> None:
-        """Tell when the moment of an unknown session is over."""
+        """Report that an unknown session has had its time to appear."""
         with self._lock:
-            over = {z for z, since in self._unsure.items() if now - since >= DISCOVERY_SECONDS} - self._told
-            self._told |= over
+            over = {z for z, since in self._unsure.items() if now - since >= DISCOVERY_SECONDS} - self._settled
+            self._settled |= over
         if over:
             self._graph_changed()
 
@@ -103,10 +130,11 @@ class Neighbours:
 
     def announce(self, record: bytes) -> None:
         """Send a record to all neighbours."""
-        self._publisher.put(record)
+        with contextlib.suppress(zenoh.ZError):  # the session is being closed
+            self._publisher.put(record)
 
     def sightings(self) -> list[Sighting]:
-        """The neighbours that are there."""
+        """The neighbours on the network."""
         with self._lock:
             return [sighting for zid, sighting in self._seen.items() if zid not in self._past]
 
@@ -164,10 +192,7 @@ class Neighbours:
 
     def close(self) -> None:
         """Leave."""
-        withdraw = [self._token.undeclare, self._publisher.undeclare, *(s.undeclare for s in self._subscribers)]
-        for undeclare in withdraw:
-            with contextlib.suppress(zenoh.ZError):
-                undeclare()  # type: ignore[no-untyped-call]
+        undeclare(self._token, self._publisher, *self._subscribers)
 
 
 def remember(own: str, file: Path) -> frozenset[str]:

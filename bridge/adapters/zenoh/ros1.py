@@ -1,4 +1,4 @@
-"""The edge of the ros1 dialect: keys as zenoh-plugin-ros1 makes them; see `ros1_keys` and `ros1_aloha`.
+"""The edge of the ros1 dialect: keys as zenoh-plugin-ros1 makes them; see `ros1_discovery`.
 
 Samples tell nothing of who put them there, so all native bridges of one key are one publisher. Whether a ROS 1
 publisher latches is not told: for topics that usually are latched, the configuration's ``latched`` has the hub keep
@@ -8,6 +8,7 @@ the last message. Actions of ROS 1 are topics, and cross as such.
 from __future__ import annotations
 
 import contextlib
+import time
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
@@ -16,36 +17,22 @@ from typing import ClassVar
 
 import zenoh
 
-from bridge.adapters.base import (
-    Deliver,
-    EdgeCaller,
-    EdgePublisher,
-    EdgeServer,
-    EdgeSubscription,
-    Endpoint,
-    Kind,
-    MadeBy,
-)
 from bridge.adapters.ros1 import names
-from bridge.adapters.zenoh.announcement import Announcement
 from bridge.adapters.zenoh.edge import KeyEdge, configured
-from bridge.adapters.zenoh.key_caller import KeyCaller
-from bridge.adapters.zenoh.key_server import KeyServer
-from bridge.adapters.zenoh.ros1_aloha import Aloha
-from bridge.adapters.zenoh.ros1_keys import Topic, data_key
-from bridge.adapters.zenoh.ros1_publisher import Ros1KeyPublisher
-from bridge.adapters.zenoh.subscription import KeySubscription
+from bridge.adapters.zenoh.ros1_discovery import Aloha, AnnouncedTopic, data_key
+from bridge.adapters.zenoh.services import KeyCaller, KeyServer
+from bridge.adapters.zenoh.topics import Announcement, KeyContext, KeyPublisher, KeySubscription
 from bridge.config.model import Config
 from bridge.config.sections.zenoh import Dialect
-from bridge.hub.call import Call
-from bridge.hub.qos import Durability, Qos
-from bridge.messages.conversion import Conversion, ServiceConversion, SideType
+from bridge.hub.endpoints.calls import Call
+from bridge.hub.wire.qos import LATCHED, Qos
+from bridge.messages.actions import split
 from bridge.messages.errors import ConversionError, MessageTypeError
 from bridge.messages.registry import Registry
-from bridge.routing.patterns import glob_regex
-from bridge.routing.subject import split
+from bridge.messages.transcode.conversion import Conversion, ServiceConversion, SideType
+from bridge.routing.edge import Deliver, Endpoint, Kind, MadeBy
+from bridge.routing.rules import glob_regex
 
-_LATCHED = Qos(durability=Durability.TRANSIENT_LOCAL, depth=1)
 _NODE = "zenoh-bridge-ros1"
 _SERVICES = (Kind.SERVER, Kind.CLIENT)
 _MAX_ERROR = 4096
@@ -65,16 +52,16 @@ class Ros1KeysEdge(KeyEdge):
         self._aloha: Aloha | None = None
 
     def opened(self, session: zenoh.Session) -> None:
-        """See `KeyEdge.opened`."""
-        self._aloha = Aloha(session, self._namespace, self.changed, self._newcomer)
+        """See `KeyEdge`."""
+        self._aloha = Aloha(session, self._namespace, self._graph_changed, self._newcomer)
 
     def closing(self) -> None:
-        """See `KeyEdge.closing`."""
+        """See `KeyEdge`."""
         if self._aloha is not None:
             self._aloha.close()
 
     def tick(self, now: float) -> None:
-        """See `KeyEdge.tick`."""
+        """See `KeyEdge`."""
         if self._aloha is not None:
             self._aloha.tick(now)
         for publisher in self._publishers():
@@ -82,7 +69,7 @@ class Ros1KeysEdge(KeyEdge):
 
     def _publishers(self) -> list[Ros1KeyPublisher]:
         with self._lock:
-            return [part for part in self._parts if isinstance(part, Ros1KeyPublisher)]
+            return [part for part in self._endpoints if isinstance(part, Ros1KeyPublisher)]
 
     def _newcomer(self, topic: str, first: bool) -> None:
         for publisher in self._publishers():
@@ -92,37 +79,34 @@ class Ros1KeysEdge(KeyEdge):
     # -- the graph -----------------------------------------------------------------------------------------------------
 
     def endpoints(self) -> Sequence[Endpoint]:
-        """What bridges tell, and the publishers that the configuration names."""
-        told = [] if self._aloha is None else self._aloha.topics()
+        """The endpoints that bridges announce, and the publishers that the configuration names."""
+        announced = [] if self._aloha is None else self._aloha.topics()
 
         def plain(topic: str, known: SideType) -> Endpoint:
-            return self._endpoint(Kind.PUBLISHER, Topic(topic, known.name, known.type_id))
+            return self._endpoint(Kind.PUBLISHER, AnnouncedTopic(topic, known.name, known.type_id))
 
-        found = [self._endpoint(kind, topic) for kind, topic in told]
-        found += configured(self.dialect, self._ros1, plain)
+        found = [self._endpoint(kind, topic) for kind, topic in announced]
+        found += configured(self.dialect, lambda ros2_name: self._registry.hub_to_ros1(ros2_name).target, plain)
         with self._lock:
             self._names.learn(e.topic for e in found)
         return list({(e.kind, e.id): e for e in found}.values())
 
-    def _ros1(self, ros2_name: str) -> SideType:
-        return self.registry.hub_to_ros1(ros2_name).target
-
-    def _endpoint(self, kind: Kind, topic: Topic) -> Endpoint:
+    def _endpoint(self, kind: Kind, topic: AnnouncedTopic) -> Endpoint:
         if topic.md5 == "*":  # told by who takes any definition: ours stands for it
             with contextlib.suppress(MessageTypeError):
                 topic = replace(topic, md5=self._md5(kind, topic.type))
         latched = kind is Kind.PUBLISHER and any(glob.fullmatch(topic.name) for glob in self._latched)
-        qos = _LATCHED if latched else Qos()
+        qos = LATCHED if latched else Qos()
         key = data_key(topic, self._namespace)
         return Endpoint(key, kind, topic.name, topic.type, qos, MadeBy.NATIVE, _NODE, topic.md5)
 
     def _md5(self, kind: Kind, type_name: str) -> str:
         if kind in _SERVICES:
-            return self.registry.service_ros1_to_hub(type_name).side.type_id
-        return self.registry.ros1(type_name).type_id
+            return self._registry.service_ros1_to_hub(type_name).side.type_id
+        return self._registry.ros1(type_name).type_id
 
     def why_not(self, topic: str, type_name: str) -> str:
-        """The services and topics of a ROS 2 action are none of ROS 1."""
+        """Leaves out the services and topics of ROS 2 actions, which ROS 1 has not."""
         action = split(topic)[1] and ("/action/" in type_name or type_name.startswith("action_msgs/"))
         return "actions of ROS 2 do not cross to the ros1 dialect" if action else ""
 
@@ -134,20 +118,20 @@ class Ros1KeysEdge(KeyEdge):
 
     def to_hub(self, endpoint: Endpoint) -> Conversion:
         """See `Edge.to_hub`; no definition comes with the key, so that the type must be known here."""
-        return self.registry.ros1_to_hub(endpoint.type, endpoint.type_id)
+        return self._registry.ros1_to_hub(endpoint.type, endpoint.type_id)
 
     def from_hub(self, type_name: str, type_hash: str) -> Conversion:
-        """See `Edge.from_hub`."""
-        return self.registry.hub_to_ros1(type_name, type_hash)
+        """See `KeyEdge`."""
+        return self._registry.hub_to_ros1(type_name, type_hash)
 
     def service_to_hub(self, endpoint: Endpoint) -> ServiceConversion:
-        """See `Edge.service_to_hub`; a reply that is the text of an error is told as one."""
-        known = self.registry.service_ros1_to_hub(endpoint.type, endpoint.type_id)
+        """See `Edge.service_to_hub`; a reply that is the text of an error becomes an error."""
+        known = self._registry.service_ros1_to_hub(endpoint.type, endpoint.type_id)
         return replace(known, response_to_hub=_or_failed(known.response_to_hub))
 
     def service_from_hub(self, type_name: str, type_hash: str) -> ServiceConversion:
-        """See `Edge.service_from_hub`."""
-        return self.registry.service_hub_to_ros1(type_name, type_hash)
+        """See `KeyEdge`."""
+        return self._registry.service_hub_to_ros1(type_name, type_hash)
 
     def side_name(self, hub_name: str) -> str:
         """The ROS 1 spelling of a hub topic name; see `bridge.adapters.ros1.names`."""
@@ -159,57 +143,31 @@ class Ros1KeysEdge(KeyEdge):
 
     # -- endpoints of ours ---------------------------------------------------------------------------------------------
 
-    def subscribe(self, topic: str, side_type: SideType, qos: Qos, deliver: Deliver) -> EdgeSubscription:
-        """Hear a topic's key, whatever the bridges' namespaces where ours is ``*``."""
-        assert self._aloha is not None
-        name = Topic(topic, side_type.name, side_type.type_id)
-        announcement = Announcement(partial(self._aloha.tell, Kind.SUBSCRIPTION, name))
-        key = data_key(name, self._namespace)
+    def subscribe(self, topic: str, side_type: SideType, qos: Qos, deliver: Deliver) -> KeySubscription:
+        """Subscribe to a topic's key, whatever the bridges' namespaces where ours is ``*``."""
+        key, announcement = self._announcement(Kind.SUBSCRIPTION, topic, side_type)
+        return self.register(KeySubscription(self.context, key, qos, deliver, lambda _sample: key, announcement))
 
-        def closed(part: KeySubscription) -> None:
-            announcement.withdraw()
-            self.drop(part)
+    def advertise(self, topic: str, side_type: SideType, qos: Qos) -> Ros1KeyPublisher:
+        """Publish on a topic's key, and announce it to the bridges."""
+        key, announcement = self._announcement(Kind.PUBLISHER, topic, side_type)
+        return self.register(Ros1KeyPublisher(self.context, topic, key, qos, announcement))
 
-        part = KeySubscription(self.session, key, self.inbox(deliver, qos), lambda _sample: key, closed)
-        self.keep(part)
-        announcement.tell()
-        return part
-
-    def advertise(self, topic: str, side_type: SideType, qos: Qos) -> EdgePublisher:
-        """Publish on a topic's key, and tell the bridges."""
-        assert self._aloha is not None
-        name = Topic(topic, side_type.name, side_type.type_id)
-        announcement = Announcement(partial(self._aloha.tell, Kind.PUBLISHER, name))
-        key = data_key(name, self._namespace)
-        publisher = Ros1KeyPublisher(self.session, topic, key, qos, announcement.withdraw, self.drop)
-        self.keep(publisher)
-        announcement.tell()
-        return publisher
-
-    def caller(self, name: str, side_type: SideType) -> EdgeCaller:
-        """Call a service's key, and tell the bridges."""
+    def caller(self, name: str, side_type: SideType) -> KeyCaller:
+        """Call a service's key, and announce that to the bridges."""
         key, announcement = self._announcement(Kind.CLIENT, name, side_type)
-        part = KeyCaller(self.session, key, name, self.limit, self.errands, announcement.withdraw, self.drop)
-        self.keep(part)
-        announcement.tell()
-        return part
+        return self.register(KeyCaller(self.context, key, name, announcement))
 
-    def serve(self, name: str, side_type: SideType, call: Call) -> EdgeServer:
-        """Serve a service's key, whatever the namespace of the bridge that asks, and tell the bridges."""
+    def serve(self, name: str, side_type: SideType, call: Call) -> KeyServer:
+        """Serve a service's key, whatever the asking bridge's namespace, and announce it to the bridges."""
         key, announcement = self._announcement(Kind.SERVER, name, side_type)
-        any_namespace = data_key(Topic(name, side_type.name, side_type.type_id), "*")
-        part = KeyServer(
-            self.session, key, name, self.limit, call, announcement.withdraw, self.drop, nothing=b"",
-            asked=any_namespace,
-        )  # fmt: skip
-        self.keep(part)
-        announcement.tell()
-        return part
+        any_namespace = data_key(AnnouncedTopic(name, side_type.name, side_type.type_id), "*")
+        return self.register(KeyServer(self.context, key, name, call, announcement, nothing=b"", asked=any_namespace))
 
     def _announcement(self, kind: Kind, name: str, side_type: SideType) -> tuple[str, Announcement]:
         assert self._aloha is not None
-        topic = Topic(name, side_type.name, side_type.type_id)
-        return data_key(topic, self._namespace), Announcement(partial(self._aloha.tell, kind, topic))
+        topic = AnnouncedTopic(name, side_type.name, side_type.type_id)
+        return data_key(topic, self._namespace), Announcement(partial(self._aloha.announce, kind, topic))
 
 
 def _or_failed(convert: Callable[[bytes], bytes] | None) -> Callable[[bytes], bytes] | None:
@@ -223,7 +181,48 @@ def _or_failed(convert: Callable[[bytes], bytes] | None) -> Callable[[bytes], by
             text = reply[:_MAX_ERROR].decode(errors="replace")
             if not text or not text.isprintable():
                 raise
-            msg = f"the server failed: {text}"
-            raise ConversionError(msg) from None
+            raise ConversionError(f"the server failed: {text}") from None
 
     return converted
+
+
+AGAIN = 3.0
+"""Seconds between two times that what is kept is put again for further bridges."""
+
+_SETTLE = 0.5
+"""Seconds that a bridge which tells that it subscribes is given to do so."""
+
+
+class Ros1KeyPublisher(KeyPublisher):
+    """A topic of ours in the ros1 dialect.
+
+    The dialect has no latching: its subscribers are zenoh's plain ones, and nobody asks for what was said before. What
+    a latched publisher keeps is put again when somebody subscribes who did not hear it, as far as the wire tells: when
+    the key gets its first subscriber, and when another bridge begins to tell that it subscribes. Whoever heard it
+    before hears it again then. A plain ``get`` on the key is answered with it too.
+    """
+
+    def __init__(self, context: KeyContext, topic: str, key: str, qos: Qos, announcement: Announcement) -> None:
+        super().__init__(context, key, qos, announcement)
+        self.topic = topic
+        self._due: float | None = None
+        self._last = -AGAIN
+        if qos.latched:
+            self.watch(self._matched)
+
+    def _matched(self) -> None:
+        self._due = time.monotonic()
+
+    def newcomer(self, *, first: bool) -> None:
+        """A bridge begins to announce a subscription, the topic's first one or another."""
+        now = time.monotonic()
+        if not self._qos.latched or self._due is not None or (first and now - self._last < AGAIN):
+            return  # the first one has had it as the key's first subscriber
+        self._due = max(now + _SETTLE, self._last + AGAIN)
+
+    def tick(self, now: float) -> None:
+        """Put the latched messages again when they are due."""
+        due = self._due
+        if due is not None and now >= due:
+            self._due, self._last = None, now
+            self.put_again()

@@ -17,36 +17,22 @@ from typing import ClassVar
 
 import zenoh
 
-from bridge.adapters.base import (
-    Deliver,
-    EdgeCaller,
-    EdgePublisher,
-    EdgeServer,
-    EdgeSubscription,
-    Endpoint,
-    Kind,
-    MadeBy,
-)
-from bridge.adapters.zenoh.announcement import Announcement
 from bridge.adapters.zenoh.edge import KeyEdge, configured
-from bridge.adapters.zenoh.key_caller import KeyCaller
-from bridge.adapters.zenoh.key_server import KeyServer
-from bridge.adapters.zenoh.ros2dds_announcer import Announcer
-from bridge.adapters.zenoh.ros2dds_graph import Graph, endpoint_id
-from bridge.adapters.zenoh.ros2dds_publisher import Ros2ddsPublisher
-from bridge.adapters.zenoh.ros2dds_subscription import LatchedSubscription
-from bridge.adapters.zenoh.subscription import KeySubscription
+from bridge.adapters.zenoh.ros2dds_graph import Ros2ddsGraph, TokenAnnouncer, endpoint_id
+from bridge.adapters.zenoh.ros2dds_topics import LatchedSubscription, Ros2ddsPublisher
+from bridge.adapters.zenoh.services import KeyCaller, KeyServer
+from bridge.adapters.zenoh.topics import Announcement, KeySubscription
+from bridge.concurrency import DelayedCalls
 from bridge.config.model import Config
 from bridge.config.sections.zenoh import Dialect
-from bridge.hub.call import Abandon, Call, CallError, Done
-from bridge.hub.latched import Heartbeats
-from bridge.hub.qos import Qos
-from bridge.messages.conversion import Conversion, ServiceConversion, SideType
-from bridge.messages.errors import MessageTypeError
-from bridge.messages.refusals import refusal
+from bridge.hub.endpoints.calls import Abandon, Call, CallError, Done
+from bridge.hub.wire.qos import Qos
 from bridge.messages.registry import Registry
-from bridge.routing.route import joint_qos
-from bridge.routing.static_tf import TF_TYPE
+from bridge.messages.transcode.conversion import Conversion, ServiceConversion, SideType
+from bridge.messages.values import refusal
+from bridge.routing.edge import Deliver, Endpoint, Kind, MadeBy
+from bridge.routing.limits import combined_qos
+from bridge.routing.rewrites import TF_TYPE
 
 _EMPTY = b"\0\1\0\0\0"
 """A message without fields in CDR; it has one byte, as every structure of ROS 2 has."""
@@ -70,44 +56,44 @@ class Ros2ddsEdge(KeyEdge):
         self._prefix = f"{namespace}/" if namespace else ""
         self._json_keys = json_keys
         self._plain = {self._prefix + str(key.topic)[1:] for key in dialect.keys}
-        self._heartbeats = Heartbeats(f"midspan-{self.side}-heartbeats")
-        self._graph: Graph | None = None
-        self._announcer: Announcer | None = None
+        self._heartbeats = DelayedCalls(f"midspan-{self.side}-heartbeats")
+        self._graph: Ros2ddsGraph | None = None
+        self._announcer: TokenAnnouncer | None = None
 
     def opened(self, session: zenoh.Session) -> None:
-        """See `KeyEdge.opened`."""
-        self._announcer = Announcer(session)
-        self._graph = Graph(session, self._prefix, self._graph_changed)
+        """See `KeyEdge`."""
+        self._announcer = TokenAnnouncer(session)
+        self._graph = Ros2ddsGraph(session, self._prefix, self._tokens_changed)
 
     def closing(self) -> None:
-        """See `KeyEdge.closing`."""
-        self._heartbeats.close()
+        """See `KeyEdge`."""
+        self._heartbeats.close(1.0)
         if self._graph is not None and self._announcer is not None:
             self._graph.close()
             self._announcer.close()
 
     # -- the graph -----------------------------------------------------------------------------------------------------
 
-    def _graph_changed(self) -> None:
+    def _tokens_changed(self) -> None:
         graph = self._graph
         if graph is not None:
             with self._lock:
-                latched = [part for part in self._parts if isinstance(part, LatchedSubscription)]
+                latched = [part for part in self._endpoints if isinstance(part, LatchedSubscription)]
             for subscription in latched:
-                subscription.ask_for(_told_depth(graph, subscription.key))
-        self.changed()
+                subscription.ask_for(_announced_depth(graph, subscription.key))
+        self._graph_changed()
 
     def endpoints(self) -> Sequence[Endpoint]:
-        """What bridges announce, and the publishers that the configuration names."""
-        told = [] if self._graph is None else self._graph.endpoints()
-        return [e for e in told if self._key(e.topic) not in self._json_keys] + self._plain_endpoints()
+        """The endpoints that bridges announce, and the publishers that the configuration names."""
+        announced = [] if self._graph is None else self._graph.endpoints()
+        return [e for e in announced if self._key(e.topic) not in self._json_keys] + self._plain_endpoints()
 
     def _plain_endpoints(self) -> list[Endpoint]:
         def endpoint(topic: str, known: SideType) -> Endpoint:
             id_ = endpoint_id(PLAIN, self._key(topic))
             return Endpoint(id_, Kind.PUBLISHER, topic, known.name, Qos(), MadeBy.NATIVE, PLAIN, known.type_id)
 
-        return configured(self.dialect, self.registry.ros2, endpoint)
+        return configured(self.dialect, self._registry.ros2, endpoint)
 
     def why_not(self, topic: str, type_name: str) -> str:  # noqa: ARG002
         """A key cannot carry CDR and JSON at once."""
@@ -131,69 +117,50 @@ class Ros2ddsEdge(KeyEdge):
 
     def to_hub(self, endpoint: Endpoint) -> Conversion:
         """The same bytes, checked: plain zenoh programs may put anything on a key."""
-        return self._same(endpoint.type, endpoint.type_id)
+        return self._same_bytes(endpoint.type, endpoint.type_id)
 
     def from_hub(self, type_name: str, type_hash: str) -> Conversion:
         """The same bytes, checked: the plugin writes them to DDS as they are."""
-        return self._same(type_name, type_hash)
+        return self._same_bytes(type_name, type_hash)
 
     def service_to_hub(self, endpoint: Endpoint) -> ServiceConversion:
-        """The same bytes, checked; no token tells the hash of a service's type."""
+        """The same bytes, checked; no token carries the hash of a service's type."""
         return self.service_from_hub(endpoint.type, "")
 
     def service_from_hub(self, type_name: str, type_hash: str) -> ServiceConversion:
         """The same bytes, checked."""
-        known = self.registry.service_ros2(type_name, type_hash)
-        request, response = self.registry.hub_service_check(type_name, type_hash)
-        return ServiceConversion(known, known, request, request, response, response)
-
-    def _same(self, type_name: str, type_hash: str) -> Conversion:
-        known = self.registry.ros2(type_name)
-        if type_hash and type_hash != known.type_id:
-            raise MessageTypeError(
-                f"{type_name}: its publisher has {type_hash}, this machine's definition has {known.type_id}",
-                "install the same version of the message package on both, or give its .msg folder in types.folders",
-            )
-        return Conversion(known, known, self.registry.hub_check(type_name))
+        return self._same_service(type_name, type_hash)
 
     # -- endpoints of ours ---------------------------------------------------------------------------------------------
 
-    def subscribe(self, topic: str, side_type: SideType, qos: Qos, deliver: Deliver) -> EdgeSubscription:
-        """Hear a key; the token that asks for it has the QoS of those who publish there."""
+    def subscribe(self, topic: str, side_type: SideType, qos: Qos, deliver: Deliver) -> KeySubscription:
+        """Subscribe to a key; our token has the QoS of its publishers."""
         graph, announcer = self._graph, self._announcer
         assert graph is not None
         assert announcer is not None
         key = self._key(topic)
-        told = [token.qos for token in graph.publishers(key) if token.type == side_type.name]
-        announcement = self._announcement(Kind.SUBSCRIPTION, key, side_type, joint_qos(told) if told else Qos())
-
-        def closed(part: KeySubscription) -> None:
-            announcement.withdraw()
-            self.drop(part)
+        announced = [token.qos for token in graph.publishers(key) if token.type == side_type.name]
+        announcement = self._announcement(
+            Kind.SUBSCRIPTION, key, side_type, combined_qos(announced) if announced else Qos()
+        )
 
         def source_of(sample: zenoh.Sample) -> str:
             return self._source_of(graph, key, side_type, sample)
 
-        inbox = self.inbox(deliver, qos)
         if qos.latched:
             static = side_type.name == TF_TYPE
 
             def depth(source: str) -> int:
-                return qos.depth if static else _depth_of(graph, key, source)
+                depths = (t.qos.depth for t in graph.publishers(key) if endpoint_id(t.zid, key) == source)
+                return qos.depth if static else next(depths, 1)
 
-            wanted = qos.depth if static else _told_depth(graph, key)
-            part: KeySubscription = LatchedSubscription(
-                self.session, key, inbox, source_of, closed, depth, wanted, self.errands
-            )
-        else:
-            part = KeySubscription(self.session, key, inbox, source_of, closed)
-        self.keep(part)
-        if isinstance(part, LatchedSubscription):
-            part.ask_for(_told_depth(graph, key))  # whoever was told since it was made has passed it by
-        announcement.tell()
-        return part
+            wanted = qos.depth if static else _announced_depth(graph, key)
+            part = LatchedSubscription(self.context, key, qos, deliver, source_of, announcement, depth, wanted)
+            # whoever was told since it was made has passed it by
+            return self.register(part, lambda: part.ask_for(_announced_depth(graph, key)))
+        return self.register(KeySubscription(self.context, key, qos, deliver, source_of, announcement))
 
-    def _source_of(self, graph: Graph, key: str, side_type: SideType, sample: zenoh.Sample) -> str:
+    def _source_of(self, graph: Ros2ddsGraph, key: str, side_type: SideType, sample: zenoh.Sample) -> str:
         """The endpoint that a sample is from.
 
         A bridge's time stamp tells its session; a plain program's tells its own or a router's. What is nobody's that is
@@ -208,20 +175,17 @@ class Ros2ddsEdge(KeyEdge):
             return endpoint_id(bridge, key)  # its token for this key is on the way
         return next((endpoint_id(t.zid, key) for t in graph.publishers(key) if t.type == side_type.name), "")
 
-    def advertise(self, topic: str, side_type: SideType, qos: Qos) -> EdgePublisher:
-        """Publish on a key, and tell the bridges."""
+    def advertise(self, topic: str, side_type: SideType, qos: Qos) -> Ros2ddsPublisher:
+        """Publish on a key, and announce it to the bridges."""
         key = self._key(topic)
         announcement = self._announcement(Kind.PUBLISHER, key, side_type, qos)
-        publisher = Ros2ddsPublisher(self.session, key, qos, self._heartbeats, announcement.withdraw, self.drop)
-        self.keep(publisher)
-        announcement.tell()
-        return publisher
+        return self.register(Ros2ddsPublisher(self.context, key, qos, self._heartbeats, announcement))
 
     def _announcement(self, kind: Kind, key: str, side_type: SideType, qos: Qos) -> Announcement:
         assert self._announcer is not None
-        return Announcement(partial(self._announcer.tell, kind, key, side_type, qos))
+        return Announcement(partial(self._announcer.announce, kind, key, side_type, qos))
 
-    def caller(self, name: str, side_type: SideType) -> EdgeCaller:
+    def caller(self, name: str, side_type: SideType) -> KeyCaller:
         """Call a key; each request has an id, as those of the plugin's clients."""
         key = self._key(name)
         client = secrets.token_bytes(8)
@@ -230,23 +194,18 @@ class Ros2ddsEdge(KeyEdge):
             return _REQUEST_ID + client + number.to_bytes(8, "little") + b"\1"
 
         announcement = self._announcement(Kind.CLIENT, key, side_type, Qos())
-        part = KeyCaller(
-            self.session, key, name, self.limit, self.errands, announcement.withdraw, self.drop, request_id
-        )
-        self.keep(part)
-        announcement.tell()
-        return part
+        return self.register(KeyCaller(self.context, key, name, announcement, request_id))
 
-    def serve(self, name: str, side_type: SideType, call: Call) -> EdgeServer:
-        """Serve a key, and tell the bridges.
+    def serve(self, name: str, side_type: SideType, call: Call) -> KeyServer:
+        """Serve a key, and announce it to the bridges.
 
         A bridge passes over zenoh's error reply, since DDS has none: its client waits. An action's clients get the
         reply that says no, where there is one.
         """
         key = self._key(name)
-        request, _ = self.registry.service_schemas(side_type.name, side_type.type_id)
+        request, _ = self._registry.service_schemas(side_type.name, side_type.type_id)
         nothing = None if request.root.fields else _EMPTY
-        refuse = refusal(self.registry, side_type.name, side_type.type_id)
+        refuse = refusal(self._registry, side_type.name, side_type.type_id)
 
         def ask(data: bytes, done: Done) -> Abandon:
             if refuse is None:
@@ -254,16 +213,8 @@ class Ros2ddsEdge(KeyEdge):
             return call(data, lambda result: done(refuse() if isinstance(result, CallError) else result))
 
         announcement = self._announcement(Kind.SERVER, key, side_type, Qos())
-        part = KeyServer(self.session, key, name, self.limit, ask, announcement.withdraw, self.drop, nothing)
-        self.keep(part)
-        announcement.tell()
-        return part
+        return self.register(KeyServer(self.context, key, name, ask, announcement, nothing))
 
 
-def _told_depth(graph: Graph, key: str) -> int:
+def _announced_depth(graph: Ros2ddsGraph, key: str) -> int:
     return max((token.qos.depth for token in graph.publishers(key)), default=1)
-
-
-def _depth_of(graph: Graph, key: str, source: str) -> int:
-    depths = (token.qos.depth for token in graph.publishers(key) if endpoint_id(token.zid, key) == source)
-    return next(depths, 1)

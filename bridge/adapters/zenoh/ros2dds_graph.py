@@ -1,4 +1,4 @@
-"""The topics, services and actions that bridges of the ros2dds dialect announce on a network."""
+"""The topics, services and actions that bridges of the ros2dds dialect announce, and the tokens of our own."""
 
 from __future__ import annotations
 
@@ -8,24 +8,33 @@ from collections.abc import Callable
 
 import zenoh
 
-from bridge.adapters.base import Endpoint, Kind, MadeBy
 from bridge.adapters.zenoh import ros2dds_tokens as tokens
-from bridge.adapters.zenoh.mark import is_marked, sender
-from bridge.adapters.zenoh.ros2dds_tokens import Token
-from bridge.hub.errors import WireError
+from bridge.adapters.zenoh.neighbours import is_marked, sender
+from bridge.adapters.zenoh.ros2dds_tokens import (
+    ACTION_PARTS,
+    Token,
+    action_end,
+    action_key,
+    action_of,
+    alive_key,
+    token_key,
+)
+from bridge.hub.errors import HubWireError
+from bridge.hub.wire.qos import Qos
+from bridge.hub.zenoh_compat import follow_tokens, undeclare
+from bridge.messages.transcode.conversion import SideType
+from bridge.routing.edge import Endpoint, Kind, MadeBy
 
 _log = logging.getLogger(__name__)
 
 _MAX_TOKENS = 50_000
 
 
-class Graph:
+class Ros2ddsGraph:
     """Follows the tokens of all bridges. Safe to use from any thread.
 
     Args:
-        session: the dialect's session.
         prefix: the namespace that keys begin with, ``""`` or as ``robot1/``; other keys are not ours.
-        changed: called after each change.
     """
 
     def __init__(self, session: zenoh.Session, prefix: str, changed: Callable[[], None]) -> None:
@@ -36,12 +45,10 @@ class Graph:
         self._bridges: set[str] = set()
         self._publishers: dict[str, dict[str, Token]] = {}
         self._refused = 0
-        self._subscriber = session.liveliness().declare_subscriber(
-            tokens.ALL, zenoh.handlers.Callback(self._on_token, indirect=False), history=True
-        )
+        self._subscriber = follow_tokens(session, tokens.ALL, self._on_token)
 
     def endpoints(self) -> list[Endpoint]:
-        """Every topic and service of every other bridge; of one told twice the newest counts."""
+        """Every topic and service of every other bridge; of one that is announced twice the newest counts."""
         with self._lock:
             known = [token for tokens_ in self._tokens.values() for token in tokens_]
         found: dict[tuple[str, Kind], Endpoint] = {}
@@ -76,8 +83,8 @@ class Graph:
         return [f"{self._refused} tokens of ros2dds bridges are left out: see the log"] if self._refused else []
 
     def close(self) -> None:
-        """Hear no more."""
-        self._subscriber.undeclare()  # type: ignore[no-untyped-call]
+        """Stop following the tokens."""
+        undeclare(self._subscriber)
 
     def _on_token(self, sample: zenoh.Sample) -> None:
         text = str(sample.key_expr)
@@ -86,8 +93,8 @@ class Graph:
             return
         put = sample.kind == zenoh.SampleKind.PUT
         try:
-            told = tokens.parse(text)
-        except WireError as err:
+            announced = tokens.parse(text)
+        except HubWireError as err:
             if put:
                 level = logging.DEBUG if self._refused else logging.WARNING
                 self._refused += 1
@@ -95,9 +102,9 @@ class Graph:
             return
         with self._lock:
             self._count(zid, text, put=put)
-            if not told or not all(token.key.startswith(self._prefix) for token in told):
+            if not announced or not all(token.key.startswith(self._prefix) for token in announced):
                 return
-            changed = self._put(text, told) if put else self._delete(text)
+            changed = self._put(text, announced) if put else self._delete(text)
         if changed:
             self._changed()
 
@@ -109,26 +116,101 @@ class Graph:
             else:
                 self._bridges.discard(zid)
 
-    def _put(self, text: str, told: tuple[Token, ...]) -> bool:
+    def _put(self, text: str, announced: tuple[Token, ...]) -> bool:
         if len(self._tokens) >= _MAX_TOKENS:
             return False
-        self._tokens[text] = told
-        for token in told:
+        self._tokens[text] = announced
+        for token in announced:
             if token.kind is Kind.PUBLISHER and not is_marked(token.zid):
                 self._publishers.setdefault(token.key, {})[token.zid] = token
         return True
 
     def _delete(self, text: str) -> bool:
-        told = self._tokens.pop(text, ())
-        for token in told:
+        announced = self._tokens.pop(text, ())
+        for token in announced:
             at_key = self._publishers.get(token.key, {})
             if at_key.get(token.zid) == token:
                 del at_key[token.zid]
                 if not at_key:
                     del self._publishers[token.key]
-        return bool(told)
+        return bool(announced)
 
 
 def endpoint_id(zid: str, key: str) -> str:
     """The id of a bridge's endpoint for a key."""
     return f"{zid} {key}"
+
+
+_NAMING = "_SendGoal", "_GetResult"
+"""The types of parts that tell the action's."""
+
+
+class TokenAnnouncer:
+    """Our own tokens: one for each key and kind, with the QoS of the most that we offer or ask for there.
+
+    An action has one token for the whole, as long as its goals or its results are served or called by us. A server's
+    comes once all five of its parts are there, as the plugin's does (``src/node_info.rs``): who sends a goal
+    then hears its first feedback.
+
+    The plugin takes up a route when the first token of a session for a key comes, and drops it when any of them goes;
+    so the old token goes before one with another QoS comes (its ``src/routes_mgr.rs``).
+    """
+
+    def __init__(self, session: zenoh.Session) -> None:
+        self._session = session
+        self._zid = str(session.zid())
+        self._lock = threading.Lock()
+        self._wanted: dict[tuple[Kind, str], list[Token]] = {}
+        self._announced: dict[tuple[Kind, str], tuple[str, zenoh.LivelinessToken]] = {}
+        self._alive = session.liveliness().declare_token(alive_key(self._zid))
+
+    def announce(self, kind: Kind, key: str, side_type: SideType, qos: Qos) -> Callable[[], None]:
+        """Announce a topic or a service until the returned function is called."""
+        token = Token(self._zid, kind, key, side_type.name, side_type.type_id, qos)
+        action = action_of(key)
+        place = (action_end(kind), action) if action else (kind, key)
+        with self._lock:
+            self._wanted.setdefault(place, []).append(token)
+            self._settle(place)
+
+        def withdraw() -> None:
+            with self._lock:
+                self._wanted[place].remove(token)
+                self._settle(place)
+
+        return withdraw
+
+    def _settle(self, place: tuple[Kind, str]) -> None:
+        wanted, announced = self._wanted[place], self._announced.get(place)
+        text = _text(wanted, begun=announced is not None)
+        if announced is not None and announced[0] == text:
+            return
+        if announced is not None:
+            del self._announced[place]
+            undeclare(announced[1])
+        if text:
+            self._announced[place] = text, self._session.liveliness().declare_token(text)
+        if not wanted:
+            del self._wanted[place]
+
+    def close(self) -> None:
+        """Leave."""
+        with self._lock:
+            undeclare(self._alive)
+
+
+def _text(wanted: list[Token], *, begun: bool) -> str:
+    """The key of the token that announces all of these, "" while it is too early for one.
+
+    Args:
+        wanted: a topic's, a service's or one end of an action's parts.
+        begun: it has been said already.
+    """
+    if not wanted:
+        return ""
+    if not action_of(wanted[0].key):
+        return token_key(max(wanted, key=lambda t: (t.qos.latched, t.qos.depth)))
+    named = [token for token in wanted if token.type.endswith(_NAMING)]
+    served = any(token.kind is Kind.SERVER for token in named)
+    whole = len({token.key for token in wanted}) == ACTION_PARTS
+    return action_key(named[-1]) if named and (begun or whole or not served) else ""

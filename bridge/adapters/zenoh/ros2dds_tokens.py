@@ -1,4 +1,4 @@
-"""Liveliness tokens of zenoh-plugin-ros2dds, by which bridges of its kind tell each other topics, services and actions.
+"""Liveliness tokens of zenoh-plugin-ros2dds, by which its bridges announce topics, services and actions.
 
 ``@/<zid>/@ros2_lv`` says that a bridge lives. ``@/<zid>/@ros2_lv/MP/<key>/<type>/<qos>`` is a topic that its ROS 2
 nodes publish, ``MS`` one that they subscribe to; in key and type a slash is written ``§``. The QoS is ``<K where
@@ -14,10 +14,11 @@ from __future__ import annotations
 import re
 from dataclasses import dataclass
 
-from bridge.adapters.base import Kind
-from bridge.hub.errors import WireError
-from bridge.hub.qos import Durability, History, Qos, Reliability
-from bridge.messages.parts import CANCEL_GOAL
+from bridge.hub.errors import HubWireError
+from bridge.hub.wire.qos import Durability, History, Qos, Reliability
+from bridge.messages.actions import split
+from bridge.messages.definitions.parts import CANCEL_GOAL
+from bridge.routing.edge import Kind
 
 ALL = "@/*/@ros2_lv/**"
 ACTION_PARTS = 5
@@ -32,7 +33,6 @@ _MIDDLES = {"M": "msg", "S": "srv", "A": "action"}
 _MAX_TOKEN = 4096
 _KEY = re.compile(r"[A-Za-z_][A-Za-z0-9_]*(?:/[A-Za-z_][A-Za-z0-9_]*)*")
 _TYPE = re.compile(r"[A-Za-z]\w*/(msg|srv|action)/[A-Za-z]\w*", re.ASCII)
-_PART = re.compile(r"(.+)/_action/(?:send_goal|cancel_goal|get_result|feedback|status)")
 _HASH = re.compile(r"(?:^|;)typehash=(RIHS[0-9]{2}_[0-9a-f]{1,128})(?:;|$)")
 
 # DDS's numbers (ddsi, dds_reliability_kind and so on)
@@ -45,7 +45,7 @@ _STATUS = Qos(Reliability.RELIABLE, Durability.TRANSIENT_LOCAL, depth=1)
 
 @dataclass(frozen=True, slots=True)
 class Token:
-    """A topic or service of a bridge; ``key`` is its zenoh key, ``type_hash`` "" where it is not told."""
+    """A topic or service of a bridge; ``key`` is its zenoh key, ``type_hash`` "" where it is not announced."""
 
     zid: str
     kind: Kind
@@ -78,9 +78,8 @@ def action_end(kind: Kind) -> Kind:
 
 
 def action_of(key: str) -> str:
-    """The key of the action that a topic or a service is a part of; "" where it is none."""
-    found = _PART.fullmatch(key)
-    return found.group(1) if found else ""
+    """The key of the action that a topic or a service belongs to, "" if it belongs to none."""
+    return split(key)[0]
 
 
 def zid_of(key: str) -> str:
@@ -89,38 +88,34 @@ def zid_of(key: str) -> str:
 
 
 def parse(key: str) -> tuple[Token, ...]:
-    """Read a token: the topic or service that it tells of, or all five of an action; none for the bridge itself.
+    """Read a token: the topic or service that it announces, or all five of an action; empty for the bridge's own.
 
     Raises:
         WireError: it is none of the plugin's, or its key or type is no name of ROS 2.
     """
     parts = key.split("/", 7)
     if len(key) > _MAX_TOKEN or parts[0] != "@" or len(parts) < 3 or parts[2] != "@ros2_lv":
-        msg = "no token of the ros2dds plugin"
-        raise WireError(msg)
+        raise HubWireError("no token of the ros2dds plugin")
     if len(parts) == 3:
         return ()
     letters = parts[3]
     if letters not in (_TOPICS | _SERVICES | _ACTIONS) or len(parts) != (7 if letters in _TOPICS else 6):
-        msg = f"token of {len(parts)} parts of the kind {letters[:20]!r}"
-        raise WireError(msg)
+        raise HubWireError(f"token of {len(parts)} parts of the kind {letters[:20]!r}")
     zid, name, type_name = parts[1], _unescape(parts[4]), _unescape(parts[5])
     if not _KEY.fullmatch(name):
-        msg = f"{name[:80]!r} is no ROS 2 name"
-        raise WireError(msg)
+        raise HubWireError(f"{name[:80]!r} is not a ROS 2 name")
     found = _TYPE.fullmatch(type_name)
     if found is None or found.group(1) != _MIDDLES[letters[0]]:
-        msg = f"{type_name[:80]!r} is no ROS 2 {_MIDDLES[letters[0]]} type"
-        raise WireError(msg)
+        raise HubWireError(f"{type_name[:80]!r} is not a ROS 2 {_MIDDLES[letters[0]]} type")
     if letters in _ACTIONS:
-        return _parts(zid, *_ACTIONS[letters], name, type_name)
+        return _endpoints(zid, *_ACTIONS[letters], name, type_name)
     if letters in _SERVICES:
         return (Token(zid, _SERVICES[letters], name, type_name, "", Qos()),)
     qos, type_hash = _read_qos(parts[6], _TOPICS[letters])
     return (Token(zid, _TOPICS[letters], name, type_name, type_hash, qos),)
 
 
-def _parts(zid: str, service: Kind, topic: Kind, name: str, type_name: str) -> tuple[Token, ...]:
+def _endpoints(zid: str, service: Kind, topic: Kind, name: str, type_name: str) -> tuple[Token, ...]:
     """The services and topics of an action, with the QoS that the plugin gives them."""
     return tuple(
         Token(zid, kind, f"{name}/_action/{part}", of_type, "", qos)
@@ -153,12 +148,10 @@ def _qos_text(qos: Qos, type_hash: str) -> str:
 def _read_qos(text: str, kind: Kind) -> tuple[Qos, str]:
     fields = text.split(":", 4)
     if len(fields) < 4:
-        msg = f"quality of service {text[:80]!r} has {len(fields)} fields instead of 4 or 5"
-        raise WireError(msg)
+        raise HubWireError(f"quality of service {text[:80]!r} has {len(fields)} fields instead of 4 or 5")
     history, comma, depth = fields[3].partition(",")
     if fields[3] and not comma:
-        msg = f"history {fields[3][:40]!r} is not of the form kind,depth"
-        raise WireError(msg)
+        raise HubWireError(f"history {fields[3][:40]!r} is not of the form kind,depth")
     # DDS's defaults: a writer is reliable, a reader is not
     reliable = _number(fields[1], int(kind is Kind.PUBLISHER)) == _RELIABLE
     latched = _number(fields[2], 0) >= _TRANSIENT_LOCAL
@@ -180,6 +173,5 @@ def _number(text: str, default: int) -> int:
     except ValueError:
         value = -2
     if not (-1 <= value < 2**31) or len(text) > 11:
-        msg = f"quality of service has {text[:40]!r} where a number belongs"
-        raise WireError(msg)
+        raise HubWireError(f"quality of service has {text[:40]!r} where a number belongs")
     return value

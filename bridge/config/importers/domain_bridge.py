@@ -20,10 +20,8 @@ from typing import Any, Literal
 
 from pydantic import Field
 
-from bridge.config.document import Document, KeyPath, read
-from bridge.config.importers.draft import Draft, RuleDraft, missing
-from bridge.config.importers.peerfile import NOT_CARRIED, checked, topic_name, type_name
-from bridge.config.problems import ConfigError, Problem
+from bridge.config.document import ConfigError, Document, KeyPath, Problem, read
+from bridge.config.importers.draft import NOT_CARRIED, Draft, RuleDraft, checked, missing, topic_name, type_name
 from bridge.config.sections.section import Section
 
 MAX_DEPTH = 100_000
@@ -109,13 +107,9 @@ class _Import:
 
 
 def drafts(file: Path) -> tuple[list[Draft], list[Problem]]:
-    """Turn a configuration of domain_bridge into one for each of its domains.
+    """Turn domain_bridge's file into a configuration for each domain, and notes on what has no counterpart.
 
-    Returns:
-        The configurations, and what of the file has no counterpart in them.
-
-    Raises:
-        ConfigError: with all that is wrong in the file.
+    Raises `ConfigError` with all mistakes in the file.
     """
     document = read(file, repeating=("topics",))
     if not isinstance(document.data, dict) or not document.data.keys() & set(_KEYS):
@@ -185,9 +179,7 @@ def _domain(job: _Import, path: KeyPath, entry: Topic, key: str) -> int:
     own, general = getattr(entry, key), getattr(job.top, key)
     domain: int | None = general if own is None else own
     if domain is None:
-        raise ConfigError(
-            [job.document.problem(path, f"has no {key}; give it here or at the top of the file", at_key=True)]
-        )
+        raise ConfigError([job.document.problem(path, f"has no {key}; give it here or at the file's top", at_key=True)])
     return domain
 
 

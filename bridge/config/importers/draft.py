@@ -1,29 +1,27 @@
-"""A configuration that an import makes, with the comments that say where each part comes from and what is missing."""
+"""Files of an import: the peer's that is read, and the configuration that is made, with comments on its sources."""
 
 from __future__ import annotations
 
+import copy
+import re
 import textwrap
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import yaml
+from pydantic import BaseModel, ValidationError
 
-from bridge.config.problems import Problem
+from bridge.config.document import ConfigError, Document, KeyPath, Problem, key_text
+from bridge.config.problems import problems
 
 WIDTH = 116
 
 
 @dataclass(slots=True)
 class RuleDraft:
-    """One rule, with its comments.
-
-    Attributes:
-        source: where it comes from, ``file:line``.
-        rule: its keys and values as in the file.
-        notes: what of its source has no counterpart here.
-    """
+    """One rule as in the file, with its source (``file:line``), and notes on what has no counterpart here."""
 
     source: str
     rule: dict[str, Any]
@@ -32,15 +30,7 @@ class RuleDraft:
 
 @dataclass(slots=True)
 class Draft:
-    """One configuration.
-
-    Attributes:
-        name: of the file, where several are written.
-        head: paragraphs of comment at its top.
-        sections: all but the rules.
-        hints: commented-out lines, by the section that they belong to.
-        rules: the rules; what they do not name does not cross.
-    """
+    """One configuration: paragraphs of comment at its top, sections, commented-out lines by section, and rules."""
 
     name: str
     head: list[str]
@@ -99,3 +89,72 @@ def missing(notes: Iterable[Problem]) -> list[str]:
     """Paragraphs that list what is not carried over."""
     lines = [f"- {_short(note)}" for note in notes]
     return ["What has no counterpart here:", *lines] if lines else []
+
+
+NOT_CARRIED = "not carried over"
+
+M = TypeVar("M", bound=BaseModel)
+
+_NAME = re.compile(r"/?[A-Za-z][A-Za-z0-9_]*(/[A-Za-z][A-Za-z0-9_]*)*")
+_TYPE = re.compile(r"([a-z][a-z0-9_]*)/(?:(?:msg|srv|action)/)?([A-Z][A-Za-z0-9]*)")
+
+
+def checked(document: Document, path: KeyPath, model: type[M]) -> tuple[M, list[Problem]]:
+    """The part of a file at ``path`` as a model, and notes on the keys that the model does not have.
+
+    Raises `ConfigError`: values are missing or of the wrong kind.
+    """
+    part = _part(document, path)
+    try:
+        return model.model_validate(part.data), []
+    except ValidationError as err:
+        errors = err.errors(include_url=False)
+    unknown = [e for e in errors if e["type"] == "extra_forbidden"]
+    if len(unknown) < len(errors):
+        wrong = [e for e in errors if e not in unknown]
+        raise ConfigError(_prefixed(path, problems(part, model, wrong)))
+    rest = copy.deepcopy(part.data)
+    for error in unknown:
+        _remove(rest, error["loc"])
+    notes = [replace(p, text=f"{p.text}; {NOT_CARRIED}") for p in problems(part, model, unknown)]
+    return model.model_validate(rest), _prefixed(path, notes)
+
+
+def _part(document: Document, path: KeyPath) -> Document:
+    """A part of a document as one of its own."""
+    data = document.data
+    for key in path:
+        data = data[key]
+    length = len(path)
+    keys, values = (
+        {known[length:]: place for known, place in places.items() if known[:length] == path}
+        for places in (document.keys, document.values)
+    )
+    return Document(document.file, data, keys, values)
+
+
+def _prefixed(path: KeyPath, problems: Sequence[Problem]) -> list[Problem]:
+    before = key_text(path)
+    return [replace(p, key=".".join(filter(None, (before, p.key)))) for p in problems]
+
+
+def _remove(data: Any, location: tuple[str | int, ...]) -> None:
+    for key in location[:-1]:
+        data = data[key]
+    del data[location[-1]]
+
+
+def topic_name(document: Document, path: KeyPath, name: str) -> str:
+    """A topic's absolute name; raises `ConfigError` where it is none."""
+    if not _NAME.fullmatch(name):
+        text = f"{name!r} is not a topic name: letters, digits and underscores make its parts, and slashes part them"
+        raise ConfigError([document.problem(path, text)])
+    return name if name.startswith("/") else f"/{name}"
+
+
+def type_name(document: Document, path: KeyPath, name: str) -> str:
+    """A message type as ROS 2 spells it; raises `ConfigError` where it is none."""
+    match = _TYPE.fullmatch(name)
+    if match is None or "/srv/" in name or "/action/" in name:
+        raise ConfigError([document.problem(path, f"{name!r} is not a message type, such as std_msgs/msg/String")])
+    return f"{match[1]}/msg/{match[2]}"

@@ -15,10 +15,8 @@ from typing import Any, Literal
 
 from pydantic import Field
 
-from bridge.config.document import Document, KeyPath, key_text, read
-from bridge.config.importers.draft import Draft, RuleDraft, missing
-from bridge.config.importers.peerfile import NOT_CARRIED, checked, topic_name, type_name
-from bridge.config.problems import ConfigError, Problem
+from bridge.config.document import ConfigError, Document, KeyPath, Problem, key_text, read
+from bridge.config.importers.draft import NOT_CARRIED, Draft, RuleDraft, checked, missing, topic_name, type_name
 from bridge.config.sections.section import Section
 
 MAX_DEPTH = 100_000
@@ -74,17 +72,9 @@ class _Import:
 
 
 def draft(file: Path, mapping_rules: Sequence[Path] = ()) -> tuple[Draft, list[Problem]]:
-    """Turn a parameter file into a configuration.
+    """Turn ros1_bridge's parameter file and mapping rules into a configuration, and notes on what has no counterpart.
 
-    Args:
-        file: the file that ros1_bridge's parameters are loaded from.
-        mapping_rules: mapping-rule files that the bridge was built with.
-
-    Returns:
-        The configuration, and what of the file has no counterpart in it.
-
-    Raises:
-        ConfigError: with all that is wrong in the file.
+    Raises `ConfigError` with all mistakes in the file.
     """
     document = read(file)
     if isinstance(document.data, list) and any(
@@ -103,10 +93,7 @@ def draft(file: Path, mapping_rules: Sequence[Path] = ()) -> tuple[Draft, list[P
     sections: dict[str, Any] = {"ros1": {"enabled": True}, "ros2": {"enabled": True}}
     if mapping_rules:
         sections["types"] = {"mapping_rules": [str(path.absolute()) for path in mapping_rules]}
-    head = [
-        f"Midspan's configuration, made from ros1_bridge's {file.name} by 'midspan import ros1_bridge'.",
-        _HEAD,
-    ]
+    head = [f"Midspan's configuration, made from ros1_bridge's {file.name} by 'midspan import ros1_bridge'.", _HEAD]
     wide = ["localhost_only: false   # nodes of other machines, which ros1_bridge hears as well"]
     return Draft(file.stem, head + missing(job.notes), sections, {"ros2": wide}, job.rules), everything
 

@@ -7,28 +7,24 @@ from typing import Literal
 
 from pydantic import Field, field_validator
 
-from bridge.config.sections.module import ModuleSection
-from bridge.config.sections.section import Section
+from bridge.config.sections.section import PORT, ModuleSection, Section, differ, setting, subsection
 
 DEGREES = "degrees per second"
-_PORTS = r"^(/[^\s/\"'*()\[\]{}]+)+$"
 
 
 class BaseInput(Section):
     """Who may command the base, by which ports and topics, and until when a command holds."""
 
-    name: str = Field(min_length=1, description="As people know it.")
-    timeout: float = Field(
-        default=0.1, gt=0.0, le=5.0, description="Seconds after its last command in which the base is told to stop."
+    name: str = Field(min_length=1, description="The name that people know it by.")
+    timeout: float = setting(0.1, "Seconds after its last command at which the base stops.", gt=0.0, le=5.0)
+    ports: tuple[str, ...] = setting(
+        (),
+        "YARP ports below `prefix`: `input/joystick` opens `input/joystick/rpc:i` and `.../data:i`, as YARP's"
+        " `mobileBaseVelocityControl_nws_yarp` does; `aux_control:i` takes a `MobileBaseVelocity`; other names that"
+        " end in `:i` take the Bottle `(type a b c gain)` of joysticks and RobotGoto.",
     )
-    ports: tuple[str, ...] = Field(
-        default=(),
-        description="YARP ports, below `prefix`: `input/joystick` opens `input/joystick/rpc:i` and `.../data:i`, as"
-        " YARP's `mobileBaseVelocityControl_nws_yarp` does; `aux_control:i` takes a `MobileBaseVelocity` and any other"
-        " name in `:i` the Bottle `(type a b c gain)` of joysticks and RobotGoto.",
-    )
-    twist: tuple[str, ...] = Field(default=(), description="Topics of `Twist` and `TwistStamped`, m/s and rad/s.")
-    joy: tuple[str, ...] = Field(default=(), description="Topics of `Joy`.")
+    twist: tuple[str, ...] = setting((), "Topics of `Twist` and `TwistStamped`, m/s and rad/s.")
+    joy: tuple[str, ...] = setting((), "Topics of `Joy`.")
 
 
 INPUTS = (
@@ -45,89 +41,57 @@ INPUTS = (
 class JoySection(Section):
     """How a gamepad's `Joy` messages drive."""
 
-    linear_axis: int = Field(default=1, ge=0, le=63, description="The axis that drives forward.")
-    side_axis: int | None = Field(default=None, ge=0, le=63, description="The axis that drives to the left.")
-    angular_axis: int = Field(default=0, ge=0, le=63, description="The axis that turns to the left.")
-    enable_button: int | None = Field(
-        default=4, ge=0, le=63, description="The button to be held while driving; empty for none."
-    )
+    linear_axis: int = setting(1, "The axis that drives forward.", ge=0, le=63)
+    side_axis: int | None = setting(None, "The axis that drives to the left.", ge=0, le=63)
+    angular_axis: int = setting(0, "The axis that turns to the left.", ge=0, le=63)
+    enable_button: int | None = setting(4, "The button to hold while driving; empty: none.", ge=0, le=63)
 
 
 class BaseControlSection(ModuleSection):
     """The driver of a mobile base. Measures and limits are those of R1 unless told otherwise."""
 
-    ini: Path | None = Field(
-        default=None,
-        description="A `baseCtrl` file of an existing robot, read as it is; what stands here beside it is stronger.",
+    ini: Path | None = setting(None, "A `baseCtrl` file of an existing robot; keys set here override it.")
+    kind: str = setting("cer", "`cer`: two wheels, as R1; `ikart_V1`: three omnidirectional wheels.")
+    wheel_radius: float = setting(0.16416, "Metres (`geom_r`).", gt=0.0, lt=10.0)
+    wheel_distance: float = setting(
+        0.338, "Metres between the two wheels; `ikart_V1`: from the centre to a wheel (`geom_L`).", gt=0.0, lt=10.0
     )
-    kind: str = Field(default="cer", description="`cer`: two wheels, as R1; `ikart_V1`: three omnidirectional wheels.")
-    wheel_radius: float = Field(default=0.16416, gt=0.0, lt=10.0, description="Metres (`geom_r`).")
-    wheel_distance: float = Field(
-        default=0.338,
-        gt=0.0,
-        lt=10.0,
-        description="Metres between the two wheels, or from the centre to a wheel of `ikart_V1` (`geom_L`).",
+    joints: tuple[str, ...] = setting((), "The wheels' joints in the driver's order; empty: R1's or iKart's.")
+    period: float = setting(0.02, "Seconds between two commands to the wheels.", ge=0.001, le=0.1)
+    max_linear_vel: float = setting(0.3, "Metres per second.", gt=0.0, le=10.0)
+    max_angular_vel: float = setting(30.0, f"{DEGREES.capitalize()}.", gt=0.0, le=720.0)
+    max_linear_acc: float = setting(0.3, "Metres per second squared.", gt=0.0, le=100.0)
+    max_angular_acc: float = setting(80.0, f"{DEGREES.capitalize()} squared.", gt=0.0, le=7200.0)
+    max_linear_brake: float | None = setting(None, "The same while slowing down; empty: the same.", gt=0.0, le=100.0)
+    max_angular_brake: float | None = setting(None, "The same for turning.", gt=0.0, le=7200.0)
+    max_motor_vel: float = setting(100.0, f"Maximum of any wheel, {DEGREES}; all slow alike.", gt=0.0, le=7200.0)
+    linear_angular_ratio: float | None = setting(
+        None, "Driving's share if driving and turning together ask for too much; empty: no sharing.", ge=0.0, le=1.0
     )
-    joints: tuple[str, ...] = Field(
-        default=(), description="The wheels' joints as the driver names them, in order; empty for R1's or iKart's."
+    input_filter: Literal[0, 1, 2, 4, 8] = setting(0, "Corner frequency of a filter in Hz; 0: none.")
+    motors_filter: Literal[0, 1, 2, 4, 8, 10] = setting(0, "The same for the velocities on `velocity:o`; 0: none.")
+    joystick_linear_vel: float = setting(0.3, "Metres per second at 100 percent of a joystick.", gt=0.0, le=10.0)
+    joystick_angular_vel: float = setting(30.0, f"{DEGREES.capitalize()} at 100 percent of one.", gt=0.0, le=720.0)
+    joy: JoySection = subsection(JoySection, "How gamepads drive.")
+    odometry: str = setting(
+        "/baseControl/odometry",
+        "Prefix of the odometry's ports: `/cer/odometry` for `/cer/odometry/odometry:o`, `odometer:o`, `velocity:o`"
+        " and `rpc`, as YARP's `odometry2D_nws_yarp` has them.",
+        pattern=PORT,
     )
-    period: float = Field(default=0.02, ge=0.001, le=0.1, description="Seconds between two commands to the wheels.")
-    max_linear_vel: float = Field(default=0.3, gt=0.0, le=10.0, description="Metres per second.")
-    max_angular_vel: float = Field(default=30.0, gt=0.0, le=720.0, description=f"{DEGREES.capitalize()}.")
-    max_linear_acc: float = Field(default=0.3, gt=0.0, le=100.0, description="Metres per second squared.")
-    max_angular_acc: float = Field(default=80.0, gt=0.0, le=7200.0, description=f"{DEGREES.capitalize()} squared.")
-    max_linear_brake: float | None = Field(
-        default=None, gt=0.0, le=100.0, description="The same while slowing down; empty for the same."
+    prefix: str = setting("/baseControl", "Prefix of its ports.", pattern=PORT)
+    inputs: tuple[BaseInput, ...] = setting(
+        (), "Who may command, highest rank first; empty: the list in docs/navigation/base_control.md."
     )
-    max_angular_brake: float | None = Field(default=None, gt=0.0, le=7200.0, description="The same for turning.")
-    max_motor_vel: float = Field(
-        default=100.0,
-        gt=0.0,
-        le=7200.0,
-        description=f"The fastest that any wheel turns, {DEGREES}; all are slowed alike.",
-    )
-    linear_angular_ratio: float | None = Field(
-        default=None,
-        ge=0.0,
-        le=1.0,
-        description="The share of the maxima that driving keeps where driving and turning ask for more than the"
-        " whole; empty: each goes to its own maximum.",
-    )
-    input_filter: Literal[0, 1, 2, 4, 8] = Field(default=0, description="Corner frequency in Hz of a filter; 0: none.")
-    motors_filter: Literal[0, 1, 2, 4, 8, 10] = Field(
-        default=0, description="The same for the wheels' velocities as they are told by `velocity:o`; 0: none."
-    )
-    joystick_linear_vel: float = Field(
-        default=0.3, gt=0.0, le=10.0, description="Metres per second of a joystick's 100 percent."
-    )
-    joystick_angular_vel: float = Field(
-        default=30.0, gt=0.0, le=720.0, description=f"{DEGREES.capitalize()} of a joystick's 100 percent."
-    )
-    joy: JoySection = Field(default_factory=JoySection, description="How gamepads drive.")
-    odometry: str = Field(
-        default="/baseControl/odometry",
-        pattern=_PORTS,
-        description="Begins the ports of the odometry: `/cer/odometry` for `/cer/odometry/odometry:o`, `odometer:o`,"
-        " `velocity:o` and `rpc`, as YARP's `odometry2D_nws_yarp` has them.",
-    )
-    prefix: str = Field(default="/baseControl", pattern=_PORTS, description="Begins its ports.")
-    inputs: tuple[BaseInput, ...] = Field(
-        default=(), description="Who commands; the highest rank first. Empty: those of docs/base_control.md."
-    )
-    wheel_command: str = Field(
-        default="/wheel_command", description="Topic that tells the wheels their velocities (`JointState`, rad/s)."
-    )
-    joint_states: str = Field(default="/joint_states", description="Topic of the wheels' encoders (`JointState`).")
-    odom: str = Field(default="/odom", description="Topic of the odometry (`nav_msgs/Odometry`).")
-    odom_frame: str = Field(default="odom", min_length=1, description="The odometry's frame.")
-    base_frame: str = Field(default="base_link", min_length=1, description="The base's frame.")
-    publish_tf: bool = Field(default=True, description="Whether the odometry is on `/tf`, too.")
+    wheel_command: str = setting("/wheel_command", "Topic of the wheels' velocities (`JointState`, rad/s).")
+    joint_states: str = setting("/joint_states", "Topic of the wheels' encoders (`JointState`).")
+    odom: str = setting("/odom", "Topic of the odometry (`nav_msgs/Odometry`).")
+    odom_frame: str = setting("odom", "The odometry's frame.", min_length=1)
+    base_frame: str = setting("base_link", "The base's frame.", min_length=1)
+    publish_tf: bool = setting(True, "Whether the odometry is also on `/tf`.")
 
     @field_validator("inputs")
     @classmethod
     def _names_differ(cls, value: tuple[BaseInput, ...]) -> tuple[BaseInput, ...]:
-        names = [one.name for one in value]
-        if len(set(names)) < len(names):
-            msg = f"two inputs have one name: {', '.join(names)}"
-            raise ValueError(msg)
+        differ([one.name for one in value], "two inputs have the name")
         return value

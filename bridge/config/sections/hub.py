@@ -7,47 +7,27 @@ from typing import Annotated, Any
 
 from pydantic import Field, field_validator, model_validator
 
-from bridge.config.sections.section import Enabled, Section
-from bridge.config.sections.values import ZenohEndpoint, is_loopback, same_port
+from bridge.config.sections.section import Enabled, Section, ZenohEndpoint, is_loopback, same_port, setting, subsection
 
 
 class OpenSection(Section):
-    """The hub's door to other machines; closed until it is told where to listen or connect (see docs/security.md)."""
+    """The hub's door to other machines; closed until it has addresses; see docs/operate/security.md."""
 
-    listen: tuple[ZenohEndpoint, ...] = Field(
-        default=(), description="Where other machines may connect, for example `tls/0.0.0.0:7448`."
+    listen: tuple[ZenohEndpoint, ...] = setting((), "Where other machines connect, for example `tls/0.0.0.0:7448`.")
+    connect: tuple[ZenohEndpoint, ...] = setting(
+        (), "Machines to connect to, for example `tls/robot1:7448`; use a name or address that is in their certificate."
     )
-    connect: tuple[ZenohEndpoint, ...] = Field(
-        default=(),
-        description="Machines to connect to, for example `tls/robot1:7448`: by a name or address that is in their"
-        " certificate.",
+    trusted: tuple[Annotated[str, Field(min_length=1, max_length=64)], ...] = setting(
+        (), "Machines that may send commands, goals, cancels and calls, by the name in their certificate; `*`: all."
     )
-    trusted: tuple[Annotated[str, Field(min_length=1, max_length=64)], ...] = Field(
-        default=(),
-        description="Machines, by the name in their certificate, from which commands, goals, cancels and service calls"
-        " are accepted; `*`: every machine that may join.",
+    keys: Path | None = setting(
+        None, "Folder of `ca.pem` and this daemon's `<name>.pem` and `<name>.key`; default /etc/midspan/keys."
     )
-    keys: Path | None = Field(
-        default=None,
-        description="Folder with `ca.pem`, `<name>.pem` and `<name>.key`, as `midspan keys` makes them, where `<name>`"
-        " is the daemon's; default /etc/midspan/keys.",
-    )
-    certificate: Path | None = Field(
-        default=None, description="This machine's certificate (PEM), where it is not in `keys`."
-    )
-    key: Path | None = Field(default=None, description="Its private key (PEM), where it is not in `keys`.")
-    ca: Path | None = Field(
-        default=None,
-        description="Certificate of the authority that signed every machine's (PEM), where it is not in `keys`.",
-    )
-    insecure: bool = Field(
-        default=False,
-        description="Allow endpoints without TLS: whoever reaches them may join, and nobody has a name to be trusted"
-        " by.",
-    )
-    zenoh: dict[str, Any] | Path | None = Field(
-        default=None, description="zenoh configuration laid over the door's, like `hub.router_zenoh`."
-    )
+    certificate: Path | None = setting(None, "This machine's certificate (PEM), if it is not in `keys`.")
+    key: Path | None = setting(None, "Its private key (PEM), if it is not in `keys`.")
+    ca: Path | None = setting(None, "Certificate of the authority that signed all others (PEM), if not in `keys`.")
+    insecure: bool = setting(False, "Allow endpoints without TLS: whoever reaches them may join; nobody has a name.")
+    zenoh: dict[str, Any] | Path | None = setting(None, "zenoh configuration of the door, like `hub.router_zenoh`.")
 
     @property
     def opened(self) -> bool:
@@ -75,31 +55,22 @@ class OpenSection(Section):
 class HubSection(Section):
     """The hub: one ROS 2 graph on zenoh in rmw_zenoh's format."""
 
-    domain: int = Field(default=0, ge=0, le=232, description="ROS domain id of the hub, the first part of each key.")
-    listen: ZenohEndpoint = Field(
-        default="tcp/127.0.0.1:7447",
-        description="Where the daemon's own router listens, for this machine alone; `open` lets others in.",
+    domain: int = setting(0, "ROS domain id of the hub, the first part of each key.", ge=0, le=232)
+    listen: ZenohEndpoint = setting(
+        "tcp/127.0.0.1:7447", "Where the daemon's router listens, for this machine alone; `open` lets others in."
     )
-    router: Enabled = Field(
-        default="auto",
-        description="Whether the daemon runs a router itself; `auto`: unless one answers at `listen` already.",
+    router: Enabled = setting("auto", "Whether the daemon runs a router; `auto`: unless one answers at `listen`.")
+    open: OpenSection = subsection(
+        OpenSection,
+        "The door to other machines, closed until `listen` or `connect` is set; see [security](security.md).",
     )
-    open: OpenSection = Field(
-        default_factory=OpenSection,
-        description="The door to other machines, closed until `listen` or `connect` is given; see"
-        " [security](security.md).",
+    zenoh: dict[str, Any] | Path | None = setting(
+        None,
+        "zenoh configuration of the workers' sessions, inline or a JSON5 or YAML file, laid over the defaults: mode"
+        " (peer, client), connect, listen, transport/link/tls, access_control.",
     )
-    zenoh: dict[str, Any] | Path | None = Field(
-        default=None,
-        description="zenoh configuration, inline or the path of a JSON5 or YAML file, laid over the defaults of the"
-        " workers' sessions: mode (peer, client), connect, listen, transport/link/tls, access_control.",
-    )
-    router_zenoh: dict[str, Any] | Path | None = Field(
-        default=None, description="The same for the router that the daemon runs itself."
-    )
-    shared_memory: bool = Field(
-        default=True, description="Shared memory between this machine's workers for large messages."
-    )
+    router_zenoh: dict[str, Any] | Path | None = setting(None, "The same for the daemon's router.")
+    shared_memory: bool = setting(True, "Large messages go through shared memory between this machine's workers.")
 
     @property
     def indoors(self) -> HubSection:

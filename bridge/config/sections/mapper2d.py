@@ -2,98 +2,50 @@
 
 from __future__ import annotations
 
-import re
 from pathlib import Path
-from typing import Literal
+from typing import Annotated, Literal
 
-from pydantic import Field, field_validator
+from bridge.config.sections.section import PORT_OR_NONE, FrameName, ModuleSection, OptionalTopic, matching, setting
 
-from bridge.config.sections.module import ModuleSection
-from bridge.config.sections.values import ROS2_NAME
-
-_PORT = r"^((/[^\s/\"'*()\[\]{}]+)+)?$"
-_PREFIX = re.compile(r"(?:/[A-Za-z0-9_.-]+)+")
+_Prefix = Annotated[str, matching(r"(?:/[A-Za-z0-9_.-]+)+", "is not a prefix of port names: write it as /mapper2D")]
 
 
 class Mapper2DSection(ModuleSection):
     """The mapper."""
 
-    ini: Path | None = Field(
-        default=None,
-        description="A `mapper2D` file of an existing robot, read as it is; what stands here beside it is stronger.",
+    ini: Path | None = setting(None, "A `mapper2D` file of an existing robot; keys set here override it.")
+    mapping: bool = setting(True, "Whether it maps from the start, or only after `start`.")
+    map_name: str = setting("map", "The map's name in the store.", min_length=1, max_length=64)
+    width: float = setting(10.0, "Metres at the start, around the robot.", gt=0.0, le=400.0)
+    height: float = setting(10.0, "Metres at the start, around the robot.", gt=0.0, le=400.0)
+    resolution: float = setting(0.05, "Metres of a cell.", ge=0.005, le=1.0)
+    largest: float = setting(100.0, "Metres to which a side of the map may grow.", gt=0.0, le=400.0)
+    farthest: float = setting(10.0, "Metres beyond which beams are ignored.", gt=0.0, le=100.0)
+    scan: OptionalTopic = setting("/scan", 'Topic of the laser (`sensor_msgs/msg/LaserScan`); "": none.')
+    laser_port: str = setting("", "A laser on YARP (`/cer/laser:o`) for `laser:i`; empty: none.", pattern=PORT_OR_NONE)
+    laser: tuple[float, float, float] | None = setting(
+        None, "Pose on the robot: metres, metres, degrees; empty: by `/tf` and `/tf_static`, on YARP the middle."
     )
-    mapping: bool = Field(default=True, description="Whether it maps from the start, or only after `start`.")
-    map_name: str = Field(default="map", min_length=1, max_length=64, description="The map's name in the store.")
-    width: float = Field(default=10.0, gt=0.0, le=400.0, description="Metres at the start, about the robot.")
-    height: float = Field(default=10.0, gt=0.0, le=400.0, description="Metres at the start, about the robot.")
-    resolution: float = Field(default=0.05, ge=0.005, le=1.0, description="Metres of a cell.")
-    largest: float = Field(default=100.0, gt=0.0, le=400.0, description="Metres that a side of the map grows to.")
-    farthest: float = Field(default=10.0, gt=0.0, le=100.0, description="Metres beyond which a beam says nothing.")
-    scan: str = Field(default="/scan", description='Topic of the laser (`sensor_msgs/msg/LaserScan`); "" for none.')
-    laser_port: str = Field(
-        default="",
-        pattern=_PORT,
-        description="A laser on YARP (`/cer/laser:o`) to be connected to `laser:i`; empty for none.",
+    pose: Literal["tf", "topic", "port"] = setting(
+        "tf", "Source of the pose: `tf`: the frames of all sides; `topic`: `pose_topic`; `port`: `odometry:i` on YARP."
     )
-    laser: tuple[float, float, float] | None = Field(
-        default=None,
-        description="Where the laser is on the robot: metres, metres, degrees; empty: as `/tf` and `/tf_static` say,"
-        " and in the robot's middle where it is on YARP.",
+    pose_topic: OptionalTopic = setting(
+        "/localization/pose", "Topic of the pose: `Odometry`, `PoseStamped` or `PoseWithCovarianceStamped`."
     )
-    pose: Literal["tf", "topic", "port"] = Field(
-        default="tf",
-        description="Who says where the robot is: `tf`: the frames of all sides; `topic`: `pose_topic`; `port`: the"
-        " YARP port `odometry:i`.",
+    pose_port: str = setting(
+        "", "Poses (`/baseControl/odometry:o`) for `odometry:i`; empty: none.", pattern=PORT_OR_NONE
     )
-    pose_topic: str = Field(
-        default="/localization/pose",
-        description="Topic of the robot's pose: `Odometry`, `PoseStamped` or `PoseWithCovarianceStamped`.",
+    initial_pose: OptionalTopic = setting("", 'Topic that sets the pose (`PoseWithCovarianceStamped`); "": none.')
+    map_frame: FrameName = setting(
+        "map", "The map's frame. Without a localiser, `odom` maps by odometry alone.", min_length=1, max_length=100
     )
-    pose_port: str = Field(
-        default="",
-        pattern=_PORT,
-        description="Who sends poses on YARP (`/baseControl/odometry:o`), to be connected to `odometry:i`; empty: it is"
-        " connected by others.",
+    odom_frame: FrameName = setting("odom", "The odometry's frame.")
+    base_frame: FrameName = setting("base_link", "The robot's frame.")
+    topic: OptionalTopic = setting(
+        "/mapper2d/map", 'Topic of the growing map (`nav_msgs/msg/OccupancyGrid`), such as `/map`; "": none.'
     )
-    initial_pose: str = Field(
-        default="",
-        description="Topic (`PoseWithCovarianceStamped`) that says where the robot is now, as `initLoc` does;"
-        ' "" for none.',
+    period: float = setting(1.0, "Seconds between two published and drawn maps.", ge=0.05, le=60.0)
+    folder: Path | None = setting(
+        None, "The only folder in which clients may save and load; default `maps` in the module's state folder."
     )
-    map_frame: str = Field(
-        default="map",
-        min_length=1,
-        max_length=100,
-        description="The map's frame. Without a localiser, `odom` maps by odometry alone.",
-    )
-    odom_frame: str = Field(default="odom", min_length=1, max_length=100, description="The odometry's frame.")
-    base_frame: str = Field(default="base_link", min_length=1, max_length=100, description="The robot's frame.")
-    topic: str = Field(
-        default="/mapper2d/map",
-        description='Topic of the map as it grows (`nav_msgs/msg/OccupancyGrid`), such as `/map`; "" for none.',
-    )
-    period: float = Field(
-        default=1.0, ge=0.05, le=60.0, description="Seconds from one map that is published, and drawn, to the next."
-    )
-    folder: Path | None = Field(
-        default=None,
-        description="The only folder whose files clients may name when they save and load; by default `maps` in the"
-        " module's part of the state folder.",
-    )
-    prefix: str = Field(default="/mapper2D", description="Begins its YARP ports.")
-
-    @field_validator("prefix")
-    @classmethod
-    def _begins_ports(cls, value: str) -> str:
-        if not _PREFIX.fullmatch(value):
-            msg = f"{value!r} does not begin names of ports: it should look like /mapper2D"
-            raise ValueError(msg)
-        return value
-
-    @field_validator("scan", "pose_topic", "initial_pose", "topic")
-    @classmethod
-    def _is_a_topic(cls, value: str) -> str:
-        if value and not ROS2_NAME.fullmatch(value):
-            msg = f"{value!r} is no topic: begin it with a slash; letters, digits and underscores make its parts"
-            raise ValueError(msg)
-        return value
+    prefix: _Prefix = setting("/mapper2D", "Prefix of its YARP ports.")

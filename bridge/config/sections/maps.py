@@ -1,100 +1,89 @@
-"""The section ``modules.map2d_server``: the maps and places of the store, given to YARP, ROS 1 and ROS 2."""
+"""The sections ``store`` and ``modules.map2d_server``: the maps and locations, and the server that offers them."""
 
 from __future__ import annotations
 
-import re
 from pathlib import Path
+from typing import Annotated
 
-from pydantic import Field, field_validator, model_validator
+from pydantic import Field, model_validator
 
-from bridge.config.sections.module import ModuleSection
-from bridge.config.sections.section import Section
-from bridge.config.sections.values import ROS2_NAME
+from bridge.config.sections.section import (
+    Enabled,
+    FrameName,
+    ModuleSection,
+    OptionalPort,
+    PortName,
+    Section,
+    TopicName,
+    differ,
+    matching,
+    setting,
+)
 
-_PORT = re.compile(r"(?:/[^\s/\"'*()\[\]{}]+)+")
-_NAME = re.compile(r"[A-Za-z0-9_. -]{0,64}")
+
+class StoreSection(Section):
+    """The store of maps, locations, areas, paths, objects and links on the hub; see docs/navigation/maps.md."""
+
+    enabled: Enabled = setting("auto", "Whether this daemon keeps a copy; `auto`: if a module uses it.")
+    maps: Path | None = setting(
+        None,
+        "A collection of maps (`maps_collection.ini`) or one map (`.map`, `.yaml`), imported at start. What the store"
+        " has, or what was deleted from it, stays as it is.",
+    )
+    locations: Path | None = setting(None, "A file of locations, areas, paths and objects (`locations.ini`), likewise.")
+    keys: int = setting(10_000, "Values that the store holds at most.", ge=1, le=100_000)
+    megabytes: int = setting(1024, "Megabytes (1,048,576 bytes) of all values together.", ge=1, le=1 << 20)
+    deleted: int = setting(10_000, "Deleted names that it remembers, the latest ones.", ge=0, le=100_000)
+    deleted_days: float = setting(
+        30.0, "Days for which it does. A machine away for longer brings deleted values back.", gt=0, le=3650
+    )
+
+
+_Prefix = Annotated[
+    str,
+    matching(
+        r"[A-Za-z0-9_. -]{0,64}", "cannot begin a location's name: use letters, digits, blanks and the signs . _ -"
+    ),
+]
 
 
 class TakenMap(Section):
     """Maps of a topic that are taken into the store."""
 
-    topic: str = Field(description="The topic (`nav_msgs/msg/OccupancyGrid`), as on the hub: `/map`.")
+    topic: TopicName = Field(description="The topic (`nav_msgs/msg/OccupancyGrid`) on the hub: `/map`.")
     name: str = Field(min_length=1, max_length=64, description="The map's name in the store.")
-    use: bool = Field(default=True, description="Whether it becomes the current map when it comes.")
-    period: float = Field(
-        default=2.0, ge=0.0, le=3600.0, description="Seconds at least from one map that is taken to the next."
-    )
-
-    @field_validator("topic")
-    @classmethod
-    def _topic_is_one(cls, value: str) -> str:
-        if not ROS2_NAME.fullmatch(value):
-            msg = f"{value!r} is no topic: begin it with a slash; letters, digits and underscores make its parts"
-            raise ValueError(msg)
-        return value
+    use: bool = setting(True, "Whether each map that arrives becomes the current one.")
+    period: float = setting(2.0, "Seconds between two maps that are taken, at least.", ge=0.0, le=3600.0)
 
 
 class Map2DServerSection(ModuleSection):
     """The map server."""
 
-    ports: tuple[str, ...] = Field(
-        default=("/map2D_nws_yarp/rpc", "/mapServer/rpc"),
-        description="The YARP ports at which map clients (`map2D_nwc_yarp`) are answered.",
+    ports: tuple[PortName, ...] = setting(
+        ("/map2D_nws_yarp/rpc", "/mapServer/rpc"), "YARP ports that answer map clients (`map2D_nwc_yarp`)."
     )
-    command_port: str = Field(
-        default="/map2D_server/command",
-        description='The YARP port that takes the words `current`, `use NAME` and `help`; "" for none.',
+    command_port: OptionalPort = setting(
+        "/map2D_server/command", 'YARP port that takes the words `current`, `use NAME` and `help`; "": none.'
     )
-    folder: Path | None = Field(
-        default=None,
-        description="The only folder whose files clients may name when they save and load; by default `maps` in the"
-        " module's part of the state folder.",
+    folder: Path | None = setting(
+        None, "The only folder in which clients may save and load; default `maps` in the module's state folder."
     )
-    current: str = Field(default="", description="The map that is current where nobody has chosen one.")
-    frame: str = Field(default="map", min_length=1, max_length=100, description="The frame of all maps and markers.")
-    take: tuple[TakenMap, ...] = Field(
-        default=(),
-        description="Maps of real map servers and mappers that are taken into the store. While somebody publishes"
-        " `/map` that is taken, the server does not publish its own.",
+    current: str = setting("", "The current map while nobody has chosen one.")
+    frame: FrameName = setting("map", "The frame of all maps and markers.")
+    take: tuple[TakenMap, ...] = setting(
+        (), "Maps of other servers and mappers for the store. The server does not publish `/map` that it takes."
     )
-    clicked_point: str = Field(
-        default="",
-        description="Points of `/clicked_point` become locations of the current map with this name and a number;"
-        ' "" for none.',
+    clicked_point: _Prefix = setting(
+        "", 'Points of `/clicked_point` become locations of the current map, with this name and a number; "": none do.'
     )
-
-    @field_validator("ports", "command_port")
-    @classmethod
-    def _ports_are_some(cls, value: tuple[str, ...] | str) -> tuple[str, ...] | str:
-        for port in (value,) if isinstance(value, str) else value:
-            if not _PORT.fullmatch(port) and (port or not isinstance(value, str)):
-                msg = f"{port!r} is no name of a port: write it as /map2D_nws_yarp/rpc"
-                raise ValueError(msg)
-        return value
-
-    @field_validator("clicked_point")
-    @classmethod
-    def _prefix_can_begin_a_name(cls, value: str) -> str:
-        if not _NAME.fullmatch(value):
-            msg = f"{value!r} cannot begin a location's name: letters, digits, blanks and . _ - can"
-            raise ValueError(msg)
-        return value
 
     @model_validator(mode="after")
-    def _nothing_stands_twice(self) -> Map2DServerSection:
-        for what, values in (
-            ("port", [*self.ports, *filter(None, [self.command_port])]),
-            ("topic", [taken.topic for taken in self.take]),
-            ("map", [taken.name for taken in self.take]),
-        ):
-            if len(set(values)) != len(values):
-                msg = f"a {what} stands twice"
-                raise ValueError(msg)
+    def _nothing_comes_twice(self) -> Map2DServerSection:
+        differ([*self.ports, *filter(None, [self.command_port])], "two keys name the port")
+        differ([taken.topic for taken in self.take], "two entries of 'take' name the topic")
+        differ([taken.name for taken in self.take], "two entries of 'take' name the map")
         return self
 
     def taken_as(self, topic: str) -> str:
-        """The name under which the maps of a topic are in the store, also before they have come; "" where they are not.
-
-        The locations on such a map have that name, and who tells a start.
-        """
+        """The map's name in the store for maps of a topic; "" where the store does not take them."""
         return next((taken.name for taken in self.take if taken.topic == topic), "") if self.enabled else ""

@@ -3,86 +3,59 @@
 from __future__ import annotations
 
 import re
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
-from pydantic import Field, field_validator, model_validator
+from pydantic import Field, model_validator
 
 from bridge.config.sections.base_control import BaseControlSection
 from bridge.config.sections.localization_server import LocalizationServerSection
 from bridge.config.sections.mapper2d import Mapper2DSection
 from bridge.config.sections.maps import Map2DServerSection
-from bridge.config.sections.module import ModuleSection
 from bridge.config.sections.robot_goto import RobotGotoSection
 from bridge.config.sections.robot_path_planner import RobotPathPlannerSection
-from bridge.config.sections.section import Section
+from bridge.config.sections.section import ModuleSection, Section, SmallName, matching, setting, subsection
 from bridge.config.sections.transforms import TransformServerSection
 
 _FACTORY = re.compile(r"[A-Za-z_]\w*(?:\.[A-Za-z_]\w*)*:[A-Za-z_]\w*", re.ASCII)
-_NAME = re.compile(r"[a-z][a-z0-9_]{0,62}")
+_Factory = Annotated[str, matching(_FACTORY, "does not name a class: write package.module:Class")]
 
 
 class OwnModule(Section):
-    """A module of one's own."""
+    """A module of your own."""
 
-    name: str = Field(description="Its name on the hub: small letters, digits and underscores.")
-    factory: str = Field(
-        description="Where its class is, as `package.module:Class`; the package is installed beside Midspan."
-    )
-    options: dict[str, Any] = Field(default_factory=dict, description="What it is started with.")
-
-    @field_validator("name")
-    @classmethod
-    def _name_is_a_node(cls, value: str) -> str:
-        if not _NAME.fullmatch(value):
-            msg = f"{value!r} is no name of a module: small letters, digits and underscores, a letter first"
-            raise ValueError(msg)
-        return value
-
-    @field_validator("factory")
-    @classmethod
-    def _factory_is_a_class(cls, value: str) -> str:
-        if not _FACTORY.fullmatch(value):
-            msg = f"{value!r} names no class: write package.module:Class"
-            raise ValueError(msg)
-        return value
+    name: SmallName = Field(description="Its name on the hub: small letters, digits and underscores.")
+    factory: _Factory = Field(description="Its class as `package.module:Class`, in a package installed beside Midspan.")
+    options: dict[str, Any] = Field(default_factory=dict, description="Options that it starts with.")
 
 
 class ModulesSection(Section):
     """The modules that Midspan hosts, in one worker."""
 
-    enabled: Literal["auto", False] = Field(
-        default="auto", description="`auto`: those that are switched on run; `false`: none does."
+    enabled: Literal["auto", False] = setting("auto", "`auto`: modules that are switched on run; `false`: none runs.")
+    base_control: BaseControlSection = subsection(
+        BaseControlSection, "Drives a mobile base as its inputs command; see docs/navigation/base_control.md."
     )
-    base_control: BaseControlSection = Field(
-        default_factory=BaseControlSection,
-        description="Drives a mobile base as its inputs command; see docs/base_control.md.",
+    localization_server: LocalizationServerSection = subsection(
+        LocalizationServerSection,
+        "Where the robot is, for all sides, with Midspan's own localiser; see docs/navigation/localization.md.",
     )
-    localization_server: LocalizationServerSection = Field(
-        default_factory=LocalizationServerSection,
-        description="Where the robot is, for all sides, and a localiser of Midspan's own; see docs/localization.md.",
+    map2d_server: Map2DServerSection = subsection(
+        Map2DServerSection, "The maps and places of the store for YARP, ROS 1 and ROS 2; see docs/navigation/maps.md."
     )
-    map2d_server: Map2DServerSection = Field(
-        default_factory=Map2DServerSection,
-        description="The maps and places of the store for YARP, ROS 1 and ROS 2; see docs/maps.md.",
+    mapper2d: Mapper2DSection = subsection(
+        Mapper2DSection, "Makes a map from a laser and a known pose; see docs/navigation/mapper2d.md."
     )
-    mapper2d: Mapper2DSection = Field(
-        default_factory=Mapper2DSection,
-        description="A map from a laser and a pose that is given; see docs/mapper2d.md.",
+    robot_goto: RobotGotoSection = subsection(
+        RobotGotoSection, "Drives to a goal by laser and frames alone; see docs/navigation/robot_goto.md."
     )
-    robot_goto: RobotGotoSection = Field(
-        default_factory=RobotGotoSection,
-        description="Drives to a goal by laser and frames alone; see docs/robot_goto.md.",
+    robot_path_planner: RobotPathPlannerSection = subsection(
+        RobotPathPlannerSection,
+        "Plans paths on the map and drives them by a local navigator; see docs/navigation/robot_path_planner.md.",
     )
-    robot_path_planner: RobotPathPlannerSection = Field(
-        default_factory=RobotPathPlannerSection,
-        description="Ways over the map, driven waypoint by waypoint by a local navigator; see"
-        " docs/robot_path_planner.md.",
+    transform_server: TransformServerSection = subsection(
+        TransformServerSection, "The frames of all sides for YARP programs; see docs/sides/frames.md."
     )
-    transform_server: TransformServerSection = Field(
-        default_factory=TransformServerSection,
-        description="The frames of all sides for YARP programs; see docs/frames.md.",
-    )
-    own: tuple[OwnModule, ...] = Field(default=(), description="Modules of one's own.")
+    own: tuple[OwnModule, ...] = setting((), "Modules of your own.")
 
     @property
     def sections(self) -> dict[str, Section]:

@@ -5,115 +5,68 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Literal
 
-from pydantic import Field
+from bridge.config.sections.section import PORT_OR_NONE, FrameName, ModuleSection, Section, setting, subsection
 
-from bridge.config.sections.module import ModuleSection
-from bridge.config.sections.section import Section
-
-_PORT = r"^((/[^\s/\"'*()\[\]{}]+)+)?$"
 _DEGREES = "degrees per second"
 
 
 class LaserPose(Section):
     """Where a laser that is heard by a YARP port is on the robot; that of a topic is where its frame is."""
 
-    x: float = Field(default=0.0, ge=-10.0, le=10.0, description="Metres to the front (`laser_pos_x`).")
-    y: float = Field(default=0.0, ge=-10.0, le=10.0, description="Metres to the left (`laser_pos_y`).")
-    theta: float = Field(default=0.0, ge=-360.0, le=360.0, description="Degrees (`laser_pos_theta`).")
+    x: float = setting(0.0, "Metres to the front (`laser_pos_x`).", ge=-10.0, le=10.0)
+    y: float = setting(0.0, "Metres to the left (`laser_pos_y`).", ge=-10.0, le=10.0)
+    theta: float = setting(0.0, "Degrees (`laser_pos_theta`).", ge=-360.0, le=360.0)
 
 
 class RobotGotoSection(ModuleSection):
     """The local navigator. Limits are those of R1 unless told otherwise."""
 
-    ini: Path | None = Field(
-        default=None,
-        description="A `robotGoto` file of an existing robot, read as it is; what stands here beside it is stronger.",
+    ini: Path | None = setting(None, "A `robotGoto` file of an existing robot; keys set here override it.")
+    frame: FrameName = setting("map", "The map's frame.")
+    base_frame: FrameName = setting("base_link", "The robot's frame.")
+    odom_frame: FrameName = setting(
+        "odom", "The odometry's frame, in which it keeps what the laser saw; the map's frame if `/tf` does not have it."
     )
-    frame: str = Field(default="map", min_length=1, max_length=100, description="The map's frame.")
-    base_frame: str = Field(default="base_link", min_length=1, max_length=100, description="The robot's frame.")
-    odom_frame: str = Field(
-        default="odom",
-        min_length=1,
-        max_length=100,
-        description="The odometry's frame, in which what the laser saw is kept; where it is not on `/tf`, the map's.",
-    )
-    scan: str = Field(default="/scan", description='The laser (`sensor_msgs/msg/LaserScan`); "" for none.')
-    laser_port: str = Field(
-        default="",
-        pattern=_PORT,
-        description="A laser on YARP (`/cer/laser:o`) to be connected to `laser:i`; empty for none.",
-    )
-    laser_pose: LaserPose = Field(default_factory=LaserPose, description="Where the laser on YARP is.")
-    laser_offset: float = Field(
-        default=0.08,
+    scan: str = setting("/scan", 'The laser (`sensor_msgs/msg/LaserScan`); "": none.')
+    laser_port: str = setting("", "A laser on YARP (`/cer/laser:o`) for `laser:i`; empty: none.", pattern=PORT_OR_NONE)
+    laser_pose: LaserPose = subsection(LaserPose, "Where the laser on YARP is.")
+    laser_offset: float = setting(
+        0.08,
+        "Metres from the robot's middle to the lasers of a scan that merges several: nearer to corners and blind"
+        " sectors, beams are not believed.",
         ge=0.0,
         le=1.0,
-        description="Metres from the robot's middle at which its lasers stand, where a scan is merged from several"
-        " ones: beams are believed no nearer to corners and blind sectors than that.",
     )
-    cmd_vel: str = Field(default="/cmd_vel", min_length=1, description="Topic of its commands (`Twist`).")
-    prefix: str = Field(default="/robotGoto", pattern=_PORT, description="Begins its YARP ports; empty for none.")
-    period: float = Field(default=0.05, ge=0.01, le=0.2, description="Seconds between two commands.")
-    robot_is_holonomic: bool = Field(default=False, description="Whether it can drive to the side.")
-    robot_radius: float = Field(
-        default=0.3, gt=0.0, le=3.0, description="Metres; the disc that the robot fits into, whatever it carries."
+    cmd_vel: str = setting("/cmd_vel", "Topic of its commands (`Twist`).", min_length=1)
+    prefix: str = setting("/robotGoto", "Prefix of its YARP ports; empty: none.", pattern=PORT_OR_NONE)
+    period: float = setting(0.05, "Seconds between two commands.", ge=0.01, le=0.2)
+    robot_is_holonomic: bool = setting(False, "Whether it can drive to the side.")
+    robot_radius: float = setting(0.3, "Metres: the disc that the robot and its load fit into.", gt=0.0, le=3.0)
+    max_beta_angle: float = setting(20.0, "Degrees off its path up to which it drives at full speed.", gt=0.0, le=180.0)
+    lin_speed_gain: float = setting(0.6, "Metres per second for each metre to go.", gt=0.0, le=100.0)
+    ang_speed_gain: float = setting(1.5, "Degrees per second for each degree to go.", gt=0.0, le=100.0)
+    max_lin_speed: float = setting(0.3, "Metres per second.", gt=0.0, le=3.0)
+    max_ang_speed: float = setting(30.0, f"{_DEGREES.capitalize()}.", gt=0.0, le=360.0)
+    min_lin_speed: float = setting(0.02, "Metres per second.", ge=0.0, le=3.0)
+    min_ang_speed: float = setting(2.0, f"{_DEGREES.capitalize()}.", ge=0.0, le=360.0)
+    goal_tolerance_lin: float = setting(0.05, "Metres.", gt=0.0, le=10.0)
+    goal_tolerance_ang: float = setting(2.0, "Degrees.", gt=0.0, le=180.0)
+    max_lin_acc: float = setting(0.3, "Metres per second squared by which the base surely brakes.", gt=0.0, le=100.0)
+    max_ang_acc: float = setting(80.0, f"{_DEGREES.capitalize()} squared.", gt=0.0, le=7200.0)
+    reaction: float = setting(
+        0.25, "Seconds from a scan until the wheels follow: delays of laser, network and base.", ge=0.05, le=2.0
     )
-    max_beta_angle: float = Field(
-        default=20.0, gt=0.0, le=180.0, description="Degrees from its way within which it drives at full speed."
-    )
-    lin_speed_gain: float = Field(
-        default=0.6, gt=0.0, le=100.0, description="Metres per second for each metre that is left."
-    )
-    ang_speed_gain: float = Field(
-        default=1.5, gt=0.0, le=100.0, description="Degrees per second for each degree that is left."
-    )
-    max_lin_speed: float = Field(default=0.3, gt=0.0, le=3.0, description="Metres per second.")
-    max_ang_speed: float = Field(default=30.0, gt=0.0, le=360.0, description=f"{_DEGREES.capitalize()}.")
-    min_lin_speed: float = Field(default=0.02, ge=0.0, le=3.0, description="Metres per second.")
-    min_ang_speed: float = Field(default=2.0, ge=0.0, le=360.0, description=f"{_DEGREES.capitalize()}.")
-    goal_tolerance_lin: float = Field(default=0.05, gt=0.0, le=10.0, description="Metres.")
-    goal_tolerance_ang: float = Field(default=2.0, gt=0.0, le=180.0, description="Degrees.")
-    max_lin_acc: float = Field(
-        default=0.3, gt=0.0, le=100.0, description="Metres per second squared by which the base brakes for certain."
-    )
-    max_ang_acc: float = Field(default=80.0, gt=0.0, le=7200.0, description=f"{_DEGREES.capitalize()} squared.")
-    reaction: float = Field(
-        default=0.25,
-        ge=0.05,
-        le=2.0,
-        description="Seconds from what the laser sees until the wheels follow: of the laser, the network and the base.",
-    )
-    enable_obstacles_emergency_stop: bool = Field(
-        default=True, description="Whether it stops and waits for what comes into its way."
-    )
-    enable_dynamic_max_distance: bool = Field(
-        default=True, description="Whether it looks the farther ahead the faster it goes."
-    )
-    max_detection_distance: float = Field(
-        default=1.2, gt=0.0, le=10.0, description="Metres ahead within which an obstacle stops it."
-    )
-    min_detection_distance: float = Field(default=0.4, gt=0.0, le=10.0, description="The same at rest.")
-    max_waiting_time: float = Field(
-        default=60.0, ge=0.0, le=86400.0, description="Seconds that it waits before it gives the goal up."
-    )
-    enable_obstacles_avoidance: bool = Field(default=True, description="Whether it goes round obstacles.")
-    frontal_blind_angle: float = Field(
-        default=25.0, ge=0.0, le=180.0, description="Degrees from the front within which nothing is beside it."
-    )
-    speed_reduction_factor: float = Field(
-        default=0.5, ge=0.0, le=0.95, description="The greatest share of its speed taken back beside obstacles."
-    )
-    enable_retreat: bool = Field(default=False, description="Whether it backs off before it drives to a new goal.")
-    retreat_duration: float = Field(default=0.3, ge=0.0, le=2.0, description="Seconds for which it does.")
-    laser_timeout: float = Field(
-        default=0.5, gt=0.0, le=10.0, description="Seconds without a scan after which it stands still."
-    )
-    memory: float = Field(
-        default=20.0, ge=1.0, le=600.0, description="Seconds for which it believes what the laser saw of a place."
-    )
-    deadlock_time: float = Field(
-        default=20.0, ge=1.0, le=3600.0, description="Seconds without progress that are a deadlock."
-    )
-    on_deadlock: Literal["abort", "pause"] = Field(
-        default="abort", description="What it does then: give the goal up, or wait until it is resumed."
-    )
+    enable_obstacles_emergency_stop: bool = setting(True, "Whether it stops and waits for obstacles in its path.")
+    enable_dynamic_max_distance: bool = setting(True, "Whether it looks farther ahead at higher speed.")
+    max_detection_distance: float = setting(1.2, "Metres ahead within which an obstacle stops it.", gt=0.0, le=10.0)
+    min_detection_distance: float = setting(0.4, "The same at rest.", gt=0.0, le=10.0)
+    max_waiting_time: float = setting(60.0, "Seconds that it waits before it gives up the goal.", ge=0.0, le=86400.0)
+    enable_obstacles_avoidance: bool = setting(True, "Whether it drives around obstacles.")
+    frontal_blind_angle: float = setting(25.0, "Degrees from the front; nothing within is beside it.", ge=0.0, le=180.0)
+    speed_reduction_factor: float = setting(0.5, "Largest share of speed given up beside obstacles.", ge=0.0, le=0.95)
+    enable_retreat: bool = setting(False, "Whether it backs off before it drives to a new goal.")
+    retreat_duration: float = setting(0.3, "Seconds for which it backs off.", ge=0.0, le=2.0)
+    laser_timeout: float = setting(0.5, "Seconds without a scan after which it stops.", gt=0.0, le=10.0)
+    memory: float = setting(20.0, "Seconds for which it believes what the laser saw of a place.", ge=1.0, le=600.0)
+    deadlock_time: float = setting(20.0, "Seconds without progress that count as a deadlock.", ge=1.0, le=3600.0)
+    on_deadlock: Literal["abort", "pause"] = setting("abort", "Then: give up the goal, or wait until resumed.")

@@ -2,18 +2,33 @@
 
 from __future__ import annotations
 
-import re
 from pathlib import Path
+from typing import Annotated
 
-from pydantic import Field, field_validator
+from bridge.config.sections.section import (
+    ROS2_NAME,
+    YARP_PORT,
+    FrameName,
+    MapSource,
+    ModuleSection,
+    OptionalPort,
+    OptionalTopic,
+    Section,
+    matching,
+    setting,
+    subsection,
+)
 
-from bridge.config.sections.module import ModuleSection
-from bridge.config.sections.section import Section
-from bridge.config.sections.values import ROS2_NAME
-
-_PORT = re.compile(r"(?:/[^\s/\"'*()\[\]{}]+)+")
 YARP = "yarp:"
 """Begins the name of a local navigator on YARP."""
+
+_Navigator = Annotated[
+    str,
+    matching(
+        f"{YARP}{YARP_PORT.pattern}|{ROS2_NAME.pattern}",
+        "is neither an action on the hub (/planner/robot_goto/navigate_to_pose) nor ports of YARP (yarp:/robotGoto)",
+    ),
+]
 
 
 class DrivenSection(Section):
@@ -22,141 +37,60 @@ class DrivenSection(Section):
     The speeds and gains are RobotGoto's; local navigators that are not Midspan's do not hear of them.
     """
 
-    tolerance_lin: float | None = Field(default=None, gt=0.0, le=10.0, description="Metres.")
-    tolerance_ang: float | None = Field(default=None, gt=0.0, le=180.0, description="Degrees.")
-    max_lin_speed: float | None = Field(default=None, gt=0.0, le=10.0, description="Metres per second.")
-    min_lin_speed: float | None = Field(default=None, ge=0.0, le=10.0, description="Metres per second.")
-    max_ang_speed: float | None = Field(default=None, gt=0.0, le=720.0, description="Degrees per second.")
-    min_ang_speed: float | None = Field(default=None, ge=0.0, le=720.0, description="Degrees per second.")
-    lin_speed_gain: float | None = Field(
-        default=None, gt=0.0, le=100.0, description="Metres per second for each metre that is left."
-    )
-    ang_speed_gain: float | None = Field(
-        default=None, gt=0.0, le=100.0, description="Degrees per second for each degree that is left."
-    )
+    tolerance_lin: float | None = setting(None, "Metres.", gt=0.0, le=10.0)
+    tolerance_ang: float | None = setting(None, "Degrees.", gt=0.0, le=180.0)
+    max_lin_speed: float | None = setting(None, "Metres per second.", gt=0.0, le=10.0)
+    min_lin_speed: float | None = setting(None, "Metres per second.", ge=0.0, le=10.0)
+    max_ang_speed: float | None = setting(None, "Degrees per second.", gt=0.0, le=720.0)
+    min_ang_speed: float | None = setting(None, "Degrees per second.", ge=0.0, le=720.0)
+    lin_speed_gain: float | None = setting(None, "Metres per second for each metre to go.", gt=0.0, le=100.0)
+    ang_speed_gain: float | None = setting(None, "Degrees per second for each degree to go.", gt=0.0, le=100.0)
 
 
 class WaypointSection(DrivenSection):
     """What holds on the way to a waypoint."""
 
-    tolerance_lin: float | None = Field(
-        default=0.1, gt=0.0, le=10.0, description="Metres within which the next waypoint is sent."
-    )
+    tolerance_lin: float | None = setting(0.1, "Metres at which it sends the next waypoint.", gt=0.0, le=10.0)
 
 
 class GoalSection(DrivenSection):
     """What holds on the way to the goal itself."""
 
-    tolerance_lin: float | None = Field(default=0.05, gt=0.0, le=10.0, description="Metres.")
-    tolerance_ang: float | None = Field(default=0.6, gt=0.0, le=180.0, description="Degrees.")
+    tolerance_lin: float | None = setting(0.05, "Metres.", gt=0.0, le=10.0)
+    tolerance_ang: float | None = setting(0.6, "Degrees.", gt=0.0, le=180.0)
 
 
 class RobotPathPlannerSection(ModuleSection):
     """The planner."""
 
-    ini: Path | None = Field(
-        default=None,
-        description="A `robotPathPlanner` file of an existing robot, read as it is; what stands here beside it is"
-        " stronger.",
+    ini: Path | None = setting(None, "A `robotPathPlanner` file of an existing robot; keys set here override it.")
+    map: MapSource | None = setting(
+        None, "`store` (its current map), or a topic (`nav_msgs/msg/OccupancyGrid`); empty: `navigation.map`."
     )
-    map: str | None = Field(
-        default=None,
-        description="`store` (the store's current map), or a topic (`nav_msgs/msg/OccupancyGrid`); empty: as"
-        " `navigation.map` says.",
+    frame: FrameName = setting("map", "The map's frame.")
+    base_frame: FrameName = setting("base_link", "The robot's frame.")
+    navigator: _Navigator = setting(
+        "/planner/robot_goto/navigate_to_pose",
+        "Who drives to waypoints: an action on the hub (`nav2_msgs/action/NavigateToPose`), or `yarp:` and the port"
+        " prefix of an INavigation2D server: `yarp:/robotGoto`.",
     )
-    frame: str = Field(default="map", min_length=1, max_length=100, description="The map's frame.")
-    base_frame: str = Field(default="base_link", min_length=1, max_length=100, description="The robot's frame.")
-    navigator: str = Field(
-        default="/planner/robot_goto/navigate_to_pose",
-        description="Who drives to waypoints: an action on the hub (`nav2_msgs/action/NavigateToPose`), or `yarp:` and"
-        " what the ports of an INavigation2D server begin with: `yarp:/robotGoto`.",
+    scan: OptionalTopic = setting("/scan", 'Laser that shows new obstacles (`sensor_msgs/msg/LaserScan`); "": none.')
+    robot_radius: float = setting(0.3, "Metres that it keeps from walls and keep-out cells.", gt=0.0, le=10.0)
+    clearance: float = setting(0.2, "Metres that it keeps beyond the radius where there is room.", ge=0.0, le=10.0)
+    waypoint: WaypointSection = subsection(WaypointSection, "On the way to waypoints.")
+    goal: GoalSection = subsection(GoalSection, "To the goal itself.")
+    min_waypoint_distance: float = setting(0.2, "Metres within which it joins waypoints if it can.", ge=0.0, le=10.0)
+    use_optimized_path: bool = setting(True, "Whether it straightens paths; else every cell is a waypoint.")
+    recoveries: int = setting(5, "How often in a row it tries another path without coming nearer.", ge=0, le=100)
+    patience: float = setting(3.0, "Seconds that an obstacle may block the path before a detour.", ge=0.0, le=600.0)
+    max_waiting_time: float = setting(
+        60.0, "Seconds that it waits for a path, localisation or the local navigator.", ge=0.0, le=86400.0
     )
-    scan: str = Field(
-        default="/scan",
-        description="The laser (`sensor_msgs/msg/LaserScan`) that shows what stands in the way beyond the map;"
-        ' "" for none.',
+    max_map_waiting_time: float = setting(
+        300.0, "Seconds that it waits at a link to another map for the change of maps.", ge=0.0, le=86400.0
     )
-    robot_radius: float = Field(default=0.3, gt=0.0, le=10.0, description="Metres kept to walls and keep-out cells.")
-    clearance: float = Field(
-        default=0.2, ge=0.0, le=10.0, description="Metres beyond the radius that are kept where there is room."
-    )
-    waypoint: WaypointSection = Field(default_factory=WaypointSection, description="On the way to waypoints.")
-    goal: GoalSection = Field(default_factory=GoalSection, description="To the goal itself.")
-    min_waypoint_distance: float = Field(
-        default=0.2,
-        ge=0.0,
-        le=10.0,
-        description="Metres; waypoints nearer to one another are joined where they can be.",
-    )
-    use_optimized_path: bool = Field(
-        default=True, description="Whether a way is made straight where it can be; else every cell is a waypoint."
-    )
-    recoveries: int = Field(
-        default=5, ge=0, le=100, description="How often in a row another way is tried without coming nearer."
-    )
-    patience: float = Field(
-        default=3.0,
-        ge=0.0,
-        le=600.0,
-        description="Seconds that something may stand in the way before it is gone round.",
-    )
-    max_waiting_time: float = Field(
-        default=60.0,
-        ge=0.0,
-        le=86400.0,
-        description="Seconds that it waits where there is no other way, or no localisation, or no local navigator.",
-    )
-    max_map_waiting_time: float = Field(
-        default=300.0, ge=0.0, le=86400.0, description="Seconds that it waits at a link to another map for the change."
-    )
-    obstacle_memory: float = Field(
-        default=30.0, gt=0.0, le=86400.0, description="Seconds for which what the laser saw is remembered."
-    )
-    obstacle_distance: float = Field(
-        default=5.0, gt=0.0, le=100.0, description="Metres up to which what the laser sees is heeded."
-    )
-    period: float = Field(default=0.05, ge=0.01, le=1.0, description="Seconds between two steps.")
-    image_hz: float = Field(
-        default=2.0,
-        ge=0.0,
-        le=30.0,
-        description="Pictures of the map a second on `map:o` while somebody sees; 0: none.",
-    )
-    prefix: str = Field(default="/robotPathPlanner", description='Begins its YARP ports; "" for none.')
-
-    @field_validator("map")
-    @classmethod
-    def _map_is_one(cls, value: str | None) -> str | None:
-        return value if value in (None, "store") else _topic(str(value))
-
-    @field_validator("scan")
-    @classmethod
-    def _scan_is_a_topic(cls, value: str) -> str:
-        return _topic(value) if value else value
-
-    @field_validator("navigator")
-    @classmethod
-    def _navigator_is_one(cls, value: str) -> str:
-        if value.startswith(YARP):
-            _port(value.removeprefix(YARP))
-            return value
-        return _topic(value)
-
-    @field_validator("prefix")
-    @classmethod
-    def _prefix_begins_ports(cls, value: str) -> str:
-        return _port(value) if value else value
-
-
-def _topic(value: str) -> str:
-    if not ROS2_NAME.fullmatch(value):
-        msg = f"{value!r} is no name on the hub: begin it with a slash; letters, digits and underscores make its parts"
-        raise ValueError(msg)
-    return value
-
-
-def _port(value: str) -> str:
-    if not _PORT.fullmatch(value):
-        msg = f"{value!r} cannot begin a port's name: write it as /robotPathPlanner"
-        raise ValueError(msg)
-    return value
+    obstacle_memory: float = setting(30.0, "Seconds for which it remembers what the laser saw.", gt=0.0, le=86400.0)
+    obstacle_distance: float = setting(5.0, "Metres up to which it heeds what the laser sees.", gt=0.0, le=100.0)
+    period: float = setting(0.05, "Seconds between two steps.", ge=0.01, le=1.0)
+    image_hz: float = setting(2.0, "Pictures per second on `map:o` while it is connected; 0: none.", ge=0.0, le=30.0)
+    prefix: OptionalPort = setting("/robotPathPlanner", 'Prefix of its YARP ports; "": none.')

@@ -3,26 +3,72 @@
 from __future__ import annotations
 
 import re
-from typing import Literal
+from collections.abc import Sequence
+from typing import Annotated, Literal
 
 from pydantic import ConfigDict, Field, ValidationInfo, field_validator, model_validator
 
-from bridge.config.sections.parameters import ParameterRule, parameters_trouble
-from bridge.config.sections.section import Section, SideName
-from bridge.config.sections.values import ROS2_NAME
+from bridge.config.sections.section import ROS2_NAME, Section, SideName, matching, setting, subsection
+
+_ROS1_NAME = re.compile(r"(?:/[A-Za-z0-9_]+)+")
+_Key = Annotated[str, matching(_ROS1_NAME, "is not a ROS 1 parameter: write it as /move_base or /move_base/base_frame")]
+_Node = Annotated[str, matching(ROS2_NAME, "is not a ROS 2 node: write it as /controller_server")]
+_Prefix = Annotated[
+    str,
+    matching(
+        r"(?:[A-Za-z0-9_]+(?:\.[A-Za-z0-9_]+)*)?",
+        "cannot begin a ROS 2 parameter's name: write it as FollowPath or limits.speed",
+    ),
+]
+
+
+class ParameterRule(Section):
+    """Parameters that ROS 1 and ROS 2 share: of ROS 1's parameter server and of one ROS 2 node.
+
+    Their owner's value counts. Where `ros1` is `/move_base`, ROS 1's `/move_base/a/b` is the node's `a.b`.
+    """
+
+    ros1: _Key = Field(description="Namespace on ROS 1's parameter server, or one parameter: `/move_base`.")
+    node: _Node = Field(description="The ROS 2 node's full name: `/controller_server`.")
+    owner: Literal["ros1", "ros2"] = Field(
+        description="Who has them. ros2: the node runs, and Midspan copies its parameters to ROS 1. ros1: they are on"
+        " ROS 1's parameter server, and Midspan serves them to ROS 2 under that node name."
+    )
+    prefix: _Prefix = setting("", "Prefix on the node: `FollowPath`; the whole name if `ros1` is one parameter.")
+    names: tuple[str, ...] = setting(
+        ("**",), "Globs over the names below `ros1`; `*` stays in one part, `**` crosses: `FollowPath/*`.", min_length=1
+    )
+    write: bool = setting(True, "Whether the other side may set them.")
+
+
+def parameters_trouble(rules: Sequence[ParameterRule]) -> str:
+    """Why these rules contradict each other, "" where they do not."""
+    for number, rule in enumerate(rules, 1):
+        for other_number, other in enumerate(rules[number:], number + 1):
+            if rule.node == other.node and rule.owner != other.owner:
+                return f"rules {number} and {other_number} give {rule.node} two owners; change the node in one"
+            shared = _within(rule.ros1, other.ros1) or _within(other.ros1, rule.ros1)
+            if shared and "ros2" in (rule.owner, other.owner):
+                return (
+                    f"rules {number} and {other_number} both take what is in {max(rule.ros1, other.ros1)}, and a ROS 2"
+                    " node owns it; give each node a namespace of its own"
+                )
+    return ""
+
+
+def _within(name: str, namespace: str) -> bool:
+    return name == namespace or name.startswith(f"{namespace}/")
+
 
 _WILDCARD = re.compile(r"\*\*|\*|\?")
 _GROUP = re.compile(r"\\(?:([0-9]+)|g<(\w+)>)")
-_ROS1_NAME = re.compile(r"(?:/[A-Za-z0-9_]+)+")
 
 
 class QosOverride(Section):
-    """QoS that a rule forces on the endpoints that the bridge makes."""
+    """QoS that a rule forces on the bridge's endpoints."""
 
-    reliability: Literal["reliable", "best_effort"] | None = Field(default=None, description="Forced reliability.")
-    durability: Literal["volatile", "transient_local"] | None = Field(
-        default=None, description="Forced durability (latching)."
-    )
+    reliability: Literal["reliable", "best_effort"] | None = setting(None, "Forced reliability.")
+    durability: Literal["volatile", "transient_local"] | None = setting(None, "Forced durability (latching).")
 
 
 def rename_trouble(rename: str, topic: str | None, regex: str | None, *, ros1: bool) -> str:
@@ -39,62 +85,42 @@ def rename_trouble(rename: str, topic: str | None, regex: str | None, *, ros1: b
             return f"has {taken} wildcards, and the topic has {had} to fill them from"
         examples = [_WILDCARD.sub("x", rename)]
     if not any((_ROS1_NAME if ros1 else ROS2_NAME).fullmatch(example) for example in examples):
-        return "is no topic name: begin it with a slash; letters, digits and underscores make its parts" + (
+        return "is not a topic name: begin it with a slash; letters, digits and underscores make its parts" + (
             "" if ros1 else ", and none begins with a digit"
         )
     return ""
 
 
 class Rule(Section):
-    """One rule: which topics, services and actions it names, and what becomes of them.
+    """One rule: which topics, services and actions it matches, and what happens to them.
 
     Of the rules that match, any with ``deny`` wins; else the first one that matches gives rename, rate, priority,
     depth and QoS.
     """
 
-    kind: Literal["topic", "service", "action"] | None = Field(
-        default=None, description="Only topics, only services or only actions; without it all three."
+    kind: Literal["topic", "service", "action"] | None = setting(
+        None, "Only topics, only services or only actions; by default all three."
     )
-    topic: str | None = Field(
-        default=None,
-        description="Glob over the name of the topic, service or action where the rule is applied: `*` stays within one"
-        " name part, `**` crosses parts. Example: `/camera/**`.",
-    )
-    regex: str | None = Field(
-        default=None, description="Regular expression that must match the whole name; an alternative to `topic`."
-    )
-    type: str | None = Field(
-        default=None,
-        description="Glob over the type's ROS 2 name: `sensor_msgs/msg/*`, `nav_msgs/srv/GetMap`,"
-        " `nav2_msgs/action/*`.",
+    topic: str | None = setting(None, "Glob over the name: `*` stays in one part, `**` crosses: `/camera/**`.")
+    regex: str | None = setting(None, "Regular expression over the whole name, instead of `topic`.")
+    type: str | None = setting(
+        None, "Glob over the type's ROS 2 name: `sensor_msgs/msg/*`, `nav_msgs/srv/GetMap`, `nav2_msgs/action/*`."
     )
     from_: SideName | None = Field(default=None, alias="from", description="Only what comes from this side.")
-    to: SideName | None = Field(
-        default=None,
-        description="Only on the way out to this side; without it the rule holds where the topic enters the hub.",
+    to: SideName | None = setting(None, "Only on the way out to this side; by default, on the way into the hub.")
+    deny: bool = setting(False, "It does not cross; this wins over every other rule.")
+    rename: str | None = setting(
+        None, "New name; with `regex`, groups as `\\1`; with a glob, `*` and `**` keep what they matched there."
     )
-    deny: bool = Field(default=False, description="It does not cross; wins over every other rule.")
-    rename: str | None = Field(
-        default=None,
-        description="New name. With `regex`, groups as `\\1`; with a glob, each `*` or `**` of the new name stands for"
-        " what the wildcard at that place matched.",
+    rate: float | None = setting(
+        None, "Messages per second at most, the newest ones. For topics only, as are the next four.", gt=0, le=10000
     )
-    rate: float | None = Field(
-        default=None,
-        gt=0,
-        le=10000,
-        description="At most so many messages a second, the newest ones. Of topics alone, as are the next four.",
+    priority: Literal["state", "command", "stream"] | None = setting(
+        None, "state: kept; command: newest only, never latched or late; stream: drops oldest."
     )
-    priority: Literal["state", "command", "stream"] | None = Field(
-        default=None, description="state: kept; command: newest only, never latched or late; stream: drops oldest."
-    )
-    depth: int | None = Field(
-        default=None, ge=1, le=100000, description="Length of the route's queue, and history depth."
-    )
-    timeout: float | None = Field(
-        default=None, gt=0, le=60, description="Seconds after which a command is too old to be delivered (default 0.5)."
-    )
-    qos: QosOverride = Field(default_factory=QosOverride, description="QoS forced on the bridge's endpoints.")
+    depth: int | None = setting(None, "Length of the route's queue, and history depth.", ge=1, le=100000)
+    timeout: float | None = setting(None, "Seconds after which a command is too old (default 0.5).", gt=0, le=60)
+    qos: QosOverride = subsection(QosOverride, "QoS forced on the bridge's endpoints.")
 
     model_config = ConfigDict(extra="forbid", frozen=True, populate_by_name=True)
 
@@ -113,9 +139,7 @@ class Rule(Section):
     @classmethod
     def _topic_is_absolute(cls, value: str | None) -> str | None:
         if value is not None and not value.startswith(("/", "**")):
-            msg = (
-                f"{value!r} matches no topic: names begin with a slash; write /{value}, or **/{value} in any namespace"
-            )
+            msg = f"{value!r} matches no topic: write /{value}, or **/{value} for any namespace"
             raise ValueError(msg)
         return value
 
@@ -145,7 +169,7 @@ class Rule(Section):
         if self.kind in ("service", "action") and (
             self.rate or self.priority or self.depth or self.timeout or self.qos != QosOverride()
         ):
-            msg = f"rate, priority, depth, timeout and qos are of topics; a rule of kind {self.kind} has none of them"
+            msg = f"rate, priority, depth, timeout and qos are for topics; a rule of kind {self.kind} cannot have them"
             raise ValueError(msg)
         return self
 
@@ -153,19 +177,14 @@ class Rule(Section):
 class RoutingSection(Section):
     """What crosses, and how."""
 
-    default: Literal["allow", "deny"] = Field(
-        default="allow",
-        description="What becomes of what no rule names. With `deny`, the rules are the allow list.",
+    default: Literal["allow", "deny"] = setting(
+        "allow", "What happens to names that no rule matches. With `deny`, the rules are the allow list."
     )
-    private: bool = Field(
-        default=True,
-        description="Keep back what is private to a side (rosout, parameter events, the services that each node"
-        " has for itself, and the like).",
+    private: bool = setting(
+        True, "Keep back what is private to a side: rosout, parameter events, each node's own services and the like."
     )
-    rules: tuple[Rule, ...] = Field(default=(), description="The rules; see below.")
-    parameters: tuple[ParameterRule, ...] = Field(
-        default=(), description="Parameters that ROS 1 and ROS 2 share; none without a rule."
-    )
+    rules: tuple[Rule, ...] = setting((), "The rules; see below.")
+    parameters: tuple[ParameterRule, ...] = setting((), "Parameters that ROS 1 and ROS 2 share; none without a rule.")
 
     @field_validator("parameters")
     @classmethod

@@ -1,12 +1,22 @@
-"""What every section of the configuration is, and values that several of them have."""
+"""What every section of the configuration is, and values that are checked alike wherever they stand."""
 
 from __future__ import annotations
 
-from typing import Literal
+import ipaddress
+import re
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+from urllib.parse import urlsplit
 
-from pydantic import BaseModel, ConfigDict
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field
 
-SideName = Literal["ros1", "ros2", "yarp", "zenoh", "zenoh_ros2dds", "zenoh_ros1", "zenoh_json"]
+from bridge.sides import all_networks
+
+if TYPE_CHECKING:
+    SideName = str
+else:
+    SideName = Literal[tuple(all_networks())]
+
 Enabled = Literal["auto", True, False]
 
 
@@ -14,3 +24,113 @@ class Section(BaseModel):
     """Base of all sections: frozen, and an unknown key is an error."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+def setting(default: Any, description: str, **limits: Any) -> Any:
+    """A key of a section, with limits of its value as `pydantic.Field` takes them: ``ge``, ``lt``, ``pattern``."""
+    return Field(default=default, description=description, **limits)
+
+
+def subsection(section: type[Section], description: str) -> Any:
+    """A section within a section."""
+    return Field(default_factory=section, description=description)
+
+
+class SideSection(Section):
+    """The section of a side."""
+
+    enabled: Enabled = setting("auto", "`auto`: where this machine has what it needs.")
+
+    def joins_as(self, other: Section) -> bool:
+        """Whether the side's network is joined as by another section, so that its worker need not start again."""
+        return self == other
+
+
+class ModuleSection(Section):
+    """A module of Midspan's; its key in `modules` is its name."""
+
+    enabled: bool = setting(False, "Whether it runs.")
+
+
+def matching(pattern: str | re.Pattern[str], mistake: str) -> AfterValidator:
+    """Checks that a pattern matches a whole text; ``mistake`` follows the text in the error."""
+
+    def check(value: str | float) -> str | float:
+        if isinstance(value, str) and not re.fullmatch(pattern, value):
+            msg = f"{value!r} {mistake}"
+            raise ValueError(msg)
+        return value
+
+    return AfterValidator(check)
+
+
+def differ(values: Sequence[object], mistake: str) -> None:
+    """Raise `ValueError` where a value comes twice; ``mistake`` precedes the first such value in the error."""
+    for value in values:
+        if values.count(value) > 1:
+            msg = f"{mistake} {value}"
+            raise ValueError(msg)
+
+
+ROS2_NAME = re.compile(r"(?:/[A-Za-z_][A-Za-z0-9_]*)+")
+YARP_PORT = re.compile(r"(?:/[^\s/\"'*()\[\]{}]+)+")
+_NOT_A_TOPIC = "is not a topic name: begin it with a slash; letters, digits and underscores make its parts"
+_NOT_A_PORT = "is not a name of a YARP port: write it as /robot/laser:o"
+
+TopicName = Annotated[str, matching(ROS2_NAME, _NOT_A_TOPIC)]
+OptionalTopic = Annotated[str, matching(f"(?:{ROS2_NAME.pattern})?", _NOT_A_TOPIC)]
+MapSource = Annotated[str, matching(f"store|{ROS2_NAME.pattern}", _NOT_A_TOPIC)]
+"""`store`, or a topic of maps."""
+FrameName = Annotated[str, Field(min_length=1, max_length=100)]
+PortName = Annotated[str, matching(YARP_PORT, _NOT_A_PORT)]
+OptionalPort = Annotated[str, matching(f"(?:{YARP_PORT.pattern})?", _NOT_A_PORT)]
+PORT, PORT_OR_NONE = f"^{YARP_PORT.pattern}$", f"^({YARP_PORT.pattern})?$"
+ZenohEndpoint = Annotated[
+    str,
+    matching(
+        r"[a-z][a-z0-9_-]*/\S+", "is not a zenoh endpoint; give protocol and address, for example tcp/127.0.0.1:7447"
+    ),
+]
+SmallName = Annotated[
+    str, matching(r"[a-z][a-z0-9_]{0,62}", "is not a name: use small letters, digits and underscores, a letter first")
+]
+NodeName = Annotated[
+    str, matching(r"[A-Za-z][A-Za-z0-9_]*", "is not a node name; use letters, digits and underscores, a letter first")
+]
+"""A node's base name that ROS 1 and ROS 2 both take."""
+
+
+def _master_uri(value: str) -> str:
+    parts = urlsplit(value)
+    if parts.scheme not in {"http", "https"} or not parts.hostname:
+        msg = f"{value!r} is not a master's URI; give for example http://robot:11311"
+        raise ValueError(msg)
+    try:
+        port = parts.port
+    except ValueError:
+        port = None
+    if port is None:
+        msg = f"{value!r} has no valid port; a master's is 11311 by default, for example http://{parts.hostname}:11311"
+        raise ValueError(msg)
+    return value
+
+
+MasterUri = Annotated[str, AfterValidator(_master_uri)]
+
+
+def is_loopback(endpoint: str) -> bool:
+    """Whether only programs of this machine reach what listens at a zenoh endpoint."""
+    protocol, _, rest = endpoint.partition("/")
+    if protocol.startswith(("unixsock", "unixpipe")):
+        return True
+    host = re.split(r"[?#]", rest)[0].rpartition(":")[0].strip("[]")
+    try:
+        return ipaddress.ip_address(host).is_loopback
+    except ValueError:
+        return host == "localhost"
+
+
+def same_port(one: str, other: str) -> bool:
+    """Whether two endpoints have one port of TCP (0 is any free one)."""
+    ports = [re.split(r"[?#]", place)[0].rpartition(":")[2] for place in (one, other)]
+    return ports[0] == ports[1] != "0" and not one.startswith("quic/")

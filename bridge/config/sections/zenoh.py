@@ -4,37 +4,34 @@ from __future__ import annotations
 
 import re
 from pathlib import Path
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
 from pydantic import Field, field_validator, model_validator
 
-from bridge.config.sections.section import Enabled, Section
-from bridge.config.sections.values import ROS2_NAME, ZenohEndpoint
+from bridge.config.sections.section import ROS2_NAME, Enabled, Section, SideSection, ZenohEndpoint, matching, setting
 
 _PLAIN_KEY = re.compile(r"[^\s/*$?#@]+(?:/[^\s/*$?#@]+)*")
 _HUB_KEY = re.compile(r"[0-9]+/.+/.+::dds_::.+/RIHS[0-9]{2}_.+")
+_TYPE = re.compile(r"[A-Za-z]\w*/(msg|srv)/[A-Za-z]\w*", re.ASCII)
+_Type = Annotated[str, matching(_TYPE, "is not a type of ROS 2, such as std_msgs/msg/String or std_srvs/srv/SetBool")]
 _USUALLY_LATCHED = ("/tf_static", "/map", "/map_metadata", "/robot_description")
 
 
 class DialectKey(Section):
     """A key of a dialect whose publishers announce nothing."""
 
-    key: str | None = Field(default=None, description="`json` alone: the zenoh key, for example `robot/pose`.")
-    topic: str | None = Field(
-        default=None, description="The topic, for example `/pose`; with `json` by default the key behind a slash."
-    )
-    type: str = Field(
+    key: str | None = setting(None, "`json` alone: the zenoh key, for example `robot/pose`.")
+    topic: str | None = setting(None, "The topic, for example `/pose`; with `json` by default the key after a slash.")
+    type: _Type = Field(
         description="The message type, spelled as in ROS 2: `geometry_msgs/msg/Pose`; with `json` also a service's:"
         " `std_srvs/srv/SetBool`."
     )
-    direction: Literal["in", "out", "both"] = Field(
-        default="both",
-        description="`json` alone: whether the programs on the key publish (`in`), listen (`out`), or do both. Of a"
-        " service: whether they serve it (`in`) or call it (`out`).",
+    direction: Literal["in", "out", "both"] = setting(
+        "both",
+        "`json` alone: whether the programs on the key publish (`in`), listen (`out`), or both. For a service: whether"
+        " they serve it (`in`) or call it (`out`).",
     )
-    latched: bool = Field(
-        default=False, description="`json` alone: keep the last message that comes from the key for late joiners."
-    )
+    latched: bool = setting(False, "`json` alone: keep the last message from the key for late joiners.")
 
     @property
     def hub_topic(self) -> str:
@@ -50,25 +47,17 @@ class DialectKey(Section):
     @classmethod
     def _key_is_plain(cls, value: str | None) -> str | None:
         if value is not None and not _PLAIN_KEY.fullmatch(value):
-            msg = f"{value!r} is no plain zenoh key: parts between slashes, without blanks and any of * $ ? # @"
+            msg = f"{value!r} is not a plain zenoh key: parts between slashes, without blanks and any of * $ ? # @"
             raise ValueError(msg)
         if value is not None and _HUB_KEY.fullmatch(value):
             msg = f"{value!r} is a key of the hub itself: its programs speak ROS 2, not JSON"
             raise ValueError(msg)
         return value
 
-    @field_validator("type")
-    @classmethod
-    def _type_is_spelled_as_in_ros2(cls, value: str) -> str:
-        if not re.fullmatch(r"[A-Za-z]\w*/(msg|srv)/[A-Za-z]\w*", value, re.ASCII):
-            msg = f"{value!r} is no type as ROS 2 spells them, for example std_msgs/msg/String or std_srvs/srv/SetBool"
-            raise ValueError(msg)
-        return value
-
     @model_validator(mode="after")
     def _topic_is_legal(self) -> DialectKey:
         if (self.topic is not None or self.key is not None) and not ROS2_NAME.fullmatch(self.hub_topic):
-            msg = f"{self.hub_topic!r} is no topic name; give a 'topic' of letters, digits and underscores, as /pose"
+            msg = f"{self.hub_topic!r} is not a topic name; give a 'topic' of letters, digits and underscores, as /pose"
             raise ValueError(msg)
         if self.is_service and (self.direction == "both" or self.latched):
             msg = f"{self.type} is a service: give its 'direction', in (programs serve it) or out, and no 'latched'"
@@ -82,19 +71,15 @@ class Dialect(Section):
     dialect: Literal["ros2dds", "ros1", "json"] = Field(
         description="`ros2dds`: as zenoh-bridge-ros2dds; `ros1`: as zenoh-bridge-ros1; `json`: JSON on plain keys."
     )
-    namespace: str | None = Field(
-        default=None,
-        description="Not with `json`: the namespace of the bridges, as their own configurations have it. ros2dds:"
-        " default `/`; ros1 (`bridge_namespace`): default `*`.",
+    namespace: str | None = setting(
+        None, "Not with `json`: the bridges' own namespace; default `/` (ros2dds) or `*` (ros1: `bridge_namespace`)."
     )
-    keys: tuple[DialectKey, ...] = Field(
-        default=(),
-        description="`json`: all keys. Else topics that programs publish which announce nothing, as free_fleet's do.",
+    keys: tuple[DialectKey, ...] = setting(
+        (), "`json`: all keys. Else: topics whose publishers announce nothing, as free_fleet's do."
     )
-    latched: tuple[str, ...] = Field(
-        default=_USUALLY_LATCHED,
-        description="`ros1` alone: globs of topics whose last message is kept, since that dialect does not tell what is"
-        " latched.",
+    latched: tuple[str, ...] = setting(
+        _USUALLY_LATCHED,
+        "`ros1` alone: globs of topics whose last message is kept; that dialect does not say what is latched.",
     )
 
     @model_validator(mode="after")
@@ -119,31 +104,28 @@ class Dialect(Section):
         elif self.dialect != "ros1" and self.latched != _USUALLY_LATCHED:
             msg = "'latched' here is for ros1 alone"
         elif self.dialect == "ros2dds" and not re.fullmatch(r"/|(/[A-Za-z_]\w*)+", self.namespace or "/", re.ASCII):
-            msg = f"namespace {self.namespace!r} is none of ROS 2, as /robot1"
+            msg = f"namespace {self.namespace!r} is not a ROS 2 namespace, as /robot1"
         elif self.dialect == "ros1" and not re.fullmatch(r"\*|[A-Za-z0-9_.-]+", self.namespace or "*", re.ASCII):
-            msg = f"namespace {self.namespace!r} is no single part of a key, as robot1 or *"
+            msg = f"namespace {self.namespace!r} is not a single part of a key, as robot1 or *"
         else:
             return self
         raise ValueError(msg)
 
 
-class ZenohSection(Section):
+class ZenohSection(SideSection):
     """The other key dialects in use on zenoh networks; each is a side of its own for the rules.
 
     The sides are called ``zenoh_ros2dds``, ``zenoh_ros1`` and ``zenoh_json``; ``zenoh`` stands for the hub itself.
     """
 
-    enabled: Enabled = Field(default="auto", description="`auto`: where a dialect is configured.")
-    router: ZenohEndpoint | None = Field(
-        default=None,
-        description="Router of another zenoh network, for example `tcp/robot1:7447`; default the hub's own network.",
+    enabled: Enabled = setting("auto", "`auto`: if a dialect is configured.")
+    router: ZenohEndpoint | None = setting(
+        None, "Router of another zenoh network, for example `tcp/robot1:7447`; default: the hub's own network."
     )
-    zenoh: dict[str, Any] | Path | None = Field(
-        default=None,
-        description="zenoh configuration of the sessions there, inline or the path of a JSON5 or YAML file; without it"
-        " and without `router` they join as the hub's sessions do.",
+    zenoh: dict[str, Any] | Path | None = setting(
+        None, "zenoh configuration of the sessions there (inline or a file); default: the hub's sessions'."
     )
-    dialects: tuple[Dialect, ...] = Field(default=(), description="What is spoken there; see below.")
+    dialects: tuple[Dialect, ...] = setting((), "The dialects on that network; see below.")
 
     @model_validator(mode="after")
     def _once_each(self) -> ZenohSection:

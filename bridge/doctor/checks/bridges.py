@@ -2,18 +2,24 @@
 
 from __future__ import annotations
 
+import json
 import re
+import subprocess
+import sys
 from collections import defaultdict
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
 
-from bridge.adapters.ros1.errors import Ros1Error
-from bridge.adapters.ros1.presence import Ledger, Presence, is_alive
+from bridge.adapters.ros1.graph.presence import Ledger, NodeEntry, is_alive
+from bridge.adapters.ros1_peers import Ros1Error
 from bridge.adapters.ros2.environment import available
-from bridge.config.state import state_folder
-from bridge.doctor import dds
-from bridge.doctor.around import Around
+from bridge.adapters.ros2.graph.origins import is_marked
+from bridge.config.model import Config
+from bridge.daemon.workers import worker_kinds
+from bridge.doctor.check import Finding, Findings, fail, ok, skip, warn
 from bridge.doctor.checks.ros1 import why_not
-from bridge.doctor.finding import Finding, fail, ok, skip, warn
+from bridge.doctor.context import CheckContext
+from bridge.state_file import state_folder
 
 FOREIGN = re.compile(r"(ros1?|ros_1|dynamic|static|parameter|simple)_bridge(_.*)?|ros1_to_ros2.*|.*zenoh_bridge.*")
 """Last part of the names of other bridges' nodes: ros1_bridge calls its nodes ``ros_bridge`` on both sides."""
@@ -21,17 +27,17 @@ FOREIGN = re.compile(r"(ros1?|ros_1|dynamic|static|parameter|simple)_bridge(_.*)
 _CURE_FOREIGN = "stop the other bridge, or deny in routing.rules what it carries"
 
 
-def look(around: Around) -> Sequence[Finding]:
+def look(context: CheckContext) -> Findings:
     """On the hub, on ROS 1, on ROS 2."""
-    findings = [*_on_hub(around), *_on_ros1(around), *_on_ros2(around)]
+    findings = [*_on_hub(context), *_on_ros1(context), *_on_ros2(context)]
     if any(finding.result in ("warn", "fail") for finding in findings):
         return [finding for finding in findings if finding.result != "ok"]
-    return findings or [ok("no other bridge was seen")]
+    return findings or ok("no other bridge was seen")
 
 
-def _on_hub(around: Around) -> list[Finding]:
+def _on_hub(context: CheckContext) -> list[Finding]:
     daemons: dict[tuple[str, str], set[str]] = defaultdict(set)
-    for document in around.hub.documents:
+    for document in context.hub.documents:
         if document.get("network") and document.get("state") != "standby":
             daemons[str(document.get("side")), str(document["network"])].add(str(document.get("daemon")))
     return [
@@ -44,17 +50,16 @@ def _on_hub(around: Around) -> list[Finding]:
     ]
 
 
-def _on_ros1(around: Around) -> list[Finding]:
-    reason = why_not(around)
-    if reason:
+def _on_ros1(context: CheckContext) -> list[Finding]:
+    if reason := why_not(context):
         return [skip(f"ROS 1: {reason}")]
-    look = around.look_at_master()
+    look = context.look_at_master()
     if isinstance(look, Ros1Error):
         return [skip("ROS 1: the master does not answer")]
     findings = _foreign("ROS 1", look.uris)
-    entries = [entry for entry in map(Presence.parse, look.presence.values()) if entry is not None]
+    entries = [entry for entry in map(NodeEntry.parse, look.presence.values()) if entry is not None]
     for entry in entries:
-        if _is_ours(around, entry):
+        if _is_ours(context, entry):
             continue
         if is_alive("/midspan_doctor", entry):
             findings.append(
@@ -73,26 +78,26 @@ def _on_ros1(around: Around) -> list[Finding]:
     return findings or [ok("ROS 1: no other bridge")]
 
 
-def _is_ours(around: Around, entry: Presence) -> bool:
-    running = {(d.get("daemon"), d.get("pid")) for d in around.hub.of_side("ros1")}
-    if entry.daemon == around.config.name and (entry.daemon, entry.pid) in running:
+def _is_ours(context: CheckContext, entry: NodeEntry) -> bool:
+    running = {(d.get("daemon"), d.get("pid")) for d in context.hub.of_side("ros1")}
+    if entry.daemon == context.config.name and (entry.daemon, entry.pid) in running:
         return True
-    return entry.owner == Ledger(state_folder(around.config, around.environ)).owner
+    return entry.owner == Ledger(state_folder(context.config, context.environ)).owner
 
 
-def _on_ros2(around: Around) -> list[Finding]:
-    if around.config.ros2.enabled is False or available(around.config):
+def _on_ros2(context: CheckContext) -> list[Finding]:
+    if context.config.ros2.enabled is False or available(context.config):
         return [skip("ROS 2: not on this machine")]
     try:
-        return of_dds(around, dds.look(around.config, around.environ))
-    except dds.LookError as err:
+        return of_dds(context, look_at_dds(context.config, context.environ))
+    except LookError as err:
         return [warn(f"ROS 2: the network could not be looked at: {err}")]
 
 
-def of_dds(around: Around, view: dds.DdsView) -> list[Finding]:
+def of_dds(context: CheckContext, view: DdsView) -> list[Finding]:
     """What is to be said of a ROS 2 network."""
     findings = _foreign("ROS 2", view.nodes)
-    ours = {str(d.get("network")) for d in around.hub.of_side("ros2", around.config.name)}
+    ours = {str(d.get("network")) for d in context.hub.of_side("ros2", context.config.name)}
     others = view.midspans - ours
     if others:
         mine = "besides this daemon's " if view.midspans & ours else ""
@@ -109,6 +114,42 @@ def _foreign(side: str, nodes: Iterable[str]) -> list[Finding]:
     names = sorted(node for node in nodes if FOREIGN.fullmatch(node.rsplit("/", 1)[-1]))
     if not names:
         return []
-    return [
-        fail(f"{side}: {', '.join(names)} looks like another bridge: topics that both carry come twice", _CURE_FOREIGN)
-    ]
+    return [fail(f"{side}: {', '.join(names)} looks like another bridge: shared topics come twice", _CURE_FOREIGN)]
+
+
+_SECONDS = 12.0
+
+
+class LookError(Exception):
+    """The ROS 2 network could not be looked at."""
+
+
+@dataclass(frozen=True, slots=True)
+class DdsView:
+    """The ROS 2 network: GUID prefixes (hex) of other Midspans' participants, and nodes with endpoints."""
+
+    midspans: frozenset[str]
+    nodes: frozenset[str]
+
+
+def look_at_dds(config: Config, environ: Mapping[str, str]) -> DdsView:
+    """Join the network for a moment; raises `LookError`."""
+    if reason := available(config):
+        raise LookError(reason)
+    env = worker_kinds({})["ros2"].child_environment(config, environ)
+    command = [sys.executable, "-m", "bridge.adapters.ros2.graph.graph"]
+    try:
+        done = subprocess.run(
+            command, input=config.model_dump_json(by_alias=True), env=env, capture_output=True, text=True,
+            timeout=_SECONDS, check=False,
+        )  # fmt: skip
+        found = json.loads(done.stdout.splitlines()[-1])
+        prefixes = {str(prefix) for prefix in found["participants"]}
+        return DdsView(
+            frozenset(p for p in prefixes if is_marked(bytes.fromhex(p))), frozenset(str(n) for n in found["nodes"])
+        )
+    except subprocess.TimeoutExpired:
+        raise LookError(f"no answer within {_SECONDS:g} s") from None
+    except (IndexError, KeyError, TypeError, ValueError):
+        last = done.stderr.strip().splitlines()[-1:] or ["it printed nothing"]
+        raise LookError(last[0]) from None

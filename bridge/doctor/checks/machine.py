@@ -1,36 +1,40 @@
-"""Limits of this machine."""
+"""This machine: its limits, its clock against the others', and which libraries there are for it."""
 
 from __future__ import annotations
 
+import importlib.metadata
 import sys
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import psutil
+from packaging.markers import default_environment
+from packaging.requirements import Requirement
 
-from bridge.config import state
-from bridge.doctor.around import Around
-from bridge.doctor.finding import Finding, fail, ok, skip, warn
-from bridge.routing.room import FULL, RAISE
+from bridge import kernels, state_file
+from bridge.daemon.workers import worker_kinds
+from bridge.doctor.check import Finding, Findings, fail, ok, skip, warn
+from bridge.doctor.context import CheckContext
+from bridge.resources import FULL, RAISE, folder_trouble
 
 WANTED = 4096
 """rospy takes about two descriptors for a subscribed topic; a thousand topics and room for the rest."""
 
 
-def look_at_descriptors(around: Around) -> Sequence[Finding]:
+def look_at_descriptors(context: CheckContext) -> Findings:
     """This shell's limit, which a daemon started here would get, and how much of theirs the workers use."""
     if sys.platform == "win32":
-        return [skip("Windows has no such limit")]
+        return skip("Windows has no such limit")
     import resource
 
     _soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
     findings: list[Finding] = []
     if hard != resource.RLIM_INFINITY and hard < WANTED:
         findings.append(warn(f"at most {hard} files may be open at once; 1,000 topics want {WANTED}", RAISE))
-    for document in around.hub.documents:
-        process = around.process(document)
+    for document in context.hub.documents:
+        process = context.process(document)
         if process is not None:
             findings += _worker(f"{document.get('daemon')}/{document.get('worker')}", process)
-    return findings or [ok(f"{'no limit' if hard == resource.RLIM_INFINITY else hard}")]
+    return findings or ok(f"{'no limit' if hard == resource.RLIM_INFINITY else hard}")
 
 
 def _worker(name: str, process: psutil.Process) -> list[Finding]:
@@ -43,10 +47,91 @@ def _worker(name: str, process: psutil.Process) -> list[Finding]:
     return []
 
 
-def look_at_state(around: Around) -> Sequence[Finding]:
+def look_at_state(context: CheckContext) -> Findings:
     """Whether the daemon can keep what it must know again."""
-    folder = state.state_folder(around.config, around.environ)
+    folder = state_file.state_folder(context.config, context.environ)
     if not folder.exists():
-        return [skip(f"{folder} is not there yet; the daemon makes it")]
-    seen, _, cure = state.trouble(folder).rpartition("; ")
-    return [fail(seen, cure)] if seen else [ok(str(folder))]
+        return skip(f"{folder} is not there yet; the daemon makes it")
+    seen, _, cure = folder_trouble(folder).rpartition("; ")
+    return fail(seen, cure) if seen else ok(str(folder))
+
+
+def look_at_kernels(_around: CheckContext) -> Findings:
+    """Whether what computes is compiled, of the sources that lie here."""
+    found = kernels.state()
+    if found.missing:
+        return fail(f"{found}; messages are converted slowly, and nothing drives", kernels.CURE)
+    return warn(str(found), "run 'make setup'") if found.stale else ok(str(found))
+
+
+WARN_SECONDS = 0.02
+"""Transforms of a moving robot are usually looked up within some tens of milliseconds."""
+FAIL_SECONDS = 0.5
+_CURE_CLOCK = "synchronise them: apt install chrony on both machines, one of them serving the time to the other"
+
+
+def look_at_clocks(context: CheckContext) -> Findings:
+    """One finding for each daemon whose clock differs."""
+    if not context.hub.clocks:
+        return skip("no worker tells its time")
+    findings: list[Finding] = []
+    daemons: dict[str, tuple[float, float]] = {}
+    for name, offset in context.hub.clocks.items():
+        daemon = name.partition("/")[0]
+        if daemon not in daemons or offset.error < daemons[daemon][1]:
+            daemons[daemon] = (offset.seconds, offset.error)
+    for daemon, (seconds, error) in sorted(daemons.items()):
+        sure = max(abs(seconds) - error, 0.0)
+        way = "ahead of" if seconds > 0 else "behind"
+        text = f"{daemon}'s clock is {abs(seconds) * 1e3:.1f} ms {way} this machine's (within {error * 1e3:.1f} ms)"
+        if sure > FAIL_SECONDS:
+            findings.append(fail(text, _CURE_CLOCK))
+        elif sure > WARN_SECONDS:
+            findings.append(warn(text, _CURE_CLOCK))
+    return findings or ok(f"the clocks of {', '.join(sorted(daemons))} agree with this machine's")
+
+
+def look_at_wheels(context: CheckContext) -> Findings:
+    """Are there wheels of everything for this system, or else the side's packages in another way?"""
+    try:
+        requirements = importlib.metadata.requires("midspan") or []
+    except importlib.metadata.PackageNotFoundError:
+        return skip("Midspan is not installed as a package: run make setup, or pip install")
+    environment = {name: str(value) for name, value in default_environment().items()}
+    return compare(context, requirements, environment)
+
+
+def compare(context: CheckContext, requirements: Sequence[str], environment: Mapping[str, str]) -> Findings:
+    """What the requirements leave out on a system; an extra is named for the side that needs it."""
+    system = f"{environment['sys_platform']}, {environment['platform_machine']}"
+    kinds = worker_kinds()
+    findings: list[Finding] = []
+    for side, names in left_out(requirements, environment).items():
+        kind = kinds.get(side)
+        if kind is None or kind.enabled(context.config) is False:
+            continue
+        seen = f"no wheel on this system ({system}): {', '.join(names)}"
+        if not kind.missing(context.config):
+            findings.append(ok(f"{seen}; side {side} uses what is installed"))
+            continue
+        tell = fail if kind.enabled(context.config) is True else warn
+        cure = f"run 'midspan worker {side}' on a machine that has them, in the same hub; here {side}.enabled: false"
+        findings.append(tell(f"{seen}; so side {side} is not available", cure))
+    return findings or ok(f"there are wheels of everything for this system ({system})")
+
+
+def left_out(requirements: Sequence[str], environment: Mapping[str, str]) -> dict[str, list[str]]:
+    """By extra, the requirements whose markers leave them out on a system, as lists of names."""
+    found: dict[str, list[str]] = {}
+    for requirement in map(Requirement, requirements):
+        marker = requirement.marker
+        extra = extra_of(str(marker)) if marker is not None else ""
+        if marker is not None and not marker.evaluate({**environment, "extra": extra}):
+            found.setdefault(extra, []).append(requirement.name)
+    return found
+
+
+def extra_of(marker: str) -> str:
+    """The extra that a requirement in a package's metadata belongs to, "" where to none."""
+    _, _, rest = marker.partition('extra == "')
+    return rest.partition('"')[0]

@@ -1,103 +1,98 @@
-"""ROS 1: are its packages here, does the master answer, and does this shell mean the same one as the daemon?"""
+"""ROS 1: its packages, its master, this shell against the daemon, and ROS 1's classic: names that do not resolve.
+
+Every ROS 1 node tells the master its address by ROS_HOSTNAME, ROS_IP or the machine's name (rosgraph.network), and
+whoever wants its data must reach it under that name. Where host names resolve elsewhere, data go one way only.
+"""
 
 from __future__ import annotations
 
+import ipaddress
+import queue
 import socket
-from collections.abc import Sequence
+import threading
+from collections.abc import Callable, Mapping, Sequence
+from typing import TypeVar
 from urllib.parse import urlsplit
 
-from bridge.adapters.ros1.environment import available, master_uri
-from bridge.adapters.ros1.errors import Ros1Error
-from bridge.adapters.ros1.graph import Looker
-from bridge.adapters.ros1.rpc import RpcClient
-from bridge.doctor.around import Around, environment_of
-from bridge.doctor.finding import Finding, fail, ok, skip, warn
+import psutil
+
+from bridge.adapters.ros1.environment import available, is_local, master_uri
+from bridge.adapters.ros1.graph.state import MasterReader
+from bridge.adapters.ros1_peers import Ros1Error, XmlRpcClient
+from bridge.doctor.check import Check, Finding, Findings, fail, ok, packages, skip, warn
+from bridge.doctor.context import CheckContext, environment_of
 
 _SECONDS = 2.0
 
 
-def look_at_packages(around: Around) -> Sequence[Finding]:
+def look_at_packages(context: CheckContext) -> Findings:
     """Is rospy installed?"""
-    enabled = around.config.ros1.enabled
-    if enabled is False:
-        return [skip("ros1.enabled is false")]
-    reason = available(around.config, around.environ)
-    if not reason:
-        return [ok("rospy is installed")]
-    if enabled is True:
-        return [fail(f"ros1.enabled is true, but {reason}")]
-    return [warn(f"the ROS 1 side stays off: {reason}", "nothing to do where no ROS 1 is wanted: ros1.enabled: false")]
+    return packages("ros1", "rospy", context.config.ros1.enabled, available(context.config, context.environ))
 
 
-def why_not(around: Around) -> str:
+def why_not(context: CheckContext) -> str:
     """Why there is no ROS 1 side to look at, "" where there is."""
-    if around.config.ros1.enabled is False:
+    if context.config.ros1.enabled is False:
         return "ros1.enabled is false"
-    if available(around.config, around.environ) and not around.hub.of_side("ros1"):
+    if available(context.config, context.environ) and not context.hub.of_side("ros1"):
         return "no ROS 1 on this machine"
     return ""
 
 
-def look_at_master(around: Around) -> Sequence[Finding]:
+def look_at_master(context: CheckContext) -> Findings:
     """Does the master's name resolve, and does it answer?"""
-    reason = why_not(around)
-    if reason:
-        return [skip(reason)]
-    uri = around.master
-    look = around.look_at_master()
+    if reason := why_not(context):
+        return skip(reason)
+    uri = context.master
+    look = context.look_at_master()
     if not isinstance(look, Ros1Error):
-        return [ok(f"{uri} answers: {len(look.uris)} nodes, {len(look.types)} topics")]
+        return ok(f"{uri} answers: {len(look.uris)} nodes, {len(look.types)} topics")
     host = urlsplit(uri).hostname or ""
     try:
         addresses = sorted({str(info[4][0]) for info in socket.getaddrinfo(host, None, socket.AF_INET)})
     except (OSError, UnicodeError):
-        return [
-            fail(
-                f"{uri}: the host name '{host}' does not resolve on this machine",
-                f"add '{host}' with its address to /etc/hosts, or give the address itself in ros1.master",
-            )
-        ]
+        return fail(
+            f"{uri}: the host name '{host}' does not resolve on this machine",
+            f"add '{host}' with its address to /etc/hosts, or give the address itself in ros1.master",
+        )
     seen = f"{look} (it resolves to {', '.join(addresses)})"
     cure = "start roscore there, check ROS_MASTER_URI or ros1.master, and that no firewall holds its port back"
-    meant = around.config.ros1.master or around.environ.get("ROS_MASTER_URI")
-    return [fail(seen, cure) if meant or around.config.ros1.enabled is True else warn(seen, cure)]
+    meant = context.config.ros1.master or context.environ.get("ROS_MASTER_URI")
+    return fail(seen, cure) if meant or context.config.ros1.enabled is True else warn(seen, cure)
 
 
-def look_at_environment(around: Around) -> Sequence[Finding]:
+def look_at_environment(context: CheckContext) -> Findings:
     """Do the programs of this shell and the daemon talk to the same master?"""
-    reason = why_not(around)
-    if reason:
-        return [skip(reason)]
-    shell = around.environ.get("ROS_MASTER_URI")
-    config = around.config.ros1.master
+    if reason := why_not(context):
+        return skip(reason)
+    shell = context.environ.get("ROS_MASTER_URI")
+    config = context.config.ros1.master
     findings: list[Finding] = []
     if shell and config and not _same_place(shell, config):
         cure = "set both alike: export ROS_MASTER_URI, or change ros1.master"
-        findings.append(
-            warn(f"this shell's ROS_MASTER_URI is {shell}, the configuration's ros1.master is {config}", cure)
-        )
-    findings += _against_worker(around, shell or master_uri(around.config, {}))
-    return findings or [ok(f"this shell and the daemon mean {shell or around.master}")]
+        findings.append(warn(f"this shell's ROS_MASTER_URI is {shell}, but ros1.master is {config}", cure))
+    findings += _against_worker(context, shell or master_uri(context.config, {}))
+    return findings or ok(f"this shell and the daemon mean {shell or context.master}")
 
 
-def _against_worker(around: Around, shell: str) -> list[Finding]:
+def _against_worker(context: CheckContext, shell: str) -> list[Finding]:
     """Whether the network that this shell's programs would join is the one that the running daemon is on."""
-    mine = next((d for d in around.hub.of_side("ros1", around.config.name) if d.get("network")), None)
+    mine = next((d for d in context.hub.of_side("ros1", context.config.name) if d.get("network")), None)
     if mine is None:
         return []
     here = _network(shell)
     if here is None or here == mine["network"]:
         return []
-    theirs = environment_of(around.process(mine)).get("ROS_MASTER_URI", "another master")
+    theirs = environment_of(context.process(mine)).get("ROS_MASTER_URI", "another master")
     cure = f"export ROS_MASTER_URI={theirs}" if "://" in theirs else "start the daemon with this shell's ROS_MASTER_URI"
     return [fail(f"the running daemon is on {theirs}; this shell's programs use {shell}", cure)]
 
 
 def _network(uri: str) -> str | None:
     try:
-        client = RpcClient(uri, _SECONDS)
+        client = XmlRpcClient(uri, _SECONDS)
         try:
-            return Looker(client, "/midspan_doctor").look().network
+            return MasterReader(client, "/midspan_doctor").look().network
         finally:
             client.close()
     except Ros1Error:
@@ -114,3 +109,172 @@ def _same_place(one: str, other: str) -> bool:
         return place(one) == place(other)
     except ValueError:
         return one == other
+
+
+MAX_NODES = 200
+_CONNECT_SECONDS = 1.0
+_AT_ONCE = 16
+_SHOWN = 5
+
+
+def look_at_address(context: CheckContext) -> Findings:
+    """Is what this machine tells ROS 1 peers as its address really its own, and of use to them?"""
+    if reason := why_not(context):
+        return skip(reason)
+    name, value = _announced(context)
+    remote = not is_local(urlsplit(context.master).hostname or "")
+    if not name and not remote:
+        return ok("the master is on this machine: 127.0.0.1 is announced")
+    if not name:
+        name, value = "the machine's name", socket.gethostname()
+    try:
+        addresses = _resolve(value)
+    except OSError:
+        return fail(
+            f"{name} is '{value}', which does not resolve",
+            f"set ROS_IP to this machine's address, or add {value} to /etc/hosts",
+        )
+    own = _own_addresses()
+    if not addresses & own:
+        seen = f"{name} is '{value}' ({', '.join(sorted(addresses))}), which is no address of this machine"
+        return fail(seen, f"set it to one of {', '.join(sorted(a for a in own if ':' not in a))}")
+    if remote and all(ipaddress.ip_address(a).is_loopback for a in addresses):
+        seen = f"the master is on another machine, but {name} '{value}' resolves to {', '.join(sorted(addresses))} here"
+        return fail(f"{seen}: its nodes cannot reach this machine", "set ros1.ip (ROS_IP) to its address there")
+    return ok(f"{name} is {value}")
+
+
+def look_at_nodes(context: CheckContext) -> Findings:
+    """Can each node that the master knows be reached from here under the address that it gave?"""
+    if reason := why_not(context):
+        return skip(reason)
+    look = context.look_at_master()
+    if isinstance(look, Ros1Error):
+        return skip("the master does not answer")
+    nodes = dict(sorted(look.uris.items())[:MAX_NODES])
+    remote = not is_local(urlsplit(context.master).hostname or "")
+    troubles = in_parallel(lambda uri: _trouble(uri, remote=remote), list(nodes.values()), _AT_ONCE)
+    groups: dict[Finding, list[str]] = {}
+    for node, trouble in zip(nodes, troubles, strict=True):
+        if trouble is not None:
+            groups.setdefault(trouble, []).append(node)
+    if not groups:
+        return ok(f"all {len(nodes)} nodes can be reached")
+    return [_named(finding, names) for finding, names in groups.items()]
+
+
+def _trouble(uri: str, *, remote: bool) -> Finding | None:
+    try:
+        parts = urlsplit(uri)
+        host, port = parts.hostname or "", parts.port or 80
+    except ValueError:
+        return fail(f"the address {uri!r} is no address")
+    try:
+        addresses = _resolve(host)
+    except OSError:
+        return fail(
+            f"the host name '{host}' that they gave does not resolve here",
+            f"add '{host}' with its address to /etc/hosts of this machine, or set ROS_IP where they run",
+        )
+    named = host != "localhost" and not _is_address(host)
+    if remote and named and all(ipaddress.ip_address(a).is_loopback for a in addresses):
+        return fail(
+            f"the host name '{host}' that they gave resolves to {', '.join(sorted(addresses))}, this very machine",
+            f"correct '{host}' in /etc/hosts of this machine",
+        )
+    try:
+        socket.create_connection((host, port), _CONNECT_SECONDS).close()
+    except ConnectionRefusedError:
+        return warn(
+            f"nothing answers at {host} ({', '.join(sorted(addresses))}) under the port that they gave",
+            "they are dead ('rosnode cleanup' takes them off the master), or the name leads elsewhere from here",
+        )
+    except OSError as err:
+        return fail(
+            f"{host} ({', '.join(sorted(addresses))}) cannot be reached: {err}",
+            "check route and firewall; ROS 1 nodes use any port",
+        )
+    return None
+
+
+def _named(finding: Finding, nodes: Sequence[str]) -> Finding:
+    more = f" and {len(nodes) - _SHOWN} more" if len(nodes) > _SHOWN else ""
+    return Finding(finding.result, f"{', '.join(nodes[:_SHOWN])}{more}: {finding.seen}", finding.cure)
+
+
+def _announced(context: CheckContext) -> tuple[str, str]:
+    """What is set as this machine's address for ROS 1, and by what."""
+    ros1, environ = context.config.ros1, context.environ
+    configured: Mapping[str, str | None] = {"ros1.hostname": ros1.hostname, "ros1.ip": ros1.ip}
+    inherited = {name: environ.get(name) for name in ("ROS_HOSTNAME", "ROS_IP")}
+    for name, value in (configured if ros1.hostname or ros1.ip else inherited).items():
+        if value:
+            return name, value
+    return "", ""
+
+
+def _resolve(host: str) -> set[str]:
+    """Addresses of a host; raises `OSError`."""
+    try:
+        return {str(info[4][0]).partition("%")[0] for info in socket.getaddrinfo(host, None)}
+    except UnicodeError as err:  # a name that cannot be one
+        raise OSError(str(err)) from None
+
+
+def _is_address(host: str) -> bool:
+    try:
+        ipaddress.ip_address(host)
+    except ValueError:
+        return False
+    return True
+
+
+def _own_addresses() -> set[str]:
+    interfaces = psutil.net_if_addrs().values()
+    found = {
+        a.address.partition("%")[0]
+        for addresses in interfaces
+        for a in addresses
+        if a.family in (socket.AF_INET, socket.AF_INET6)
+    }
+    # the whole of 127/8 is this machine's, Debian's 127.0.1.1 for the machine's name among it
+    return found | {"127.0.0.1", "127.0.1.1", "::1"}
+
+
+Item = TypeVar("Item")
+Outcome = TypeVar("Outcome")
+
+
+def in_parallel(work: Callable[[Item], Outcome], items: Sequence[Item], threads: int) -> list[Outcome]:
+    """``work`` of each item, in the items' order; it must not raise.
+
+    Unlike those of `concurrent.futures` the threads are not waited for when the process ends: the system's resolver has
+    no time limit of ours.
+    """
+    waiting: queue.SimpleQueue[int] = queue.SimpleQueue()
+    done: queue.SimpleQueue[tuple[int, Outcome]] = queue.SimpleQueue()
+    for number in range(len(items)):
+        waiting.put(number)
+
+    def run() -> None:
+        while True:
+            try:
+                number = waiting.get_nowait()
+            except queue.Empty:
+                return
+            done.put((number, work(items[number])))
+
+    for _ in range(min(threads, len(items))):
+        threading.Thread(target=run, name="doctor-parallel", daemon=True).start()
+    outcomes = dict(done.get() for _ in items)
+    return [outcomes[number] for number in range(len(items))]
+
+
+CHECKS = (
+    Check("ros1-packages", "ROS 1 on this machine", look_at_packages),
+    Check("ros1-master", "the ROS 1 master", look_at_master),
+    Check("ros1-environment", "this shell's ROS 1 against the daemon's", look_at_environment),
+    Check("ros1-address", "the address that ROS 1 peers are given", look_at_address),
+    Check("ros1-nodes", "the addresses of ROS 1 nodes", look_at_nodes),
+)
+"""The doctor's checks of this side."""

@@ -1,13 +1,23 @@
-"""Shared memory: other users' Fast DDS, too little room, litter of dead processes."""
+"""Shared memory: other users' Fast DDS, too little space, litter of dead processes.
+
+Fast DDS 2.14 makes segments ``fastrtps_<16 hex>`` and ports ``fastrtps_port<n>``; whoever uses one holds its lock file
+``<name>_el`` locked (flock). zenoh 1.10 makes ``<number>.zenoh`` and holds the file itself locked. Linux tells in
+``/proc/locks`` which files are locked, also by other users (seen with both).
+"""
 
 from __future__ import annotations
 
+import contextlib
 import os
-from collections.abc import Sequence
+import re
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
 
-from bridge.doctor.around import Around
-from bridge.doctor.finding import Finding, fail, ok, skip, warn
-from bridge.doctor.shmfiles import shared_files
+from bridge.doctor.check import Findings, fail, ok, skip, warn
+from bridge.doctor.context import CheckContext
+from bridge.hub.shared_memory import NAME, is_locked
 
 SMALL_BYTES = 128 * 1024 * 1024
 """Fast DDS takes half a megabyte for a stock participant; Midspan's wants an eighth of what is free, up to 64 MiB."""
@@ -18,65 +28,65 @@ LITTER_FILES = 20
 _CURE_SIZE = "give it more: docker run --shm-size=1g, or mount -o remount,size=1g /dev/shm"
 
 
-def look_at_users(around: Around) -> Sequence[Finding]:
+def look_at_users(context: CheckContext) -> Findings:
     """Fast DDS's shared memory between different users delivers nothing, while the graph looks perfect."""
-    if around.config.ros2.enabled is False or not around.shm.is_dir():
-        return [skip("ROS 2 over shared memory is not used here")]
-    mine = {_daemons_user(around)}
-    living = {f.uid for f in shared_files(around.shm, around.proc) if f.fast_dds and f.held}
+    if context.config.ros2.enabled is False or not context.shm.is_dir():
+        return skip("ROS 2 over shared memory is not used here")
+    mine = {_daemons_user(context)}
+    living = {f.uid for f in shared_files(context.shm, context.proc) if f.fast_dds and f.held}
     others = living - mine
     if not others:
-        return [ok("one user only")]
+        return ok("one user only")
     names = ", ".join(sorted(_user_name(uid) for uid in others))
     seen = (
-        f"ROS 2 programs of other users than {_user_name(next(iter(mine)))} share {around.shm}: {names}; Fast DDS's"
+        f"ROS 2 programs of other users than {_user_name(next(iter(mine)))} share {context.shm}: {names}; Fast DDS's"
         " shared memory delivers nothing between users, and says nothing"
     )
     cure = "run them as the same user, or with FASTDDS_BUILTIN_TRANSPORTS=UDPv4"
-    transport = around.config.ros2.transport
+    transport = context.config.ros2.transport
     if transport == "shared_memory":
-        return [fail(seen, f"set ros2.transport to auto or udp; or {cure}")]
+        return fail(seen, f"set ros2.transport to auto or udp; or {cure}")
     if transport == "udp":
-        return [ok(f"other users' ROS 2 programs are here ({names}); ros2.transport is udp, which reaches them")]
-    return [warn(seen, f"Midspan (ros2.transport: auto) turns to UDP by itself; among themselves: {cure}")]
+        return ok(f"other users' ROS 2 programs are here ({names}); ros2.transport is udp, which reaches them")
+    return warn(seen, f"Midspan (ros2.transport: auto) turns to UDP by itself; among themselves: {cure}")
 
 
-def look_at_size(around: Around) -> Sequence[Finding]:
+def look_at_size(context: CheckContext) -> Findings:
     """How much room there is."""
-    if not around.shm.is_dir():
-        return [skip(f"no {around.shm} here")]
-    stat = os.statvfs(around.shm)
+    if not context.shm.is_dir():
+        return skip(f"no {context.shm} here")
+    stat = os.statvfs(context.shm)
     whole, free = stat.f_blocks * stat.f_frsize, stat.f_bavail * stat.f_frsize
-    text = f"{around.shm}: {free / 1e6:.0f} MB free of {whole / 1e6:.0f} MB"
+    text = f"{context.shm}: {free / 1e6:.0f} MB free of {whole / 1e6:.0f} MB"
     if free < FULL_BYTES:
-        return [fail(f"{text}; large messages fall back to slower ways, and programs fail to start", _CURE_SIZE)]
+        return fail(f"{text}; large messages fall back to slower ways, and programs fail to start", _CURE_SIZE)
     if whole < SMALL_BYTES:
-        return [warn(f"{text}; large messages of ROS 2 go in pieces or over UDP", _CURE_SIZE)]
-    return [ok(text)]
+        return warn(f"{text}; large messages of ROS 2 go in pieces or over UDP", _CURE_SIZE)
+    return ok(text)
 
 
-def look_at_litter(around: Around) -> Sequence[Finding]:
+def look_at_litter(context: CheckContext) -> Findings:
     """Segments of processes that were killed."""
-    if not around.shm.is_dir():
-        return [skip(f"no {around.shm} here")]
-    left = [f for f in shared_files(around.shm, around.proc) if f.held is False and not f.young and not f.port]
+    if not context.shm.is_dir():
+        return skip(f"no {context.shm} here")
+    left = [f for f in shared_files(context.shm, context.proc) if f.held is False and not f.young and not f.port]
     size = sum(file.size for file in left)
     if size < LITTER_BYTES and len(left) < LITTER_FILES:
-        return [ok(f"{len(left)} files left, {size / 1e6:.1f} MB")]
+        return ok(f"{len(left)} files left, {size / 1e6:.1f} MB")
     dds, zenoh = [f for f in left if f.fast_dds], [f for f in left if not f.fast_dds]
     cures = []
     if dds:
         cures.append("'fastdds shm clean', or a restart of Midspan's ros2 worker, removes Fast DDS's")
     if zenoh:
         cures.append(f"rm {' '.join(str(f.path) for f in zenoh[:3])}{' ...' if len(zenoh) > 3 else ''}")
-    seen = f"{len(left)} files ({size / 1e6:.0f} MB) in {around.shm} belong to no process any more: theirs were killed"
-    return [warn(seen, "; ".join(cures))]
+    seen = f"{len(left)} files ({size / 1e6:.0f} MB) in {context.shm} belong to no process any more: theirs were killed"
+    return warn(seen, "; ".join(cures))
 
 
-def _daemons_user(around: Around) -> int:
+def _daemons_user(context: CheckContext) -> int:
     """The running ros2 worker's user; where none runs, ours, who would start it."""
-    for document in around.hub.of_side("ros2"):
-        process = around.process(document)
+    for document in context.hub.of_side("ros2"):
+        process = context.process(document)
         if process is not None:
             return process.uids().effective
     return os.geteuid()
@@ -89,3 +99,74 @@ def _user_name(uid: int) -> str:
         return pwd.getpwuid(uid).pw_name
     except KeyError:
         return f"user {uid}"
+
+
+_SEGMENT = re.compile(r"fastrtps_[0-9a-f]{16}")
+_PORT = re.compile(r"fastrtps_port\d+")
+_LOCK = re.compile(r"FLOCK .* ([0-9a-f]+):([0-9a-f]+):(\d+) ")
+_YOUNG_SECONDS = 10.0
+"""A file so young may be just made, and not yet locked."""
+
+_Lock = tuple[int, int, int]
+"""Device (major, minor) and inode of a locked file."""
+
+
+@dataclass(frozen=True, slots=True)
+class SharedFile:
+    """One file; ``held``: a living process uses it, None where that is unknown; ``young``: made just now."""
+
+    path: Path
+    uid: int
+    size: int
+    held: bool | None
+    young: bool
+
+    @property
+    def fast_dds(self) -> bool:
+        """Whether Fast DDS made it."""
+        return not NAME.fullmatch(self.path.name)
+
+    @property
+    def port(self) -> bool:
+        """Whether it is a port of Fast DDS's; a dead one is taken over when its number comes up again."""
+        return _PORT.fullmatch(self.path.name) is not None
+
+
+def shared_files(folder: Path, proc: Path) -> list[SharedFile]:
+    """Segments and ports of Fast DDS and pools of zenoh in ``/dev/shm``."""
+    locks = _locks(proc)
+    found: list[SharedFile] = []
+    for path in sorted(_entries(folder)):
+        with contextlib.suppress(OSError):
+            stat = path.stat()
+            lock = path if NAME.fullmatch(path.name) else path.with_name(f"{path.name}_el")
+            young = time.time() - stat.st_mtime < _YOUNG_SECONDS
+            found.append(SharedFile(path, stat.st_uid, stat.st_blocks * 512, _is_held(lock, locks), young))
+    return found
+
+
+def _entries(folder: Path) -> Iterator[Path]:
+    with contextlib.suppress(OSError):
+        yield from (p for p in folder.iterdir() if any(k.fullmatch(p.name) for k in (_SEGMENT, _PORT, NAME)))
+
+
+def _locks(proc: Path) -> set[_Lock]:
+    try:
+        text = (proc / "locks").read_text()
+    except OSError:
+        return set()
+    return {(int(m[1], 16), int(m[2], 16), int(m[3])) for m in _LOCK.finditer(text)}
+
+
+def _is_held(lock: Path, locks: set[_Lock]) -> bool | None:
+    try:
+        stat = lock.stat()
+    except FileNotFoundError:
+        return False
+    if (os.major(stat.st_dev), os.minor(stat.st_dev), stat.st_ino) in locks:
+        return True
+    # in a container the list does not have the locks of other containers: try it
+    try:
+        return is_locked(lock)
+    except OSError:
+        return None

@@ -2,61 +2,90 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 from bridge.adapters.ros2.environment import available
-from bridge.doctor.around import Around, Document
-from bridge.doctor.finding import Finding, fail, ok, skip, warn
-from bridge.doctor.hubtypes import CURE, conflicts
+from bridge.doctor.check import Finding, Findings, fail, ok, skip, warn
+from bridge.doctor.context import CheckContext, Document
+from bridge.doctor.hub_problems import CURE, conflicts
+from bridge.hub.graph.tokens import EndpointKind
 from bridge.interfaces.compiler import Compiler
-from bridge.interfaces.errors import BuildError
+from bridge.interfaces.definition import BuildError
 
 _SHOWN = 20
+_TWICE = "already"
+"""The last word of the reason where a service has a server on both sides."""
 _DIFFERS = ("differ", "RIHS01", "md5", "fingerprint")
 
 
-def look_at_refused(around: Around) -> Sequence[Finding]:
+def look_at_refused(context: CheckContext) -> Findings:
     """What the workers refused, but for definitions that differ."""
-    if not around.hub.documents:
-        return [skip("no worker answers")]
-    return _refusals(around, differing=False) or [ok("every type could be used")]
+    if context.hub.error or not context.hub.documents:
+        return skip("no worker answers")
+    return [*(_refusals(context, differing=False) or [ok("every type could be used")]), *_map_services(context)]
 
 
-def look_at_hashes(around: Around) -> Sequence[Finding]:
+def look_at_hashes(context: CheckContext) -> Findings:
     """What the workers refused because definitions differ, and the same among the hub's endpoints."""
-    if around.hub.error:
-        return [skip("the hub does not answer")]
-    findings = _refusals(around, differing=True)
-    findings += [warn(text, CURE) for text in _warnings(around) if "md5" in text][:_SHOWN]
-    findings += [fail(conflict.text, conflict.cure) for conflict in conflicts(around.hub.endpoints)][:_SHOWN]
-    return findings or [ok("no definition differs")]
+    if context.hub.error:
+        return skip("the hub does not answer")
+    findings = _refusals(context, differing=True)
+    findings += [warn(text, CURE) for text in _warnings(context) if "md5" in text][:_SHOWN]
+    findings += [fail(conflict.text, conflict.cure) for conflict in conflicts(context.hub.endpoints)][:_SHOWN]
+    return findings or ok("no definition differs")
 
 
-def look_at_compiler(around: Around) -> Sequence[Finding]:
+def look_at_compiler(context: CheckContext) -> Findings:
     """Could `midspan interfaces build` make a ROS 2 message package that a program here lacks?"""
-    if around.config.ros2.enabled is False or available(around.config):
-        return [skip("no ROS 2 here")]
+    if context.config.ros2.enabled is False or available(context.config):
+        return skip("no ROS 2 here")
     try:
         compiler = Compiler.find()
     except BuildError as err:
-        return [warn(f"{err}: message packages that are missing cannot be built", err.cure)]
-    return [ok(f"{compiler.cpp}")]
+        return warn(f"{err}: message packages that are missing cannot be built", err.cure)
+    return ok(f"{compiler.cpp}")
 
 
-def _refusals(around: Around, *, differing: bool) -> list[Finding]:
+def _refusals(context: CheckContext, *, differing: bool) -> list[Finding]:
     found: list[Finding] = []
-    for document in around.hub.documents:
+    for document in context.hub.documents:
         refused = document.get("refused")
         for entry in refused if isinstance(refused, list) else ():
             reason = str(entry.get("reason", ""))
-            if any(word in reason for word in _DIFFERS) is differing:
+            if any(word in reason for word in _DIFFERS) is differing and not _of_map_server(context, entry):
                 found.append(_refusal(document, entry, reason))
     more = len(found) - _SHOWN
     return found[:_SHOWN] + ([fail(f"and {more} more", "'midspan status' shows all")] if more > 0 else [])
 
 
-def _warnings(around: Around) -> list[str]:
-    found = (document.get("warnings") for document in around.hub.documents)
+def _map_services(context: CheckContext) -> list[Finding]:
+    """What a real map server and Map2DServer both serve."""
+    found = {
+        (str(document.get("side")), str(entry.get("topic")))
+        for document in context.hub.documents
+        for entry in document.get("refused") or ()
+        if _of_map_server(context, entry)
+    }
+    return [
+        ok(f"{', '.join(name for at, name in sorted(found) if at == side)}: the map server there answers on {side},"
+           " Map2DServer, which takes its map, everywhere else")
+        for side in sorted({side for side, _ in found})
+    ]  # fmt: skip
+
+
+def _of_map_server(context: CheckContext, entry: Document) -> bool:
+    """Whether a service is refused since a side's own map server has it, and a Map2DServer that takes maps from sides.
+
+    Then each answers on its own side, with the same map, and neither is to be renamed.
+    """
+    takers = {str(d.get("zid")) for d in context.hub.documents if d.get("worker") == "map2d_server" and d.get("taken")}
+    twice = entry.get("kind") == "service" and str(entry.get("reason")).endswith(_TWICE)
+    return twice and any(
+        e.kind is EndpointKind.SERVER and e.topic == entry.get("hub_topic") and e.zid in takers
+        for e in context.hub.endpoints
+    )
+
+
+def _warnings(context: CheckContext) -> list[str]:
+    found = (document.get("warnings") for document in context.hub.documents)
     return [str(text) for texts in found if isinstance(texts, list) for text in texts]
 
 

@@ -1,25 +1,39 @@
 """The default content of a port: the Bottle that YARP's own converter makes of a ROS message.
 
-Its fields are ROS 1's, as that converter knows no others: a header has its ``seq``, which ROS 2's has not.
+Its fields are ROS 1's, as that converter knows no others: a header has its ``seq``, which ROS 2's has not. People write
+Bottles by hand too: an integer where a float is meant, lists of one type, blobs. It is taken where it has the
+right number of values in each list, and values that fit; the error names the field.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import struct
+from collections.abc import Callable, Sequence
 from typing import Any
 
-from bridge.messages.definition import Schema, World
+import numpy as np
+
+from bridge.messages.definitions.schema import (
+    PRIMITIVE_SIZES,
+    STRUCT_FORMATS,
+    TIME_DEFINITIONS,
+    Definition,
+    FieldType,
+    Schema,
+    Shape,
+    World,
+)
+from bridge.messages.definitions.text import closure, parse_full
 from bridge.messages.errors import ConversionError
-from bridge.messages.parser import closure, parse_full
 from bridge.messages.registry import Registry
-from bridge.messages.yarp.codec import Codec, Outgoing, is_stamped, stamp_of, with_stamp
+from bridge.messages.values import dtype, join, wrong
+from bridge.messages.yarp.codec import Codec, PortMessage, has_header, stamp_of, with_stamp
 from bridge.messages.yarp.layout import Layout, MismatchError
-from bridge.messages.yarp.loose import to_ros1
 from yarp_compat.wire import binary
-from yarp_compat.wire.decoder import Data
 from yarp_compat.wire.errors import WireError
-from yarp_compat.wire.message import Buffer
+from yarp_compat.wire.framing import Buffer
 from yarp_compat.wire.profile import Profile
+from yarp_compat.wire.text import to_text
 
 Convert = Callable[[bytes], bytes]
 
@@ -28,9 +42,7 @@ class RosBottle(Codec):
     """Messages as nested lists in field order.
 
     Args:
-        schema: the ROS 1 type.
         to_ros1: makes its bytes of the hub's, and ``to_cdr`` the way back.
-        profile: of the ports that are written to.
         stamped: it begins with a header.
     """
 
@@ -42,10 +54,10 @@ class RosBottle(Codec):
         self._schema = schema
         self._layouts = {known: Layout(self._schema, known) for known in Profile}
 
-    def to_yarp(self, cdr: bytes) -> Outgoing:
+    def to_yarp(self, cdr: bytes) -> PortMessage:
         """See `Codec`."""
         bottle = self._layouts[self._profile].to_bottle(self._to_ros1(cdr))
-        return Outgoing([bottle], (stamp_of(cdr) or None) if self._stamped else None)
+        return PortMessage([bottle], (stamp_of(cdr) or None) if self._stamped else None)
 
     def to_hub(self, payload: Buffer, profile: Profile | None, stamp_ns: int | None) -> bytes:
         """See `Codec`; a Bottle that people wrote by hand is taken too."""
@@ -59,18 +71,14 @@ class RosBottle(Codec):
 
 
 class BottleCodec(RosBottle):
-    """Messages of one type as nested lists in field order.
-
-    Raises:
-        MessageTypeError: the type is unknown, or neither ROS 1 nor YARP can say it.
-    """
+    """Messages of one type as nested lists in field order; raises `MessageTypeError`."""
 
     def __init__(self, registry: Registry, type_name: str, type_hash: str, profile: Profile) -> None:
         out = registry.hub_to_ros1(type_name, type_hash)
         back = registry.ros1_to_hub(out.target.name, out.target.type_id)
         assert out.convert is not None
         assert back.convert is not None
-        stamped = is_stamped(registry.schema(type_name, type_hash))
+        stamped = has_header(registry.schema(type_name, type_hash))
         schema = ros1_schema(out.target.name, out.target.definition)
         super().__init__(schema, out.convert, back.convert, profile, stamped=stamped)
         self.ros1 = out.target
@@ -82,13 +90,96 @@ def ros1_schema(name: str, definition: str) -> Schema:
     return closure(types[name], types)
 
 
-def decode_arrays(data: Data, profile: Profile | None) -> Any:
-    """A Bottle's values; lists of numbers are arrays, the Bottle's own among them.
-
-    Raises:
-        ConversionError: it is no Bottle.
-    """
+def decode_arrays(data: Buffer, profile: Profile | None) -> Any:
+    """A Bottle's values, lists of numbers as arrays, its own too; raises `ConversionError` if it is no Bottle."""
     try:
         return binary.decode_arrays(data, profile)
     except WireError as err:
         raise ConversionError(f"no Bottle: {err}") from None
+
+
+_SIGNED = {"byte": "b", "char": "B"}  # ROS 1's ``byte`` is signed, unlike ROS 2's
+
+
+def to_ros1(schema: Schema, values: Sequence[Any]) -> bytes:
+    """A message's ROS 1 bytes from its Bottle's values; raises `ConversionError` with the field that does not fit."""
+    writer = _Writer(schema)
+    writer.message(schema.root, values, "")
+    return b"".join(writer.out)
+
+
+class _Writer:
+    def __init__(self, schema: Schema) -> None:
+        self._schema = schema
+        self.out: list[bytes] = []
+
+    def message(self, definition: Definition, values: Any, where: str) -> None:
+        if not isinstance(values, list | tuple | np.ndarray):
+            raise wrong(where, f"a list of the fields of {definition.name}", values)
+        if len(values) != len(definition.fields):
+            names = " ".join(field.name for field in definition.fields)
+            raise ConversionError(
+                f"{where or 'the Bottle'} has {len(values)} values, and a {definition.name} has the"
+                f" {len(definition.fields)} fields ({names}): {shown(values)}"
+            )
+        for field, value in zip(definition.fields, values, strict=True):
+            self._field(field.type, value, join(where, field.name))
+
+    def _field(self, kind: FieldType, value: Any, where: str) -> None:
+        if kind.shape is Shape.SINGLE:
+            self._element(kind, value, where)
+            return
+        if isinstance(value, bytes) and PRIMITIVE_SIZES.get(kind.base) == 1:
+            value = np.frombuffer(value, dtype(kind.base))
+        if not isinstance(value, list | tuple | np.ndarray):
+            raise wrong(where, "a list", value)
+        if kind.shape is Shape.ARRAY and len(value) != kind.length:
+            raise ConversionError(f"{where} has {kind.length} elements, not {len(value)}")
+        if kind.shape is Shape.SEQUENCE:
+            self.out.append(struct.pack("<I", len(value)))
+        if isinstance(value, np.ndarray) and kind.base.startswith("float") and value.dtype.kind in "fi":
+            with np.errstate(over="ignore", invalid="ignore"):
+                self.out.append(value.astype(dtype(kind.base)).tobytes())
+            return
+        for number, item in enumerate(value.tolist() if isinstance(value, np.ndarray) else value):
+            self._element(kind.element, item, f"{where}[{number}]")
+
+    def _element(self, kind: FieldType, value: Any, where: str) -> None:
+        nested = TIME_DEFINITIONS.get(kind.base) or (self._schema.types[kind.base] if kind.nested else None)
+        if nested is not None:
+            self.message(nested, value, where)
+        elif kind.base == "string":
+            if not isinstance(value, str):
+                raise wrong(where, "text", value)
+            content = value.encode("utf-8", "surrogateescape")
+            self.out.append(struct.pack("<I", len(content)) + content)
+        else:
+            self.out.append(pack_number(kind.base, value, where, _SIGNED.get(kind.base, STRUCT_FORMATS[kind.base])))
+
+
+def pack_number(base: str, value: Any, where: str, code: str) -> bytes:
+    """A number's bytes; a negative one stands for the unsigned of the same bits, as YARP writes those."""
+    if isinstance(value, np.generic):
+        value = value.item()
+    if base == "bool":
+        if isinstance(value, bool | int):
+            return b"\1" if value else b"\0"
+    elif isinstance(value, int | float):
+        if base.startswith("float"):
+            value = float(value)
+        elif isinstance(value, float) and value.is_integer():
+            value = int(value)
+        if code in "BHIQ" and isinstance(value, int) and value < 0:
+            code = code.lower()
+        try:
+            return struct.pack("<" + code, value)
+        except (struct.error, OverflowError):
+            pass
+    raise wrong(where, base, value)
+
+
+def shown(values: Any) -> str:
+    """The beginning of a Bottle as people write it, for errors."""
+    values = values.tolist() if isinstance(values, np.ndarray) else values
+    text = to_text(values[:20])
+    return text[:80] + ("..." if len(text) > 80 or len(values) > 20 else "")

@@ -2,16 +2,23 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Literal
 
+from bridge.messages import values
+from bridge.messages.definitions.schema import Schema
+from bridge.messages.errors import ConversionError
 from bridge.messages.registry import Registry
 from bridge.messages.yarp.bottle import BottleCodec
-from bridge.messages.yarp.codec import Codec
-from bridge.messages.yarp.fields import Entry, FieldsCodec
-from bridge.messages.yarp.natural.clock import CLOCK
-from bridge.messages.yarp.natural.codec import KINDS, NaturalCodec
-from bridge.messages.yarp.natural.kind import Missing
+from bridge.messages.yarp.codec import Codec, Missing, NaturalType, PortMessage, has_header, stamp_of
+from bridge.messages.yarp.fields import BottleEntry, FieldsCodec
+from bridge.messages.yarp.navigation import NAVIGATION
+from bridge.messages.yarp.plain import CLOCK, PLAIN
+from bridge.messages.yarp.sensors import SENSORS
+from yarp_compat.wire.elements import ElementReader, ElementWriter
+from yarp_compat.wire.errors import WireError
+from yarp_compat.wire.framing import Buffer
 from yarp_compat.wire.profile import Profile
 
 Form = Literal["bottle", "fields", "natural"]
@@ -19,26 +26,16 @@ Form = Literal["bottle", "fields", "natural"]
 
 @dataclass(frozen=True, slots=True)
 class Content:
-    """What a port carries.
+    """What a port carries."""
 
-    Attributes:
-        form: how messages look there; a type that has no natural form is a Bottle, and a clock is always YARP's.
-        fields: what stands in the Bottle of chosen fields.
-        profile: whose bytes are written, and read where they do not tell.
-        missing: what YARP's types do not say.
-    """
-
+    # how messages look there; a type that has no natural form is a Bottle, and a clock is always YARP's
     form: Form = "bottle"
-    fields: tuple[Entry, ...] = ()
-    profile: Profile = Profile.YARP3
-    missing: Missing = field(default_factory=Missing)
+    fields: tuple[BottleEntry, ...] = ()  #: what stands in the Bottle of chosen fields
+    profile: Profile = Profile.YARP3  #: whose bytes are written, and read where the bytes do not show it
+    missing: Missing = field(default_factory=Missing)  #: what YARP's types do not say
 
     def codec(self, registry: Registry, type_name: str, type_hash: str = "") -> Codec:
-        """The converter of a type.
-
-        Raises:
-            MessageTypeError: the type is unknown, or cannot be said so.
-        """
+        """The converter of a type; raises `MessageTypeError` where the type is unknown or has no such form."""
         schema = registry.schema(type_name, type_hash)
         if self.form == "fields":
             return FieldsCodec(schema, self.fields, self.profile, self.missing.frame)
@@ -54,3 +51,40 @@ class Content:
 
     def _is_natural(self, type_name: str) -> bool:
         return (self.form == "natural" and type_name in KINDS) or type_name == CLOCK
+
+
+KINDS: Mapping[str, NaturalType] = {**SENSORS, **NAVIGATION, **PLAIN}
+"""What there is, by the message's ROS 2 name."""
+
+
+class NaturalCodec(Codec):
+    """Messages as the YARP type that means the same."""
+
+    def __init__(self, schema: Schema, profile: Profile, missing: Missing) -> None:
+        self._schema, self._profile, self._missing = schema, profile, missing
+        self._kind = KINDS[schema.name]
+        self._stamped = has_header(schema)
+
+    def to_yarp(self, cdr: bytes) -> PortMessage:
+        """See `Codec`."""
+        out = ElementWriter(self._profile)
+        try:
+            self._kind.to_yarp(values.MessageReader(self._schema, cdr).message(), out)
+        except WireError as err:
+            raise ConversionError(str(err)) from None
+        return PortMessage(out.buffers(), (stamp_of(cdr) or None) if self._stamped else None)
+
+    def to_hub(self, payload: Buffer, profile: Profile | None, stamp_ns: int | None) -> bytes:
+        """See `Codec`."""
+        wrong: WireError | None = None
+        time_ns = self.now_ns() if stamp_ns is None else stamp_ns
+        for known in Profile if profile is None else (profile,):
+            source = ElementReader(payload, known)
+            try:
+                message = self._kind.to_ros(source, time_ns, self._missing)
+                source.finish()
+            except WireError as err:
+                wrong = wrong or err
+                continue
+            return values.MessageWriter(self._schema).message(message)
+        raise ConversionError(f"not what YARP sends for a {self._schema.name}: {wrong}")

@@ -15,14 +15,13 @@ from typing import Any
 
 import numpy as np
 
-from bridge.messages.definition import PRIMITIVE_SIZES, TIME_TYPES, FieldType, Schema, Shape
+from bridge.messages.definitions.schema import PRIMITIVE_SIZES, TIME_TYPES, FieldType, Schema, Shape
 from bridge.messages.errors import ConversionError, MessageTypeError
-from bridge.messages.values import DTYPES, Reader, Writer, wrong
-from bridge.messages.yarp.bottle import decode_arrays
-from bridge.messages.yarp.codec import Codec, Outgoing, is_stamped, split_time, stamp_of
-from bridge.messages.yarp.loose import shown
+from bridge.messages.values import MessageReader, MessageWriter, dtype, wrong
+from bridge.messages.yarp.bottle import decode_arrays, shown
+from bridge.messages.yarp.codec import Codec, PortMessage, has_header, split_time, stamp_of
 from yarp_compat.wire.binary import encode_parts
-from yarp_compat.wire.message import Buffer
+from yarp_compat.wire.framing import Buffer
 from yarp_compat.wire.profile import Profile
 from yarp_compat.wire.values import Vocab
 
@@ -34,26 +33,18 @@ _TIMES = frozenset(TIME_TYPES.values())
 
 
 @dataclass(frozen=True, slots=True)
-class Entry:
-    """One value of the Bottle.
+class BottleEntry:
+    """One value of the Bottle."""
 
-    Attributes:
-        text: as it was written, for errors.
-        path: the field's names from the root on; none for a constant.
-        index: element of an array, None for the whole field.
-        degrees: whether an angle is in degrees there.
-        constant: what always stands at this place.
-    """
-
-    text: str
-    path: tuple[str, ...] = ()
-    index: int | None = None
-    degrees: bool = False
-    constant: int | float | str | None = None
+    text: str  #: as it was written, for errors
+    path: tuple[str, ...] = ()  #: the field's names from the root on; none for a constant
+    index: int | None = None  #: element of an array, None for the whole field
+    degrees: bool = False  #: whether an angle is in degrees there
+    constant: int | float | str | None = None  #: what always stands at this place
 
     @classmethod
-    def parse(cls, entry: float | str) -> Entry:
-        """Read an entry; raises `ValueError` where it is none."""
+    def parse(cls, entry: float | str) -> BottleEntry:
+        """Read an entry; raises `ValueError`."""
         if isinstance(entry, int | float):
             return cls(str(entry), constant=entry)
         if _TEXT.fullmatch(entry):
@@ -67,31 +58,26 @@ class Entry:
 
 
 class FieldsCodec(Codec):
-    """Messages as a Bottle of chosen fields.
+    """Messages as a Bottle of chosen fields; raises `MessageTypeError` if the type has no such field.
 
     Args:
-        schema: the ROS 2 type.
-        entries: what stands in the Bottle.
         profile: of the ports that are written to.
         frame: frame of the header where the Bottle has none.
-
-    Raises:
-        MessageTypeError: the type has no such field.
     """
 
-    def __init__(self, schema: Schema, entries: Sequence[Entry], profile: Profile, frame: str = "") -> None:
+    def __init__(self, schema: Schema, entries: Sequence[BottleEntry], profile: Profile, frame: str = "") -> None:
         self._schema, self._profile, self._frame = schema, profile, frame
-        self._stamped = is_stamped(schema)
+        self._stamped = has_header(schema)
         self._entries = [(entry, _resolve(schema, entry)) for entry in entries]
 
-    def to_yarp(self, cdr: bytes) -> Outgoing:
+    def to_yarp(self, cdr: bytes) -> PortMessage:
         """See `Codec`."""
-        message = Reader(self._schema, cdr).message()
+        message = MessageReader(self._schema, cdr).message()
         values = [_get(message, entry, kind) for entry, kind in self._entries]
-        return Outgoing(encode_parts(values, self._profile), (stamp_of(cdr) or None) if self._stamped else None)
+        return PortMessage(encode_parts(values, self._profile), (stamp_of(cdr) or None) if self._stamped else None)
 
     def to_hub(self, payload: Buffer, profile: Profile | None, stamp_ns: int | None) -> bytes:
-        """See `Codec`; what the Bottle does not tell has its default."""
+        """See `Codec`; fields that the Bottle does not have get their defaults."""
         values = decode_arrays(bytes(payload), profile)
         if len(values) != len(self._entries):
             wanted = " ".join(entry.text for entry, _ in self._entries)
@@ -109,10 +95,10 @@ class FieldsCodec(Codec):
                 raise ConversionError(f"{entry.text} is one element of an array, which the Bottle cannot give alone")
             else:
                 _put(message, entry.path, _taken(entry, kind, value))
-        return Writer(self._schema).message(message)
+        return MessageWriter(self._schema).message(message)
 
 
-def _resolve(schema: Schema, entry: Entry) -> FieldType | None:
+def _resolve(schema: Schema, entry: BottleEntry) -> FieldType | None:
     """The type of an entry's field, None for a constant."""
     if not entry.path:
         return None
@@ -139,7 +125,7 @@ def _resolve(schema: Schema, entry: Entry) -> FieldType | None:
     return kind
 
 
-def _get(message: Mapping[str, Any], entry: Entry, kind: FieldType | None) -> Any:
+def _get(message: Mapping[str, Any], entry: BottleEntry, kind: FieldType | None) -> Any:
     if kind is None:
         return entry.constant
     value: Any = message
@@ -163,12 +149,12 @@ def _put(message: dict[str, Any], path: Sequence[str], value: Any) -> None:
     message[path[-1]] = value
 
 
-def _compare(entry: Entry, value: Any) -> None:
+def _compare(entry: BottleEntry, value: Any) -> None:
     if isinstance(value, bool) or not isinstance(value, int | float | str) or value != entry.constant:
         raise ConversionError(f"a value of the Bottle is {value!r}, where the rule has {entry.text}")
 
 
-def _taken(entry: Entry, kind: FieldType, value: Any) -> Any:
+def _taken(entry: BottleEntry, kind: FieldType, value: Any) -> Any:
     """A Bottle's value as the field takes it."""
     if kind.base in _TIMES:
         if isinstance(value, bool) or not isinstance(value, int | float) or not abs(value) < 1 << 31:
@@ -185,9 +171,9 @@ def _taken(entry: Entry, kind: FieldType, value: Any) -> Any:
     return value
 
 
-def _items(entry: Entry, kind: FieldType, value: Any) -> Any:
+def _items(entry: BottleEntry, kind: FieldType, value: Any) -> Any:
     if isinstance(value, bytes) and PRIMITIVE_SIZES.get(kind.base) == 1:
-        return np.frombuffer(value, DTYPES[kind.base])
+        return np.frombuffer(value, dtype(kind.base))
     if isinstance(value, np.ndarray):
         return value if kind.base.startswith("float") else value.tolist()
     if isinstance(value, list):

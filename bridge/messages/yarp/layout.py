@@ -16,7 +16,7 @@ from typing import Protocol
 
 import numpy as np
 
-from bridge.messages.definition import PRIMITIVE_SIZES, TIME_DEFINITIONS, Definition, FieldType, Schema, Shape
+from bridge.messages.definitions.schema import PRIMITIVE_SIZES, TIME_DEFINITIONS, Definition, FieldType, Schema, Shape
 from bridge.messages.errors import ConversionError, MessageTypeError
 from yarp_compat.wire import tags
 from yarp_compat.wire.profile import Profile
@@ -26,26 +26,15 @@ LONG_RUN = 16
 
 _TWO = struct.Struct("<ii")
 _COUNT = struct.Struct("<I")
-_TAGS = {
-    "bool": tags.INT8,
-    "byte": tags.INT8,
-    "char": tags.INT8,
-    "int8": tags.INT8,
-    "uint8": tags.INT8,
-    "int16": tags.INT16,
-    "uint16": tags.INT16,
-    "int32": tags.INT32,
-    "uint32": tags.INT32,
-    "int64": tags.INT64,
-    "uint64": tags.INT64,
-}
+_INTEGERS = {1: tags.INT8, 2: tags.INT16, 4: tags.INT32, 8: tags.INT64}
+_TAGS = {base: _INTEGERS[size] for base, size in PRIMITIVE_SIZES.items() if not base.startswith("float")}
 
 
 class MismatchError(Exception):
     """The bytes are not laid out so; they may still say the same in another way."""
 
 
-class Step(Protocol):
+class _Step(Protocol):
     """One part of a message. Both methods append the part's bytes to ``out`` and give the place behind it."""
 
     def to_bottle(self, data: bytes, at: int, out: list[bytes]) -> int:
@@ -55,7 +44,7 @@ class Step(Protocol):
         """From a Bottle's bytes, whoever sent them; raises `MismatchError`."""
 
 
-class Run:
+class _Run:
     """Numbers of fixed size with what stands before each; whole messages where nothing else is in them."""
 
     def __init__(self) -> None:
@@ -87,7 +76,6 @@ class Run:
         return sum(len(before) + size for before, size in self._pairs) + len(self._constant)
 
     def to_bottle(self, data: bytes, at: int, out: list[bytes]) -> int:
-        """See `Step`."""
         for before, size in self._pairs:
             out.append(before)
             out.append(data[at : at + size])
@@ -96,7 +84,6 @@ class Run:
         return at
 
     def to_ros1(self, data: bytes, at: int, out: list[bytes]) -> int:
-        """See `Step`."""
         for before, size in self._pairs:
             begin = at + len(before)
             if data[at:begin] != before:
@@ -116,32 +103,29 @@ class Run:
         return template, np.frombuffer(b"".join([*marks, bytes(len(self._constant))]), np.bool_)
 
 
-class Text:
+class _String:
     """A string with its tag."""
 
     _TAG = struct.pack("<i", tags.STRING)
 
     def to_bottle(self, data: bytes, at: int, out: list[bytes]) -> int:
-        """See `Step`."""
         end = at + 4 + _COUNT.unpack_from(data, at)[0]
         out += (self._TAG, data[at:end])
         return int(end)
 
     def to_ros1(self, data: bytes, at: int, out: list[bytes]) -> int:
-        """See `Step`."""
         if data[at : at + 4] != self._TAG:
             raise MismatchError
         return _string(data, at + 4, out)
 
 
-class Texts:
+class _Strings:
     """An array of strings; ``length`` is 0 where it is of any."""
 
     def __init__(self, length: int) -> None:
         self._length = length
 
     def to_bottle(self, data: bytes, at: int, out: list[bytes]) -> int:
-        """See `Step`."""
         count, at = _ros1_count(data, at, self._length)
         out.append(_TWO.pack(tags.LIST | tags.STRING, count))
         begin = at
@@ -151,43 +135,39 @@ class Texts:
         return at
 
     def to_ros1(self, data: bytes, at: int, out: list[bytes]) -> int:
-        """See `Step`."""
         count, at = _bottle_count(data, at, tags.LIST | tags.STRING, self._length, 4, out)
         for _ in range(count):
             at = _string(data, at, out)
         return at
 
 
-class Numbers:
+class _Numbers:
     """A sequence of numbers."""
 
     def __init__(self, tag: int, size: int) -> None:
         self._tag, self._size = tags.LIST | tag, size
 
     def to_bottle(self, data: bytes, at: int, out: list[bytes]) -> int:
-        """See `Step`."""
         count, at = _ros1_count(data, at, 0)
         end = at + count * self._size
         out += (_TWO.pack(self._tag, count), data[at:end])
         return end
 
     def to_ros1(self, data: bytes, at: int, out: list[bytes]) -> int:
-        """See `Step`."""
         count, at = _bottle_count(data, at, self._tag, 0, self._size, out)
         end = at + count * self._size
         out.append(data[at:end])
         return end
 
 
-class Messages:
+class _MessageArray:
     """An array of messages; ``length`` is 0 where it is of any."""
 
-    def __init__(self, length: int, steps: list[Step]) -> None:
+    def __init__(self, length: int, steps: list[_Step]) -> None:
         self._length, self._steps = length, steps
-        self._run = steps[0] if len(steps) == 1 and isinstance(steps[0], Run) else None
+        self._run = steps[0] if len(steps) == 1 and isinstance(steps[0], _Run) else None
 
     def to_bottle(self, data: bytes, at: int, out: list[bytes]) -> int:
-        """See `Step`."""
         count, at = _ros1_count(data, at, self._length)
         out.append(_TWO.pack(tags.LIST, count))
         if self._run is not None and count >= LONG_RUN:
@@ -198,7 +178,6 @@ class Messages:
         return at
 
     def to_ros1(self, data: bytes, at: int, out: list[bytes]) -> int:
-        """See `Step`."""
         count, at = _bottle_count(data, at, tags.LIST, self._length, 8, out)
         if self._run is not None and count >= LONG_RUN:
             return _many_to_ros1(self._run, data, at, count, out)
@@ -208,7 +187,7 @@ class Messages:
         return at
 
 
-def _many_to_bottle(run: Run, data: bytes, at: int, count: int, out: list[bytes]) -> int:
+def _many_to_bottle(run: _Run, data: bytes, at: int, count: int, out: list[bytes]) -> int:
     template, numbers = run.columns()
     table = np.tile(template, (count, 1))
     if run.ros1_size:
@@ -217,7 +196,7 @@ def _many_to_bottle(run: Run, data: bytes, at: int, count: int, out: list[bytes]
     return at + count * run.ros1_size
 
 
-def _many_to_ros1(run: Run, data: bytes, at: int, count: int, out: list[bytes]) -> int:
+def _many_to_ros1(run: _Run, data: bytes, at: int, count: int, out: list[bytes]) -> int:
     end = at + count * run.bottle_size
     if end > len(data):
         raise MismatchError
@@ -261,8 +240,8 @@ class _Maker:
 
     def __init__(self, schema: Schema, tag_of: Callable[[str], int]) -> None:
         self._schema, self._tag_of = schema, tag_of
-        self._run = Run()
-        self.steps: list[Step] = []
+        self._run = _Run()
+        self.steps: list[_Step] = []
 
     def message(self, definition: Definition) -> None:
         self._run.constant(tags.LIST, len(definition.fields))
@@ -280,41 +259,34 @@ class _Maker:
             if nested is not None:
                 self.message(nested)
             elif kind.base == "string":
-                self._step(Text())
+                self._step(_String())
             else:
                 self._run.constant(self._tag_of(kind.base))
                 self._run.copy(PRIMITIVE_SIZES[kind.base])
         elif nested is not None:
             inner = _Maker(self._schema, self._tag_of)
             inner.message(nested)
-            self._step(Messages(length, inner.finish()))
+            self._step(_MessageArray(length, inner.finish()))
         elif kind.base == "string":
-            self._step(Texts(length))
+            self._step(_Strings(length))
         elif length:
             self._run.constant(tags.LIST | self._tag_of(kind.base), length)
             self._run.copy(length * PRIMITIVE_SIZES[kind.base])
         else:
-            self._step(Numbers(self._tag_of(kind.base), PRIMITIVE_SIZES[kind.base]))
+            self._step(_Numbers(self._tag_of(kind.base), PRIMITIVE_SIZES[kind.base]))
 
-    def _step(self, step: Step) -> None:
+    def _step(self, step: _Step) -> None:
+        self.finish().append(step)
+
+    def finish(self) -> list[_Step]:
         if not self._run.empty:
             self.steps.append(self._run)
-            self._run = Run()
-        self.steps.append(step)
-
-    def finish(self) -> list[Step]:
-        if not self._run.empty:
-            self.steps.append(self._run)
-            self._run = Run()
+            self._run = _Run()
         return self.steps
 
 
 class Layout:
-    """A ROS 1 type's Bottle in one profile.
-
-    Raises:
-        MessageTypeError: YARP has no type for one of its fields.
-    """
+    """A ROS 1 type's Bottle in one profile; raises `MessageTypeError` where YARP has no type for one of its fields."""
 
     def __init__(self, schema: Schema, profile: Profile) -> None:
         floats = {"float32": profile.float32_tag, "float64": profile.float64_tag}
@@ -329,8 +301,7 @@ class Layout:
         for step in self._steps:
             at = step.to_bottle(ros1, at, out)
         if at != len(ros1):
-            msg = f"bytes are left over behind the last field: {len(ros1) - at}"
-            raise ConversionError(msg)
+            raise ConversionError(f"bytes are left over behind the last field: {len(ros1) - at}")
         return b"".join(out)
 
     def to_ros1(self, bottle: bytes) -> bytes:

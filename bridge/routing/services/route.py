@@ -1,26 +1,122 @@
-"""A service that crosses: its server is on the one network, its callers are on the other."""
+"""The route of a service, and its calls: the server is on one network, the callers are on the other."""
 
 from __future__ import annotations
 
 import logging
+import time
 from abc import abstractmethod
 from collections.abc import Callable
 from threading import Lock
 from typing import Any
 
-from bridge.adapters.base import EdgeCaller, EdgeServer
-from bridge.hub.call import Abandon, CallError, Done
-from bridge.hub.queries import LEFT
-from bridge.hub.service import HubClient, HubServer
-from bridge.messages.conversion import ServiceConversion
-from bridge.routing.joint import Joint
-from bridge.routing.lane import Lane
-from bridge.routing.route import BULK, QUEUE_BYTES, Route, RouteKey
-from bridge.routing.rules import Decision
-from bridge.routing.services.call import Convert, Passing
-from bridge.routing.services.counters import CallCounters
+from bridge.concurrency import BoundedQueue
+from bridge.hub.endpoints.calls import LEFT, Abandon, CallError, Done
+from bridge.hub.endpoints.services import HubClient, HubServer
+from bridge.messages.errors import MessageError
+from bridge.messages.transcode.conversion import ServiceConversion
+from bridge.routing.counters import Counters
+from bridge.routing.decision import RouteKey
+from bridge.routing.edge import EdgeCaller, EdgeServer
+from bridge.routing.limits import BULK, QUEUE_BYTES
+from bridge.routing.route import EngineContext, Route
+from bridge.routing.rules import RoutePolicy
 
 _log = logging.getLogger(__name__)
+
+Convert = Callable[[bytes], bytes] | None
+
+
+class BridgedCall:
+    """A call between the caller on the one network and the server on the other. It ends once."""
+
+    __slots__ = ("_abandon_far", "_began", "_done", "_lock", "_over", "_route")
+
+    def __init__(self, route: ServiceRoute, done: Done) -> None:
+        self._route, self._done = route, done
+        self._began = time.monotonic_ns()
+        self._lock = Lock()
+        self._over = False
+        self._abandon_far: Abandon | None = None
+
+    def begin(self, request: bytes) -> None:
+        """Convert the request and ask the far server, on a thread of the edge or of zenoh."""
+        if self._over:
+            return
+        try:
+            data = request if self._route.request is None else self._route.request(request)
+        except (MessageError, ValueError) as err:
+            self._route.bad(str(err))
+            self.end(CallError(f"the request is not what its type says: {err}"))
+            return
+        try:
+            abandon = self._route.ask(data, self._came)
+        except Exception as err:
+            _log.exception("a call could not be made")
+            self.end(CallError(f"the call could not be made: {type(err).__name__}: {err}"))
+            return
+        with self._lock:
+            self._abandon_far, over = abandon, self._over
+        if over:
+            abandon()  # the caller left meanwhile; after an end it does nothing
+
+    def _came(self, result: bytes | CallError) -> None:
+        if isinstance(result, CallError):
+            self.end(result)
+        elif not self._route.carry(lambda: self._finish(result), len(result)):
+            self.end(CallError("too many large replies are under way; call again later"))
+
+    def _finish(self, reply: bytes) -> None:
+        try:
+            data = reply if self._route.reply is None else self._route.reply(reply)
+        except (MessageError, ValueError) as err:
+            self._route.bad(str(err))
+            self.end(CallError(f"the reply is not what its type says: {err}"))
+            return
+        self.end(data)
+
+    def end(self, result: bytes | CallError) -> None:
+        """End the call with its first result; later ones are ignored."""
+        if self._end():
+            self._route.over(self, result, time.monotonic_ns() - self._began)
+            self._done(result)
+
+    def abandon(self) -> None:
+        """The caller left: the far server's reply is dropped."""
+        if self._end():
+            self._route.over(self, None, 0)
+            self.leave()
+
+    def leave(self) -> None:
+        """Have the far side forget the call."""
+        with self._lock:
+            abandon = self._abandon_far
+        if abandon is not None:
+            abandon()
+
+    def _end(self) -> bool:
+        with self._lock:
+            over, self._over = self._over, True
+        return not over
+
+
+class CallCounters(Counters):
+    """Counts how calls end: with a reply, an error or abandoned; and those that are pending.
+
+    ``messages`` counts the calls, and the latencies are those of whole calls. Calls that were refused are among the
+    errors, and counted by reason among the drops: ``queue`` (too many at once), ``bad``, ``large``, ``standby``.
+    """
+
+    __slots__ = ("abandoned", "errors", "pending", "replies")
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.replies = self.errors = self.abandoned = self.pending = 0
+
+    def as_dict(self) -> dict[str, Any]:
+        """The counters as they stand in the status document."""
+        calls = {name: getattr(self, name) for name in ("replies", "errors", "abandoned", "pending")}
+        return {**super().as_dict(), "calls": self.messages, **calls}
+
 
 MAX_CALLS = 1000
 """Calls of one route that are under way at most; the next ones get an error at once."""
@@ -44,25 +140,26 @@ class ServiceRoute(Route):
         key: RouteKey,
         names: tuple[str, str],
         conversion: ServiceConversion,
-        decision: Decision,
-        joint: Joint,
+        policy: RoutePolicy,
+        context: EngineContext,
     ) -> None:
-        super().__init__(key, names[0], names[1], (conversion.hub.name, conversion.side.name), decision)
+        super().__init__(key, names, (conversion.hub.name, conversion.side.name), policy, context)
         self.counters: CallCounters = CallCounters()
         self.conversion = conversion
         self.servers = 0
         self._most = MAX_RESULTS if self.hub_type.endswith("_GetResult") else MAX_CALLS
-        self._joint = joint
-        self._calls: dict[Passing, None] = {}
+        self._calls: dict[BridgedCall, None] = {}
         self._lock = Lock()
         self._far: HubClient | EdgeCaller | None = None
         self._near: HubServer | EdgeServer | None = None
         name = f"midspan-{self.direction}{self.side_topic}"
-        self._large = Lane[Callable[[], None]](name, 2 * self._most, QUEUE_BYTES, lambda work: work(), lambda: None)
+        self._large = BoundedQueue[Callable[[], None]](
+            name, 2 * self._most, QUEUE_BYTES, lambda work: work(), lambda: None
+        )
 
     @abstractmethod
     def open(self) -> None:
-        """Make what is missing of both ends; called by the engine's loop alone."""
+        """Open the missing ends; called by the engine's loop alone."""
 
     @property
     def offered(self) -> bool:
@@ -72,8 +169,8 @@ class ServiceRoute(Route):
     # -- a call --------------------------------------------------------------------------------------------------------
 
     def call(self, request: bytes, done: Done) -> Abandon:
-        """A caller on the near network asks; see `bridge.hub.call.Call`."""
-        call = Passing(self, done)
+        """A caller on the near network asks; see `bridge.hub.endpoints.calls.Call`."""
+        call = BridgedCall(self, done)
         trouble = ""
         with self._lock:
             self.counters.crossed(len(request))
@@ -83,11 +180,11 @@ class ServiceRoute(Route):
             self._calls[call] = None
         if trouble:
             self.counters.dropped("queue")
-        elif self._joint.lease.over:
-            trouble = f"the bridge to {self._joint.edge.side} stood still or stands by; call again later"
+        elif self._context.lease.over:
+            trouble = f"the bridge to {self._context.edge.side} stood still or stands by; call again later"
             self.counters.dropped("standby")
-        elif self.too_large(len(request), self._joint.hub.max_payload):
-            trouble = f"the request has {len(request)} bytes, limits.message allows {self._joint.hub.max_payload}"
+        elif self.too_large(len(request)):
+            trouble = f"the request has {len(request)} bytes, limits.message allows {self._max_payload}"
         elif not self.carry(lambda: call.begin(request), len(request)):
             trouble = "too many large requests are under way; call again later"
             self.counters.dropped("queue")
@@ -110,11 +207,7 @@ class ServiceRoute(Route):
         work()
         return True
 
-    def refuse(self, error: str, reason: str) -> None:
-        """Count bytes that are not what their type says."""
-        self.bad(error, reason)
-
-    def over(self, call: Passing, result: bytes | CallError | None, nanoseconds: int) -> None:
+    def over(self, call: BridgedCall, result: bytes | CallError | None, nanoseconds: int) -> None:
         """A call ended, or was abandoned with None."""
         with self._lock:
             self._calls.pop(call, None)

@@ -1,1 +1,1 @@
-"""What is served to other programs from one transform buffer; above the module host, as no other part of frames is."""
+"""The transform server, which shares one buffer with other programs; it stands on the module host."""

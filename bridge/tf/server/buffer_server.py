@@ -1,4 +1,4 @@
-"""The buffer for programs that have none: the action ``/tf2_buffer_server`` and the service ``/tf2_frames``.
+"""Lookups for programs without a buffer: the action ``/tf2_buffer_server`` and the service ``/tf2_frames``.
 
 They are those of tf2_ros (its BufferServer and Buffer), so that its BufferClient works against them, in ROS 1 and in
 ROS 2. As there, a lookup that fails is a goal that succeeded, with the error in its result.
@@ -10,17 +10,11 @@ from collections import Counter
 from typing import Any
 
 from bridge.modules.action_server import Goal
+from bridge.modules.host import Node
 from bridge.modules.loop import Timer
-from bridge.modules.node import Node
 from bridge.modules.services import Answer
 from bridge.tf.buffer import TransformBuffer
-from bridge.tf.errors import (
-    ConnectivityError,
-    ExtrapolationError,
-    InvalidArgumentError,
-    LookupError_,
-    TransformError,
-)
+from bridge.tf.errors import ConnectivityError, ExtrapolationError, InvalidArgumentError, LookupError_, TransformError
 from bridge.tf.transform import Transform
 
 ACTION, LOOKUP = "/tf2_buffer_server", "tf2_msgs/action/LookupTransform"
@@ -41,12 +35,7 @@ _TRANSFORM_ERROR = 6  # tf2_msgs/msg/TF2Error; the rest above
 
 
 class BufferServer:
-    """Looks up transforms for others. All of it runs on the module's thread; its ends are closed with the node.
-
-    Args:
-        node: of the module.
-        buffer: where the transforms are.
-    """
+    """Looks up transforms for others. All of it runs on the module's thread; its ends are closed with the node."""
 
     def __init__(self, node: Node, buffer: TransformBuffer) -> None:
         self._node, self._buffer = node, buffer
@@ -101,7 +90,7 @@ class BufferServer:
         return True
 
     def _answer(self, lookup: _Lookup, how: str, result: dict[str, Any]) -> None:
-        """Answer a lookup; who has its answer finds it waiting no more."""
+        """Answer a lookup, and take it from those that wait first."""
         self._waiting.pop(lookup.goal.id, None)
         self._ended[how] += 1
         lookup.goal.succeed(result)
@@ -111,7 +100,7 @@ class BufferServer:
 
 
 class _Lookup:
-    """What one goal asks for, and until when."""
+    """The lookup that one goal asks for, and its time limit."""
 
     def __init__(self, goal: Goal, now: int) -> None:
         self.goal = goal

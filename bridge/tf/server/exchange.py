@@ -1,4 +1,4 @@
-"""The frames of all sides in one place: what YARP programs set goes to the hub, and what the hub tells to them."""
+"""Exchanges frames between YARP programs and the hub."""
 
 from __future__ import annotations
 
@@ -9,9 +9,8 @@ from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 
 from bridge.tf.buffer import TransformBuffer
-from bridge.tf.errors import Refusal
-from bridge.tf.server.clock import YarpClock
-from bridge.tf.server.view import ANY, View
+from bridge.tf.errors import FrameRefusal
+from bridge.tf.server.view import ANY, View, YarpClock
 from bridge.tf.stamped import Stamped, read, write
 from yarp_compat.dev.frametransform import FrameTransform
 
@@ -20,7 +19,7 @@ _log = logging.getLogger(__name__)
 YARP = "yarp"
 """The authority of frames that YARP programs set."""
 
-_HARMLESS = (None, Refusal.OLD_DATA, Refusal.REPEATED_DATA)
+_HARMLESS = (None, FrameRefusal.OLD_DATA, FrameRefusal.REPEATED_DATA)
 """What is no error of who set a transform: YARP's own servers keep the newest, and say nothing."""
 
 _LAST_SECOND = float(1 << 31)
@@ -32,9 +31,6 @@ class Exchange:
     """Takes frames of both, and gives each the other's. Safe to use from any thread.
 
     Args:
-        buffer: all frames' histories.
-        view: what YARP programs see.
-        clock: their clock.
         publish: publishes a message of the timed frames that YARP programs set.
         publish_static: publishes one of all their static frames, for late joiners too.
     """
@@ -49,7 +45,7 @@ class Exchange:
         self._publish, self._publish_static = publish, publish_static
         self._lock = threading.Lock()
 
-    def set(self, transforms: Sequence[FrameTransform]) -> Refusal | None:
+    def set(self, transforms: Sequence[FrameTransform]) -> FrameRefusal | None:
         """Take up what a YARP program sets, and publish it.
 
         What expired before it came is left out, as is a sample of a frame that is static until it is deleted.
@@ -59,7 +55,7 @@ class Exchange:
         """
         with self._lock:
             sound = [t for t in transforms if 0.0 <= t.timestamp < _LAST_SECOND]
-            flaw = None if len(sound) == len(transforms) else Refusal.INVALID_STAMP
+            flaw = None if len(sound) == len(transforms) else FrameRefusal.INVALID_STAMP
             flaw = self._set([t for t in sound if not t.isStatic and self._timely(t)], static=False) or flaw
             return self._set([t for t in sound if t.isStatic], static=True) or flaw
 
@@ -78,19 +74,19 @@ class Exchange:
                 self.buffer.remove(child)
             if static != sum(1 for _ in self.view.own_static()):
                 self._tell_static()
-            if not gone and ANY not in (one, other) and self.view.heard(one, other):
+            if not gone and ANY not in (one, other) and self.view.is_from_hub(one, other):
                 _log.warning("%s, %s cannot be deleted by YARP programs: another side says it", one, other)
         return bool(gone)
 
-    def hear(self, cdr: bytes, authority: str, *, static: bool) -> None:
-        """Take up a message of the hub, and who sent it."""
+    def receive(self, cdr: bytes, authority: str, *, static: bool) -> None:
+        """Take up a message of the hub; ``authority`` sent it."""
         stamped = read(cdr)
         with self._lock:
             for transform, refusal in zip(
                 stamped, self.buffer.set_transforms(stamped, authority, static=static), strict=True
             ):
-                if refusal is None or refusal is Refusal.REPEATED_DATA:  # who says it again says that it holds
-                    self.view.hear(transform, static=static)
+                if refusal is None or refusal is FrameRefusal.REPEATED_DATA:  # who says it again says that it holds
+                    self.view.set_from_hub(transform, static=static)
 
     def forget_timed(self) -> None:
         """Forget all but static frames: time was set back."""
@@ -114,7 +110,7 @@ class Exchange:
             )
         return False
 
-    def _set(self, transforms: list[FrameTransform], *, static: bool) -> Refusal | None:
+    def _set(self, transforms: list[FrameTransform], *, static: bool) -> FrameRefusal | None:
         if not transforms:
             return None
         stamped = [self._stamped(transform) for transform in transforms]
@@ -154,5 +150,5 @@ class Exchange:
 
 
 def _plain(name: str) -> str:
-    """A name as tf2 has it: without a slash first, and of what UTF-8 can say."""
+    """A name as tf2 has it: without a leading slash, and valid in UTF-8."""
     return (name if name.isascii() else name.encode("utf-8", "replace").decode()).lstrip("/")

@@ -1,8 +1,4 @@
-"""TransformServer: the frames of ROS 1, ROS 2, zenoh and YARP in one place, given to YARP by its own interfaces.
-
-It hears `/tf` and `/tf_static` on the hub and publishes there what YARP programs set; the other sides have each other's
-frames by routing.
-"""
+"""The transform server as a hosted module."""
 
 from __future__ import annotations
 
@@ -10,23 +6,46 @@ from typing import Any
 
 from bridge.config.sections.section import Section
 from bridge.config.sections.transforms import TransformServerSection
-from bridge.hub.qos import Durability, Qos
+from bridge.hub.graph import HubGraph
+from bridge.hub.wire.qos import LATCHED, Durability, Qos
 from bridge.modules.host import Host
 from bridge.modules.module import Module
 from bridge.tf.buffer import TransformBuffer
-from bridge.tf.server.authorities import Authorities
 from bridge.tf.server.buffer_server import BufferServer
-from bridge.tf.server.clock import YarpClock
 from bridge.tf.server.exchange import Exchange
-from bridge.tf.server.rpc import Getter, Setter
-from bridge.tf.server.stream import Stream
-from bridge.tf.server.view import View
+from bridge.tf.server.view import View, YarpClock
+from bridge.tf.server.yarp_ports import FrameStream, Getter, Setter
 from bridge.tf.stamped import TF, TF_STATIC, TF_TYPE
 from bridge.worker import Health
-from yarp_compat.dev.frametransformstorage import GET, SERVER, SET, STREAM
+from yarp_compat.dev.frametransform import GET, SERVER, SET, STREAM
 
-_DEPTH = 1000
-"""Messages of `/tf` that may wait: every publisher of a robot sends its own at the same time."""
+_MOST = 4096  # publishers that are remembered; then it begins anew
+
+
+class Authorities:
+    """Names publishers by the nodes that they belong to, or the side that a bridge worker speaks for."""
+
+    def __init__(self, graph: HubGraph) -> None:
+        self._graph = graph
+        self._known: dict[bytes, str] = {}
+
+    def name(self, gid: bytes) -> str:
+        """The name of the publisher with a GID; ``hub`` while the graph does not know it."""
+        known = self._known.get(gid)
+        if known is not None:
+            return known
+        endpoint = self._graph.endpoint(gid)
+        if endpoint is None:
+            return "hub"
+        origin = endpoint.origin
+        node = f"{endpoint.namespace.rstrip('/')}/{endpoint.node}"
+        if len(self._known) >= _MOST:
+            self._known.clear()
+        known = self._known[gid] = node if origin is None else f"{origin.side} by {origin.daemon}"
+        return known
+
+
+_DEPTH = 1000  # messages of `/tf` that may wait: every publisher of a robot sends its own at the same time
 
 
 class TransformServer(Module):
@@ -35,35 +54,34 @@ class TransformServer(Module):
     name = "transform_server"
 
     def start(self, host: Host, section: Section) -> None:
-        """Hear frames and offer the ports."""
+        """Subscribe to frames and open the ports."""
         assert isinstance(section, TransformServerSection)
         self._section = section
         clock = YarpClock(host.clock, follows=section.clock == "run")
         self._buffer = TransformBuffer(section.cache_time, max_future=section.max_future, now=host.clock.now_ns)
         self._view = View(clock.now, section.yarp_frame_lifetime, section.ros_frame_lifetime)
-        latched = Qos(durability=Durability.TRANSIENT_LOCAL, depth=1)
         tf = host.node.publisher(TF, TF_TYPE, Qos(depth=100))
-        tf_static = host.node.publisher(TF_STATIC, TF_TYPE, latched, priority="state")
+        tf_static = host.node.publisher(TF_STATIC, TF_TYPE, LATCHED, priority="state")
         self._exchange = Exchange(self._buffer, self._view, clock, tf.publish_cdr, tf_static.publish_cdr)
 
         authorities = Authorities(host.node.hub.graph)
 
-        def hear(cdr: bytes) -> None:
-            self._exchange.hear(cdr, authorities.name(timed.sender), static=False)
+        def receive(cdr: bytes) -> None:
+            self._exchange.receive(cdr, authorities.name(timed.sender), static=False)
 
-        def hear_static(cdr: bytes) -> None:
-            self._exchange.hear(cdr, authorities.name(static.sender), static=True)
+        def receive_static(cdr: bytes) -> None:
+            self._exchange.receive(cdr, authorities.name(static.sender), static=True)
 
-        timed = host.node.subscription_cdr(TF, TF_TYPE, hear, Qos(depth=_DEPTH))
+        timed = host.node.subscription_cdr(TF, TF_TYPE, receive, Qos(depth=_DEPTH))
         every = Qos(durability=Durability.TRANSIENT_LOCAL, depth=100)
-        static = host.node.subscription_cdr(TF_STATIC, TF_TYPE, hear_static, every)
+        static = host.node.subscription_cdr(TF_STATIC, TF_TYPE, receive_static, every)
         host.on_jump(self._exchange.forget_timed)
 
         self._served = BufferServer(host.node, self._buffer) if section.buffer_server else None
 
         ports = section.prefix + SERVER
-        generations = host.config.yarp.generations()
-        stream = Stream(
+        generations = host.yarp.generations
+        stream = FrameStream(
             host.yarp.output(ports + STREAM),
             self._exchange.give,
             lambda profile: generations.of("", profile).generation,
@@ -91,7 +109,7 @@ class TransformServer(Module):
         return Health("running", f"{len(self._view)} frames, {self._view.ours} of YARP programs")
 
     def status(self) -> dict[str, Any]:
-        """What was not taken up, and who disagrees."""
+        """The refused transforms, and the sources that disagree."""
         return {
             "frames": len(self._view),
             "frames_of_yarp": self._view.ours,

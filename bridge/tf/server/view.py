@@ -1,14 +1,53 @@
-"""The frames as YARP programs see them: each with one parent, expiring by stamp, never in a loop."""
+"""The clock of the YARP programs, beside that of the run."""
 
 from __future__ import annotations
 
 import math
+import time
 from collections import Counter
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 
+from bridge.clock import RunClock
 from bridge.tf.stamped import Stamped
 from yarp_compat.dev.frametransform import FrameTransform
+
+_DAY = 86_400.0
+
+
+class YarpClock:
+    """The time as YARP programs have it, in seconds, and their stamps in the run's time.
+
+    With a simulated run they may be on its clock (a network clock) or still on the system's; a stamp tells by its scale
+    which of them its writer has.
+
+    Args:
+        follows: YARP programs that read are on the run's clock; else on the system's.
+    """
+
+    def __init__(self, run: RunClock, *, follows: bool) -> None:
+        self._run = run
+        self._follows = follows or not run.simulated
+
+    def now(self) -> float:
+        """The time of the programs that read."""
+        return self._run.now_ns() / 1e9 if self._follows else time.time()
+
+    def age(self, stamp: float) -> float:
+        """Seconds since a stamp, on its writer's clock."""
+        system = time.time()
+        if self._run.simulated and abs(system - stamp) > _DAY:
+            return self._run.now_ns() / 1e9 - stamp
+        return system - stamp
+
+    def seen(self, stamp: float) -> float:
+        """A writer's stamp on the clock of the programs that read."""
+        return self.now() - self.age(stamp) if self._run.simulated else stamp
+
+    def of_run(self, stamp: float) -> int:
+        """A writer's stamp in ns of the run's clock."""
+        return self._run.now_ns() - round(self.age(stamp) * 1e9) if self._run.simulated else round(stamp * 1e9)
+
 
 ANY = "*"
 """The name that stands for every frame where transforms are deleted."""
@@ -17,7 +56,7 @@ _PATIENCE = 1.25
 """By how much longer a frame of the hub is shown than its lifetime: one sent just that often is late now and then."""
 
 
-class Entry:
+class ShownFrame:
     """One frame.
 
     Attributes:
@@ -35,7 +74,7 @@ class Entry:
 
 
 class View:
-    """What YARP's server of transforms would hold. Its user's lock is held during every call.
+    """The frames that YARP's own server of transforms would hold. Its user's lock is held during every call.
 
     YARP's clients drop what they got by its stamp (0.2 s), and never end where frames form a loop; so frames of the hub
     are stamped anew whenever they are given, and what would close a loop is left out.
@@ -49,10 +88,9 @@ class View:
     def __init__(self, now: Callable[[], float], yarp_lifetime: float, ros_lifetime: float) -> None:
         self._now = now
         self.yarp_lifetime, self.ros_lifetime = yarp_lifetime, ros_lifetime
-        self._entries: dict[str, Entry] = {}
+        self._entries: dict[str, ShownFrame] = {}
         self._spelled: dict[str, str] = {}
-        self.left_out: Counter[str] = Counter()
-        """Transforms that are not shown, by why."""
+        self.left_out: Counter[str] = Counter()  # transforms that are not shown, by why
 
     def __len__(self) -> int:
         return len(self._entries)
@@ -80,18 +118,18 @@ class View:
                     entry.transform = replace(entry.transform, src_frame_id=parent, dst_frame_id=child)
 
     def set(self, transform: FrameTransform, told: Stamped) -> None:
-        """Show a frame that a YARP program set, as it wrote it and as the hub was told."""
+        """Show a frame that a YARP program set, as it wrote it and as it went to the hub."""
         until = math.inf if transform.isStatic else transform.timestamp + self.yarp_lifetime
-        self._show(told.child_frame_id, Entry(transform, told.frame_id, told.stamp, until, ours=True))
+        self._show(told.child_frame_id, ShownFrame(transform, told.frame_id, told.stamp, until, ours=True))
 
-    def hear(self, told: Stamped, *, static: bool) -> None:
+    def set_from_hub(self, told: Stamped, *, static: bool) -> None:
         """Show a frame of the hub; a static one does not expire."""
         parent, child = told.frame_id.lstrip("/"), told.child_frame_id.lstrip("/")
         until = math.inf if static else self._now() + _PATIENCE * self.ros_lifetime
         spelled = self._spelled.get
         names = spelled(parent, parent), spelled(child, child)
         transform = FrameTransform(*names, 0.0, int(static), *told.translation, *told.rotation)
-        self._show(child, Entry(transform, parent, told.stamp, until, ours=False))
+        self._show(child, ShownFrame(transform, parent, told.stamp, until, ours=False))
 
     def give(self) -> list[FrameTransform]:
         """All frames; those of the hub as of now."""
@@ -106,17 +144,13 @@ class View:
         return given
 
     def delete(self, one: str, other: str) -> list[str]:
-        """Forget what YARP programs set between two frames, as YARP does it: either way round, or with any frame.
-
-        Returns:
-            the children.
-        """
+        """Forget what YARP programs set between two frames, either way round, or with any frame; the children."""
         found = [child for child, entry in self._entries.items() if entry.ours and _between(entry, child, one, other)]
         for child in found:
             del self._entries[child]
         return found
 
-    def heard(self, one: str, other: str) -> bool:
+    def is_from_hub(self, one: str, other: str) -> bool:
         """Whether the transform between two frames is one of the hub."""
         return any(not entry.ours and _between(entry, child, one, other) for child, entry in self._entries.items())
 
@@ -128,7 +162,7 @@ class View:
         """Forget all but static frames: time was set back."""
         self._entries = {child: entry for child, entry in self._entries.items() if entry.transform.isStatic}
 
-    def _show(self, child: str, entry: Entry) -> None:
+    def _show(self, child: str, entry: ShownFrame) -> None:
         before = self._entries.get(child)
         if before is not None and before.stamp > entry.stamp and not entry.transform.isStatic:
             return
@@ -154,7 +188,7 @@ class View:
             del self._entries[child]
 
 
-def _between(entry: Entry, child: str, one: str, other: str) -> bool:
+def _between(entry: ShownFrame, child: str, one: str, other: str) -> bool:
     if one == ANY or other == ANY:
         return one in (ANY, entry.parent) and other in (ANY, child)
     return (entry.parent, child) in ((one, other), (other, one))

@@ -110,7 +110,7 @@ class Client:
         self.client = actionlib.ActionClient(name, action_class(type))
 
     def send(self, number, key):
-        record = {"feedback": [], "states": [], "done": 0, "handle": None}
+        record: dict = {"feedback": [], "states": [], "done": 0, "handle": None}
         self.goals[key] = record
 
         def changed(handle) -> None:

@@ -22,11 +22,11 @@ import roslib.message
 
 from bridge.adapters.ros1.edge import Ros1Edge
 from bridge.config.model import Config
-from bridge.hub.call import CallError
-from bridge.hub.origin import Origin
-from bridge.hub.qos import Durability, Qos
-from bridge.messages.conversion import SideType
+from bridge.hub.endpoints.calls import CallError
+from bridge.hub.graph.tokens import Origin
+from bridge.hub.wire.qos import Durability, Qos
 from bridge.messages.registry import Registry
+from bridge.messages.transcode.conversion import SideType
 
 
 class Listener:
@@ -243,6 +243,12 @@ class Program:
             "threads": threading.active_count(),
             "descriptors": len(list(Path("/proc/self/fd").iterdir())),
         }
+
+    def do_look_no_more(self) -> dict[str, Any]:
+        """Look at the master only for a reason."""
+        self.edge._master._period = 3600.0
+        self.edge._master.wake()
+        return {}
 
     def do_stop(self) -> dict[str, Any]:
         begin = time.monotonic()

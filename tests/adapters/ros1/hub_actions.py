@@ -6,8 +6,8 @@ import uuid
 from pathlib import Path
 
 from bridge.adapters.ros1.actions import wire
-from bridge.adapters.ros1.actions.states import CancelCode, Ros2State
 from bridge.adapters.ros1.actions.wire import ZERO, GoalInfo
+from bridge.messages.actions import CancelCode, GoalState
 from tests.support.peer import Peer
 from tests.support.ros1 import ROS1_PYTHON
 from tests.support.wait import until
@@ -93,7 +93,7 @@ class HubClient:
 
     def result(self, call):
         state, data, _ = wire.read_result_response(self.reply(call))
-        return Ros2State(state), struct.unpack("<i", data)[0]
+        return GoalState(state), struct.unpack("<i", data)[0]
 
     def cancel(self, goal=ANY, stamp=ZERO):
         code, infos = wire.read_cancel_response(
@@ -116,7 +116,7 @@ class HubClient:
         messages = self.edge.received(self.topics["status"], 0, 0)
         if not messages:
             return {}
-        return {i.uuid: Ros2State(s) for i, s in wire.read_goal_states(base64.b64decode(messages[-1][0]))}
+        return {i.uuid: GoalState(s) for i, s in wire.read_goal_states(base64.b64decode(messages[-1][0]))}
 
     def until_state(self, goal, state):
         until(lambda: self.states().get(goal) is state, f"the goal is {state.name}", SECONDS)
@@ -153,7 +153,7 @@ class HubServer:
         self.edge.ask("answer", id=self.services[part], number=number, reply=encoded(reply), error=error)
 
     def accept(self, number, accepted=True):
-        self.answer("send_goal", number, wire.goal_response(wire.Stamp(7, 0), accepted=accepted))
+        self.answer("send_goal", number, wire.goal_response(wire.RosTime(7, 0), accepted=accepted))
 
     def asked(self, goal):
         """The number of the get_result call of a goal."""
@@ -166,7 +166,7 @@ class HubServer:
         self.edge.ask("send", id=self.topics[part], payload=encoded(payload))
 
     def states(self, states):
-        self.tell("status", wire.goal_states([(GoalInfo(u, wire.Stamp(7, 0)), s) for u, s in states.items()]))
+        self.tell("status", wire.goal_states([(GoalInfo(u, wire.RosTime(7, 0)), s) for u, s in states.items()]))
 
     def close(self):
         for handle in (*self.services.values(), *self.topics.values()):

@@ -11,8 +11,8 @@ from typing import Any
 
 from bridge.adapters.ros1.environment import worker_environment
 from bridge.config.model import Config
-from bridge.config.sections.clock import ClockSection
-from bridge.config.sections.ros1 import Ros1Section
+from bridge.config.sections.ros import Ros1Section
+from bridge.config.sections.sim import ClockSection
 from tests.support.peer import Peer
 from tests.support.ros1 import RosMaster
 from tests.support.wait import until

@@ -10,14 +10,14 @@ from xmlrpc.client import ServerProxy
 
 import pytest
 
-from bridge.adapters.ros1.deadline import DeadlineSocket
 from bridge.adapters.ros1.handshake import ORIGIN_FIELD, encode, read_header
+from bridge.adapters.ros1_peers import DeadlineSocket
 from tests.adapters.ros1.parts import edge_on, string, text
 from tests.adapters.ros1.servers import publisher, tcp_server, until_closed
 from tests.support.ros1 import needs_ros1
 from tests.support.wait import until
 
-pytestmark = [pytest.mark.real, needs_ros1]
+pytestmark = needs_ros1
 
 STRING_MD5 = "992ce8a1687cec8c8bd883ec73ca41d1"
 THING = """std_msgs/Header header
@@ -213,6 +213,7 @@ def test_latched_and_volatile_publishers_share_a_topic(master, edge):
         assert latest(peer.wait(inbox, 1)) == [9]
 
 
+@pytest.mark.thorough
 def test_what_a_midspan_published_is_never_taken_up(master, edge, tmp_path):
     with edge_on(master, tmp_path / "second", "other") as second, master.peer("loop") as peer:
         ours = edge.ask("advertise", topic="/loop", type="std_msgs/String", latched=True)["id"]
@@ -376,6 +377,7 @@ def test_a_silent_peer_keeps_no_other_out(master, edge):
             assert latest(peer.wait(peer.subscribe("/door", "std_msgs/String"), 1)) == ["open"]
 
 
+@pytest.mark.thorough
 def test_a_subscriber_that_stands_still_holds_up_nobody(master, edge):
     publisher = edge.ask("advertise", topic="/slow", type="std_msgs/String", depth=5)["id"]
     with master.peer("slow") as slow, master.peer("quick") as quick:

@@ -4,23 +4,20 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable, Mapping
-from pathlib import Path
 from types import SimpleNamespace
-from typing import Any
+from typing import Any, cast
 
-import pytest
-
-from bridge.adapters.ros1.actions.actions import Actions
-from bridge.adapters.ros1.actions.parts import SERVICES
-from bridge.adapters.ros1.edge import Ros1Edge
-from bridge.adapters.ros1.graph import Link
-from bridge.adapters.ros1.probe import Facts
+from bridge.adapters.ros1.actions.actions import Ros1Actions
+from bridge.adapters.ros1.actions.network import ActionNetwork
+from bridge.adapters.ros1.graph.probe import Facts, Follower
+from bridge.adapters.ros1.graph.state import Registration
 from bridge.clock import SYSTEM
-from bridge.config.model import Config
+from bridge.messages.actions import SERVICES
 from bridge.messages.registry import Registry
 
 NAMES = {"send_goal": "SendGoal", "get_result": "GetResult"}
-LINK, FACTS = Link("/a", "/t", "http://a:1/"), Facts("m/T", "1", "", latching=False, native=True)
+LINK, FACTS = Registration("/a", "/t", "http://a:1/"), Facts("m/T", "1", "", latching=False, native=True)
+HEADER = {"type": FACTS.type, "md5sum": FACTS.md5}
 
 
 class LateProber:
@@ -29,7 +26,7 @@ class LateProber:
     def __init__(self, follow: Callable[[], None]) -> None:
         self._follow, self._asked = follow, 0
 
-    def facts(self, _topic: str = "") -> Mapping[Link, Facts]:
+    def facts(self, _topic: str = "") -> Mapping[Registration, Facts]:
         self._asked += 1
         if self._asked > 1:
             return {LINK: FACTS}
@@ -38,48 +35,58 @@ class LateProber:
         self.other.join(0.2)  # one that waits for the first is not awaited
         return {}
 
-
-@pytest.mark.parametrize("kind", ["subscription", "caller"])
-def test_what_was_known_before_is_not_followed_after_what_is_known_now(tmp_path: Path, kind: str) -> None:
-    edge = Ros1Edge(Config.model_validate({"name": "here", "ros1": {}}), Registry(), tmp_path)
-    followed: list[Any] = []
-    one = SimpleNamespace(topic="/t", name="/t", md5="1", follow=followed.append, close=lambda: None)
-    services = edge._services
-    if kind == "subscription":
-        edge._subscriptions = [SimpleNamespace(subscription=one, close=lambda: None)]  # type: ignore[assignment]
-        follow, owner, now = edge._follow_subscriptions, edge, {LINK: FACTS}
-    else:
-        services._callers = [one]  # type: ignore[assignment]
-        follow, owner, now = services._follow, services, LINK
-    owner._prober = LateProber(follow)  # type: ignore[assignment]
-    try:
-        follow()
-        owner._prober.other.join()
-    finally:
-        edge.stop()
-    assert len(followed) == 2
-    assert followed[-1] == now
+    def close(self) -> None:
+        """Nothing is held."""
 
 
-def test_what_becomes_known_of_one_topic_disturbs_no_other(tmp_path: Path) -> None:
+class End:
+    """A subscription or a caller."""
+
+    restless = False
+
+    def __init__(self, name: str) -> None:
+        self.name = name
+
+    def close(self) -> None:
+        """Nothing is held."""
+
+
+class Following(Follower[End]):
+    """Tells its ends all that is known of their names."""
+
+    def __init__(self, jobs: list[Callable[[], object]]) -> None:
+        pool = SimpleNamespace(submit=lambda _uri, job: jobs.append(job), answered=lambda _uri: None)
+        context: Any = SimpleNamespace(pool=pool, node=lambda: "/me", timer=None, found=lambda: None)
+        super().__init__(context, lambda *_: (cast("Any", SimpleNamespace(close=lambda: None)), HEADER))
+        self.told: list[tuple[str, Mapping[Registration, Facts]]] = []
+
+    def add(self, *names: str) -> None:
+        for name in names:
+            self._add(End(name))
+
+    def _tell(self, end: End, known: Mapping[Registration, Facts]) -> None:
+        self.told.append((end.name, known))
+
+
+def test_what_was_known_before_is_not_followed_after_what_is_known_now() -> None:
+    following = Following([])
+    following.prober = late = LateProber(following.follow)  # type: ignore[assignment]
+    following.add("/t")
+    late.other.join()
+    assert following.told == [("/t", {}), ("/t", {LINK: FACTS})]
+
+
+def test_what_becomes_known_of_one_topic_disturbs_no_other() -> None:
     """With a thousand topics each of a thousand answers would have a thousand subscriptions look, else."""
-    edge = Ros1Edge(Config.model_validate({"name": "here", "ros1": {}}), Registry(), tmp_path)
-    followed: list[tuple[str, Any]] = []
-
-    def one(topic: str) -> Any:
-        return SimpleNamespace(
-            topic=topic, name=topic, md5="1", close=lambda: None, follow=lambda known: followed.append((topic, known))
-        )
-
-    topics = ("/t", "/u")
-    edge._subscriptions = [SimpleNamespace(subscription=one(t), close=lambda: None) for t in topics]  # type: ignore[assignment]
-    edge._services._callers = [one(t) for t in topics]  # type: ignore[assignment]
-    other = Link("/b", "/u", "http://b:1/")
-    for prober in (edge._prober, edge._services._prober):
-        prober._facts = {LINK: FACTS, other: FACTS}
-        prober._changed(LINK)
-    edge.stop()
-    assert followed == [("/t", {LINK: FACTS}), ("/t", LINK)]
+    jobs: list[Callable[[], object]] = []
+    following = Following(jobs)
+    following.add("/t", "/u")
+    following.take_up(frozenset({LINK, Registration("/b", "/u", "http://b:1/")}))
+    for job in jobs:
+        following.told.clear()
+        job()
+        ((name, known),) = following.told
+        assert {link.topic: facts for link, facts in known.items()} == {name: FACTS}
 
 
 def test_the_topics_of_an_action_that_is_served_here_never_cross_as_topics() -> None:
@@ -88,11 +95,11 @@ def test_the_topics_of_an_action_that_is_served_here_never_cross_as_topics() -> 
     def handle(*_: Any) -> Any:
         return SimpleNamespace(close=lambda: None, send=lambda *_: None, forget=lambda *_: None, dropped=0)
 
-    network = SimpleNamespace(
-        own=lambda: "/midspan", facts=dict, registry=Registry(), clock=lambda: SYSTEM, hear=handle, tell=handle,
+    network = ActionNetwork(
+        own=lambda: "/midspan", facts=dict, registry=Registry(), clock=lambda: SYSTEM, subscribe=handle, publish=handle,
         refuse=handle, check_frames=False,
     )  # fmt: skip
-    actions = Actions(network)  # type: ignore[arg-type]
+    actions = Ros1Actions(network)
     goal = "move_base_msgs/MoveBaseActionGoal"
     assert not actions.is_part("/go/goal", goal)
     types = {part: f"move_base_msgs/action/MoveBase_{name}" for part, name in NAMES.items()}

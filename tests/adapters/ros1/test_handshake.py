@@ -5,8 +5,8 @@ import struct
 
 import pytest
 
-from bridge.adapters.ros1.errors import ExhaustedError, ProtocolError, RefusedError, Ros1Error, UnreachableError
 from bridge.adapters.ros1.handshake import MAX_HEADER, connect, connect_service, decode, encode
+from bridge.adapters.ros1_peers import ExhaustedError, RefusedError, Ros1Error, Ros1ProtocolError, UnreachableError
 from tests.adapters.ros1.servers import node, publisher, tcp_server, until_closed
 from tests.support.descriptors import no_descriptors
 from tests.support.ports import free_port
@@ -33,7 +33,7 @@ def test_bytes_on_the_wire():
     "body", [b"\1\0", field(b"a=b")[:-1], field(b"nothing"), b"\xff\xff\xff\xff" + b"a=b", field(b"a=b") + b"\0"]
 )
 def test_broken_headers_are_refused(body):
-    with pytest.raises(ProtocolError, match="connection header"):
+    with pytest.raises(Ros1ProtocolError, match="connection header"):
         decode(body)
 
 
@@ -75,11 +75,11 @@ def trickle(sock):
 
 
 BAD = [
-    (say(struct.pack("<I", MAX_HEADER + 1)), ProtocolError, "claims 1048577 bytes"),
-    (say(b"HTTP/1.1 400 Bad Request\r\n\r\n"), ProtocolError, "claims"),
-    (say(struct.pack("<I", 5) + b"\xff\xff\xff\xffa"), ProtocolError, "cut short"),
+    (say(struct.pack("<I", MAX_HEADER + 1)), Ros1ProtocolError, "claims 1048577 bytes"),
+    (say(b"HTTP/1.1 400 Bad Request\r\n\r\n"), Ros1ProtocolError, "claims"),
+    (say(struct.pack("<I", 5) + b"\xff\xff\xff\xffa"), Ros1ProtocolError, "cut short"),
     (say(encode({"error": "no such topic"})), RefusedError, "no such topic"),
-    (say(encode({"md5sum": "1"})), ProtocolError, "names no type"),
+    (say(encode({"md5sum": "1"})), Ros1ProtocolError, "names no type"),
     (lambda _sock: None, Ros1Error, "closed the connection|broke off"),
     (until_closed, UnreachableError, "in time"),
     (trickle, UnreachableError, "in time"),
@@ -99,11 +99,11 @@ def test_publishers_that_misbehave(serve, error, words):
         ([1, "", ["UDPROS", 1]], Ros1Error),
         ([1, "", ["TCPROS", "127.0.0.1", 0]], Ros1Error),
         ([1, "", ["TCPROS", "127.0.0.1", "http"]], Ros1Error),
-        ([1, "", ["TCPROS", "a\0b", 1]], ProtocolError),
-        ([1, "", ["TCPROS", "x" * 300, 1]], ProtocolError),
+        ([1, "", ["TCPROS", "a\0b", 1]], Ros1ProtocolError),
+        ([1, "", ["TCPROS", "x" * 300, 1]], Ros1ProtocolError),
         ([0, "not mine", 0], RefusedError),
-        (["x"], ProtocolError),
-        (5, ProtocolError),
+        (["x"], Ros1ProtocolError),
+        (5, Ros1ProtocolError),
     ],
 )
 def test_answers_of_nodes_that_misbehave(answer, error):
@@ -129,10 +129,13 @@ def test_want_of_descriptors_is_not_the_peers_fault(name):
     "address", ["", "nonsense", "rosrpc://", "rosrpc://host", "rosrpc://host:99999", "rosrpc://[::1"]
 )
 def test_services_at_no_address(address):
-    with pytest.raises(ProtocolError, match="not a ROS 1 service's address"):
+    with pytest.raises(Ros1ProtocolError, match="not a ROS 1 service's address"):
         connect_service("/me", address, "/serve", 5.0, md5sum="*")
 
 
 def test_a_service_that_tells_no_type():
-    with tcp_server(say(encode({"callerid": "/odd"}))) as (host, port), pytest.raises(ProtocolError, match="no type"):
+    with (
+        tcp_server(say(encode({"callerid": "/odd"}))) as (host, port),
+        pytest.raises(Ros1ProtocolError, match="no type"),
+    ):
         connect_service("/me", f"rosrpc://{host}:{port}", "/serve", 5.0, md5sum="*", probe="1")

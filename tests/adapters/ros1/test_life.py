@@ -11,7 +11,7 @@ from tests.adapters.ros1.parts import AT_ONCE, EdgeUnderTest, edge_on, text
 from tests.support.ros1 import RosMaster, needs_ros1
 from tests.support.wait import until
 
-pytestmark = [pytest.mark.real, needs_ros1]
+pytestmark = needs_ros1
 
 
 def presence(master):
@@ -30,6 +30,7 @@ def test_network_identity(master, tmp_path):
         assert "/rosout" not in [t for t, nodes in master.state()["publishers"].items() if "/midspan" in nodes]
 
 
+@pytest.mark.thorough
 def test_nodes_that_start_are_told_to_run_on_the_simulations_clock(master, tmp_path):
     with edge_on(master, tmp_path / "one", node="on_system"):
         assert "/use_sim_time" not in master.parameters()
@@ -58,6 +59,7 @@ def test_a_clean_stop_leaves_nothing(master, tmp_path):
             edge.ask("stop")
 
 
+@pytest.mark.thorough
 def test_what_a_killed_one_left_is_removed(master, tmp_path):
     with master.peer("bystander") as peer:
         peer.advertise("/bystander", "std_msgs/String")
@@ -131,6 +133,7 @@ def test_what_one_announces_the_others_hear(master, tmp_path):
             until(lambda: len(first.ask("sightings")["records"]) == 1, "a death is known by the broken connection")
 
 
+@pytest.mark.thorough
 def test_two_that_start_at_once_take_different_names(master, tmp_path):
     with ThreadPoolExecutor() as pool:
         edges = list(pool.map(lambda n: edge_on(master, tmp_path / n, n), ("one", "two", "three")))
@@ -158,6 +161,7 @@ def test_being_asked_to_stop_is_a_failure(master, tmp_path):
         assert "same name" in reason[0] or "took the name" in reason[0]
 
 
+@pytest.mark.thorough
 def test_joining_a_master_that_comes_later(tmp_path):
     master = RosMaster()
     try:
@@ -204,9 +208,8 @@ def test_a_restarted_master_is_joined_again(tmp_path, record_property):
 def test_stop_while_the_master_is_away(tmp_path):
     with RosMaster() as master, edge_on(master, tmp_path) as edge:
         edge.ask("advertise", topic="/out", type="std_msgs/String")
-        assert master._process is not None
-        master._process.signal(signal.SIGSTOP)
+        master.signal(signal.SIGSTOP)
         try:
             assert edge.ask("stop")["seconds"] < AT_ONCE, "the promise of Edge.stop"
         finally:
-            master._process.signal(signal.SIGCONT)
+            master.signal(signal.SIGCONT)

@@ -9,26 +9,24 @@ from typing import Any
 
 import pytest
 
-from bridge.adapters.ros1.parameters.follower import Parameters
-from bridge.adapters.ros1.parameters.node import codecs
-from bridge.adapters.ros1.parameters.store import Store
+from bridge.adapters.ros1.parameters.follower import ParameterSharing
+from bridge.adapters.ros1.parameters.store import ParameterServer, codecs
 from bridge.adapters.ros1.parameters.values import (
     NOT_SET,
-    Kind,
-    Names,
+    ParameterNames,
+    ParameterType,
+    ParameterValue,
     UnsayableError,
-    Value,
     flatten,
     to_ros1,
     to_ros2,
 )
-from bridge.config.sections.parameters import ParameterRule
-from bridge.config.sections.routing import RoutingSection
-from bridge.hub.call import CallError
-from bridge.hub.qos import Qos
+from bridge.config.sections.routing import ParameterRule, RoutingSection
+from bridge.hub.endpoints.calls import CallError
 from bridge.hub.session import Hub
+from bridge.hub.wire.qos import Qos
 from bridge.messages.registry import Registry
-from bridge.messages.values import Reader
+from bridge.messages.values import MessageReader
 from bridge.routing.rules import RuleSet
 from tests.support.hub import HubNetwork
 from tests.support.ros1 import RosMaster, needs_ros1
@@ -41,43 +39,43 @@ NOBODY = "http://127.0.0.1:1/"
 """Where no master can tell that something changed: what the next look finds then must do."""
 
 VALUES = [
-    (True, Value(Kind.BOOL, True)),
-    (-7, Value(Kind.INTEGER, -7)),
-    (2.5, Value(Kind.DOUBLE, 2.5)),
-    (float("nan"), Value(Kind.DOUBLE, float("nan"))),
-    ("base <&> link é😀\n", Value(Kind.STRING, "base <&> link é😀\n")),
-    (xmlrpc.client.Binary(b"\0\xff"), Value(Kind.BYTE_ARRAY, b"\0\xff")),
-    ([True, False], Value(Kind.BOOL_ARRAY, [True, False])),
-    ([1, 2], Value(Kind.INTEGER_ARRAY, [1, 2])),
-    ([1.5, 2.0], Value(Kind.DOUBLE_ARRAY, [1.5, 2.0])),
-    (["a", ""], Value(Kind.STRING_ARRAY, ["a", ""])),
+    (True, ParameterValue(ParameterType.BOOL, True)),
+    (-7, ParameterValue(ParameterType.INTEGER, -7)),
+    (2.5, ParameterValue(ParameterType.DOUBLE, 2.5)),
+    (float("nan"), ParameterValue(ParameterType.DOUBLE, float("nan"))),
+    ("base <&> link é😀\n", ParameterValue(ParameterType.STRING, "base <&> link é😀\n")),
+    (xmlrpc.client.Binary(b"\0\xff"), ParameterValue(ParameterType.BYTE_ARRAY, b"\0\xff")),
+    ([True, False], ParameterValue(ParameterType.BOOL_ARRAY, [True, False])),
+    ([1, 2], ParameterValue(ParameterType.INTEGER_ARRAY, [1, 2])),
+    ([1.5, 2.0], ParameterValue(ParameterType.DOUBLE_ARRAY, [1.5, 2.0])),
+    (["a", ""], ParameterValue(ParameterType.STRING_ARRAY, ["a", ""])),
 ]
 
 
 @pytest.mark.parametrize(("ros1", "ros2"), VALUES)
-def test_values_go_there_and_back(ros1: Any, ros2: Value):
+def test_values_go_there_and_back(ros1: Any, ros2: ParameterValue):
     assert to_ros2(ros1) == ros2
     assert repr(to_ros1(ros2)) == repr(ros1) or to_ros1(ros2) == ros1
     codec = CODECS["get_parameters"]
     sent = codec.response({"values": [ros2.message()]})
-    assert Value.read(codec.response_value(sent)["values"][0]) == ros2
+    assert ParameterValue.read(codec.response_value(sent)["values"][0]) == ros2
     assert ros2 != NOT_SET
 
 
 @pytest.mark.parametrize(
     ("ros1", "like", "ros2"),
     [
-        (1, Kind.DOUBLE, Value(Kind.DOUBLE, 1.0)),
-        (2.0, Kind.INTEGER, Value(Kind.INTEGER, 2)),
-        (2.5, Kind.INTEGER, Value(Kind.DOUBLE, 2.5)),
-        (True, Kind.INTEGER, Value(Kind.BOOL, True)),
-        ([1, 2], Kind.DOUBLE_ARRAY, Value(Kind.DOUBLE_ARRAY, [1.0, 2.0])),
-        ([1, 2.5], Kind.NOT_SET, Value(Kind.DOUBLE_ARRAY, [1.0, 2.5])),
-        ([], Kind.BOOL_ARRAY, Value(Kind.BOOL_ARRAY, [])),
-        ([], Kind.DOUBLE, Value(Kind.STRING_ARRAY, [])),
+        (1, ParameterType.DOUBLE, ParameterValue(ParameterType.DOUBLE, 1.0)),
+        (2.0, ParameterType.INTEGER, ParameterValue(ParameterType.INTEGER, 2)),
+        (2.5, ParameterType.INTEGER, ParameterValue(ParameterType.DOUBLE, 2.5)),
+        (True, ParameterType.INTEGER, ParameterValue(ParameterType.BOOL, True)),
+        ([1, 2], ParameterType.DOUBLE_ARRAY, ParameterValue(ParameterType.DOUBLE_ARRAY, [1.0, 2.0])),
+        ([1, 2.5], ParameterType.NOT_SET, ParameterValue(ParameterType.DOUBLE_ARRAY, [1.0, 2.5])),
+        ([], ParameterType.BOOL_ARRAY, ParameterValue(ParameterType.BOOL_ARRAY, [])),
+        ([], ParameterType.DOUBLE, ParameterValue(ParameterType.STRING_ARRAY, [])),
     ],
 )
-def test_numbers_take_the_kind_that_the_node_has(ros1: Any, like: Kind, ros2: Value):
+def test_numbers_take_the_kind_that_the_node_has(ros1: Any, like: ParameterType, ros2: ParameterValue):
     assert to_ros2(ros1, like) == ros2
 
 
@@ -85,7 +83,12 @@ def test_what_cannot_be_said_is_refused():
     for ros1 in ({"a": 1}, [[1], [2]], [1, "a"], [True, 1], None, xmlrpc.client.DateTime(), 2**63):
         with pytest.raises(UnsayableError):
             to_ros2(ros1)
-    for ros2 in (Value(Kind.INTEGER, 2**31), Value(Kind.STRING, "a\0"), Value(Kind.STRING_ARRAY, ["\r"]), NOT_SET):
+    for ros2 in (
+        ParameterValue(ParameterType.INTEGER, 2**31),
+        ParameterValue(ParameterType.STRING, "a\0"),
+        ParameterValue(ParameterType.STRING_ARRAY, ["\r"]),
+        NOT_SET,
+    ):
         with pytest.raises(UnsayableError):
             to_ros1(ros2)
 
@@ -95,14 +98,14 @@ def rule(owner: str, ros1: str, node: str, **more: Any) -> ParameterRule:
 
 
 def test_names_follow_the_rule():
-    names = Names(rule("ros2", "/move_base/dwa", "/controller", prefix="FollowPath", names=["*", "deep/**"]))
+    names = ParameterNames(rule("ros2", "/move_base/dwa", "/controller", prefix="FollowPath", names=["*", "deep/**"]))
     for rest, ros1, ros2 in (
         ("x", "/move_base/dwa/x", "FollowPath.x"),
         ("deep/a/b", "/move_base/dwa/deep/a/b", "FollowPath.deep.a.b"),
     ):
         assert (names.ros1(rest), names.ros2(rest), names.rest(ros2)) == (ros1, ros2, rest)
     assert [names.rest(other) for other in ("FollowPathX.x", "x", "FollowPath.a.b", "FollowPath.q/.x")] == [None] * 4
-    one = Names(rule("ros2", "/speed", "/base", prefix="limits.speed"))
+    one = ParameterNames(rule("ros2", "/speed", "/base", prefix="limits.speed"))
     assert (one.ros1(""), one.ros2(""), one.rest("limits.speed")) == ("/speed", "limits.speed", "")
     assert dict(flatten({"a": {"b": 1, "c": {}}, "d": [2]})) == {"a/b": 1, "d": [2]}
     assert dict(flatten(3)) == {"": 3}
@@ -111,9 +114,9 @@ def test_names_follow_the_rule():
 @pytest.mark.parametrize(
     ("rules", "reason"),
     [
-        ([{"ros1": "move_base"}], "should look like /move_base"),
-        ([{"node": "controller"}], "should look like /controller_server"),
-        ([{"prefix": "a/b"}], "should look like FollowPath"),
+        ([{"ros1": "move_base"}], "write it as /move_base"),
+        ([{"node": "controller"}], "write it as /controller_server"),
+        ([{"prefix": "a/b"}], "write it as FollowPath"),
         ([{"owner": "yarp"}], "'ros1' or 'ros2'"),
         ([{}, {"ros1": "/b", "owner": "ros1"}], "give /n two owners"),
         ([{}, {"ros1": "/a/b", "node": "/m"}], "both take what is in /a/b"),
@@ -157,16 +160,16 @@ def hubs(network: HubNetwork) -> Iterator[tuple[Hub, Hub]]:
         yield ours, others
 
 
-Share = Callable[..., Parameters]
+Share = Callable[..., ParameterSharing]
 
 
 @pytest.fixture
 def share(master: RosMaster, hubs: tuple[Hub, Hub]) -> Iterator[Share]:
-    started: list[Parameters] = []
+    started: list[ParameterSharing] = []
 
-    def start(*rules: ParameterRule, active: Callable[[], bool] = lambda: True) -> Parameters:
-        store = Store(master.uri, lambda: "/midspan_test", NOBODY)
-        started.append(Parameters(rules, hubs[0], REGISTRY, store, active, PERIOD))
+    def start(*rules: ParameterRule, active: Callable[[], bool] = lambda: True) -> ParameterSharing:
+        store = ParameterServer(master.uri, lambda: "/midspan_test", NOBODY)
+        started.append(ParameterSharing(rules, hubs[0], REGISTRY, store, active, PERIOD))
         return started[-1]
 
     yield start
@@ -197,9 +200,11 @@ class Client:
         return CODECS[word].response_value(results[0])
 
     def get(self, *names: str) -> list[Any]:
-        return [Value.read(value).content for value in self.call("get_parameters", names=list(names))["values"]]
+        return [
+            ParameterValue.read(value).content for value in self.call("get_parameters", names=list(names))["values"]
+        ]
 
-    def set(self, word: str = "set_parameters", **values: Value) -> Any:
+    def set(self, word: str = "set_parameters", **values: ParameterValue) -> Any:
         wanted = [{"name": name.replace("__", "."), "value": value.message()} for name, value in values.items()]
         return self.call(word, parameters=wanted)
 
@@ -238,8 +243,10 @@ def test_a_node_of_ros2_sets_ros1s_parameters(master: RosMaster, hubs: tuple[Hub
     share(rule("ros1", "/set", "/set_node", names=["speed", "below/**", "new"]))
     client = Client(hubs[1], "/set_node")
     results = client.set(
-        speed=Value(Kind.DOUBLE, 2.5), fixed=Value(Kind.INTEGER, 8), below=Value(Kind.INTEGER, 1),
-        new=Value(Kind.STRING, "there"), below__x=Value(Kind.INTEGER, 2**40),
+        speed=ParameterValue(ParameterType.DOUBLE, 2.5),
+        fixed=ParameterValue(ParameterType.INTEGER, 8),
+        below=ParameterValue(ParameterType.INTEGER, 1),
+        new=ParameterValue(ParameterType.STRING, "there"), below__x=ParameterValue(ParameterType.INTEGER, 2**40),
     )["results"]  # fmt: skip
     assert [one["successful"] for one in results] == [True, False, False, True, False]
     assert [one["reason"] for one in results if one["reason"]] == [
@@ -248,7 +255,7 @@ def test_a_node_of_ros2_sets_ros1s_parameters(master: RosMaster, hubs: tuple[Hub
         "below.x: ROS 1 has no integer as large as 1099511627776",
     ]
     assert master.call("getParam", "/set") == {"speed": 2.5, "below": {"x": 1}, "fixed": 7, "new": "there"}
-    both = {"speed": Value(Kind.DOUBLE, 9.0), "nobody": Value(Kind.DOUBLE, 9.0)}
+    both = {"speed": ParameterValue(ParameterType.DOUBLE, 9.0), "nobody": ParameterValue(ParameterType.DOUBLE, 9.0)}
     assert not client.set("set_parameters_atomically", **both)["result"]["successful"]
     assert master.call("getParam", "/set/speed") == 2.5
     assert client.set("set_parameters_atomically", new=NOT_SET)["result"]["successful"]
@@ -261,7 +268,7 @@ def test_changes_of_ros1s_parameters_are_events(master: RosMaster, hubs: tuple[H
     heard: list[dict[str, Any]] = []
 
     def take(sample: Any) -> None:
-        heard.append(Reader(REGISTRY.schema(kind.name), sample.payload.to_bytes()).message())
+        heard.append(MessageReader(REGISTRY.schema(kind.name), sample.payload.to_bytes()).message())
 
     hubs[1].subscription("/parameter_events", kind.name, kind.type_id, Qos(depth=100), take)
     master.call("setParam", "/told", {"stays": 1, "changes": 2, "goes": 3})
@@ -283,7 +290,7 @@ def test_changes_of_ros1s_parameters_are_events(master: RosMaster, hubs: tuple[H
 class Node:
     """A ROS 2 node on the hub that has parameters, some of which it refuses to change."""
 
-    def __init__(self, hub: Hub, node: str, **values: Value) -> None:
+    def __init__(self, hub: Hub, node: str, **values: ParameterValue) -> None:
         self.values = {name.replace("__", "."): value for name, value in values.items()}
         self.refuses: set[str] = set()
         self.set: list[tuple[str, Any]] = []
@@ -312,9 +319,9 @@ class Node:
         return {"values": [] if NOT_SET in values else [value.message() for value in values]}  # as rclcpp does
 
     def _set_parameters(self, request: Any) -> Any:
-        return {"results": [self._set(one["name"], Value.read(one["value"])) for one in request["parameters"]]}
+        return {"results": [self._set(one["name"], ParameterValue.read(one["value"])) for one in request["parameters"]]}
 
-    def _set(self, name: str, value: Value) -> Any:
+    def _set(self, name: str, value: ParameterValue) -> Any:
         self.set.append((name, value.content))
         if name in self.refuses or value.kind is not self.values[name].kind:
             return {"successful": False, "reason": "not now"}
@@ -330,15 +337,18 @@ class Node:
 def test_a_nodes_parameters_are_kept_in_ros1(master: RosMaster, hubs: tuple[Hub, Hub], share: Share):
     node = Node(
         hubs[1], "/kept_node",
-        FollowPath__speed=Value(Kind.DOUBLE, 1.5), FollowPath__inner__frame=Value(Kind.STRING, "odom"),
-        FollowPath__huge=Value(Kind.INTEGER, 2**40), FollowPath__unset=NOT_SET, other=Value(Kind.INTEGER, 1),
+        FollowPath__speed=ParameterValue(ParameterType.DOUBLE, 1.5),
+        FollowPath__inner__frame=ParameterValue(ParameterType.STRING, "odom"),
+        FollowPath__huge=ParameterValue(ParameterType.INTEGER, 2**40),
+        FollowPath__unset=NOT_SET,
+        other=ParameterValue(ParameterType.INTEGER, 1),
     )  # fmt: skip
     master.call("setParam", "/kept", {"mine": 1, "speed": 99.0})
     parameters = share(rule("ros2", "/kept", "/kept_node", prefix="FollowPath"))
     want = {"mine": 1, "speed": 1.5, "inner": {"frame": "odom"}}
     until(lambda: master.call("getParam", "/kept") == want, "the node's values are in ROS 1")
     assert any("/kept/huge: ROS 1 has no integer" in warning for warning in parameters.warnings())
-    node.values["FollowPath.speed"] = Value(Kind.DOUBLE, 2.5)
+    node.values["FollowPath.speed"] = ParameterValue(ParameterType.DOUBLE, 2.5)
     until(lambda: master.call("getParam", "/kept/speed") == 2.5, "the node's change is in ROS 1")
     del node.values["FollowPath.inner.frame"]
     until(lambda: master.call("getParam", "/kept/inner/frame") is None, "what it no longer has is gone")
@@ -349,12 +359,17 @@ def test_a_nodes_parameters_are_kept_in_ros1(master: RosMaster, hubs: tuple[Hub,
 
 @needs_ros1
 def test_ros1_sets_a_nodes_parameters(master: RosMaster, hubs: tuple[Hub, Hub], share: Share):
-    node = Node(hubs[1], "/asked_node", speed=Value(Kind.DOUBLE, 1.5), mode=Value(Kind.STRING, "slow"))
+    node = Node(
+        hubs[1],
+        "/asked_node",
+        speed=ParameterValue(ParameterType.DOUBLE, 1.5),
+        mode=ParameterValue(ParameterType.STRING, "slow"),
+    )
     parameters = share(rule("ros2", "/asked", "/asked_node"))
     until(lambda: master.call("getParam", "/asked") == {"speed": 1.5, "mode": "slow"}, "both are in ROS 1")
     master.call("setParam", "/asked/speed", 3)
     parameters.changed()
-    until(lambda: node.values["speed"] == Value(Kind.DOUBLE, 3.0), "the node has ROS 1's value")
+    until(lambda: node.values["speed"] == ParameterValue(ParameterType.DOUBLE, 3.0), "the node has ROS 1's value")
     node.refuses = {"mode"}
     master.call("setParam", "/asked/mode", "fast")
     until(lambda: master.call("getParam", "/asked/mode") == "slow", "what it refused is put back")
@@ -365,7 +380,7 @@ def test_ros1_sets_a_nodes_parameters(master: RosMaster, hubs: tuple[Hub, Hub], 
 
 @needs_ros1
 def test_what_is_not_to_be_written_is_put_back(master: RosMaster, hubs: tuple[Hub, Hub], share: Share):
-    node = Node(hubs[1], "/read_node", speed=Value(Kind.DOUBLE, 1.5))
+    node = Node(hubs[1], "/read_node", speed=ParameterValue(ParameterType.DOUBLE, 1.5))
     share(rule("ros2", "/read_only", "/read_node", write=False))
     until(lambda: master.call("getParam", "/read_only/speed") == 1.5, "it is in ROS 1")
     master.call("setParam", "/read_only/speed", 3.0)
@@ -375,23 +390,26 @@ def test_what_is_not_to_be_written_is_put_back(master: RosMaster, hubs: tuple[Hu
 
 @needs_ros1
 def test_nothing_is_kept_for_a_node_that_is_away(master: RosMaster, hubs: tuple[Hub, Hub], share: Share):
-    node = Node(hubs[1], "/away_node", speed=Value(Kind.DOUBLE, 1.5))
+    node = Node(hubs[1], "/away_node", speed=ParameterValue(ParameterType.DOUBLE, 1.5))
     parameters = share(rule("ros2", "/away", "/away_node"))
     until(lambda: master.call("getParam", "/away/speed") == 1.5, "it is in ROS 1")
     node.close()
     until(lambda: parameters.details()[0]["shared"] == 0, "the node is gone")
     master.call("setParam", "/away/speed", 9.0)
-    again = Node(hubs[1], "/away_node", speed=Value(Kind.DOUBLE, 2.0))
+    again = Node(hubs[1], "/away_node", speed=ParameterValue(ParameterType.DOUBLE, 2.0))
     until(lambda: master.call("getParam", "/away/speed") == 2.0, "the node's value counts")
     assert again.set == []
 
 
+@pytest.mark.thorough
 @needs_ros1
 def test_a_master_that_goes_takes_the_node_with_it(hubs: tuple[Hub, Hub]):
     with RosMaster() as master:
         master.call("setParam", "/gone/speed", 1.0)
-        store = Store(master.uri, lambda: "/midspan_test", NOBODY)
-        parameters = Parameters([rule("ros1", "/gone", "/gone_node")], hubs[0], REGISTRY, store, lambda: True, PERIOD)
+        store = ParameterServer(master.uri, lambda: "/midspan_test", NOBODY)
+        parameters = ParameterSharing(
+            [rule("ros1", "/gone", "/gone_node")], hubs[0], REGISTRY, store, lambda: True, PERIOD
+        )
         try:
             assert Client(hubs[1], "/gone_node").get("speed") == [1.0]
             master.stop()

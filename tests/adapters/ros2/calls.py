@@ -6,9 +6,9 @@ import threading
 from collections.abc import Mapping
 from typing import Any
 
-from bridge.hub.call import Abandon, Call, CallError, Done
+from bridge.hub.endpoints.calls import Abandon, Call, CallError, Done
 from bridge.messages.registry import Registry
-from bridge.messages.values import Reader, Writer
+from bridge.messages.values import MessageReader, MessageWriter
 
 SET_BOOL = "std_srvs/srv/SetBool"
 ECHO = "diagnostic_msgs/srv/AddDiagnostics"
@@ -23,16 +23,16 @@ class Service:
         self._request, self._response = registry.service_schemas(type_name)
 
     def request(self, **fields: Any) -> bytes:
-        return Writer(self._request).message(fields)
+        return MessageWriter(self._request).message(fields)
 
     def asked(self, request: bytes) -> Mapping[str, Any]:
-        return Reader(self._request, request).message()
+        return MessageReader(self._request, request).message()
 
     def response(self, **fields: Any) -> bytes:
-        return Writer(self._response).message(fields)
+        return MessageWriter(self._response).message(fields)
 
     def answer(self, response: bytes) -> Mapping[str, Any]:
-        return Reader(self._response, response).message()
+        return MessageReader(self._response, response).message()
 
 
 class Ends:

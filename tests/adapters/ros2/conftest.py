@@ -8,12 +8,12 @@ from pathlib import Path
 
 import pytest
 
-from bridge.adapters.base import Endpoint, Kind
 from bridge.adapters.ros2.edge import Ros2Edge
 from bridge.config.model import Config
-from bridge.hub.qos import Qos
-from bridge.messages.conversion import Conversion, SideType
+from bridge.hub.wire.qos import Qos
 from bridge.messages.registry import Registry
+from bridge.messages.transcode.conversion import Conversion, SideType
+from bridge.routing.edge import Endpoint, Kind
 from tests.support.peer import Peer
 from tests.support.ros2 import ROS2_PEER, ros2_domain, ros2_environment, ros2_python
 from tests.support.wait import until
@@ -79,7 +79,7 @@ class RunningEdge:
     def conversion(self, type_name: str) -> Conversion:
         return self.edge.from_hub(type_name, self.type(type_name).type_id)
 
-    def seen(self, topic: str, kind: Kind, count: int = 1) -> list[Endpoint]:
+    def until_seen(self, topic: str, kind: Kind, count: int = 1) -> list[Endpoint]:
         """The topic's endpoints of one kind, once there are ``count`` whose nodes are known."""
 
         def found() -> list[Endpoint] | None:
@@ -90,7 +90,7 @@ class RunningEdge:
         assert result is not None
         return result
 
-    def gone(self, topic: str, kind: Kind) -> None:
+    def until_gone(self, topic: str, kind: Kind) -> None:
         """Wait until the topic has no endpoint of one kind."""
         until(
             lambda: not [e for e in self.edge.endpoints() if e.topic == topic and e.kind is kind],

@@ -14,7 +14,7 @@ from typing import Any
 
 from bridge.adapters.ros2.edge import Ros2Edge
 from bridge.config.model import Config
-from bridge.hub.qos import Durability, Qos
+from bridge.hub.wire.qos import Durability, Qos
 from bridge.messages.registry import Registry
 from tests.adapters.ros2.conftest import Inbox, string
 from tests.support.wait import until

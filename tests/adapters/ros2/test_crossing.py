@@ -17,9 +17,9 @@ from typing import Any
 
 import pytest
 
-from bridge.adapters.base import Kind, MadeBy
 from bridge.adapters.ros2.environment import worker_environment
 from bridge.config.model import Config
+from bridge.routing.edge import Kind, MadeBy
 from tests.adapters.ros2.conftest import RunningEdge
 from tests.support.peer import Peer
 from tests.support.ros2 import ROS2_PEER, ros2_domain, ros2_environment
@@ -128,7 +128,7 @@ class Ways:
         until(both, "messages both ways", seconds)
 
 
-def crosses(edge: Peer, native: Peer, data: str = "x", seconds: float = 40.0) -> None:
+def assert_crosses(edge: Peer, native: Peer, data: str = "x", seconds: float = 40.0) -> None:
     """Messages go both ways between an edge and a native program."""
     Ways(edge, native).cross(data, seconds)
 
@@ -153,7 +153,7 @@ def test_data_crosses_between_users_whoever_came_first(programs: Programs, edge_
     need_other_user()
     native = programs.native(native_user)
     native.graph()
-    crosses(programs.edge(edge_user), native)
+    assert_crosses(programs.edge(edge_user), native)
 
 
 @pytest.mark.parametrize(("edge_user", "native_user"), [(0, NOBODY), (NOBODY, 0)])
@@ -171,7 +171,7 @@ def test_edge_leaves_shared_memory_when_another_user_appears(
     assert "another user" in reasons[0]
     edge.stop()
     again = programs.edge(edge_user, mounts)
-    crosses(again, native)
+    assert_crosses(again, native)
     assert again.ask("status")["failed"] == []
 
 
@@ -182,42 +182,44 @@ def test_data_crosses_to_a_container(programs: Programs, own_shm: Callable[[str]
     native.advertise("/x/appears", "std_msgs/String")
     until(lambda: edge.ask("status")["failed"], "the edge to ask for a new start")
     edge.stop()
-    crosses(programs.edge(mounts=ours), native)
+    assert_crosses(programs.edge(mounts=ours), native)
 
 
 def test_same_user_keeps_shared_memory(programs: Programs, own_shm: Callable[[str], int]) -> None:
     mounts = own_shm("1g")
     edge, native = programs.edge(mounts=mounts), programs.native(mounts=mounts)
-    crosses(edge, native)
+    assert_crosses(edge, native)
     assert edge.ask("status")["failed"] == []
     assert segments(edge)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("transport", ["auto", "shared_memory", "udp"])
 def test_small_shared_memory_will_do(programs: Programs, own_shm: Callable[[str], int], transport: str) -> None:
     """/dev/shm of 64 MB, Docker's default; large messages among them."""
     mounts = own_shm("64m")
     edge = programs.edge(mounts=mounts, transport=transport)
-    crosses(edge, programs.native(mounts=mounts), "x" * 1_000_000, 20)
-    crosses(edge, programs.native(mounts=mounts), "x" * 6_000_000, 20)
+    assert_crosses(edge, programs.native(mounts=mounts), "x" * 1_000_000, 20)
+    assert_crosses(edge, programs.native(mounts=mounts), "x" * 6_000_000, 20)
     # A dead one's segment must not take the room of the next.
     edge.signal(signal.SIGKILL)
     edge = programs.edge(mounts=mounts, transport=transport)
-    crosses(edge, programs.native(mounts=mounts), "y" * 1_000_000, 20)
+    assert_crosses(edge, programs.native(mounts=mounts), "y" * 1_000_000, 20)
 
 
 def test_killed_edge_vanishes_and_is_never_taken_for_native(programs: Programs, edge: RunningEdge) -> None:
     killed, native = programs.edge(), programs.native()
     killed.ask("advertise", topic="/x/killed")
-    (endpoint,) = edge.seen("/x/killed", Kind.PUBLISHER)
+    (endpoint,) = edge.until_seen("/x/killed", Kind.PUBLISHER)
     assert endpoint.made_by is MadeBy.MIDSPAN
     until(lambda: native.graph()["publishers"].get("/x/killed"), "the edge on the native graph")
     killed.signal(signal.SIGKILL)
     programs.edge()  # a worker's successor, with its state
     until(lambda: not native.graph()["publishers"].get("/x/killed"), "the killed edge to go")
-    edge.gone("/x/killed", Kind.PUBLISHER)
+    edge.until_gone("/x/killed", Kind.PUBLISHER)
 
 
+@pytest.mark.thorough
 @pytest.mark.alone
 @pytest.mark.parametrize("transport", ["shared_memory", "udp"])
 def test_a_successor_hears_at_once_and_not_at_the_next_announcement(programs: Programs, transport: str) -> None:
@@ -231,6 +233,7 @@ def test_a_successor_hears_at_once_and_not_at_the_next_announcement(programs: Pr
         edge.signal(signal.SIGKILL)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("seconds", [1.0, 3.0])
 def test_everything_crosses_again_after_an_edge_stood_still(programs: Programs, seconds: float) -> None:
     edge, native = programs.edge(), programs.native()

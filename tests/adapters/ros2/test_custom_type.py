@@ -8,9 +8,9 @@ from typing import Any
 
 import pytest
 
-from bridge.hub.qos import Qos
+from bridge.hub.wire.qos import Qos
 from bridge.interfaces.builder import build
-from bridge.interfaces.paths import environment
+from bridge.interfaces.cache import environment
 from bridge.messages.registry import Registry
 from tests.adapters.ros2.conftest import RunningEdge
 from tests.support.peer import Peer

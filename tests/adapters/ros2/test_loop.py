@@ -9,12 +9,12 @@ from pathlib import Path
 
 import pytest
 
-from bridge.adapters.base import Kind
 from bridge.adapters.ros2 import rcl
 from bridge.adapters.ros2.loop import TAKES_PER_TURN
-from bridge.adapters.ros2.subscription import ClassReader
-from bridge.hub.qos import Qos
+from bridge.adapters.ros2.topics.subscription import ClassReader
+from bridge.hub.wire.qos import Qos
 from bridge.messages.registry import Registry
+from bridge.routing.edge import Kind
 from tests.adapters.ros2.conftest import RunningEdge, text
 from tests.support.peer import Peer
 from tests.support.wait import until
@@ -38,7 +38,7 @@ def test_idle_subscriptions_are_never_looked_at(
     inbox = edge.subscribe("/idle/active", STRING)
     native = peer()
     publisher = native.advertise("/idle/active", "std_msgs/String")
-    edge.seen("/idle/active", Kind.PUBLISHER)
+    edge.until_seen("/idle/active", Kind.PUBLISHER)
 
     def hundred() -> bool:
         native.publish(publisher, {"data": "x"})
@@ -61,7 +61,7 @@ def test_burst_longer_than_a_turn_arrives_whole(edge: RunningEdge, peer: Callabl
     native = peer()
     publisher = native.advertise("/burst", "std_msgs/String", depth=2 * count)
     native.advertise("/burst_known", "std_msgs/String")
-    edge.seen("/burst", Kind.PUBLISHER)
+    edge.until_seen("/burst", Kind.PUBLISHER)
     until(lambda: native.graph()["subscriptions"].get("/burst") == ["midspan"], "our subscription on the native graph")
     for number in range(count):
         native.publish(publisher, {"data": str(number)})

@@ -9,11 +9,11 @@ from typing import Any
 
 import pytest
 
-from bridge.adapters.base import Kind
-from bridge.hub.qos import Durability, Qos, Reliability
+from bridge.hub.wire.qos import Durability, Qos, Reliability
 from bridge.messages.errors import ConversionError, MessageTypeError
+from bridge.routing.edge import Kind
 from tests.adapters.ros2.conftest import RunningEdge, string, text
-from tests.adapters.ros2.test_graph import marked_profile
+from tests.adapters.ros2.graph.test_graph import marked_profile
 from tests.support.peer import Peer
 from tests.support.wait import until
 
@@ -30,7 +30,7 @@ def test_from_ros2(edge: RunningEdge, peer: Callable[..., Peer]) -> None:
     native = peer()
     publisher = native.advertise("/m/in", "std_msgs/String")
     inbox = edge.subscribe("/m/in", "std_msgs/msg/String")
-    (endpoint,) = edge.seen("/m/in", Kind.PUBLISHER)
+    (endpoint,) = edge.until_seen("/m/in", Kind.PUBLISHER)
 
     def delivered() -> bool:
         native.publish(publisher, {"data": "grüß"})
@@ -88,11 +88,11 @@ def test_best_effort_and_reliable_publishers_of_one_topic_are_both_heard(
 ) -> None:
     native = peer()
     sensor = native.advertise("/m/mixed", "std_msgs/String", best_effort=True)
-    edge.seen("/m/mixed", Kind.PUBLISHER)
+    edge.until_seen("/m/mixed", Kind.PUBLISHER)
     inbox = edge.subscribe("/m/mixed", "std_msgs/msg/String", Qos(Reliability.BEST_EFFORT))
     reliable = native.advertise("/m/mixed", "std_msgs/String")
     latched = native.advertise("/m/mixed", "std_msgs/String", latched=True)
-    edge.seen("/m/mixed", Kind.PUBLISHER, 3)
+    edge.until_seen("/m/mixed", Kind.PUBLISHER, 3)
 
     def all_heard() -> bool:
         for number, endpoint in enumerate((sensor, reliable, latched)):
@@ -108,7 +108,7 @@ def test_no_message_comes_twice_where_publishers_differ(edge: RunningEdge, peer:
         native.advertise("/m/once", "std_msgs/String", **qos)
         for qos in ({"best_effort": True}, {}, {"latched": True, "depth": 30})
     ]
-    edge.seen("/m/once", Kind.PUBLISHER, 3)
+    edge.until_seen("/m/once", Kind.PUBLISHER, 3)
     inbox = edge.subscribe("/m/once", "std_msgs/msg/String", Qos(durability=Durability.TRANSIENT_LOCAL))
 
     def warm() -> bool:
@@ -136,7 +136,7 @@ def test_what_another_midspan_publishes_is_not_delivered(
     endpoints = [(p, p.advertise("/m/guard", "std_msgs/String", latched=True)) for p in (other, native)]
     own = edge.edge.advertise("/m/guard", edge.type("std_msgs/msg/String"), Qos(durability=Durability.TRANSIENT_LOCAL))
     inbox = edge.subscribe("/m/guard", "std_msgs/msg/String", Qos(durability=Durability.TRANSIENT_LOCAL))
-    edge.seen("/m/guard", Kind.PUBLISHER, 2)
+    edge.until_seen("/m/guard", Kind.PUBLISHER, 2)
 
     def native_heard() -> bool:
         own.send(string("own"), "hub")
@@ -169,8 +169,8 @@ def test_subscription_that_cannot_hear_us_is_reported(edge: RunningEdge, peer: C
     native.subscribe("/m/hears", "std_msgs/String")
     edge.edge.advertise("/m/deaf", edge.type("std_msgs/msg/String"), Qos(Reliability.BEST_EFFORT))
     edge.edge.advertise("/m/hears", edge.type("std_msgs/msg/String"), Qos())
-    edge.seen("/m/deaf", Kind.SUBSCRIPTION)
-    edge.seen("/m/hears", Kind.SUBSCRIPTION)
+    edge.until_seen("/m/deaf", Kind.SUBSCRIPTION)
+    edge.until_seen("/m/hears", Kind.SUBSCRIPTION)
     (warning,) = edge.edge.warnings()
     assert "/m/deaf" in warning
     assert "/late_map_user" in warning
@@ -186,7 +186,7 @@ def test_closed_subscription_delivers_no_more(edge: RunningEdge, peer: Callable[
         "/m/closed", edge.type("std_msgs/msg/String"), Qos(), lambda payload, _s, _t: closed.append(payload)
     )
     inbox = edge.subscribe("/m/closed", "std_msgs/msg/String")
-    edge.seen("/m/closed", Kind.PUBLISHER)
+    edge.until_seen("/m/closed", Kind.PUBLISHER)
 
     def delivered() -> bool:
         native.publish(publisher, {"data": "a"})

@@ -7,8 +7,8 @@ from xml.etree import ElementTree as ET
 
 import pytest
 
-from bridge.adapters.ros2.mark import new_prefix
-from bridge.adapters.ros2.profile import Profile, stamped
+from bridge.adapters.ros2.graph.origins import new_prefix
+from bridge.adapters.ros2.profile import FastDdsProfile, stamped
 
 PREFIX = new_prefix(b"\x01\x0f\x12\x34")
 SPACE = "{http://www.eprosima.com/XMLSchemas/fastRTPS_Profiles}"
@@ -19,7 +19,7 @@ def texts(xml: str, tag: str) -> list[str | None]:
 
 
 def test_shared_memory_beside_udp() -> None:
-    xml = Profile(PREFIX, 32 << 20, localhost_only=True).xml()
+    xml = FastDdsProfile(PREFIX, 32 << 20, localhost_only=True).xml()
     assert texts(xml, "type") == ["SHM", "UDPv4"]
     assert texts(xml, "segment_size") == [str(32 << 20)]
     assert texts(xml, "prefix") == [PREFIX.hex(".")]
@@ -27,7 +27,7 @@ def test_shared_memory_beside_udp() -> None:
 
 
 def test_udp_alone_on_all_interfaces() -> None:
-    xml = Profile(PREFIX, 0, localhost_only=False).xml()
+    xml = FastDdsProfile(PREFIX, 0, localhost_only=False).xml()
     assert texts(xml, "type") == ["UDPv4"]
     assert texts(xml, "interfaceWhiteList") == []
 

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from bridge.adapters.ros2.qos import mismatch, to_rclpy
-from bridge.hub.qos import Durability, History, Qos, Reliability
+from bridge.adapters.ros2.participant import mismatch, to_rclpy
+from bridge.hub.wire.qos import Durability, History, Qos, Reliability
 
 RELIABLE, BEST_EFFORT = Reliability.RELIABLE, Reliability.BEST_EFFORT
 VOLATILE, LATCHED = Durability.VOLATILE, Durability.TRANSIENT_LOCAL

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from bridge.adapters.ros2 import shm
+from bridge.adapters.ros2.graph import neighbours
 
 HELD, DEAD, FRESH = "fastrtps_" + "a" * 16, "fastrtps_" + "b" * 16, "fastrtps_" + "c" * 16
 
@@ -30,7 +30,7 @@ def test_only_segments_of_the_dead_are_removed(folder: Path) -> None:
     with (folder / f"{HELD}_el").open() as lock:
         fcntl.flock(lock, fcntl.LOCK_EX)
         before = set(folder.iterdir())
-        assert shm.clean(folder) == 1
+        assert neighbours.clean(folder) == 1
         assert before - set(folder.iterdir()) == {folder / DEAD, folder / f"{DEAD}_el"}
 
 
@@ -41,34 +41,34 @@ def test_ports_of_our_own_dead_are_removed_unless_somebody_uses_them(folder: Pat
     before = set(folder.iterdir())
     with (folder / "fastrtps_port7415_el").open() as used:
         fcntl.flock(used, fcntl.LOCK_SH)
-        shm.clean_ports([7413, 7415, 7417], folder)
+        neighbours.clean_ports([7413, 7415, 7417], folder)
         gone = {path.name for path in before - set(folder.iterdir())}
     assert gone == {"fastrtps_port7413", "fastrtps_port7413_el", "sem.fastrtps_port7413_mutex"}
-    shm.clean_ports([7415], folder)
+    neighbours.clean_ports([7415], folder)
     assert not list(folder.glob("*7415*"))
 
 
 def test_other_users_count_only_while_they_live(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     mine = os.getuid()
     monkeypatch.setattr(os, "getuid", lambda: mine + 1)
-    assert not shm.other_users(folder)
+    assert not neighbours.other_users(folder)
     with (folder / f"{HELD}_el").open() as lock:
         fcntl.flock(lock, fcntl.LOCK_EX)
-        assert shm.other_users(folder)
+        assert neighbours.other_users(folder)
         monkeypatch.setattr(os, "getuid", lambda: mine)
-        assert not shm.other_users(folder)
+        assert not neighbours.other_users(folder)
 
 
-@pytest.mark.parametrize(("free_mb", "segment_mb"), [(100_000, 64), (512, 64), (256, 32), (64, 8), (63, 0), (0, 0)])
+@pytest.mark.parametrize(("free_mb", "segment_mb"), [(100_000, 32), (512, 32), (256, 32), (64, 8), (63, 0), (0, 0)])
 def test_segment_is_an_eighth_of_what_is_free(monkeypatch: pytest.MonkeyPatch, free_mb: int, segment_mb: int) -> None:
     real = os.statvfs("/")
     values = [*tuple(real)[:11]]
     values[1], values[4] = 4096, free_mb * 256
     monkeypatch.setattr(os, "statvfs", lambda _path: os.statvfs_result(values))
-    assert shm.segment_size() == segment_mb << 20
+    assert neighbours.segment_size() == segment_mb << 20
 
 
 def test_no_folder_is_no_room(tmp_path: Path) -> None:
-    assert shm.segment_size(tmp_path / "none") == 0
-    assert shm.clean(tmp_path / "none") == 0
-    assert not shm.other_users(tmp_path / "none")
+    assert neighbours.segment_size(tmp_path / "none") == 0
+    assert neighbours.clean(tmp_path / "none") == 0
+    assert not neighbours.other_users(tmp_path / "none")

@@ -19,8 +19,8 @@ from tests.support.wait import until
 from tests.support.yarp_programs import Definitions, Names, YarpProgram
 from yarp_compat.naming import connections
 from yarp_compat.naming.client import NameClient
-from yarp_compat.naming.errors import NamingError
-from yarp_compat.ports.message import Message
+from yarp_compat.ports.message import PortMessage
+from yarp_compat.ports.naming import NamingError
 from yarp_compat.ports.port import PortCore
 from yarp_compat.wire import binary
 from yarp_compat.wire.profile import Profile
@@ -35,21 +35,21 @@ class YarpPort:
         self, names: Names, name: str, profile: Profile = Profile.YARP3, naming: NameClient | None = None
     ) -> None:
         self.name, self.names, self.profile = name, names, profile
-        self._heard: list[Message] = []
+        self._subscriptions: list[PortMessage] = []
         self._changed = threading.Condition()
         self.core = PortCore(name, naming=naming or names.client, on_message=self._hear, profile=profile)
         self.core.open()
 
-    def _hear(self, message: Message) -> None:
+    def _hear(self, message: PortMessage) -> None:
         with self._changed:
-            self._heard.append(message)
+            self._subscriptions.append(message)
             self._changed.notify_all()
 
-    def messages(self, count: int = 1, seconds: float = 10.0) -> list[Message]:
+    def messages(self, count: int = 1, seconds: float = 10.0) -> list[PortMessage]:
         """All that came, once so many have or the time is over."""
         with self._changed:
-            self._changed.wait_for(lambda: len(self._heard) >= count, seconds)
-            return list(self._heard)
+            self._changed.wait_for(lambda: len(self._subscriptions) >= count, seconds)
+            return list(self._subscriptions)
 
     def bottles(self, count: int = 1, seconds: float = 10.0) -> list[Any]:
         """The same as values."""

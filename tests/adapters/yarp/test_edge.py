@@ -10,14 +10,16 @@ from typing import Any
 
 import pytest
 
-from bridge.adapters.base import MadeBy
 from bridge.adapters.yarp import edge as edge_module
 from bridge.adapters.yarp.edge import YarpEdge
-from bridge.adapters.yarp.names import OWNER
+from bridge.adapters.yarp.network import OWNER
 from bridge.adapters.yarp.plan import PortPlan
+from bridge.adapters.yarp.ports import OwnPorts
+from bridge.adapters.yarp.services import YarpServices
 from bridge.config.model import Config
-from bridge.hub.qos import Durability, Qos
+from bridge.hub.wire.qos import Durability, Qos
 from bridge.messages.registry import Registry
+from bridge.routing.edge import MadeBy
 from tests.adapters.yarp.conftest import YarpPort
 from tests.support.wait import until
 from tests.support.yarp_programs import Names
@@ -38,6 +40,10 @@ def cdr(text: str) -> bytes:
     """A String on the hub."""
     content = text.encode() + b"\0"
     return b"\0\1\0\0" + len(content).to_bytes(4, "little") + content
+
+
+def clerks() -> list[threading.Thread]:
+    return [thread for thread in threading.enumerate() if thread.name == "midspan-yarp-clerk"]
 
 
 @pytest.fixture
@@ -78,27 +84,26 @@ def test_who_subscribes_during_a_turn_hears_everything_from_then_on(
     names: Names, edge: YarpEdge, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The turn knows of the subscriptions that there were at its beginning."""
-    edge.advertise("/talk", STRING, Qos())
-    edge.start(LISTENER)
     writer, got = YarpPort(names, "/writer"), list[bytes]()
-    writer.write_to("/midspan/talk:i")
-    until(lambda: edge._ports.made_by("/writer") is MadeBy.NATIVE, "it is known who writes")
-    look, connect, turn = edge._ports.look_for_callers, edge._ports.connect, threading.Event()
+    look, connect, turn = OwnPorts.look_for_callers, OwnPorts.connect, threading.Event()
 
-    def looking() -> None:
-        if not turn.is_set():
+    def looking(ports: OwnPorts) -> None:
+        if not turn.is_set() and ports.made_by("/writer") is MadeBy.NATIVE:
             turn.set()
             edge.subscribe("/talk", STRING, Qos(), lambda cdr, *_: got.append(cdr))
-        look()
+        look(ports)
 
-    def connecting() -> None:
+    def connecting(ports: OwnPorts) -> None:
         if turn.is_set() and not got:
             for word in ("one", "two"):
                 writer.core.write(encode([word], Profile.YARP3), wait=True, timeout=20)
-        connect()
+        connect(ports)
 
-    monkeypatch.setattr(edge._ports, "connect", connecting)
-    monkeypatch.setattr(edge._ports, "look_for_callers", looking)
+    monkeypatch.setattr(OwnPorts, "connect", connecting)
+    monkeypatch.setattr(OwnPorts, "look_for_callers", looking)
+    edge.advertise("/talk", STRING, Qos())
+    edge.start(LISTENER)
+    writer.write_to("/midspan/talk:i")
     until(lambda: cdr("two") in got, "what is written after that")
     assert got == [cdr("one"), cdr("two")]
     writer.stop()
@@ -111,21 +116,21 @@ def test_a_late_turn_cuts_no_connection_of_the_port_that_has_the_name_by_now(
     reader = YarpPort(names, "/talk-@/reader")
     names.client.set_property(reader.name, "type", "std_msgs/String")
     edge.advertise("/talk", STRING, Qos())
-    connect, port, others = edge._ports.connect, "/midspan/talk:o", list[YarpPort]()
+    connect, port, others = OwnPorts.connect, "/midspan/talk:o", list[YarpPort]()
 
-    def late() -> None:
-        own = edge._ports._own.get(port)
+    def late(ports: OwnPorts) -> None:
+        own = ports._own.get(port)
         if own is None or reader.name not in own.links or others:
-            connect()
+            connect(ports)
             return
         others.append(YarpPort(names, port, naming=NameClient(names.address)))
         others[0].write_to(reader.name)
-        connect()
+        connect(ports)
         (making,) = own.making.values()
         assert not making.result(20)
         others[0].write(["still heard"])
 
-    monkeypatch.setattr(edge._ports, "connect", late)
+    monkeypatch.setattr(OwnPorts, "connect", late)
     edge.start(LISTENER)
     assert reader.messages(1, 20), "the other one's connection is as it was"
     edge.stop()
@@ -137,20 +142,21 @@ def test_a_late_turn_cuts_no_connection_of_the_port_that_has_the_name_by_now(
 def test_what_a_late_turn_opens_is_closed(names: Names, edge: YarpEdge, monkeypatch: pytest.MonkeyPatch) -> None:
     """The clerk is held up for longer than its end is waited for, and opens a port then."""
     monkeypatch.setattr(edge_module, "_LAST_WORDS", 0.05)
-    naming, at, go_on = edge._ports._free_name, threading.Event(), threading.Event()
+    follow, at, go_on = OwnPorts.follow, threading.Event(), threading.Event()
 
-    def slowly(name: str) -> str:
-        at.set()
-        assert go_on.wait(20)
-        return naming(name)
+    def slowly(ports: OwnPorts, plan: dict[str, PortPlan], *more: Any) -> None:
+        if plan:
+            at.set()
+            assert go_on.wait(20)
+        follow(ports, plan, *more)
 
-    monkeypatch.setattr(edge._ports, "_free_name", slowly)
+    monkeypatch.setattr(OwnPorts, "follow", slowly)
     edge.advertise("/talk", STRING, Qos())
     edge.start(LISTENER)
     assert at.wait(20)
     edge.stop()
     go_on.set()
-    edge._clerk.join(20)
+    until(lambda: not clerks(), "the turn is over", 20)
     assert names.client.list("/midspan") == []
 
 
@@ -164,13 +170,13 @@ def test_a_late_turn_does_not_come_onto_the_network(
         at.set()
         assert go_on.wait(20)
 
-    monkeypatch.setattr(edge._ports, "bury", slowly)
+    monkeypatch.setattr(OwnPorts, "bury", slowly)
     edge.start(LISTENER)
     assert at.wait(20)
     edge.stop()
     go_on.set()
-    edge._clerk.join(20)
-    assert not edge._presence.is_open
+    until(lambda: not clerks(), "the turn is over", 20)
+    assert edge.network() is None
     assert names.client.list("/midspan") == []
 
 
@@ -196,7 +202,7 @@ def test_a_connection_that_fails_as_ports_are_planned_is_told(edge: YarpEdge) ->
 def test_a_service_may_go_as_ports_are_planned(
     edge: YarpEdge, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
-    plan, connect = edge._services.plan, edge._ports.connect
+    plan, connect = YarpServices.plan, OwnPorts.connect
     server = edge.serve("/lamp", REGISTRY.service_ros2("std_srvs/srv/SetBool"), lambda *_: lambda: None)
     planned, ended = threading.Event(), threading.Event()
 
@@ -206,13 +212,13 @@ def test_a_service_may_go_as_ports_are_planned(
         planned.set()
         return found
 
-    def connecting() -> None:
-        connect()
+    def connecting(ports: OwnPorts) -> None:
+        connect(ports)
         if planned.is_set():
             ended.set()
 
-    monkeypatch.setattr(edge._services, "plan", planning)
-    monkeypatch.setattr(edge._ports, "connect", connecting)
+    monkeypatch.setattr(YarpServices, "plan", planning)
+    monkeypatch.setattr(OwnPorts, "connect", connecting)
     edge.start(LISTENER)
     assert ended.wait(20)
     assert "following the network failed" not in caplog.text

@@ -8,13 +8,13 @@ from typing import Any
 
 import pytest
 
-from bridge.adapters.yarp.graph import Graph, NodePort, _Known
+from bridge.adapters.yarp.graph import NodePort, YarpGraph, _Known
 from bridge.messages.registry import Registry
 from tests.support.wait import until
 from tests.support.yarp_programs import Names
-from yarp_compat.os.nested import LATCHED
+from yarp_compat.os.ports.nested import LATCHED
 from yarp_compat.ports.port import PortCore
-from yarp_compat.wire.contact import Contact
+from yarp_compat.wire.contact import PortContact
 
 PORT = "/map+@/server"
 
@@ -26,7 +26,7 @@ def names() -> Iterator[Names]:
     names.stop()
 
 
-def look(graph: Graph, names: Names) -> NodePort:
+def look(graph: YarpGraph, names: Names) -> NodePort:
     """The port, as the graph has it after one more look."""
     graph.update(names.client, names.client.list(), ())
     (found,) = graph.nodes
@@ -47,19 +47,19 @@ def test_a_publisher_itself_tells_at_the_first_look_whether_it_is_latched(
     if own is not None:
         port.properties[LATCHED] = own
     port.open()
-    assert look(Graph(Registry()), names).latched is latched
+    assert look(YarpGraph(Registry()), names).latched is latched
 
 
 def test_what_the_name_server_is_told_later_counts_too(names: Names, port: PortCore) -> None:
     port.open()
-    graph = Graph(Registry())
+    graph = YarpGraph(Registry())
     assert not look(graph, names).latched
     names.client.set_property(PORT, LATCHED, "true")
     assert look(graph, names).latched
 
 
 def test_a_publisher_that_is_registered_and_does_not_listen_yet_is_not_there(names: Names) -> None:
-    graph = Graph(Registry())
+    graph = YarpGraph(Registry())
     with socket.create_server(("127.0.0.1", 0)) as taken:
         number = taken.getsockname()[1]
     names.client.register(PORT, "127.0.0.1", number)
@@ -80,7 +80,7 @@ def test_a_publisher_that_is_registered_and_does_not_listen_yet_is_not_there(nam
 class Forgetting:
     """A contact whose port is forgotten as it is looked at."""
 
-    def __init__(self, graph: Graph, name: str) -> None:
+    def __init__(self, graph: YarpGraph, name: str) -> None:
         self._graph, self._name = graph, name
 
     __hash__ = None  # type: ignore[assignment]
@@ -91,10 +91,10 @@ class Forgetting:
 
 
 def test_a_port_whose_connection_ends_as_the_list_is_taken_up_is_forgotten(names: Names) -> None:
-    graph = Graph(Registry())
+    graph = YarpGraph(Registry())
     for name in ("/a", "/b", "/c"):
-        graph._known[name] = _Known(Contact(name, "127.0.0.1", 10002), 0.0)
+        graph._known[name] = _Known(PortContact(name, "127.0.0.1", 10002), 0.0)
     graph._known["/a"].contact = Forgetting(graph, "/a")  # type: ignore[assignment]
     graph._known["/b"].contact = Forgetting(graph, "/c")  # type: ignore[assignment]
-    graph.update(names.client, [Contact(name, "127.0.0.1", 10002) for name in ("/a", "/b", "/c")], ())
+    graph.update(names.client, [PortContact(name, "127.0.0.1", 10002) for name in ("/a", "/b", "/c")], ())
     assert graph._known.keys() == {"/b"}

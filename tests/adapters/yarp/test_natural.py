@@ -8,14 +8,15 @@ from typing import Any
 
 import pytest
 
-from bridge.adapters.yarp.stamps import stamp
+from bridge.adapters.yarp.topics import stamp
 from tests.adapters.yarp.conftest import Place
 from tests.support.wait import until
-from yarp_compat.dev.laserscan import LaserScan2D
-from yarp_compat.dev.odometry import OdometryData
+from yarp_compat.dev.basecontrol import OdometryData
+from yarp_compat.dev.rangefinder import LaserScan2D
 from yarp_compat.sig.image import ImageRgb
 from yarp_compat.sig.pointcloud import PointCloudXYZ
 from yarp_compat.sig.vector import Vector
+from yarp_compat.wire.portable import Portable
 from yarp_compat.wire.profile import Profile
 
 STAMP = {"sec": 1_700_000_000, "nanosec": 250_000_000}
@@ -124,7 +125,7 @@ def test_yarps_own_classes_read_and_write(place: Place, profile: Profile) -> Non
                   "is_dense": True, "data": list(points)},
         "numbers": {"data": [1.5, 2.5]},
     }  # fmt: skip
-    classes = {
+    classes: dict[str, type[Portable]] = {
         "scan": LaserScan2D,
         "odom": OdometryData,
         "picture": ImageRgb,

@@ -9,9 +9,9 @@ from typing import Any
 
 import pytest
 
-from bridge.adapters.crossing import Crossing
-from bridge.adapters.worker import make_edges
-from bridge.adapters.yarp.names import DAEMON, OWNER, PRESENCE
+from bridge.adapters.worker import Crossing, make_edges
+from bridge.adapters.yarp.network import DAEMON, OWNER, PRESENCE, YarpNetwork
+from bridge.config.model import Config
 from bridge.hub.session import Hub
 from bridge.messages.registry import Registry
 from tests.adapters.yarp.conftest import Place
@@ -23,9 +23,9 @@ from tests.support.ports import free_port
 from tests.support.quick_hub import QuickHub
 from tests.support.wait import until
 from yarp_compat.naming import config as conf
-from yarp_compat.naming import talk
 from yarp_compat.naming.client import NameClient
 from yarp_compat.naming.config import Address
+from yarp_compat.ports import text_client
 
 STRING = "std_msgs/String"
 
@@ -55,6 +55,30 @@ def test_yarp_conf_says_where_our_name_server_is(place: Place, no_yarp: Path, mo
     place.bridge(yarp={"nameserver": "embedded", "address": None})
     assert (no_yarp / "yarp.conf").read_text() == f"127.0.0.1 {conf.DEFAULT_PORT} yarp\n"
     assert NameClient().list("/midspan/daemon")
+
+
+def test_our_own_name_server_is_asked_only_where_it_changed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    number = free_port()
+    section = Config.model_validate({"yarp": {"nameserver": "embedded", "address": f"127.0.0.1:{number}"}}).yarp
+    network = YarpNetwork(section, tmp_path)
+    asked: list[str] = []
+    ask = network.naming.list
+    monkeypatch.setattr(network.naming, "list", lambda: asked.append("list") or ask())
+    try:
+        while network.look() is None or len(asked) < 2:
+            pass  # the first looks open it and give the network its name
+        network.look()
+        known, before = network.look(), len(asked)
+        assert network.look() is known
+        assert len(asked) == before
+        NameClient(Address("127.0.0.1", number)).register("/late", "127.0.0.1", 5)
+        assert "/late" in {contact.name for contact in network.look() or []}
+        assert network.naming.query("/late") == NameClient(Address("127.0.0.1", number)).query("/late")
+        NameClient(Address("127.0.0.1", number)).unregister("/late")
+        assert "/late" not in {contact.name for contact in network.look() or []}
+        assert network.naming.query("/late") is None
+    finally:
+        network.close()
 
 
 def test_the_sites_name_server_is_waited_for(place: Place) -> None:
@@ -113,10 +137,10 @@ def test_a_yarp_program_learns_definitions_from_the_daemon(place: Place) -> None
     place.bridge(name="robot")
     contact = place.names.client.list(PRESENCE.rstrip("/"))[0]
     assert list(place.names.client.get_property(contact.name, DAEMON)) == ["robot"]
-    answer = talk.ask(contact, ["definition", "geometry_msgs/Twist"])[0]
+    answer = text_client.ask(contact, ["definition", "geometry_msgs/Twist"])[0]
     assert answer.startswith("[ok]")
     assert "MSG: geometry_msgs/Vector3" in answer
-    assert talk.ask(contact, ["definition", "no_msgs/Thing"])[0].startswith("[fail]")
+    assert text_client.ask(contact, ["definition", "no_msgs/Thing"])[0].startswith("[fail]")
 
 
 def test_a_port_name_that_is_taken_is_told(place: Place) -> None:

@@ -7,11 +7,12 @@ from typing import Any
 
 import pytest
 
-from bridge.adapters.yarp import inlet
-from bridge.hub.qos import Qos
+from bridge.adapters.yarp import topics
+from bridge.hub.wire.qos import Qos
 from tests.adapters.yarp.conftest import Place
 from tests.support.wait import until
-from yarp_compat.naming import connections, talk
+from yarp_compat.naming import connections
+from yarp_compat.ports import text_client
 from yarp_compat.wire.profile import Profile
 
 TWIST = "geometry_msgs/Twist"
@@ -80,7 +81,7 @@ def test_whoever_writes_to_a_topics_port_is_a_publisher(place: Place) -> None:
 
 def test_who_writes_one_line_and_leaves_is_heard(place: Place, monkeypatch: pytest.MonkeyPatch) -> None:
     """``echo hello | yarp write ... /midspan/once:i`` registers, writes and is gone before anybody asks who it was."""
-    monkeypatch.setattr(inlet, "HOLD_SECONDS", 20.0)  # a turn of the clerk may take long on a slow machine
+    monkeypatch.setattr(topics, "HOLD_SECONDS", 20.0)  # a turn of the clerk may take long on a slow machine
     place.bridge({"topic": "/once", "type": "std_msgs/msg/String"})
     there = place.far.advertise("/dynamic", "std_msgs/String")
     until(lambda: place.names.client.query("/midspan/dynamic:i"), "the input port")
@@ -118,7 +119,7 @@ def test_a_line_of_text_drives(place: Place) -> None:
         lambda: (c := query("/midspan/cmd_vel:i")) and connections.responds(c) and c, "the input port listens"
     )
     until(
-        lambda: talk.raw(contact, "someone", "d\r\n1.5 0.5 0.25\r\n", 2.0) and place.far.wait(heard, 1, 0.3),
+        lambda: text_client.raw(contact, "someone", "d\r\n1.5 0.5 0.25\r\n", 2.0) and place.far.wait(heard, 1, 0.3),
         "it drives",
     )
     assert place.far.wait(heard, 1)[0] == velocity(1.5)

@@ -3,24 +3,28 @@
 from __future__ import annotations
 
 from types import SimpleNamespace
+from typing import Any
 
 import pytest
 
 from bridge.adapters.yarp import presence
-from bridge.adapters.yarp.names import PRESENCE
-from bridge.adapters.yarp.presence import Presence
+from bridge.adapters.yarp.network import PRESENCE
+from bridge.adapters.yarp.presence import WorkerPresence
 from bridge.messages.registry import Registry
 from yarp_compat.naming.client import NameClient
 from yarp_compat.naming.config import Address
-from yarp_compat.ports.events import ConnectionEvent
-from yarp_compat.wire.contact import Contact, Route
+from yarp_compat.ports.connections import ConnectionEvent
+from yarp_compat.wire.contact import ConnectionRoute, PortContact
 
 
 def test_a_name_that_a_dead_worker_left_is_tried_less_and_less(monkeypatch: pytest.MonkeyPatch) -> None:
     now, tried = 100.0, []
     monkeypatch.setattr(presence, "time", SimpleNamespace(monotonic=lambda: now))
     naming = NameClient(Address("127.0.0.1", 1), namespace="/root")
-    here = Presence("me", "d", naming, Registry(), lambda: None, lambda: None, "127.0.0.1")
+    context: Any = SimpleNamespace(
+        owner="me", daemon="d", naming=naming, registry=Registry(), changed=lambda: None, ip="127.0.0.1"
+    )
+    here = WorkerPresence(context, lambda: None)
     name = f"{PRESENCE}dead"
     core = SimpleNamespace(
         name=f"{PRESENCE}me",
@@ -29,11 +33,13 @@ def test_a_name_that_a_dead_worker_left_is_tried_less_and_less(monkeypatch: pyte
         add_output=lambda _name: (tried.append(now - 100.0), (False, ""))[1],
     )
     here._core = core  # type: ignore[assignment]
-    contacts = {name: Contact(name, "127.0.0.1", 10002)}
+    contacts = {name: PortContact(name, "127.0.0.1", 10002)}
     for _ in range(60):
         here.look(contacts, now)
         now += 1.0
     assert tried == [0.0, 2.0, 6.0, 14.0, 30.0, 46.0]
-    here._on_event(ConnectionEvent(Route(name, core.name, "tcp"), up=True, incoming=True))  # it is there after all
+    here._on_event(
+        ConnectionEvent(ConnectionRoute(name, core.name, "tcp"), up=True, incoming=True)
+    )  # it is there after all
     here.look(contacts, now)
     assert tried[-1] == 60.0

@@ -4,20 +4,26 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Iterator
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
 
+from bridge.adapters.yarp.services import ServedPort
 from bridge.clock import SYSTEM
-from bridge.hub.call import CallError
+from bridge.hub.endpoints.calls import Abandon, CallError, Done
 from bridge.hub.session import Hub
 from bridge.messages.registry import Registry
-from bridge.modules.loop import Loop
-from bridge.modules.node import Node
+from bridge.modules.host import Node
+from bridge.modules.loop import EventLoop
+from bridge.routing.edge import MadeBy
 from tests.adapters.yarp.conftest import Place
 from tests.support.wait import until
-from yarp_compat.naming.errors import PortError
+from tests.support.yarp_native import NativeClient
+from yarp_compat.ports.message import PortMessage
+from yarp_compat.ports.naming import PortError
 from yarp_compat.pythonic import Client, Server
+from yarp_compat.wire import binary
 from yarp_compat.wire.profile import Profile
 from yarp_compat.wire.values import Vocab
 
@@ -28,7 +34,7 @@ class Robot:
     """A node of the hub."""
 
     def __init__(self, place: Place) -> None:
-        self.loop = Loop("robot")
+        self.loop = EventLoop("robot")
         self.node = Node(Hub.open(place.hubs.settings("robot")), Registry(), self.loop, SYSTEM)
         self.loop.start()
         self.held: list[Any] = []
@@ -142,6 +148,24 @@ def test_a_server_that_leaves_answers_with_an_error(place: Place, robot: Robot) 
     until(lambda: place.names.client.query("/midspan/lamp/rpc") is None, "the port is gone", 20)
 
 
+def test_a_native_client_is_served_again_when_the_server_returns(place: Place, robot: Robot) -> None:
+    """As of a service of the modules, whose worker was killed: the port goes and returns with it."""
+    robot.node.server("/lamp", BOOL, robot.switch)
+    place.bridge()
+    client = NativeClient("/native/rpc", place.names.client)
+    place.keep(_Closing(client))
+    on = binary.encode([1], Profile.YARP3)
+    until(lambda: client.connect("/midspan/lamp/rpc"), "the port is there", 20)
+    answer = client.call(on)
+    assert answer
+    assert b"is on" in answer
+    robot.node.close()
+    until(lambda: place.names.client.query("/midspan/lamp/rpc") is None, "the port is gone", 20)
+    assert client.call(on) is None
+    place.keep(Robot(place)).node.server("/lamp", BOOL, robot.switch)
+    until(lambda: client.call(on) == answer, "it is served again", 20)
+
+
 @pytest.mark.parametrize("profile", Profile)
 def test_a_port_of_a_rule_is_a_service(place: Place, robot: Robot, profile: Profile) -> None:
     rule = {"service": "/lamp", "port": "/lamp/rpc:i", "type": BOOL, "request": ["'set'", "data"], "reply": ["message"]}
@@ -197,7 +221,7 @@ def test_a_reply_that_is_none_is_an_error(place: Place, robot: Robot) -> None:
     place.bridge(yarp={"services": [rule]})
     place.keep(_Closing(Server("/lamp/rpc:i", lambda _values: ["maybe"], naming=place.names.client).open()))
     errors = robot.call(robot.node.client("/lamp", BOOL), {"data": True})
-    assert "the reply is none" in str(until(lambda: errors, "an error", 20)[0])
+    assert "the reply is malformed" in str(until(lambda: errors, "an error", 20)[0])
 
 
 def test_a_port_of_midspans_is_not_called(place: Place, robot: Robot) -> None:
@@ -207,3 +231,21 @@ def test_a_port_of_midspans_is_not_called(place: Place, robot: Robot) -> None:
     place.bridge(yarp={"services": [rule]})
     errors = robot.call(robot.node.client("/again", BOOL), {"data": True})
     assert "Midspan's" in str(until(lambda: errors, "an error", 20)[0])
+
+
+def test_a_call_that_begins_as_its_service_goes_is_abandoned() -> None:
+    ended: list[str] = []
+    bottles: Any = SimpleNamespace(
+        request_to_hub=lambda payload, profile: (payload, profile), reply_to_yarp=lambda *_: b"no more"
+    )
+    peer: Any = SimpleNamespace(route=SimpleNamespace(source="/asks"), profile=None)
+
+    def call(_request: bytes, _done: Done) -> Abandon:
+        served.close()
+        return lambda: ended.append("abandoned")
+
+    served = ServedPort("/lamp", bottles, call, lambda _: MadeBy.NATIVE, lambda *_: None)
+    message = PortMessage(b"on", "", peer, wants_reply=True)
+    served.on_message(message)
+    assert message.wait() == b"no more"
+    assert ended == ["abandoned"]

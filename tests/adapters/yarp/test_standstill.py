@@ -23,9 +23,22 @@ from tests.support.quick_hub import QuickHub
 from tests.support.wait import until
 from tests.support.yarp_programs import YarpProgram
 
+pytestmark = pytest.mark.thorough
+
 STRING, TWIST = "std_msgs/String", "geometry_msgs/Twist"
 COUNT = 20
 OLD = 9.0
+
+
+@contextmanager
+def standing_still(worker: WorkerProcess, seconds: float) -> Iterator[None]:
+    """A worker stands still for so long, or as long as the body takes."""
+    began = time.monotonic()
+    worker.process.signal(signal.SIGSTOP)
+    until(lambda: stands_still(worker.process.pid), "it stands still")
+    yield
+    time.sleep(max(0.0, began + seconds - time.monotonic()))  # this is the case: that long it does nothing
+    worker.process.signal(signal.SIGCONT)
 
 
 class Pair:
@@ -66,17 +79,6 @@ class Pair:
 
         return until(found, "a worker carries", 20)[0]
 
-    @contextmanager
-    def standing_still(self, name: str, seconds: float) -> Iterator[None]:
-        """A worker stands still for so long, or as long as the body takes."""
-        process = self.workers[name].process
-        began = time.monotonic()
-        process.signal(signal.SIGSTOP)
-        until(lambda: stands_still(process.pid), "it stands still")
-        yield
-        time.sleep(max(0.0, began + seconds - time.monotonic()))  # this is the case: that long it does nothing
-        process.signal(signal.SIGCONT)
-
 
 @pytest.fixture
 def stack() -> Iterator[ExitStack]:
@@ -92,11 +94,11 @@ class Talk:
         self._states = pair.states
         self._ends: list[Any] = [pair.program, *pair.far]
         self._out = [end.advertise("/both", STRING) for end in self._ends]
-        self._heard = [end.subscribe("/both", STRING) for end in self._ends]
+        self._subscriptions = [end.subscribe("/both", STRING) for end in self._ends]
         self._probes = 0
 
     def _texts(self, end: int) -> list[str]:
-        return [m["data"] for m in self._ends[end].wait(self._heard[end], 0)]
+        return [m["data"] for m in self._ends[end].wait(self._subscriptions[end], 0)]
 
     def until_open(self) -> None:
         """Until a probe of the YARP program reaches every hub, and one of each hub the YARP program."""
@@ -185,7 +187,7 @@ def test_two_seconds_on_one_hub_hold_back_no_command_and_bring_nothing_twice(pla
     talk.until_open()
     commands.until_open(0.1)
     talk.say("before")
-    with pair.standing_still(pair.active(), 2.0):
+    with standing_still(pair.workers[pair.active()], 2.0):
         commands.send(OLD)
     talk.until_open()
     commands.until_open(0.2)
@@ -201,7 +203,7 @@ def test_two_seconds_on_hubs_of_their_own_bring_nothing_twice(place: Place, stac
     talk = Talk(pair)
     talk.until_open()
     talk.say("before")
-    with pair.standing_still("one", 2.0):
+    with standing_still(pair.workers["one"], 2.0):
         pass
     talk.until_open()
     talk.say("after")
@@ -215,7 +217,7 @@ def test_after_ten_seconds_another_carries_and_nothing_comes_twice(place: Place,
     talk.say("before")
     first = pair.active()
     (second,) = set(pair.workers) - {first}
-    with pair.standing_still(first, 10.0):
+    with standing_still(pair.workers[first], 10.0):
         until(lambda: pair.states().get(second) == "running", "the other takes over", 9)
         talk.until_open()
         talk.say("meanwhile")
@@ -223,3 +225,16 @@ def test_after_ten_seconds_another_carries_and_nothing_comes_twice(place: Place,
     talk.until_open()
     talk.say("after")
     assert not talk.twice()
+
+
+def test_who_is_connected_by_hand_stays_connected(place: Place, stack: ExitStack) -> None:
+    rule = {"topic": "/said", "type": "std_msgs/msg/String", "as": "natural", "direction": "out"}
+    config = place.config("one", yarp={"topics": [rule]})
+    worker = WorkerProcess("yarp", config, dict(os.environ), ("running",))
+    stack.callback(worker.stop)
+    out, reader = place.far.advertise("/said", STRING), place.port("/reader")
+    reader.listen_to("/midspan/said:o")
+    place.far.hub_publish_until(out, {"data": "before"}, lambda: reader.messages(1, 0.2))
+    with standing_still(worker, 2.5):
+        pass
+    place.far.hub_publish_until(out, {"data": "after"}, lambda: ["after"] in reader.bottles(1, 0.2))

@@ -8,13 +8,13 @@ from typing import Any
 
 import pytest
 
-from bridge.adapters.zenoh import edge, ros1_aloha
+from bridge.adapters.zenoh import edge, ros1_discovery
 from bridge.clock import SYSTEM
 from bridge.config.model import Config
 from bridge.hub.session import Hub
 from bridge.messages.registry import Registry
-from bridge.modules.loop import Loop
-from bridge.modules.node import Node
+from bridge.modules.host import Node
+from bridge.modules.loop import EventLoop
 from tests.contract.hubside import HubSide
 from tests.contract.zenohside import PERIOD, ZenohBridge
 from tests.support.quick_hub import QuickHub
@@ -60,7 +60,7 @@ class Place:
     def node(self) -> Node:
         """A node of the hub that has actions."""
         if self._node is None:
-            loop = Loop("far")
+            loop = EventLoop("far")
             loop.start()
             self._node = Node(Hub.open(self.hubs.settings("node")), Registry(), loop, SYSTEM)
         return self._node
@@ -130,7 +130,7 @@ class Place:
 
 @pytest.fixture
 def place(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Iterator[Place]:
-    monkeypatch.setattr(ros1_aloha, "PERIOD", PERIOD)
+    monkeypatch.setattr(ros1_discovery, "PERIOD", PERIOD)
     monkeypatch.setattr(edge, "LINK_SECONDS", 0.1)
     monkeypatch.setattr(edge, "TICK", 0.05)
     made = Place(tmp_path)

@@ -9,14 +9,13 @@ from typing import Any
 import pytest
 
 from bridge.adapters.zenoh import ros1, ros2dds
-from bridge.adapters.zenoh.announcement import Announcement
-from bridge.adapters.zenoh.ros1_aloha import Aloha
-from bridge.adapters.zenoh.ros2dds_announcer import Announcer
-from bridge.adapters.zenoh.subscription import KeySubscription
+from bridge.adapters.zenoh.ros1_discovery import Aloha
+from bridge.adapters.zenoh.ros2dds_graph import TokenAnnouncer
+from bridge.adapters.zenoh.topics import Announcement, KeySubscription
 from tests.adapters.zenoh.conftest import Place
 from tests.support.wait import until
 
-MODULES = {"ros2dds": (ros2dds, Announcer), "ros1": (ros1, Aloha)}
+MODULES = {"ros2dds": (ros2dds, TokenAnnouncer), "ros1": (ros1, Aloha)}
 
 
 def test_it_is_told_once_and_taken_back_once() -> None:
@@ -27,7 +26,7 @@ def test_it_is_told_once_and_taken_back_once() -> None:
         return lambda: said.append("gone")
 
     told = Announcement(tell)
-    told.tell()
+    told.publish()
     told.withdraw()
     told.withdraw()
     assert said == ["here", "gone"]
@@ -37,7 +36,7 @@ def test_what_closed_before_is_not_told() -> None:
     said: list[str] = []
     told = Announcement(lambda: lambda: said.append("gone"))
     told.withdraw()
-    told.tell()
+    told.publish()
     told.withdraw()
     assert said == []
 
@@ -50,7 +49,7 @@ def test_an_endpoint_is_there_before_it_is_told(place: Place, monkeypatch: pytes
     noted = functools.partial(_noted, monkeypatch, done)
     noted(module, "KeyServer", "served")
     noted(KeySubscription, "__init__", "subscribed")
-    noted(announcer, "tell", "told")
+    noted(announcer, "announce", "told")
     place.bridge({"dialect": dialect})
     place.far.serve("/do", "std_srvs/SetBool", reply={"success": True, "message": "yes"})
     until(lambda: len(done) == 2, "the service is there and told")

@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 import zenoh
 
-from bridge.adapters.zenoh.json_text import cdr_to_text, text_to_cdr
+from bridge.adapters.zenoh.json_keys import cdr_to_text, text_to_cdr
 from bridge.messages.errors import ConversionError
 from bridge.messages.registry import Registry
 from tests.adapters.zenoh.conftest import Place, cross

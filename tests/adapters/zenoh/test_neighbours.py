@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 
-from bridge.adapters.zenoh.neighbours import DISCOVERY_SECONDS, Neighbours
+from bridge.adapters.zenoh.neighbours import DISCOVERY_SECONDS, KeyNeighbours
 from tests.adapters.zenoh.conftest import Place
 from tests.support.zenoh_programs import open_session
 
@@ -12,7 +12,7 @@ from tests.support.zenoh_programs import open_session
 def test_the_end_of_a_stranger_s_moment_is_told_once_however_late(place: Place) -> None:
     told: list[bool] = []
     with open_session(place.router.endpoint) as session:
-        neighbours = Neighbours(session, "ros1", "", frozenset(), lambda: told.append(True), lambda: None)
+        neighbours = KeyNeighbours(session, "ros1", "", frozenset(), lambda: told.append(True), lambda: None)
         try:
             assert neighbours.is_own("5ea"), "its token may be on its way"
             now = time.monotonic()

@@ -7,11 +7,11 @@ import time
 import pytest
 import zenoh
 
-from bridge.adapters.base import Kind
-from bridge.adapters.zenoh.mark import new_zid
-from bridge.adapters.zenoh.ros1_aloha import Aloha
-from bridge.adapters.zenoh.ros1_keys import Topic, data_key, discovery_key, parse
-from bridge.hub.errors import WireError
+from bridge.adapters.zenoh.neighbours import new_zid
+from bridge.adapters.zenoh.ros1 import Ros1KeysEdge
+from bridge.adapters.zenoh.ros1_discovery import Aloha, AnnouncedTopic, data_key, discovery_key, parse
+from bridge.hub.errors import HubWireError
+from bridge.routing.edge import Kind
 from tests.adapters.zenoh.conftest import Place, cross
 from tests.contract.zenohside import PERIOD
 from tests.support.wait import until
@@ -24,7 +24,7 @@ SIDE = "zenoh_ros1"
 
 
 def test_keys_are_written_as_the_plugin_writes_them() -> None:
-    topic = Topic("/chatter", STRING, "992ce8a1687cec8c8bd883ec73ca41d1")
+    topic = AnnouncedTopic("/chatter", STRING, "992ce8a1687cec8c8bd883ec73ca41d1")
     assert data_key(topic, "*") == KEY
     assert discovery_key(Kind.PUBLISHER, topic, "*") == f"ros1_discovery_info/*/pub/{KEY}"
     assert discovery_key(Kind.SUBSCRIPTION, topic, "bot") == f"ros1_discovery_info/*/sub/{KEY.replace('*', 'bot')}"
@@ -32,7 +32,7 @@ def test_keys_are_written_as_the_plugin_writes_them() -> None:
     assert parse(f"ros1_discovery_info/*/srv/{KEY}") == (Kind.SERVER, topic)
     assert parse(f"ros1_discovery_info/*/cl/{KEY}") == (Kind.CLIENT, topic)
     assert parse(f"ros1_discovery_info/*/sub/{KEY}/deep/er") == (
-        Kind.SUBSCRIPTION, Topic("/chatter/deep/er", STRING, topic.md5)
+        Kind.SUBSCRIPTION, AnnouncedTopic("/chatter/deep/er", STRING, topic.md5)
     )  # fmt: skip
 
 
@@ -50,7 +50,7 @@ def test_keys_are_written_as_the_plugin_writes_them() -> None:
     ],
 )
 def test_keys_that_are_none(key: str) -> None:
-    with pytest.raises(WireError):
+    with pytest.raises(HubWireError):
         parse(key)
 
 
@@ -84,6 +84,7 @@ def test_in_what_a_bridge_says_and_that_it_is_gone_when_silent(place: Place) -> 
     place.far.until_unpublished("/chatter")
 
 
+@pytest.mark.thorough
 def test_native_bridges_never_fall_silent_because_of_us(place: Place) -> None:
     """Both publish one topic, so that both beacon on one key; the native one is there all the time."""
     place.bridge({"dialect": "ros1"})
@@ -116,12 +117,12 @@ def test_all_midspans_leave_the_same_pauses(place: Place) -> None:
     """Or there would be none; two are active where their hubs are not joined."""
     sessions = [open_session(place.router.endpoint, id=new_zid()) for _ in range(2)]
     first, second = (Aloha(s, "*", lambda: None, lambda _topic, _first: None) for s in sessions)
-    what = (Kind.PUBLISHER, Topic("/chatter", STRING, "992ce8a1687cec8c8bd883ec73ca41d1"))
-    first.tell(*what)
+    what = (Kind.PUBLISHER, AnnouncedTopic("/chatter", STRING, "992ce8a1687cec8c8bd883ec73ca41d1"))
+    first.announce(*what)
     due = first._own[what].due
 
     def rests() -> bool:
-        second.tell(*what)()
+        second.announce(*what)()
         return first._own[what].due > due
 
     try:
@@ -139,11 +140,12 @@ def test_while_we_stand_still_nobody_is_gone(place: Place) -> None:
     bridge.advertise("/chatter", STRING)
     crossing = place.bridge({"dialect": "ros1"})
     place.far.until_published("/chatter")
-    aloha = crossing.edges[SIDE]._aloha
-    before = aloha.topics()
+    edge = crossing.edges[SIDE]
+    assert isinstance(edge, Ros1KeysEdge)
+    before = edge.endpoints()
     assert before
-    aloha.tick(time.monotonic() + 100 * PERIOD)
-    assert aloha.topics() == before
+    edge.tick(time.monotonic() + 100 * PERIOD)
+    assert edge.endpoints() == before
 
 
 def test_an_md5_that_is_not_known_here_is_reported(place: Place) -> None:
@@ -173,7 +175,7 @@ def test_what_is_latched_is_put_again_for_the_first_subscriber_and_for_another_b
     first.deafen()
     remote = zenoh.Locality.REMOTE
     probe = second.session.declare_publisher(second.discovery("sub", "/other", STRING), allowed_destination=remote)
-    until(lambda: probe.matching_status.matching, "its beacons will be heard")
+    until(lambda: probe.matching_status.matching, "its beacons will be heard")  # type: ignore[attr-defined]
     heard_too = second.subscribe("/state", STRING)
     assert second.wait(heard_too, 1, 20)[0] == {"data": "kept"}
 
@@ -244,7 +246,7 @@ def test_services_byte_for_byte(place: Place) -> None:
     key = "7374645f737276732f536574426f6f6c/09fb03525b03e7ea1fd3992bafd87e16/*/out"
     until(lambda: f"ros1_discovery_info/*/srv/{key}" in bridge.beacons(), "our beacon")
     for asker in (bridge, named):
-        its = key.replace("*", asker._namespace)
+        its = key.replace("*", asker.namespace)
         reply = until(lambda k=its, a=asker: list(a.session.get(k, payload=b"\1", timeout=20.0)), "a reply")[0]
         assert reply.ok.payload.to_bytes() == b"\1" + HI
     assert serving.requests(2) == [{"data": True}] * 2

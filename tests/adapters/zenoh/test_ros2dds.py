@@ -8,11 +8,11 @@ import pytest
 import zenoh
 from zenoh import ext
 
-from bridge.adapters.base import Kind
-from bridge.adapters.zenoh.mark import is_marked, new_zid
+from bridge.adapters.zenoh.neighbours import is_marked, new_zid
 from bridge.adapters.zenoh.ros2dds_tokens import Token, action_key, parse, token_key
-from bridge.hub.errors import WireError
-from bridge.hub.qos import Durability, History, Qos, Reliability
+from bridge.hub.errors import HubWireError
+from bridge.hub.wire.qos import Durability, History, Qos, Reliability
+from bridge.routing.edge import Kind
 from tests.adapters.zenoh.conftest import ROS2, Place, cross
 from tests.support.wait import until
 from tests.support.zenoh_programs import open_session
@@ -71,7 +71,7 @@ def test_quality_of_service_of_tokens(qos: str, kind: Kind, read: Qos) -> None:
     ],
 )
 def test_tokens_that_are_none(text: str) -> None:
-    with pytest.raises(WireError):
+    with pytest.raises(HubWireError):
         parse(text)
 
 

@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 
-from bridge.modules.goal import Status
+from bridge.messages.actions import GoalState
 from tests.adapters.zenoh.conftest import Place
 from tests.support.wait import until
 from tests.support.zenoh_actions import ACTION, CANCELED, SUCCEEDED, ActionClient, ActionServer
@@ -28,7 +28,7 @@ class Sent:
             lambda: client.send({"target_frame": "map"}, lambda *end: self.ends.append(end), self.feedback.append)
         )
 
-    def ended(self) -> tuple[Status, Any]:
+    def ended(self) -> tuple[GoalState, Any]:
         goal, result, _why = until(lambda: self.ends, "the goal ends", 30)[0]
         assert len(self.ends) == 1
         return goal.status, result
@@ -48,7 +48,7 @@ def test_from_the_hub_to_a_server_behind_a_bridge(place: Place) -> None:
     server.get_result.requests()
     server.end(SUCCEEDED, "laser")
     status, result = sent.ended()
-    assert (status, result["transform"]["child_frame_id"]) == (Status.SUCCEEDED, "laser")
+    assert (status, result["transform"]["child_frame_id"]) == (GoalState.SUCCEEDED, "laser")
     names = {row["topic"].rpartition("/")[2]: row["kind"] for row in place.status(SIDE)["routes"]}
     assert names == {
         "send_goal": "service", "cancel_goal": "service", "get_result": "service", "feedback": "topic",
@@ -69,7 +69,7 @@ def test_a_goal_is_cancelled_at_a_server_behind_a_bridge(place: Place) -> None:
     place.on_node(sent.goal.cancel)
     assert server.cancel_goal.requests()[0]["goal_info"]["goal_id"] == goal_info["goal_id"]
     server.end(CANCELED, "")
-    assert sent.ended()[0] is Status.CANCELED
+    assert sent.ended()[0] is GoalState.CANCELED
 
 
 @pytest.mark.parametrize("end", ["its node", "its bridge"])
@@ -83,7 +83,7 @@ def test_a_server_that_leaves_ends_its_goals(place: Place, end: str) -> None:
     server.close()
     if end == "its bridge":
         bridge.stop()
-    assert sent.ended()[0] is Status.ABORTED
+    assert sent.ended()[0] is GoalState.ABORTED
 
 
 def test_from_a_client_behind_a_bridge_to_a_server_of_the_hub(place: Place) -> None:
@@ -138,6 +138,6 @@ def test_a_server_of_the_hub_that_leaves(place: Place) -> None:
     result = client.ask("get_result", ID)
     until(lambda: place.route(SIDE, "/lookup/_action/get_result", "out")["pending"] == 1, "it waits", every=0.1)
     place.close_node()
-    assert result.result(30)["reply"]["status"] == Status.ABORTED
+    assert result.result(30)["reply"]["status"] == GoalState.ABORTED
     until(lambda: not bridge.tokens("/lookup", "AS"), "our token goes")
     client.close()

@@ -40,7 +40,7 @@ def test_out_what_a_bridge_sees(place: Place) -> None:
     assert token == f"@/{zid}/@ros2_lv/SS/robot1§arm§light/std_srvs§srv§SetBool"
     until_called(bridge, "/arm/light")
 
-    def plain(key: str, **more: bytes) -> list[zenoh.Reply]:
+    def plain(key: str, **more: Any) -> list[zenoh.Reply]:
         return list(bridge.session.get(key, timeout=20.0, **more))
 
     (reply,) = plain("robot1/arm/light", payload=TRUE)

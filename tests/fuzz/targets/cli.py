@@ -5,14 +5,14 @@ from __future__ import annotations
 import io
 import json
 
-from bridge.cli.errors import CliError
+from bridge.cli.output import CliError
 from bridge.messages.errors import ConversionError
 from tests.fuzz.target import JSON_WORDS, Subject, Target, texts
 
 
 def _pub() -> Subject:
     """The fields of ``midspan topic pub``."""
-    from bridge.cli.topic_pub import yaml_fields
+    from bridge.cli.messages import yaml_fields
     from bridge.messages.json import from_json
     from bridge.messages.registry import Registry
 
@@ -35,8 +35,8 @@ def _status() -> Subject:
     """Status documents of workers, as a terminal shows them."""
     from rich.console import Console
 
-    from bridge.cli.status import _document, show
-    from bridge.hub.control import Answer
+    from bridge.cli.inspection.status import document_of, show
+    from bridge.hub.control import WorkerAnswer
 
     route = {
         "direction": "in", "topic": "/a", "hub_topic": "/b", "type": "std_msgs/msg/String", "priority": "stream",
@@ -56,7 +56,10 @@ def _status() -> Subject:
         except (ValueError, RecursionError):
             return
         console = Console(width=120, file=io.StringIO())
-        show(console, [_document(Answer("robot", "ros1", v)) for v in (values if isinstance(values, list) else [])])
+        show(
+            console,
+            [document_of(WorkerAnswer("robot", "ros1", v)) for v in (values if isinstance(values, list) else [])],
+        )
         console.file.getvalue().encode()  # type: ignore[attr-defined]
 
     words = [*JSON_WORDS, *texts('"\\u001b[2J"', '"[red]"', '"routes":', '"drops":', '"error":')]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from bridge.config.problems import ConfigError
+from bridge.config.document import ConfigError
 from tests.fuzz.target import Subject, Target, scratch, texts
 
 _SEEDS = texts(

@@ -24,14 +24,36 @@ def _command() -> Subject:
 
 def _report() -> Subject:
     """Reports of a worker."""
-    from bridge.daemon.protocol import Beat, Failed, Hello, Log, Reloaded, Restart, decode_report, encode_report
+    from bridge.daemon.protocol import (
+        Beat,
+        Failed,
+        Hello,
+        Log,
+        Reloaded,
+        Restart,
+        Unknown,
+        decode_report,
+        encode_report,
+    )
+    from bridge.progress import Busy
     from bridge.worker import Health
 
     def parse(data: bytes) -> None:
         report = decode_report(data)
-        assert encode_report(decode_report(encode_report(report))) == encode_report(report)
+        if not isinstance(report, Unknown):
+            again = decode_report(encode_report(report))
+            assert not isinstance(again, Unknown)
+            assert encode_report(again) == encode_report(report)
 
-    reports = (Beat(3, Health("running", "x")), Hello(1, "daemon"), Reloaded(), Restart("x"), Failed("y"), Log(20, "z"))
+    reports = (
+        Busy("a", 0.5, 2),
+        Beat(3, Health("running", "x")),
+        Hello(1, "daemon"),
+        Reloaded(),
+        Restart("x"),
+        Failed("y"),
+        Log(20, "z"),
+    )
     return Subject(parse, [encode_report(report) for report in reports], (ProtocolError,), _WORDS)
 
 

@@ -26,11 +26,10 @@ _SEEDS = [
 
 def _definition() -> Subject:
     """A full definition: read, closed, written again, fingerprinted and compiled. The first byte says whose it is."""
-    from bridge.messages.compiler import compile_check
-    from bridge.messages.definition import World
-    from bridge.messages.hashes import md5_sum, rihs01
-    from bridge.messages.parser import closure, parse_full
-    from bridge.messages.text import full_text
+    from bridge.messages.definitions.hashes import md5_sum, rihs01
+    from bridge.messages.definitions.schema import World
+    from bridge.messages.definitions.text import closure, full_text, parse_full
+    from bridge.messages.transcode.compiler import compile_check
 
     names = {World.ROS1: "a_msgs/A", World.ROS2: "a_msgs/msg/A"}
 
@@ -53,15 +52,16 @@ def _header_type() -> Subject:
     """What a ROS 1 publisher says of its type: name, md5 and definition, one line each and the rest."""
     from bridge.messages.registry import Registry
 
-    fresh = [Registry(), 0]
+    registry, since = Registry(), 0
 
     def parse(data: bytes) -> None:
-        if fresh[1] % 300 == 0:
-            fresh[0] = Registry()
-        fresh[1] += 1
+        nonlocal registry, since
+        if since % 300 == 0:
+            registry = Registry()
+        since += 1
         name, _, rest = data.decode(errors="replace").partition("\n")
         md5, _, definition = rest.partition("\n")
-        conversion = fresh[0].ros1_to_hub(name, md5, definition)
+        conversion = registry.ros1_to_hub(name, md5, definition)
         assert conversion.convert is not None
         for message in (b"", bytes(64), b"\xff" * 64):
             try:
@@ -77,15 +77,16 @@ def _hub_type() -> Subject:
     """What a worker on the hub says of a type: its name and definition."""
     from bridge.messages.registry import Registry
 
-    fresh = [Registry(), 0]
+    registry, since = Registry(), 0
 
     def parse(data: bytes) -> None:
-        if fresh[1] % 300 == 0:
-            fresh[0] = Registry()
-        fresh[1] += 1
+        nonlocal registry, since
+        if since % 300 == 0:
+            registry = Registry()
+        since += 1
         name, _, definition = data.decode(errors="replace").partition("\n")
-        fresh[0].learn_ros2(name, definition)
-        there = fresh[0].hub_to_ros1(name).convert
+        registry.learn_ros2(name, definition)
+        there = registry.hub_to_ros1(name).convert
         assert there is not None
         for message in (b"\0\1\0\0", b"\0\1\0\0" + bytes(64), b"\0\1\0\0" + b"\xff" * 64):
             try:
@@ -101,20 +102,21 @@ def _hub_service() -> Subject:
     """What a worker on the hub says of a service or of an action's part: its name and definition."""
     from bridge.messages.registry import Registry
 
-    fresh = [Registry(), 0]
+    registry, since = Registry(), 0
 
     def parse(data: bytes) -> None:
-        if fresh[1] % 300 == 0:
-            fresh[0] = Registry()
-        fresh[1] += 1
+        nonlocal registry, since
+        if since % 300 == 0:
+            registry = Registry()
+        since += 1
         name, _, definition = data.decode(errors="replace").partition("\n")
-        fresh[0].learn_ros2(name, definition)
+        registry.learn_ros2(name, definition)
         if name.endswith("_FeedbackMessage"):
-            fresh[0].hub_to_ros1(name)
+            registry.hub_to_ros1(name)
             return
-        there = fresh[0].service_hub_to_ros1(name)
+        there = registry.service_hub_to_ros1(name)
         assert there.request_to_side is not None
-        fresh[0].hub_service_check(name)
+        registry.hub_service_check(name)
         for message in (b"\0\1\0\0", b"\0\1\0\0" + bytes(64), b"\0\1\0\0" + b"\xff" * 64):
             try:
                 there.request_to_side(message)
@@ -136,7 +138,7 @@ def _hub_service() -> Subject:
 
 def _service_file() -> Subject:
     """``.srv`` and ``.action`` files; the first byte chooses which, and which part of it."""
-    from bridge.messages.parts import find_part
+    from bridge.messages.definitions.parts import find_part
 
     folder = scratch()
     names = ["a_msgs/srv/A_Request", "a_msgs/srv/A_Response", "a_msgs/srv/A_Event", "a_msgs/action/A_Goal",
@@ -154,7 +156,7 @@ def _service_file() -> Subject:
 
 def _idl() -> Subject:
     """ROS 2's ``.idl`` files, of which rosbags has the reader."""
-    from bridge.messages.stores import parse_idl
+    from bridge.messages.definitions.sources import parse_idl
 
     def parse(data: bytes) -> None:
         parse_idl(data.decode(errors="replace"), "a_msgs/msg/A")
@@ -175,7 +177,7 @@ def _idl() -> Subject:
 
 def _mapping_rules() -> Subject:
     """ros1_bridge's files of mapping rules."""
-    from bridge.messages.rules import Rules
+    from bridge.messages.mapping.rules import Rules
 
     file = scratch() / "rules.yaml"
 
@@ -214,47 +216,39 @@ def _mapping_rules() -> Subject:
 
 
 def _any_type() -> Subject:
-    """A definition, ``~``, and a message of it: compiled, and run on memory with forbidden pages around."""
-    from bridge.messages.compiler import compile_check, compile_pair
+    """A definition, ``~``, and a message of it: compiled, and run."""
     from bridge.messages.json import from_json
-    from bridge.messages.machine import run
-    from bridge.messages.ops import DIRTY
-    from bridge.messages.pairing import pair_types
+    from bridge.messages.mapping.fields import pair_types
+    from bridge.messages.mapping.rules import Rules
     from bridge.messages.registry import Registry
-    from bridge.messages.rules import Rules
-    from bridge.messages.transcoder import _error
-    from tests.messages.guarded import SIZE, Guarded
+    from bridge.messages.transcode.compiler import compile_check, compile_pair
+    from bridge.messages.transcode.conversion import make_vm
+    from tests.fuzz.machines import guard
     from tests.messages.samples import sample
 
     rules = Rules()
-    source, target = Guarded(), Guarded()
-    fresh = [Registry(), 0]
+    registry, since = Registry(), 0
 
     def parse(data: bytes) -> None:
-        if fresh[1] % 300 == 0:
-            fresh[0] = Registry()
-        fresh[1] += 1
+        nonlocal registry, since
+        if since % 300 == 0:
+            registry = Registry()
+        since += 1
         text, _, message = data.partition(b"~\n")
-        registry = fresh[0]
         registry.learn_ros1("a_msgs/A", text.decode(errors="replace"))
-        ros1 = registry._messages.find_ros1("a_msgs/A", "")
+        ros1 = registry.ros1_schema("a_msgs/A")
         ros2 = registry._messages.to_ros2(ros1)
         table = pair_types(ros1, ros2, rules)
         there = compile_pair(ros1, ros2, lambda a, b: table[a, b].fields)
         back = compile_pair(ros2, ros1, lambda a, b: [(two, one) for one, two in table[b, a].fields])
+        guard(message)
         refusals: list[ConversionError] = []
         for program in (there, back, compile_check(ros2)):
-            memory = program.assemble()
-            for place, out in ((source.put, target.end), (source.put_first, 0)):
-                at = place(message[:SIZE])
-                size = run(memory.ctypes.data, at, len(message), 0)
-                if size < 0:
-                    refusals.append(_error(program, size))
-                elif size & ~DIRTY <= SIZE:
-                    size &= ~DIRTY
-                    written = run(memory.ctypes.data, at, len(message), out - size if out else target.start)
-                    assert written & ~DIRTY == size, (written, size)
-        if len(refusals) == 6:
+            try:
+                make_vm(program).convert(message)
+            except ConversionError as err:
+                refusals.append(err)
+        if len(refusals) == 3:
             raise refusals[0]
 
     seeds = []

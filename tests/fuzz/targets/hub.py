@@ -5,7 +5,7 @@ from __future__ import annotations
 from types import SimpleNamespace
 from typing import Any
 
-from bridge.hub.errors import HubError, WireError
+from bridge.hub.errors import HubError, HubWireError
 from tests.fuzz.target import JSON_WORDS, Subject, Target, texts
 
 _NODE = "@ros2_lv/0/aac3178e146ba6f1fc6e6a4085e77f21/0/0/NN/%/%/listener"
@@ -24,19 +24,19 @@ _TOKEN_WORDS = texts(
 
 def _attachment() -> Subject:
     """The attachment of a sample."""
-    from bridge.hub import attachment
+    from bridge.hub.wire.keys import pack_attachment, unpack_attachment
 
     def parse(data: bytes) -> None:
-        read = attachment.unpack(data)
-        assert attachment.pack(*read) == data
+        read = unpack_attachment(data)
+        assert pack_attachment(*read) == data
 
-    good = attachment.pack(1, 1_700_000_000_000_000_000, bytes(range(16)))
-    return Subject(parse, [good, good[:-1], good + b"\0"], (WireError,), largest=64)
+    good = pack_attachment(1, 1_700_000_000_000_000_000, bytes(range(16)))
+    return Subject(parse, [good, good[:-1], good + b"\0"], (HubWireError,), largest=64)
 
 
 def _token() -> Subject:
     """Liveliness tokens of endpoints, nodes and origins; what is read is written as the same again, or refused."""
-    from bridge.hub.liveliness import (
+    from bridge.hub.graph.tokens import (
         NodeToken,
         endpoint_key,
         gid_of,
@@ -57,7 +57,7 @@ def _token() -> Subject:
         again = node_key(token) if isinstance(token, NodeToken) else endpoint_key(token)
         assert parse_token(again) == token, again
 
-    return Subject(parse, texts(_NODE, _ENDPOINT, _ORIGIN), (WireError,), _TOKEN_WORDS)
+    return Subject(parse, texts(_NODE, _ENDPOINT, _ORIGIN), (HubWireError,), _TOKEN_WORDS)
 
 
 def _graph() -> Subject:
@@ -82,7 +82,7 @@ def _graph() -> Subject:
             graph._on_sample(SimpleNamespace(key_expr=line.lstrip("-"), kind=delete if gone else put))  # type: ignore[arg-type]
         assert len(graph.nodes()) + len(graph.endpoints()) <= 8
         for endpoint in graph.endpoints():
-            graph.standing(endpoint.zid)
+            graph.origin_of(endpoint.zid)
             assert endpoint in graph.publishers(endpoint.topic) + graph.subscriptions(endpoint.topic) or endpoint.kind
         for line in keys:
             graph._on_sample(SimpleNamespace(key_expr=line.lstrip("-"), kind=delete))  # type: ignore[arg-type]
@@ -102,7 +102,7 @@ def _graph() -> Subject:
 
 def _qos() -> Subject:
     """A quality of service as text; what is read is written as the same again."""
-    from bridge.hub.qos import decode_qos, encode_qos
+    from bridge.hub.wire.qos import decode_qos, encode_qos
 
     def parse(data: bytes) -> None:
         qos = decode_qos(data.decode(errors="replace"))
@@ -110,7 +110,11 @@ def _qos() -> Subject:
 
     seeds = texts("::,7:,:,:,,", "2:1:2,1:1,2:3,4:1,1,1", ":::::", "::,10:9223372036,854775807:,:,,")
     return Subject(
-        parse, seeds, (WireError,), texts(":", ",", "0", "9223372036", "854775807", "4294967296", "\u0663", "-1"), 200
+        parse,
+        seeds,
+        (HubWireError,),
+        texts(":", ",", "0", "9223372036", "854775807", "4294967296", "\u0663", "-1"),
+        200,
     )
 
 
@@ -118,7 +122,7 @@ def _names() -> Subject:
     """Topic names, type names and hashes; what passes can be a part of a key of zenoh's."""
     import zenoh
 
-    from bridge.hub.keyexpr import check_topic, dds_type_name, demangle, mangle, ros_type_name, topic_key
+    from bridge.hub.wire.keys import check_topic, dds_type_name, demangle, mangle, ros_type_name, topic_key
 
     def parse(data: bytes) -> None:
         topic, _, rest = data.decode(errors="replace").partition(" ")
@@ -131,7 +135,7 @@ def _names() -> Subject:
     seeds = texts(
         "/a/b std_msgs/msg/String RIHS01_" + "ab" * 32, "/a_b/c1 a/srv/B_Request RIHS01_0", "/\u00e9 a/msg/B_ RIHS01_1"
     )
-    return Subject(parse, seeds, (WireError,), [*_TOKEN_WORDS, *texts(" ", "/msg/", "\n", "@", "/@adv")], 2000)
+    return Subject(parse, seeds, (HubWireError,), [*_TOKEN_WORDS, *texts(" ", "/msg/", "\n", "@", "/@adv")], 2000)
 
 
 def _question() -> Subject:
@@ -163,10 +167,11 @@ def _samples() -> Subject:
     """A subscription under samples, 34 bytes each: 33 of attachment, one of what is done."""
     import zenoh
 
-    from bridge.hub import attachment
-    from bridge.hub import subscription as module
-    from bridge.hub.qos import Durability, Qos
-    from bridge.hub.subscription import HubSubscription
+    from bridge.hub.endpoints import subscription as module
+    from bridge.hub.endpoints.publisher import EndpointContext
+    from bridge.hub.endpoints.subscription import HubSubscription
+    from bridge.hub.wire.keys import pack_attachment
+    from bridge.hub.wire.qos import Durability, Qos
 
     class Nothing:
         """A session, a graph, and whatever they give."""
@@ -183,10 +188,9 @@ def _samples() -> Subject:
     def parse(data: bytes) -> None:
         heard: list[Any] = []
         qos = Qos(durability=Durability.TRANSIENT_LOCAL if data[:1] == b"1" else Durability.VOLATILE, depth=5)
-        subscription = HubSubscription(
-            Nothing(), Nothing(), "t", "k", "/t",
-            qos, 1000, Nothing(), heard.append, lambda _closed: None,  # type: ignore[arg-type]
-        )  # fmt: skip
+        some: Any = Nothing()
+        context = EndpointContext(some, some, 1000, some, some, some, lambda _closed: None)
+        subscription = HubSubscription(context, "t", "k", "/t", qos, heard.append)
         hear = subscription._on_latched if qos.latched else subscription._on_sample
         count = 0
         for at in range(1, min(len(data), 1000), 34):
@@ -209,7 +213,7 @@ def _samples() -> Subject:
         assert 0 <= subscription.lost <= 1_000_000 * count
 
     def one(sequence: int, time_ns: int, how: bytes = b".") -> bytes:
-        return attachment.pack(sequence, time_ns, bytes(range(16))) + how
+        return pack_attachment(sequence, time_ns, bytes(range(16))) + how
 
     seeds = [latched + b"".join(one(n, 10 + n) for n in (1, 2, 4, 3, 9)) for latched in (b"0", b"1")]
     seeds += [b"1" + one(1, 1, b"a") + one(2, 2, b"c") + one(1, 1, b"c") + one(3, 3) + one(3, 3, b"d")]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from bridge.interfaces.errors import BuildError
+from bridge.interfaces.definition import BuildError
 from tests.fuzz.target import Subject, Target, texts
 
 

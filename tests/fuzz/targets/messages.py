@@ -27,37 +27,22 @@ _TYPES = (
 
 
 def _machine() -> Subject:
-    """The machine itself, on memory with forbidden pages around it: one byte out of bounds ends the process.
-
-    An input's first byte chooses the program, the second whether the message stands at the beginning or the end.
-    """
-    from bridge.messages.machine import run
-    from bridge.messages.ops import DIRTY
+    """The machine itself. An input's first byte chooses the program."""
     from bridge.messages.registry import Registry
-    from bridge.messages.transcoder import _error
-    from tests.messages.guarded import SIZE, TYPES, Guarded, programs
+    from bridge.messages.transcode.conversion import make_vm
+    from tests.fuzz.machines import guard
+    from tests.messages.transcode.programs import TYPES, programs
 
     registry = Registry()
-    source, target = Guarded(), Guarded()
-    made = [program for name in TYPES for program in programs(registry, name)]
-    ready = [(program, memory := program.assemble(), int(memory.ctypes.data)) for program, _ in made]
+    made = [(make_vm(program), good) for name in TYPES for program, good in programs(registry, name)]
 
     def parse(data: bytes) -> None:
-        if len(data) < 2:
-            return
-        program, _, address = ready[data[0] % len(ready)]
-        first, message = data[1] & 1, data[2:]
-        at = source.put_first(message) if first else source.put(message)
-        size = run(address, at, len(message), 0)
-        if size < 0:
-            raise _error(program, size)
-        size &= ~DIRTY
-        if size <= SIZE:
-            written = run(address, at, len(message), target.start if first else target.end - size)
-            assert written & ~DIRTY == size, (written, size)
+        machine, _ = made[data[0] % len(made)] if data else made[0]
+        message = data[1:]
+        guard(message)
+        machine.convert(message)
 
-    seeds = [bytes([number, place]) + good for number, (_, good) in enumerate(made) for place in (0, 1)]
-    return Subject(parse, seeds, (ConversionError,))
+    return Subject(parse, [bytes([number]) + good for number, (_, good) in enumerate(made)], (ConversionError,))
 
 
 def _convert() -> Subject:
@@ -184,7 +169,7 @@ def _static_tf() -> Subject:
     """Static transforms that are merged."""
     from bridge.messages.json import from_json
     from bridge.messages.registry import Registry
-    from bridge.routing.static_tf import TF_TYPE, StaticTransforms
+    from bridge.routing.rewrites import TF_TYPE, StaticTransforms
     from tests.messages.samples import sample
 
     registry = Registry()

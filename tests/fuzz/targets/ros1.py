@@ -11,8 +11,7 @@ import xmlrpc.client
 from collections.abc import Iterator
 from typing import Any
 
-from bridge.adapters.ros1.deadline import DeadlineSocket
-from bridge.adapters.ros1.errors import ProtocolError, Ros1Error
+from bridge.adapters.ros1_peers import DeadlineSocket, Ros1Error, Ros1ProtocolError
 from tests.fuzz.target import JSON_WORDS, Subject, Target, scratch, texts
 
 _FIELDS = {
@@ -24,8 +23,8 @@ _HEADER_WORDS = texts(*(f"{name}=" for name in _FIELDS), "error=no", "=", "\x00"
 
 def _header() -> Subject:
     """A connection header's fields, and what is taken out of them."""
+    from bridge.adapters.ros1.graph.probe import Facts
     from bridge.adapters.ros1.handshake import decode, encode
-    from bridge.adapters.ros1.probe import Facts
 
     def parse(data: bytes) -> None:
         fields = decode(data)
@@ -34,7 +33,7 @@ def _header() -> Subject:
             Facts.of(fields)
 
     return Subject(
-        parse, [encode(_FIELDS)[4:], encode({"error": "not a publisher"})[4:]], (ProtocolError,), _HEADER_WORDS
+        parse, [encode(_FIELDS)[4:], encode({"error": "not a publisher"})[4:]], (Ros1ProtocolError,), _HEADER_WORDS
     )
 
 
@@ -59,15 +58,16 @@ def _greeting() -> Subject:
             read_header(sock)
 
     return Subject(
-        parse, [encode(_FIELDS), encode({}), encode(_FIELDS) + b"\4\0\0\0abcd"], (ProtocolError,), _HEADER_WORDS
+        parse, [encode(_FIELDS), encode({}), encode(_FIELDS) + b"\4\0\0\0abcd"], (Ros1ProtocolError,), _HEADER_WORDS
     )
 
 
 def _frames() -> Subject:
     """A publisher's messages off a connection."""
-    from bridge.adapters.ros1 import reader as module
+    from bridge.adapters.ros1 import epoll_loop
+    from bridge.adapters.ros1.topics import connection as module
 
-    module.keep_alive = lambda _sock: None  # type: ignore[assignment]  # a socket pair is no TCP connection
+    epoll_loop.keep_alive = lambda _sock: None  # type: ignore[assignment]  # a socket pair is no TCP connection
 
     def frame(size: int) -> bytes:
         return struct.pack("<I", size) + bytes(range(256)) * (size // 256) + bytes(size % 256)
@@ -75,7 +75,7 @@ def _frames() -> Subject:
     def parse(data: bytes) -> None:
         messages: list[bytes] = []
         with _wire(data) as sock:
-            reader = module.Reader(_Addressed(sock), "/t", "http://x/", messages.append, print, print)  # type: ignore[arg-type]
+            reader = module.PublisherConnection(_Addressed(sock), "/t", "http://x/", messages.append, print, print)  # type: ignore[arg-type]
             try:
                 reader._read()
             finally:
@@ -84,7 +84,7 @@ def _frames() -> Subject:
         assert data.startswith(stream)
 
     seeds = [frame(5) * 3, frame(0) + frame(1000), frame(5000) + frame(3), b"".join(frame(n) for n in range(40))]
-    return Subject(parse, seeds, (ProtocolError,), [struct.pack("<I", n) for n in (0, 1, 2**20, 2**31, 2**32 - 1)])
+    return Subject(parse, seeds, (Ros1ProtocolError,), [struct.pack("<I", n) for n in (0, 1, 2**20, 2**31, 2**32 - 1)])
 
 
 class _Addressed:
@@ -104,9 +104,9 @@ class _Addressed:
 
 
 def _rpc_client() -> Any:
-    from bridge.adapters.ros1.rpc import RpcClient
+    from bridge.adapters.ros1_peers import XmlRpcClient
 
-    class Told(RpcClient):
+    class Told(XmlRpcClient):
         """A client whose server says what the test wants."""
 
         said = b""
@@ -153,10 +153,10 @@ def _xmlrpc() -> Subject:
 
 def _graph() -> Subject:
     """A master's state, as the worker reads it: registrations, types, addresses, who of Midspan is there."""
-    from bridge.adapters.ros1.graph import Looker
-    from bridge.adapters.ros1.presence import Presence, burial, others
+    from bridge.adapters.ros1.graph.presence import NodeEntry, others, removal_calls
+    from bridge.adapters.ros1.graph.state import MasterReader
 
-    own = Presence("o", "d", "/midspan", "http://me/", 1)
+    own = NodeEntry("o", "d", "/midspan", "http://me/", 1)
     entry = {"owner": "x", "daemon": "d", "node": "/midspan2", "uri": "http://h:1/", "pid": 7}
     state = [[["/chatter", ["/a", "/b"]]], [["/chatter", ["/c"]]], [["/a/service", ["/a"]]]]
     good = [
@@ -168,13 +168,13 @@ def _graph() -> Subject:
 
     def parse(data: bytes) -> None:
         client = _rpc_client()
-        looker = Looker(client, "/midspan")
+        looker = MasterReader(client, "/midspan")
         client.said = data
         for _ in range(2):
             with contextlib.suppress(Ros1Error):
                 look = looker.look()
                 entries = others(look, own)
-                burial(look, entries)
+                removal_calls(look, entries)
                 hash((look.publishers, look.subscribers))
         # As the answer to a question about just as many nodes, too.
         looker._nodes = ("/a", "/b", "/c")
@@ -192,12 +192,12 @@ def _graph() -> Subject:
 
 def _http() -> Subject:
     """What a node's HTTP server may say."""
-    from bridge.adapters.ros1.rpc import RpcClient
+    from bridge.adapters.ros1_peers import XmlRpcClient
 
     body = _answer([1, "", 3])
 
     def parse(data: bytes) -> None:
-        client = RpcClient("http://127.0.0.1:1/", 5.0)
+        client = XmlRpcClient("http://127.0.0.1:1/", 5.0)
         client._http.connect = _refuse  # type: ignore[method-assign]
         with _wire(data) as sock, contextlib.closing(client):
             client._http.sock = sock
@@ -225,10 +225,10 @@ def _refuse() -> None:
 
 def _uri() -> Subject:
     """Addresses that a master gives of its nodes."""
-    from bridge.adapters.ros1.rpc import RpcClient
+    from bridge.adapters.ros1_peers import XmlRpcClient
 
     def parse(data: bytes) -> None:
-        RpcClient(data.decode(errors="replace"), 1.0).close()
+        XmlRpcClient(data.decode(errors="replace"), 1.0).close()
 
     seeds = texts("http://robot:11311/", "http://127.0.0.1:4242", "http://[::1]:80/x", "https://h/", "rosrpc://h:1")
     return Subject(
@@ -239,7 +239,7 @@ def _uri() -> Subject:
 def _names() -> Subject:
     """Topic names of ROS 1, made legal on the hub."""
     from bridge.adapters.ros1.names import MAX_LENGTH, NameTable, hub_name
-    from bridge.hub.keyexpr import check_topic
+    from bridge.hub.wire.keys import check_topic
 
     def parse(data: bytes) -> None:
         name = data.decode(errors="surrogateescape")
@@ -257,10 +257,10 @@ def _names() -> Subject:
 
 def _ledger() -> Subject:
     """The state folder's file of this daemon's ROS 1 nodes."""
-    from bridge.adapters.ros1.presence import Ledger, Presence
+    from bridge.adapters.ros1.graph.presence import Ledger, NodeEntry
 
     folder = scratch()
-    last = Presence("x", "d", "/midspan", "http://h:1/", 7)
+    last = NodeEntry("x", "d", "/midspan", "http://h:1/", 7)
 
     def parse(data: bytes) -> None:
         (folder / "ros1.json").write_bytes(data)

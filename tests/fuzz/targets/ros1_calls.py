@@ -8,7 +8,7 @@ import threading
 from types import SimpleNamespace
 from typing import Any
 
-from bridge.hub.call import CallError
+from bridge.hub.endpoints.calls import CallError
 from tests.fuzz.target import Subject, Target
 
 _LIMIT = 80_000
@@ -48,20 +48,12 @@ def _drive(connection: Any, loop: _Loop) -> None:
             connection.ready()
 
 
-def _patched() -> Any:
-    from bridge.adapters.ros1 import service_connection
-
-    service_connection.keep_alive = lambda _sock: None  # type: ignore[attr-defined]
-    service_connection.socket = SimpleNamespace(**{**vars(socket), "socket": _Plain})  # type: ignore[attr-defined]
-    return service_connection
-
-
 def _said(data: bytes) -> tuple[socket.socket, socket.socket]:
     """A connection on which a peer has said these bytes and says no more, and the peer."""
     ours, theirs = socket.socketpair()
     theirs.sendall(data)
     theirs.shutdown(socket.SHUT_WR)
-    return ours, theirs
+    return _Plain(fileno=ours.detach()), theirs
 
 
 def _frame(body: bytes, head: bytes = b"") -> bytes:
@@ -70,8 +62,7 @@ def _frame(body: bytes, head: bytes = b"") -> bytes:
 
 def _requests() -> Subject:
     """A client's requests on a persistent connection: each is answered before the next is read."""
-    _patched()
-    from bridge.adapters.ros1.service_server import _Client
+    from bridge.adapters.ros1.services.server import _ClientConnection
 
     def parse(data: bytes) -> None:
         asked: list[bytes] = []
@@ -85,7 +76,7 @@ def _requests() -> Subject:
         server = SimpleNamespace(is_open=True, call=call, name="/s", gone="", left=lambda _client: loop.over.set())
         ours, theirs = _said(data)
         with theirs:
-            _drive(_Client(ours, server, loop, _LIMIT, persistent=True), loop)  # type: ignore[arg-type]
+            _drive(_ClientConnection(ours, server, loop, _LIMIT, persistent=True), loop)  # type: ignore[arg-type]
         taken = [_frame(request) for request in asked]
         assert data.startswith(b"".join(taken)) or any(size > _LIMIT for size in _announced(data))
 
@@ -105,8 +96,7 @@ def _announced(data: bytes) -> list[int]:
 
 def _replies() -> Subject:
     """What a server answers to one request: the call ends once."""
-    _patched()
-    from bridge.adapters.ros1.service_caller import _Line, _Pending
+    from bridge.adapters.ros1.services.caller import _Pending, _ServerConnection
 
     def parse(data: bytes) -> None:
         ends: list[bytes | CallError] = []
@@ -114,7 +104,7 @@ def _replies() -> Subject:
         owner = SimpleNamespace(freed=lambda _line, **_: None, lost=lambda _line, _trouble: loop.over.set())
         ours, theirs = _said(data)
         with theirs:
-            line = _Line(ours, SimpleNamespace(node="/server"), owner, loop, _LIMIT)  # type: ignore[arg-type]
+            line = _ServerConnection(ours, SimpleNamespace(node="/server"), owner, loop, _LIMIT)  # type: ignore[arg-type]
             line.begin(_Pending(b"request", ends.append, lambda _pending: None))
             _drive(line, loop)
         (end,) = ends

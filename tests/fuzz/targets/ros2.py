@@ -7,7 +7,7 @@ from tests.fuzz.target import Subject, Target, scratch, texts
 
 def _prefixes() -> Subject:
     """The state folder's file of past participants."""
-    from bridge.adapters.ros2.origins import _remember
+    from bridge.adapters.ros2.graph.origins import _remember
 
     file = scratch() / "prefixes"
     own = bytes(range(12))
@@ -25,12 +25,12 @@ def _prefixes() -> Subject:
 
 def _network() -> Subject:
     """A network's identity in another session's origin."""
-    from bridge.adapters.ros2.mark import is_marked
-    from bridge.adapters.ros2.origins import Origins
+    from bridge.adapters.ros2.graph.origins import Origins, is_marked
+    from bridge.concurrency import DelayedCalls
 
     folder = scratch()
     own = bytes(range(12))
-    origins = Origins(own, folder, frozenset, lambda: None)
+    origins = Origins(own, folder, frozenset, lambda: None, DelayedCalls("fuzz-origins"))
     # Past its moment at once, without a timer for each.
     origins._first_seen = _Seen()
 

@@ -77,12 +77,12 @@ def _reply() -> Subject:
 def _text() -> Subject:
     """A Bottle's text; what it says is printed, and as bytes it is the same again."""
     from yarp_compat.wire.binary import decode, encode
-    from yarp_compat.wire.text import _Reader, from_text, is_complete, to_text
+    from yarp_compat.wire.text import _TextReader, from_text, is_complete, to_text
 
     def parse(data: bytes) -> None:
         line = data.decode(errors="surrogateescape")
         values = from_text(line)
-        assert len(line) > 1000 or to_text(values) == to_text(_Reader(line).values(line, 0))
+        assert len(line) > 1000 or to_text(values) == to_text(_TextReader(line).values(line, 0))
         is_complete(line)
         wire = encode(values, Profile.YARP4)
         # as bytes: escapes may stand between the bytes of one character
@@ -105,7 +105,7 @@ def _text() -> Subject:
 
 def _stamp() -> Subject:
     """A stamp as envelope and as message."""
-    from yarp_compat.os.stamp import Stamp
+    from yarp_compat.os.data.stamp import Stamp
 
     def parse(data: bytes) -> None:
         stamp = Stamp()
@@ -129,7 +129,7 @@ def _stamp() -> Subject:
 
 def _property() -> Subject:
     """A configuration file's text, a message, a command line; the first byte says which."""
-    from yarp_compat.os.property import Property
+    from yarp_compat.os.data.bottle import Property
 
     folder = scratch()
     (folder / "self.ini").write_text('n 1\n[include "self.ini"]\n')

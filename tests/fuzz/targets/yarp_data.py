@@ -16,15 +16,14 @@ _LISTS = [bytes.fromhex("0001000001000000") * n for n in (1, 100, 300)]
 
 
 def _kinds() -> Sequence[type[Any]]:
+    from yarp_compat.dev.basecontrol import OdometryData
     from yarp_compat.dev.frametransform import FrameTransform
-    from yarp_compat.dev.laserscan import LaserScan2D
     from yarp_compat.dev.locations import Map2DArea, Map2DLocation, Map2DObject, Map2DPath
-    from yarp_compat.dev.odometry import OdometryData
+    from yarp_compat.dev.rangefinder import LaserScan2D
     from yarp_compat.dev.returnvalue import ReturnValue
     from yarp_compat.sig.image import FlexImage, ImageMono, ImageRgb
-    from yarp_compat.sig.matrix import Matrix
+    from yarp_compat.sig.matrix import Matrix, Quaternion
     from yarp_compat.sig.pointcloud import PointCloud, PointCloudXYZ
-    from yarp_compat.sig.quaternion import Quaternion
     from yarp_compat.sig.sound import Sound
     from yarp_compat.sig.vec2d import Vec2D
     from yarp_compat.sig.vector import Vector, VectorFloat, VectorInt, VectorUInt8
@@ -141,7 +140,7 @@ def _navigation() -> Subject:
     from tests.yarp_compat.dev.test_inavigation2d import CALLS
     from tests.yarp_compat.dev.test_robotgoto_commands import Goto
     from yarp_compat.dev.inavigation2d import INavigation2DMsgs
-    from yarp_compat.dev.localization2d_server import Localization2DServer
+    from yarp_compat.dev.localization2d import Localization2DServer
     from yarp_compat.dev.returnvalue import ReturnValue
     from yarp_compat.dev.server import Server
     from yarp_compat.wire.binary import encode

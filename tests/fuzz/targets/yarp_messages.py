@@ -16,7 +16,7 @@ _TYPES = (
     "std_msgs/msg/String",
     "std_msgs/msg/Float64MultiArray",
 )
-_FIELDS = {
+_FIELDS: dict[str, list[str | int]] = {
     "geometry_msgs/msg/Twist": ["linear.x", "deg(angular.z)", 3, "'end'"],
     "sensor_msgs/msg/JointState": ["header.stamp", "name", "position"],
 }
@@ -29,7 +29,7 @@ def _subject(form: str) -> Subject:
     from bridge.messages.json import from_json
     from bridge.messages.registry import Registry
     from bridge.messages.yarp.contents import Content
-    from bridge.messages.yarp.fields import Entry
+    from bridge.messages.yarp.fields import BottleEntry
     from tests.messages.samples import sample
     from yarp_compat.wire.profile import Profile
 
@@ -37,7 +37,7 @@ def _subject(form: str) -> Subject:
     types = tuple(_FIELDS) if form == "fields" else _TYPES
     codecs, seeds = [], []
     for number, name in enumerate(types):
-        entries = tuple(Entry.parse(entry) for entry in _FIELDS[name]) if form == "fields" else ()
+        entries = tuple(BottleEntry.parse(entry) for entry in _FIELDS[name]) if form == "fields" else ()
         codec = Content(form, entries).codec(registry, name)
         codecs.append((codec, registry.hub_check(name)))
         if name in ("sensor_msgs/msg/Image", "sensor_msgs/msg/PointCloud2", "nav_msgs/msg/OccupancyGrid"):

@@ -6,17 +6,16 @@ from pathlib import Path
 
 from tests.fuzz.target import JSON_WORDS, Subject, Target, texts
 from yarp_compat.naming import config
-from yarp_compat.naming.answers import OLD, Answer, lines
-from yarp_compat.naming.errors import ConfigError
-from yarp_compat.naming.registry import Registry
-from yarp_compat.naming.state import dumps, loads
+from yarp_compat.naming.registry import OLD, Command, PortRegistry, lines
+from yarp_compat.naming.server import dumps, loads
+from yarp_compat.ports.naming import NamingConfigError
 from yarp_compat.wire.binary import decode, encode
-from yarp_compat.wire.contact import Contact
+from yarp_compat.wire.contact import PortContact
 from yarp_compat.wire.errors import WireError
 from yarp_compat.wire.profile import Profile
 from yarp_compat.wire.text import from_text, to_text
 
-_SERVER = Contact("/root", "127.0.0.1", 10000)
+_SERVER = PortContact("/root", "127.0.0.1", 10000)
 _RECORDED = Path(__file__).parents[2] / "yarp_compat" / "data" / "name_server.txt"
 _COMMANDS = [line[2:] for line in _RECORDED.read_text().splitlines() if line.startswith("> ")]
 _WORDS = texts(
@@ -27,7 +26,7 @@ _WORDS = texts(
 )  # fmt: skip
 
 
-def _checked(registry: Registry, answer: Answer) -> None:
+def _checked(registry: PortRegistry, answer: Command) -> None:
     """What is promised of every answer: it can be sent, and what it says of a port can be read."""
     if answer.values[:1] == [OLD]:
         said = lines(answer.values)
@@ -36,7 +35,7 @@ def _checked(registry: Registry, answer: Answer) -> None:
             assert "\n" not in line, line
             assert "\r" not in line, line
             if line.startswith("registration name "):
-                found = Contact.from_registration(line)
+                found = PortContact.from_registration(line)
                 assert found is not None
                 assert registry.find(found.name) == found
     else:
@@ -47,10 +46,10 @@ def _checked(registry: Registry, answer: Answer) -> None:
     assert len(answer.wishes) < 1000
 
 
-def _remembered(registry: Registry) -> None:
+def _remembered(registry: PortRegistry) -> None:
     """What is written down is read as the same."""
     data = dumps(registry)
-    again = Registry(_SERVER)
+    again = PortRegistry(_SERVER)
     loads(again, data)
     assert dumps(again) == data
 
@@ -59,7 +58,7 @@ def _lines() -> Subject:
     """Commands, one a line, to one name server."""
 
     def parse(data: bytes) -> None:
-        registry = Registry(_SERVER)
+        registry = PortRegistry(_SERVER)
         for line in data.split(b"\n")[:40]:
             _checked(registry, registry.apply(from_text(line.decode(errors="surrogateescape")), "127.0.0.1"))
         _remembered(registry)
@@ -72,7 +71,7 @@ def _bottles() -> Subject:
     """A command as a Bottle, of any values."""
 
     def parse(data: bytes) -> None:
-        registry = Registry(_SERVER)
+        registry = PortRegistry(_SERVER)
         values = decode(data)
         for _ in range(2):
             _checked(registry, registry.apply(values, "10.0.0.7"))
@@ -92,7 +91,7 @@ def _conf() -> Subject:
 
     seeds = texts("127.0.0.1 10000 yarp\n", "[name]\nhost icub-head\nport 10006\nmode yarp\n", '"10.1.1.1" "10000"')
     return Subject(
-        parse, seeds, (ConfigError,), texts("[", "]", "[name]", "host", "port", '"', "//", "\x85", "-1", "0")
+        parse, seeds, (NamingConfigError,), texts("[", "]", "[name]", "host", "port", '"', "//", "\x85", "-1", "0")
     )
 
 
@@ -100,17 +99,17 @@ def _memory() -> Subject:
     """The file in which a name server remembers."""
 
     def parse(data: bytes) -> None:
-        registry = Registry(_SERVER)
+        registry = PortRegistry(_SERVER)
         loads(registry, data)
         _checked(registry, registry.apply(["list"], ""))
         _checked(registry, registry.apply(["subscribe"], ""))
         registry.apply(["register", "/new"], "127.0.0.1")
 
-    full = Registry(_SERVER)
+    full = PortRegistry(_SERVER)
     for command in _COMMANDS:
         full.apply(from_text(command), "127.0.0.1")
     words = [*JSON_WORDS, *texts('"ports"', '"next"', '"used"', '"live"', '"topics"', "[[", "99999", '"/a"')]
-    return Subject(parse, [dumps(full), dumps(Registry(_SERVER))], (ValueError,), words)
+    return Subject(parse, [dumps(full), dumps(PortRegistry(_SERVER))], (ValueError,), words)
 
 
 def _contact() -> Subject:
@@ -118,12 +117,12 @@ def _contact() -> Subject:
 
     def parse(data: bytes) -> None:
         text = data.decode(errors="surrogateescape")
-        contact = Contact.parse(text)
+        contact = PortContact.parse(text)
         assert contact.port <= 0xFFFF
         if contact.is_valid:
-            assert Contact.parse(contact.uri).port == contact.port
-        found = Contact.from_registration(text)
-        assert found is None or Contact.from_registration(found.registration) == found
+            assert PortContact.parse(contact.uri).port == contact.port
+        found = PortContact.from_registration(text)
+        assert found is None or PortContact.from_registration(found.registration) == found
 
     seeds = texts(
         "/reader", "udp://reader", "tcp://127.0.0.1:10002/", "/127.0.0.1:10002/r", "fast_tcp+recv.x:/r",

@@ -7,30 +7,29 @@ from typing import Any, cast
 
 from tests.fuzz.target import Subject, Target, texts
 from yarp_compat.ports import admin
-from yarp_compat.ports.commands import obey
+from yarp_compat.ports.admin import obey
 from yarp_compat.ports.inputs import BinaryInput, Input
-from yarp_compat.ports.lines import to_line
-from yarp_compat.ports.loop import Loop
-from yarp_compat.ports.message import Message
+from yarp_compat.ports.loop import PortLoop
+from yarp_compat.ports.message import PortMessage
 from yarp_compat.ports.naming import LocalNaming
-from yarp_compat.ports.pages import PageInput
+from yarp_compat.ports.outgoing import to_line
 from yarp_compat.ports.port import PortCore
-from yarp_compat.ports.textinputs import NameInput, TextInput
-from yarp_compat.wire import carriers, header, http, message
+from yarp_compat.ports.textinputs import NameInput, PageInput, TextInput
+from yarp_compat.wire import carriers, framing, http
 from yarp_compat.wire.binary import encode
-from yarp_compat.wire.command import PortCommand
+from yarp_compat.wire.carriers import Opening
 from yarp_compat.wire.datagrams import Assembler, split
 from yarp_compat.wire.errors import WireError
-from yarp_compat.wire.header import Opening
+from yarp_compat.wire.framing import PortCommand
 from yarp_compat.wire.profile import Profile
 from yarp_compat.wire.text import from_text
 
 _BOTTLE = encode(["hello", 42, 3.5, [1, 2], b"x"], Profile.YARP3)
-_DATA = message.prefix(len(_BOTTLE)) + _BOTTLE
-_REQUEST = message.prefix(len(_BOTTLE), "d", "7 1.5") + _BOTTLE
-_ADMIN = message.prefix(len(_BOTTLE), "a") + _BOTTLE
+_DATA = framing.prefix(len(_BOTTLE)) + _BOTTLE
+_REQUEST = framing.prefix(len(_BOTTLE), "d", "7 1.5") + _BOTTLE
+_ADMIN = framing.prefix(len(_BOTTLE), "a") + _BOTTLE
 _WORDS = [b"YA", b"RP", b"\xff\xff\xff\xff", b"\xff\xff\xff\x7f", b"\0\0\0\x80", b"\0\0\0\0", b"~D\0\1", b"~\0\0\1",
-          message.INDEX, message.ACK, message.QUIT, b"\2\1" + b"\xff" * 8]  # fmt: skip
+          framing.INDEX, framing.ACK, framing.QUIT, b"\2\1" + b"\xff" * 8]  # fmt: skip
 _LIMIT = 1 << 20
 
 
@@ -59,14 +58,14 @@ class _Said(socket.socket):
         del flag
 
 
-def _echo(incoming: Message) -> None:
+def _echo(incoming: PortMessage) -> None:
     incoming.reply(incoming.payload)
 
 
 def _port() -> PortCore:
     """A port that is open for messages, but does not listen, and can reach nobody."""
     port = PortCore("/fuzzed", on_message=_echo, naming=LocalNaming(), limit=_LIMIT, is_output=False)
-    port._loop = cast(Loop, object())
+    port._loop = cast(PortLoop, object())
     return port
 
 
@@ -84,19 +83,19 @@ def _conversation(kind: type[Input], carrier: carriers.Carrier, seeds: list[byte
 
 def _opening() -> Subject:
     """An introduction; what is read is written the same again, and no beginning of a whole one is refused."""
-    seeds = [header.opening(c, "/w", q) for c in carriers.OUTPUTS for q in ("", "recv.portmonitor+type.dll")]
+    seeds = [carriers.opening(c, "/w", q) for c in carriers.OUTPUTS for q in ("", "recv.portmonitor+type.dll")]
     seeds += texts("NAME_SERVER query /x\r\n", "GET / HTTP/1.1\r\n\r\n", "POST /form HTTP/1.1\r\n\r\n")
 
     def parse(data: bytes) -> None:
-        opened = header.parse_opening(data)
+        opened = carriers.parse_opening(data)
         if opened is None or not opened.size:
             return
-        header.answer(opened, 10002)
+        carriers.answer(opened, 10002)
         assert opened.size <= len(data)
-        again = header.parse_opening(header.opening(opened.carrier, opened.sender))
+        again = carriers.parse_opening(carriers.opening(opened.carrier, opened.sender))
         assert again is not None
         assert (again.carrier, again.sender) == (opened.carrier, opened.sender)
-        assert header.parse_opening(data[: opened.size - 1]) is None
+        assert carriers.parse_opening(data[: opened.size - 1]) is None
 
     return Subject(parse, seeds, (WireError,), [*_WORDS, b"CONNECT ", b"CONNACK ", b"\r\n", b" ("], 4096)
 
@@ -105,16 +104,16 @@ def _message() -> Subject:
     """One whole message."""
 
     def parse(data: bytes) -> None:
-        word, payload = message.parse(data, _LIMIT)
+        word, payload = framing.parse(data, _LIMIT)
         assert len(payload) <= len(data)
         assert len(word.key) <= 1
 
-    return Subject(parse, [_DATA, _REQUEST, _ADMIN, message.QUIT, message.words("/reader")], (WireError,), _WORDS)
+    return Subject(parse, [_DATA, _REQUEST, _ADMIN, framing.QUIT, framing.words("/reader")], (WireError,), _WORDS)
 
 
 def _binary() -> Subject:
-    seeds = [_DATA, _REQUEST + _DATA, _ADMIN + message.QUIT, message.words("*") + _DATA]
-    seeds += [message.words("!/x"), message.words("~/x"), message.words("/x")]
+    seeds = [_DATA, _REQUEST + _DATA, _ADMIN + framing.QUIT, framing.words("*") + _DATA]
+    seeds += [framing.words("!/x"), framing.words("~/x"), framing.words("/x")]
     return _conversation(BinaryInput, carriers.TCP, seeds, _WORDS)
 
 
@@ -134,7 +133,7 @@ def _datagrams() -> Subject:
             except WireError:
                 continue
             if found is not None:
-                message.parse(found, _LIMIT)
+                framing.parse(found, _LIMIT)
 
     pieces = [bytes(4) + struct.pack("<i", i) + _DATA[i * 30 : i * 30 + 30] for i in range(4)]
     whole = b"".join(bytes([len(p)]) + p for p in pieces)

@@ -7,7 +7,7 @@ import time
 from types import SimpleNamespace
 from typing import Any
 
-from bridge.hub.errors import WireError
+from bridge.hub.errors import HubWireError
 from bridge.messages.errors import ConversionError
 from tests.fuzz.target import JSON_WORDS, Subject, Target, texts
 
@@ -36,19 +36,19 @@ def _ros2dds_token() -> Subject:
         write = action_key if len(told) > 1 else token_key
         assert not told or read(write(told[0])) == told
 
-    return Subject(parse, _TOKENS, (WireError,), _TOKEN_WORDS)
+    return Subject(parse, _TOKENS, (HubWireError,), _TOKEN_WORDS)
 
 
 def _ros2dds_graph() -> Subject:
     """Such tokens coming and going, one a line, ``-`` before those that go; in the end nothing is left."""
     import zenoh
 
-    from bridge.adapters.zenoh.ros2dds_graph import Graph
+    from bridge.adapters.zenoh.ros2dds_graph import Ros2ddsGraph
 
     put, delete = zenoh.SampleKind.PUT, zenoh.SampleKind.DELETE
 
     def parse(data: bytes) -> None:
-        graph = Graph(_Nothing(), "robot1/", lambda: None)  # type: ignore[arg-type]
+        graph = Ros2ddsGraph(_Nothing(), "robot1/", lambda: None)  # type: ignore[arg-type]
         # zenoh's keys begin with what is subscribed to
         lines = [line for line in data.decode(errors="replace").split("\n") if line.lstrip("-").startswith("@/")]
         for line in lines:
@@ -76,8 +76,8 @@ class _Nothing:
 
 def _ros1_beacon() -> Subject:
     """Discovery keys of zenoh-plugin-ros1; what is read is written as a key that says the same."""
-    from bridge.adapters.zenoh.ros1_keys import discovery_key
-    from bridge.adapters.zenoh.ros1_keys import parse as read
+    from bridge.adapters.zenoh.ros1_discovery import discovery_key
+    from bridge.adapters.zenoh.ros1_discovery import parse as read
 
     def parse(data: bytes) -> None:
         kind, topic = read(data.decode(errors="replace"))
@@ -85,14 +85,14 @@ def _ros1_beacon() -> Subject:
         assert again[0] is kind
         assert again[1].name.strip("/") == topic.name.strip("/")
 
-    return Subject(parse, texts(_BEACON, _BEACON.replace("/pub/", "/srv/")), (WireError,), _BEACON_WORDS)
+    return Subject(parse, texts(_BEACON, _BEACON.replace("/pub/", "/srv/")), (HubWireError,), _BEACON_WORDS)
 
 
 def _ros1_beacons() -> Subject:
     """Such beacons, one a line, and then silence: nothing is left of them."""
     import zenoh
 
-    from bridge.adapters.zenoh.ros1_aloha import _LOST, PERIOD, Aloha
+    from bridge.adapters.zenoh.ros1_discovery import _LOST, PERIOD, Aloha
 
     put = zenoh.SampleKind.PUT
 
@@ -111,7 +111,7 @@ def _ros1_beacons() -> Subject:
 
 def _json_key() -> Subject:
     """JSON texts on plain keys; what is taken comes back as JSON that says the same."""
-    from bridge.adapters.zenoh.json_text import cdr_to_text, text_to_cdr
+    from bridge.adapters.zenoh.json_keys import cdr_to_text, text_to_cdr
     from bridge.messages.registry import Registry
     from tests.messages.samples import sample
 

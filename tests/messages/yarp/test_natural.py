@@ -17,11 +17,9 @@ from hypothesis import strategies as st
 from bridge.messages.errors import ConversionError
 from bridge.messages.json import from_json, to_json
 from bridge.messages.registry import Registry
-from bridge.messages.values import Reader
-from bridge.messages.yarp.codec import Codec
-from bridge.messages.yarp.contents import Content
-from bridge.messages.yarp.natural.codec import KINDS
-from bridge.messages.yarp.natural.kind import Missing
+from bridge.messages.values import MessageReader
+from bridge.messages.yarp.codec import Codec, Missing
+from bridge.messages.yarp.contents import KINDS, Content
 from tests.messages.samples import sample
 from yarp_compat.dev.mapgrid import MapGrid2D
 from yarp_compat.sig import image, pointcloud
@@ -113,7 +111,7 @@ def test_images_there_and_back(encoding: str, kind: type[image.Image] | None, pr
     again = back("sensor_msgs/msg/Image", payload, None)
     assert (again["encoding"], again["step"]) == (encoding, width * pixel)
     name = "sensor_msgs/msg/Image"
-    data = Reader(REGISTRY.schema(name), codec(name).to_hub(payload, profile, STAMP)).message()["data"]
+    data = MessageReader(REGISTRY.schema(name), codec(name).to_hub(payload, profile, STAMP)).message()["data"]
     assert data.tobytes() == rows[:, : width * pixel].tobytes()
 
 

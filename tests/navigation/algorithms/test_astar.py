@@ -5,6 +5,7 @@ from __future__ import annotations
 import heapq
 import itertools
 import math
+from typing import Any
 
 import numpy as np
 import pytest
@@ -12,10 +13,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
+from navigation.algorithms import shortcut as compiled_lines
 from navigation.algorithms.astar import DIAGONAL, STRAIGHT, astar
 from navigation.algorithms.shortcut import sees, shortcut
+from tests.support.uncompiled import uncompiled
 
 Grid = NDArray[np.uint8]
+python = uncompiled("navigation.algorithms.astar")
+python_lines = uncompiled("navigation.algorithms.shortcut")
 
 
 def dijkstra(weights: Grid, start: tuple[int, int], goal: tuple[int, int]) -> float:
@@ -65,9 +70,14 @@ def test_ways_are_the_cheapest_and_cut_no_corner(weights: Grid, data: st.DataObj
     )
     way = astar(weights, start, goal)
     least = dijkstra(weights, start, goal) if weights[goal] else math.inf
+    same = python.astar(weights, start, goal)
+    assert sees(weights, start, goal) == python_lines.sees(weights, start, goal)
     if way is None:
         assert least == math.inf
+        assert same is None
         return
+    assert way.cost == same.cost
+    np.testing.assert_array_equal(way.cells, same.cells)
     assert way.cost == pytest.approx(least)
     assert tuple(way.cells[0]) == start
     assert tuple(way.cells[-1]) == goal
@@ -84,6 +94,7 @@ def test_ways_are_the_cheapest_and_cut_no_corner(weights: Grid, data: st.DataObj
 
 def check_waypoints(weights: Grid, cells: NDArray[np.int32]) -> None:
     points = shortcut(weights, cells)
+    np.testing.assert_array_equal(points, python_lines.shortcut(weights, cells))
     assert tuple(points[0]) == tuple(cells[0])
     assert tuple(points[-1]) == tuple(cells[-1])
     places = {tuple(cell): n for n, cell in enumerate(cells)}
@@ -115,6 +126,14 @@ def test_a_way_round_a_wall() -> None:
     assert sees(weights, (0, 0), (0, 20))
 
 
+@pytest.mark.parametrize("columns", [1, 3])
+def test_cells_that_are_no_rows_and_columns_are_refused(columns: int) -> None:
+    weights = np.ones((9, 9), np.uint8)
+    for module in (compiled_lines, python_lines):
+        with pytest.raises(ValueError, match="rows and columns"):
+            module.shortcut(weights, np.zeros((4, columns), np.int32))
+
+
 def test_a_line_through_a_corner_is_not_free() -> None:
     weights = np.array([[1, 0], [1, 1]], np.uint8)
     assert not sees(weights, (0, 0), (1, 1))
@@ -129,6 +148,43 @@ def test_heavy_cells_are_gone_round_and_not_cut_across() -> None:
     assert weights[way.cells[:, 0], way.cells[:, 1]].max() == 1
     points = shortcut(weights, way.cells)
     assert points[:, 0].min() <= 2
+
+
+def test_a_grid_on_which_costs_need_64_bits() -> None:
+    weights = np.random.default_rng(1).integers(1, 256, (300, 300)).astype(np.uint8)
+    ends = (150, 150), (135, 165)
+    way, same = astar(weights, *ends), python.astar(weights, *ends)
+    assert way is not None
+    assert way.cost == same.cost == dijkstra(weights, *ends)
+    np.testing.assert_array_equal(way.cells, same.cells)
+
+
+def test_the_open_list_grows(monkeypatch: pytest.MonkeyPatch) -> None:
+    weights = np.random.default_rng(1).integers(1, 4, (600, 600)).astype(np.uint8)
+    weights[200, :-1] = 0
+    start, door, goal = (0, 0), (200, 599), (599, 0)
+    whole, parts = astar(weights, start, goal), [astar(weights, start, door), astar(weights, door, goal)]
+    assert whole is not None  # it has more than 4096 entries at once
+    assert whole.cost == pytest.approx(sum(part.cost for part in parts if part is not None), rel=1e-12)
+    few = weights[:30, :30]
+    small = astar(few, (0, 0), (29, 29))
+    assert small is not None
+    monkeypatch.setattr(python, "_ENTRIES", 2)
+    np.testing.assert_array_equal(small.cells, python.astar(few, (0, 0), (29, 29)).cells)
+    monkeypatch.setattr(python, "_MOST_ENTRIES", 15)
+    with pytest.raises(MemoryError, match="16 open cells"):
+        python.astar(few, (0, 0), (29, 29))
+
+
+@pytest.mark.parametrize("outside", [(-1, 0), (0, -1), (5, 0), (0, 5)])
+@pytest.mark.parametrize("lines", [compiled_lines, python_lines], ids=["compiled", "uncompiled"])
+def test_lines_that_leave_the_grid(lines: Any, outside: tuple[int, int]) -> None:
+    weights = np.ones((5, 5), np.uint8)
+    for one, other in (((2, 2), outside), (outside, (2, 2))):
+        with pytest.raises(IndexError, match="outside the grid of 5 x 5"):
+            lines.sees(weights, one, other)
+    with pytest.raises(IndexError, match="outside the grid of 5 x 5"):
+        lines.shortcut(weights, np.array([(0, 0), outside, (1, 1)], np.int32))
 
 
 def test_where_one_stands_may_be_an_obstacle_and_where_one_goes_may_not() -> None:

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from navigation.algorithms.distance_transform import distance_transform
+from tests.support.uncompiled import uncompiled
 
 
 @settings(max_examples=200, deadline=None)
@@ -19,4 +21,18 @@ def test_distances_are_exact(rows: int, columns: int, chance: float, seed: int) 
         wanted = np.sqrt(((cells[:, None] - places[None]) ** 2).sum(axis=2).min(axis=1))
     else:
         wanted = np.full(len(cells), np.inf)
-    np.testing.assert_allclose(distance_transform(obstacles).ravel(), wanted, rtol=1e-6)
+    found = distance_transform(obstacles)
+    np.testing.assert_allclose(found.ravel(), wanted, rtol=1e-6)
+    python = uncompiled("navigation.algorithms.distance_transform")
+    np.testing.assert_array_equal(found, python.distance_transform(obstacles))
+
+
+@pytest.mark.parametrize("shape", [(0, 5), (5, 0), (0, 0)])
+def test_no_cells(shape: tuple[int, int]) -> None:
+    assert distance_transform(np.ones(shape, bool)).shape == shape
+
+
+def test_any_part_of_an_array() -> None:
+    obstacles = np.random.default_rng(1).random((40, 60)) < 0.05
+    part = obstacles[3:30:2, ::-3]
+    np.testing.assert_array_equal(distance_transform(part), distance_transform(part.copy()))

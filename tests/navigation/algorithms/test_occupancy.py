@@ -8,7 +8,9 @@ import numpy as np
 import pytest
 
 from navigation.algorithms.occupancy import OccupancyMap
+from tests.support.uncompiled import uncompiled
 
+Uncompiled: type[OccupancyMap] = uncompiled("navigation.algorithms.occupancy").OccupancyMap
 BEAMS = 720
 STEP = 2 * math.pi / BEAMS
 CELL = 0.05
@@ -105,3 +107,43 @@ def test_a_beam_passes_only_as_far_as_those_beside_it(
     for way, passed in ((0.8, True), (1.5, free)):
         at = int((0.5 + way * math.sin(last) + 0.525) / CELL), int((0.5 + way * math.cos(last) + 0.525) / CELL)
         assert (grid.odds[at] < 0.0) == passed
+
+
+def test_compiled_and_uncompiled_make_the_same_map() -> None:
+    rng = np.random.default_rng(2)
+    maps = [made(60, 90, CELL, (-1.0, -1.0)) for made in (OccupancyMap, Uncompiled)]
+    for turn in range(6):
+        ranges = np.abs(rng.normal(1.5, 0.8, 200 + turn))
+        for odd in (math.nan, math.inf, -math.inf, 1e300, 0.0, -1.0):
+            ranges[rng.integers(0, len(ranges), 8)] = odd
+        pose = (*rng.uniform(-1.5, 3.5, 2).tolist(), rng.uniform(-9.0, 9.0))
+        first, step = rng.random(), rng.choice([-1.0, 1.0]) * rng.uniform(0.0, 0.03)
+        farthest = rng.choice([1.0, 10.0, math.inf])
+        with np.errstate(all="ignore"):
+            touched, wanted = (each.insert(pose, ranges, first, step, farthest) for each in maps)
+        assert touched == wanted
+        np.testing.assert_array_equal(maps[0].odds, maps[1].odds)
+    assert (maps[0].odds > 0.0).any()
+
+
+@pytest.mark.parametrize("made", [OccupancyMap, Uncompiled])
+@pytest.mark.parametrize("odd", [math.inf, 1e300, 1e18])
+@pytest.mark.parametrize("farthest", [1e300, math.inf])
+def test_what_is_farther_than_all_maps(made: type[OccupancyMap], odd: float, farthest: float) -> None:
+    grid = made(20, 30, CELL, (0.0, 0.0))
+    with np.errstate(all="ignore"):
+        assert grid.insert((0.51, 0.51, 0.0), np.full(8, odd), 0.0, math.pi / 4, farthest) > 20
+        grid.insert((1e300, -1e300, 0.0), np.full(8, odd), 0.0, math.pi / 4, farthest)
+    assert grid.odds.max() == 0.0
+    assert np.isfinite(grid.odds).all()
+    assert not grid.marks.any()
+
+
+@pytest.mark.parametrize("made", [OccupancyMap, Uncompiled])
+def test_scans_without_beams_without_steps_and_of_any_layout(made: type[OccupancyMap]) -> None:
+    grid = made(20, 30, CELL, (0.0, 0.0))
+    assert grid.insert((0.5, 0.5, 0.0), np.empty(0), 0.0, 0.1, 10.0) == 0
+    assert grid.insert((0.31, 0.51, 0.0), np.ones((4, 2), np.float32)[:, 0], 0.0, 0.0, 10.0) == 21
+    for first, step in ((math.nan, 0.1), (0.0, math.nan), (math.inf, 0.1), (0.0, math.inf)):
+        with pytest.raises(ValueError, match="finite"):
+            grid.insert((0.5, 0.5, 0.0), np.ones(4), first, step, 10.0)

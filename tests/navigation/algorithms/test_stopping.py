@@ -5,19 +5,22 @@ import math
 import numpy as np
 import pytest
 
+from navigation.algorithms import stopping
 from navigation.algorithms.rolling_grid import UNKNOWN
-from navigation.algorithms.stopping import kernels
+from tests.support.uncompiled import uncompiled
 
+MODULES = (stopping, uncompiled("navigation.algorithms.stopping"))
 RADIUS, SLOW, FAST, TOP, REACTION, BRAKING, TURNING = 0.3, 0.01, 0.05, 0.3, 0.25, 0.3, 1.4
 
 
-def slowed(points, has, wanted):
+def slowed(points, has, wanted, module=stopping, pose=(0.0, 0.0, 0.0), braking=BRAKING, top=TOP):
     blocker = np.zeros(3)
     array = np.array(points, float).reshape(-1, 3)
-    share = kernels()[0](
-        array, len(array), 0.0, 0.0, 0.0, np.array(has, float), np.array(wanted, float),
-        REACTION, BRAKING, TURNING, RADIUS, SLOW, FAST, TOP, blocker,
-    )  # fmt: skip
+    with np.errstate(all="ignore"):
+        share = module.slowed(
+            array, len(array), *pose, np.array(has, float), np.array(wanted, float),
+            REACTION, braking, TURNING, RADIUS, SLOW, FAST, top, blocker,
+        )  # fmt: skip
     return share, blocker
 
 
@@ -67,8 +70,84 @@ def test_what_is_allowed_comes_no_nearer_than_the_radius():
 def test_what_is_ahead():
     points = np.array([(1.0, 0.0, 1.0), (1.0, 0.1, 0.0), (0.0, 0.5, 0.0), (-0.4, 0.0, 1.0)])
     found = np.empty(6)
-    kernels()[1](points, 4, 0.0, 0.0, 0.0, 0.0, 1.2, 0.3, 0.3, math.radians(25.0), found)
+    stopping.ahead(points, 4, 0.0, 0.0, 0.0, 0.0, 1.2, 0.3, 0.3, math.radians(25.0), found)
     assert tuple(found[:3]) == (2.0, 1.0, 1.0)
     assert tuple(found[3:]) == (0.4, pytest.approx(math.pi, abs=1e-6), 0.4)
-    kernels()[1](points, 4, 0.0, 0.0, 0.0, math.pi / 2, 1.2, 0.3, 0.3, math.radians(25.0), found)
+    stopping.ahead(points, 4, 0.0, 0.0, 0.0, math.pi / 2, 1.2, 0.3, 0.3, math.radians(25.0), found)
     assert found[0] == 1.0, "the rectangle turns with the way"
+
+
+def test_compiled_and_uncompiled_say_the_same():
+    rng = np.random.default_rng(7)
+    shares = set()
+    for count in (0, 1, 12, 40):
+        for _ in range(15):
+            pose = tuple(rng.uniform(-20.0, 20.0, 3).tolist())
+            angles, away = rng.uniform(-math.pi, math.pi, count), rng.uniform(0.29, 0.9, count)
+            points = np.stack(
+                [pose[0] + away * np.cos(angles), pose[1] + away * np.sin(angles), rng.integers(0, 3, count)], axis=1
+            )
+            has, wanted = rng.uniform(-0.3, 0.3, 3), rng.uniform(-0.3, 0.3, 3)
+            (share, blocker), (other, other_blocker) = (slowed(points, has, wanted, each, pose) for each in MODULES)
+            assert share == other
+            np.testing.assert_array_equal(blocker, other_blocker)
+            shares.add(share)
+            found = np.empty((2, 6))
+            for module, row in zip(MODULES, found, strict=True):
+                module.ahead(points, count, *pose, 0.5 * wanted[2], 0.8, 0.3, 0.3, 0.4, row)
+            np.testing.assert_array_equal(found[0], found[1])
+    assert len(shares) > 3
+
+
+@pytest.mark.parametrize("module", MODULES, ids=("compiled", "uncompiled"))
+class TestWhatIsNoNumber:
+    @pytest.mark.parametrize("odd", [math.nan, math.inf, -math.inf, 1e300])
+    @pytest.mark.parametrize("axis", range(3))
+    def test_a_velocity_that_is_none_is_not_let_through(self, module, odd, axis):
+        velocity = [0.1, 0.0, 0.0]
+        velocity[axis] = odd
+        if axis < 2 or not math.isfinite(odd):  # a turn is never slowed
+            assert slowed([], velocity, (0.1, 0.0, 0.0), module)[0] == 0.0
+            assert slowed([], (0.1, 0.0, 0.0), velocity, module)[0] == 0.0
+
+    def test_a_pose_that_is_none(self, module):
+        for odd in (math.nan, math.inf):
+            for pose in ((odd, 0.0, 0.0), (0.0, odd, 0.0), (0.0, 0.0, odd)):
+                assert slowed([], (0.1, 0.0, 0.0), (0.1, 0.0, 0.0), module, pose)[0] == 0.0
+                with pytest.raises(ValueError, match="finite"):
+                    module.ahead(np.zeros((1, 3)), 1, *pose, 0.0, 1.2, 0.3, 0.3, 0.4, np.empty(6))
+
+    @pytest.mark.parametrize("place", [2, 3, 4, 5])
+    def test_a_size_or_an_acceleration_that_is_none_lets_nobody_go(self, module, place):
+        wall, has = np.array([(0.45, 0.0, 0.0)]), np.array((0.3, 0.0, 0.0))
+        for odd in (math.nan, math.inf):
+            numbers = [REACTION, BRAKING, TURNING, RADIUS, SLOW, FAST, TOP]
+            numbers[place] = odd
+            with np.errstate(all="ignore"):
+                assert module.slowed(wall, 1, 0.0, 0.0, 0.0, has, has, *numbers, np.zeros(3)) == 0.0
+
+    def test_points_that_are_none_are_not_there(self, module):
+        points = [(math.nan, 0.0, 0.0), (0.2, math.nan, 0.0), (math.inf, 0.0, 1.0), (1e300, 1e300, 0.0)]
+        assert slowed(points, (0.3, 0.0, 0.0), (0.3, 0.0, 0.0), module)[0] == 1.0
+        assert slowed([*points, (0.45, 0.0, 0.0)], (0.3, 0.0, 0.0), (0.3, 0.0, 0.0), module)[0] == 0.0
+        found = np.empty(6)
+        with np.errstate(all="ignore"):
+            module.ahead(np.array(points), 2, 0.0, 0.0, 0.0, 0.0, 1.2, 0.3, 0.3, 0.4, found)
+        assert tuple(found) == (0.0, 0.0, math.inf, math.inf, 0.0, math.inf)
+
+    def test_a_robot_that_cannot_brake_or_has_no_top_speed(self, module):
+        assert slowed([], (0.1, 0.0, 0.0), (0.1, 0.0, 0.0), module, braking=0.0)[0] == 0.0
+        assert slowed([], (0.1, 0.0, 0.0), (0.1, 0.0, 0.0), module, braking=1e-9)[0] == 0.0
+        assert slowed([(2.0, 0.0, 0.0)], (0.1, 0.0, 0.0), (0.1, 0.0, 0.0), module, top=0.0)[0] == 1.0
+
+    def test_arrays_that_do_not_fit(self, module):
+        three = np.zeros(3)
+        for points, count in ((np.zeros((2, 3)), 3), (np.zeros((2, 3)), -1), (np.zeros((2, 2)), 2)):
+            with pytest.raises(ValueError, match="points"):
+                module.slowed(points, count, *three, three, three, *[0.3] * 7, three)
+            with pytest.raises(ValueError, match="points"):
+                module.ahead(points, count, *three, *[0.3] * 5, np.empty(6))
+        with pytest.raises(ValueError, match="three numbers"):
+            module.slowed(np.zeros((2, 3)), 2, *three, three, np.zeros(2), *[0.3] * 7, three)
+        with pytest.raises(ValueError, match="six numbers"):
+            module.ahead(np.zeros((2, 3)), 2, *three, *[0.3] * 5, np.empty(5))

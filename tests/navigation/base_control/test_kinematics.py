@@ -9,9 +9,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from navigation.base_control.kinematics import KINDS, KinematicsError, kinematics
-from navigation.base_control.odometry import Odometry
-from navigation.base_control.velocity import Velocity
+from navigation.base_control.commands import Velocity
+from navigation.base_control.kinematics import KINDS, KinematicsError, WheelOdometry, kinematics
 
 SPEEDS = st.floats(-1.0, 1.0)
 RADIUS, DISTANCE = 0.16416, 0.338
@@ -62,7 +61,7 @@ def test_an_arc_is_followed_exactly_however_often_the_encoders_are_read(
 ) -> None:
     base = kinematics(kind, RADIUS, DISTANCE)
     y = y if base.holonomic else 0.0
-    odometry = Odometry(base)
+    odometry = WheelOdometry(base)
     for step in range(steps + 1):
         odometry.update(base.wheels(Velocity(x, y, turn)) * (2.0 * step / steps), 10.0 + 2.0 * step / steps)
     found = odometry.now
@@ -77,7 +76,7 @@ def test_an_arc_is_followed_exactly_however_often_the_encoders_are_read(
 
 
 def test_encoders_that_begin_anew_move_nothing() -> None:
-    odometry = Odometry(kinematics("cer", RADIUS, DISTANCE))
+    odometry = WheelOdometry(kinematics("cer", RADIUS, DISTANCE))
     odometry.update(np.array([5.0, 5.0]), 1.0)
     odometry.update(np.array([6.0, 6.0]), 2.0)
     assert odometry.now.x == pytest.approx(RADIUS)
@@ -93,4 +92,4 @@ def test_encoders_that_begin_anew_move_nothing() -> None:
 @pytest.mark.parametrize("angles", [[1.0], [1.0, math.nan], [[1.0, 2.0]]])
 def test_encoders_that_say_nonsense_are_refused(angles: list[float]) -> None:
     with pytest.raises(ValueError, match="2 finite wheel angles"):
-        Odometry(kinematics("cer", RADIUS, DISTANCE)).update(np.array(angles), 1.0)
+        WheelOdometry(kinematics("cer", RADIUS, DISTANCE)).update(np.array(angles), 1.0)

@@ -9,9 +9,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from navigation.base_control.commands import STILL, Velocity
 from navigation.base_control.kinematics import Array, Kinematics, kinematics
-from navigation.base_control.limits import Limiter, Limits, held
-from navigation.base_control.velocity import STILL, Velocity
+from navigation.base_control.limits import BaseLimits, Limiter, held
 
 PERIOD = 0.02
 BASES = {"cer": kinematics("cer", 0.16416, 0.338), "ikart_V1": kinematics("ikart_V1", 0.075, 0.276)}
@@ -19,7 +19,7 @@ SPEEDS = st.one_of(st.floats(-1.0, 1.0), st.floats(-10.0, 10.0), st.just(0.0))
 VELOCITIES = st.builds(Velocity, SPEEDS, SPEEDS, SPEEDS)
 PERIODS = st.integers(1, 6)
 LIMITS = st.builds(
-    Limits,
+    BaseLimits,
     linear=st.floats(0.05, 2.0),
     angular=st.floats(0.05, 3.0),
     linear_acceleration=st.floats(0.05, 3.0),
@@ -32,7 +32,7 @@ LIMITS = st.builds(
 )
 
 
-def check(base: Kinematics, limits: Limits, before: Velocity, after: Velocity, wheels: Array) -> None:
+def check(base: Kinematics, limits: BaseLimits, before: Velocity, after: Velocity, wheels: Array) -> None:
     little = 1e-6
     assert after.speed <= limits.linear + little
     assert abs(after.turn) <= limits.angular + little
@@ -49,11 +49,29 @@ def check(base: Kinematics, limits: Limits, before: Velocity, after: Velocity, w
     assert abs(after.turn - before.turn) <= turned + little
 
 
+COMMANDS = st.lists(st.tuples(VELOCITIES, PERIODS), min_size=1, max_size=5)
+
+
+@pytest.mark.parametrize("kind", BASES)
+@settings(max_examples=300, deadline=None)
+@given(limits=LIMITS, commands=COMMANDS)
+def test_wheel_commands_stay_within_all_limits(
+    kind: str, limits: BaseLimits, commands: list[tuple[Velocity, int]]
+) -> None:
+    check_all(BASES[kind], limits, commands)
+
+
+@pytest.mark.thorough
 @pytest.mark.parametrize("kind", BASES)
 @settings(max_examples=5000, deadline=None)
-@given(limits=LIMITS, commands=st.lists(st.tuples(VELOCITIES, PERIODS), min_size=1, max_size=5))
-def test_wheel_commands_stay_within_all_limits(kind: str, limits: Limits, commands: list[tuple[Velocity, int]]) -> None:
-    base = BASES[kind]
+@given(limits=LIMITS, commands=COMMANDS)
+def test_wheel_commands_stay_within_all_limits_of_many(
+    kind: str, limits: BaseLimits, commands: list[tuple[Velocity, int]]
+) -> None:
+    check_all(BASES[kind], limits, commands)
+
+
+def check_all(base: Kinematics, limits: BaseLimits, commands: list[tuple[Velocity, int]]) -> None:
     limiter = Limiter(base, limits)
     for wanted, periods in commands:
         for _ in range(periods):
@@ -68,25 +86,25 @@ def driven(limiter: Limiter, wanted: Velocity, periods: int) -> Velocity:
 
 
 def test_what_can_be_held_is_reached_and_left_again() -> None:
-    limiter = Limiter(BASES["cer"], Limits())
+    limiter = Limiter(BASES["cer"], BaseLimits())
     assert driven(limiter, Velocity(0.2, 0.0, 0.1), 60) == pytest.approx((0.2, 0.0, 0.1))
     assert driven(limiter, STILL, 60) == STILL
 
 
 def test_speeding_up_and_braking_have_their_own_limits() -> None:
-    limiter = Limiter(BASES["cer"], Limits(linear_acceleration=0.1, linear_braking=1.0))
+    limiter = Limiter(BASES["cer"], BaseLimits(linear_acceleration=0.1, linear_braking=1.0))
     assert limiter.step(Velocity(0.2), PERIOD).x == pytest.approx(0.002)
     driven(limiter, Velocity(0.2), 200)
     assert limiter.step(STILL, PERIOD).x == pytest.approx(0.18)
 
 
 def test_a_differential_base_takes_no_side_step() -> None:
-    assert driven(Limiter(BASES["cer"], Limits()), Velocity(0.1, 0.2, 0.0), 100) == pytest.approx((0.1, 0.0, 0.0))
-    assert driven(Limiter(BASES["ikart_V1"], Limits(wheel=100.0)), Velocity(0.1, 0.2), 100).y == pytest.approx(0.2)
+    assert driven(Limiter(BASES["cer"], BaseLimits()), Velocity(0.1, 0.2, 0.0), 100) == pytest.approx((0.1, 0.0, 0.0))
+    assert driven(Limiter(BASES["ikart_V1"], BaseLimits(wheel=100.0)), Velocity(0.1, 0.2), 100).y == pytest.approx(0.2)
 
 
 def test_wheels_that_are_too_fast_keep_the_path() -> None:
-    fast = held(Velocity(0.3, 0.0, 0.5), BASES["cer"], Limits())
+    fast = held(Velocity(0.3, 0.0, 0.5), BASES["cer"], BaseLimits())
     assert float(np.abs(BASES["cer"].wheels(fast)).max()) == pytest.approx(math.radians(100.0))
     assert fast.x / fast.turn == pytest.approx(0.3 / 0.5)
 
@@ -96,20 +114,20 @@ def test_wheels_that_are_too_fast_keep_the_path() -> None:
     [((90, 5), (90, 5)), ((100, 50), (70, 30)), ((100, 10), (90, 10)), ((50, 100), (50, 50)), ((100, 0), (100, 0))],
 )
 def test_driving_and_turning_share_what_there_is(percent: tuple[int, int], left: tuple[int, int]) -> None:
-    limits = Limits(linear=1.0, angular=1.0, wheel=1000.0, ratio=0.7)
+    limits = BaseLimits(linear=1.0, angular=1.0, wheel=1000.0, ratio=0.7)
     cut = held(Velocity(percent[0] / 100, 0.0, -percent[1] / 100), BASES["cer"], limits)
     assert cut == pytest.approx((left[0] / 100, 0.0, -left[1] / 100))
 
 
 def test_limits_that_are_lowered_hold_at_once() -> None:
-    limiter = Limiter(BASES["cer"], Limits(linear_acceleration=10.0))
+    limiter = Limiter(BASES["cer"], BaseLimits(linear_acceleration=10.0))
     driven(limiter, Velocity(0.25), 50)
-    limiter.limits = Limits(linear=0.1)
+    limiter.limits = BaseLimits(linear=0.1)
     assert limiter.step(Velocity(0.25), PERIOD).x <= 0.1
 
 
 def test_an_input_filter_smooths() -> None:
-    quick = Limits(linear_acceleration=1000.0, angular_acceleration=1000.0, filter_hz=1)
+    quick = BaseLimits(linear_acceleration=1000.0, angular_acceleration=1000.0, filter_hz=1)
     limiter = Limiter(BASES["cer"], quick)
     tenth = driven(limiter, Velocity(0.2), 1).x
     assert 0.0 < tenth < 0.2 * 0.2
@@ -119,7 +137,7 @@ def test_an_input_filter_smooths() -> None:
 
 
 def test_an_emergency_stop_takes_no_braking() -> None:
-    limiter = Limiter(BASES["cer"], Limits())
+    limiter = Limiter(BASES["cer"], BaseLimits())
     driven(limiter, Velocity(0.2), 50)
     limiter.stop()
     assert limiter.now == STILL

@@ -11,14 +11,13 @@ from typing import Any
 
 import pytest
 
-from bridge.hub.qos import Qos
 from bridge.hub.session import Hub, HubSettings
+from bridge.hub.wire.qos import Qos
 from bridge.messages.json import from_json, to_json
 from tests.modules.place import Place
 from tests.support.faults import FaultProxy
 from tests.support.wait import until
-from yarp_compat.dev.basecontrol import MobileBaseVelocityControl, Odometry2DClient
-from yarp_compat.dev.odometry import MobileBaseVelocity
+from yarp_compat.dev.basecontrol import MobileBaseVelocity, MobileBaseVelocityControl, Odometry2DClient
 from yarp_compat.naming import connections
 from yarp_compat.naming.server import NameServer
 from yarp_compat.pythonic import Client, Reader, Writer
@@ -37,7 +36,7 @@ class Wheels:
         type_id = self._registry.ros2(JOINTS).type_id
         self._out = self._hub.publisher("/joint_states", JOINTS, type_id, Qos())
         self._in = self._hub.subscription("/wheel_command", JOINTS, type_id, Qos(depth=1), self._take)
-        self._told, self._told_at = [0.0, 0.0], 0.0
+        self.told, self._told_at = [0.0, 0.0], 0.0
         self.fastest = 0.0
         self.names: list[str] = ["mobile_base_l_wheel_joint", "mobile_base_r_wheel_joint"]
         self._ending = threading.Event()
@@ -47,20 +46,20 @@ class Wheels:
     def _take(self, sample: Any) -> None:
         message = to_json(self._registry, JOINTS, sample.data())
         assert message["name"] == self.names
-        self._told, self._told_at = message["velocity"], time.monotonic()
-        self.fastest = max(self.fastest, *map(abs, self._told))
+        self.told, self._told_at = message["velocity"], time.monotonic()
+        self.fastest = max(self.fastest, *map(abs, self.told))
 
     @property
     def velocity(self) -> tuple[float, float]:
         """The base's: m/s, rad/s."""
-        left, right = self._told if time.monotonic() - self._told_at < 0.1 else (0.0, 0.0)
+        left, right = self.told if time.monotonic() - self._told_at < 0.1 else (0.0, 0.0)
         return (left + right) / 2 * RADIUS, (right - left) * RADIUS / DISTANCE
 
     def _run(self) -> None:
         angles, last = [0.0, 0.0], time.time()
         while not self._ending.wait(0.01):
             now = time.time()
-            angles = [angle + told * (now - last) for angle, told in zip(angles, self._told, strict=True)]
+            angles = [angle + told * (now - last) for angle, told in zip(angles, self.told, strict=True)]
             last = now
             stamp = {"sec": int(now), "nanosec": int(now % 1 * 1e9)}
             message = {"header": {"stamp": stamp}, "name": self.names, "position": angles}
@@ -115,7 +114,7 @@ def test_velocities_of_the_hub_drive_it_and_silence_stops_it(place: Place, wheel
     assert (transform["header"]["frame_id"], transform["child_frame_id"]) == ("odom", "base_link")
     until(lambda: "/joint_states" in str(place.status("base_control")), "status tells of it")
     place.worker.stop()
-    until(lambda: wheels._told == [0.0, 0.0], "the last that the wheels hear is to stand still", 10)
+    until(lambda: wheels.told == [0.0, 0.0], "the last that the wheels hear is to stand still", 10)
 
 
 def test_nonsense_is_refused_and_told(place: Place, wheels: Wheels) -> None:
@@ -149,7 +148,7 @@ def test_a_gamepad_drives_while_its_button_is_held(place: Place, wheels: Wheels)
 
 def test_halt_forgets_commands(place: Place, wheels: Wheels) -> None:
     started(place, inputs=[{"name": "long", "timeout": 5.0, "twist": ["/cmd_vel"]}])
-    module: Any = place.worker._running["base_control"]._module
+    module: Any = place.worker.running("base_control").module
     module.base.inputs["long"].timeout = 60.0  # longer than the test waits
     out = place.far.advertise("/cmd_vel", TWIST)
     until(lambda: (place.far.publish(out, twist(0.2, 0.0)), drives(wheels, 0.2, 0.0)())[1], "it drives", 20)
@@ -194,7 +193,7 @@ def test_its_yarp_ports_of_both_generations(place: Place, wheels: Wheels) -> Non
         with Client("/baseControl/rpc", naming=names) as words:
             assert words.ask(["set_max_lin_vel", 0.2], timeout=10) == ["Max linear velocity set."]
             assert words.ask(["help"], timeout=10)[0] == "many"
-            assert "is no command" in str(words.ask(["dance"], timeout=10))
+            assert "unknown command" in str(words.ask(["dance"], timeout=10))
         with Odometry2DClient("/baseControl/odometry", naming=names) as odometry:
             found = odometry.read()
             assert found is not None

@@ -8,8 +8,9 @@ from pathlib import Path
 import pytest
 
 from bridge.config.sections.base_control import INPUTS, BaseControlSection
-from navigation.base_control.limits import Limits
-from navigation.base_control.settings import Settings, settings
+from navigation.base_control.base import DrivenBase
+from navigation.base_control.limits import BaseLimits
+from navigation.base_control.settings import limits, resolved
 
 R1 = """\
 local         baseControl   // the module's ports
@@ -74,51 +75,51 @@ topic_name /odometry
 """
 
 
-def read(folder: Path, text: str, **section: object) -> Settings:
+def read(folder: Path, text: str, **section: object) -> tuple[BaseControlSection, list[str]]:
     (folder / "geometry.ini").write_text(GEOMETRY)
     file = folder / "baseCtrl.ini"
     file.write_text(text)
-    return settings(BaseControlSection(ini=file, **section))  # type: ignore[arg-type]
+    return resolved(BaseControlSection(ini=file, **section))  # type: ignore[arg-type]
 
 
 def test_what_holds_by_default_is_r1() -> None:
-    found = settings(BaseControlSection())
-    assert found.limits == Limits()
+    found, _ = resolved(BaseControlSection())
+    assert limits(found) == BaseLimits()
     assert found.joints == ("mobile_base_l_wheel_joint", "mobile_base_r_wheel_joint")
     assert [one.name for one in found.inputs] == [one.name for one in INPUTS]
 
 
 def test_a_file_of_r1(tmp_path: Path) -> None:
-    found = read(tmp_path, R1)
-    assert found.kinematics.matrix[0] == pytest.approx([1 / 0.16, 0.0, -0.17 / 0.16])
-    assert found.limits == Limits(ratio=None)
+    found, notes = read(tmp_path, R1)
+    assert DrivenBase(found).limiter.kinematics.matrix[0] == pytest.approx([1 / 0.16, 0.0, -0.17 / 0.16])
+    assert limits(found) == BaseLimits(ratio=None)
     assert found.motors_filter == 10
-    assert found.full == (0.25, 40.0)
+    assert DrivenBase(found).full == (0.25, 40.0)
     told = [(one.name, one.timeout, one.ports, one.twist) for one in found.inputs]
     assert told == [
         ("joystick", 0.2, ("/baseControl/input/joystick",), ()),
         ("aux", 0.1, ("/baseControl/input/aux",), ()),
         ("ros2", 0.5, (), ("/cmd_vel",)),
     ]
-    notes = [note.removeprefix(str(tmp_path)) for note in found.notes]
+    notes = [note.removeprefix(str(tmp_path)) for note in notes]
     assert [note.split(": ")[0] for note in notes] == ["/geometry.ini:4", "/baseCtrl.ini:33"]
     assert "'g_angle' does nothing" in notes[0]
     assert "'max_motor_pwm' does nothing" in notes[1]
 
 
 def test_a_file_of_before_2022(tmp_path: Path) -> None:
-    found = read(tmp_path, OLD)
-    assert found.kinematics.holonomic
+    found, notes = read(tmp_path, OLD)
+    assert DrivenBase(found).limiter.kinematics.holonomic
     assert (found.odom_frame, found.base_frame, found.odom) == ("odometry", "mobile_base_body_link", "/odometry")
     assert [one.name for one in found.inputs] == [one.name for one in INPUTS]
     assert found.inputs[-1].twist == ("/robot/cmd_vel",)
-    assert not found.notes
+    assert not notes
 
 
 def test_what_the_section_sets_is_stronger(tmp_path: Path) -> None:
-    found = read(tmp_path, R1, max_linear_vel=0.1, base_frame="mobile_base_body_link")
-    assert found.limits.linear == 0.1
-    assert found.limits.angular == math.radians(30.0)
+    found, _ = read(tmp_path, R1, max_linear_vel=0.1, base_frame="mobile_base_body_link")
+    assert limits(found).linear == 0.1
+    assert limits(found).angular == math.radians(30.0)
     assert found.base_frame == "mobile_base_body_link"
 
 
@@ -143,8 +144,8 @@ def test_what_the_section_sets_is_stronger(tmp_path: Path) -> None:
 )
 def test_what_is_odd_is_named_with_file_and_line(tmp_path: Path, old: str, new: str, says: str) -> None:
     assert old in R1
-    found = read(tmp_path, R1.replace(old, new, 1))
-    assert any(says in note for note in found.notes), found.notes
+    _, notes = read(tmp_path, R1.replace(old, new, 1))
+    assert any(says in note for note in notes), notes
 
 
 @pytest.mark.parametrize(
@@ -167,9 +168,9 @@ def test_what_cannot_be_used_is_an_error_with_file_and_line(tmp_path: Path, old:
 
 def test_a_file_that_is_not_there(tmp_path: Path) -> None:
     with pytest.raises(RuntimeError, match="no such file"):
-        settings(BaseControlSection(ini=tmp_path / "none.ini"))
+        resolved(BaseControlSection(ini=tmp_path / "none.ini"))
 
 
 def test_joints_that_do_not_fit() -> None:
     with pytest.raises(RuntimeError, match="has 2 wheels, not 1"):
-        settings(BaseControlSection(joints=("one",)))
+        resolved(BaseControlSection(joints=("one",)))

@@ -19,9 +19,17 @@ from benchmarks.closedloop.worlds import world
 NEAR = 2.2
 """Metres of way to a goal at most."""
 
+BASES = ("r1", "ikart_v1")
+WORLDS = ("apartment", "office", "lab", "hall", "two_storeys/ground", "two_storeys/upper")
+FEW = {("apartment", "r1")}
+"""The others tell no more of a machine."""
 
-@pytest.mark.parametrize("base", ["r1", "ikart_v1"])
-@pytest.mark.parametrize("name", ["apartment", "office", "lab", "hall", "two_storeys/ground", "two_storeys/upper"])
+CASES = [
+    pytest.param(*case, marks=() if case in FEW else pytest.mark.thorough) for case in itertools.product(WORLDS, BASES)
+]
+
+
+@pytest.mark.parametrize(("name", "base"), CASES)
 def test_random_goals_are_reached_without_a_contact(name: str, base: str) -> None:
     there = world(name)
     robot = Robot(there.plan, base, seed=3)

@@ -5,10 +5,11 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
+import pytest
 import yaml
 
-from bridge.hub.qos import Durability, Qos
-from bridge.modules.goal import Status
+from bridge.hub.wire.qos import Durability, Qos
+from bridge.messages.actions import GoalState
 from tests.support.chain import Chain
 from tests.support.process import Process
 from tests.support.ros1 import ROS1_PYTHON, RosMaster, needs_ros1
@@ -19,6 +20,7 @@ KEPT = Qos(durability=Durability.TRANSIENT_LOCAL, depth=1)
 MAP_SERVER = ROOT / "tests" / "support" / "ros1_map_server.py"
 
 
+@pytest.mark.thorough
 @needs_ros1
 def test_the_robot_drives_on_the_map_of_a_map_server(tmp_path: Path) -> None:
     written: dict[str, Any] = yaml.safe_load((ROOT / "configs" / "ros_map_server.yaml").read_text())
@@ -43,7 +45,7 @@ def test_the_robot_drives_on_the_map_of_a_map_server(tmp_path: Path) -> None:
             until(lambda: chain.status("robot_path_planner").get("map"), "the planner has it too", 40)
             asked = chain.goto("living_room")
             until(lambda: asked.ended, "the drive ends", 60)
-            assert asked.status is Status.SUCCEEDED, asked
+            assert asked.status is GoalState.SUCCEEDED, asked
             assert chain.off("living_room") < 0.3
     finally:
         if server is not None:

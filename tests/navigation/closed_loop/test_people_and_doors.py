@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import math
 
+import pytest
+
 from benchmarks.closedloop.drive import Loop
 from benchmarks.closedloop.judge import Judge
 from benchmarks.closedloop.robot import Robot
@@ -47,6 +49,7 @@ def arrive(loop: Loop, seconds: float) -> None:
     assert loop.judge.contacts == 0, loop.judge.where
 
 
+@pytest.mark.thorough
 def test_a_door_that_is_closed_on_the_way_is_gone_round() -> None:
     loop = loop_in(doors=DOORS)
     drive_until(loop, 2.2)
@@ -63,6 +66,7 @@ def test_a_door_that_is_closed_on_the_way_is_gone_round() -> None:
     arrive(loop, 1)
 
 
+@pytest.mark.thorough
 def test_where_all_doors_are_closed_the_robot_waits_until_one_is_opened() -> None:
     loop = loop_in(doors=DOORS[:1])
     drive_until(loop, 2.2)

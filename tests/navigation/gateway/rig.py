@@ -8,21 +8,21 @@ from pathlib import Path
 from typing import Any
 
 from bridge.clock import SYSTEM
-from bridge.hub.qos import Durability, Qos
 from bridge.hub.session import Hub
+from bridge.hub.wire.qos import Durability, Qos
 from bridge.messages.registry import Registry
-from bridge.modules.action_client import SentGoal
 from bridge.modules.action_server import Goal
-from bridge.modules.loop import Loop
-from bridge.modules.node import Node
-from navigation.gateway.link import NAVIGATE
-from navigation.status import STATUS, State, status_message
+from bridge.modules.clients import SentGoal
+from bridge.modules.host import Node
+from bridge.modules.loop import EventLoop
+from navigation.messages import NAVIGATE
+from navigation.status import STATUS, PlannerStatus, State, status_message
 from tests.modules.place import Place
 from tests.support.wait import until
 from yarp_compat.naming import connections
 from yarp_compat.naming.server import NameServer
 
-KEPT = Qos(durability=Durability.TRANSIENT_LOCAL, depth=1)
+LATCHED = Qos(durability=Durability.TRANSIENT_LOCAL, depth=1)
 REGISTRY = Registry()
 SECONDS = 20.0
 
@@ -36,7 +36,7 @@ class Program:
     """A program with a node on the hub."""
 
     def __init__(self, settings: Any) -> None:
-        self.loop = Loop(settings.node)
+        self.loop = EventLoop(settings.node)
         self.node = Node(Hub.open(settings), REGISTRY, self.loop, SYSTEM)
         self.loop.start()
 
@@ -50,16 +50,23 @@ class Program:
 
 
 class Planner(Program):
-    """A planner of the kind that drives to one goal at a time; the test says how each ends."""
+    """A planner of the kind that drives to one goal at a time; the test says how each ends.
+
+    Attributes:
+        cancels: what it does where a goal is to be cancelled, and whether it says that it will; `cancel` at first.
+    """
 
     def __init__(self, settings: Any, name: str) -> None:
         super().__init__(settings)
         self.goals: list[Goal] = []
         self.rejects = 0
+        self.cancels: Callable[[Goal], bool] = self.cancel
         self.server = self.on(
-            lambda: self.node.action_server(f"/planner/{name}/navigate_to_pose", NAVIGATE, self._take, self._cancel)
+            lambda: self.node.action_server(
+                f"/planner/{name}/navigate_to_pose", NAVIGATE, self._take, lambda goal: self.cancels(goal)
+            )
         )
-        self._told = self.node.publisher(f"/planner/{name}/status", STATUS, KEPT)
+        self._told = self.node.publisher(f"/planner/{name}/status", STATUS, LATCHED)
 
     def _take(self, goal: Goal) -> bool:
         if self.rejects:
@@ -71,7 +78,8 @@ class Planner(Program):
         goal.execute()
         return True
 
-    def _cancel(self, goal: Goal) -> bool:
+    def cancel(self, goal: Goal) -> bool:
+        """Let go of it at once."""
         self.loop.post(lambda: goal.canceled({"error_msg": "canceled"}))
         return True
 
@@ -81,7 +89,7 @@ class Planner(Program):
         return self.goals[count - 1]
 
     def tell(self, goal: Goal, state: State, why: str, code: int = 0) -> None:
-        told = status_message(SYSTEM.stamp(), state, why, code, goal_id=goal.id, goal=goal.goal["pose"])
+        told = status_message(SYSTEM.stamp(), PlannerStatus(state, why, code), goal_id=goal.id, goal=goal.goal["pose"])
         self.on(lambda: self._told.publish(told))
 
     def reach(self, goal: Goal) -> None:
@@ -130,7 +138,7 @@ class Rig(Place):
         self.client = Program(self.hubs.settings("client"))
         self.planners: dict[str, Planner] = {}
         self.statuses: list[dict[str, Any]] = []
-        self.client.node.subscription("/navigation/status", STATUS, self.statuses.append, KEPT)
+        self.client.node.subscription("/navigation/status", STATUS, self.statuses.append, LATCHED)
         self.planner = self.have("robot_goto")
         until(lambda: connections.exists(self.names, "/navigationServer/rpc"), "the ports are registered", 30)
         until(lambda: connections.exists(self.names, "/navigation2D_nws_yarp/rpc"), "the ports are registered", 30)
@@ -146,9 +154,13 @@ class Rig(Place):
         return made
 
     @property
+    def module(self) -> Any:
+        """The module itself: the worker is in this process."""
+        return self.worker.running("gateway").module
+
+    @property
     def gateway(self) -> Any:
-        """The gateway itself: the worker is in this process."""
-        return self.worker._running["gateway"]._module.gateway
+        return self.module.gateway
 
     def state(self, state: State, why: str = "") -> dict[str, Any]:
         """The newest status, once it is this one."""

@@ -9,8 +9,8 @@ from typing import Any
 import pytest
 
 from bridge.stores.kinds import AREA, LOCATION, MAP
-from navigation.gateway import gateway
-from navigation.status import State
+from navigation.gateway import planner_choice, stop
+from navigation.status import Fault, State
 from tests.navigation.gateway.rig import Asked, Rig, pose
 from tests.support.faults import FaultProxy
 from tests.support.wait import until
@@ -147,11 +147,28 @@ def test_a_planner_that_is_killed_is_waited_for_and_goes_on(rig: Rig) -> None:
     asked = Asked(rig.client, pose(5.0))
     rig.planner.until(1)
     rig.planners.pop("robot_goto").close()
-    rig.state(State.ERROR, "robot_goto is not there")
+    rig.state(State.MOVING, "robot_goto is not there; it is waited for")
     rig.planner = rig.have("robot_goto")
     goal = rig.planner.until(1)
     assert at(goal)[1] == 5.0
     rig.planner.reach(goal)
+    assert asked.end() == ("SUCCEEDED", "")
+
+
+def test_a_goal_that_comes_before_the_planner_is_being_prepared_and_then_driven_to(rig: Rig) -> None:
+    rig.planners.pop("robot_goto").close()
+    try:
+        until(lambda: not rig.gateway.link.ready, "the planner has gone", 20)
+        first = Asked(rig.client, pose(5.0))
+        rig.state(State.PREPARING, "robot_goto is not there; it is waited for")
+        first.cancel()
+        assert first.end()[0] == "CANCELED"
+        asked = Asked(rig.client, pose(6.0))
+        rig.state(State.PREPARING, "robot_goto is not there; it is waited for")
+    finally:
+        rig.planner = rig.have("robot_goto")
+    assert at(rig.planner.until(1)) == ("map", 6.0, 0.0), "and not what was cancelled"
+    rig.planner.reach(rig.planner.until(1))
     assert asked.end() == ("SUCCEEDED", "")
 
 
@@ -162,7 +179,9 @@ def test_a_planner_that_stays_away_ends_the_goal_with_the_reason(rig: Rig) -> No
     rig.planners.pop("robot_goto").close()
     try:
         assert asked.end() == ("ABORTED", "the planner robot_goto is not there")
-        assert Asked(rig.client, pose(6.0)).end()[0] == "ABORTED"
+        end, why = Asked(rig.client, pose(6.0)).end()
+        assert end == "ABORTED"
+        assert "ask again once it is" in why
     finally:
         rig.worker.reload(rig.configured(patience=60.0))
         rig.planner = rig.have("robot_goto")
@@ -189,7 +208,7 @@ def test_what_drives_on_behind_a_cut_link_is_stopped_when_the_link_is_back(rig: 
             asked = Asked(rig.client, pose(5.0))
             planner.until(1)
             link.freeze()
-            rig.state(State.ERROR, "robot_goto is not there")
+            rig.state(State.MOVING, "robot_goto is not there; it is waited for")
             link.thaw()
             link.cut()
             again = planner.until(2)
@@ -236,8 +255,10 @@ def test_a_planner_that_dies_with_a_goal_that_it_was_given_itself_is_no_success(
     Asked(rig.client, pose(2.0), "/planner/robot_goto/navigate_to_pose")
     rig.state(State.MOVING, "itself")
     rig.planners.pop("robot_goto").close()
-    rig.state(State.ABORTED, "robot_goto has gone")
+    told = rig.state(State.MOVING, "the planner robot_goto is not there; it may still be moving")
+    assert told["error_code"] == Fault.MAY_MOVE
     rig.planner = rig.have("robot_goto")  # another program, which has none of the goals
+    rig.state(State.ABORTED, "robot_goto has gone")
     until(lambda: not rig.gateway.driving, "nothing drives", 20)
     assert rig.ask("choose_planner", name="mine")["success"]
     assert rig.ask("choose_planner", name="robot_goto")["success"]
@@ -281,21 +302,21 @@ def test_the_planner_changes_while_standing_and_not_while_driving(rig: Rig) -> N
 
 
 def test_another_planner_waits_for_one_that_does_not_let_go(rig: Rig, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(gateway, "CANCEL_SECONDS", 0.1)
-    monkeypatch.setattr(rig.planner.server, "_cancel", lambda _goal: True)  # and drives on
+    monkeypatch.setattr(stop, "CANCEL_SECONDS", 0.1)
+    monkeypatch.setattr(rig.planner, "cancels", lambda _goal: True)  # and drives on
     for let_go in (True, False):
         asked = Asked(rig.client, pose(1.0))
         goal = rig.planner.until(1 if let_go else 2)
         asked.cancel()
         assert "robot_goto has not answered" in asked.end()[1]
         rig.worker.reload(rig.configured(planner="mine"))
-        loop = rig.worker._running["gateway"]._host.loop
+        loop = rig.worker.running("gateway").host.loop
         loop.call(rig.gateway._look)
         assert (rig.gateway.planner, rig.gateway.pending) == ("robot_goto", "mine")
         if let_go:
             rig.planner.on(goal.canceled)
         else:
-            monkeypatch.setattr(gateway, "LETTING_GO_SECONDS", 0.0)
+            monkeypatch.setattr(planner_choice, "LETTING_GO_SECONDS", 0.0)
         until(lambda: rig.gateway.planner == "mine", "another one drives", 20)
         rig.worker.reload(rig.configured(planner="robot_goto"))
         until(lambda: rig.gateway.planner == "robot_goto" and rig.gateway.link.ready, "the first one again", 20)
@@ -303,7 +324,7 @@ def test_another_planner_waits_for_one_that_does_not_let_go(rig: Rig, monkeypatc
 
 
 def test_a_published_goal_and_places_by_name(rig: Rig) -> None:
-    store = rig.worker._running["gateway"]._host.store
+    store = rig.worker.store
     store.put(MAP, "house", MapGrid2D.of([[0] * 4] * 4, name="house"))
     store.use_map("house")
     store.put(LOCATION, "kitchen", Map2DLocation("house", 2.0, 3.0, 90.0))

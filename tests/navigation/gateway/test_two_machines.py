@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -26,7 +27,8 @@ class Robot:
         self.worker = ModulesWorker()
         self.worker.start(Config.model_validate(config))
         self.planner = Planner(network.settings("robot_goto"), "robot_goto")
-        gateway = self.worker._running["gateway"]._module.gateway
+        module: Any = self.worker.running("gateway").module
+        gateway = module.gateway
         until(lambda: gateway.link.ready, "the planner is found", 20)
 
     def operator(self, name: str) -> Program:

@@ -7,11 +7,11 @@ from collections.abc import Iterator
 
 import pytest
 
-from bridge.hub.qos import Qos
+from bridge.hub.wire.qos import Qos
 from bridge.stores.kinds import MAP
 from navigation.maps.grid import to_grid
 from navigation.status import State
-from tests.navigation.gateway.rig import KEPT, Asked, Rig, pose
+from tests.navigation.gateway.rig import LATCHED, Asked, Rig, pose
 from tests.support.wait import until
 from yarp_compat.dev.client import ServiceClient
 from yarp_compat.dev.inavigation2d import (
@@ -31,7 +31,7 @@ TF = "tf2_msgs/msg/TFMessage"
 @pytest.fixture(scope="module")
 def running(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Rig]:
     with Rig(tmp_path_factory.mktemp("gateway")) as made:
-        store = made.worker._running["gateway"]._host.store
+        store = made.worker.store
         store.put(MAP, "house", MapGrid2D.of([[0] * 4] * 3, name="house"))
         store.use_map("house")
         frames = made.client.node.publisher("/tf", TF, Qos(depth=10))
@@ -159,14 +159,14 @@ def test_another_clients_goal_is_seen_and_can_be_stopped(rig: Rig, yarp: INaviga
 def test_the_way_and_the_maps(rig: Rig, yarp: INavigation2DMsgs) -> None:
     assert yarp.goto_target_by_absolute_location_RPC(Map2DLocation("house", 5.0, 2.0, 0.0))
     rig.planner.until(1)
-    out = rig.planner.node.publisher("/planner/robot_goto/path", "nav_msgs/msg/Path", KEPT)
+    out = rig.planner.node.publisher("/planner/robot_goto/path", "nav_msgs/msg/Path", LATCHED)
     out.publish({"header": {"frame_id": "map"}, "poses": [pose(float(x), 2.0) for x in range(6)]})
     until(lambda: len(yarp.get_all_navigation_waypoints_RPC(TrajectoryTypeEnum.global_trajectory)[1].waypoints) == 6,
           "the path is there", 20)  # fmt: skip
     assert yarp.get_current_nav_waypoint_RPC()[1].x == 2.0
     grid = yarp.get_current_navigation_map_RPC(NavigationMapTypeEnum.global_map)[1]
     assert (grid.name, grid.m_width, grid.m_height) == ("house", 4, 3)
-    local = rig.planner.node.publisher("/planner/robot_goto/local_map", "nav_msgs/msg/OccupancyGrid", KEPT)
+    local = rig.planner.node.publisher("/planner/robot_goto/local_map", "nav_msgs/msg/OccupancyGrid", LATCHED)
     local.publish(to_grid(MapGrid2D.of([[0] * 7] * 7)))
     kind = NavigationMapTypeEnum.local_map
     until(lambda: yarp.get_current_navigation_map_RPC(kind)[1].m_width == 7, "the local map is there", 20)

@@ -7,11 +7,11 @@ import time
 
 from bridge.clock import SYSTEM
 from bridge.config.sections.sim import LaserSection, SimSection
-from bridge.hub.qos import Durability, Qos
 from bridge.hub.session import Hub
+from bridge.hub.wire.qos import Durability, Qos
 from bridge.messages.registry import Registry
-from bridge.modules.loop import Loop
-from bridge.modules.node import Node
+from bridge.modules.host import Node
+from bridge.modules.loop import EventLoop
 from bridge.tf.stamped import TF, TF_STATIC, TF_TYPE, Stamped, write
 from navigation.pose import Pose
 from sim import export, messages
@@ -38,7 +38,7 @@ class Robot:
         self.silent: set[str] = set()
         self.localized: Pose | None = None
         self.odometry = Pose(7.0, -3.0, 2.0)
-        self._loop = Loop("robot")
+        self._loop = EventLoop("robot")
         self._loop.start()
         self.node = Node(hub, registry, self._loop, SYSTEM)
         self._tf = self.node.publisher(TF, TF_TYPE, Qos(depth=10))

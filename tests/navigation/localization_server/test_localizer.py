@@ -9,12 +9,13 @@ import numpy as np
 import pytest
 
 from benchmarks.localiser import DEGREES, METRES, Tour, drive, simulated
+from bridge.config.sections.localization_server import LocaliserSection
 from bridge.config.sections.sim import LaserSection, SimSection
-from navigation.localization_server.localizer import Localizer, Status
-from navigation.localization_server.memory import Memory
-from navigation.localization_server.scan import scan_points
-from navigation.localization_server.settings import Settings
+from navigation.localization_server.estimate import LocalizationStatus
+from navigation.localization_server.localizer import Localizer
+from navigation.localization_server.own import Memory
 from navigation.pose import Pose, wrapped
+from navigation.scan import scan_points
 from sim.base import Twist
 from sim.simulation import Simulation
 from yarp_compat.dev.mapgrid import MapFlag, MapGrid2D
@@ -47,7 +48,7 @@ def test_it_holds_while_odometry_drifts_away() -> None:
     drifted = start @ Pose(*there.there.estimate.pose)
     assert abs(math.degrees(wrapped(drifted.theta - truth(there).theta))) > DEGREES  # else it shows nothing
     found = localizer.estimate()
-    assert (found.status, found.reason) == (Status.OK, "")
+    assert (found.status, found.reason) == (LocalizationStatus.OK, "")
     assert found.quality > 0.7
     assert 0.0 < math.sqrt(found.covariance[0, 0]) < METRES
     cloud = localizer.cloud()
@@ -62,7 +63,7 @@ def test_a_start_that_was_wrong_is_mended(world: str) -> None:
     true = truth(there)
     localizer.initial(Pose(true.x + 2.1, true.y - 2.1, true.theta + math.radians(30.0)))
     for _, metres, degrees in drive(there, localizer, 60.0, []):
-        if metres < METRES and degrees < DEGREES and localizer.estimate().status is Status.OK:
+        if metres < METRES and degrees < DEGREES and localizer.estimate().status is LocalizationStatus.OK:
             return
     pytest.fail(f"still {off(localizer, there)} off")
 
@@ -80,15 +81,15 @@ def test_it_says_what_it_lacks() -> None:
     there = tour()
     localizer = Localizer(there.grid)
     assert localizer.pose is None
-    assert localizer.check(0) == (Status.NOT_YET, "no start was given")
+    assert localizer.check(0) == (LocalizationStatus.NOT_YET, "no start was given")
     localizer.initial(truth(there))
-    assert localizer.check(0) == (Status.NOT_YET, "odometry is not heard")
+    assert localizer.check(0) == (LocalizationStatus.NOT_YET, "odometry is not heard")
     standing(localizer, there, 1)
     now = there.there.time_ns
-    assert localizer.check(now) == (Status.OK, "")
-    assert localizer.check(now + 3 * S // 2) == (Status.ERROR, "odometry is silent for 1.5 s")
+    assert localizer.check(now) == (LocalizationStatus.OK, "")
+    assert localizer.check(now + 3 * S // 2) == (LocalizationStatus.ERROR, "odometry is silent for 1.5 s")
     localizer.odometry(Pose(0.0, 0.0, 0.0, now + 3 * S // 2))
-    assert localizer.check(now + 3 * S // 2) == (Status.ERROR, "the laser is silent for 1.5 s")
+    assert localizer.check(now + 3 * S // 2) == (LocalizationStatus.ERROR, "the laser is silent for 1.5 s")
 
 
 def test_frozen_odometry_is_told_and_the_laser_finds_the_robot_all_the_same() -> None:
@@ -100,12 +101,12 @@ def test_frozen_odometry_is_told_and_the_laser_finds_the_robot_all_the_same() ->
     there.there.run(0.2)
     standing(localizer, there, 8)
     status, reason = localizer.check(there.there.time_ns)
-    assert status is Status.ERROR
+    assert status is LocalizationStatus.ERROR
     assert "odometry says that the base has not moved: is it frozen, or was the robot carried?" in reason
     for _ in range(40):
         standing(localizer, there, 10)
         there.there.run(1.0)
-        if localizer.estimate().status is Status.OK:
+        if localizer.estimate().status is LocalizationStatus.OK:
             break
     assert off(localizer, there)[0] < METRES
 
@@ -117,7 +118,7 @@ def test_a_laser_that_sees_nothing_is_no_proof() -> None:
     for n in range(20):
         localizer.odometry(Pose(0.1 * n, 0.0, 0.0, n * S // 10))
         assert not localizer.scan(n * S // 10, np.empty((0, 2)))
-    assert localizer.check(2 * S) == (Status.ERROR, "the laser sees nothing: all its beams are empty")
+    assert localizer.check(2 * S) == (LocalizationStatus.ERROR, "the laser sees nothing: all its beams are empty")
 
 
 def test_a_map_that_lies_turned() -> None:
@@ -162,7 +163,7 @@ def test_points_of_a_scan_are_in_the_base_s_frame() -> None:
 
 
 def test_a_holonomic_base_goes_sideways() -> None:
-    settings = Settings(holonomic=True)
+    settings = LocaliserSection(holonomic=True)
     sim = Simulation(SimSection(plan="lab", robot="ikart_v1", laser=LaserSection(beams=180)))
     localizer = Localizer(Tour(sim, 0).grid, settings)
     localizer.initial(Pose(*sim.base.pose()))
@@ -189,7 +190,7 @@ def test_a_pose_is_remembered_over_restarts(tmp_path: Path, monkeypatch: pytest.
     assert again.recall("lab", of_this_run=True) == Pose(3.0, 2.0, 0.5)
     assert again.recall("hall", of_this_run=False) is None
     for run in ("", "another of the same number"):
-        monkeypatch.setattr("navigation.localization_server.memory.process_name", lambda _pid, run=run: run)
+        monkeypatch.setattr("navigation.localization_server.own.process_name", lambda _pid, run=run: run)
         assert again.recall("lab", of_this_run=True) is None
     assert again.recall("lab", of_this_run=False) == Pose(3.0, 2.0, 0.5)
     (tmp_path / "pose.json").write_text('{"map": "lab", "pose": [1, 2')

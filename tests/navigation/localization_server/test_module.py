@@ -6,28 +6,27 @@ import math
 import threading
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
 
 from bridge.config.model import Config
-from bridge.hub.qos import Qos
+from bridge.hub.wire.qos import Qos
+from bridge.modules.worker import Running
 from bridge.stores.kinds import MAP
-from navigation.localization_server.messages import POSE_COVARIANCE, spatial
-from navigation.localization_server.module import LocalizationServer, _same
-from navigation.maps.grid import from_grid, to_grid, yaw_of
+from navigation.localization_server.estimate import POSE_COVARIANCE, spatial
+from navigation.localization_server.module import LocalizationServer
+from navigation.maps.grid import from_grid, same_walls, to_grid, yaw_of
 from navigation.messages import pose_message
 from navigation.pose import Pose, wrapped
 from tests.modules.place import Place
 from tests.navigation.localization_server.robot import LATCHED, Robot
 from tests.support.wait import until
-from yarp_compat.dev.ilocalization2d import LocalizationStatusEnum
-from yarp_compat.dev.localization2d_client import Localization2DClient
+from yarp_compat.dev.basecontrol import OdometryData
+from yarp_compat.dev.localization2d import Localization2DClient, LocalizationStatusEnum
 from yarp_compat.dev.locations import Map2DLocation
 from yarp_compat.dev.mapgrid import MapFlag, MapGrid2D
-from yarp_compat.dev.odometry import OdometryData
 from yarp_compat.naming import connections
 from yarp_compat.naming.server import NameServer
 from yarp_compat.pythonic import Reader, Writer
@@ -57,15 +56,17 @@ def started(place: Place, robot: Robot, **section: Any) -> None:
 
 
 def use(place: Place, name: str, robot: Robot) -> None:
-    stores = place.worker._stores
-    assert stores is not None
     robot.grid.m_map_name = name
-    stores.store.put(MAP, name, robot.grid)
-    stores.store.use_map(name)
+    place.worker.store.put(MAP, name, robot.grid)
+    place.worker.store.use_map(name)
 
 
 def said(place: Place) -> dict[str, Any]:
     return place.answer("localization_server")
+
+
+def heard(place: Place, topic: str) -> int:
+    return sum(end["messages"] for end in said(place)["topics"] if end["topic"] == topic)
 
 
 def says(place: Place, status: str, reason: str = "") -> Callable[[], bool]:
@@ -161,27 +162,33 @@ def test_it_goes_on_where_it_was(place: Place, robot: Robot) -> None:
     until(near(place, true), "it begins where it was, whatever the section says", 20)
     robot.silent = set()
     until(says(place, OK), "it is localised on the topic's map", 20)
-    server = place.worker._running["localization_server"]._module
-    before = server._source._localizer
+    until(lambda: said(place)["updates"], "scans count", 20)
+    robot.silent = {"scan"}  # so that a localiser that begins anew is seen by its updates
+    until(says(place, "error", "the laser is silent"), "no further scan comes", 20)
+    before, told = said(place)["updates"], heard(place, "/map")
     again = to_grid(robot.grid)  # as mapping programs tell it every other second
     again["info"]["resolution"] = float(np.float32(again["info"]["resolution"]))
-    server._host.loop.call(lambda: server._grid_told(again))
-    assert server._source._localizer is before
+    out.publish(again)
+    until(lambda: heard(place, "/map") > told, "it is told again", 20)
+    place.worker.running("localization_server").host.loop.call(lambda: None)
+    assert said(place)["updates"] == before
     robot.grid.flags[:5, :5] = MapFlag.WALL
     out.publish(to_grid(robot.grid))
-    until(lambda: server._source._localizer is not before, "a map with other walls is taken", 20)
-    until(near(place, true), "it goes on where it was", 20)
+    until(lambda: said(place)["updates"] == 0, "a map with other walls is taken", 20)
+    robot.silent = set()
+    until(lambda: said(place)["updates"], "it goes on", 20)
+    until(near(place, true), "where it was", 20)
 
 
 def test_who_asks_how_it_is_does_not_disturb_it(place: Place, robot: Robot, monkeypatch: pytest.MonkeyPatch) -> None:
     started(place, robot)
-    server: Any = place.worker._running["localization_server"]._module
+    server: Any = place.worker.running("localization_server").module
     threads: list[str] = []
-    estimate, cloud = server._source.estimate, server._source.cloud
+    estimate, cloud = server.source.estimate, server.source.cloud
     monkeypatch.setattr(
-        server._source, "estimate", lambda: (threads.append(threading.current_thread().name), estimate())[1]
+        server.source, "estimate", lambda: (threads.append(threading.current_thread().name), estimate())[1]
     )
-    monkeypatch.setattr(server._source, "cloud", lambda: (threads.append(threading.current_thread().name), cloud())[1])
+    monkeypatch.setattr(server.source, "cloud", lambda: (threads.append(threading.current_thread().name), cloud())[1])
     until(lambda: server.health().state == "running", "it has a map")
     assert server.status()["localization"] == "not_yet_localized"
     until(lambda: threads, "it asks its source")
@@ -193,7 +200,7 @@ def test_what_is_drawn_on_a_map_beside_its_walls_delocalises_nobody() -> None:
     for flag, same in ((MapFlag.KEEP_OUT, True), (MapFlag.WALL, False), (MapFlag.UNKNOWN, False)):
         other = MapGrid2D.of(np.zeros((4, 4), np.uint8), name="lab")
         other.flags[1, 2] = flag
-        assert _same(one, other) is same
+        assert same_walls(one, other) is same
 
 
 def test_its_yarp_ports(place: Place, robot: Robot) -> None:
@@ -352,19 +359,26 @@ def test_poses_of_a_topic_and_of_a_port(place: Place, robot: Robot, monkeypatch:
         until(lambda: (writer.write(there), near(place, Pose(2.0, 3.0, math.pi / 2), 0.01)())[1], "a location", 20)
         numbers = [3.0, 2.0, -90.0]
         until(lambda: (writer.write(numbers), near(place, Pose(3.0, 2.0, -math.pi / 2), 0.01)())[1], "numbers", 20)
-    server, go_on, taken = place.worker._running["localization_server"]._module, threading.Event(), list[Pose]()
-    assert isinstance(server, LocalizationServer)
-    source: Any = server._source
-    monkeypatch.setattr(source, "take", taken.append)
-    server._host.loop.post(lambda: go_on.wait(40))
-    for x in (1.0, 2.0):
-        source._received(SimpleNamespace(values=[x, 0.0, 0.0]))
-    came = server._host.clock.now_ns()
-    until(lambda: server._host.clock.now_ns() > came, "time passes")
+        running, go_on, taken = place.worker.running("localization_server"), threading.Event(), list[Pose]()
+        assert isinstance(running.module, LocalizationServer)
+        monkeypatch.setattr(running.module.source, "take", taken.append)
+        running.host.loop.call(taken.clear)  # what was written before has been taken
+        running.host.loop.post(lambda: go_on.wait(40))
+        (port,) = (port for port in running.host.yarp.status() if port["port"] == "/localizationServer/pose:i")
+        for x in (1.0, 2.0):
+            assert writer.write([x, 0.0, 0.0], strict=True) == 1
+        until(lambda: received(running, port["port"]) == port["messages"] + 2, "both have come", 20)
+    clock = running.host.clock
+    came = clock.now_ns()
+    until(lambda: clock.now_ns() > came, "time passes")
     go_on.set()
-    server._host.loop.call(lambda: None)
+    running.host.loop.call(lambda: None)
     assert [pose.x for pose in taken] == [2.0], "while the thread is busy the newest alone waits"
     assert taken[0].stamp_ns <= came, "and is of when it came"
+
+
+def received(running: Running, name: str) -> int:
+    return sum(port["messages"] for port in running.host.yarp.status() if port["port"] == name)
 
 
 def test_poses_with_a_covariance_and_of_an_odometry(place: Place) -> None:
@@ -404,14 +418,15 @@ def test_in_front_of_another_server(place: Place, robot: Robot, tmp_path: Path) 
             until(lambda: says(second, OK)() or tell(), "the start is told to the other", 20, every=0.5)
             until(near(second, robot.pose), "it is where the other says", 20)
             until(lambda: said(second)["particles"] == 500, "with the other's particles", 20)
-            server = second.worker._running["localization_server"]._module
+            running = second.worker.running("localization_server")
+            server: Any = running.module
             use(place, "lab2", robot)
             until(says(second, "not_yet_localized", "on the map 'lab2', not on 'lab'"), "poses of another map", 20)
             until(lambda: said(second)["particles"] == 0, "are not of this one", 20)
-            second.worker._stores.store.put(MAP, "lab2", robot.grid)
+            second.worker.store.put(MAP, "lab2", robot.grid)
             use(place, "lab", robot)
             until(says(second, OK), "those of this one are taken again", 20)
-            server._host.loop.call(lambda: server.begin(robot.pose, None, "lab2"))
+            running.host.loop.call(lambda: server.begin(robot.pose, None, "lab2"))
             until(lambda: said(place)["map"] == "lab2", "the other is told where it begins on another map", 20)
             until(lambda: says(second, OK)() and said(second)["map"] == "lab2", "it says where the robot is there", 20)
 
@@ -426,7 +441,7 @@ def test_in_front_of_another_server(place: Place, robot: Robot, tmp_path: Path) 
             until(troubled, "the other's trouble is told", 30)
             place.worker.stop()
             until(says(second, "error", "/other/rpc"), "it is told that the other has gone", 20)
-            source = second.worker._running["localization_server"]._module._source
+            source = server.source
 
             def refused() -> bool:
                 try:

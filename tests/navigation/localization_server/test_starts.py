@@ -11,11 +11,10 @@ import numpy as np
 import pytest
 
 from bridge.config.sections.localization_server import LocalizationServerSection
-from navigation.localization_server.by_frames import Amcl
-from navigation.localization_server.messages import plane_of, pose_of
+from navigation.localization_server.estimate import plane_of, pose_of
 from navigation.localization_server.module import LocalizationServer
-from navigation.localization_server.own import Own
-from navigation.localization_server.source import Start
+from navigation.localization_server.own import OwnLocalizer
+from navigation.localization_server.sources import AmclSource, Start
 from navigation.pose import Pose
 from tests.navigation.test_frames import Said
 from yarp_compat.dev.mapgrid import MapFlag, MapGrid2D
@@ -55,7 +54,7 @@ class Outside:
     def module(self, kind: Any, section: LocalizationServerSection = SECTION) -> LocalizationServer:
         """The module, on the first map."""
         made: Any = LocalizationServer()
-        made._host, made._section, made._source = self, section, kind(self, section, Said().frames)
+        made._host, made._section, made.source = self, section, kind(self, section, Said().frames)
         made._grid = made._start = None
         made._resting = False
         made._take_current()
@@ -68,7 +67,7 @@ def outside(tmp_path: Path) -> Outside:
 
 
 def test_our_own_localiser_is_as_sure_as_it_was_told(outside: Outside) -> None:
-    module: Any = outside.module(Own)
+    module: Any = outside.module(OwnLocalizer)
     module.begin(*THERE, "cellar")
     found = module.estimate()
     assert module.map_name == "cellar"
@@ -83,7 +82,7 @@ def test_our_own_localiser_is_as_sure_as_it_was_told(outside: Outside) -> None:
 )
 def test_amcl_is_told(outside: Outside, set_map: str, before: str, told: str) -> None:
     outside.current = before
-    module = outside.module(Amcl, SECTION.model_copy(update={"set_map": set_map}))
+    module = outside.module(AmclSource, SECTION.model_copy(update={"set_map": set_map}))
     module.begin(*THERE, "cellar")
     ((name, message),) = outside.said
     assert name == told
@@ -94,6 +93,6 @@ def test_amcl_is_told(outside: Outside, set_map: str, before: str, told: str) ->
 
 def test_nobody_hears_it(outside: Outside) -> None:
     outside.hearers = []
-    module = outside.module(Amcl, SECTION.model_copy(update={"set_map": ""}))
+    module = outside.module(AmclSource, SECTION.model_copy(update={"set_map": ""}))
     with pytest.raises(RuntimeError, match="nobody hears /initialpose"):
         module.begin(*THERE, "cellar")

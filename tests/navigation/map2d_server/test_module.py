@@ -17,13 +17,13 @@ from bridge.cli.main import main
 from bridge.hub.session import Hub
 from bridge.stores.kinds import AREA, BEHAVIOUR, KINDS, LOCATION, MAP
 from bridge.stores.store import Store
-from navigation.map2d_server.outlets import topic_of
+from navigation.map2d_server.publishers import topic_of
 from navigation.maps.grid import from_grid
-from navigation.maps.keepout import flags_from
+from navigation.maps.masks import flags_from
 from tests.contract.hubside import HubSide
 from tests.modules.place import Place
 from tests.support.wait import until
-from yarp_compat.dev.area_behaviour import AreaBehaviour
+from yarp_compat.dev.extras import AreaBehaviour
 from yarp_compat.dev.locations import Map2DArea, Map2DLocation, Map2DObject, Map2DPath
 from yarp_compat.dev.map2d_client import Map2DClient
 from yarp_compat.dev.mapgrid import MapFlag, MapGrid2D
@@ -51,8 +51,7 @@ class Served(Place):
     @property
     def store(self) -> Store:
         """The store of the module's process, which is this one."""
-        store: Store = self.worker._running["map2d_server"]._host.store
-        return store
+        return self.worker.store
 
     def fresh(self) -> None:
         """Empty the store."""
@@ -269,7 +268,7 @@ def test_a_map_of_another_map_server_of_midspan_is_not_taken(served: Served) -> 
 
 
 def intake(served: Served) -> Any:
-    module: Any = served.worker._running["map2d_server"]._module
+    module: Any = served.worker.running("map2d_server").module
     return module._intakes[0]
 
 

@@ -7,7 +7,8 @@ import math
 import numpy as np
 import pytest
 
-from navigation.mapper2d.mapper import PAINTS, Mapper, Settings
+from bridge.config.sections.mapper2d import Mapper2DSection
+from navigation.mapper2d.mapper import PAINTS, Mapper
 from navigation.pose import Pose
 from yarp_compat.dev.mapflag import UNKNOWN, MapFlag
 from yarp_compat.dev.mapgrid import MapGrid2D
@@ -30,7 +31,7 @@ def flag(grid: MapGrid2D, x: float, y: float) -> MapFlag:
 
 @pytest.fixture
 def mapper() -> Mapper:
-    return Mapper(Settings("here", 6.0, 6.0, 0.05, farthest=8.0, largest=30.0))
+    return Mapper(Mapper2DSection(map_name="here", width=6.0, height=6.0, farthest=8.0, largest=30.0))
 
 
 def test_the_map_begins_about_the_first_pose(mapper: Mapper) -> None:

@@ -15,9 +15,9 @@ from navigation.mapper2d.module import _Scan
 from navigation.scan import of_yarp
 from tests.modules.place import Place
 from tests.support.wait import until
-from yarp_compat.dev.laserscan import LaserScan2D
+from yarp_compat.dev.basecontrol import OdometryData
 from yarp_compat.dev.mapflag import MapFlag
-from yarp_compat.dev.odometry import OdometryData
+from yarp_compat.dev.rangefinder import LaserScan2D
 from yarp_compat.naming import connections
 from yarp_compat.naming.server import NameServer
 from yarp_compat.pythonic import Client, Reader, Writer
@@ -98,11 +98,11 @@ def test_a_map_is_made_painted_and_saved(place: Place) -> None:
         def painted() -> bool:
             answer = asked(place, "save_to_mapserver")
             assert answer == ["Map map saved into the store."]
-            grid = place.worker._running["mapper2d"]._host.store.get(MAP, "map")
+            grid = place.worker.store.get(MAP, "map")
             return int((grid.flags == MapFlag.KEEP_OUT).sum()) == 9 + 43 * 3
 
         until(painted, "the clicks are painted", 20)
-    grid = place.worker._running["mapper2d"]._host.store.get(MAP, "map")
+    grid = place.worker.store.get(MAP, "map")
     column, row = grid.cells_at(middle)
     assert grid.flags[row, column] == MapFlag.FREE
     column, row = grid.cells_at((middle[0], middle[1] - RADIUS))
@@ -126,7 +126,7 @@ def test_laser_and_poses_of_yarp_are_connected(place: Place) -> None:
     assert asked(place, "stop") == ["Not mapping; 'start' goes on."]
     assert place.answer("mapper2d")["scans"] > 3
     assert asked(place, "save_to_mapserver") == ["Map map saved into the store."]
-    grid = place.worker._running["mapper2d"]._host.store.get(MAP, "map")
+    grid = place.worker.store.get(MAP, "map")
     middle = 1.0 + 0.5 * math.cos(math.radians(30)), 2.0 + 0.5 * math.sin(math.radians(30))
     column, row = grid.cells_at(middle)
     assert grid.flags[row, column] == MapFlag.FREE
@@ -224,7 +224,7 @@ def transform(parent: str, child: str, x: float, stamp: dict[str, int]) -> dict[
 
 def test_a_clock_that_is_set_back_makes_no_old_scan_new(place: Place, monkeypatch: pytest.MonkeyPatch) -> None:
     assert asked(place, "start") == ["Mapping."]
-    module: Any = place.worker._running["mapper2d"]._module
+    module: Any = place.worker.running("mapper2d").module
     host, now = module._host, [time.time_ns()]
     monkeypatch.setattr(host.clock, "now_ns", lambda: now[0])
     turn = of_yarp(LaserScan2D(0.0, 360.0, 0.1, 20.0, Vector([RADIUS] * BEAMS), 1), now[0] + 1_000_000_000)

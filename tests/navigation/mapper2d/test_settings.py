@@ -7,7 +7,8 @@ from pathlib import Path
 import pytest
 
 from bridge.config.sections.mapper2d import Mapper2DSection
-from navigation.mapper2d.settings import with_file
+from navigation.ini import laid_under
+from navigation.mapper2d.settings import read_file
 
 FILE = """\
 [GENERAL]
@@ -43,10 +44,11 @@ speed 3
 """
 
 
-def read(folder: Path, text: str, **section: object) -> tuple[Mapper2DSection, tuple[str, ...]]:
+def read(folder: Path, text: str, **section: object) -> tuple[Mapper2DSection, list[str]]:
     file = folder / "mapper2D.ini"
     file.write_text(text)
-    return with_file(Mapper2DSection.model_validate({"ini": file, **section}))
+    given = Mapper2DSection.model_validate({"ini": file, **section})
+    return laid_under(given, given.ini, read_file)
 
 
 def test_a_file_is_read_as_it_is(tmp_path: Path) -> None:
@@ -79,6 +81,6 @@ def test_a_short_file_leaves_the_rest(tmp_path: Path) -> None:
 
 def test_files_that_cannot_be_used(tmp_path: Path) -> None:
     with pytest.raises(RuntimeError, match="there is no such file"):
-        with_file(Mapper2DSection(ini=tmp_path / "none.ini"))
+        laid_under(Mapper2DSection(), tmp_path / "none.ini", read_file)
     with pytest.raises(RuntimeError, match=r"mapper2D.ini:2: 'map_width' is a number"):
         read(tmp_path, "[MAP]\nmap_width wide\n")

@@ -5,20 +5,28 @@ from __future__ import annotations
 import math
 import tempfile
 from pathlib import Path
+from types import ModuleType
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from bridge.messages.definitions.schema import Schema
 from bridge.messages.registry import Registry
-from bridge.messages.values import Schema, Writer
-from navigation.maps.cdr import to_cdr
-from navigation.maps.grid import data_of, from_grid, message_of, to_grid
-from navigation.maps.keepout import ENLARGED_OBSTACLE, KEEP_OUT, TEMPORARY_OBSTACLE, flags_from, keepout_mask
-from navigation.maps.polygon import cells_of
-from navigation.maps.speed import speed_mask
-from navigation.maps.turned import turned
+from bridge.messages.values import MessageWriter
+from navigation.maps import kernels
+from navigation.maps.grid import data_of, from_grid, message_of, to_cdr, to_grid, turned
+from navigation.maps.masks import (
+    ENLARGED_OBSTACLE,
+    KEEP_OUT,
+    TEMPORARY_OBSTACLE,
+    cells_of,
+    flags_from,
+    keepout_mask,
+    speed_mask,
+)
+from tests.support.uncompiled import uncompiled
 from tests.yarp_compat.dev.maps import maps
 from yarp_compat.dev.locations import Map2DArea
 from yarp_compat.dev.mapflag import MAX_CELLS, UNKNOWN, MapFlag
@@ -52,7 +60,7 @@ def test_a_map_as_cdr_is_what_the_writer_makes_of_its_message(
     schema: Schema, grid: MapGrid2D, frame: str, data: st.DataObject
 ) -> None:
     stamp = data.draw(st.integers(0, 2**31 * 10**9 - 1))
-    assert bytes(to_cdr(grid, frame, stamp)) == Writer(schema).message(to_grid(grid, frame, stamp))
+    assert bytes(to_cdr(grid, frame, stamp)) == MessageWriter(schema).message(to_grid(grid, frame, stamp))
 
 
 def from_rows(data: np.ndarray, grid: MapGrid2D) -> np.ndarray:
@@ -74,6 +82,43 @@ def test_a_grid() -> None:
     assert message_of(data_of(keepout_mask(grid)), grid)["info"]["width"] == 3
     assert 0 < ENLARGED_OBSTACLE < TEMPORARY_OBSTACLE < 99
     assert KEEP_OUT == 100
+
+
+CELLS = pytest.mark.parametrize(
+    "cells", [kernels, uncompiled("navigation.maps.kernels")], ids=["compiled", "uncompiled"]
+)
+
+
+@CELLS
+def test_every_pair_of_occupancy_and_flag(cells: ModuleType) -> None:
+    occupancy, flags = (np.ascontiguousarray(part, np.uint8) for part in np.mgrid[:256, :256])
+    values = np.empty_like(flags)
+    cells.join(occupancy.data, flags.data, values.data)
+    wanted = np.where(occupancy <= 100, occupancy, 255)
+    wanted[(flags == MapFlag.WALL) & ((occupancy < 50) | (occupancy > 100))] = 100
+    wanted[flags == MapFlag.UNKNOWN] = 255
+    np.testing.assert_array_equal(values[::-1], wanted)
+
+
+@CELLS
+def test_every_value_of_a_grid(cells: ModuleType) -> None:
+    values = np.arange(256, dtype=np.uint8).reshape(8, 32)
+    occupancy, flags = np.empty_like(values), np.empty_like(values)
+    cells.part(values.data, occupancy.data, flags.data)
+    upward = values[::-1]
+    np.testing.assert_array_equal(occupancy, np.where(upward > 100, 255, upward))
+    known = np.where(upward >= 50, MapFlag.WALL, MapFlag.FREE)
+    np.testing.assert_array_equal(flags, np.where(upward > 100, MapFlag.UNKNOWN, known))
+
+
+@CELLS
+@pytest.mark.parametrize("odd", range(3))
+@pytest.mark.parametrize("shape", [(3, 5), (4, 4), (0, 4)])
+def test_cells_of_two_shapes(cells: ModuleType, odd: int, shape: tuple[int, int]) -> None:
+    for kernel in (cells.join, cells.part):
+        arrays = [np.zeros(shape if number == odd else (3, 4), np.uint8).data for number in range(3)]
+        with pytest.raises(ValueError, match="one shape"):
+            kernel(*arrays)
 
 
 def test_painted_walls_and_unknown_cells_reach_planners() -> None:

@@ -8,12 +8,12 @@ from typing import Any
 
 import numpy as np
 
+from bridge.config.sections.robot_goto import RobotGotoSection
 from bridge.config.sections.sim import LaserSection, SimSection
 from navigation.constraints import Constraints
 from navigation.pose import Pose
-from navigation.robot_goto.command import Command
 from navigation.robot_goto.driver import Driver
-from navigation.robot_goto.settings import Settings
+from navigation.robot_goto.steering import DriveCommand
 from navigation.status import State
 from sim.base import Twist
 from sim.simulation import Simulation
@@ -37,11 +37,11 @@ class Scene:
     def __init__(self, plan: str = "hall", robot: str = "r1", *, laser: str = "ideal", **settings: Any) -> None:
         section = SimSection(plan=plan, robot=robot, laser=LaserSection(kind=laser, noise=0.01))
         self.sim = Simulation(section)
-        holonomic = robot != "r1"
-        self.driver = Driver(Settings(holonomic=holonomic, robot_radius=RADIUS[robot], **settings))
+        driven = RobotGotoSection(robot_is_holonomic=robot != "r1", robot_radius=RADIUS[robot])
+        self.driver = Driver(driven.model_copy(update=settings))
         self.touched = 0
         self.states: list[tuple[State, str]] = []
-        self.commands: list[tuple[float, Command]] = []
+        self.commands: list[tuple[float, DriveCommand]] = []
         self.edit: Callable[[np.ndarray], np.ndarray | None] = lambda ranges: ranges
         self.known = True
         self._scanned = -1
@@ -109,5 +109,5 @@ class Scene:
     def goto(self, x: float, y: float, degrees: float = math.nan, seconds: float = 60.0, **asked: Any) -> State:
         """Drive there; the state in which that ends."""
         self.driver.goal(Pose(x, y, math.radians(degrees)), Constraints(**asked))
-        self.until(lambda: self.driver.status.ended, seconds)
+        self.until(lambda: self.driver.status.state.ended, seconds)
         return self.driver.status.state

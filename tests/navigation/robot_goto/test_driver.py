@@ -1,16 +1,15 @@
 """The driver drives a simulated robot, and touches nothing."""
 
 import math
-from dataclasses import replace
 
 import numpy as np
 import pytest
 
+from bridge.messages.scan import Turn
 from navigation.constraints import Constraints
 from navigation.pose import Pose
 from navigation.robot_goto.driver import MAX_RETREAT, Driver
-from navigation.scan import Turn
-from navigation.status import Fault, State
+from navigation.status import Fault, PlannerStatus, State
 from sim.plan import Box, Person
 from tests.navigation.robot_goto.scene import Scene
 
@@ -60,7 +59,7 @@ def test_a_waypoint_is_passed_without_a_stop_and_a_new_goal_needs_none():
     scene.driver.goal(Pose(2.0, 0.1, math.nan))
     scene.run(0.5)
     assert scene.speed > 0.25
-    scene.until(lambda: scene.driver.status.ended, 20)
+    scene.until(lambda: scene.driver.status.state.ended, 20)
     scene.run(0.5)
     assert scene.speed < 0.01
     assert scene.driver.silent
@@ -111,7 +110,7 @@ def test_it_waits_where_it_is_told_to_and_goes_on_slowly():
     scene.driver.goal(Pose(3.0, 0.0, math.nan), Constraints(on_obstacle="wait"))
     scene.until(lambda: scene.driver.status.state is State.WAITING, 20)
     scene.run(3.0)
-    assert scene.driver.status == (State.WAITING, "there is an obstacle on the way", Fault.BLOCKED)
+    assert scene.driver.status == PlannerStatus(State.WAITING, "there is an obstacle on the way", Fault.BLOCKED)
     assert list(scene.driver.spoken) == ["Obstacles detected"]
     assert scene.speed < 0.01
     scene.sim.world.remove("box")
@@ -120,7 +119,7 @@ def test_it_waits_where_it_is_told_to_and_goes_on_slowly():
     begun = scene.now
     scene.until(lambda: scene.commands[-1][1].speed >= 0.29, 5)
     assert scene.now - begun > 1.0, "it comes up to speed in two seconds"
-    scene.until(lambda: scene.driver.status.ended, 30)
+    scene.until(lambda: scene.driver.status.state.ended, 30)
     assert scene.driver.status.state is State.REACHED
     assert not scene.touched
 
@@ -146,11 +145,37 @@ def test_without_progress_it_is_a_deadlock(on_deadlock):
     scene.sim.stop(on=False)
     if on_deadlock == "pause":
         assert scene.driver.resume()
-        scene.until(lambda: scene.driver.status.ended, 30)
+        scene.until(lambda: scene.driver.status.state.ended, 30)
         assert scene.driver.status.state is State.REACHED
 
 
 # what it does not see
+
+
+@pytest.mark.parametrize("lacks", ["laser", "frames"])
+def test_a_goal_that_comes_before_the_senses_waits_standing_and_then_goes(lacks):
+    scene = Scene()
+    if lacks == "laser":
+        scene.edit = lambda _ranges: None
+    else:
+        scene.known = False
+    scene.driver.goal(Pose(3.0, 0.0, math.nan))
+    scene.run(5.0)
+    assert not any(any(command) for _, command in scene.commands)
+    assert scene.driver.status.state is State.PREPARING
+    scene.edit, scene.known = lambda ranges: ranges, True
+    scene.until(lambda: scene.driver.status.state.ended, 30)
+    assert scene.driver.status.state is State.REACHED
+
+
+def test_a_goal_whose_senses_never_come_says_when_to_ask_again():
+    scene = Scene(max_waiting_time=3.0)
+    scene.known = False
+    scene.driver.goal(Pose(3.0, 0.0, math.nan))
+    scene.until(lambda: scene.driver.status.state.ended, 10)
+    state, reason, fault = scene.driver.status
+    assert (state, fault) == (State.FAILING, Fault.NOT_LOCALIZED)
+    assert "ask again" in reason
 
 
 def test_a_silent_laser_stops_it_and_it_goes_on():
@@ -166,7 +191,7 @@ def test_a_silent_laser_stops_it_and_it_goes_on():
     assert (state, fault) == (State.WAITING, Fault.NO_LASER)
     assert "the laser is silent" in reason
     scene.edit = lambda ranges: ranges
-    scene.until(lambda: scene.driver.status.ended, 30)
+    scene.until(lambda: scene.driver.status.state.ended, 30)
     assert scene.driver.status.state is State.REACHED
 
 
@@ -186,7 +211,7 @@ def test_a_laser_that_stays_away_ends_the_goal_and_is_named_as_the_cause(seen, s
     state, reason, fault = scene.driver.status
     assert (state, fault) == (State.WAITING, Fault.NO_LASER)
     assert said in reason
-    scene.until(lambda: scene.driver.status.ended, 10)
+    scene.until(lambda: scene.driver.status.state.ended, 10)
     state, reason, fault = scene.driver.status
     assert (state, fault) == (State.FAILING, Fault.NO_LASER)
     assert said in reason
@@ -199,7 +224,7 @@ def test_scans_that_have_no_place_are_the_frames_fault():
     scene.edit, scene.driver.unplaced = lambda _ranges: None, "there is no frame 'laser'"
     scene.run(2.0)
     reason = "it is not known where the laser's scans are: there is no frame 'laser'"
-    assert scene.driver.status == (State.WAITING, reason, Fault.NO_LASER)
+    assert scene.driver.status == PlannerStatus(State.WAITING, reason, Fault.NO_LASER)
     scene.known = False
     scene.run(0.1)
     assert scene.driver.status.fault is Fault.NOT_LOCALIZED
@@ -224,7 +249,7 @@ def test_a_base_that_does_not_follow_is_waited_for_and_tried_again(fault):
     scene.run(6.0)
     assert scene.pose.distance(at) < 0.25, "short tries, two seconds apart"
     scene.fail("")
-    scene.until(lambda: scene.driver.status.ended, 40)
+    scene.until(lambda: scene.driver.status.state.ended, 40)
     assert scene.driver.status.state is State.REACHED
 
 
@@ -233,7 +258,7 @@ def test_a_base_that_never_follows_ends_the_goal():
     scene.driver.goal(Pose(3.0, 0.0, math.nan))
     scene.run(2.0)
     scene.fail("emergency stop")
-    scene.until(lambda: scene.driver.status.ended, 20)
+    scene.until(lambda: scene.driver.status.state.ended, 20)
     assert scene.driver.status[::2] == (State.FAILING, Fault.BASE_STANDS)
     assert "does not follow" in scene.driver.status.reason
 
@@ -245,13 +270,10 @@ def test_lost_it_stops_at_once_and_goes_on():
     scene.known = False
     scene.tick()
     assert scene.commands[-1][1] == (0.0, 0.0, 0.0)
-    assert scene.driver.status == (
-        State.WAITING,
-        "where the robot is is not known: nobody says",
-        Fault.NOT_LOCALIZED,
-    )
+    reason = "where the robot is is not known: nobody says"
+    assert scene.driver.status == PlannerStatus(State.WAITING, reason, Fault.NOT_LOCALIZED)
     scene.known = True
-    scene.until(lambda: scene.driver.status.ended, 30)
+    scene.until(lambda: scene.driver.status.state.ended, 30)
     assert scene.driver.status.state is State.REACHED
 
 
@@ -263,7 +285,7 @@ def test_what_the_laser_says_nothing_of_is_not_free():
     assert scene.pose.distance(Pose(0.0, 0.0, 0.0)) < 0.02
     assert "cannot see" in scene.reasons
     scene.edit = lambda ranges: np.full_like(ranges, np.inf)  # nothing for as far as it sees is free
-    scene.until(lambda: scene.driver.status.ended, 30)
+    scene.until(lambda: scene.driver.status.state.ended, 30)
     assert scene.driver.status.state is State.REACHED
 
 
@@ -325,14 +347,14 @@ def test_an_approach_ends_before_the_wall_and_backwards_in_two_seconds():
 
 
 def test_a_retreat_is_short_and_touches_nothing():
-    scene = Scene(retreat=True, retreat_duration=2.0)
+    scene = Scene(enable_retreat=True, retreat_duration=2.0)
     scene.sim.world.spawn(box(-0.7, 0.0), "box")
     scene.run(0.3)
     scene.driver.goal(Pose(1.0, 0.0, math.nan))
     scene.run(1.5)
     assert scene.states[-1][0] is State.PREPARING
     assert -0.2 - 0.01 < scene.pose.x < -0.05
-    scene.until(lambda: scene.driver.status.ended, 30)
+    scene.until(lambda: scene.driver.status.state.ended, 30)
     assert scene.driver.status.state is State.REACHED
     assert not scene.touched
     assert min(c.vx for _, c in scene.commands) >= -0.2
@@ -341,7 +363,7 @@ def test_a_retreat_is_short_and_touches_nothing():
 
 
 def test_a_retreat_lasts_two_seconds_whatever_is_set():
-    scene = Scene(retreat=True, retreat_duration=300.0)
+    scene = Scene(enable_retreat=True, retreat_duration=300.0)
     scene.run(0.3)
     scene.driver.goal(Pose(1.0, 0.0, math.nan))
     scene.run(5.0)
@@ -368,7 +390,7 @@ def test_pause_and_resume():
     scene.run(30.0)
     assert scene.driver.status.state is State.PAUSED
     assert scene.driver.resume()
-    scene.until(lambda: scene.driver.status.ended, 30)
+    scene.until(lambda: scene.driver.status.state.ended, 30)
     assert scene.driver.status.state is State.REACHED
 
 
@@ -388,6 +410,6 @@ def test_settings_can_change_on_the_way():
     scene = Scene()
     scene.driver.goal(Pose(3.0, 0.0, math.nan))
     scene.run(2.0)
-    scene.driver.settings = replace(scene.driver.settings, max_lin_speed=0.15)
+    scene.driver.settings = scene.driver.settings.model_copy(update={"max_lin_speed": 0.15})
     scene.run(2.0)
     assert scene.speed == pytest.approx(0.15, abs=0.01)

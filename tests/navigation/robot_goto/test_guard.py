@@ -5,15 +5,15 @@ import math
 import numpy as np
 import pytest
 
+from bridge.config.sections.robot_goto import RobotGotoSection
+from bridge.messages.scan import Turn
 from navigation.pose import Pose
-from navigation.robot_goto.command import STILL, Command
 from navigation.robot_goto.guard import Guard
 from navigation.robot_goto.local_grid import LocalGrid
-from navigation.robot_goto.settings import Settings
-from navigation.scan import Turn
+from navigation.robot_goto.steering import STILL, DriveCommand
 
-SETTINGS, ORIGIN = Settings(), Pose(0.0, 0.0, 0.0)
-FORWARD = Command(0.3)
+SETTINGS, ORIGIN = RobotGotoSection(), Pose(0.0, 0.0, 0.0)
+FORWARD = DriveCommand(0.3)
 
 
 @pytest.fixture
@@ -26,8 +26,8 @@ def guard():
 
 def test_it_follows_what_was_commanded_as_fast_as_the_base_can(guard):
     for _ in range(50):
-        guard.follow(SETTINGS, Command(0.3, 0.0, 1.0), 0.01)
-    assert guard.has == pytest.approx([0.15, 0.0, 0.5 * SETTINGS.angular_acceleration], abs=0.01)
+        guard.follow(SETTINGS, DriveCommand(0.3, 0.0, 1.0), 0.01)
+    assert guard.has == pytest.approx([0.15, 0.0, 0.5 * math.radians(SETTINGS.max_ang_acc)], abs=0.01)
 
 
 def test_what_is_allowed_depends_on_the_speed_that_it_has(guard):
@@ -50,9 +50,9 @@ def test_noise_of_the_odometry_and_its_jumps_are_no_speed(guard):
 
 def test_turning_is_always_allowed_and_standing_needs_no_leave(guard):
     near = Pose(0.49, 0.0, 0.0)
-    assert guard.allowed(SETTINGS, 1.0, near, Command(0.3, 0.0, 0.5)) == (0.0, 0.0, 0.5)
+    assert guard.allowed(SETTINGS, 1.0, near, DriveCommand(0.3, 0.0, 0.5)) == (0.0, 0.0, 0.5)
     assert guard.allowed(SETTINGS, 1.0, near, STILL) == STILL
-    assert guard.allowed(SETTINGS, 1.0, near, Command(-0.2)).vx == -0.2
+    assert guard.allowed(SETTINGS, 1.0, near, DriveCommand(-0.2)).vx == -0.2
 
 
 def test_after_its_memory_is_over_all_is_unseen(guard):

@@ -5,10 +5,10 @@ import math
 import numpy as np
 import pytest
 
+from bridge.messages.scan import Turn
 from navigation.algorithms.rolling_grid import OCCUPIED, UNKNOWN
 from navigation.pose import Pose
 from navigation.robot_goto.local_grid import RESOLUTION, SIDE, LocalGrid
-from navigation.scan import Turn
 
 BEAMS = 720
 ORIGIN = Pose(0.0, 0.0, 0.0)

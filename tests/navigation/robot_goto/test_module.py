@@ -2,36 +2,41 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
 import threading
 import time
 from collections.abc import Iterator
-from dataclasses import replace
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
 
+from bridge import kernels
 from bridge.clock import SYSTEM
-from bridge.hub.qos import Durability, Qos
 from bridge.hub.session import Hub
+from bridge.hub.wire.qos import Durability, Qos
+from bridge.messages.actions import GoalState
 from bridge.messages.registry import Registry
-from bridge.modules.goal import Status
 from navigation.constraints import Constraints
+from navigation.frames import FramesError
+from navigation.planner_module import PlannerModule
+from navigation.pose import Pose
 from navigation.status import Fault, State
 from sim.laser import reference
 from tests.navigation.served import STATUS, Program, Served
+from tests.navigation.uncompiled import uncompiled
 from tests.support.wait import until
 from yarp_compat.dev.client import ServiceClient
 from yarp_compat.dev.inavigation2d import INavigation2DMsgs, NavigationMapTypeEnum, NavigationStatusEnum
-from yarp_compat.dev.laserscan import LaserScan2D
 from yarp_compat.dev.locations import Map2DLocation
 from yarp_compat.dev.mapflag import MapFlag
+from yarp_compat.dev.rangefinder import LaserScan2D
 from yarp_compat.dev.robotgoto_commands import RobotGotoMsgs
 from yarp_compat.naming import connections
-from yarp_compat.pythonic import Client, Reader
+from yarp_compat.pythonic import Client, Reader, Writer
+from yarp_compat.sig.vector import Vector
 
 PLANNER = "/planner/robot_goto"
 TICK, TIMEOUT = 0.02, 0.3
@@ -140,19 +145,25 @@ def running(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Goto]:
         made.close()
 
 
+def pose_of(module: PlannerModule) -> Pose | None:
+    with contextlib.suppress(FramesError):
+        return module.pose()
+    return None
+
+
 @pytest.fixture
 def place(running: Goto) -> Goto:
     """RobotGoto with nothing to do, its robot in the middle of the room."""
     robot, module = running.robot, running.module
     robot.sees = robot.knows = True
-    module._host.loop.call(lambda: module.stop_driving("the test begins"))
-    module._host.loop.call(module.reset)
+    running.host.loop.call(lambda: module.stop_driving("the test begins"))
+    running.host.loop.call(module.driver.reset)
     robot.loop.call(lambda: robot.stand(0.0, 0.0, 0.0))
 
     begun = module.now()
 
     def ready() -> bool:
-        pose, scanned = module._pose_now(), module.driver.grid.scanned
+        pose, scanned = pose_of(module), module.driver.grid.scanned
         stands = pose is not None and abs(pose.x) < 1e-6
         # where it was stood elsewhere it forgets what it saw: wait for a later scan
         return stands and scanned is not None and scanned > begun + 0.3 and module.health().state == "running"
@@ -167,7 +178,7 @@ def test_a_goal_of_the_hub_is_driven_to_and_then_it_is_silent(place: Goto) -> No
     grids = place.far.subscribe(f"{PLANNER}/local_map", "nav_msgs/OccupancyGrid", latched=True)
     paths = place.far.subscribe(f"{PLANNER}/path", "nav_msgs/Path", latched=True)
     sent = place.robot.send(1.0, 0.5, 1.0, Constraints(tolerance_lin=0.08).to_text())
-    assert sent.end() == (Status.SUCCEEDED, {"error_code": 0, "error_msg": ""})
+    assert sent.end() == (GoalState.SUCCEEDED, {"error_code": 0, "error_msg": ""})
     robot = place.robot
     assert math.hypot(robot.x - 1.0, robot.y - 0.5) < 0.2
     assert abs(math.remainder(robot.yaw - 1.0, math.tau)) < 0.3
@@ -186,10 +197,10 @@ def test_a_new_goal_takes_the_place_and_a_cancelled_one_stops(place: Goto) -> No
     first = place.robot.send(2.0, 0.0)
     until(lambda: place.robot.x > 0.1, "it drives", 30)
     second = place.robot.send(-2.0, 0.0)
-    assert first.end() == (Status.CANCELED, {"error_code": Fault.OTHER, "error_msg": "another goal took its place"})
+    assert first.end() == (GoalState.CANCELED, {"error_code": Fault.OTHER, "error_msg": "another goal took its place"})
     until(lambda: place.robot.commands[-1][0] != 0.0 or place.robot.commands[-1][2] != 0.0, "it drives on", 30)
     second.cancel()
-    assert second.end()[0] is Status.CANCELED
+    assert second.end()[0] is GoalState.CANCELED
     until(lambda: place.robot.commands[-1] == (0.0, 0.0, 0.0), "it stands", 20)
 
 
@@ -205,11 +216,23 @@ def test_a_goal_is_given_up_when_nobody_is_left_who_could_cancel_it(place: Goto)
         robot.connect()
 
 
+def test_without_compiled_kernels_goals_are_refused_with_the_cure(place: Goto, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(place.module, "compiled", uncompiled(monkeypatch))
+    status, result = place.robot.send(1.0, 0.0).end()
+    assert status is GoalState.ABORTED
+    assert "not compiled: navigation.some_kernel" in result["error_msg"]
+    assert kernels.CURE in result["error_msg"]
+    assert kernels.CURE in place.module.health().text
+    with ServiceClient(INavigation2DMsgs, place.registered("/robotGoto/rpc"), naming=place.names, timeout=20) as yarp:
+        assert not yarp.remote.goto_target_by_absolute_location_RPC(Map2DLocation("", 1.0, 0.0, 0.0))
+    assert not [command for command in place.robot.commands if any(command)]
+
+
 def test_a_goal_that_cannot_be_says_why(place: Goto) -> None:
     status, result = place.robot.send(math.nan, 0.0).end()
-    assert (status, result["error_code"]) == (Status.ABORTED, Fault.BAD_GOAL)
+    assert (status, result["error_code"]) == (GoalState.ABORTED, Fault.BAD_GOAL)
     status, result = place.robot.send(1.0, 0.0, 0.0, "midspan: speed=2").end()
-    assert (status, result["error_code"]) == (Status.ABORTED, Fault.BAD_GOAL)
+    assert (status, result["error_code"]) == (GoalState.ABORTED, Fault.BAD_GOAL)
     assert "'speed' is no constraint" in result["error_msg"]
 
 
@@ -238,7 +261,7 @@ def test_in_trouble_it_stands_says_why_and_goes_on(place: Goto, trouble: str) ->
         robot.localized("localized_ok")
     until(lambda: robot.x > stood + 0.1 and place.state == "moving", "it goes on", 30)
     sent.cancel()
-    assert sent.end()[0] is Status.CANCELED
+    assert sent.end()[0] is GoalState.CANCELED
 
 
 def test_yarp_drives_it_and_hears_its_commands(place: Goto) -> None:
@@ -251,15 +274,15 @@ def test_yarp_drives_it_and_hears_its_commands(place: Goto) -> None:
     ):
         connections.connect(names, place.registered("/robotGoto/control:o"), "/test/control")
         robot.loop.call(lambda: robot.stand(0.0, 0.0, math.pi / 2))
-        until(lambda: (pose := place.module._pose_now()) and pose.theta > 1.5, "it has turned", 20)
+        until(lambda: (pose := pose_of(place.module)) and pose.theta > 1.5, "it has turned", 20)
         driver = place.module.driver
-        slowly = replace(driver.settings, max_lin_speed=0.2)
-        place.module._host.loop.call(lambda: setattr(driver, "settings", slowly))  # it is to be suspended on its way
+        slowly = driver.settings.model_copy(update={"max_lin_speed": 0.2})
+        place.host.loop.call(lambda: setattr(driver, "settings", slowly))  # it is to be suspended on its way
         assert client.remote.goto_target_by_relative_location1_RPC(1.0, 0.0), "a metre to its front, which is north"
         until(lambda: robot.y > 0.2, "it drives", 30)
         assert client.remote.suspend_navigation_RPC(0.0)
         assert client.remote.get_navigation_status_RPC()[1] is ok.navigation_status_paused
-        place.module._host.loop.call(place.module.reset)
+        place.host.loop.call(place.module.driver.reset)
         assert client.remote.resume_navigation_RPC()
         target = client.remote.get_absolute_location_of_current_target_RPC()[1]
         assert (target.x, target.y) == pytest.approx((0.0, 1.0), abs=0.05)
@@ -287,21 +310,35 @@ def test_a_scan_of_yarp_that_waited_is_of_when_it_came(place: Goto, monkeypatch:
     monkeypatch.setattr(
         module.driver, "scan", lambda turn, *_where: taken.append(turn.time_ns) if turn.farthest == 7.0 else None
     )
-    scan = LaserScan2D()
-    scan.scans, scan.angle_min, scan.angle_max, scan.range_min, scan.range_max = [1.0] * 90, 0.0, 360.0, 0.1, 7.0
-    before = module.now()
-    module._host.loop.post(lambda: go_on.wait(40))
-    for _ in range(2):
-        module._yarp_scanned(SimpleNamespace(to=lambda _kind: scan))
-    came = module.now()
-    until(lambda: module.now() > came + 0.01, "some time passes")
-    go_on.set()
-    module._host.loop.call(lambda: None)
-    assert len(taken) == 1, "the newest alone"
-    assert before - 1e-6 <= taken[0] / 1e9 <= came + 1e-6
-    for said in (module.now() - 10.0, module.now() + 10.0):
-        module._host.loop.call(lambda said=said: module._take_yarp((said, scan)))
-    assert len(taken) == 1, "an old one, and one of before the clock was set back, are left out"
+    scan = LaserScan2D(0.0, 360.0, 0.1, 7.0, Vector([1.0] * 90), 1)
+    port, now = place.registered("/robotGoto/laser:i"), module.now
+    with Writer("/test/laser:o", naming=place.names) as writer:
+        writer.connect(port)
+
+        def come(count: int) -> None:
+            """While the thread is busy."""
+            told = place.received(port)
+            go_on.clear()
+            place.host.loop.post(lambda: go_on.wait(20))
+            for _ in range(count):
+                assert writer.write(scan, strict=True) == 1
+            until(lambda: place.received(port) == told + count, "they have come", 20)
+
+        before = now()
+        come(2)
+        came = now()
+        until(lambda: now() > came + 0.01, "some time passes")
+        go_on.set()
+        place.host.loop.call(lambda: None)
+        assert len(taken) == 1, "the newest alone"
+        assert before - 1e-6 <= taken[0] / 1e9 <= came + 1e-6
+        for shift in (10.0, -10.0):
+            come(1)
+            monkeypatch.setattr(module, "now", lambda shift=shift: now() + shift)
+            go_on.set()
+            place.host.loop.call(lambda: None)
+            monkeypatch.setattr(module, "now", now)
+        assert len(taken) == 1, "an old one, and one of before the clock was set back, are left out"
 
 
 def test_its_commands_in_words_and_as_a_service(place: Goto) -> None:
@@ -310,9 +347,9 @@ def test_its_commands_in_words_and_as_a_service(place: Goto) -> None:
     with Client(rpc, naming=place.names) as words:
         assert words.ask(["set", "linear_tol", 0.2]) == ["linear_tol set."]
         assert words.ask(["set", "max_ang_speed", 20.0]) == ["max_ang_speed set."]
-        assert (driver.settings.goal_tolerance_lin, driver.settings.max_ang_speed) == (0.2, math.radians(20.0))
+        assert (driver.settings.goal_tolerance_lin, driver.settings.max_ang_speed) == (0.2, 20.0)
         assert words.ask(["set", "obstacle_stop", 0]) == ["enable_obstacle_stop=false"]
-        assert not driver.settings.obstacle_stop
+        assert not driver.settings.enable_obstacles_emergency_stop
         assert words.ask(["get", "navigation_status"]) == ["navigation_status_idle"]
         assert words.ask(["reset_params"]) == ["params reset done"]
         assert driver.settings.goal_tolerance_lin == 0.1
@@ -338,10 +375,10 @@ def test_a_step_that_fails_stops_the_robot_and_ends_the_goal(place: Goto, monkey
     with monkeypatch.context() as patch:
         patch.setattr(driver, "step", step)
         status, result = sent.end()
-    assert (status, result["error_code"]) == (Status.ABORTED, Fault.OTHER)
+    assert (status, result["error_code"]) == (GoalState.ABORTED, Fault.OTHER)
     assert result["error_msg"] == "RobotGoto failed: ZeroDivisionError: of the test"
     until(lambda: robot.commands[-1] == (0.0, 0.0, 0.0), "it stands", 20)
-    assert robot.send(0.5, 0.0).end()[0] is Status.SUCCEEDED
+    assert robot.send(0.5, 0.0).end()[0] is GoalState.SUCCEEDED
 
 
 def test_halt_ends_every_goal(place: Goto) -> None:

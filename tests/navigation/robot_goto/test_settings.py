@@ -1,13 +1,14 @@
 """RobotGoto's section, and files of existing robots."""
 
-import math
 from pathlib import Path
 from typing import Any
 
 import pytest
 
 from bridge.config.sections.robot_goto import RobotGotoSection
-from navigation.robot_goto.settings import Settings, settings_of
+from navigation.ini import laid_under
+from navigation.robot_goto.driver import Driver
+from navigation.robot_goto.settings import read_file
 
 R1 = """
 [ROBOTGOTO_GENERAL]
@@ -59,34 +60,45 @@ retreat_duration 300
 """
 
 
-def of(folder: Path, text: str, **own: Any) -> tuple[Settings, RobotGotoSection, list[str]]:
+def read(section: RobotGotoSection) -> tuple[RobotGotoSection, list[str]]:
+    return laid_under(section, section.ini, read_file)
+
+
+def of(folder: Path, text: str, **own: Any) -> tuple[RobotGotoSection, list[str]]:
     file = folder / "robotGoto.ini"
     file.write_text(text)
-    return settings_of(RobotGotoSection(ini=file, **own))
+    return read(RobotGotoSection(ini=file, **own))
 
 
 def test_the_section_alone_has_the_drivers_defaults():
-    made, _, notes = settings_of(RobotGotoSection())
-    assert made == Settings()
+    made, notes = read(RobotGotoSection())
+    assert made == Driver().settings
     assert notes == []
 
 
 def test_r1s_file_is_read_as_it_is(tmp_path):
-    made, section, _ = of(tmp_path, R1)
-    assert (made.max_beta_angle, made.ang_speed_gain, made.lin_speed_gain) == (math.radians(5.0), 0.3, 0.1)
-    assert (made.max_lin_speed, made.max_ang_speed) == (0.3, math.radians(15.0))
-    assert (made.min_lin_speed, made.min_ang_speed) == (0.01, math.radians(0.5))
-    assert (made.goal_tolerance_lin, made.goal_tolerance_ang) == (0.05, math.radians(0.6))
-    assert (made.obstacle_stop, made.dynamic_distance, made.avoidance, made.retreat) == (True, True, False, False)
-    assert (made.min_detection_distance, made.max_detection_distance, made.max_waiting_time) == (0.35, 1.2, 60.0)
-    assert made.speed_reduction_factor == 0.7
+    section, _ = of(tmp_path, R1)
+    assert (section.max_beta_angle, section.ang_speed_gain, section.lin_speed_gain) == (5.0, 0.3, 0.1)
+    assert (section.max_lin_speed, section.max_ang_speed) == (0.3, 15.0)
+    assert (section.min_lin_speed, section.min_ang_speed) == (0.01, 0.5)
+    assert (section.goal_tolerance_lin, section.goal_tolerance_ang) == (0.05, 0.6)
+    assert section.enable_obstacles_emergency_stop
+    assert section.enable_dynamic_max_distance
+    assert not section.enable_obstacles_avoidance
+    assert not section.enable_retreat
+    assert (section.min_detection_distance, section.max_detection_distance, section.max_waiting_time) == (
+        0.35,
+        1.2,
+        60.0,
+    )
+    assert section.speed_reduction_factor == 0.7
     assert (section.base_frame, section.frame) == ("mobile_base_body_link", "map")
     assert (section.laser_port, section.laser_pose.x) == ("/SIM_CER_ROBOT/laser:o", 0.07)
     assert section.prefix == "/robotGoto"
 
 
 def test_keys_that_nothing_reads_and_values_in_the_wrong_unit_are_named_with_their_place(tmp_path):
-    made, _, notes = of(tmp_path, R1)
+    made, notes = of(tmp_path, R1)
     assert made.retreat_duration == 0.3
     lines = dict(enumerate(R1.splitlines(), 1))
     for key, why in (
@@ -102,8 +114,8 @@ def test_keys_that_nothing_reads_and_values_in_the_wrong_unit_are_named_with_the
 
 
 def test_what_the_section_says_is_stronger_and_what_is_missing_is_upstreams(tmp_path):
-    made, _, _ = of(tmp_path, R1.replace("max_lin_speed       0.3\n", ""), max_ang_speed=20.0)
-    assert made.max_ang_speed == math.radians(20.0)
+    made, _ = of(tmp_path, R1.replace("max_lin_speed       0.3\n", ""), max_ang_speed=20.0)
+    assert made.max_ang_speed == 20.0
     assert made.max_lin_speed == 0.9, "upstream's default"
 
 
@@ -122,4 +134,4 @@ def test_a_file_that_cannot_be_used_says_why(tmp_path, before, after, why):
 
 def test_a_file_that_is_not_there(tmp_path):
     with pytest.raises(RuntimeError, match="there is no such file"):
-        settings_of(RobotGotoSection(ini=tmp_path / "none.ini"))
+        read(RobotGotoSection(ini=tmp_path / "none.ini"))

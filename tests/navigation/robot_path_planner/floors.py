@@ -7,14 +7,14 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from bridge.config.sections.robot_path_planner import RobotPathPlannerSection
+from bridge.messages.scan import Turn
 from navigation.constraints import Constraints
 from navigation.pose import Pose, wrapped
+from navigation.robot_path_planner.atlas import Atlas
 from navigation.robot_path_planner.ground import Ground, Zone
-from navigation.robot_path_planner.itinerary import Atlas
-from navigation.robot_path_planner.planner import PathPlanner, Status
-from navigation.robot_path_planner.settings import Settings
-from navigation.scan import Turn
-from navigation.status import Fault, State
+from navigation.robot_path_planner.planner import PathPlanner
+from navigation.status import Fault, PlannerStatus, State
 from yarp_compat.dev.mapflag import MapFlag
 from yarp_compat.dev.mapgrid import MapGrid2D
 
@@ -24,7 +24,7 @@ SPEED = 0.5
 TURN = 0.5
 ROOM = 0.2
 """Metres that it keeps to crates."""
-SETTINGS = Settings(robot_radius=0.2, clearance=0.1)
+SETTINGS = RobotPathPlannerSection(robot_radius=0.2, clearance=0.1)
 
 
 def floor(*boxes: tuple[float, float, float, float], name: str = "floor", size: float = 5.0) -> MapGrid2D:
@@ -103,7 +103,7 @@ class Drive:
         self,
         grid: MapGrid2D | None,
         start: Pose,
-        settings: Settings = SETTINGS,
+        settings: RobotPathPlannerSection = SETTINGS,
         zones: Sequence[Zone] = (),
         atlas: Atlas | None = None,
     ) -> None:
@@ -114,14 +114,14 @@ class Drive:
         self.local = Straight(start)
         self.now = 0.0
         self.track: list[Pose] = []
-        self.told: list[Status] = []
+        self.told: list[PlannerStatus] = []
         self.lost = ""
         self.laser = False
 
     def use(self, grid: MapGrid2D) -> None:
         self.planner.use_map(Ground(grid, self.settings.robot_radius, self.settings.clearance, self.zones))
 
-    def tick(self) -> Status:
+    def tick(self) -> PlannerStatus:
         self.now += TICK
         self.local.tick()
         if self.laser:
@@ -146,19 +146,19 @@ class Drive:
         turn = Turn(round(self.now * 1e9), 0.0, math.tau / beams, 0.05, 8.0, ranges)
         self.planner.scan(self.now, Pose(pose.x, pose.y, 0.0), turn)
 
-    def goto(self, goal: Pose, seconds: float = 120.0, map_name: str = "") -> Status:
+    def goto(self, goal: Pose, seconds: float = 120.0, map_name: str = "") -> PlannerStatus:
         """Drive to a goal until it has ended."""
         self.planner.goal(goal, map_name, now=self.now)
         return self.run(seconds)
 
-    def run(self, seconds: float) -> Status:
+    def run(self, seconds: float) -> PlannerStatus:
         end = self.now + seconds
         status = self.tick()
         while self.planner.active and self.now < end:
             status = self.tick()
         return status
 
-    def until(self, state: State, seconds: float = 60.0) -> Status:
+    def until(self, state: State, seconds: float = 60.0) -> PlannerStatus:
         end = self.now + seconds
         while self.now < end:
             status = self.tick()

@@ -14,19 +14,21 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from bridge import kernels
 from bridge.clock import SYSTEM
-from bridge.hub.qos import Durability, Qos
 from bridge.hub.session import Hub
+from bridge.hub.wire.qos import Durability, Qos
+from bridge.messages.actions import GoalState
 from bridge.messages.registry import Registry
 from bridge.modules.action_server import Goal
-from bridge.modules.goal import Status
 from bridge.stores.kinds import MAP
 from navigation.constraints import Constraints
 from navigation.maps.grid import to_grid, yaw_of
-from navigation.status import Fault, State, status_message
+from navigation.status import Fault, PlannerStatus, State, status_message
 from tests.modules.place import Place
 from tests.navigation.robot_path_planner.floors import ROOMS, floor
 from tests.navigation.served import ACTION, STATUS, Program, Served
+from tests.navigation.uncompiled import uncompiled
 from tests.support.wait import until
 from yarp_compat.dev.client import ServiceClient
 from yarp_compat.dev.inavigation2d import (
@@ -74,7 +76,7 @@ class Robot(Program):
     def says(self, state: State, reason: str) -> None:
         """Tell of the goal at hand what the action has no word for."""
         assert self.goal is not None
-        told = status_message(SYSTEM.stamp(), state, reason, goal_id=self.goal.id)
+        told = status_message(SYSTEM.stamp(), PlannerStatus(state, reason), goal_id=self.goal.id)
         self.loop.call(lambda: self._status.publish(told))
 
     def _cancel(self, goal: Goal) -> bool:
@@ -83,7 +85,7 @@ class Robot(Program):
 
     def _tick(self) -> None:
         goal = self.goal
-        if goal is not None and goal.active and goal.status is Status.EXECUTING:
+        if goal is not None and goal.active and goal.status is GoalState.EXECUTING:
             pose = goal.goal["pose"]["pose"]
             dx, dy = pose["position"]["x"] - self.x, pose["position"]["y"] - self.y
             away = math.hypot(dx, dy)
@@ -112,7 +114,7 @@ class Planning(Served):
             "goal": {"tolerance_lin": 0.05},
         }
         self.worker.start(self.config(modules={"robot_path_planner": section}))
-        store = self.module._host.store
+        store = self.worker.store
         store.put(MAP, "floor", floor(*ROOMS))
         store.use_map("floor")
         until(lambda: self.told().get("map") == "floor", "the map is taken", 30)
@@ -143,15 +145,14 @@ def place(running: Planning) -> Planning:
     until(lambda: not running.module.planner.active, "it is at rest", 60)
     robot.loop.call(lambda: setattr(robot, "goal", None))
     robot.x, robot.y, robot.yaw = 1.0, 1.0, 0.0
-    frames = running.module._frames
-    until(lambda: abs(pose_of(frames).x - 1.0) < 1e-6, "the robot is in the west", 30)
+    until(lambda: abs(pose_of(running.module).x - 1.0) < 1e-6, "the robot is in the west", 30)
     robot.asked.clear()
     return running
 
 
-def pose_of(frames: Any) -> Any:
+def pose_of(module: Any) -> Any:
     try:
-        return frames.pose()
+        return module.pose()
     except RuntimeError:
         return type("Nowhere", (), {"x": math.inf})
 
@@ -162,7 +163,7 @@ def test_a_goal_of_the_hub_is_driven_to_by_waypoints(place: Planning) -> None:
     markers = place.far.subscribe(f"{PLANNER}/markers", "visualization_msgs/MarkerArray", latched=True)
     place.robot.y = 2.5
     sent = place.robot.send(4.0, 2.5, 1.0)
-    assert sent.end()[0] is Status.SUCCEEDED
+    assert sent.end()[0] is GoalState.SUCCEEDED
     assert (place.robot.x, place.robot.y, place.robot.yaw) == pytest.approx((4.0, 2.5, 1.0))
     last = place.robot.asked[-1]
     ways = [asked for asked in place.robot.asked if asked[:2] != (4.0, 2.5)]  # a loaded machine may be sent again
@@ -184,6 +185,21 @@ def test_a_goal_of_the_hub_is_driven_to_by_waypoints(place: Planning) -> None:
     assert base64.b64decode(moving["goal_id"]) == sent.goal.id
 
 
+def test_without_compiled_kernels_goals_are_refused_with_the_cure(
+    place: Planning, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(place.module, "compiled", uncompiled(monkeypatch))
+    status, result = place.robot.send(4.0, 1.0).end()
+    assert status is GoalState.ABORTED
+    assert "not compiled: navigation.some_kernel" in result["error_msg"]
+    assert kernels.CURE in result["error_msg"]
+    assert kernels.CURE in place.module.health().text
+    rpc = place.registered("/robotPathPlanner/rpc")
+    with ServiceClient(INavigation2DMsgs, rpc, naming=place.names, timeout=20) as yarp:
+        assert not yarp.remote.goto_target_by_absolute_location_RPC(Map2DLocation("floor", 4.0, 1.0, 0.0))
+    assert not place.robot.asked
+
+
 @pytest.mark.parametrize("by", ["action", "YARP"])
 def test_a_stop_reaches_who_drives_while_the_planner_plans(place: Planning, by: str) -> None:
     rpc = place.registered("/robotPathPlanner/rpc")
@@ -192,8 +208,8 @@ def test_a_stop_reaches_who_drives_while_the_planner_plans(place: Planning, by: 
     stopping = threading.Thread(target=lambda: None)
     try:
         sent = place.robot.send(4.0, 1.0)
-        until(lambda: place.robot.goal and place.robot.goal.status is Status.EXECUTING, "it drives", 20)
-        place.module._host.loop.post(lambda: planned.wait(30))  # as a large map keeps it
+        until(lambda: place.robot.goal and place.robot.goal.status is GoalState.EXECUTING, "it drives", 20)
+        place.host.loop.post(lambda: planned.wait(30))  # as a large map keeps it
         if by == "YARP":
 
             def stop() -> None:
@@ -204,10 +220,10 @@ def test_a_stop_reaches_who_drives_while_the_planner_plans(place: Planning, by: 
             stopping.start()
         else:
             sent.cancel()
-        until(lambda: place.robot.goal and place.robot.goal.status is Status.CANCELED, "who drives stops", 20)
+        until(lambda: place.robot.goal and place.robot.goal.status is GoalState.CANCELED, "who drives stops", 20)
         asked = len(place.robot.asked)
         planned.set()
-        assert sent.end()[0] is Status.CANCELED
+        assert sent.end()[0] is GoalState.CANCELED
         assert len(place.robot.asked) == asked, "it is sent nowhere any more"
     finally:
         planned.set()
@@ -221,14 +237,14 @@ def test_a_new_goal_takes_the_place_and_a_cancelled_one_stops(place: Planning) -
     until(lambda: place.robot.asked, "it drives", 30)
     second = place.robot.send(1.0, 4.0)
     status, result = first.end()
-    assert (status, result["error_msg"]) == (Status.CANCELED, "another goal took its place")
-    assert second.end()[0] is Status.SUCCEEDED
+    assert (status, result["error_msg"]) == (GoalState.CANCELED, "another goal took its place")
+    assert second.end()[0] is GoalState.SUCCEEDED
     place.robot.speed = 0.3
     third = place.robot.send(4.0, 4.0)
     until(lambda: place.robot.x > 1.5, "it drives on", 30)
     third.cancel()
     status, result = third.end()
-    assert (status, result["error_msg"]) == (Status.CANCELED, "cancelled")
+    assert (status, result["error_msg"]) == (GoalState.CANCELED, "cancelled")
     until(lambda: not place.robot.goal or not place.robot.goal.active, "the navigator stopped", 20)
     assert place.robot.x < 3.9
 
@@ -237,19 +253,19 @@ def test_a_cancel_that_stops_the_navigator_late_stops_no_later_goal(
     place: Planning, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     late: list[Callable[[], None]] = []
-    monkeypatch.setattr(place.module._errands, "send", late.append)
+    monkeypatch.setattr(place.module._executor, "submit", late.append)
     place.robot.speed = 0.3
     first = place.robot.send(4.0, 1.0)
     until(lambda: place.robot.asked, "it drives", 30)
     first.cancel()
-    assert first.end()[0] is Status.CANCELED
+    assert first.end()[0] is GoalState.CANCELED
     until(lambda: not place.robot.goal.active, "the navigator stopped", 20)
     second = place.robot.send(1.0, 4.0)
     until(lambda: place.robot.goal.active, "it drives on", 20)
     (stop,) = late
     stop()
     place.robot.speed = 3.0
-    assert second.end()[0] is Status.SUCCEEDED
+    assert second.end()[0] is GoalState.SUCCEEDED
 
 
 @pytest.mark.parametrize(
@@ -266,14 +282,14 @@ def test_a_goal_that_cannot_be_says_why(
     place: Planning, goal: tuple[float, float], frame: str, fault: Fault, said: str
 ) -> None:
     status, result = place.robot.send(*goal, frame=frame).end()
-    assert (status, result["error_code"]) == (Status.ABORTED, fault)
+    assert (status, result["error_code"]) == (GoalState.ABORTED, fault)
     assert said in result["error_msg"]
 
 
 def test_a_goal_in_the_robots_frame_is_turned_into_the_maps(place: Planning) -> None:
     place.robot.yaw = math.pi / 2
-    until(lambda: pose_of(place.module._frames).theta > 1.5, "the robot has turned", 20)
-    assert place.robot.send(1.0, 0.0, frame="base_link").end()[0] is Status.SUCCEEDED
+    until(lambda: pose_of(place.module).theta > 1.5, "the robot has turned", 20)
+    assert place.robot.send(1.0, 0.0, frame="base_link").end()[0] is GoalState.SUCCEEDED
     assert (place.robot.x, place.robot.y) == pytest.approx((1.0, 2.0), abs=0.01)
 
 
@@ -344,7 +360,7 @@ def test_a_navigator_that_fails_is_said(place: Planning) -> None:
     until(lambda: place.module.planner.recoveries, "it tries again", 30)
     assert "somebody is too near" in place.module.planner.status.reason
     place.robot.fails = ""
-    assert sent.end()[0] is Status.SUCCEEDED
+    assert sent.end()[0] is GoalState.SUCCEEDED
 
 
 def test_a_step_that_fails_stops_the_robot_and_ends_the_goal(place: Planning, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -352,7 +368,7 @@ def test_a_step_that_fails_stops_the_robot_and_ends_the_goal(place: Planning, mo
     robot.speed = 0.1
     try:
         sent = robot.send(4.0, 1.0)
-        until(lambda: robot.goal and robot.goal.status is Status.EXECUTING, "it drives", 20)
+        until(lambda: robot.goal and robot.goal.status is GoalState.EXECUTING, "it drives", 20)
 
         def step(*_: Any) -> None:
             raise ZeroDivisionError("of the test")
@@ -360,12 +376,12 @@ def test_a_step_that_fails_stops_the_robot_and_ends_the_goal(place: Planning, mo
         with monkeypatch.context() as patch:
             patch.setattr(planner, "step", step)
             status, result = sent.end()
-        assert (status, result["error_code"]) == (Status.ABORTED, Fault.OTHER)
+        assert (status, result["error_code"]) == (GoalState.ABORTED, Fault.OTHER)
         assert result["error_msg"] == "RobotPathPlanner failed: ZeroDivisionError: of the test"
         until(lambda: robot.goal and not robot.goal.active, "it stands", 20)
     finally:
         robot.speed = 3.0
-    assert robot.send(4.0, 1.0).end()[0] is Status.SUCCEEDED
+    assert robot.send(4.0, 1.0).end()[0] is GoalState.SUCCEEDED
 
 
 def test_a_navigator_that_pauses_in_a_deadlock_is_heard_and_told_to_go_on(place: Planning) -> None:
@@ -373,7 +389,7 @@ def test_a_navigator_that_pauses_in_a_deadlock_is_heard_and_told_to_go_on(place:
     robot.speed = 0.0
     try:
         sent = robot.send(4.0, 1.0)
-        until(lambda: robot.goal and robot.goal.status is Status.EXECUTING, "it is to drive", 20)
+        until(lambda: robot.goal and robot.goal.status is GoalState.EXECUTING, "it is to drive", 20)
 
         def paused() -> bool:
             robot.says(State.PAUSED, reason)  # again: on a loaded machine it may have been sent again
@@ -382,8 +398,8 @@ def test_a_navigator_that_pauses_in_a_deadlock_is_heard_and_told_to_go_on(place:
         until(paused, "the planner hears that it paused", 20)
     finally:
         robot.speed = 3.0
-    place.module._host.loop.call(planner.resume)
-    assert sent.end()[0] is Status.SUCCEEDED
+    place.host.loop.call(planner.resume)
+    assert sent.end()[0] is GoalState.SUCCEEDED
 
 
 def test_yarp_has_a_path_followed_and_sees_the_way(place: Planning) -> None:
@@ -417,7 +433,7 @@ def test_a_navigator_that_sees_nothing_ends_the_goal(place: Planning) -> None:
     place.robot.fails, place.robot.code = "the laser is silent", Fault.NO_LASER
     try:
         sent = place.robot.send(1.5, 1.0)
-        assert sent.end() == (Status.ABORTED, {"error_code": Fault.NO_LASER, "error_msg": "the laser is silent"})
+        assert sent.end() == (GoalState.ABORTED, {"error_code": Fault.NO_LASER, "error_msg": "the laser is silent"})
     finally:
         place.robot.fails, place.robot.code = "", Fault.BLOCKED
     assert len(place.robot.asked) == 1

@@ -7,13 +7,13 @@ import math
 import numpy as np
 import pytest
 
-from navigation.goals import Place
+from navigation.goals import MapPlace
 from navigation.pose import Pose
 from navigation.robot_path_planner.ground import Ground, Zone
 from navigation.status import Fault, State
 from tests.navigation.robot_path_planner.floors import ROOMS, Drive, floor, paint
 from tests.navigation.robot_path_planner.test_way import LIFT, Two, area
-from yarp_compat.dev.area_behaviour import AreaBehaviour
+from yarp_compat.dev.extras import AreaBehaviour
 from yarp_compat.dev.mapflag import MapFlag
 from yarp_compat.dev.mapgrid import MapGrid2D
 
@@ -79,8 +79,8 @@ def test_a_new_goal_takes_the_place_of_the_old_one_without_a_stop() -> None:
 
 def test_a_path_is_followed_place_by_place() -> None:
     drive = Drive(floor(*ROOMS), WEST)
-    north = Place("", Pose(1.0, 4.0, 1.5))
-    drive.planner.goal(EAST, now=drive.now, then=[north, Place("floor", WEST)])
+    north = MapPlace("", Pose(1.0, 4.0, 1.5))
+    drive.planner.goal(EAST, now=drive.now, then=[north, MapPlace("floor", WEST)])
     assert drive.run(120.0).state is State.REACHED
     assert drive.local.pose[:3] == WEST[:3]
     headed = list(dict.fromkeys(sent[0][:3] for sent in drive.local.sent if sent[1].heading))
@@ -267,6 +267,47 @@ def test_lost_localisation_stops_it_until_it_is_back() -> None:
 def test_no_map_says_so() -> None:
     status = Drive(None, WEST).goto(EAST)
     assert (status.state, status.fault) == (State.ABORTED, Fault.NO_MAP)
+    assert "ask again" in status.reason
+
+
+def test_a_goal_that_comes_before_all_else_waits_and_says_for_what() -> None:
+    drive = Drive(None, WEST)
+    drive.lost, drive.local.state, drive.local.reason = "no frame yet", State.ERROR, "nobody serves it"
+    drive.goto(EAST, seconds=20.0)
+    assert drive.planner.status == (
+        State.PREPARING,
+        "it is not known where the robot is: no frame yet",
+        Fault.NOT_LOCALIZED,
+    )
+    drive.lost = ""
+    drive.run(10.0)
+    assert drive.planner.status == (State.PREPARING, "there is no map to plan on yet", Fault.NO_MAP)
+    drive.use(floor())
+    drive.run(20.0)
+    assert drive.planner.status == (State.PREPARING, "nobody serves it", Fault.NO_NAVIGATOR)
+    assert drive.local.pose == WEST, "nothing drives on what is not known"
+    drive.local.state = State.IDLE
+    assert drive.run(30.0).state is State.REACHED
+
+
+def test_a_goal_that_waits_for_the_start_is_cancelled_at_once() -> None:
+    drive = Drive(None, WEST)
+    drive.goto(EAST, seconds=3.0)
+    drive.planner.cancel()
+    assert drive.tick().state is State.IDLE
+    drive.use(floor())
+    drive.run(1.0)
+    assert drive.local.pose == WEST
+    assert not drive.local.sent
+
+
+def test_places_that_were_asked_for_before_the_map_are_on_the_first_one() -> None:
+    drive = Drive(None, WEST)
+    drive.planner.goal(EAST, now=drive.now, then=[MapPlace("", WEST)])
+    drive.run(1.0)
+    drive.use(floor())
+    assert drive.run(60.0).state is State.REACHED
+    assert drive.local.pose[:2] == WEST[:2]
 
 
 def test_a_map_that_is_taken_away_on_the_way_stops_it_and_says_so() -> None:

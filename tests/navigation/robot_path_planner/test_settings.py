@@ -10,7 +10,8 @@ from pydantic import ValidationError
 
 from bridge.config.sections.robot_path_planner import RobotPathPlannerSection
 from navigation.constraints import Constraints
-from navigation.robot_path_planner.settings import Settings, settings_of
+from navigation.ini import laid_under
+from navigation.robot_path_planner.settings import MERGED, read_file
 
 R1 = """\
 [GENERAL]
@@ -80,17 +81,18 @@ laser_pos_theta        -135
 """
 
 
-def read(folder: Path, text: str, **section: object) -> tuple[Settings, RobotPathPlannerSection, list[str]]:
+def read(folder: Path, text: str, **section: object) -> tuple[RobotPathPlannerSection, list[str]]:
     file = folder / "robotPathPlanner.ini"
     file.write_text(text)
-    return settings_of(RobotPathPlannerSection.model_validate({"ini": file, **section}))
+    given = RobotPathPlannerSection.model_validate({"ini": file, **section})
+    return laid_under(given, given.ini, read_file, merged=MERGED)
 
 
 def test_a_file_of_r1_is_read_as_it_is(tmp_path: Path) -> None:
-    settings, section, notes = read(tmp_path, R1)
-    assert settings.waypoint == Constraints(0.45, 0.1, 360.0, 0.1, 0.1, 0.3, 0.15, 5.0, heading=False, through=True)
-    assert settings.goal == Constraints(0.45, 0.1, 5.0, 0.1, 0.1, 0.3, 0.05, 0.6)
-    assert (settings.robot_radius, settings.recoveries, settings.min_waypoint_distance) == (0.3, 0, 0.2)
+    section, notes = read(tmp_path, R1)
+    assert Constraints(**section.waypoint.model_dump()) == Constraints(0.45, 0.1, 360.0, 0.1, 0.1, 0.3, 0.15, 5.0)
+    assert Constraints(**section.goal.model_dump()) == Constraints(0.45, 0.1, 5.0, 0.1, 0.1, 0.3, 0.05, 0.6)
+    assert (section.robot_radius, section.recoveries, section.min_waypoint_distance) == (0.3, 0, 0.2)
     assert (section.base_frame, section.frame, section.image_hz) == ("mobile_base_body_link", "map", 15.0)
     lines = sorted(int(found) for note in notes for found in re.findall(r"\.ini:(\d+): ", note))
     assert lines == [5, 6, 20, 27, 28, 29]
@@ -99,22 +101,18 @@ def test_a_file_of_r1_is_read_as_it_is(tmp_path: Path) -> None:
 
 
 def test_a_file_of_2016_has_its_keys_at_the_top(tmp_path: Path) -> None:
-    settings, section, notes = read(tmp_path, OLD)
-    assert settings.waypoint == Constraints(
-        0.25, 0.1, tolerance_lin=0.1, tolerance_ang=5.0, heading=False, through=True
-    )
-    assert settings.goal == Constraints(0.25, 0.1, tolerance_lin=0.05, tolerance_ang=0.6)
-    assert (settings.robot_radius, settings.recoveries, section.base_frame) == (0.35, 5, "mobile_base_body")
+    section, notes = read(tmp_path, OLD)
+    assert Constraints(**section.waypoint.model_dump()) == Constraints(0.25, 0.1, tolerance_lin=0.1, tolerance_ang=5.0)
+    assert Constraints(**section.goal.model_dump()) == Constraints(0.25, 0.1, tolerance_lin=0.05, tolerance_ang=0.6)
+    assert (section.robot_radius, section.recoveries, section.base_frame) == (0.35, 5, "mobile_base_body")
     assert len(notes) == 1
     assert "ini:11: 'file_name' does nothing: the map is the store's" in notes[0]
 
 
 def test_what_the_section_sets_is_stronger(tmp_path: Path) -> None:
-    settings, section, _ = read(
-        tmp_path, R1, robot_radius=0.2, recoveries=2, base_frame="base", goal={"tolerance_lin": 0.2}
-    )
-    assert (settings.robot_radius, settings.recoveries, section.base_frame) == (0.2, 2, "base")
-    assert (settings.goal.tolerance_lin, settings.goal.max_lin_speed) == (0.2, 0.45)
+    section, _ = read(tmp_path, R1, robot_radius=0.2, recoveries=2, base_frame="base", goal={"tolerance_lin": 0.2})
+    assert (section.robot_radius, section.recoveries, section.base_frame) == (0.2, 2, "base")
+    assert (section.goal.tolerance_lin, section.goal.max_lin_speed) == (0.2, 0.45)
 
 
 def test_files_that_cannot_be_used_say_where_and_why(tmp_path: Path) -> None:
@@ -123,7 +121,7 @@ def test_files_that_cannot_be_used_say_where_and_why(tmp_path: Path) -> None:
     with pytest.raises(RuntimeError, match=r"ini:17: 'robot_radius' is a number, not 'wide'"):
         read(tmp_path, OLD.replace("0.35", "wide"))
     with pytest.raises(RuntimeError, match="no such file"):
-        settings_of(RobotPathPlannerSection(ini=tmp_path / "none.ini"))
+        laid_under(RobotPathPlannerSection(), tmp_path / "none.ini", read_file, merged=MERGED)
 
 
 @pytest.mark.parametrize("wrong", [{"map": "map"}, {"navigator": "robot_goto"}, {"navigator": "yarp:x"}, {"scan": "s"}])

@@ -9,19 +9,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from bridge.config.sections.robot_path_planner import RobotPathPlannerSection, WaypointSection
 from navigation.constraints import Constraints
-from navigation.goals import Place
-from navigation.plan_error import PlanError
+from navigation.goals import MapPlace
 from navigation.pose import Pose
-from navigation.robot_path_planner.clutter import Clutter
-from navigation.robot_path_planner.ground import Ground, Zone
-from navigation.robot_path_planner.itinerary import Leg, Link, leg
-from navigation.robot_path_planner.lines import blocked, sampled
-from navigation.robot_path_planner.settings import Settings
-from navigation.robot_path_planner.way import way
-from navigation.status import Fault
+from navigation.robot_path_planner.atlas import Leg, LinkedPlaces, leg
+from navigation.robot_path_planner.ground import Clutter, Ground, Zone
+from navigation.robot_path_planner.way import blocked, sampled, way
+from navigation.status import Fault, PlanError
 from tests.navigation.robot_path_planner.floors import ROOMS, SETTINGS, floor, paint
-from yarp_compat.dev.area_behaviour import AreaBehaviour
+from yarp_compat.dev.extras import AreaBehaviour
 from yarp_compat.dev.locations import Map2DArea
 from yarp_compat.dev.mapflag import MapFlag
 from yarp_compat.dev.mapgrid import MapGrid2D
@@ -48,7 +45,7 @@ def test_the_golden_vector_of_upstream_comes_out_to_within_a_cell() -> None:
     flags = np.zeros((100, 100), np.uint8)
     flags[[0, -1]] = flags[:, [0, -1]] = flags[:60, 50] = MapFlag.WALL
     ground = Ground(MapGrid2D.of(flags, name="m1", resolution=0.05), 0.1)
-    found = way(ground, Pose(1.0, 2.5, 0.0), Pose(4.0, 2.5, 0.0), Settings(min_waypoint_distance=0.0))
+    found = way(ground, Pose(1.0, 2.5, 0.0), Pose(4.0, 2.5, 0.0), RobotPathPlannerSection(min_waypoint_distance=0.0))
     theirs = np.array([(2.4, 1.85), (2.6, 1.85), (4.0, 2.5)])
     ours = np.array([each.pose[:2] for each in found.waypoints])
     assert ours.shape == theirs.shape
@@ -131,7 +128,9 @@ def test_areas_split_the_way_and_say_how_to_drive_in_them() -> None:
     slow = Zone(area(2.0, 0.0, 3.0, 5.0), AreaBehaviour(0.15))
     wait = Zone(area(2.5, 0.0, 3.5, 5.0), AreaBehaviour(0.3, "wait"))
     ground = Ground(floor(), 0.2, zones=[slow, wait])
-    settings = Settings(robot_radius=0.2, waypoint=Constraints(max_lin_speed=0.5, min_lin_speed=0.2, heading=False))
+    settings = RobotPathPlannerSection(
+        robot_radius=0.2, waypoint=WaypointSection(tolerance_lin=None, max_lin_speed=0.5, min_lin_speed=0.2)
+    )
     found = way(ground, WEST, EAST, settings)
     told = [(each.constraints.max_lin_speed, each.constraints.on_obstacle) for each in found.waypoints]
     assert told == [(0.5, ""), (0.15, ""), (0.15, "wait"), (0.3, "wait"), (None, "")]
@@ -163,11 +162,11 @@ def test_waypoints_keep_their_least_distance_where_the_line_is_free() -> None:
     ground = Ground(floor((1.5, 0.0, 2.0, 3.0)), 0.2, 0.4)
 
     def count(least: float) -> int:
-        given = Settings(robot_radius=0.2, min_waypoint_distance=least)
+        given = RobotPathPlannerSection(robot_radius=0.2, min_waypoint_distance=least)
         return len(way(ground, WEST, Pose(3.0, 1.0, 0.0), given).waypoints)
 
     assert count(0.6) < count(0.0)
-    given = Settings(robot_radius=0.2, min_waypoint_distance=0.0, shortened=False)
+    given = RobotPathPlannerSection(robot_radius=0.2, min_waypoint_distance=0.0, use_optimized_path=False)
     assert len(way(ground, WEST, Pose(3.0, 1.0, 0.0), given).waypoints) > 40
 
 
@@ -222,7 +221,7 @@ def test_echoes_of_walls_that_the_map_has_are_no_obstacles() -> None:
 class Two:
     """Two maps, with a stair of little and a lift of much cost between them; the stair leads to a closed room."""
 
-    def __init__(self, *links: Link) -> None:
+    def __init__(self, *links: LinkedPlaces) -> None:
         closed = floor((0.0, 2.0, 5.0, 2.2), name="up")
         self.maps = {"floor": Ground(floor(), 0.2), "up": Ground(closed, 0.2)}
         self._links = links
@@ -230,29 +229,35 @@ class Two:
     def ground(self, name: str) -> Ground | None:
         return self.maps.get(name)
 
-    def links(self) -> tuple[Link, ...]:
+    def links(self) -> tuple[LinkedPlaces, ...]:
         return self._links
 
 
-LIFT = Link(Place("floor", Pose(4.0, 4.0, 0.0), "lift 0"), Place("up", Pose(4.0, 4.0, 0.0), "lift 1"), 10.0, "lift")
-STAIR = Link(Place("up", Pose(1.0, 1.0, 0.0), "stair 1"), Place("floor", Pose(1.0, 2.0, 0.0), "stair 0"), 1.0, "stair")
+LIFT = LinkedPlaces(
+    MapPlace("floor", Pose(4.0, 4.0, 0.0), "lift 0"), MapPlace("up", Pose(4.0, 4.0, 0.0), "lift 1"), 10.0, "lift"
+)
+STAIR = LinkedPlaces(
+    MapPlace("up", Pose(1.0, 1.0, 0.0), "stair 1"), MapPlace("floor", Pose(1.0, 2.0, 0.0), "stair 0"), 1.0, "stair"
+)
 
 
 def test_links_lead_to_other_maps_by_the_cheapest_way_that_there_is() -> None:
     atlas = Two(LIFT, STAIR)
     ground = atlas.maps["floor"]
-    assert leg(atlas, ground, WEST, Place("up", Pose(4.0, 1.0, 0.0))) == Leg(STAIR.second, STAIR.first)
-    assert leg(atlas, ground, WEST, Place("up", Pose(1.0, 4.0, 0.0))) == Leg(LIFT.first, LIFT.second)
-    assert leg(atlas, ground, WEST, Place("floor", EAST)) == Leg(Place("floor", EAST))
+    assert leg(atlas, ground, WEST, MapPlace("up", Pose(4.0, 1.0, 0.0))) == Leg(STAIR.second, STAIR.first)
+    assert leg(atlas, ground, WEST, MapPlace("up", Pose(1.0, 4.0, 0.0))) == Leg(LIFT.first, LIFT.second)
+    assert leg(atlas, ground, WEST, MapPlace("floor", EAST)) == Leg(MapPlace("floor", EAST))
     near = replace(STAIR, cost=20.0)  # nearer, and dearer
-    further = Link(Place("floor", Pose(4.0, 4.0, 0.0), "c"), Place("up", Pose(4.0, 1.0, 0.0), "d"), 1.0, "ramp")
-    goal = Place("up", Pose(2.0, 1.0, 0.0))
+    further = LinkedPlaces(
+        MapPlace("floor", Pose(4.0, 4.0, 0.0), "c"), MapPlace("up", Pose(4.0, 1.0, 0.0), "d"), 1.0, "ramp"
+    )
+    goal = MapPlace("up", Pose(2.0, 1.0, 0.0))
     assert leg(Two(near, further), ground, WEST, goal) == Leg(further.first, further.second)
 
 
 @pytest.mark.parametrize(("links", "name", "fault"), [((), "up", Fault.NO_PATH), ((LIFT,), "roof", Fault.NO_MAP)])
-def test_maps_that_no_link_leads_to_say_so(links: tuple[Link, ...], name: str, fault: Fault) -> None:
+def test_maps_that_no_link_leads_to_say_so(links: tuple[LinkedPlaces, ...], name: str, fault: Fault) -> None:
     atlas = Two(*links)
     with pytest.raises(PlanError, match=name) as caught:
-        leg(atlas, atlas.maps["floor"], WEST, Place(name, EAST))
+        leg(atlas, atlas.maps["floor"], WEST, MapPlace(name, EAST))
     assert caught.value.fault is fault

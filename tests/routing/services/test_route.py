@@ -3,21 +3,22 @@
 from __future__ import annotations
 
 import threading
+from base64 import b64decode
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from typing import Any
 
 import pytest
 
-from bridge.adapters.base import MadeBy
 from bridge.config.sections.routing import RoutingSection
-from bridge.hub.call import Abandon, CallError, Done
-from bridge.hub.service import HubClient
+from bridge.hub.endpoints.calls import Abandon, CallError, Done
+from bridge.hub.endpoints.services import HubClient
 from bridge.hub.session import Hub
 from bridge.messages.json import from_json, to_json
 from bridge.messages.registry import Registry
+from bridge.routing.edge import MadeBy
 from bridge.routing.engine import Engine
-from bridge.routing.lease import Lease
+from bridge.routing.peer_watch import Lease
 from bridge.routing.services import route as service_route
 from tests.support.calls import Calling, Serving
 from tests.support.fake import FakeEdge, FakeNetwork
@@ -32,14 +33,14 @@ class Place:
     """A fake network, an engine, and a native participant of the hub."""
 
     def __init__(self, hubs: QuickHub) -> None:
-        self._hubs = hubs
+        self.hubs = hubs
         self.network, self.far = FakeNetwork(), Hub.open(hubs.settings("far"))
         self._open: list[tuple[Engine, Hub]] = []
         self.engine = self.another("test")
 
     def another(self, daemon: str) -> Engine:
         """An engine on the network."""
-        hub = Hub.open(self._hubs.settings("midspan_fake"))
+        hub = Hub.open(self.hubs.settings("midspan_fake"))
         engine = Engine(FakeEdge(self.network, REGISTRY), hub, RoutingSection(), daemon, self._failed, REGISTRY)
         engine.start()
         self._open.append((engine, hub))
@@ -144,7 +145,7 @@ def test_while_another_worker_may_be_active_a_call_is_refused(place: Place) -> N
     serving = place.serve()
     client = place.client()
     (route,) = place.engine.routes()
-    route._joint = replace(route._joint, lease=Lease())  # one that was never extended
+    route._context = replace(route._context, lease=Lease())  # one that was never extended
     assert ask(client).result()["error"] == "the bridge to fake stood still or stands by; call again later"
     assert serving.requests(1, 0) == []
     assert place.row()["drops"]["standby"] == 1
@@ -236,3 +237,28 @@ def test_one_worker_of_a_network_offers_a_service_and_another_takes_over(place: 
     again = place.client()
     until(lambda: (ask(again).result()["reply"] or {}).get("success"), "the next call is served")
     until(lambda: len(place.far.graph.servers("/do")) == 1, "by one alone")
+
+
+def test_a_planners_goal_is_cancelled_whose_client_has_gone_and_no_other_actions(place: Place) -> None:
+    """The gateway's process is killed: nobody else knows the goal, so nobody could stop the robot."""
+    hub = Hub.open(place.hubs.settings("gateway"))
+    cancels = {action: _goal(place, hub, action) for action in ("/planner/nav2/navigate_to_pose", "/arm/move")}
+    hub.close()
+    (asked,) = cancels["/planner/nav2/navigate_to_pose"].requests(1)
+    assert b64decode(asked["goal_info"]["goal_id"]["uuid"]) == bytes(range(16))
+    assert asked["goal_info"]["stamp"] == {"sec": 0, "nanosec": 0}
+    until(lambda: place.row("/arm/move/_action/get_result")["abandoned"] == 1, "the other one is forgotten")
+    assert cancels["/arm/move"].requests(1, 0) == []
+
+
+def _goal(place: Place, hub: Hub, action: str) -> Serving:
+    """Wait for a goal's result on the hub; returns where the side is asked for its cancellation."""
+    result = f"{action}/_action/get_result"
+    place.serve(result, f"{GO}_GetResult", held=True)
+    cancels = place.serve(f"{action}/_action/cancel_goal", "action_msgs/srv/CancelGoal")
+    client = hub.client(result, f"{GO}_GetResult", REGISTRY.service_ros2(f"{GO}_GetResult").type_id)
+    until(lambda: client.ready, "the service is on the hub")
+    place.client(f"{action}/_action/cancel_goal", "action_msgs/srv/CancelGoal")
+    Calling(REGISTRY, f"{GO}_GetResult", {"goal_id": {"uuid": list(range(16))}}, client.call)
+    until(lambda: place.row(result)["pending"] == 1, "the result is waited for")
+    return cancels

@@ -10,11 +10,10 @@ import pytest
 
 from bridge.clock import RunClock
 from bridge.tf.buffer import TransformBuffer
-from bridge.tf.errors import Refusal
-from bridge.tf.server.clock import YarpClock
+from bridge.tf.errors import FrameRefusal
 from bridge.tf.server.exchange import Exchange
-from bridge.tf.server.rpc import Getter, Setter
-from bridge.tf.server.view import View
+from bridge.tf.server.view import View, YarpClock
+from bridge.tf.server.yarp_ports import Getter, Setter
 from bridge.tf.stamped import Stamped, read, write
 from yarp_compat.dev.frametransform import FrameTransform
 from yarp_compat.dev.returnvalue import CallFailed
@@ -48,12 +47,12 @@ class Place:
             lambda c: self.static.append(read(c)),
         )
 
-    def set(self, *transforms: FrameTransform) -> Refusal | None:
+    def set(self, *transforms: FrameTransform) -> FrameRefusal | None:
         return self.exchange.set(transforms)
 
     def hear(self, parent: str, child: str, stamp: int | None = None, *, static: bool = False, x: float = 0.0) -> None:
         stamp = self.run.now_ns() if stamp is None else stamp
-        self.exchange.hear(write([Stamped(parent, child, stamp, (x, 0.0, 0.0), UNIT)]), "/node", static=static)
+        self.exchange.receive(write([Stamped(parent, child, stamp, (x, 0.0, 0.0), UNIT)]), "/node", static=static)
 
     def seen(self) -> dict[str, FrameTransform]:
         return {transform.dst_frame_id: transform for transform in self.exchange.give()}
@@ -206,18 +205,18 @@ def test_names_are_as_the_yarp_program_wrote_them_and_without_slash_on_the_hub(p
 @pytest.mark.parametrize(
     ("bad", "why"),
     [
-        ({"tX": math.nan}, Refusal.NAN_INPUT),
-        ({"qW": 2.0}, Refusal.DENORMALIZED_QUATERNION),
-        ({"src_frame_id": ""}, Refusal.NO_FRAME_ID),
-        ({"dst_frame_id": ""}, Refusal.NO_CHILD_FRAME_ID),
-        ({"dst_frame_id": "map"}, Refusal.SELF_TRANSFORM),
-        ({"timestamp": math.nan}, Refusal.INVALID_STAMP),
-        ({"timestamp": 1e300}, Refusal.INVALID_STAMP),
+        ({"tX": math.nan}, FrameRefusal.NAN_INPUT),
+        ({"qW": 2.0}, FrameRefusal.DENORMALIZED_QUATERNION),
+        ({"src_frame_id": ""}, FrameRefusal.NO_FRAME_ID),
+        ({"dst_frame_id": ""}, FrameRefusal.NO_CHILD_FRAME_ID),
+        ({"dst_frame_id": "map"}, FrameRefusal.SELF_TRANSFORM),
+        ({"timestamp": math.nan}, FrameRefusal.INVALID_STAMP),
+        ({"timestamp": 1e300}, FrameRefusal.INVALID_STAMP),
     ],
 )
 @pytest.mark.parametrize("static", [0, 1])
 def test_bad_input_is_an_error_and_stops_nothing_else(
-    place: Place, clock: Stopped, bad: dict[str, Any], why: Refusal, static: int
+    place: Place, clock: Stopped, bad: dict[str, Any], why: FrameRefusal, static: int
 ) -> None:
     whole = {"src_frame_id": "map", "dst_frame_id": "base", "timestamp": clock.system, "isStatic": static, **bad}
     rpc = Setter(place.exchange)
@@ -230,7 +229,7 @@ def test_bad_input_is_an_error_and_stops_nothing_else(
 
 def test_a_stamp_far_ahead_is_refused(place: Place, clock: Stopped) -> None:
     assert place.set(frame("map", "base", clock.system + 1.5)) is None
-    assert place.set(frame("map", "base", clock.system + 5.0)) is Refusal.FUTURE
+    assert place.set(frame("map", "base", clock.system + 5.0)) is FrameRefusal.FUTURE
     assert len(place.said) == 1
 
 

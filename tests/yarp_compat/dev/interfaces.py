@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
+from yarp_compat.dev.fields import Structure
 from yarp_compat.dev.frametransform import FrameTransform
-from yarp_compat.dev.ilocalization2d import ILocalization2DMsgs
 from yarp_compat.dev.imap2d import IMap2DMsgs
 from yarp_compat.dev.inavigation2d import INavigation2DMsgs
+from yarp_compat.dev.localization2d import ILocalization2DMsgs
 from yarp_compat.dev.returnvalue import ReturnValue
 from yarp_compat.dev.service import Service, rpc
-from yarp_compat.dev.structure import Structure
 
 
 class Transforms(Service):

@@ -6,14 +6,14 @@ import pytest
 
 from tests.yarp_compat.dev.test_service import KITCHEN, Kept, Places
 from tests.yarp_compat.ports.conftest import MakePort, make_port, naming
-from yarp_compat.dev.channel import PortChannel
+from yarp_compat.dev.client import PortChannel
 from yarp_compat.dev.locations import Map2DLocation
 from yarp_compat.dev.returnvalue import OK, ReturnCode
 from yarp_compat.dev.server import Server
 from yarp_compat.wire import binary
 from yarp_compat.wire.errors import Incomplete
+from yarp_compat.wire.framing import Buffer
 from yarp_compat.wire.generation import Generation, Generations
-from yarp_compat.wire.message import Buffer
 from yarp_compat.wire.profile import Profile
 
 __all__ = ["make_port", "naming"]

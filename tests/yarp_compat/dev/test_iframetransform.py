@@ -9,23 +9,22 @@ import numpy as np
 import pytest
 
 from tests.yarp_compat.dev.test_transcripts import exchanges, taken
-from yarp_compat.dev.frametransform import FrameTransform
-from yarp_compat.dev.frametransformstorage import (
+from yarp_compat.dev.frametransform import (
+    AllTransforms,
+    FrameTransform,
     FrameTransformStorageGetRPC,
     FrameTransformStorageSetRPC,
-    Transforms,
 )
 from yarp_compat.dev.frametree import FrameTree, TransformError, angles_of, inverse, of_angles, transform_of
 from yarp_compat.dev.iframetransform import IFrameTransform
 from yarp_compat.dev.returnvalue import OK, CallFailed, ReturnCode, ReturnValue
 from yarp_compat.dev.server import Server
-from yarp_compat.os.stdvector import BVector, SVector
-from yarp_compat.sig.matrix import Matrix
-from yarp_compat.sig.quaternion import Quaternion
+from yarp_compat.os.data.stdvector import BVector, SVector
+from yarp_compat.sig.matrix import Matrix, Quaternion
 from yarp_compat.sig.vector import Vector
 from yarp_compat.wire.errors import WireError
+from yarp_compat.wire.framing import Buffer
 from yarp_compat.wire.generation import Generation, Generations
-from yarp_compat.wire.message import Buffer
 from yarp_compat.wire.profile import Profile
 
 
@@ -262,8 +261,8 @@ def test_transforms_are_read_at_once_as_field_by_field() -> None:
         bad.tX = wrong  # type: ignore[assignment]
         with pytest.raises(WireError, match="tX"):
             bad.to_bytes()
-    tree = Transforms(transforms_list=[given, given])
-    assert Transforms.from_bytes(tree.to_bytes(Profile.YARP4), Profile.YARP4) == tree
+    tree = AllTransforms(transforms_list=[given, given])
+    assert AllTransforms.from_bytes(tree.to_bytes(Profile.YARP4), Profile.YARP4) == tree
 
 
 def test_a_loop_and_two_parents_end() -> None:

@@ -12,7 +12,7 @@ import pytest
 from tests.yarp_compat.dev.test_imap2d import KITCHEN, WAY, small_map
 from tests.yarp_compat.dev.test_service import Wire
 from tests.yarp_compat.dev.written import Bytes, Says, listed, text, vocab
-from yarp_compat.dev.ilocalization2d import ILocalization2DMsgs, LocalizationStatusEnum
+from yarp_compat.dev.basecontrol import OdometryData
 from yarp_compat.dev.inavigation2d import (
     INavigation2DMsgs,
     NavigationMapTypeEnum,
@@ -21,11 +21,10 @@ from yarp_compat.dev.inavigation2d import (
     statusToString,
     stringToStatus,
 )
-from yarp_compat.dev.localization2d_server import Localization2DServer
+from yarp_compat.dev.localization2d import ILocalization2DMsgs, Localization2DServer, LocalizationStatusEnum
 from yarp_compat.dev.locations import Map2DLocation, Map2DPath
 from yarp_compat.dev.mapgrid import MapGrid2D
 from yarp_compat.dev.navigation2d_server import Navigation2DServer
-from yarp_compat.dev.odometry import OdometryData
 from yarp_compat.dev.returnvalue import OK, CallFailed, ReturnCode, ReturnValue
 from yarp_compat.dev.server import Server
 from yarp_compat.dev.service import Service

@@ -6,9 +6,8 @@ import math
 
 import pytest
 
-from yarp_compat.dev.area_behaviour import AreaBehaviour
+from yarp_compat.dev.extras import AreaBehaviour, MapLink
 from yarp_compat.dev.locations import Map2DArea, Map2DLocation, Map2DObject, Map2DPath
-from yarp_compat.dev.maplink import MapLink
 from yarp_compat.sig.vec2d import Vec2D
 
 

@@ -18,12 +18,10 @@ from hypothesis import strategies as st
 from PIL import Image
 
 from tests.yarp_compat.dev.maps import maps
-from yarp_compat.dev.mapcollection import load_maps, map_files, save_maps
-from yarp_compat.dev.mapcolours import COLOURS
-from yarp_compat.dev.mapfile import MapFileError
-from yarp_compat.dev.mapflag import UNKNOWN, MapFlag, flags_of
+from yarp_compat.dev.mapfile import MapFileError, read_image
+from yarp_compat.dev.mapflag import COLOURS, UNKNOWN, MapFlag, flags_of
 from yarp_compat.dev.mapgrid import MapGrid2D
-from yarp_compat.dev.mapimage import read_image
+from yarp_compat.dev.places import load_maps, map_files, save_maps
 
 HEAD = "image: m.pgm\nresolution: 0.05\norigin: [-1.5, 2.0, 0.0]\n"
 USUAL = HEAD + "negate: 0\noccupied_thresh: 0.65\nfree_thresh: 0.196\n"

@@ -12,21 +12,18 @@ from tests.yarp_compat.dev.keptmaps import KeptMaps
 from tests.yarp_compat.dev.test_imap2d import KITCHEN, WAY, small_map
 from tests.yarp_compat.dev.test_inavigation2d import COVARIANCE, FAILED, LOCALIZED, Planner
 from tests.yarp_compat.ports.conftest import MakePort, make_port, naming
-from yarp_compat.dev.ilocalization2d import ILocalization2DMsgs
+from yarp_compat.dev.basecontrol import OdometryData
+from yarp_compat.dev.client import Stream
 from yarp_compat.dev.inavigation2d import NavigationMapTypeEnum, NavigationStatusEnum, TrajectoryTypeEnum
-from yarp_compat.dev.localization2d_client import Localization2DClient
-from yarp_compat.dev.localization2d_server import Localization2DServer
+from yarp_compat.dev.localization2d import ILocalization2DMsgs, Localization2DClient, Localization2DServer
 from yarp_compat.dev.locations import Map2DArea, Map2DLocation, Map2DPath
 from yarp_compat.dev.mapgrid import MapGrid2D
 from yarp_compat.dev.navigation2d_client import Navigation2DClient
 from yarp_compat.dev.navigation2d_server import Navigation2DServer
-from yarp_compat.dev.odometry import OdometryData
 from yarp_compat.dev.returnvalue import OK, CallFailed, ReturnCode, ReturnValue
 from yarp_compat.dev.server import Server
-from yarp_compat.dev.stream import Stream
-from yarp_compat.naming.errors import PortError
-from yarp_compat.os.stdvector import BVector, SVector
-from yarp_compat.ports.naming import LocalNaming
+from yarp_compat.os.data.stdvector import BVector, SVector
+from yarp_compat.ports.naming import LocalNaming, PortError
 from yarp_compat.pythonic import Client, Writer
 from yarp_compat.sig.matrix import Matrix
 from yarp_compat.sig.vec2d import Vec2D

@@ -12,12 +12,10 @@ import yaml
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from yarp_compat.dev.area_behaviour import AreaBehaviour
 from yarp_compat.dev.exports import to_geojson, to_waypoints
-from yarp_compat.dev.extras import Extras, extras_file
+from yarp_compat.dev.extras import AreaBehaviour, Extras, MapLink, extras_file
 from yarp_compat.dev.locations import Map2DArea, Map2DLocation, Map2DObject, Map2DPath
 from yarp_compat.dev.mapfile import MapFileError
-from yarp_compat.dev.maplink import MapLink
 from yarp_compat.dev.places import Places
 from yarp_compat.sig.vec2d import Vec2D
 

@@ -13,13 +13,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from yarp_compat.dev.fields import FLOAT32, INT8, INT16, INT64, UINT8, Choice, field_of
-from yarp_compat.dev.ilocalization2d import LocalizationStatusEnum
+from yarp_compat.dev.fields import FLOAT32, INT8, INT16, INT64, UINT8, Choice, Structure, field_of
+from yarp_compat.dev.localization2d import LocalizationStatusEnum
 from yarp_compat.dev.locations import Map2DLocation
 from yarp_compat.dev.returnvalue import OK, CallFailed, ReturnCode, ReturnValue
 from yarp_compat.dev.server import Server
 from yarp_compat.dev.service import INTRODUCTION, Service, rpc
-from yarp_compat.dev.structure import Structure
 from yarp_compat.wire import binary
 from yarp_compat.wire.errors import WireError
 from yarp_compat.wire.generation import MOST_PEERS, Generation, Generations
@@ -340,7 +339,10 @@ def test_a_text_carrier_gets_a_bottle_in_every_generation() -> None:
         server = Server(Kept(), Generations(generation))
         said = []
         peer = SimpleNamespace(
-            route=SimpleNamespace(source="admin"), carrier=SimpleNamespace(text=True), profile=Profile.YARP3
+            route=SimpleNamespace(source="admin"),
+            carrier=SimpleNamespace(text=True, ack=True),
+            address=("127.0.0.1", 1),
+            profile=Profile.YARP3,
         )
         ask = binary.encode(["get_status_RPC"], Profile.YARP3)
         server(SimpleNamespace(payload=ask, peer=peer, reply=said.append))
@@ -354,7 +356,12 @@ def test_a_text_carrier_gets_a_bottle_in_every_generation() -> None:
 def test_a_message_is_answered_and_its_connection_told_the_dialect() -> None:
     server = Server(Kept())
     said = []
-    peer = SimpleNamespace(route=SimpleNamespace(source="/c"), carrier=SimpleNamespace(text=False), profile=None)
+    peer = SimpleNamespace(
+        route=SimpleNamespace(source="/c"),
+        carrier=SimpleNamespace(text=False, ack=True),
+        address=("127.0.0.1", 1),
+        profile=None,
+    )
     ask = Places.calls()["count"].request([1, 2.0], Profile.YARP4)
     server(SimpleNamespace(payload=ask, peer=peer, reply=said.append))
     assert binary.decode(said[0]) == [3]

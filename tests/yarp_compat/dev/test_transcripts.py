@@ -10,10 +10,9 @@ import pytest
 
 from tests.yarp_compat.dev.interfaces import All, Tree
 from tests.yarp_compat.transcripts import read
-from yarp_compat.dev.call import Call
 from yarp_compat.dev.server import Server
-from yarp_compat.dev.service import INTRODUCTION, read_version, version_end, write_version
-from yarp_compat.wire import message
+from yarp_compat.dev.service import INTRODUCTION, Call, read_version, version_end, write_version
+from yarp_compat.wire import framing
 from yarp_compat.wire.errors import Incomplete
 from yarp_compat.wire.generation import Generation, Generations
 from yarp_compat.wire.profile import Profile
@@ -29,7 +28,7 @@ def exchanges(name: str) -> Iterator[tuple[bytes, bytes]]:
     for talk in read(name):
         for asked, told in zip(talk.steps, talk.steps[1:], strict=False):
             if asked.by == "C" and told.by == "S" and asked.data.startswith(INDEX):
-                command, payload = message.parse(asked.data)
+                command, payload = framing.parse(asked.data)
                 if command.key == "d":
                     assert told.data.endswith(ACK)
                     yield bytes(payload), told.data[: -len(ACK)]
@@ -39,7 +38,7 @@ def streamed(name: str) -> Iterator[bytes]:
     for talk in read(name):
         for step in talk.steps:
             if step.by == "C" and step.data.startswith(INDEX):
-                command, payload = message.parse(step.data)
+                command, payload = framing.parse(step.data)
                 if command.key == "D":
                     yield bytes(payload)
 

@@ -6,9 +6,9 @@ import struct
 from enum import Enum
 from typing import Any
 
+from yarp_compat.dev.basecontrol import OdometryData
 from yarp_compat.dev.locations import Map2DArea, Map2DLocation, Map2DObject, Map2DPath
 from yarp_compat.dev.mapgrid import MapGrid2D
-from yarp_compat.dev.odometry import OdometryData
 from yarp_compat.dev.returnvalue import ReturnCode, ReturnValue
 from yarp_compat.sig.matrix import Matrix
 from yarp_compat.wire.generation import Generation

@@ -14,13 +14,14 @@ import pytest
 from tests.support.ports import free_port
 from tests.yarp_compat.naming.scripted import Scripted
 from tests.yarp_compat.transcripts import Talk, read
-from yarp_compat.naming import connections, talk
+from yarp_compat.naming import connections
 from yarp_compat.naming.client import NameClient
 from yarp_compat.naming.config import Address
-from yarp_compat.naming.errors import ConfigError, NameRefusedError, NamingError, NoNameServerError, PortError
-from yarp_compat.naming.lines import LineSocket
+from yarp_compat.ports import text_client
+from yarp_compat.ports.naming import NameRefusedError, NamingConfigError, NamingError, NoNameServerError, PortError
+from yarp_compat.ports.text_client import LineSocket
 from yarp_compat.wire.carriers import CARRIERS
-from yarp_compat.wire.contact import Contact
+from yarp_compat.wire.contact import PortContact
 
 TALKS = {talk.number: talk for talk in read("connect.txt")}
 CONNECT = (15, 16, 17, 18)
@@ -47,7 +48,7 @@ def test_opening_a_port_as_a_real_program_does() -> None:
     with Scripted(*(script(TALKS[n]) for n in (1, 2, 3, 4, 5, 6, 7, 25))) as server:
         names = client(server.port)
         assert names.query("/reader") is None
-        assert names.register("/reader") == Contact("/reader", "127.0.0.1", 10002, "tcp")
+        assert names.register("/reader") == PortContact("/reader", "127.0.0.1", 10002, "tcp")
         names.announce("/reader")
         names.unregister("/reader")
     real = [TALKS[n].said("C") for n in (1, 2, 3, 4, 5, 6, 7, 25)]
@@ -163,7 +164,7 @@ def test_without_a_file(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None
         (tmp_path / "yarp.conf").write_text(f"127.0.0.1 {server.port} yarp\n")
         assert names.query("/p") is None
     (tmp_path / "yarp.conf").write_text("nonsense\n")
-    with pytest.raises(ConfigError, match="expected '<address> <port> yarp'"):
+    with pytest.raises(NamingConfigError, match="expected '<address> <port> yarp'"):
         NameClient().query("/p")
 
 
@@ -176,7 +177,7 @@ def test_names_that_cannot_be() -> None:
         assert names.query(name) is None
     with pytest.raises(NamingError, match="one line"):
         names.set_property("/p", "key", "a\nb")
-    assert names.query("tcp://127.0.0.1:10002/p") == Contact("/p", "127.0.0.1", 10002, "tcp")
+    assert names.query("tcp://127.0.0.1:10002/p") == PortContact("/p", "127.0.0.1", 10002, "tcp")
     with pytest.raises(PortError, match="no port name"):
         connections.connect(names, "reader", "/b")
 
@@ -194,4 +195,4 @@ def test_a_port_that_answers_what_is_no_bottle() -> None:
         Scripted([(3, b"Welcome admin\r\n" + b"(" * 200 + b"\r\n<ACK>\r\n")]) as peer,
         pytest.raises(PortError, match="no Bottle"),
     ):
-        talk.admin(Contact("/odd", "127.0.0.1", peer.port), ["list"], 20.0)
+        text_client.admin(PortContact("/odd", "127.0.0.1", peer.port), ["list"], 20.0)

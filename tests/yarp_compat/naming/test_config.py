@@ -8,7 +8,7 @@ import pytest
 
 from yarp_compat.naming import config
 from yarp_compat.naming.config import Address
-from yarp_compat.naming.errors import ConfigError
+from yarp_compat.ports.naming import NamingConfigError
 
 
 @pytest.mark.parametrize(
@@ -52,7 +52,7 @@ def test_namespaces(tmp_path: Path) -> None:
     assert config.namespaces(env) == ["/lab"]
     assert config.file(environment=env).name == "_lab.conf"
     assert config.namespaces({**env, "YARP_NAMESPACE": "/a /b"}) == ["/a", "/b"]
-    with pytest.raises(ConfigError, match="not a name for a YARP network"):
+    with pytest.raises(NamingConfigError, match="not a name for a YARP network"):
         config.write_namespace("two words", env)
 
 
@@ -86,7 +86,7 @@ def test_both_forms(text: str, address: Address) -> None:
 def test_bad_files(tmp_path: Path, text: str, problem: str) -> None:
     """A file that cannot be used is named, with what is wrong and how it should look."""
     (tmp_path / "yarp.conf").write_text(text)
-    with pytest.raises(ConfigError) as caught:
+    with pytest.raises(NamingConfigError) as caught:
         config.read(environment={"YARP_CONFIG_HOME": str(tmp_path)})
     assert str(tmp_path / "yarp.conf") in str(caught.value)
     assert problem in str(caught.value)
@@ -95,11 +95,11 @@ def test_bad_files(tmp_path: Path, text: str, problem: str) -> None:
 def test_files_that_cannot_be_read_or_written(tmp_path: Path) -> None:
     """A folder in the file's place, a file in the folder's place, a file without end."""
     (tmp_path / "yarp.conf").mkdir()
-    with pytest.raises(ConfigError, match="cannot be read"):
+    with pytest.raises(NamingConfigError, match="cannot be read"):
         config.read(environment={"YARP_CONFIG_HOME": str(tmp_path)})
     (tmp_path / "plain").write_text("")
-    with pytest.raises(ConfigError, match="cannot be written"):
+    with pytest.raises(NamingConfigError, match="cannot be written"):
         config.write(Address("h", 1), environment={"YARP_CONFIG_HOME": str(tmp_path / "plain" / "yarp")})
     (tmp_path / "_big.conf").write_bytes(b"x" * 100_000)
-    with pytest.raises(ConfigError, match="larger than"):
+    with pytest.raises(NamingConfigError, match="larger than"):
         config.read("/big", {"YARP_CONFIG_HOME": str(tmp_path)})

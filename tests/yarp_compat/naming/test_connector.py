@@ -7,11 +7,10 @@ import threading
 import pytest
 
 from tests.support.wait import until
-from yarp_compat.naming import connector as module
-from yarp_compat.naming.connector import Connector
-from yarp_compat.naming.errors import PortError
-from yarp_compat.naming.subscriptions import Wish
-from yarp_compat.ports.naming import LocalNaming
+from yarp_compat.naming import connections as module
+from yarp_compat.naming.connections import Connector
+from yarp_compat.naming.subscriptions import WantedConnection
+from yarp_compat.ports.naming import LocalNaming, PortError
 
 
 class Ports:
@@ -44,7 +43,8 @@ class Ports:
 def fixture_ports(monkeypatch: pytest.MonkeyPatch) -> Ports:
     """The ports, and quick tries."""
     ports = Ports()
-    monkeypatch.setattr(module, "connections", ports)
+    monkeypatch.setattr(module, "is_connected", ports.is_connected)
+    monkeypatch.setattr(module, "connect", ports.connect)
     monkeypatch.setattr(module, "PAUSES", (0.0, 0.01, 0.01))
     return ports
 
@@ -52,10 +52,10 @@ def fixture_ports(monkeypatch: pytest.MonkeyPatch) -> Ports:
 def test_one_slow_port_holds_up_no_other(ports: Ports) -> None:
     """Also when all are wanted at once, by a connector that was idle."""
     connector = Connector(LocalNaming())
-    connector.want(Wish("/first", "/r"))
+    connector.want(WantedConnection("/first", "/r"))
     until(lambda: ports.made == ["/first"], "it works")
     for source in ("/slow", "/a", "/b", "/slow", "/connected"):
-        connector.want(Wish(source, "/r"))
+        connector.want(WantedConnection(source, "/r"))
     until(lambda: set(ports.made) >= {"/a", "/b"}, "the others are made")
     ports.go_on.set()
     until(lambda: "/slow" in ports.made, "so is the slow one")
@@ -68,26 +68,26 @@ def test_again_where_it_did_not_work(ports: Ports, caplog: pytest.LogCaptureFixt
     """A few times; then it is said, and wanted anew it is tried anew."""
     ports.failures = {"/late": 2, "/never": 99}
     connector = Connector(LocalNaming())
-    connector.want(Wish("/late", "/r"))
-    connector.want(Wish("/never", "/r"))
+    connector.want(WantedConnection("/late", "/r"))
+    connector.want(WantedConnection("/never", "/r"))
     until(lambda: ports.made == ["/late"], "the third try worked")
     until(lambda: "persistent connection from /never to /r not made" in caplog.text, "it is said")
     assert ports.tries.count("/never") == 3
     ports.failures.clear()
     until(lambda: _wanted(connector, ports), "it is made")
     connector.close()
-    connector.want(Wish("/after", "/r"))
+    connector.want(WantedConnection("/after", "/r"))
     assert "/after" not in ports.tries
 
 
 def _wanted(connector: Connector, ports: Ports) -> bool:
-    connector.want(Wish("/never", "/r"))
+    connector.want(WantedConnection("/never", "/r"))
     return "/never" in ports.made
 
 
 def test_connected_but_to_a_former_port(ports: Ports) -> None:
     """A writer that believes itself connected is told to connect to the new one."""
     connector = Connector(LocalNaming())
-    connector.want(Wish("/connected", "/r", anew=True))
+    connector.want(WantedConnection("/connected", "/r", anew=True))
     until(lambda: ports.made == ["/connected"], "connected anew")
     connector.close()

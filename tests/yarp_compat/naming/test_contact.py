@@ -4,45 +4,45 @@ from __future__ import annotations
 
 import pytest
 
-from yarp_compat.wire.contact import Contact, is_name, is_port_name
+from yarp_compat.wire.contact import PortContact, is_name, is_port_name
 
 
 @pytest.mark.parametrize(
     ("text", "contact", "target"),
     [
-        ("/reader", Contact("/reader", carrier=""), "/reader"),
-        ("tcp://reader", Contact("/reader", carrier="tcp"), "tcp://reader"),
-        ("udp:/a/b", Contact("/a/b", carrier="udp"), "udp://a/b"),
-        ("fast_tcp+recv.portmonitor://r", Contact("/r", carrier="fast_tcp+recv.portmonitor"), None),
-        ("topic://chatter", Contact("/chatter", carrier="topic"), "topic://chatter"),
-        ("tcp://127.0.0.1:10005/", Contact("", "127.0.0.1", 10005, "tcp"), None),
-        ("/127.0.0.1:10005/r", Contact("/r", "127.0.0.1", 10005, "tcp"), None),
-        ("tcp://host:99999/", Contact("", "host", -1, "tcp"), None),
+        ("/reader", PortContact("/reader", carrier=""), "/reader"),
+        ("tcp://reader", PortContact("/reader", carrier="tcp"), "tcp://reader"),
+        ("udp:/a/b", PortContact("/a/b", carrier="udp"), "udp://a/b"),
+        ("fast_tcp+recv.portmonitor://r", PortContact("/r", carrier="fast_tcp+recv.portmonitor"), None),
+        ("topic://chatter", PortContact("/chatter", carrier="topic"), "topic://chatter"),
+        ("tcp://127.0.0.1:10005/", PortContact("", "127.0.0.1", 10005, "tcp"), None),
+        ("/127.0.0.1:10005/r", PortContact("/r", "127.0.0.1", 10005, "tcp"), None),
+        ("tcp://host:99999/", PortContact("", "host", -1, "tcp"), None),
     ],
 )
-def test_spellings(text: str, contact: Contact, target: str | None) -> None:
+def test_spellings(text: str, contact: PortContact, target: str | None) -> None:
     """Each of YARP's ways to name a port, and the way back to an admin command's."""
-    assert Contact.parse(text) == contact
+    assert PortContact.parse(text) == contact
     assert target is None or contact.target == target
 
 
 def test_addresses() -> None:
     """An address with its carrier, as YARP prints it, can be read again."""
-    contact = Contact("", "10.0.0.7", 10005, "udp")
+    contact = PortContact("", "10.0.0.7", 10005, "udp")
     assert contact.uri == "udp://10.0.0.7:10005/"
-    assert Contact.parse(contact.uri) == contact
-    assert Contact.parse(contact.uri).is_valid
-    assert not Contact("/p").is_valid
+    assert PortContact.parse(contact.uri) == contact
+    assert PortContact.parse(contact.uri).is_valid
+    assert not PortContact("/p").is_valid
 
 
 def test_registration_lines() -> None:
     """The name server's line, both ways; what is none is None."""
     line = "registration name /reader ip 127.0.0.1 port 10002 type tcp"
-    contact = Contact("/reader", "127.0.0.1", 10002, "tcp")
-    assert Contact.from_registration(line) == contact
+    contact = PortContact("/reader", "127.0.0.1", 10002, "tcp")
+    assert PortContact.from_registration(line) == contact
     assert contact.registration == line
     for other in ("", "*** end of message", "[ok]", line.replace("10002", "none"), line.replace("10002", "123456")):
-        assert Contact.from_registration(other) is None
+        assert PortContact.from_registration(other) is None
 
 
 @pytest.mark.parametrize("name", ["/a", "/a/b:o", "/tmp/port/1", "/topic+@/node", "/ü"])

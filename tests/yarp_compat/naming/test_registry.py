@@ -12,11 +12,10 @@ from hypothesis import strategies as st
 
 from tests.yarp_compat.transcripts import read
 from yarp_compat.naming import registry as registry_module
-from yarp_compat.naming.answers import OLD, lines
-from yarp_compat.naming.registry import Registry
-from yarp_compat.naming.state import dumps, loads
-from yarp_compat.naming.subscriptions import Wish
-from yarp_compat.wire.contact import Contact
+from yarp_compat.naming.registry import OLD, PortRegistry, lines
+from yarp_compat.naming.server import dumps, loads
+from yarp_compat.naming.subscriptions import WantedConnection
+from yarp_compat.wire.contact import PortContact
 from yarp_compat.wire.text import from_text, to_text
 
 END = "*** end of message"
@@ -28,9 +27,9 @@ class Asked:
 
     def __init__(self, port: int = 10000) -> None:
         self.now = 0.0
-        self.registry = Registry(Contact("/root", "127.0.0.1", port), clock=lambda: self.now)
+        self.registry = PortRegistry(PortContact("/root", "127.0.0.1", port), clock=lambda: self.now)
         self.events: list[Any] = []
-        self.wishes: list[Wish] = []
+        self.wishes: list[WantedConnection] = []
 
     def __call__(self, text: str, remote: str = "127.0.0.1") -> list[str]:
         """The lines of the answer; a Bottle is one."""
@@ -244,4 +243,4 @@ def test_memory_is_whole(commands: list[list[str]]) -> None:
 def test_spoilt_memory(data: bytes) -> None:
     """What is no state is refused with a reason."""
     with pytest.raises(ValueError, match=r"."):
-        loads(Registry(Contact("/root", "127.0.0.1", 10000)), data)
+        loads(PortRegistry(PortContact("/root", "127.0.0.1", 10000)), data)

@@ -17,22 +17,23 @@ import pytest
 from tests.support.process import Process
 from tests.support.wait import until
 from tests.yarp_compat.naming.test_server import low_port
-from yarp_compat.naming import connections, keeper
+from yarp_compat.naming import client as client_module
+from yarp_compat.naming import connections
 from yarp_compat.naming.client import NameClient
 from yarp_compat.naming.config import Address
-from yarp_compat.naming.errors import NoNameServerError
 from yarp_compat.naming.server import NameServer
-from yarp_compat.ports.events import ConnectionEvent
-from yarp_compat.ports.message import Message
+from yarp_compat.ports.connections import ConnectionEvent
+from yarp_compat.ports.message import PortMessage
+from yarp_compat.ports.naming import NoNameServerError
 from yarp_compat.ports.port import PortCore
 from yarp_compat.wire.binary import decode, encode
-from yarp_compat.wire.contact import Contact
+from yarp_compat.wire.contact import PortContact
 from yarp_compat.wire.profile import Profile
 
 
 @pytest.fixture(autouse=True)
 def _quick(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(keeper, "PERIOD", 0.05)
+    monkeypatch.setattr(client_module, "PERIOD", 0.05)
 
 
 class Pair:
@@ -65,7 +66,7 @@ class Pair:
         if not event.up and not event.incoming:
             self.losses.append(event)
 
-    def _take(self, message: Message) -> None:
+    def _take(self, message: PortMessage) -> None:
         self.came += decode(message.payload)
 
     def _write(self) -> None:
@@ -195,8 +196,8 @@ class Forgetful:
 def test_where_one_is_missing_all_are_asked_for() -> None:
     """Not only those few whose turn it is."""
     names = Forgetful()
-    contacts = [Contact(f"/p{i}", "127.0.0.1", 10002 + i) for i in range(30)]
-    keeper.Keeper()._look(names, contacts)
+    contacts = [PortContact(f"/p{i}", "127.0.0.1", 10002 + i) for i in range(30)]
+    client_module.Keeper()._look(names, contacts)
     assert sorted(names.restored) == sorted(c.name for c in contacts)
 
 

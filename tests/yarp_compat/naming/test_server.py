@@ -16,16 +16,17 @@ import pytest
 from tests.support.ports import free_port
 from tests.support.wait import until
 from tests.yarp_compat.transcripts import read
-from yarp_compat.naming import connections, talk
+from yarp_compat.naming import connections
 from yarp_compat.naming import server as server_module
 from yarp_compat.naming.client import NameClient
-from yarp_compat.naming.errors import NamingError
-from yarp_compat.naming.lines import LineSocket
 from yarp_compat.naming.server import NameServer
-from yarp_compat.ports.message import Message
+from yarp_compat.ports import text_client
+from yarp_compat.ports.message import PortMessage
+from yarp_compat.ports.naming import NamingError
 from yarp_compat.ports.port import PortCore
+from yarp_compat.ports.text_client import LineSocket
 from yarp_compat.wire.binary import decode, encode
-from yarp_compat.wire.contact import Contact
+from yarp_compat.wire.contact import PortContact
 from yarp_compat.wire.profile import Profile
 from yarp_compat.wire.text import from_text
 
@@ -82,9 +83,9 @@ def test_many_commands_on_one_connection(server: NameServer) -> None:
 
 def test_bottles_over_text_ack(names: NameClient) -> None:
     """What tools such as ``yarp clean`` use: lines as they are, or a Bottle."""
-    assert talk.ask(names.contact, ["query", "/none"]) == ["*** end of message"]
-    assert talk.ask(names.contact, ["gc"]) == ["garbage collection done.", "*** end of message"]
-    assert talk.ask(names.contact, ["subscribe"]) == ["subscriptions"]
+    assert text_client.ask(names.contact, ["query", "/none"]) == ["*** end of message"]
+    assert text_client.ask(names.contact, ["gc"]) == ["garbage collection done.", "*** end of message"]
+    assert text_client.ask(names.contact, ["subscribe"]) == ["subscriptions"]
     names.register("/p")
     names.set_property("/p", "key", "two words", 5)
     assert names.get_property("/p", "key") == [5, "two words"]
@@ -169,7 +170,7 @@ class Open:
         self.came: list[list[object]] = []
 
     def __call__(self, name: str) -> PortCore:
-        def take(message: Message) -> None:
+        def take(message: PortMessage) -> None:
             self.came.append(decode(message.payload))
 
         port = PortCore(name, on_message=take, naming=self._names)
@@ -204,7 +205,7 @@ def test_who_listens_slowly_hears_every_event(names: NameClient) -> None:
     """None takes the place of another."""
     came, go_on = list[list[object]](), threading.Event()
 
-    def take(message: Message) -> None:
+    def take(message: PortMessage) -> None:
         assert go_on.wait(20)
         came.append(decode(message.payload))
 
@@ -331,5 +332,5 @@ def test_memory_that_cannot_be_written(tmp_path: Path, caplog: pytest.LogCapture
     """The server serves without it, and says so."""
     (tmp_path / "plain").write_text("")
     with NameServer(port=low_port(), state=tmp_path / "plain" / "names.json") as server:
-        assert NameClient(server.address).register("/p") == Contact("/p", "127.0.0.1", server.address.port + 2)
+        assert NameClient(server.address).register("/p") == PortContact("/p", "127.0.0.1", server.address.port + 2)
     assert "cannot be written" in caplog.text

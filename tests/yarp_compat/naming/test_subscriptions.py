@@ -6,7 +6,7 @@ import pytest
 
 from tests.yarp_compat.naming.test_registry import Asked
 from yarp_compat.naming import subscriptions
-from yarp_compat.naming.subscriptions import Wish
+from yarp_compat.naming.subscriptions import WantedConnection
 
 
 @pytest.fixture(name="ask")
@@ -15,7 +15,7 @@ def fixture_ask() -> Asked:
     return Asked()
 
 
-def there(ask: Asked, *names: str) -> list[Wish]:
+def there(ask: Asked, *names: str) -> list[WantedConnection]:
     """Open ports; the connections that this wants."""
     ask.wishes.clear()
     for name in names:
@@ -28,13 +28,13 @@ def test_wanted_when_both_are_there(ask: Asked) -> None:
     """With the second of them, in either order; again whenever one returns."""
     assert ask("subscribe /a udp://b") == ["[ok]"]
     assert there(ask, "/b") == []
-    assert there(ask, "/a") == [Wish("/a", "udp://b", anew=True)]
+    assert there(ask, "/a") == [WantedConnection("/a", "udp://b", anew=True)]
     ask("unregister /b")
     assert there(ask, "/a") == []
-    assert there(ask, "/b") == [Wish("/a", "udp://b", anew=True)]
+    assert there(ask, "/b") == [WantedConnection("/a", "udp://b", anew=True)]
     ask.wishes.clear()
     ask("announce /b")
-    assert ask.wishes == [Wish("/a", "udp://b")]
+    assert ask.wishes == [WantedConnection("/a", "udp://b")]
     assert ask("unsubscribe /a /b") == ["[ok]"]
     assert there(ask, "/b") == []
 
@@ -43,7 +43,7 @@ def test_wanted_at_once_between_ports_that_are_there(ask: Asked) -> None:
     """Nobody has to come back for it."""
     there(ask, "/a", "/b")
     ask("subscribe /a /b")
-    assert ask.wishes == [Wish("/a", "/b")]
+    assert ask.wishes == [WantedConnection("/a", "/b")]
 
 
 def test_not_wanted_before_both_listen(ask: Asked) -> None:
@@ -52,7 +52,7 @@ def test_not_wanted_before_both_listen(ask: Asked) -> None:
     ask("register /b")
     assert there(ask, "/a") == []
     ask("announce /b")
-    assert ask.wishes == [Wish("/a", "/b", anew=True)]
+    assert ask.wishes == [WantedConnection("/a", "/b", anew=True)]
     ask("unregister /b")
     ask("register /b")
     assert there(ask, "/a") == []
@@ -99,11 +99,14 @@ def test_topics(ask: Asked) -> None:
     assert ask.wishes == []
     ask("subscribe topic://t /r1")
     ask("subscribe topic:/t tcp://r2")
-    assert ask.wishes == [Wish("/w", "/r1"), Wish("/w", "tcp://r2")]
+    assert ask.wishes == [WantedConnection("/w", "/r1"), WantedConnection("/w", "tcp://r2")]
     assert there(ask, "/w2") == []
     ask("subscribe /w2 topic://t")
-    assert set(ask.wishes) == {Wish("/w2", "/r1"), Wish("/w2", "tcp://r2")}
-    assert set(there(ask, "/r1")) == {Wish("/w", "/r1", anew=True), Wish("/w2", "/r1", anew=True)}
+    assert set(ask.wishes) == {WantedConnection("/w2", "/r1"), WantedConnection("/w2", "tcp://r2")}
+    assert set(there(ask, "/r1")) == {
+        WantedConnection("/w", "/r1", anew=True),
+        WantedConnection("/w2", "/r1", anew=True),
+    }
     ask("untopic /t")
     assert ask("topic") == [""]
     assert there(ask, "/r1") == []

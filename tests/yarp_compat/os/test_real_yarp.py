@@ -12,8 +12,7 @@ from typing import Any
 
 import pytest
 
-from yarp_compat.os.bottle import Bottle
-from yarp_compat.os.property import Property
+from yarp_compat.os.data.bottle import Bottle, Property
 from yarp_compat.wire.profile import Profile
 
 DATA: dict[str, list[Any]] = json.loads((Path(__file__).parents[1] / "data" / "yarp-3.12.3.json").read_text())

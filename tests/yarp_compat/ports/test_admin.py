@@ -141,7 +141,7 @@ def test_typed_commands(make_port: MakePort) -> None:
 
 def test_a_reader_turns_its_connection_round(make_port: MakePort) -> None:
     """``r``: whoever called gets what the port writes, in text and in binary."""
-    from yarp_compat.wire import message
+    from yarp_compat.wire import framing
     from yarp_compat.wire.binary import encode
     from yarp_compat.wire.profile import Profile
 
@@ -159,11 +159,11 @@ def test_a_reader_turns_its_connection_round(make_port: MakePort) -> None:
     until(lambda: not port.outputs(), "its end is seen")
     with socket.create_connection((port.contact.host, port.contact.port)) as sock:
         sock.settimeout(10)
-        sock.sendall(b"YA\xe4\x1e\0\0RP\x03\0\0\0me\0" + message.words("r"))
+        sock.sendall(b"YA\xe4\x1e\0\0RP\x03\0\0\0me\0" + framing.words("r"))
         until(port.outputs, "an output")
         port.write(content)
-        expected = message.prefix(len(content)) + content
+        expected = framing.prefix(len(content)) + content
         told = b""
         while len(told) < 16 + len(expected):
             told += sock.recv(1000)
-        assert told[8:] == message.ACK + expected
+        assert told[8:] == framing.ACK + expected

@@ -16,7 +16,7 @@ from yarp_compat.ports import connecting, port
 from yarp_compat.ports.connections import AnyOutput
 from yarp_compat.ports.datagrams import DatagramOutput
 from yarp_compat.ports.naming import LocalNaming
-from yarp_compat.wire import message
+from yarp_compat.wire import framing
 from yarp_compat.wire.binary import decode, encode
 from yarp_compat.wire.errors import Incomplete, WireError
 from yarp_compat.wire.profile import Profile
@@ -48,7 +48,7 @@ class Slow:
         index = b""
         while len(index) < 30:
             index += self.sock.recv(30 - len(index))
-        size = message.body_size(index)
+        size = framing.body_size(index)
         body = b""
         while len(body) < size:
             body += self.sock.recv(size - len(body))
@@ -56,7 +56,7 @@ class Slow:
 
     def acknowledge(self) -> None:
         assert self.sock is not None
-        self.sock.sendall(message.ACK)
+        self.sock.sendall(framing.ACK)
 
     def close(self) -> None:
         self._thread.join()
@@ -345,7 +345,7 @@ def test_a_request_that_is_only_acknowledged(make_port: MakePort, slow: Slow) ->
         threading.Timer(0.05, lambda: (slow.read(), slow.acknowledge())).start()
         with pytest.raises(WireError, match="did not reply"):
             client.request(HELLO, timeout=10)
-    threading.Timer(0.05, lambda: (slow.read(), slow.sock and slow.sock.sendall(HELLO + message.ACK))).start()
+    threading.Timer(0.05, lambda: (slow.read(), slow.sock and slow.sock.sendall(HELLO + framing.ACK))).start()
     assert client.request(HELLO, timeout=10) == HELLO
 
 
@@ -372,7 +372,7 @@ def test_where_a_reply_ends_may_be_told(make_port: MakePort, slow: Slow) -> None
     """Some replies of thrift servers are no Bottles."""
     client = make_port("/c")
     client.add_output("tcp://slow")
-    sent = b"\1\0\0\0\7\0\0\0" + message.ACK
+    sent = b"\1\0\0\0\7\0\0\0" + framing.ACK
     threading.Timer(0.05, lambda: (slow.read(), slow.sock and slow.sock.sendall(sent))).start()
 
     def end(came: bytes) -> int:
@@ -413,3 +413,40 @@ def test_writers_of_many_threads(make_port: MakePort) -> None:
     assert sorted(got) == list(range(400))
     for n in range(4):
         assert [g for g in got if g // 100 == n] == list(range(n * 100, n * 100 + 100)), "each thread's in order"
+
+
+def test_what_a_reader_that_goes_misses_stays_counted(make_port: MakePort, slow: Slow) -> None:
+    """The output is gone with its own counters, and the port still says how many messages were lost, and why."""
+    writer = make_port("/w")
+    writer.add_output("tcp://slow")
+    (output,) = writer.connections.outputs
+    for i in range(3):
+        writer.write(bytes([i]) * 5_000_000, strict=True)
+    assert slow.sock is not None
+    slow.sock.close()
+    until(lambda: writer.lost["lost"] == 3, "all three are counted as lost")
+    assert output.counters.dropped["lost"] == 3
+    assert writer.connections.outputs == []
+
+
+def test_a_message_above_the_limit_is_counted_as_such(make_port: MakePort) -> None:
+    """A C++ port is told nothing but the connection's end: here stands why."""
+    reader = make_port("/r", limit=1_000_000)
+    writer = make_port("/w")
+    writer.add_output("tcp://r")
+    writer.write(encode([b"x" * 1_000_001], Profile.YARP3))
+    until(lambda: reader.counters.dropped == {"large": 1}, "it is counted")
+
+
+def test_the_memory_of_a_large_message_is_given_back(make_port: MakePort, monkeypatch: pytest.MonkeyPatch) -> None:
+    """It is kept for the next one for some seconds only."""
+    monkeypatch.setattr(port, "_KEPT_FOR", 0.0)
+    got: list[int] = []
+    reader = make_port("/r", lambda m: got.append(len(m.payload)))
+    writer = make_port("/w")
+    writer.add_output("tcp://r")
+    for count in (1, 2):
+        writer.write(encode([b"x" * 20_000_000], Profile.YARP3), wait=True, timeout=20)
+        until(lambda count=count: len(got) == count, "the message comes")
+        (connection,) = reader.connections.inputs
+        until(lambda connection=connection: not connection.stream.kept, "its memory is given back")

@@ -9,11 +9,10 @@ import pytest
 from tests.support.wait import until
 from tests.yarp_compat.ports.conftest import MakePort
 from tests.yarp_compat.ports.test_port import HELLO
-from yarp_compat.ports.message import Message
+from yarp_compat.ports.message import PortMessage
 from yarp_compat.ports.naming import LocalNaming
-from yarp_compat.ports.outgoing import framed
+from yarp_compat.ports.outgoing import Item, framed
 from yarp_compat.ports.port import PortCore
-from yarp_compat.ports.waiting import Item
 
 
 def test_a_connection_that_was_replaced_ends_with_the_port(make_port: MakePort) -> None:
@@ -21,7 +20,7 @@ def test_a_connection_that_was_replaced_ends_with_the_port(make_port: MakePort) 
     got: list[bytes] = []
     go_on = threading.Event()
 
-    def take(message: Message) -> None:
+    def take(message: PortMessage) -> None:
         got.append(bytes(message.payload))
         assert go_on.wait(20)
 
@@ -45,9 +44,9 @@ def test_a_connection_that_was_replaced_ends_with_the_port(make_port: MakePort) 
 
 
 def test_what_was_put_off_of_a_replaced_connection_is_given_up(make_port: MakePort) -> None:
-    waiting: list[Message] = []
+    waiting: list[PortMessage] = []
 
-    def take(message: Message) -> None:
+    def take(message: PortMessage) -> None:
         message.later()
         waiting.append(message)
 

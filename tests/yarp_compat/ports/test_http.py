@@ -11,7 +11,7 @@ import pytest
 
 from tests.support.wait import until
 from tests.yarp_compat.ports.conftest import MakePort
-from yarp_compat.ports.message import Message
+from yarp_compat.ports.message import PortMessage
 from yarp_compat.ports.port import PortCore
 from yarp_compat.wire import carriers
 from yarp_compat.wire.binary import decode, encode
@@ -25,7 +25,7 @@ def fetch(port: PortCore, path: str, data: bytes | None = None, **headers: str) 
         return page.headers["Content-Type"], page.read().decode()
 
 
-def echo(message: Message) -> None:
+def echo(message: PortMessage) -> None:
     message.reply(encode(["got", decode(message.payload)], Profile.YARP3))
 
 
@@ -50,7 +50,7 @@ def test_message_from_a_form(make_port: MakePort) -> None:
 def test_json(make_port: MakePort) -> None:
     got: list[object] = []
 
-    def ports(message: Message) -> None:
+    def ports(message: PortMessage) -> None:
         got.append(decode(message.payload))
         entry = ["port", ["name", "/a"], ["port_number", 10002]]
         message.reply(encode(["ports", entry, ["port", ["name", "/b"]]], Profile.YARP3))

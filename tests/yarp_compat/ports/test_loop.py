@@ -7,11 +7,11 @@ import socket
 import threading
 
 from tests.support.wait import until
-from yarp_compat.ports.loop import Loop
+from yarp_compat.ports.loop import PortLoop
 
 
 def test_what_is_ready_when_it_is_told_to_end_is_still_looked_at() -> None:
-    loop, hold, seen = Loop(), threading.Event(), list[int]()
+    loop, hold, seen = PortLoop(), threading.Event(), list[int]()
     near, far = socket.socketpair()
     with near, far:
         loop.call(hold.wait)
@@ -26,7 +26,7 @@ def test_what_is_ready_when_it_is_told_to_end_is_still_looked_at() -> None:
 
 
 def test_what_it_is_told_after_its_end_is_done_by_who_tells_it() -> None:
-    loop, seen = Loop(), list[threading.Thread]()
+    loop, seen = PortLoop(), list[threading.Thread]()
     loop.stop()
     loop.call(lambda: seen.append(threading.current_thread()))
     loop.run(lambda: seen.append(threading.current_thread()))

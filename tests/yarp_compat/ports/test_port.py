@@ -5,6 +5,7 @@ from __future__ import annotations
 import errno
 import os
 import socket
+import struct
 import subprocess
 import sys
 import threading
@@ -16,12 +17,12 @@ from tests.support.ports import free_port
 from tests.support.wait import until
 from tests.yarp_compat.ports.conftest import MakePort
 from yarp_compat.ports import connections
-from yarp_compat.ports.events import ConnectionEvent
-from yarp_compat.ports.message import Message
+from yarp_compat.ports.connections import ConnectionEvent
+from yarp_compat.ports.message import PortMessage
 from yarp_compat.ports.naming import LocalNaming
 from yarp_compat.ports.port import PortCore
 from yarp_compat.wire.binary import decode, encode
-from yarp_compat.wire.contact import Route
+from yarp_compat.wire.contact import ConnectionRoute
 from yarp_compat.wire.profile import Profile
 from yarp_compat.wire.values import Float32
 
@@ -36,7 +37,7 @@ class Reader:
     def __init__(self) -> None:
         self.got: list[tuple[list[Any], str]] = []
 
-    def __call__(self, message: Message) -> None:
+    def __call__(self, message: PortMessage) -> None:
         self.got.append((decode(message.payload), message.envelope))
 
 
@@ -49,7 +50,7 @@ def test_message_with_envelope(make_port: MakePort, carrier: str) -> None:
     assert writer.write(HELLO, "7 1795143618.02289", wait=True, timeout=10) == 1
     until(lambda: reader.got, "the message")
     assert reader.got == [(["hello", 42, 3.5], "7 1795143618.02289")]
-    assert writer.outputs() == [Route("/w", "/r", carrier)]
+    assert writer.outputs() == [ConnectionRoute("/w", "/r", carrier)]
 
 
 @pytest.mark.parametrize("carrier", ALL)
@@ -81,7 +82,7 @@ def test_large_messages_are_their_readers_own(make_port: MakePort) -> None:
     kept: list[memoryview] = []
     addresses = []
 
-    def take(message: Message) -> None:
+    def take(message: PortMessage) -> None:
         assert isinstance(message.payload, memoryview)
         assert not message.payload.readonly
         addresses.append(id(message.payload.obj))
@@ -140,8 +141,8 @@ def test_connecting_again_replaces(make_port: MakePort) -> None:
     writer = make_port("/w")
     for carrier in ("tcp", "fast_tcp", "tcp", "udp", "text"):
         assert writer.add_output(f"{carrier}://r")[0]
-        assert writer.outputs() == [Route("/w", "/r", carrier)]
-        until(lambda c=carrier: reader.inputs() == [Route("/w", "/r", c)], f"only {carrier}")
+        assert writer.outputs() == [ConnectionRoute("/w", "/r", carrier)]
+        until(lambda c=carrier: reader.inputs() == [ConnectionRoute("/w", "/r", c)], f"only {carrier}")
 
 
 def test_a_second_connection_of_the_same_port_replaces(make_port: MakePort) -> None:
@@ -203,7 +204,7 @@ def test_events(make_port: MakePort) -> None:
     until(reader.inputs, "the connection")
     writer.remove_output("/r")
     until(lambda: len(told) == 4, "four events")
-    route = Route("/w", "/r", "tcp")
+    route = ConnectionRoute("/w", "/r", "tcp")
     assert sorted(told, key=lambda e: (not e.up, e.incoming)) == [
         ConnectionEvent(route, incoming=False, up=True), ConnectionEvent(route, incoming=True, up=True),
         ConnectionEvent(route, incoming=False, up=False), ConnectionEvent(route, incoming=True, up=False),
@@ -223,7 +224,7 @@ def test_an_rpc_client_has_one_server(make_port: MakePort) -> None:
     ("target", "told"),
     [
         ("/nowhere", "Do not know how to connect to /nowhere"),
-        ("mcast://r", "Cannot connect to mcast://r"),
+        ("mcast://r", "Cannot connect to mcast://r: the name server gives out no multicast group"),
         ("shmem:/r", "Cannot connect to shmem:/r"),
         ("nonsense://r", "Cannot connect to nonsense://r"),
         ("http://r", "Cannot connect to http://r"),
@@ -233,19 +234,51 @@ def test_what_cannot_be_connected(
     make_port: MakePort, target: str, told: str, caplog: pytest.LogCaptureFixture
 ) -> None:
     make_port("/r")
-    assert make_port("/w").add_output(target) == (False, told)
-    if target.startswith(("mcast", "shmem", "http")):
+    done, said = make_port("/w").add_output(target)
+    assert not done
+    assert said.startswith(told)
+    if target.startswith(("shmem", "http")):
         assert "not offered here; use one of tcp, fast_tcp" in caplog.text
 
 
-def test_qualifiers_are_told(make_port: MakePort, caplog: pytest.LogCaptureFixture) -> None:
-    reader = make_port("/r", Reader())
+@pytest.mark.parametrize(
+    "target",
+    ["tcp+recv.portmonitor+type.dll://r", "tcp+send.portmonitor+type.dll://r", "udp+log.in://r", "tcp+nonsense://r"],
+)
+def test_modifiers_are_refused(make_port: MakePort, target: str, caplog: pytest.LogCaptureFixture) -> None:
+    """Nobody here can change messages as they are asked to: unchanged they would be taken for changed ones."""
+    reader = make_port("/r")
     writer = make_port("/w")
-    assert writer.add_output("tcp+recv.portmonitor+type.dll://r")[0]
-    assert writer.write(HELLO, wait=True, timeout=10) == 1
-    assert reader.inputs() == [Route("/w", "/r", "tcp")]
-    assert "/w asks for (recv portmonitor) (type dll), which is not offered here" in caplog.text
-    assert "messages leave as they are" in caplog.text
+    done, told = writer.add_output(target)
+    assert not done
+    assert told.startswith(f"Cannot connect to {target}")
+    assert not writer.outputs()
+    until(lambda: not reader.inputs(), "no input is left")
+    if "recv" in target:
+        until(lambda: "carrier modifier (recv portmonitor) (type dll)" in caplog.text, "the reader says why")
+    else:
+        assert "offers no carrier modifiers" in told
+
+
+@pytest.mark.parametrize("first", [b"YA\xe4\x1e\0\0RP", b"YAd\x1e\0\0RP", b"YAa\x1e\0\0RP", b"CONNACK "])
+def test_a_modifier_of_the_writer_is_its_own_matter(make_port: MakePort, first: bytes) -> None:
+    """A C++ port that calls with ``send.portmonitor`` changes its messages itself; with ``recv`` it is refused.
+
+    It takes any eight bytes for an answer (``TcpCarrier::expectReplyToHeader``): to words of refusal a real ``yarp
+    connect`` of 3.9.1 said "Success", so nothing is answered.
+    """
+    reader = make_port("/r")
+    for qualifiers, taken in ((b"(send portmonitor) (type dll)", True), (b"(send x) (recv y)", False)):
+        with socket.create_connection((reader.contact.host, reader.contact.port)) as sock:
+            said = b"/w " + qualifiers
+            text = said + b"\r\n" if first == b"CONNACK " else struct.pack("<i", len(said) + 1) + said + b"\0"
+            sock.sendall(first + text)
+            sock.settimeout(10)
+            answer = sock.recv(100)
+        if taken or first == b"CONNACK ":
+            assert answer.startswith((b"YA", b"Welcome") if taken else b"* Error")
+        else:
+            assert answer == b""
 
 
 def test_local_is_for_one_process(make_port: MakePort, naming: LocalNaming) -> None:
@@ -276,7 +309,7 @@ def test_interrupted_port_drops(make_port: MakePort) -> None:
 
 
 def test_a_message_may_be_the_last(make_port: MakePort) -> None:
-    def take(message: Message) -> None:
+    def take(message: PortMessage) -> None:
         message.reply(HELLO)
         message.drop()
 

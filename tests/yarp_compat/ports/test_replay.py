@@ -11,13 +11,13 @@ import pytest
 
 from tests.support.wait import until
 from tests.yarp_compat.transcripts import Talk, read
-from yarp_compat.ports.message import Message
+from yarp_compat.ports.message import PortMessage
 from yarp_compat.ports.naming import LocalNaming
 from yarp_compat.ports.port import PortCore
-from yarp_compat.wire import message
+from yarp_compat.wire import framing
 from yarp_compat.wire.binary import decode, encode
-from yarp_compat.wire.carriers import frame
-from yarp_compat.wire.contact import Contact
+from yarp_compat.wire.carriers import frame, framed
+from yarp_compat.wire.contact import PortContact
 from yarp_compat.wire.profile import Profile
 from yarp_compat.wire.text import from_text
 
@@ -27,19 +27,19 @@ PROFILES = list(Profile)
 
 def in_profile(data: bytes, profile: Profile) -> bytes:
     """A recorded message, which is 4.0's, as a program of that dialect says it."""
-    if not data.startswith(message.INDEX):
+    if not data.startswith(framing.INDEX):
         return data
-    word, payload = message.parse(data)
+    word, payload = framing.parse(data)
     if word.key not in "dD":
         return data
-    return message.prefix(len(content := encode(decode(payload, Profile.YARP4), profile)), word.key) + content
+    return framing.prefix(len(content := encode(decode(payload, Profile.YARP4), profile)), word.key) + content
 
 
 def split(data: bytes) -> list[bytes]:
     """Messages that were recorded in one piece."""
-    if data.startswith(message.INDEX):
-        size = message.index_size(data)
-        size += message.body_size(data)
+    if data.startswith(framing.INDEX):
+        size = framing.index_size(data)
+        size += framing.body_size(data)
         return [data[:size], *(split(data[size:]) if data[size:] else [])]
     if data.startswith((b"D\r\n", b"d\r\n")):
         lines = data.split(b"\r\n")
@@ -52,7 +52,7 @@ def opened(name: str, number: int, **options: object) -> Iterator[tuple[PortCore
     """A port that takes itself to be at the recorded number; and where it really is."""
     port = PortCore(name, naming=LocalNaming(), **options)  # type: ignore[arg-type]
     at = port.open()
-    port.contact = Contact(name, "127.0.0.1", number)
+    port.contact = PortContact(name, "127.0.0.1", number)
     try:
         yield port, (at.host, at.port)
     finally:
@@ -80,7 +80,7 @@ MCAST = range(15, 24)
 # -- ours accepts ------------------------------------------------------------------------------------------------------
 
 
-def as_acceptor(talk: Talk, address: tuple[str, int], profile: Profile) -> None:
+def assert_answers(talk: Talk, address: tuple[str, int], profile: Profile) -> None:
     """Say what the initiator said, and compare what is answered."""
     with socket.create_connection(address) as sock:
         for step in talk.steps:
@@ -89,7 +89,7 @@ def as_acceptor(talk: Talk, address: tuple[str, int], profile: Profile) -> None:
             elif step.by == "S":
                 told = receive(sock, len(step.data))
                 if step.data.startswith(b"YA") and talk.steps[0].data.startswith(b"YAa"):
-                    assert message.framed(told), "udp: a number of its own"
+                    assert framed(told), "udp: a number of its own"
                 elif step.data != b"\0\0\0\0":
                     assert told == step.data
 
@@ -98,25 +98,25 @@ def as_acceptor(talk: Talk, address: tuple[str, int], profile: Profile) -> None:
 def test_reader_of_connect(profile: Profile) -> None:
     got: list[list[object]] = []
 
-    def take(incoming: Message) -> None:
+    def take(incoming: PortMessage) -> None:
         got.append(decode(incoming.payload, profile))
 
     with opened("/reader", 10002, on_message=take) as (_, address):
         for talk in talks("connect.txt", 10002):
-            as_acceptor(talk, address, profile)
+            assert_answers(talk, address, profile)
         until(lambda: len(got) == 3, "three messages")
     assert got == [["hello", 42, 3.5], [1, 2, 3], [["a", "b"], "ok", b"\1\2\xff", "x y", -7, 3000000000]]
 
 
 @pytest.mark.parametrize("profile", PROFILES)
 def test_rpc_server(profile: Profile) -> None:
-    def pong(incoming: Message) -> None:
+    def pong(incoming: PortMessage) -> None:
         assert decode(incoming.payload, profile) == ["ping", "hi there", 1.5]
         incoming.reply(encode(["pong", 1, [2, 3]], profile))
 
     with opened("/server", 10004, on_message=pong, rpc=True) as (port, address):
         (talk,) = talks("rpc.txt", 10004)
-        as_acceptor(talk, address, profile)
+        assert_answers(talk, address, profile)
         assert port.counters.dropped.total() == 0
 
 
@@ -141,7 +141,7 @@ def test_reader_of_carriers(number: int) -> None:
             sock = socket.create_connection(address)
             sock.sendall(b"YAd\x1e\0\0RP\x03\0\0\0/w\0")
             until(port.inputs, "the connection that is to be removed")
-            as_acceptor(talk, address, Profile.YARP4)
+            assert_answers(talk, address, Profile.YARP4)
             assert sock.recv(100)[:2] == b"YA"
             assert sock.recv(100) == b"", "removed"
             sock.close()
@@ -151,7 +151,7 @@ def test_reader_of_carriers(number: int) -> None:
             _check_help(talk.steps[help_at].data, talk.steps[help_at + 1].data, address)
             del talk.steps[help_at : help_at + 2]
             until(lambda: not port.inputs(), "the end of that connection is seen, which would be listed")
-        as_acceptor(_comparable(talk), address, Profile.YARP4)
+        assert_answers(_comparable(talk), address, Profile.YARP4)
         count = sum(len(split(s.data)) for s in talk.steps if s.by == "C" and s.data[:1] in b"DY" and b"msg" in s.data)
         until(lambda: len(got) == count, f"{count} messages")
         assert all("msg" in g for g in got)
@@ -170,7 +170,7 @@ def test_writer_takes_companions() -> None:
     with opened("/w", 10006) as (_, address):
         for number in (1, 7, 24):
             (talk,) = [t for t in talks("carriers-admin.txt", 10006) if t.number == number]
-            as_acceptor(talk, address, Profile.YARP4)
+            assert_answers(talk, address, Profile.YARP4)
 
 
 # -- ours calls --------------------------------------------------------------------------------------------------------
@@ -179,7 +179,7 @@ def test_writer_takes_companions() -> None:
 @pytest.fixture
 def _asking_nobody(monkeypatch: pytest.MonkeyPatch) -> None:
     """The programs that were recorded do not ask others for their dialect; test_dialect tests that."""
-    monkeypatch.setattr("yarp_compat.ports.dialects.asked", lambda _contact: None)
+    monkeypatch.setattr("yarp_compat.ports.base.ask_profile", lambda _contact: None)
 
 
 class Stage:
@@ -201,8 +201,8 @@ class Stage:
         for sock in (self.server, self.datagrams, *self.socks.values()):
             sock.close()
 
-    def play(self, recorded: list[Talk]) -> None:
-        """All of it."""
+    def expect(self, recorded: list[Talk]) -> None:
+        """Say what the others said, and hear from our port what was recorded."""
         by_time = sorted(
             ((step.time, talk.number, step, talk) for talk in recorded for step in talk.steps),
             key=lambda s: (s[0], s[1]),
@@ -233,8 +233,8 @@ class Stage:
         """Have our port write what is expected next, where that is data."""
         if expected.startswith((b"D\r\n", b"d\r\n")):
             self.port.write(encode(from_text(expected.split(b"\r\n")[1].decode()), self.profile), strict=True)
-        elif expected.startswith(message.INDEX):
-            word, payload = message.parse(expected)
+        elif expected.startswith(framing.INDEX):
+            word, payload = framing.parse(expected)
             if word.key in "dD":
                 self.port.write(encode(decode(payload, Profile.YARP4), self.profile), strict=True)
 
@@ -254,15 +254,15 @@ def test_writer(name: str, own: int, other: tuple[str, int], file: str, profile:
         port.naming.register(other[0], *stage.server.getsockname())
         try:
             if own == 10003:
-                stage.play([_without_quit(t) for t in recorded])  # there the writer ended with its process
+                stage.expect([_without_quit(t) for t in recorded])  # there the writer ended with its process
             else:
-                stage.play([t for t in recorded if t.number < 36])
+                stage.expect([t for t in recorded if t.number < 36])
         finally:
             stage.close()
 
 
 def _without_quit(talk: Talk) -> Talk:
-    at = next((i for i, s in enumerate(talk.steps) if s.data == message.QUIT), len(talk.steps))
+    at = next((i for i, s in enumerate(talk.steps) if s.data == framing.QUIT), len(talk.steps))
     return Talk(talk.number, talk.port, talk.steps[:at])
 
 

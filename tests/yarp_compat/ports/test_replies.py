@@ -10,7 +10,7 @@ import pytest
 from tests.support.wait import until
 from tests.yarp_compat.ports.conftest import MakePort
 from tests.yarp_compat.ports.test_port import HELLO
-from yarp_compat.ports.message import Message
+from yarp_compat.ports.message import PortMessage
 from yarp_compat.wire.binary import decode, encode
 from yarp_compat.wire.profile import Profile
 
@@ -30,7 +30,7 @@ def test_reply(make_port: MakePort, carrier: str) -> None:
 def test_a_request_always_gets_a_reply(make_port: MakePort, carrier: str) -> None:
     """From owners that give none, that fail, and that are not there."""
 
-    def fail(_: Message) -> None:
+    def fail(_: PortMessage) -> None:
         raise ValueError
 
     client = make_port("/client")
@@ -44,9 +44,9 @@ def test_a_request_always_gets_a_reply(make_port: MakePort, carrier: str) -> Non
 
 
 def test_reply_from_another_thread(make_port: MakePort) -> None:
-    waiting: list[Message] = []
+    waiting: list[PortMessage] = []
 
-    def take(message: Message) -> None:
+    def take(message: PortMessage) -> None:
         message.later()
         waiting.append(message)
 
@@ -63,13 +63,13 @@ def test_reply_from_another_thread(make_port: MakePort) -> None:
     assert got == [HELLO]
 
 
-def _as_it_closes(message: Message) -> None:
+def _as_it_closes(message: PortMessage) -> None:
     until(lambda: message.is_retired, "the port's end")
     message.later()
 
 
-@pytest.mark.parametrize("owner", [Message.later, _as_it_closes])
-def test_a_reply_that_never_comes_ends_with_the_port(make_port: MakePort, owner: Callable[[Message], None]) -> None:
+@pytest.mark.parametrize("owner", [PortMessage.later, _as_it_closes])
+def test_a_reply_that_never_comes_ends_with_the_port(make_port: MakePort, owner: Callable[[PortMessage], None]) -> None:
     """Also where the owner puts it off when the port closes already: an empty reply would be one."""
     server = make_port("/server", owner)
     client = make_port("/client")
@@ -92,7 +92,7 @@ def test_a_reply_that_never_comes_ends_with_the_port(make_port: MakePort, owner:
 
 @pytest.mark.parametrize("owner", [lambda message: message.reply(HELLO), None])
 def test_a_request_that_comes_as_the_port_closes_gets_no_reply(
-    make_port: MakePort, monkeypatch: pytest.MonkeyPatch, owner: Callable[[Message], None] | None
+    make_port: MakePort, monkeypatch: pytest.MonkeyPatch, owner: Callable[[PortMessage], None] | None
 ) -> None:
     """Not an empty one either: who asked hears that the port is gone."""
     server, client = make_port("/server", owner), make_port("/client")
@@ -114,7 +114,7 @@ def test_a_request_that_comes_as_the_port_closes_gets_no_reply(
 
 def test_no_reply_in_time_ends_the_connection(make_port: MakePort) -> None:
     """The reply may still come, and must not be taken for the next one's."""
-    make_port("/server", Message.later)
+    make_port("/server", PortMessage.later)
     client = make_port("/client")
     client.add_output("/server")
     with pytest.raises(TimeoutError, match="/server"):
@@ -136,7 +136,7 @@ def test_a_port_that_closes_still_sends_the_reply_that_its_owner_is_at(make_port
     """As when a module is told to quit, and closes its ports while it says goodbye."""
     ends: list[threading.Thread] = []
 
-    def take(message: Message) -> None:
+    def take(message: PortMessage) -> None:
         ends.append(threading.Thread(target=server.close))
         ends[0].start()
         until(lambda: not server.is_open, "the port is closing")
@@ -152,9 +152,9 @@ def test_a_port_that_closes_still_sends_the_reply_that_its_owner_is_at(make_port
 def test_a_port_that_closes_still_sends_the_reply_that_another_thread_gave(make_port: MakePort) -> None:
     """As when a program answers the last request and closes."""
     for _ in range(50):
-        waiting: list[Message] = []
+        waiting: list[PortMessage] = []
 
-        def take(message: Message, waiting: list[Message] = waiting) -> None:
+        def take(message: PortMessage, waiting: list[PortMessage] = waiting) -> None:
             message.later()
             waiting.append(message)
 

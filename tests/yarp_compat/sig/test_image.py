@@ -11,7 +11,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tests.yarp_compat.portables import TYPED
-from yarp_compat.sig.conversion import convert
 from yarp_compat.sig.image import (
     FlexImage,
     Image,
@@ -25,7 +24,7 @@ from yarp_compat.sig.image import (
     ImageRgba,
     ImageRgbFloat,
 )  # fmt: skip
-from yarp_compat.sig.pixels import PIXELS, PixelCode, PixelRgb, format_of
+from yarp_compat.sig.pixels import PIXELS, PixelCode, PixelRgb, convert, format_of
 from yarp_compat.sig.vector import Vector
 from yarp_compat.wire import binary
 from yarp_compat.wire.errors import WireError

@@ -9,16 +9,15 @@ import numpy as np
 import pytest
 
 from tests.yarp_compat.portables import PORTABLES, TYPED
+from yarp_compat.dev.basecontrol import MobileBaseVelocity, OdometryData
 from yarp_compat.dev.frametransform import FrameTransform
-from yarp_compat.dev.laserscan import LaserScan2D
 from yarp_compat.dev.locations import Map2DArea, Map2DLocation, Map2DObject, Map2DPath
 from yarp_compat.dev.mapgrid import MapGrid2D
-from yarp_compat.dev.odometry import MobileBaseVelocity, OdometryData
+from yarp_compat.dev.rangefinder import LaserScan2D
 from yarp_compat.dev.returnvalue import ReturnCode, ReturnValue
-from yarp_compat.sig import pointcloud
 from yarp_compat.sig.image import FlexImage, Image, ImageMono, ImageRgb
-from yarp_compat.sig.matrix import Matrix
-from yarp_compat.sig.quaternion import Quaternion
+from yarp_compat.sig.matrix import Matrix, Quaternion
+from yarp_compat.sig.pointcloud import PointCloud
 from yarp_compat.sig.sound import Sound
 from yarp_compat.sig.vec2d import Vec2D
 from yarp_compat.sig.vector import Vector, VectorFloat, VectorInt
@@ -77,7 +76,7 @@ VALUES: dict[str, Portable] = {
 }
 
 
-KINDS = [Vector, VectorInt, Matrix, ImageRgb, Sound, LaserScan2D, *pointcloud._Fixed.__subclasses__()]
+KINDS: list[type[Portable]] = [Vector, VectorInt, Matrix, ImageRgb, Sound, LaserScan2D, *PointCloud.__subclasses__()]
 
 
 def of_yarp3(data: bytes) -> bytes:
@@ -166,15 +165,14 @@ def test_what_is_cut_off_or_too_long_is_refused_and_changes_nothing(name: str, p
 @pytest.mark.parametrize("name", VALUES)
 def test_read_and_write_on_a_connection(name: str) -> None:
     """As YARP's own classes do it; the value stands among others there."""
-    from yarp_compat.wire.reader import Reader
-    from yarp_compat.wire.writer import Writer
+    from yarp_compat.wire.elements import ElementReader, ElementWriter
 
     value = VALUES[name]
-    out = Writer(Profile.YARP4)
+    out = ElementWriter(Profile.YARP4)
     out.begin(2)
     assert value.write(out)
     out.string("behind")
-    source = Reader(out.payload(), Profile.YARP4)
+    source = ElementReader(out.payload(), Profile.YARP4)
     source.begin()
     again = type(value)()
     assert again.read(source)

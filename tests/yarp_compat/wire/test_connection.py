@@ -9,10 +9,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from yarp_compat.wire import carriers, command, header, message
+from yarp_compat.wire import carriers, framing
+from yarp_compat.wire.carriers import Opening
 from yarp_compat.wire.datagrams import LARGEST, Assembler, datagram, split
 from yarp_compat.wire.errors import WireError
-from yarp_compat.wire.header import Opening
 
 OPENINGS = {
     "tcp": "59 41 e4 1e 00 00 52 50", "fast_tcp": "59 41 64 1e 00 00 52 50", "udp": "59 41 61 1e 00 00 52 50",
@@ -27,41 +27,41 @@ NAMES = st.text(st.characters(min_codepoint=33, exclude_categories=["Cs"]), min_
 def test_openings(name: str) -> None:
     carrier = carriers.CARRIERS[name]
     assert carrier.opening == bytes.fromhex(OPENINGS[name])
-    said = header.opening(carrier, "/w")
+    said = carriers.opening(carrier, "/w")
     assert said == carrier.opening + (b"/w\r\n" if carrier.text else b"\x03\0\0\0/w\0")
-    assert header.parse_opening(said + b"more") == Opening(carrier, "/w", "", len(said))
+    assert carriers.parse_opening(said + b"more") == Opening(carrier, "/w", "", len(said))
     for end in range(len(said)):
-        assert header.parse_opening(said[:end]) is None
+        assert carriers.parse_opening(said[:end]) is None
 
 
 def test_qualifiers() -> None:
     """They travel behind the sender's name."""
     carrier, qualifiers = carriers.parse("tcp+recv.portmonitor+type.dll")
-    said = header.opening(carrier, "/w", qualifiers)
+    said = carriers.opening(carrier, "/w", qualifiers)
     assert said == b"YA\xe4\x1e\0\0RP" + b"\x21\0\0\0/w (recv portmonitor) (type dll)\0"
-    assert header.parse_opening(said) == Opening(carriers.TCP, "/w", "(recv portmonitor) (type dll)", len(said))
+    assert carriers.parse_opening(said) == Opening(carriers.TCP, "/w", "(recv portmonitor) (type dll)", len(said))
 
 
 @pytest.mark.parametrize(
     ("said", "carrier"), [(b"GET / HTTP/1.1", "http"), (b"POST /form", "http"), (b"NAME_SERVER q", "name_ser")]
 )
 def test_openings_without_a_name(said: bytes, carrier: str) -> None:
-    opened = header.parse_opening(said)
+    opened = carriers.parse_opening(said)
     assert opened is not None
     assert (opened.carrier.name, opened.size) == (carrier, 0)
 
 
 @given(st.sampled_from(sorted(OPENINGS)), NAMES)
 def test_any_name(carrier: str, name: str) -> None:
-    said = header.opening(carriers.CARRIERS[carrier], name)
-    opened = header.parse_opening(said)
+    said = carriers.opening(carriers.CARRIERS[carrier], name)
+    opened = carriers.parse_opening(said)
     assert opened is not None
     assert (opened.sender, opened.size) == (name, len(said))
 
 
 def test_answers() -> None:
     def answer(name: str) -> bytes:
-        return header.answer(Opening(carriers.CARRIERS[name], "/w", "", 0), 10005)
+        return carriers.answer(Opening(carriers.CARRIERS[name], "/w", "", 0), 10005)
 
     assert answer("tcp") == answer("fast_tcp") == answer("udp") == bytes.fromhex("59 41 15 27 00 00 52 50")
     assert answer("text") == answer("text_ack") == b"Welcome /w\r\n"
@@ -71,7 +71,6 @@ def test_answers() -> None:
 @pytest.mark.parametrize(
     ("name", "told"),
     [
-        ("mcast", "not offered"),
         ("shmem", "not offered"),
         ("http", "not offered"),
         ("name_ser", "not offered"),
@@ -83,7 +82,7 @@ def test_carriers_that_make_no_output(name: str, told: str) -> None:
         carriers.parse(name)
 
 
-@pytest.mark.parametrize(("number", "named"), [(1, "mcast"), (14, "shmem"), (5, "number 5"), (-7777, "number 0")])
+@pytest.mark.parametrize(("number", "named"), [(14, "shmem"), (5, "number 5"), (-7777, "number 0")])
 def test_openings_of_other_carriers(number: int, named: str) -> None:
     with pytest.raises(WireError, match=named):
         carriers.recognise(carriers.frame(7777 + number))
@@ -99,22 +98,22 @@ def test_annotated_message() -> None:
         "59 41 0a 00 00 00 52 50 02 01 ff ff ff ff ff ff ff ff 08 00 00 00 29 00 00 00 00 00 00 00"
         "00 00 00 00 7e 44 00 01"
     )
-    assert message.prefix(len(payload)) == head
-    word, content = message.parse(head + payload)
+    assert framing.prefix(len(payload)) == head
+    word, content = framing.parse(head + payload)
     assert (word.key, word.envelope, bytes(content)) == ("D", "", payload)
-    assert bytes.fromhex("59 41 00 00 00 00 52 50") == message.ACK
+    assert bytes.fromhex("59 41 00 00 00 00 52 50") == framing.ACK
     assert (
         bytes.fromhex(
             "59 41 0a 00 00 00 52 50 01 01 ff ff ff ff ff ff ff ff 0a 00 00 00 00 00 00 0002 00 00 00 7e 00 00 01 71 00"
         )
-        == message.QUIT
+        == framing.QUIT
     )
 
 
 def test_annotated_envelope() -> None:
     told = bytes.fromhex("18 00 00 00 7e 00 00 01") + b"D 3580 1795143618.02289\0"
-    assert command.with_envelope("D", "3580 1795143618.02289") == told
-    assert command.parse(told) == (command.PortCommand("D", "D 3580 1795143618.02289"), 32)
+    assert framing.with_envelope("D", "3580 1795143618.02289") == told
+    assert framing.parse_command(told) == (framing.PortCommand("D", "D 3580 1795143618.02289"), 32)
 
 
 @given(
@@ -123,26 +122,26 @@ def test_annotated_envelope() -> None:
     st.text(st.characters(min_codepoint=32, exclude_categories=["Cs"]), max_size=40),
 )
 def test_messages(payload: bytes, key: str, envelope: str) -> None:
-    said = message.prefix(len(payload), key, envelope) + payload
-    word, content = message.parse(said)
+    said = framing.prefix(len(payload), key, envelope) + payload
+    word, content = framing.parse(said)
     assert (word.key, word.envelope, bytes(content)) == (key, envelope, payload)
     with pytest.raises(WireError):
-        message.parse(said[:-1] if payload else said + b"x")
+        framing.parse(said[:-1] if payload else said + b"x")
 
 
 @given(st.lists(st.binary(max_size=20), min_size=1, max_size=254))
 def test_blocks_belong_together(blocks: list[bytes]) -> None:
-    all_blocks = [command.binary("D"), *blocks]
-    head = message.INDEX + bytes([len(all_blocks), 1]) + b"\xff" * 8
+    all_blocks = [framing.command_bytes("D"), *blocks]
+    head = framing.INDEX + bytes([len(all_blocks), 1]) + b"\xff" * 8
     said = head + struct.pack(f"<{len(all_blocks)}i", *map(len, all_blocks)) + bytes(4) + b"".join(all_blocks)
-    assert bytes(message.parse(said)[1]) == b"".join(blocks)
+    assert bytes(framing.parse(said)[1]) == b"".join(blocks)
 
 
 @pytest.mark.parametrize("total", [65, 1 << 31])
 def test_announcements_above_the_limit(total: int) -> None:
-    head = message.INDEX + b"\3\1" + b"\xff" * 8 + struct.pack("<3I", total // 2, total - total // 2 - 1, 1)
+    head = framing.INDEX + b"\3\1" + b"\xff" * 8 + struct.pack("<3I", total // 2, total - total // 2 - 1, 1)
     with pytest.raises(WireError, match="announces"):
-        message.body_size(head, 0, 64)
+        framing.body_size(head, 0, 64)
 
 
 # -- datagrams ---------------------------------------------------------------------------------------------------------
@@ -166,8 +165,8 @@ def test_recorded_datagram() -> None:
 @pytest.mark.parametrize("size", [0, 1, LARGEST - 38, LARGEST - 37, 3 * LARGEST])
 def test_splitting(size: int) -> None:
     payload = bytes(range(256)) * (size // 256) + bytes(size % 256)
-    whole = message.prefix(size) + payload
-    parts = list(split([message.prefix(size), payload[: size // 3], payload[size // 3 :]]))
+    whole = framing.prefix(size) + payload
+    parts = list(split([framing.prefix(size), payload[: size // 3], payload[size // 3 :]]))
     assert all(len(p) <= 65507 for p in parts)
     assert [struct.unpack_from("<Ii", p) for p in parts] == [(zlib.crc32(p[8:]), i) for i, p in enumerate(parts)]
     assembler = Assembler()
@@ -177,7 +176,7 @@ def test_splitting(size: int) -> None:
 @given(st.lists(st.integers(0, 4), max_size=30))
 def test_lost_repeated_and_swapped(order: list[int]) -> None:
     """Only messages whose datagrams came in order come out, and each of those whole."""
-    whole = message.prefix(200) + bytes(200)
+    whole = framing.prefix(200) + bytes(200)
     parts = [datagram(whole[i * 50 : i * 50 + 50], i) for i in range(5)]
     assembler = Assembler()
     found = [assembler.add(parts[i]) for i in order]
@@ -187,7 +186,7 @@ def test_lost_repeated_and_swapped(order: list[int]) -> None:
 
 def test_memory_of_datagrams_is_bounded() -> None:
     assembler = Assembler(1000)
-    head = message.INDEX + b"\2\1" + b"\xff" * 8 + struct.pack("<3i", 8, 2000, 0)
+    head = framing.INDEX + b"\2\1" + b"\xff" * 8 + struct.pack("<3i", 8, 2000, 0)
     with pytest.raises(WireError, match="announces"):
         assembler.add(datagram(head, 0))
     for number in range(1, 50):

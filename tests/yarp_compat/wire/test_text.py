@@ -14,15 +14,13 @@ from hypothesis import strategies as st
 
 from tests.yarp_compat.portables import PORTABLES
 from tests.yarp_compat.wire.content import bottles, typed
-from yarp_compat.os.value import Value
+from yarp_compat.os.data.bottle import Value
 from yarp_compat.wire import tags, text
 from yarp_compat.wire.binary import decode
-from yarp_compat.wire.decoder import vocab32, vocab64
-from yarp_compat.wire.encoder import entries_of
 from yarp_compat.wire.errors import WireError
 from yarp_compat.wire.profile import Profile
 from yarp_compat.wire.text import from_text, is_complete, plain_text, to_text, value_text
-from yarp_compat.wire.values import Float32, Group, Int8, Int64, Vocab, Vocab64
+from yarp_compat.wire.values import Float32, Group, Int8, Int64, Vocab, Vocab64, entries_of, vocab32, vocab64
 
 MEASURED = (Path(__file__).parents[1] / "data" / "portables.txt").read_text()
 PRINTED = re.findall(r"text: (.*)\n(Bottle .*) \(\d+ B\)", MEASURED)
@@ -128,7 +126,7 @@ def test_any_text_is_taken_apart_character_by_character(line: str) -> None:
     """Against the same rules applied to one character after the other."""
     assert text._split(line)[0] == _slowly_split(line)
     values = from_text(line)
-    assert typed(values) == typed(text._Reader(line).values(line, 0))
+    assert typed(values) == typed(text._TextReader(line).values(line, 0))
     assert isinstance(to_text(values), str)
 
 

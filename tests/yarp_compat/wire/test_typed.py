@@ -7,17 +7,16 @@ from collections.abc import Callable
 
 import pytest
 
+from yarp_compat.wire.elements import ElementReader, ElementWriter
 from yarp_compat.wire.errors import Incomplete, WireError
 from yarp_compat.wire.profile import Profile
-from yarp_compat.wire.reader import Reader
 from yarp_compat.wire.tags import INT8, INT16, INT64, MAX_DEPTH
-from yarp_compat.wire.writer import Writer
 
 
 @pytest.mark.parametrize("word", ["abcde", "ö" * 5, "日本", 5])
 def test_what_is_no_vocab_is_refused(word: str) -> None:
     with pytest.raises(WireError, match="no vocab"):
-        Writer(Profile.YARP3).vocab(word)
+        ElementWriter(Profile.YARP3).vocab(word)
 
 
 @pytest.mark.parametrize(
@@ -35,15 +34,15 @@ def test_what_is_no_vocab_is_refused(word: str) -> None:
         lambda out: out.raw(struct.Struct("<b"), 200),
     ],
 )
-def test_what_does_not_fit_is_refused_and_leaves_nothing(write: Callable[[Writer], None]) -> None:
-    out = Writer(Profile.YARP4)
+def test_what_does_not_fit_is_refused_and_leaves_nothing(write: Callable[[ElementWriter], None]) -> None:
+    out = ElementWriter(Profile.YARP4)
     with pytest.raises(WireError):
         write(out)
     assert out.payload() == b""
 
 
 def test_unsigned_integers_keep_their_bits() -> None:
-    out = Writer(Profile.YARP3)
+    out = ElementWriter(Profile.YARP3)
     out.integer(255, INT8, tagged=False)
     out.integer(2**16 - 1, INT16, tagged=False)
     out.integer(2**64 - 1, INT64, tagged=False)
@@ -52,7 +51,7 @@ def test_unsigned_integers_keep_their_bits() -> None:
 
 def test_large_blocks_are_not_copied_and_stay_in_order() -> None:
     large = bytearray(b"x" * 10_000)
-    out = Writer(Profile.YARP3)
+    out = ElementWriter(Profile.YARP3)
     out.block(b"a")
     out.block(large)
     out.block(b"b")
@@ -63,15 +62,15 @@ def test_large_blocks_are_not_copied_and_stay_in_order() -> None:
 
 
 def test_bytes_that_are_no_text_come_back() -> None:
-    out = Writer(Profile.YARP3)
+    out = ElementWriter(Profile.YARP3)
     out.string("a\udcffb")
     assert out.payload()[8:] == b"a\xffb"
-    assert Reader(out.payload(), Profile.YARP3).string() == "a\udcffb"
+    assert ElementReader(out.payload(), Profile.YARP3).string() == "a\udcffb"
 
 
 def test_lists_nested_without_end_are_refused() -> None:
     deep = b"\0\1\0\0\1\0\0\0" * 100_000
-    source = Reader(deep, Profile.YARP3)
+    source = ElementReader(deep, Profile.YARP3)
     for _ in range(MAX_DEPTH):
         source.begin()
     with pytest.raises(WireError, match=str(MAX_DEPTH)):
@@ -79,7 +78,7 @@ def test_lists_nested_without_end_are_refused() -> None:
 
 
 def test_a_list_ends_where_it_says() -> None:
-    source = Reader(bytes.fromhex("0101000002000000 01000000 02000000 03000000"), Profile.YARP3)
+    source = ElementReader(bytes.fromhex("0101000002000000 01000000 02000000 03000000"), Profile.YARP3)
     assert source.begin() == 2
     assert (source.integer(), source.left) == (1, 1)
     with pytest.raises(WireError, match="1 elements too many"):
@@ -94,14 +93,23 @@ def test_a_list_ends_where_it_says() -> None:
 
 
 @pytest.mark.parametrize(
-    "read", [Reader.begin, Reader.integer, Reader.float64, Reader.boolean, Reader.word, Reader.blob, Reader.next_tag]
+    "read",
+    [
+        ElementReader.begin,
+        ElementReader.integer,
+        ElementReader.float64,
+        ElementReader.boolean,
+        ElementReader.word,
+        ElementReader.blob,
+        ElementReader.next_tag,
+    ],
 )
-def test_what_is_missing_is_told_from_what_is_wrong(read: Callable[[Reader], object]) -> None:
+def test_what_is_missing_is_told_from_what_is_wrong(read: Callable[[ElementReader], object]) -> None:
     with pytest.raises(Incomplete):
-        read(Reader(b"\4\0", Profile.YARP3))
-    if read is not Reader.next_tag:
+        read(ElementReader(b"\4\0", Profile.YARP3))
+    if read is not ElementReader.next_tag:
         with pytest.raises(WireError) as caught:
-            read(Reader(b"\x0b\0\0\0" + bytes(20), Profile.YARP3))
+            read(ElementReader(b"\x0b\0\0\0" + bytes(20), Profile.YARP3))
         assert caught.type is WireError
 
 
@@ -110,4 +118,4 @@ def test_what_is_missing_is_told_from_what_is_wrong(read: Callable[[Reader], obj
 def test_lengths_are_checked_before_memory_is_taken(tag: int, size: int) -> None:
     data = struct.pack("<ii", tag, size) + b"x"
     with pytest.raises(WireError):
-        Reader(data, Profile.YARP3).string() if tag == 4 else Reader(data, Profile.YARP3).blob()
+        ElementReader(data, Profile.YARP3).string() if tag == 4 else ElementReader(data, Profile.YARP3).blob()

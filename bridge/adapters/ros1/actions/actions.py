@@ -4,31 +4,40 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Iterator, Mapping
+from dataclasses import replace
 
-from bridge.adapters.base import Deliver, Endpoint, Kind, MadeBy
-from bridge.adapters.ros1.actions import finding, parts
-from bridge.adapters.ros1.actions.caller import ActionCaller, PartCaller, PartSubscription, endpoint_id
-from bridge.adapters.ros1.actions.finding import NOTHING, Server
-from bridge.adapters.ros1.actions.guard import FrameGuard
-from bridge.adapters.ros1.actions.network import ActionTypes, Network, learn, types_of
-from bridge.adapters.ros1.actions.served import PartPublisher, PartServer, ServedAction
-from bridge.adapters.ros1.graph import Link, Look
-from bridge.adapters.ros1.probe import Facts
-from bridge.hub.call import Call
-from bridge.hub.qos import Durability, Qos
+from bridge.adapters.ros1.actions import discovery
+from bridge.adapters.ros1.actions.caller import ActionCaller, PartCaller, endpoint_id
+from bridge.adapters.ros1.actions.discovery import NOTHING, FoundServer
+from bridge.adapters.ros1.actions.frames import FrameGuard
+from bridge.adapters.ros1.actions.network import (
+    ActionMessages,
+    ActionNetwork,
+    LingeringPublishers,
+    OpenPart,
+    learn,
+    types_of,
+)
+from bridge.adapters.ros1.actions.served import PartPublisher, ServedAction
+from bridge.adapters.ros1.graph.probe import Facts
+from bridge.adapters.ros1.graph.state import MasterState, Registration
+from bridge.hub.endpoints.calls import Call
+from bridge.hub.wire.qos import LATCHED, Qos
+from bridge.messages import actions as ros2_action
 from bridge.messages.errors import MessageTypeError
+from bridge.routing.edge import Deliver, Endpoint, Kind, MadeBy
 
 TICK_SECONDS = 0.1
 
-_LATCHED = Qos(durability=Durability.TRANSIENT_LOCAL, depth=1)
 
-
-class Actions:
+class Ros1Actions:
     """Shows actionlib servers as ROS 2's actions, and ROS 2's actions as actionlib servers."""
 
-    def __init__(self, network: Network) -> None:
+    def __init__(self, network: ActionNetwork) -> None:
         self._network = network
         self._guard = FrameGuard(network)
+        self._publishers = LingeringPublishers(network.publish, lambda name: not self._natives(name, network.facts()))
+        self._towards_servers = replace(network, publish=self._publishers.publish)
         self._found = NOTHING
         self._lock = threading.Lock()
         self._callers: dict[tuple[str, str], ActionCaller] = {}
@@ -37,22 +46,31 @@ class Actions:
         self._stopping = threading.Event()
 
     def stop(self) -> None:
-        """Look after nothing any more; what is open was closed by who opened it."""
+        """Stop the thread; the engine has closed what was open."""
         self._stopping.set()
         thread = self._thread  # it ends by itself where nothing is open any more
         if thread is not None and thread is not threading.current_thread():
             thread.join(1.0)
+        self._publishers.close()
 
     # -- the graph -----------------------------------------------------------------------------------------------------
 
-    def seen(self, look: Look | None) -> None:
+    def seen(self, look: MasterState | None) -> None:
         """One look at the master that differs from the last."""
-        self._found = finding.find(look, self._network.own()) if look is not None else NOTHING
+        self._found = discovery.find(look, self._network.own()) if look is not None else NOTHING
         self._guard.seen(look)
+
+    def looked(self) -> None:
+        """One look at the master, whether it differs or not."""
+        self._publishers.tidy()
+
+    def awaits(self, topic: str) -> bool:
+        """Whether a new subscriber of a topic that we publish may be an action server that is complete now."""
+        return topic in self._publishers
 
     def names(self) -> set[str]:
         """The names of all parts."""
-        return {parts.name_of(name, p) for name in self._found.servers for p in (*parts.SERVICES, *parts.TOPICS)}
+        return {ros2_action.part_name(name, p) for name in self._found.servers for p in ros2_action.PARTS}
 
     def is_part(self, topic: str, type_name: str) -> bool:
         """Whether a topic is one of an action's five, and so does not cross as a topic.
@@ -67,24 +85,24 @@ class Actions:
         """The topics of an action that is served or called here, and their types."""
         served = self._served.get(action)
         types = [served.type] if served is not None else [t for name, t in list(self._callers) if name == action]
-        return finding.topics_of(action, types[-1]) if types and types[-1] else {}
+        return discovery.topics_of(action, types[-1]) if types and types[-1] else {}
 
     def endpoints(self) -> Iterator[Endpoint]:
         """The other nodes' actionlib servers, each as ROS 2 has it."""
         facts = self._network.facts()
         for servers in self._found.servers.values():
             for server in servers:
-                native = finding.is_native(server, facts)
+                native = discovery.is_native(server, facts)
                 made_by = MadeBy.UNKNOWN if native is None else MadeBy.NATIVE if native else MadeBy.MIDSPAN
-                for part in (*parts.SERVICES, *parts.TOPICS):
+                for part in ros2_action.PARTS:
                     yield _endpoint(server, part, made_by)
 
     def learn(self, name: str) -> None:
-        """Take up what is told on the graph of the types of the action that a part belongs to."""
+        """Learn the types of a part's action from what its publishers announce."""
         action = name.rpartition("/_action/")[0]
         servers = self._found.servers.get(action)
         if servers:
-            learn(self._network, finding.topics_of(action, servers[0].type))
+            learn(self._network, discovery.topics_of(action, servers[0].type))
 
     def warnings(self) -> list[str]:
         """What a person should know."""
@@ -103,13 +121,13 @@ class Actions:
         with self._lock:
             return self._caller(action, type_).caller(part)
 
-    def subscribe(self, action: str, part: str, type_name: str, deliver: Deliver) -> PartSubscription:
+    def subscribe(self, action: str, part: str, type_name: str, deliver: Deliver) -> OpenPart:
         """One of the topics of an actionlib server; raises `MessageTypeError`."""
         type_ = self._type(action, part, type_name)
         with self._lock:
             return self._caller(action, type_).subscribe(part, deliver)
 
-    def serve(self, action: str, part: str, type_name: str, call: Call) -> PartServer:
+    def serve(self, action: str, part: str, type_name: str, call: Call) -> OpenPart:
         """Serve one of the services of an action; raises `MessageTypeError`."""
         with self._lock:
             return self._serve(action).serve(part, type_name, call)
@@ -120,25 +138,24 @@ class Actions:
             return self._serve(action).advertise(part)
 
     def _type(self, action: str, part: str, type_name: str) -> str:
-        """The action's type; that of two parts says nothing of it."""
-        if part not in (parts.CANCEL_GOAL, parts.STATUS):
-            return parts.action_type(type_name, part)
+        """The action's type; the types of cancel_goal and status do not name it."""
+        if part not in (ros2_action.CANCEL_GOAL, ros2_action.STATUS):
+            return discovery.action_type(type_name, part)
         servers = self._found.servers.get(action)
         if servers:
             return servers[0].type
         open_ = [type_ for name, type_ in self._callers if name == action]
         if open_:
             return open_[-1]
-        msg = f"there is no actionlib server {action}"
-        raise MessageTypeError(msg)
+        raise MessageTypeError(f"there is no actionlib server {action}")
 
-    def _types(self, type_: str) -> ActionTypes:
+    def _types(self, type_: str) -> ActionMessages:
         return types_of(self._network.registry, type_)
 
     def _caller(self, action: str, type_: str) -> ActionCaller:
         caller = self._callers.get((action, type_))
         if caller is None:
-            caller = ActionCaller(action, self._types(type_), self._network, self._guard)
+            caller = ActionCaller(action, self._types(type_), self._towards_servers, self._guard)
             self._callers[action, type_] = caller
         self._look_after()
         return caller
@@ -176,18 +193,18 @@ class Actions:
         for one in served:
             one.poll(next((s.node for s in self._natives(one.name, facts)), ""))
 
-    def _natives(self, name: str, facts: Mapping[Link, Facts]) -> list[Server]:
+    def _natives(self, name: str, facts: Mapping[Registration, Facts]) -> list[FoundServer]:
         """The native servers of an action that have answered."""
-        return [s for s in self._found.servers.get(name, ()) if finding.is_native(s, facts)]
+        return [s for s in self._found.servers.get(name, ()) if discovery.is_native(s, facts)]
 
 
-def _endpoint(server: Server, part: str, made_by: MadeBy) -> Endpoint:
+def _endpoint(server: FoundServer, part: str, made_by: MadeBy) -> Endpoint:
     return Endpoint(
         endpoint_id(server, part),
-        Kind.SERVER if part in parts.SERVICES else Kind.PUBLISHER,
-        parts.name_of(server.name, part),
-        parts.type_of(server.type, part),
-        _LATCHED if part == parts.STATUS else Qos(),
+        Kind.SERVER if part in ros2_action.SERVICES else Kind.PUBLISHER,
+        ros2_action.part_name(server.name, part),
+        discovery.part_type(server.type, part),
+        LATCHED if part == ros2_action.STATUS else Qos(),
         made_by,
         server.node,
     )

@@ -1,6 +1,6 @@
-"""The side of us that is an actionlib client: a ROS 2 action's calls come in, goals go to an actionlib server.
+"""An actionlib client: the calls of a ROS 2 action become goals of an actionlib server.
 
-Pure: it has no thread, socket or clock of its own; `bridge.adapters.ros1.actions.turns` gives it one event at a time.
+Pure: it has no thread, socket or clock of its own; an `InlineExecutor` gives it one event at a time.
 How actionlib servers behave: https://github.com/ros/actionlib (1.14), ``ActionServer`` and ``SimpleActionServer``.
 """
 
@@ -12,11 +12,13 @@ from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any, Protocol
 
-from bridge.adapters.ros1.actions import ids, wire
-from bridge.adapters.ros1.actions.goal import Goal, Shelf
-from bridge.adapters.ros1.actions.states import TO_ROS2, CancelCode, Ros1State, Ros2State
+from bridge.adapters.ros1.actions import states, wire
+from bridge.adapters.ros1.actions.discovery import CANCEL, FEEDBACK, GOAL, STATUS
+from bridge.adapters.ros1.actions.goal import GoalStore, TrackedGoal
+from bridge.adapters.ros1.actions.states import TO_ROS2, Ros1State
 from bridge.adapters.ros1.actions.wire import ZERO, GoalId, GoalStatus
-from bridge.hub.call import Abandon, CallError, Done
+from bridge.hub.endpoints.calls import Abandon, CallError, Done, nothing
+from bridge.messages.actions import CancelCode, GoalState
 from bridge.messages.errors import ConversionError
 
 _log = logging.getLogger(__name__)
@@ -30,6 +32,9 @@ CONNECT_SECONDS = 5.0
 SHOWN_SECONDS = 10.0
 """How long an ended goal stays in the status topic: as long as Jazzy's servers keep theirs."""
 
+ALIVE_SECONDS = 1.0
+"""How often the status topic says the same again while the server lists its goals: who listens knows that it lives."""
+
 CALM_SECONDS = 0.05
 FEW_GOALS = 32
 """With more goals than these, the status topic is published at most each `CALM_SECONDS`: it names all of them."""
@@ -41,20 +46,14 @@ _CANCEL_REFUSED = wire.cancel_response(CancelCode.REJECTED, ())
 _REFUSED = wire.goal_response(ZERO, accepted=False)
 
 
-class Outside(Protocol):
-    """What an `ActionClient` does in the world; nothing here waits."""
+class ClientOutput(Protocol):
+    """Where an `ActionlibClient`'s messages go; nothing here waits."""
 
-    def goal(self, payload: bytes) -> None:
-        """Publish an ActionGoal."""
+    def publish(self, part: str, payload: bytes) -> None:
+        """Publish on the server's ``goal`` or ``cancel`` topic."""
 
-    def cancel(self, payload: bytes) -> None:
-        """Publish a GoalID on the cancel topic."""
-
-    def status(self, payload: bytes) -> None:
-        """An action_msgs/GoalStatusArray for the hub."""
-
-    def feedback(self, payload: bytes) -> None:
-        """A FeedbackMessage for the hub."""
+    def deliver(self, part: str, payload: bytes) -> None:
+        """Give the hub a message of the action's ``status`` or ``feedback`` topic."""
 
 
 @dataclass(eq=False, slots=True)
@@ -67,30 +66,30 @@ class _Cancel:
         unsent: what is still to be sent to the server, None once it was.
     """
 
-    goals: Sequence[Goal]
+    goals: Sequence[TrackedGoal]
     single: bool
     done: Done
     since: float
     unsent: bytes | None
 
 
-class ActionClient:
+class ActionlibClient:
     """The goals of one action.
 
     Args:
         name: the action's name on ROS 1.
-        outside: where its messages go.
+        output: where its messages go.
         clock: seconds that only grow.
         empty: the bytes of a result with nothing in it.
     """
 
-    def __init__(self, name: str, outside: Outside, clock: Callable[[], float], empty: bytes) -> None:
+    def __init__(self, name: str, output: ClientOutput, clock: Callable[[], float], empty: bytes) -> None:
         self.name = name
-        self._outside, self._empty = outside, empty
+        self._output, self._empty = output, empty
         self._clock = clock
-        self._shelf = Shelf()
+        self._goals = GoalStore()
         self._cancels: list[_Cancel] = []
-        self._lost_results: deque[tuple[float, Goal]] = deque()
+        self._lost_results: deque[tuple[float, TrackedGoal]] = deque()
         self._ready = False
         self._gone = ""
         self._changed = False
@@ -105,15 +104,15 @@ class ActionClient:
             uuid, body = wire.read_with_uuid(request)
         except ConversionError as err:
             done(CallError(str(err)))
-            return _nothing
-        why = self._gone or ("there are too many goals" if self._shelf.full else "")
-        if not why and (uuid == _ANY or self._shelf.by_uuid(uuid) is not None):
+            return nothing
+        why = self._gone or ("there are too many goals" if self._goals.full else "")
+        if not why and (uuid == _ANY or self._goals.by_uuid(uuid) is not None):
             why = "its UUID was used before"
         if why:
             self._refuse(done, why)
-            return _nothing
-        goal = Goal(uuid, ids.text_of(uuid), self._clock(), body, ours=True, asker=done)
-        self._shelf.add(goal)
+            return nothing
+        goal = TrackedGoal(uuid, states.text_of(uuid), self._clock(), body, ours=True, asker=done)
+        self._goals.add(goal)
         if self._ready:
             self._send(goal)
         return lambda: self._abandon(goal)
@@ -124,17 +123,17 @@ class ActionClient:
             uuid, _ = wire.read_with_uuid(request)
         except ConversionError as err:
             done(CallError(str(err)))
-            return _nothing
-        goal = self._shelf.by_uuid(uuid)
+            return nothing
+        goal = self._goals.by_uuid(uuid)
         if goal is None or goal.refused:
-            done(wire.result_response(Ros2State.UNKNOWN, self._empty))
+            done(wire.result_response(GoalState.UNKNOWN, self._empty))
         elif goal.result is not None:
             goal.told = True
             done(wire.result_response(goal.state, goal.result, goal.reason))
         else:
             goal.waiting.append(done)
             return lambda: _remove(goal.waiting, done)
-        return _nothing
+        return nothing
 
     def cancel(self, request: bytes, done: Done) -> Abandon:
         """A CancelGoal call; answered once the server shows of each goal that it is being cancelled, or has ended."""
@@ -142,9 +141,9 @@ class ActionClient:
             uuid, stamp = wire.read_cancel_request(request)
         except ConversionError as err:
             done(CallError(str(err)))
-            return _nothing
+            return nothing
         single = uuid != _ANY and stamp == ZERO
-        named = self._shelf.by_uuid(uuid)
+        named = self._goals.by_uuid(uuid)
         if single and (named is None or named.refused):
             done(_NO_SUCH_GOAL)
         elif single and named is not None and named.state.ended:
@@ -152,15 +151,15 @@ class ActionClient:
         elif self._gone:
             done(_CANCEL_REFUSED)
         else:
-            goals = [g for g in self._shelf.unfinished() if not g.state.ended and _is_meant(g, uuid, stamp)]
-            id_ = "" if uuid == _ANY else named.id if named is not None else ids.text_of(uuid)
+            goals = [g for g in self._goals.unfinished() if not g.state.ended and _is_meant(g, uuid, stamp)]
+            id_ = "" if uuid == _ANY else named.id if named is not None else states.text_of(uuid)
             cancel = _Cancel(goals, single, done, self._clock(), wire.goal_id(GoalId(stamp, id_)))
             self._cancels.append(cancel)
             self._send_cancels()
             return lambda: _remove(self._cancels, cancel)
-        return _nothing
+        return nothing
 
-    def _abandon(self, goal: Goal) -> None:
+    def _abandon(self, goal: TrackedGoal) -> None:
         """The caller of send_goal left; a goal that was not sent yet never is."""
         goal.asker = None
         if goal.body is not None and not goal.refused:
@@ -173,22 +172,22 @@ class ActionClient:
         self._gone = ""
 
     def connected(self) -> None:
-        """The server hears us and we hear it."""
+        """The server and this client are connected both ways."""
         self._ready = True
-        for goal in self._shelf.unfinished():
+        for goal in self._goals.unfinished():
             if goal.body is not None:
                 self._send(goal)
         self._send_cancels()
 
     def disconnected(self) -> None:
-        """The server does not hear us now; it may come back."""
+        """The server is not connected; it may come back."""
         self._ready = False
 
     def lost(self, reason: str) -> None:
-        """The server is gone for good, and all that it was doing; until `found` is called, goals are rejected."""
+        """The server is gone for good, and its goals with it; until `found` is called, goals are rejected."""
         self._ready, self._gone = False, reason
         self._refuse_cancels(float("inf"))
-        for goal in self._shelf.unfinished():
+        for goal in self._goals.unfinished():
             if not goal.accepted:
                 self._drop(goal, reason)
             elif goal.state.ended:
@@ -198,11 +197,11 @@ class ActionClient:
         self._flush()
 
     def close(self, reason: str) -> None:
-        """Nobody will follow the goals any more: those that callers sent are cancelled, and all of them end."""
+        """Cancel the goals that callers sent, and end all of them."""
         if self._ready:
-            for goal in self._shelf.unfinished():
+            for goal in self._goals.unfinished():
                 if goal.ours and goal.body is None and not goal.state.ended:
-                    self._outside.cancel(wire.goal_id(GoalId(ZERO, goal.id)))
+                    self._output.publish(CANCEL, wire.goal_id(GoalId(ZERO, goal.id)))
         self.lost(reason)
 
     def statuses(self, found: Iterable[GoalStatus]) -> None:
@@ -214,9 +213,11 @@ class ActionClient:
             if goal is not None:
                 goal.listed = True
                 self._follow(goal, status)
-        for goal in self._shelf.unfinished():
+        for goal in self._goals.unfinished():
             if goal.listed and goal.id not in named and not goal.state.ended:
-                self._abort(goal, "the server does not know it any more")
+                self._abort(goal, "the server no longer knows it")
+        if self._clock() >= self._told + ALIVE_SECONDS and self._goals.unfinished():
+            self._changed = True
         self._flush()
 
     def result(self, status: GoalStatus, body: bytes) -> None:
@@ -225,15 +226,15 @@ class ActionClient:
         if goal is None or goal.whole or goal.told or goal.refused:
             return
         if goal.result is not None:  # it was given up, but nobody asked yet
-            self._shelf.forget(goal)
+            self._goals.forget(goal)
             goal.result = None
-            self._shelf.add(goal)
+            self._goals.add(goal)
         self._accept(goal, status)
         if goal.refused:
             return
         state = TO_ROS2[Ros1State.parse(status.state)]
         goal.whole, goal.text = True, status.text
-        self._end(goal, state if state.ended else Ros2State.ABORTED, body)
+        self._end(goal, state if state.ended else GoalState.ABORTED, body)
         self._flush()
 
     def feedback(self, status: GoalStatus, body: bytes) -> None:
@@ -243,7 +244,7 @@ class ActionClient:
             return
         self._follow(goal, status)
         if goal.accepted:
-            self._outside.feedback(goal.uuid + body)
+            self._output.deliver(FEEDBACK, goal.uuid + body)
         self._flush()
 
     def tick(self) -> None:
@@ -254,11 +255,11 @@ class ActionClient:
             if goal.result is None and not goal.refused:
                 self._end(goal, goal.state, self._empty)
         if not self._ready:
-            for goal in self._shelf.unfinished():
+            for goal in self._goals.unfinished():
                 if goal.body is not None and goal.since <= now - CONNECT_SECONDS:
                     self._drop(goal, "the server does not connect to this bridge")
             self._refuse_cancels(now - CONNECT_SECONDS)
-        self._shelf.expire(now)
+        self._goals.expire(now)
         self._flush()
 
     # -- the goals -----------------------------------------------------------------------------------------------------
@@ -266,29 +267,29 @@ class ActionClient:
     @property
     def kept(self) -> int:
         """Goals that are remembered."""
-        return len(self._shelf)
+        return len(self._goals)
 
-    def _send(self, goal: Goal) -> None:
+    def _send(self, goal: TrackedGoal) -> None:
         # A server takes a goal whose stamp is older than its last cancel request's for cancelled; zero is never that.
         body, goal.body = goal.body or b"", None
-        self._outside.goal(wire.action_goal(GoalId(ZERO, goal.id), body))
+        self._output.publish(GOAL, wire.action_goal(GoalId(ZERO, goal.id), body))
 
-    def _goal(self, status: GoalStatus) -> Goal | None:
-        """The goal of a status; one of another client's is taken up."""
+    def _goal(self, status: GoalStatus) -> TrackedGoal | None:
+        """The goal of a status; a new entry for one of another client."""
         id_ = status.goal.id
-        goal = self._shelf.by_id(id_)
+        goal = self._goals.by_id(id_)
         if goal is not None and not goal.ours and goal.state.ended and goal.stamp != status.goal.stamp:
-            self._shelf.forget(goal)
+            self._goals.forget(goal)
             goal = None
-        if goal is None and not self._shelf.full:
-            uuid = ids.uuid_of(self.name, id_)
-            if self._shelf.by_uuid(uuid) is None:
-                goal = Goal(uuid, id_, self._clock())
-                self._shelf.add(goal)
+        if goal is None and not self._goals.full:
+            uuid = states.uuid_of(self.name, id_)
+            if self._goals.by_uuid(uuid) is None:
+                goal = TrackedGoal(uuid, id_, self._clock())
+                self._goals.add(goal)
         return goal
 
-    def _follow(self, goal: Goal, status: GoalStatus) -> None:
-        """Take over a state that the server tells; a goal never goes back."""
+    def _follow(self, goal: TrackedGoal, status: GoalStatus) -> None:
+        """Adopt a state that the server reports; a goal never goes back."""
         self._accept(goal, status)
         state = TO_ROS2[Ros1State.parse(status.state)]
         if goal.refused or state <= goal.state or goal.state.ended:
@@ -299,15 +300,15 @@ class ActionClient:
             self._lost_results.append((self._clock() + RESULT_SECONDS, goal))
         self._answer_cancels()
 
-    def _accept(self, goal: Goal, status: GoalStatus) -> None:
-        """The first word on a goal says whether the server took it."""
+    def _accept(self, goal: TrackedGoal, status: GoalStatus) -> None:
+        """The first report of a goal shows whether the server accepted it."""
         if goal.accepted or goal.refused:
             return
         state = Ros1State.parse(status.state)
         if goal.ours and state in (Ros1State.REJECTED, Ros1State.RECALLED, Ros1State.LOST):
             self._drop(goal, status.text or f"the server says {state.name}")
             return
-        goal.state, goal.stamp = Ros2State.ACCEPTED, status.goal.stamp
+        goal.state, goal.stamp = GoalState.ACCEPTED, status.goal.stamp
         self._changed = True
         asker, goal.asker = goal.asker, None
         if asker is not None:
@@ -317,26 +318,26 @@ class ActionClient:
         _log.warning("%s: a goal is rejected: %s", self.name, why)
         done(_REFUSED)
 
-    def _drop(self, goal: Goal, why: str) -> None:
+    def _drop(self, goal: TrackedGoal, why: str) -> None:
         """Reject a goal that was not accepted."""
         goal.refused, goal.body, goal.result = True, None, b""
-        self._shelf.end(goal, self._clock())
+        self._goals.end(goal, self._clock())
         asker, goal.asker = goal.asker, None
         if asker is not None:
             self._refuse(asker, why)
         for done in goal.waiting:
-            done(wire.result_response(Ros2State.UNKNOWN, self._empty))
+            done(wire.result_response(GoalState.UNKNOWN, self._empty))
         goal.waiting.clear()
         self._answer_cancels()
 
-    def _abort(self, goal: Goal, why: str) -> None:
+    def _abort(self, goal: TrackedGoal, why: str) -> None:
         _log.warning("%s: goal %s is aborted: %s", self.name, goal.id, why)
         goal.text = why
-        self._end(goal, Ros2State.ABORTED, self._empty)
+        self._end(goal, GoalState.ABORTED, self._empty)
 
-    def _end(self, goal: Goal, state: Ros2State, result: bytes) -> None:
+    def _end(self, goal: TrackedGoal, state: GoalState, result: bytes) -> None:
         goal.state, goal.result = state, result
-        self._shelf.end(goal, self._clock())
+        self._goals.end(goal, self._clock())
         self._changed = True
         goal.told = goal.told or bool(goal.waiting)
         for done in goal.waiting:
@@ -347,7 +348,7 @@ class ActionClient:
     def _send_cancels(self) -> None:
         for cancel in self._cancels:
             if self._ready and cancel.unsent is not None:
-                self._outside.cancel(cancel.unsent)
+                self._output.publish(CANCEL, cancel.unsent)
                 cancel.unsent = None
         self._answer_cancels()
 
@@ -364,7 +365,7 @@ class ActionClient:
             if cancel.unsent is not None or any(_is_untouched(g) for g in cancel.goals):
                 still.append(cancel)
                 continue
-            canceling = [g.info for g in cancel.goals if g.state in (Ros2State.CANCELING, Ros2State.CANCELED)]
+            canceling = [g.info for g in cancel.goals if g.state in (GoalState.CANCELING, GoalState.CANCELED)]
             missed = cancel.single and not canceling
             cancel.done(_TERMINATED if missed else wire.cancel_response(CancelCode.NONE, canceling))
         self._cancels[:] = still
@@ -374,14 +375,10 @@ class ActionClient:
         now = self._clock()
         if not self._changed or (self._shown > FEW_GOALS and now < self._told + CALM_SECONDS):
             return
-        goals = [g for g in self._shelf.ended_since(now - SHOWN_SECONDS) if not g.refused]
-        goals = [*reversed(goals), *(g for g in self._shelf.unfinished() if g.accepted)]
+        goals = [g for g in self._goals.ended_since(now - SHOWN_SECONDS) if not g.refused]
+        goals = [*reversed(goals), *(g for g in self._goals.unfinished() if g.accepted)]
         self._changed, self._told, self._shown = False, now, len(goals)
-        self._outside.status(wire.goal_states([(g.info, g.state) for g in goals]))
-
-
-def _nothing() -> None:
-    """There is nothing to abandon."""
+        self._output.deliver(STATUS, wire.goal_states([(g.info, g.state) for g in goals]))
 
 
 def _remove(items: list[Any], item: Any) -> None:
@@ -389,13 +386,13 @@ def _remove(items: list[Any], item: Any) -> None:
         items.remove(item)
 
 
-def _is_meant(goal: Goal, uuid: bytes, stamp: wire.Stamp) -> bool:
+def _is_meant(goal: TrackedGoal, uuid: bytes, stamp: wire.RosTime) -> bool:
     """Whether a cancel request is about a goal."""
     if goal.uuid == uuid or (uuid == _ANY and stamp == ZERO):
         return True
     return stamp != ZERO and goal.accepted and goal.stamp <= stamp
 
 
-def _is_untouched(goal: Goal) -> bool:
+def _is_untouched(goal: TrackedGoal) -> bool:
     """Whether a goal still goes on as if it had not been cancelled."""
-    return not goal.refused and not goal.state.ended and goal.state is not Ros2State.CANCELING
+    return not goal.refused and not goal.state.ended and goal.state is not GoalState.CANCELING

@@ -5,13 +5,20 @@ move_base keeps such a goal ACTIVE for ever, and one whose frame begins with a s
 
 from __future__ import annotations
 
+import logging
 import struct
+import threading
+import time
+from collections import deque
 from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import NamedTuple
 
-from bridge.messages.definition import PRIMITIVE_SIZES, Definition, FieldType, Schema, Shape
+from bridge.adapters.ros1.actions.network import ActionNetwork, TopicSubscription
+from bridge.adapters.ros1.graph.state import MasterState
+from bridge.messages.definitions.schema import PRIMITIVE_SIZES, Definition, FieldType, Schema, Shape
 from bridge.messages.errors import ConversionError
+from bridge.messages.transcode.conversion import SideType
 
 TF_TYPES = ("tf2_msgs/TFMessage", "tf/tfMessage")
 
@@ -48,8 +55,7 @@ class _Walk:
     def skip(self, count: int) -> None:
         self.at += count
         if self.at > len(self.data):
-            msg = f"{self.schema.name} is cut short: {len(self.data)} bytes"
-            raise ConversionError(msg)
+            raise ConversionError(f"{self.schema.name} is cut short: {len(self.data)} bytes")
 
     def count(self) -> int:
         self.skip(4)
@@ -94,8 +100,7 @@ def frames_in(schema: Schema, data: bytes) -> list[FrameId]:
     walk = _Walk(schema, data)
     found = list(walk.message(schema.root, ""))
     if walk.at != len(data):
-        msg = f"{schema.name} has {len(data) - walk.at} bytes too many"
-        raise ConversionError(msg)
+        raise ConversionError(f"{schema.name} has {len(data) - walk.at} bytes too many")
     return found
 
 
@@ -125,14 +130,14 @@ def _empty_size(schema: Schema, definition: Definition) -> int:
     return size
 
 
-class Frames:
+class KnownFrames:
     """The frames that a side's transforms name."""
 
     def __init__(self) -> None:
         self._known: set[bytes] = set()
 
     def learn(self, payload: bytes) -> None:
-        """Take up a TFMessage's frames; what is no TFMessage is left out."""
+        """Learn the frames of a TFMessage; ignore anything else."""
         try:
             self._known.update(_transform_frames(payload))
         except struct.error:
@@ -166,3 +171,95 @@ def _transform_frames(payload: bytes) -> Iterator[bytes]:
             yield payload[at + 4 : at + 4 + length].lstrip(b"/")
             at += 4 + length
         at += 56
+
+
+# -- goals -------------------------------------------------------------------------------------------------------------
+
+_log = logging.getLogger(__name__)
+
+KNOW_SECONDS = 2.0
+"""How long transforms are heard before a frame that none of them names is held not to be there."""
+
+SILENT_SECONDS = 10.0
+"""How long the first one is waited for where there are topics for them; then every frame is let through."""
+
+_WARN_SECONDS = 60.0
+_MAX_TOPICS = 100
+
+_TF = SideType("tf2_msgs/TFMessage", "94810edda583a504dfda3829e70d7eec", "")
+"""tf/tfMessage has the same md5."""
+
+
+class FrameGuard:
+    """Hears the side's transforms while actions are open, and judges the frames of goals."""
+
+    def __init__(self, network: ActionNetwork) -> None:
+        self._network = network
+        self._lock = threading.Lock()
+        self._users: set[object] = set()
+        self._topics: frozenset[str] = frozenset()
+        self._subscriptions: dict[str, TopicSubscription] = {}
+        self._frames = KnownFrames()
+        self._opened = self._heard = float("inf")
+        self._reports: deque[tuple[float, str]] = deque(maxlen=10)
+
+    def open(self, user: object) -> None:
+        """A user's goals are checked from now on."""
+        with self._lock:
+            if not self._users:
+                self._opened, self._heard, self._frames = time.monotonic(), float("inf"), KnownFrames()
+            self._users.add(user)
+        self._follow()
+
+    def close(self, user: object) -> None:
+        """A user sends no more goals."""
+        with self._lock:
+            self._users.discard(user)
+        self._follow()
+
+    def seen(self, look: MasterState | None) -> None:
+        """One look at the master: topics with transforms are known by their type, whatever their names."""
+        topics = sorted(t for t, kind in look.types.items() if kind in TF_TYPES) if look is not None else []
+        self._topics = frozenset(topics[:_MAX_TOPICS])
+        self._follow()
+
+    def _follow(self) -> None:
+        with self._lock:
+            wanted = self._topics if self._users and self._network.check_frames else frozenset()
+            gone = [self._subscriptions.pop(topic) for topic in self._subscriptions.keys() - wanted]
+            for topic in wanted - self._subscriptions.keys():
+                self._subscriptions[topic] = self._network.subscribe(topic, _TF, self._on_transforms, "_frames")
+        for subscription in gone:
+            subscription.close()
+
+    def _on_transforms(self, payload: bytes, _source: str, _time: int | None) -> None:
+        self._frames.learn(payload)
+        if self._frames:
+            self._heard = min(self._heard, time.monotonic())
+
+    def check(self, schema: Schema, body: bytes) -> tuple[bytes, str | None]:
+        """Judge a goal.
+
+        Returns:
+            The goal with no slash before its frames, and why it must not be sent; "" where it may, None where that is
+            not known yet: hardly any transforms have come.
+
+        Raises:
+            ConversionError: it is no such goal.
+        """
+        if not self._network.check_frames or not names_frames(schema):
+            return body, ""
+        body = without_slashes(body, frames_in(schema, body))
+        trouble = self._frames.trouble(frames_in(schema, body)) if self._topics else ""
+        if trouble and time.monotonic() < min(self._heard + KNOW_SECONDS, self._opened + SILENT_SECONDS):
+            return body, None
+        return body, trouble if self._frames else ""
+
+    def report(self, action: str, trouble: str) -> None:
+        """Report why a goal was rejected: ROS 2's answer has no text."""
+        _log.warning("%s: a goal is rejected: %s", action, trouble)
+        self._reports.append((time.monotonic(), f"{action}: a goal was rejected: {trouble}"))
+
+    def warnings(self) -> list[str]:
+        """What was reported lately."""
+        return [text for at, text in list(self._reports) if at > time.monotonic() - _WARN_SECONDS]

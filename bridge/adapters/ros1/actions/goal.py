@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 
-from bridge.adapters.ros1.actions.states import Ros2State
-from bridge.adapters.ros1.actions.wire import ZERO, GoalInfo, Stamp
-from bridge.hub.call import Done
+from bridge.adapters.ros1.actions.wire import ZERO, GoalInfo, RosTime
+from bridge.hub.endpoints.calls import Done
+from bridge.messages.actions import GoalState
 
 KEEP_SECONDS = 3600.0
 """How long a result is kept after its goal's end."""
@@ -21,7 +21,7 @@ MAX_OPEN = 10_000
 
 
 @dataclass(eq=False, slots=True)
-class Goal:
+class TrackedGoal:
     """One goal.
 
     Attributes:
@@ -44,8 +44,8 @@ class Goal:
     ours: bool = False
     asker: Done | None = None
     waiting: list[Done] = field(default_factory=list)
-    stamp: Stamp = ZERO
-    state: Ros2State = Ros2State.UNKNOWN
+    stamp: RosTime = ZERO
+    state: GoalState = GoalState.UNKNOWN
     listed: bool = False
     refused: bool = False
     result: bytes | None = None
@@ -61,37 +61,37 @@ class Goal:
     @property
     def reason(self) -> str:
         """Why it was not reached; of one that was, nothing: error messages belong to errors."""
-        return "" if self.state is Ros2State.SUCCEEDED else self.text
+        return "" if self.state is GoalState.SUCCEEDED else self.text
 
     @property
     def accepted(self) -> bool:
         """Whether the server took it."""
-        return self.state is not Ros2State.UNKNOWN and not self.refused
+        return self.state is not GoalState.UNKNOWN and not self.refused
 
 
-class Shelf:
+class GoalStore:
     """All goals of one action by UUID and by ROS 1 id; ended ones for an hour, within bounds."""
 
     def __init__(self) -> None:
-        self._by_uuid: dict[bytes, Goal] = {}
-        self._by_id: dict[str, Goal] = {}
-        self._open: dict[bytes, Goal] = {}
-        self._ended: dict[bytes, tuple[float, Goal]] = {}
+        self._by_uuid: dict[bytes, TrackedGoal] = {}
+        self._by_id: dict[str, TrackedGoal] = {}
+        self._open: dict[bytes, TrackedGoal] = {}
+        self._ended: dict[bytes, tuple[float, TrackedGoal]] = {}
         self._bytes = 0
 
-    def add(self, goal: Goal) -> None:
-        """Take up a goal that has not ended."""
+    def add(self, goal: TrackedGoal) -> None:
+        """Add a goal that has not ended."""
         self._by_uuid[goal.uuid] = self._by_id[goal.id] = self._open[goal.uuid] = goal
 
-    def by_uuid(self, uuid: bytes) -> Goal | None:
+    def by_uuid(self, uuid: bytes) -> TrackedGoal | None:
         """A goal by its UUID."""
         return self._by_uuid.get(uuid)
 
-    def by_id(self, id_: str) -> Goal | None:
+    def by_id(self, id_: str) -> TrackedGoal | None:
         """A goal by its ROS 1 id."""
         return self._by_id.get(id_)
 
-    def unfinished(self) -> list[Goal]:
+    def unfinished(self) -> list[TrackedGoal]:
         """The goals that have not ended, in the order in which they came."""
         return list(self._open.values())
 
@@ -100,20 +100,20 @@ class Shelf:
         """Whether there is no room for another goal."""
         return len(self._open) >= MAX_OPEN
 
-    def end(self, goal: Goal, now: float) -> None:
+    def end(self, goal: TrackedGoal, now: float) -> None:
         """A goal has its result, or was refused."""
         self._open.pop(goal.uuid, None)
         self._ended[goal.uuid] = (now, goal)
         self._bytes += len(goal.result or b"")
 
-    def forget(self, goal: Goal) -> None:
+    def forget(self, goal: TrackedGoal) -> None:
         """Drop a goal: it was kept long enough, or a ROS 1 client uses its id again."""
         if self._ended.pop(goal.uuid, None) is not None:
             self._bytes -= len(goal.result or b"")
         self._open.pop(goal.uuid, None)
         del self._by_uuid[goal.uuid], self._by_id[goal.id]
 
-    def ended_since(self, time: float) -> Iterator[Goal]:
+    def ended_since(self, time: float) -> Iterator[TrackedGoal]:
         """The goals that ended after a time, the last first."""
         for ended, goal in reversed(self._ended.values()):
             if ended < time:
@@ -121,7 +121,7 @@ class Shelf:
             yield goal
 
     def expire(self, now: float) -> None:
-        """Drop what was kept long enough, or is too much."""
+        """Drop the goals that are too old or too many."""
         for ended, goal in list(self._ended.values()):
             crowded = len(self._ended) > MAX_ENDED or self._bytes > MAX_ENDED_BYTES
             if ended > now - KEEP_SECONDS and not crowded:

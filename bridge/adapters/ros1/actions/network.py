@@ -3,59 +3,47 @@
 from __future__ import annotations
 
 import logging
+import math
+import threading
+import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Protocol
 
-from bridge.adapters.base import Deliver
-from bridge.adapters.ros1.actions.finding import CANCEL_TYPE, STATUS_TYPE
-from bridge.adapters.ros1.graph import Link
-from bridge.adapters.ros1.probe import Facts
+from bridge.adapters.ros1.actions.discovery import CANCEL_TYPE, STATUS_TYPE
+from bridge.adapters.ros1.graph.probe import Facts
+from bridge.adapters.ros1.graph.state import Registration
 from bridge.clock import RunClock
-from bridge.hub.qos import Qos
-from bridge.messages.conversion import SideType
-from bridge.messages.definition import Schema, World
-from bridge.messages.errors import MessageTypeError
-from bridge.messages.parser import closure, parse_full
+from bridge.concurrency import InlineExecutor
+from bridge.hub.wire.qos import Qos
+from bridge.messages.definitions.schema import Schema, World
+from bridge.messages.definitions.text import closure, parse_full
+from bridge.messages.errors import ConversionError, MessageTypeError
 from bridge.messages.registry import Registry
+from bridge.messages.transcode.conversion import SideType
+from bridge.routing.edge import Deliver, EdgePublisher, EdgeSubscription
 
 _log = logging.getLogger(__name__)
 
 
-class Ear(Protocol):
+class TopicSubscription(EdgeSubscription, Protocol):
     """A subscription of a ROS 1 topic."""
 
     @property
-    def connected(self) -> frozenset[Link]:
-        """The publishers that it hears now."""
-
-    def close(self) -> None:
-        """Give it back."""
+    def connected(self) -> frozenset[Registration]:
+        """The publishers that are connected now."""
 
 
-class Mouth(Protocol):
+class TopicPublisher(EdgePublisher, Protocol):
     """A publication of a ROS 1 topic."""
 
     @property
-    def hearers(self) -> frozenset[str]:
-        """The nodes that hear it now."""
-
-    @property
-    def dropped(self) -> int:
-        """Messages that slow subscribers missed."""
-
-    def send(self, payload: bytes, source: str) -> None:
-        """Publish."""
-
-    def forget(self, source: str) -> None:
-        """Drop what is retained of a source."""
-
-    def close(self) -> None:
-        """Give it back."""
+    def subscribers(self) -> frozenset[str]:
+        """The nodes that are connected now."""
 
 
 @dataclass(frozen=True, slots=True)
-class Network:
+class ActionNetwork:
     """The edge, as the actions see it.
 
     Attributes:
@@ -63,26 +51,26 @@ class Network:
         facts: what is known of all publishers.
         registry: the types.
         clock: the time of this side.
-        hear: subscribe: ``hear(topic, side_type, deliver, suffix)``; a publisher of rospy's has one connection from
+        subscribe: ``subscribe(topic, side_type, deliver, suffix)``; a publisher of rospy's has one connection from
             each name of a node, so who hears a topic that may also cross adds a suffix to ours.
-        tell: publish: ``tell(topic, side_type, qos)``.
+        publish: ``publish(topic, side_type, qos)``.
         refuse: report a bad message: ``refuse(topic, reason, why)``.
         check_frames: goals in frames that are not there are rejected.
     """
 
     own: Callable[[], str]
-    facts: Callable[[], Mapping[Link, Facts]]
+    facts: Callable[[], Mapping[Registration, Facts]]
     registry: Registry
     clock: Callable[[], RunClock]
-    hear: Callable[[str, SideType, Deliver, str], Ear]
-    tell: Callable[[str, SideType, Qos], Mouth]
+    subscribe: Callable[[str, SideType, Deliver, str], TopicSubscription]
+    publish: Callable[[str, SideType, Qos], TopicPublisher]
     refuse: Callable[[str, str, str], None]
     check_frames: bool
 
 
 @dataclass(frozen=True, slots=True)
-class ActionTypes:
-    """What is known of an action's type.
+class ActionMessages:
+    """The messages of an action's type.
 
     Attributes:
         goal: its ActionGoal message; likewise the next two.
@@ -101,10 +89,10 @@ class ActionTypes:
     result_body: Schema
 
 
-def types_of(registry: Registry, action_type: str) -> ActionTypes:
+def types_of(registry: Registry, action_type: str) -> ActionMessages:
     """The messages of an action; raises `MessageTypeError`."""
     known = registry.ros1_action(action_type)
-    return ActionTypes(
+    return ActionMessages(
         known.goal, known.result, known.feedback, registry.ros1(CANCEL_TYPE), registry.ros1(STATUS_TYPE),
         _body(known.goal, f"{action_type}Goal"), _body(known.result, f"{action_type}Result"),
     )  # fmt: skip
@@ -114,16 +102,175 @@ def _body(message: SideType, name: str) -> Schema:
     """A type that an action message nests."""
     found = parse_full(message.definition, message.name, World.ROS1)
     if name not in found:
-        msg = f"{message.name} has no {name}: it is not an action's message"
-        raise MessageTypeError(msg)
+        raise MessageTypeError(f"{message.name} has no {name}: it is not an action's message")
     return closure(found[name], found)
 
 
-def learn(network: Network, topics: Mapping[str, str]) -> None:
-    """Take up what the publishers of an action's topics tell of their types."""
+def learn(network: ActionNetwork, topics: Mapping[str, str]) -> None:
+    """Learn the types that the publishers of an action's topics announce."""
     for link, facts in network.facts().items():
         if link.topic in topics and facts.type == topics[link.topic] and facts.definition:
             try:
                 network.registry.learn_ros1(facts.type, facts.definition, facts.md5)
             except MessageTypeError as err:
                 _log.debug("%s of %s: %s", link.topic, link.node, err)
+
+
+# -- the parts of one action -------------------------------------------------------------------------------------------
+
+
+class OpenPart:
+    """A part of an action in use; see `bridge.routing.edge.EdgeSubscription` and `bridge.routing.edge.EdgeServer`."""
+
+    lost = 0
+
+    def __init__(self, close: Callable[[], None]) -> None:
+        self._close: Callable[[], None] | None = close
+
+    def close(self) -> None:
+        """Give the part back; a service's goals that are under way end. Safe to call twice."""
+        close, self._close = self._close, None
+        if close is not None:
+            close()
+
+
+class ActionTopics:
+    """Our ends of the five topics of one action, whose events are handled one after the other."""
+
+    def __init__(self, name: str, network: ActionNetwork) -> None:
+        self.name, self._network = name, network
+        self._executor = InlineExecutor()
+        self._lock = threading.Lock()
+        self._subscriptions: dict[str, TopicSubscription] = {}
+        self._publishers: dict[str, TopicPublisher] = {}
+        self._states = b""
+
+    def publish(self, part: str, payload: bytes, source: str = "") -> None:
+        """Publish on one of the topics, while it is open; what is latched is kept for each source."""
+        if part in self._publishers:
+            self._publishers[part].send(payload, source)
+
+    def _advertise(self, part: str, side_type: SideType, qos: Qos) -> None:
+        self._publishers[part] = self._network.publish(f"{self.name}/{part}", side_type, qos)
+
+    def _subscribe(self, part: str, side_type: SideType, deliver: Deliver) -> None:
+        self._subscriptions[part] = self._network.subscribe(f"{self.name}/{part}", side_type, deliver, "")
+
+    def _close_topics(self) -> None:
+        ends: list[EdgeSubscription | EdgePublisher] = [*self._subscriptions.values(), *self._publishers.values()]
+        for end in ends:
+            end.close()
+        self._subscriptions, self._publishers = {}, {}
+
+    def _read(self, part: str, read: Callable[[], None]) -> None:
+        try:
+            read()
+        except ConversionError as err:
+            self._network.refuse(f"{self.name}/{part}", "bad", str(err))
+
+
+# -- publications towards actionlib servers ----------------------------------------------------------------------------
+# The master announces new subscribers to nobody. But a server subscribes its goals and cancel requests last
+# (``initialize`` of actionlib's ``ActionServer``, in C++ and in Python), and connects to their publishers as soon as it
+# has: where we still publish, that connection tells when a restarted server is complete.
+
+KEPT_SECONDS = 60.0
+"""How long they stay; a server that comes later is found at one of the usual looks at the master."""
+
+_MOST = 100
+"""How many stay at most; of more, those that were given back first are closed."""
+
+Publish = Callable[[str, SideType, Qos], TopicPublisher]
+
+
+class LingeringPublishers:
+    """Opens publications, and closes those that are given back: at once where a server is there, else after a while.
+
+    Args:
+        publish: opens one.
+        is_gone: whether an action has no server now.
+    """
+
+    def __init__(self, publish: Publish, is_gone: Callable[[str], bool]) -> None:
+        self._publish, self._is_gone = publish, is_gone
+        self._lock = threading.Lock()
+        self._open: dict[str, _Lent] = {}
+        """By topic; those that were given back stand in the order in which they were."""
+
+    def publish(self, topic: str, side_type: SideType, qos: Qos) -> TopicPublisher:
+        """Publish on a topic: see `bridge.adapters.ros1.actions.network.ActionNetwork`."""
+        with self._lock:
+            kept = self._open.pop(topic, None)
+            if kept is not None and kept.type_id != side_type.type_id:  # a node has one type per topic
+                kept.publisher.close()
+                kept = None
+            publisher = kept.publisher if kept is not None else self._publish(topic, side_type, qos)
+            lent = self._open[topic] = _Lent(topic, side_type.type_id, publisher, self._give_back)
+        return lent
+
+    def __contains__(self, topic: str) -> bool:
+        """Whether a topic is published here, for a server that is there or expected."""
+        return topic in self._open
+
+    def tidy(self) -> None:
+        """Close what has stayed long enough; called now and then."""
+        if self._open:
+            now = time.monotonic()
+            with self._lock:
+                self._close([m for m in self._open.values() if m.until <= now])
+
+    def close(self) -> None:
+        """Close what has stayed."""
+        with self._lock:
+            self._close([m for m in self._open.values() if m.until < math.inf])
+
+    def _give_back(self, lent: _Lent) -> None:
+        gone = self._is_gone(lent.topic.rpartition("/")[0])
+        with self._lock:
+            if self._open.get(lent.topic) is not lent or lent.until < math.inf:
+                return
+            del self._open[lent.topic]
+            if not gone:
+                lent.publisher.close()
+                return
+            lent.until = time.monotonic() + KEPT_SECONDS
+            self._open[lent.topic] = lent
+            kept = [m for m in self._open.values() if m.until < math.inf]
+            self._close(kept[:-_MOST])
+
+    def _close(self, kept: list[_Lent]) -> None:
+        for lent in kept:
+            del self._open[lent.topic]
+            lent.publisher.close()
+
+
+@dataclass(eq=False, slots=True)
+class _Lent:
+    """A publication in use, or one that stays until a moment (monotonic)."""
+
+    topic: str
+    type_id: str
+    publisher: TopicPublisher
+    give_back: Callable[[_Lent], None]
+    until: float = math.inf
+
+    @property
+    def subscribers(self) -> frozenset[str]:
+        return self.publisher.subscribers
+
+    @property
+    def dropped(self) -> int:
+        return self.publisher.dropped
+
+    @property
+    def heard(self) -> bool:
+        return self.publisher.heard
+
+    def send(self, payload: bytes, source: str) -> None:
+        self.publisher.send(payload, source)
+
+    def forget(self, source: str) -> None:
+        self.publisher.forget(source)
+
+    def close(self) -> None:
+        self.give_back(self)

@@ -13,10 +13,12 @@ from dataclasses import dataclass
 from typing import Protocol
 from uuid import uuid4
 
-from bridge.adapters.ros1.actions import ids, wire
-from bridge.adapters.ros1.actions.states import TO_ROS1, CancelCode, Ros1State, Ros2State
-from bridge.adapters.ros1.actions.wire import ZERO, GoalId, GoalInfo, GoalStatus, Stamp
-from bridge.hub.call import CallError, Done
+from bridge.adapters.ros1.actions import states, wire
+from bridge.adapters.ros1.actions.discovery import FEEDBACK, RESULT, STATUS
+from bridge.adapters.ros1.actions.states import TO_ROS1, Ros1State
+from bridge.adapters.ros1.actions.wire import ZERO, GoalId, GoalInfo, GoalStatus, RosTime
+from bridge.hub.endpoints.calls import CallError, Done
+from bridge.messages.actions import CANCEL_GOAL, GET_RESULT, SEND_GOAL, CancelCode, GoalState
 from bridge.messages.errors import ConversionError
 
 _log = logging.getLogger(__name__)
@@ -48,36 +50,21 @@ _CANCELING = {Ros1State.PENDING: Ros1State.RECALLING, Ros1State.ACTIVE: Ros1Stat
 _STARTED = {Ros1State.PENDING: Ros1State.ACTIVE, Ros1State.RECALLING: Ros1State.PREEMPTING}
 
 
-class Outside(Protocol):
-    """What an `ActionServer` does in the world; nothing here waits.
+class ServerOutput(Protocol):
+    """Where an `ActionlibServer`'s messages and calls go; nothing here waits."""
 
-    The three calls go to the hub; ``done`` is called later, never from within the call.
-    """
-
-    def status(self, payload: bytes) -> None:
-        """Publish a GoalStatusArray."""
-
-    def feedback(self, payload: bytes) -> None:
-        """Publish an ActionFeedback."""
-
-    def result(self, goal: str, payload: bytes) -> None:
-        """Publish an ActionResult, and give it to all who connect later, until `forget`."""
+    def publish(self, part: str, payload: bytes, source: str = "") -> None:
+        """Publish on ``status``, ``feedback`` or ``result``; those who connect later get each goal's result, too."""
 
     def forget(self, goal: str) -> None:
-        """A goal's result need not be given any more."""
+        """Drop a goal's result."""
 
-    def send_goal(self, request: bytes, done: Done) -> None:
-        """Call send_goal."""
-
-    def get_result(self, request: bytes, done: Done) -> None:
-        """Call get_result."""
-
-    def cancel_goal(self, request: bytes, done: Done) -> None:
-        """Call cancel_goal."""
+    def call(self, part: str, request: bytes, done: Done) -> None:
+        """Call one of the hub's three services; ``done`` is called later, never from within the call."""
 
 
 @dataclass(eq=False, slots=True)
-class _Entry:
+class _ListedGoal:
     """One goal of the status list.
 
     Attributes:
@@ -88,7 +75,7 @@ class _Entry:
     """
 
     id: str
-    stamp: Stamp
+    stamp: RosTime
     state: Ros1State
     uuid: bytes | None
     ours: bool
@@ -102,24 +89,24 @@ class _Entry:
         return GoalStatus(GoalId(self.stamp, self.id), self.state, self.text)
 
 
-class ActionServer:
+class ActionlibServer:
     """The goals of one action.
 
     Args:
         name: the action's name on ROS 1.
-        outside: where its messages and calls go.
+        output: where its messages and calls go.
         clock: seconds that only grow.
         now: the time that ROS 1 stamps with.
         empty: the bytes of a result with nothing in it.
     """
 
     def __init__(
-        self, name: str, outside: Outside, clock: Callable[[], float], now: Callable[[], Stamp], empty: bytes
+        self, name: str, output: ServerOutput, clock: Callable[[], float], now: Callable[[], RosTime], empty: bytes
     ) -> None:
         self.name = name
-        self._outside, self._clock, self._now, self._empty = outside, clock, now, empty
-        self._entries: dict[str, _Entry] = {}
-        self._by_uuid: dict[bytes, _Entry] = {}
+        self._output, self._clock, self._now, self._empty = output, clock, now, empty
+        self._entries: dict[str, _ListedGoal] = {}
+        self._by_uuid: dict[bytes, _ListedGoal] = {}
         self._results: deque[tuple[float, str, int]] = deque()
         self._result_bytes = 0
         self._last_cancel = ZERO
@@ -144,13 +131,13 @@ class ActionServer:
             self._again(known)
         elif len(self._entries) >= MAX_GOALS:
             _log.warning("%s: a goal is rejected: there are %d already", self.name, MAX_GOALS)
-            refused = _Entry(goal.id, goal.stamp, Ros1State.REJECTED, None, ours=True, text="too many goals")
+            refused = _ListedGoal(goal.id, goal.stamp, Ros1State.REJECTED, None, ours=True, text="too many goals")
             self._publish_result(refused, self._empty)
         else:
             self._take(goal, body)
         self._flush()
 
-    def _again(self, entry: _Entry) -> None:
+    def _again(self, entry: _ListedGoal) -> None:
         """A goal whose id the list has already: ignored, unless a cancel request came before it."""
         if entry.state is Ros1State.RECALLING and entry.uuid is None:
             self._end(entry, Ros1State.RECALLED, self._empty, "")
@@ -159,13 +146,13 @@ class ActionServer:
 
     def _take(self, goal: GoalId, body: bytes) -> None:
         id_, stamp = goal.id or self._new_id(), goal.stamp if goal.stamp != ZERO else self._now()
-        entry = _Entry(id_, stamp, Ros1State.PENDING, uuid4().bytes, ours=True)
+        entry = _ListedGoal(id_, stamp, Ros1State.PENDING, uuid4().bytes, ours=True)
         self._add(entry)
         if goal.stamp != ZERO and goal.stamp <= self._last_cancel:
             self._end(entry, Ros1State.RECALLED, self._empty, _CANCELED_EARLIER)
             return
         assert entry.uuid is not None
-        self._outside.send_goal(entry.uuid + body, lambda reply: self._answered(entry, reply))
+        self._output.call(SEND_GOAL, entry.uuid + body, lambda reply: self._answered(entry, reply))
 
     def cancel(self, request: GoalId) -> None:
         """A cancel request: empty is all goals, an id that one, a stamp all goals up to then."""
@@ -174,17 +161,17 @@ class ActionServer:
         everything = request == GoalId(ZERO, "")
         if everything:
             # One call that the server answers as a whole, so that goals of the hub's clients are cancelled too.
-            self._outside.cancel_goal(wire.cancel_request(GoalInfo(_ANY, ZERO)), self._cancel_answered)
+            self._output.call(CANCEL_GOAL, wire.cancel_request(GoalInfo(_ANY, ZERO)), self._cancel_answered)
         for entry in list(self._entries.values()):
             before = request.stamp != ZERO and entry.stamp <= request.stamp
             if (everything or entry.id == request.id or before) and not entry.state.ended:
                 self._cancel(entry, told=everything)
         if request.id and request.id not in self._entries and len(self._entries) < MAX_GOALS:
-            self._add(_Entry(request.id, request.stamp, Ros1State.RECALLING, None, ours=True, gone=self._clock()))
+            self._add(_ListedGoal(request.id, request.stamp, Ros1State.RECALLING, None, ours=True, gone=self._clock()))
         self._last_cancel = max(self._last_cancel, request.stamp)
         self._flush()
 
-    def _cancel(self, entry: _Entry, *, told: bool) -> None:
+    def _cancel(self, entry: _ListedGoal, *, told: bool) -> None:
         state = _CANCELING.get(entry.state)
         if state is None:
             return
@@ -192,12 +179,12 @@ class ActionServer:
         if not told and entry.accepted:
             self._send_cancel(entry)
 
-    def _send_cancel(self, entry: _Entry) -> None:
+    def _send_cancel(self, entry: _ListedGoal) -> None:
         assert entry.uuid is not None
-        self._outside.cancel_goal(wire.cancel_request(GoalInfo(entry.uuid, ZERO)), self._cancel_answered)
+        self._output.call(CANCEL_GOAL, wire.cancel_request(GoalInfo(entry.uuid, ZERO)), self._cancel_answered)
 
     def _cancel_answered(self, reply: bytes | CallError) -> None:
-        """ROS 1's clients hear nothing of it: a goal that cannot be cancelled ends in another state."""
+        """ROS 1's clients are not told: a goal that cannot be cancelled ends in another state."""
         why = str(reply)
         if isinstance(reply, bytes):
             try:
@@ -212,7 +199,7 @@ class ActionServer:
 
     # -- what the hub's server says ------------------------------------------------------------------------------------
 
-    def _answered(self, entry: _Entry, reply: bytes | CallError) -> None:
+    def _answered(self, entry: _ListedGoal, reply: bytes | CallError) -> None:
         """send_goal has ended."""
         if entry.state.ended or entry.uuid is None:
             return
@@ -227,34 +214,34 @@ class ActionServer:
             entry.accepted = True
             if entry.state is not Ros1State.PENDING and entry.state is not Ros1State.ACTIVE:
                 self._send_cancel(entry)
-            self._outside.get_result(entry.uuid, lambda result: self._ended(entry, result))
+            self._output.call(GET_RESULT, entry.uuid, lambda result: self._ended(entry, result))
         elif isinstance(why, CallError):
             self._end(entry, Ros1State.ABORTED, self._empty, str(why))
         else:
             self._end(entry, Ros1State.REJECTED, self._empty, "the action server rejected the goal")
         self._flush()
 
-    def _ended(self, entry: _Entry, reply: bytes | CallError) -> None:
+    def _ended(self, entry: _ListedGoal, reply: bytes | CallError) -> None:
         """get_result has ended."""
         if entry.state.ended:
             return
-        state, body, text = Ros2State.ABORTED, self._empty, ""
+        state, body, text = GoalState.ABORTED, self._empty, ""
         try:
             if isinstance(reply, CallError):
                 text = str(reply)
             else:
                 number, body, text = wire.read_result_response(reply)
-                state = Ros2State.parse(number)
+                state = GoalState.parse(number)
                 if not state.ended:
-                    state, text = Ros2State.ABORTED, "the action server does not know the goal any more"
+                    state, text = GoalState.ABORTED, "the action server no longer knows the goal"
         except ConversionError as err:
             text = str(err)
         self._end(entry, self._final(entry, state), body, text)
         self._flush()
 
     @staticmethod
-    def _final(entry: _Entry, state: Ros2State) -> Ros1State:
-        if state is Ros2State.CANCELED and entry.state in _STARTED:
+    def _final(entry: _ListedGoal, state: GoalState) -> Ros1State:
+        if state is GoalState.CANCELED and entry.state in _STARTED:
             return Ros1State.RECALLED
         return TO_ROS1[state]
 
@@ -263,23 +250,25 @@ class ActionServer:
         if self._closed:
             return
         for info, number in found:
-            self._follow(info, Ros2State.parse(number))
+            self._follow(info, GoalState.parse(number))
         named = {info.uuid for info, _ in found}
         for entry in [e for e in self._by_uuid.values() if not e.ours and not e.state.ended and e.uuid not in named]:
-            self._set(entry, Ros1State.ABORTED, "the action server does not know the goal any more")
+            self._set(entry, Ros1State.ABORTED, "the action server no longer knows the goal")
             entry.gone = self._clock()
         self._flush()
 
-    def _follow(self, info: GoalInfo, state: Ros2State) -> None:
+    def _follow(self, info: GoalInfo, state: GoalState) -> None:
         entry = self._by_uuid.get(info.uuid)
         if entry is None and not state.ended and len(self._entries) < MAX_GOALS:
-            entry = _Entry(ids.text_of(info.uuid), info.stamp, Ros1State.PENDING, info.uuid, ours=False, accepted=True)
+            entry = _ListedGoal(
+                states.text_of(info.uuid), info.stamp, Ros1State.PENDING, info.uuid, ours=False, accepted=True
+            )
             self._add(entry)
         if entry is None or entry.state.ended:
             return
-        if state is Ros2State.EXECUTING and entry.state in _STARTED:
+        if state is GoalState.EXECUTING and entry.state in _STARTED:
             self._set(entry, _STARTED[entry.state])
-        elif state is Ros2State.CANCELING and entry.state in _CANCELING:
+        elif state is GoalState.CANCELING and entry.state in _CANCELING:
             self._set(entry, _CANCELING[entry.state])
         elif state.ended and not entry.ours:  # of ours get_result tells
             self._set(entry, self._final(entry, state))
@@ -293,7 +282,7 @@ class ActionServer:
         if entry.state in _STARTED:
             self._set(entry, _STARTED[entry.state])
         self._seq += 1
-        self._outside.feedback(wire.action_outcome(self._seq, self._now(), entry.status, body))
+        self._output.publish(FEEDBACK, wire.action_outcome(self._seq, self._now(), entry.status, body))
         self._flush()
 
     def close(self, reason: str) -> None:
@@ -325,26 +314,26 @@ class ActionServer:
         secs, nsecs = self._now()
         return f"{self.name}-{self._generated}-{secs}.{nsecs:09}"
 
-    def _add(self, entry: _Entry) -> None:
+    def _add(self, entry: _ListedGoal) -> None:
         self._entries[entry.id] = entry
         if entry.uuid is not None:
             self._by_uuid[entry.uuid] = entry
         self._changed = True
 
-    def _set(self, entry: _Entry, state: Ros1State, text: str = "") -> None:
+    def _set(self, entry: _ListedGoal, state: Ros1State, text: str = "") -> None:
         entry.state, entry.text = state, text
         self._changed = True
 
-    def _end(self, entry: _Entry, state: Ros1State, body: bytes, text: str) -> None:
+    def _end(self, entry: _ListedGoal, state: Ros1State, body: bytes, text: str) -> None:
         self._set(entry, state, text)
         entry.gone = self._clock()
         if entry.ours:
             self._publish_result(entry, body)
 
-    def _publish_result(self, entry: _Entry, body: bytes) -> None:
+    def _publish_result(self, entry: _ListedGoal, body: bytes) -> None:
         self._seq += 1
         payload = wire.action_outcome(self._seq, self._now(), entry.status, body)
-        self._outside.result(entry.id, payload)
+        self._output.publish(RESULT, payload, entry.id)
         self._results.append((self._clock(), entry.id, len(payload)))
         self._result_bytes += len(payload)
         while len(self._results) > MAX_GOALS or self._result_bytes > MAX_RESULT_BYTES:
@@ -353,7 +342,7 @@ class ActionServer:
     def _forget_result(self) -> None:
         _, goal, size = self._results.popleft()
         self._result_bytes -= size
-        self._outside.forget(goal)
+        self._output.forget(goal)
 
     def _flush(self) -> None:
         """Publish the list where it has changed."""
@@ -362,4 +351,4 @@ class ActionServer:
             return
         self._changed, self._published = False, now
         self._seq += 1
-        self._outside.status(wire.statuses(self._seq, self._now(), [e.status for e in self._entries.values()]))
+        self._output.publish(STATUS, wire.statuses(self._seq, self._now(), [e.status for e in self._entries.values()]))

@@ -1,9 +1,13 @@
-"""The states of a goal in either world, and which stands for which; docs/actions.md has them as a table."""
+"""The states of a goal in either world, and which stands for which; docs/sides/actions.md has them as a table."""
 
 from __future__ import annotations
 
+import re
+import uuid
 from collections.abc import Mapping
 from enum import IntEnum
+
+from bridge.messages.actions import GoalState
 
 
 class Ros1State(IntEnum):
@@ -34,40 +38,6 @@ class Ros1State(IntEnum):
             return cls.LOST
 
 
-class Ros2State(IntEnum):
-    """action_msgs/msg/GoalStatus (https://github.com/ros2/rcl_interfaces, jazzy)."""
-
-    UNKNOWN = 0
-    ACCEPTED = 1
-    EXECUTING = 2
-    CANCELING = 3
-    SUCCEEDED = 4
-    CANCELED = 5
-    ABORTED = 6
-
-    @property
-    def ended(self) -> bool:
-        """Whether a goal stays in it."""
-        return self >= Ros2State.SUCCEEDED
-
-    @classmethod
-    def parse(cls, number: int) -> Ros2State:
-        """The state of a number from the network; one that ROS 2 does not know is UNKNOWN."""
-        try:
-            return cls(number)
-        except ValueError:
-            return cls.UNKNOWN
-
-
-class CancelCode(IntEnum):
-    """The return codes of action_msgs/srv/CancelGoal (jazzy)."""
-
-    NONE = 0
-    REJECTED = 1
-    UNKNOWN_GOAL_ID = 2
-    GOAL_TERMINATED = 3
-
-
 _ENDED = frozenset(
     {
         Ros1State.PREEMPTED, Ros1State.SUCCEEDED, Ros1State.ABORTED,
@@ -75,27 +45,54 @@ _ENDED = frozenset(
     }
 )  # fmt: skip
 
-TO_ROS2: Mapping[Ros1State, Ros2State] = {
-    Ros1State.PENDING: Ros2State.ACCEPTED,
-    Ros1State.ACTIVE: Ros2State.EXECUTING,
-    Ros1State.RECALLING: Ros2State.CANCELING,
-    Ros1State.PREEMPTING: Ros2State.CANCELING,
-    Ros1State.SUCCEEDED: Ros2State.SUCCEEDED,
-    Ros1State.PREEMPTED: Ros2State.CANCELED,
-    Ros1State.RECALLED: Ros2State.CANCELED,
-    Ros1State.ABORTED: Ros2State.ABORTED,
-    Ros1State.REJECTED: Ros2State.ABORTED,
-    Ros1State.LOST: Ros2State.ABORTED,
+TO_ROS2: Mapping[Ros1State, GoalState] = {
+    Ros1State.PENDING: GoalState.ACCEPTED,
+    Ros1State.ACTIVE: GoalState.EXECUTING,
+    Ros1State.RECALLING: GoalState.CANCELING,
+    Ros1State.PREEMPTING: GoalState.CANCELING,
+    Ros1State.SUCCEEDED: GoalState.SUCCEEDED,
+    Ros1State.PREEMPTED: GoalState.CANCELED,
+    Ros1State.RECALLED: GoalState.CANCELED,
+    Ros1State.ABORTED: GoalState.ABORTED,
+    Ros1State.REJECTED: GoalState.ABORTED,
+    Ros1State.LOST: GoalState.ABORTED,
 }
 """Of an accepted goal; one that is REJECTED or RECALLED before it was accepted is rejected on ROS 2."""
 
-TO_ROS1: Mapping[Ros2State, Ros1State] = {
-    Ros2State.UNKNOWN: Ros1State.ABORTED,
-    Ros2State.ACCEPTED: Ros1State.PENDING,
-    Ros2State.EXECUTING: Ros1State.ACTIVE,
-    Ros2State.CANCELING: Ros1State.PREEMPTING,
-    Ros2State.SUCCEEDED: Ros1State.SUCCEEDED,
-    Ros2State.CANCELED: Ros1State.PREEMPTED,
-    Ros2State.ABORTED: Ros1State.ABORTED,
+TO_ROS1: Mapping[GoalState, Ros1State] = {
+    GoalState.UNKNOWN: Ros1State.ABORTED,
+    GoalState.ACCEPTED: Ros1State.PENDING,
+    GoalState.EXECUTING: Ros1State.ACTIVE,
+    GoalState.CANCELING: Ros1State.PREEMPTING,
+    GoalState.SUCCEEDED: Ros1State.SUCCEEDED,
+    GoalState.CANCELED: Ros1State.PREEMPTED,
+    GoalState.ABORTED: Ros1State.ABORTED,
 }
 """Of an executing goal; one that never executed goes to RECALLING and RECALLED in place of the two of a preemption."""
+
+
+# -- ids ---------------------------------------------------------------------------------------------------------------
+# A goal that came from the hub is ``midspan-<uuid>`` on ROS 1, so that the UUID is known again from the text alone, by
+# a restarted worker too. A goal of a ROS 1 client has the UUID that version 5 of RFC 9562 makes of action name and
+# text.
+
+PREFIX = "midspan-"
+
+_OURS = re.compile(PREFIX + "([0-9a-f]{8}-[0-9a-f]{4}-[0-9a-f]{4}-[0-9a-f]{4}-[0-9a-f]{12})")
+_SPACE = uuid.uuid5(uuid.NAMESPACE_URL, "midspan:actionlib")
+
+
+def text_of(goal: bytes) -> str:
+    """The ROS 1 id of a goal of the hub."""
+    return f"{PREFIX}{uuid.UUID(bytes=goal)}"
+
+
+def uuid_in(text: str) -> bytes | None:
+    """The UUID of a ROS 1 id that `text_of` made, None of any other."""
+    ours = _OURS.fullmatch(text)
+    return uuid.UUID(ours.group(1)).bytes if ours else None
+
+
+def uuid_of(action: str, text: str) -> bytes:
+    """The UUID of any ROS 1 id; the same one each time."""
+    return uuid_in(text) or uuid.uuid5(_SPACE, f"{action} {text}".encode(errors="surrogateescape").hex()).bytes

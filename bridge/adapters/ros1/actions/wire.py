@@ -4,7 +4,7 @@ ROS 1 (actionlib_msgs 1.13, https://github.com/ros/common_msgs/tree/noetic-devel
 Header, GoalID, goal; an ActionResult and an ActionFeedback are Header, GoalStatus, body. Of ROS 2's parts
 (https://design.ros2.org/articles/actions.html, action_msgs 2.0) these are the bytes that ROS 1 would give them: no
 alignment, a UUID is 16 bytes, a time two 32-bit integers. A result has the status's text before it
-(`bridge.messages.parts.STATUS_TEXT`).
+(`bridge.messages.definitions.parts.STATUS_TEXT`).
 """
 
 from __future__ import annotations
@@ -28,25 +28,25 @@ _GOAL_INFO = struct.Struct("<16sII")
 UUID_SIZE = 16
 
 
-class Stamp(NamedTuple):
+class RosTime(NamedTuple):
     """A time in whole seconds and nanoseconds."""
 
     secs: int
     nsecs: int
 
     @classmethod
-    def of(cls, nanoseconds: int) -> Stamp:
+    def of(cls, nanoseconds: int) -> RosTime:
         """The time of a clock; what 32 bits cannot say is cut off."""
         return cls(*divmod(min(max(nanoseconds, 0), (1 << 32) * 10**9 - 1), 10**9))
 
 
-ZERO = Stamp(0, 0)
+ZERO = RosTime(0, 0)
 
 
 class GoalId(NamedTuple):
     """actionlib_msgs/GoalID; the id keeps bytes that are no UTF-8 as surrogates."""
 
-    stamp: Stamp
+    stamp: RosTime
     id: str
 
 
@@ -62,7 +62,7 @@ class GoalInfo(NamedTuple):
     """action_msgs/GoalInfo."""
 
     uuid: bytes
-    stamp: Stamp
+    stamp: RosTime
 
 
 class _Cursor:
@@ -75,8 +75,7 @@ class _Cursor:
     def take(self, count: int) -> bytes:
         """So many bytes."""
         if count > len(self._data) - self.at:
-            msg = f"{self._what} is cut short: {len(self._data)} bytes"
-            raise ConversionError(msg)
+            raise ConversionError(f"{self._what} is cut short: {len(self._data)} bytes")
         self.at += count
         return self._data[self.at - count : self.at]
 
@@ -84,9 +83,9 @@ class _Cursor:
         """A uint32."""
         return int(_LENGTH.unpack(self.take(4))[0])
 
-    def stamp(self) -> Stamp:
+    def stamp(self) -> RosTime:
         """A time."""
-        return Stamp(*_TIME.unpack(self.take(8)))
+        return RosTime(*_TIME.unpack(self.take(8)))
 
     def text(self) -> str:
         """A string."""
@@ -112,8 +111,7 @@ class _Cursor:
     def end(self) -> None:
         """Nothing may be left."""
         if self.at != len(self._data):
-            msg = f"{self._what} has {len(self._data) - self.at} bytes too many"
-            raise ConversionError(msg)
+            raise ConversionError(f"{self._what} has {len(self._data) - self.at} bytes too many")
 
 
 def _text(text: str) -> bytes:
@@ -121,7 +119,7 @@ def _text(text: str) -> bytes:
     return _LENGTH.pack(len(data)) + data
 
 
-def _header(seq: int, stamp: Stamp) -> bytes:
+def _header(seq: int, stamp: RosTime) -> bytes:
     return struct.pack("<IIII", seq & 0xFFFFFFFF, *stamp, 0)
 
 
@@ -157,7 +155,7 @@ def read_action_goal(payload: bytes) -> tuple[GoalId, bytes]:
     return cursor.goal_id(), cursor.rest()
 
 
-def action_outcome(seq: int, stamp: Stamp, status: GoalStatus, body: bytes) -> bytes:
+def action_outcome(seq: int, stamp: RosTime, status: GoalStatus, body: bytes) -> bytes:
     """An ActionResult or ActionFeedback."""
     return _header(seq, stamp) + _status(status) + body
 
@@ -169,7 +167,7 @@ def read_action_outcome(payload: bytes) -> tuple[GoalStatus, bytes]:
     return cursor.status(), cursor.rest()
 
 
-def statuses(seq: int, stamp: Stamp, goals: Iterable[GoalStatus]) -> bytes:
+def statuses(seq: int, stamp: RosTime, goals: Iterable[GoalStatus]) -> bytes:
     """An actionlib_msgs/GoalStatusArray."""
     entries = [_status(goal) for goal in goals]
     return b"".join((_header(seq, stamp), _LENGTH.pack(len(entries)), *entries))
@@ -181,8 +179,7 @@ def read_statuses(payload: bytes) -> list[GoalStatus]:
     cursor.header()
     count = cursor.number()
     if count > MAX_STATUSES:
-        msg = f"a GoalStatusArray names {count} goals, at most {MAX_STATUSES} are read"
-        raise ConversionError(msg)
+        raise ConversionError(f"a GoalStatusArray names {count} goals, at most {MAX_STATUSES} are read")
     found = [cursor.status() for _ in range(count)]
     cursor.end()
     return found
@@ -194,12 +191,11 @@ def read_statuses(payload: bytes) -> list[GoalStatus]:
 def read_with_uuid(payload: bytes) -> tuple[bytes, bytes]:
     """UUID and body of a SendGoal request or a FeedbackMessage; of a GetResult request, whose body is empty."""
     if len(payload) < UUID_SIZE:
-        msg = f"a goal's UUID has {UUID_SIZE} bytes, these are {len(payload)}"
-        raise ConversionError(msg)
+        raise ConversionError(f"a goal's UUID has {UUID_SIZE} bytes, these are {len(payload)}")
     return payload[:UUID_SIZE], payload[UUID_SIZE:]
 
 
-def goal_response(stamp: Stamp, *, accepted: bool) -> bytes:
+def goal_response(stamp: RosTime, *, accepted: bool) -> bytes:
     """A SendGoal response."""
     return bytes((accepted,)) + _TIME.pack(*stamp)
 
@@ -251,7 +247,7 @@ def read_cancel_response(payload: bytes) -> tuple[int, list[GoalInfo]]:
     code = int.from_bytes(cursor.take(1), signed=True)
     count = cursor.number()
     infos = [_GOAL_INFO.unpack(entry) for entry in _entries(cursor, count, _GOAL_INFO)]
-    return code, [GoalInfo(uuid, Stamp(secs, nsecs)) for uuid, secs, nsecs in infos]
+    return code, [GoalInfo(uuid, RosTime(secs, nsecs)) for uuid, secs, nsecs in infos]
 
 
 def goal_states(goals: Iterable[tuple[GoalInfo, int]]) -> bytes:
@@ -264,7 +260,7 @@ def read_goal_states(payload: bytes) -> list[tuple[GoalInfo, int]]:
     """The entries of an action_msgs/GoalStatusArray."""
     cursor = _Cursor(payload, "an action_msgs/GoalStatusArray")
     found = [_STATUS_ENTRY.unpack(entry) for entry in _entries(cursor, cursor.number(), _STATUS_ENTRY)]
-    return [(GoalInfo(uuid, Stamp(secs, nsecs)), state) for uuid, secs, nsecs, state in found]
+    return [(GoalInfo(uuid, RosTime(secs, nsecs)), state) for uuid, secs, nsecs, state in found]
 
 
 def _entries(cursor: _Cursor, count: int, entry: struct.Struct) -> list[bytes]:

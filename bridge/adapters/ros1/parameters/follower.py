@@ -8,12 +8,12 @@ from collections import deque
 from collections.abc import Callable, Sequence
 from typing import Any
 
-from bridge.adapters.ros1.errors import Ros1Error
-from bridge.adapters.ros1.parameters.mirrored import Mirrored
-from bridge.adapters.ros1.parameters.offered import Offered
-from bridge.adapters.ros1.parameters.store import Store
-from bridge.config.sections.parameters import ParameterRule
-from bridge.hub.call import CallError, Done
+from bridge.adapters.ros1.parameters.mirrored import MirroredNode
+from bridge.adapters.ros1.parameters.offered import OfferedNode
+from bridge.adapters.ros1.parameters.store import ParameterContext, ParameterServer
+from bridge.adapters.ros1_peers import Ros1Error
+from bridge.config.sections.routing import ParameterRule
+from bridge.hub.endpoints.calls import CallError, Done
 from bridge.hub.session import Hub
 from bridge.messages.registry import Registry
 
@@ -32,7 +32,7 @@ _BUSY = "too many calls of parameter services wait for ROS 1's parameter server"
 _MAX_SHOWN = 20
 
 
-class Parameters:
+class ParameterSharing:
     """Follows the rules of ``routing.parameters`` until it is stopped.
 
     Args:
@@ -49,20 +49,18 @@ class Parameters:
         rules: Sequence[ParameterRule],
         hub: Hub,
         registry: Registry,
-        store: Store,
+        store: ParameterServer,
         active: Callable[[], bool],
         period: float = PERIOD,
     ) -> None:
         self._store, self._active, self._period = store, active, period
         nodes = dict.fromkeys(rule.node for rule in rules if rule.owner == "ros1")
+        context = ParameterContext(hub, registry, store, self._submit)
         self._offered = [
-            Offered([r for r in rules if r.node == node], hub, registry, store, self._submit, number)
-            for number, node in enumerate(nodes, 1)
+            OfferedNode([r for r in rules if r.node == node], context, number) for number, node in enumerate(nodes, 1)
         ]
-        self._mirrored = [
-            Mirrored(rule, hub, registry, store, self._submit, self.changed) for rule in rules if rule.owner == "ros2"
-        ]
-        self._parts: tuple[Offered | Mirrored, ...] = (*self._offered, *self._mirrored)
+        self._mirrored = [MirroredNode(rule, context, self.changed) for rule in rules if rule.owner == "ros2"]
+        self._parts: tuple[OfferedNode | MirroredNode, ...] = (*self._offered, *self._mirrored)
         self._keys = [rule.ros1 for offered in self._offered for rule in offered.rules]
         self._watched = [rule.ros1 for rule in rules if rule.owner == "ros2"]
         self._jobs: deque[Callable[[], None]] = deque()
@@ -85,7 +83,7 @@ class Parameters:
         self._thread.join(5.0)
 
     def warnings(self) -> list[str]:
-        """What is wrong, for people."""
+        """What is wrong, for the status document."""
         found = [self._trouble] if self._trouble else []
         for part in self._parts:
             found += [f"parameter {name}: {why}" for name, why in sorted(dict(part.troubles).items())]

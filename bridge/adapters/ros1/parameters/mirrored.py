@@ -6,46 +6,43 @@ import logging
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
-from bridge.adapters.ros1.parameters.node import codecs
-from bridge.adapters.ros1.parameters.offered import Submit
-from bridge.adapters.ros1.parameters.store import Store
-from bridge.adapters.ros1.parameters.values import Kind, Names, UnsayableError, Value, flatten, to_ros1, to_ros2
-from bridge.config.sections.parameters import ParameterRule
-from bridge.hub.call import CallError
-from bridge.hub.session import Hub
+from bridge.adapters.ros1.parameters.store import ParameterContext, codecs
+from bridge.adapters.ros1.parameters.values import (
+    ParameterNames,
+    ParameterType,
+    ParameterValue,
+    UnsayableError,
+    flatten,
+    to_ros1,
+    to_ros2,
+)
+from bridge.config.sections.routing import ParameterRule
+from bridge.hub.endpoints.calls import CallError
 from bridge.messages.errors import ConversionError
-from bridge.messages.registry import Registry
 
 _log = logging.getLogger(__name__)
 
 _USED = ("list_parameters", "get_parameters", "get_parameter_types", "set_parameters")
 
 
-class Mirrored:
+class MirroredNode:
     """One rule whose parameters a ROS 2 node owns. All but the constructor runs on the parameters' thread.
 
     Where both sides changed one since the last look, the node's value counts, and so it does when the node comes. A
     value that the node refuses is put back.
 
     Args:
-        rule: the rule.
-        hub: the session.
-        registry: of types.
-        store: ROS 1's parameter server.
-        submit: has a reply taken up on the parameters' thread.
-        wake: has it look again; called on any thread.
+        wake: has the parameters' thread look again; called on any thread.
     """
 
-    def __init__(
-        self, rule: ParameterRule, hub: Hub, registry: Registry, store: Store, submit: Submit, wake: Callable[[], None]
-    ) -> None:
+    def __init__(self, rule: ParameterRule, context: ParameterContext, wake: Callable[[], None]) -> None:
         self.rule = rule
-        self._names = Names(rule)
-        self._hub, self._store, self._submit, self._wake = hub, store, submit, wake
-        self._codecs = {word: codec for word, codec in codecs(registry).items() if word in _USED}
+        self._names = ParameterNames(rule)
+        self._hub, self._store, self._submit, self._wake = context.hub, context.store, context.submit, wake
+        self._codecs = {word: codec for word, codec in codecs(context.registry).items() if word in _USED}
         self._clients: dict[str, Any] = {}
         self._busy = False
-        self._agreed: dict[str, Value] = {}
+        self._agreed: dict[str, ParameterValue] = {}
         """By what follows the rule's name: the value that both had at the last look."""
         self.written: set[str] = set()
         """Names on the parameter server that we set."""
@@ -60,7 +57,7 @@ class Mirrored:
 
     @property
     def troubles(self) -> dict[str, str]:
-        """What is wrong with which parameter."""
+        """The trouble of each parameter."""
         return {**self._unsaid, **self._refused}
 
     @property
@@ -119,29 +116,31 @@ class Mirrored:
         if self._careful:
             self._call("get_parameter_types", {"names": names}, lambda types: self._ask(names, types["types"]))
         else:
-            self._ask(names, [Kind.STRING] * len(names))
+            self._ask(names, [ParameterType.STRING] * len(names))
         return True
 
     def _ask(self, names: Sequence[str], types: Sequence[int]) -> bool:
-        wanted = [name for name, kind in zip(names, types, strict=False) if kind != Kind.NOT_SET]
+        wanted = [name for name, kind in zip(names, types, strict=False) if kind != ParameterType.NOT_SET]
         self._call("get_parameters", {"names": wanted}, lambda got: self._got(wanted, got))
         return True
 
     def _got(self, names: Sequence[str], reply: Mapping[str, Any]) -> bool:
         """Compare what the node has with what ROS 1 has and with what both had."""
-        values = [Value.read(value) for value in reply["values"]]
+        values = [ParameterValue.read(value) for value in reply["values"]]
         if len(values) != len(names):
             # rclcpp tells of no parameter at all where one of them was declared and never set.
             self._careful = True
             return False
         rests = [self._names.rest(name) or "" for name in names]
-        node = {rest: value for rest, value in zip(rests, values, strict=True) if value.kind is not Kind.NOT_SET}
+        node = {
+            rest: value for rest, value in zip(rests, values, strict=True) if value.kind is not ParameterType.NOT_SET
+        }
         tree = self._store.watch([self.rule.ros1])[self.rule.ros1]
         ros1 = dict(flatten(tree))
         self._unsaid = {}
         gone = {rest for rest in self._agreed if rest not in node}
         writes: dict[str, Any] = {self._names.ros1(rest): None for rest in gone if rest in ros1}
-        wishes: dict[str, Value] = {}
+        wishes: dict[str, ParameterValue] = {}
         for rest, value in node.items():
             self._compare(rest, value, ros1, writes, wishes)
         for rest in gone:
@@ -154,7 +153,12 @@ class Mirrored:
         return True
 
     def _compare(
-        self, rest: str, value: Value, ros1: Mapping[str, Any], writes: dict[str, Any], wishes: dict[str, Value]
+        self,
+        rest: str,
+        value: ParameterValue,
+        ros1: Mapping[str, Any],
+        writes: dict[str, Any],
+        wishes: dict[str, ParameterValue],
     ) -> None:
         """One parameter: write it on ROS 1's server, wish for ROS 1's value, or leave both as they are."""
         key = self._names.ros1(rest)
@@ -163,7 +167,7 @@ class Mirrored:
         except UnsayableError as err:
             self._unsaid[key] = str(err)
             return
-        theirs: Value | None = None
+        theirs: ParameterValue | None = None
         try:
             theirs = to_ros2(ros1[rest], value.kind) if rest in ros1 else None
         except UnsayableError as err:
@@ -177,8 +181,10 @@ class Mirrored:
         if theirs != value:
             writes[key] = wanted
 
-    def _set(self, node: Mapping[str, Value], wishes: Mapping[str, Value], reply: Mapping[str, Any]) -> bool:
-        """What the node said to ROS 1's values."""
+    def _set(
+        self, node: Mapping[str, ParameterValue], wishes: Mapping[str, ParameterValue], reply: Mapping[str, Any]
+    ) -> bool:
+        """The node's answer to ROS 1's values."""
         writes: dict[str, Any] = {}
         for (rest, wish), result in zip(wishes.items(), reply["results"], strict=False):
             key = self._names.ros1(rest)

@@ -7,66 +7,53 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import partial
 from typing import Any
 
-from bridge.adapters.ros1.errors import Ros1Error
-from bridge.adapters.ros1.parameters.node import codecs
-from bridge.adapters.ros1.parameters.store import Store
+from bridge.adapters.ros1.parameters.store import ParameterContext, codecs
 from bridge.adapters.ros1.parameters.values import (
     NOT_SET,
-    Kind,
-    Names,
+    ParameterNames,
+    ParameterType,
+    ParameterValue,
     UnsayableError,
-    Value,
     flatten,
     to_ros1,
     to_ros2,
 )
-from bridge.config.sections.parameters import ParameterRule
-from bridge.hub.call import Abandon, CallError, Done
-from bridge.hub.liveliness import NodeToken, node_key
-from bridge.hub.qos import Qos
-from bridge.hub.session import Hub
+from bridge.adapters.ros1_peers import Ros1Error
+from bridge.config.sections.routing import ParameterRule
+from bridge.hub.endpoints.calls import Abandon, CallError, Done
+from bridge.hub.graph.tokens import NodeToken, node_key
+from bridge.hub.wire.qos import Qos
 from bridge.messages.errors import ConversionError
-from bridge.messages.registry import Registry
-from bridge.messages.values import Writer
+from bridge.messages.values import MessageWriter
 
 EVENTS = "/parameter_events"
 _EVENT = "rcl_interfaces/msg/ParameterEvent"
 _EVENT_QOS = Qos(depth=1000)  # rmw_qos_profile_parameter_events
 
-Submit = Callable[[Callable[[], None], Done | None], None]
-"""Has something done on the one thread that talks to the parameter server; who waits is told where that is too busy."""
 
-
-class Offered:
+class OfferedNode:
     """One node of ours on the hub.
 
     All but the constructor and `call` run on the parameters' thread.
 
     Args:
         rules: all that ROS 1 owns and this node shows.
-        hub: the session.
-        registry: of types.
-        store: ROS 1's parameter server.
-        submit: has a call answered on the parameters' thread.
         token: number of the node within the session.
     """
 
-    def __init__(
-        self, rules: Sequence[ParameterRule], hub: Hub, registry: Registry, store: Store, submit: Submit, token: int
-    ) -> None:
+    def __init__(self, rules: Sequence[ParameterRule], context: ParameterContext, token: int) -> None:
         self.rules = rules
         self.node = rules[0].node
         # The rule with the longest prefix has a name first.
-        self._names = [Names(rule) for rule in sorted(rules, key=lambda rule: -len(rule.prefix))]
-        self._hub, self._store, self._submit = hub, store, submit
-        self._codecs = codecs(registry)
-        self._event = registry.ros2(_EVENT)
-        self._event_schema = registry.schema(_EVENT)
+        self._names = [ParameterNames(rule) for rule in sorted(rules, key=lambda rule: -len(rule.prefix))]
+        self._hub, self._store, self._submit = context.hub, context.store, context.submit
+        self._codecs = codecs(context.registry)
+        self._event, self._event_schema = context.registry.ros2(_EVENT), context.registry.schema(_EVENT)
         namespace, _, name = self.node.rpartition("/")
-        self._token = node_key(NodeToken(hub.domain, hub.zid, str(token), namespace or "/", name))
+        self._token = node_key(NodeToken(self._hub.domain, self._hub.zid, str(token), namespace or "/", name))
         self._closers: list[Callable[[], object]] = []
         self._publish: Callable[[bytes], None] | None = None
-        self._told: dict[str, Value] | None = None
+        self._told: dict[str, ParameterValue] | None = None
         self.troubles: dict[str, str] = {}
 
     @property
@@ -75,7 +62,7 @@ class Offered:
         return len(self._told or ())
 
     def follow(self, trees: Mapping[str, Any]) -> None:
-        """Be there, and tell what changed.
+        """Serve the node, and publish what changed.
 
         Args:
             trees: what the parameter server has below each rule's name.
@@ -106,7 +93,7 @@ class Offered:
 
     # -- what there is -------------------------------------------------------------------------------------------------
 
-    def _all(self, trees: Mapping[str, Any]) -> Iterator[tuple[str, Value]]:
+    def _all(self, trees: Mapping[str, Any]) -> Iterator[tuple[str, ParameterValue]]:
         """The parameters by their names on the node; notes those of which ROS 2 has no kind."""
         self.troubles = {}
         for names in reversed(self._names):
@@ -117,10 +104,10 @@ class Offered:
                     except UnsayableError as err:
                         self.troubles[names.ros1(rest)] = str(err)
 
-    def _read(self) -> dict[str, Value]:
+    def _read(self) -> dict[str, ParameterValue]:
         return dict(self._all(self._store.watch([rule.ros1 for rule in self.rules])))
 
-    def _tell(self, before: Mapping[str, Value], now: Mapping[str, Value]) -> None:
+    def _tell(self, before: Mapping[str, ParameterValue], now: Mapping[str, ParameterValue]) -> None:
         """Publish a parameter event."""
         message = {
             "stamp": dict(zip(("sec", "nanosec"), divmod(time.time_ns(), 10**9), strict=True)),
@@ -130,7 +117,7 @@ class Offered:
             "deleted_parameters": [_parameter(name, NOT_SET) for name in before.keys() - now.keys()],
         }
         if self._publish is not None:
-            self._publish(Writer(self._event_schema).message(message))
+            self._publish(MessageWriter(self._event_schema).message(message))
 
     # -- calls ---------------------------------------------------------------------------------------------------------
 
@@ -161,7 +148,7 @@ class Offered:
         known = self._read()
         return {"descriptors": [self._descriptor(name, known.get(name, NOT_SET)) for name in request["names"]]}
 
-    def _descriptor(self, name: str, value: Value) -> dict[str, Any]:
+    def _descriptor(self, name: str, value: ParameterValue) -> dict[str, Any]:
         place = self._place(name)
         where = "" if place is None else f"ROS 1 parameter {place[0].ros1(place[1])}"
         read_only = place is not None and not place[0].rule.write
@@ -194,7 +181,7 @@ class Offered:
         known = self._read()
         wanted: dict[str, Any] = {}
         for parameter in parameters:
-            name, value = parameter["name"], Value.read(parameter["value"])
+            name, value = parameter["name"], ParameterValue.read(parameter["value"])
             place = self._place(name)
             if place is None:
                 return _no(f"no rule of routing.parameters shares {name}")
@@ -204,13 +191,13 @@ class Offered:
             if any(other.startswith(f"{name}.") for other in known):
                 return _no(f"{names.ros1(rest)} is a namespace in ROS 1")
             try:
-                wanted[names.ros1(rest)] = None if value.kind is Kind.NOT_SET else to_ros1(value)
+                wanted[names.ros1(rest)] = None if value.kind is ParameterType.NOT_SET else to_ros1(value)
             except UnsayableError as err:
                 return _no(f"{name}: {err}")
         refused = self._store.write(wanted)
         return _no(f"ROS 1's master refuses {', '.join(refused)}") if refused else {"successful": True, "reason": ""}
 
-    def _place(self, name: str) -> tuple[Names, str] | None:
+    def _place(self, name: str) -> tuple[ParameterNames, str] | None:
         """The rule that shares a name, and what of it follows the rule's."""
         for names in self._names:
             rest = names.rest(name)
@@ -219,7 +206,7 @@ class Offered:
         return None
 
 
-def _parameter(name: str, value: Value) -> dict[str, Any]:
+def _parameter(name: str, value: ParameterValue) -> dict[str, Any]:
     return {"name": name, "value": value.message()}
 
 

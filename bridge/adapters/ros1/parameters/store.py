@@ -4,17 +4,21 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any
 
-from bridge.adapters.ros1.errors import Ros1Error
-from bridge.adapters.ros1.rpc import Call, RpcClient
+from bridge.adapters.ros1_peers import Call, Ros1Error, XmlRpcClient
+from bridge.hub.endpoints.calls import Done
+from bridge.hub.session import Hub
+from bridge.messages.registry import Registry
+from bridge.messages.values import ServiceCodec
 
 _TIMEOUT = 2.0
 _STOP_TIMEOUT = 0.5
 _BATCH = 200
 
 
-class Store:
+class ParameterServer:
     """The parameter server of one master; one thread at a time. Its methods raise `Ros1Error` where it is away.
 
     Args:
@@ -25,11 +29,11 @@ class Store:
 
     def __init__(self, uri: str, caller: Callable[[], str], slave: str) -> None:
         self._uri, self._caller, self._slave = uri, caller, slave
-        self._client = RpcClient(uri, _TIMEOUT)
+        self._client = XmlRpcClient(uri, _TIMEOUT)
         self._watched: set[str] = set()
 
     def watch(self, keys: Sequence[str]) -> dict[str, Any]:
-        """Read parameters or namespaces, and be told of changes below them from now on; {} for what is not set.
+        """Read parameters or namespaces, and subscribe to changes below them; {} for what is not set.
 
         A restarted master has forgotten who listens, so this asks for it each time.
         """
@@ -52,12 +56,44 @@ class Store:
         return [key for (key, value), answer in pairs if value is not None and answer is None]
 
     def close(self, written: Sequence[str]) -> None:
-        """Delete what we wrote, and be told nothing more."""
+        """Delete what we wrote, and unsubscribe."""
         me = self._caller()
         calls: list[Call] = [("deleteParam", (me, key)) for key in written]
         calls += [("unsubscribeParam", (me, self._slave, key)) for key in sorted(self._watched)]
         self._client.close()
-        client = RpcClient(self._uri, _STOP_TIMEOUT)
+        client = XmlRpcClient(self._uri, _STOP_TIMEOUT)
         with contextlib.closing(client), contextlib.suppress(Ros1Error):
             if calls:
                 client.calls(calls)
+
+
+Submit = Callable[[Callable[[], None], Done | None], None]
+"""Has something done on the one thread that talks to the parameter server; who waits is told where that is too busy."""
+
+
+@dataclass(frozen=True, slots=True)
+class ParameterContext:
+    """What all nodes with shared parameters use."""
+
+    hub: Hub
+    registry: Registry
+    store: ParameterServer
+    submit: Submit
+
+
+# -- ROS 2's services of parameters ------------------------------------------------------------------------------------
+
+SERVICES = {
+    "get_parameters": "GetParameters",
+    "get_parameter_types": "GetParameterTypes",
+    "list_parameters": "ListParameters",
+    "describe_parameters": "DescribeParameters",
+    "set_parameters": "SetParameters",
+    "set_parameters_atomically": "SetParametersAtomically",
+}
+"""What follows the node's name, and the type."""
+
+
+def codecs(registry: Registry) -> dict[str, ServiceCodec]:
+    """The codecs of the services, by what follows the node's name."""
+    return {word: ServiceCodec(registry, f"rcl_interfaces/srv/{name}") for word, name in SERVICES.items()}

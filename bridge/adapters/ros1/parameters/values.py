@@ -14,10 +14,9 @@ from dataclasses import dataclass
 from enum import IntEnum
 from typing import Any
 
-import numpy as np
-
-from bridge.config.sections.parameters import ParameterRule
-from bridge.routing.patterns import glob_regex
+from bridge.config.sections.routing import ParameterRule
+from bridge.messages.values import is_array
+from bridge.routing.rules import glob_regex
 
 MAX_DEPTH = 30
 """How deep namespaces nest that are read; ROS 1's own tools do no deeper ones."""
@@ -28,7 +27,7 @@ _NO_XML = re.compile(r"[^\t\n -\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
 _PART = re.compile(r"[A-Za-z0-9_]+")
 
 
-class Kind(IntEnum):
+class ParameterType(IntEnum):
     """``rcl_interfaces/msg/ParameterType``."""
 
     NOT_SET = 0
@@ -44,11 +43,11 @@ class Kind(IntEnum):
 
 
 class UnsayableError(Exception):
-    """A value that the other world has no word for; says why."""
+    """A value that the other world cannot express; the text says why."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Value:
+class ParameterValue:
     """A value in ROS 2's terms. Equal are those of one kind that read the same, NaN among them.
 
     Attributes:
@@ -56,63 +55,63 @@ class Value:
         content: a bool, int, float, text, bytes, or a list of one of the first four; None where it is not set.
     """
 
-    kind: Kind
+    kind: ParameterType
     content: Any = None
 
     def __eq__(self, other: object) -> bool:
         """Whether both read the same."""
-        return isinstance(other, Value) and (self.kind, repr(self.content)) == (other.kind, repr(other.content))
+        return isinstance(other, ParameterValue) and (self.kind, repr(self.content)) == (
+            other.kind,
+            repr(other.content),
+        )
 
     def __hash__(self) -> int:
         """As `__eq__` has it."""
         return hash((self.kind, repr(self.content)))
 
     @classmethod
-    def read(cls, message: Mapping[str, Any]) -> Value:
+    def read(cls, message: Mapping[str, Any]) -> ParameterValue:
         """A decoded ``ParameterValue``."""
         try:
-            kind = Kind(message["type"])
+            kind = ParameterType(message["type"])
         except ValueError:
             return NOT_SET
-        if kind is Kind.NOT_SET:
+        if kind is ParameterType.NOT_SET:
             return NOT_SET
         content = message[_field(kind)]
-        if kind is Kind.BYTE_ARRAY:
+        if kind is ParameterType.BYTE_ARRAY:
             return cls(kind, bytes(content))
-        return cls(kind, content.tolist() if isinstance(content, np.ndarray) else content)
+        return cls(kind, content.tolist() if is_array(content) else content)
 
     def message(self) -> dict[str, Any]:
         """For a ``ParameterValue``."""
-        content = list(self.content) if self.kind is Kind.BYTE_ARRAY else self.content
-        return {"type": int(self.kind), **({} if self.kind is Kind.NOT_SET else {_field(self.kind): content})}
+        content = list(self.content) if self.kind is ParameterType.BYTE_ARRAY else self.content
+        return {"type": int(self.kind), **({} if self.kind is ParameterType.NOT_SET else {_field(self.kind): content})}
 
 
-NOT_SET = Value(Kind.NOT_SET)
+NOT_SET = ParameterValue(ParameterType.NOT_SET)
 
 
-def _field(kind: Kind) -> str:
+def _field(kind: ParameterType) -> str:
     return f"{kind.name.lower()}_value"
 
 
-def to_ros1(value: Value) -> Any:
+def to_ros1(value: ParameterValue) -> Any:
     """What ROS 1's parameter server takes; raises `UnsayableError`."""
     content = value.content
-    if value.kind is Kind.NOT_SET:
-        msg = "it has no value"
-        raise UnsayableError(msg)
-    if value.kind is Kind.BYTE_ARRAY:
+    if value.kind is ParameterType.NOT_SET:
+        raise UnsayableError("it has no value")
+    if value.kind is ParameterType.BYTE_ARRAY:
         return xmlrpc.client.Binary(content)
     for one in content if isinstance(content, list) else [content]:
         if isinstance(one, int) and one not in _INT32:
-            msg = f"ROS 1 has no integer as large as {one}"
-            raise UnsayableError(msg)
+            raise UnsayableError(f"ROS 1 has no integer as large as {one}")
         if isinstance(one, str) and _NO_XML.search(one):
-            msg = "its text has characters that ROS 1's XML cannot carry"
-            raise UnsayableError(msg)
+            raise UnsayableError("its text has characters that ROS 1's XML cannot carry")
     return content
 
 
-def to_ros2(value: Any, like: Kind = Kind.NOT_SET) -> Value:
+def to_ros2(value: Any, like: ParameterType = ParameterType.NOT_SET) -> ParameterValue:
     """What a ROS 2 node takes; raises `UnsayableError`.
 
     Args:
@@ -121,37 +120,47 @@ def to_ros2(value: Any, like: Kind = Kind.NOT_SET) -> Value:
             since `rosparam set` does not tell them apart. An empty list is of any kind.
     """
     if isinstance(value, xmlrpc.client.Binary):
-        return Value(Kind.BYTE_ARRAY, value.data)
+        return ParameterValue(ParameterType.BYTE_ARRAY, value.data)
     if isinstance(value, list):
         return _list(value, like)
     found = _scalar(value)
-    if found.kind is Kind.INTEGER and like is Kind.DOUBLE:
-        return Value(Kind.DOUBLE, float(value))
-    if found.kind is Kind.DOUBLE and like is Kind.INTEGER and value.is_integer() and int(value) in _INT64:
-        return Value(Kind.INTEGER, int(value))
+    if found.kind is ParameterType.INTEGER and like is ParameterType.DOUBLE:
+        return ParameterValue(ParameterType.DOUBLE, float(value))
+    if (
+        found.kind is ParameterType.DOUBLE
+        and like is ParameterType.INTEGER
+        and value.is_integer()
+        and int(value) in _INT64
+    ):
+        return ParameterValue(ParameterType.INTEGER, int(value))
     return found
 
 
-def _scalar(value: Any) -> Value:
-    for python, kind in ((bool, Kind.BOOL), (int, Kind.INTEGER), (float, Kind.DOUBLE), (str, Kind.STRING)):
+def _scalar(value: Any) -> ParameterValue:
+    for python, kind in (
+        (bool, ParameterType.BOOL),
+        (int, ParameterType.INTEGER),
+        (float, ParameterType.DOUBLE),
+        (str, ParameterType.STRING),
+    ):
         if isinstance(value, python):
-            if kind is Kind.INTEGER and value not in _INT64:
+            if kind is ParameterType.INTEGER and value not in _INT64:
                 break
-            return Value(kind, value)
-    msg = f"ROS 2 has no parameters like {type(value).__name__} {str(value)[:60]}"
-    raise UnsayableError(msg)
+            return ParameterValue(kind, value)
+    raise UnsayableError(f"ROS 2 has no parameters like {type(value).__name__} {str(value)[:60]}")
 
 
-def _list(values: list[Any], like: Kind) -> Value:
+def _list(values: list[Any], like: ParameterType) -> ParameterValue:
     kinds = {_scalar(one).kind for one in values}
     if not kinds:
-        return Value(like if like >= Kind.BOOL_ARRAY else Kind.STRING_ARRAY, [])
-    if kinds == {Kind.INTEGER, Kind.DOUBLE} or (kinds == {Kind.INTEGER} and like is Kind.DOUBLE_ARRAY):
-        return Value(Kind.DOUBLE_ARRAY, [float(one) for one in values])
+        return ParameterValue(like if like >= ParameterType.BOOL_ARRAY else ParameterType.STRING_ARRAY, [])
+    if kinds == {ParameterType.INTEGER, ParameterType.DOUBLE} or (
+        kinds == {ParameterType.INTEGER} and like is ParameterType.DOUBLE_ARRAY
+    ):
+        return ParameterValue(ParameterType.DOUBLE_ARRAY, [float(one) for one in values])
     if len(kinds) > 1:
-        msg = f"ROS 2 has no lists of {' and '.join(sorted(kind.name.lower() for kind in kinds))}"
-        raise UnsayableError(msg)
-    return Value(Kind(kinds.pop() + Kind.BOOL_ARRAY - Kind.BOOL), list(values))
+        raise UnsayableError(f"ROS 2 has no lists of {' and '.join(sorted(kind.name.lower() for kind in kinds))}")
+    return ParameterValue(ParameterType(kinds.pop() + ParameterType.BOOL_ARRAY - ParameterType.BOOL), list(values))
 
 
 def flatten(tree: Any, depth: int = 0) -> Iterator[tuple[str, Any]]:
@@ -164,7 +173,7 @@ def flatten(tree: Any, depth: int = 0) -> Iterator[tuple[str, Any]]:
                 yield f"{name}/{rest}" if rest else str(name), value
 
 
-class Names:
+class ParameterNames:
     """The names that a rule takes, in both worlds; ``rest`` is what follows `ParameterRule.ros1`, ``a/b``."""
 
     def __init__(self, rule: ParameterRule) -> None:

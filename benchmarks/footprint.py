@@ -1,0 +1,182 @@
+"""What Midspan takes of a small computer: memory, processor time and seconds of each worker, beside bare peers.
+
+Four parts, `--parts` chooses:
+
+- `start`: each worker in turn, started as the daemon starts it, beside an interpreter that has nothing but rospy, rclpy
+  or a zenoh session and one subscriber: seconds to the first heartbeat and until it runs, processor time until then.
+- `robot`: `midspan run` with all sides and the demo's robot, which stands: memory of each process beside the project's
+  aims and beside the bare peers, seconds until all sides run, processor time while it stands.
+- `idle`: the same without a robot and with the zenoh side: processor time while nothing happens.
+- `cli`: seconds of the command line's verbs, on the robot's daemon.
+
+Files are warm: what the first run compiles and reads is there.
+"""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import math
+import statistics
+import subprocess
+import sys
+import time
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+sys.path.insert(0, str(Path(__file__).parents[1]))
+
+from benchmarks.footprints.measured import Taken, cpu_seconds, taken
+from benchmarks.footprints.worker import StartedWorker
+from benchmarks.latency.usage import daemon_processes
+from benchmarks.processes import Processes
+from benchmarks.rows import Row, add_json_option, report
+from bridge.cli.client import connect
+from bridge.cli.output import CliError
+from bridge.demo.rooms import CONFIG, laid_over
+from bridge.state_file import with_state
+
+PEERS = {"router": "zenoh", "ros1": "ros1", "ros2": "ros2", "yarp": "zenoh", "modules": "zenoh", "sim": "zenoh"}
+"""The bare peer of each worker; YARP has no library in Python to compare with, modules and simulator are on the hub."""
+AIMS = {"router": 30.0, "ros1": 60.0, "ros2": 120.0, "yarp": 50.0, "modules": 80.0, "sim": 80.0, "daemon": 25.0}
+"""MB of PSS."""
+IDLE, STANDING, RUN, HELP, VERB = 1.0, 25.0, 3.0, 0.25, 0.8
+"""Aims: percent of a core idle and with the robot standing; seconds of `midspan run`, `midspan --help` and a verb."""
+SIDES = ("ros1", "ros2", "yarp")
+DRIVER = "robot_goto"
+"""The module that runs last: it waits for the simulator's laser."""
+VERBS = ("--help", "status", "topic list", "nav status", "tf tree")
+SETTLE_SECONDS = 10.0
+"""What is compiled, opened and found at the start is over by then."""
+_UP_SECONDS = 60.0
+PARTS = ("start", "robot", "idle", "cli")
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the benchmark."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--seconds", type=float, default=60.0, help="of each measurement at rest (default 60)")
+    parser.add_argument("--parts", nargs="+", choices=PARTS, default=PARTS, help="which (default all)")
+    parser.add_argument("--times", type=int, default=5, metavar="N", help="how often each verb runs (default 5)")
+    add_json_option(parser)
+    args = parser.parse_args(arguments)
+    rows: list[Row] = []
+    with Processes(laid_over(CONFIG), CONFIG, yarp=True) as bare:
+        bare.start_master()
+        peers, peer_seconds = _peers(bare)
+        if "start" in args.parts:
+            rows += _start(bare, peers, peer_seconds)
+    if "robot" in args.parts or "cli" in args.parts:
+        with _daemon(Processes(laid_over(CONFIG), CONFIG, yarp=True), (*SIDES, DRIVER)) as (robot, seconds):
+            if "robot" in args.parts:
+                rows += [*seconds, *_robot(robot, peers, args.seconds)]
+            if "cli" in args.parts:
+                rows += _verbs(robot, args.times)
+    if "idle" in args.parts:
+        dialects = {"zenoh": {"dialects": [{"dialect": "ros2dds"}]}, "modules": {"enabled": False}}
+        with _daemon(Processes(dialects, yarp=True), (*SIDES, "zenoh_ros2dds")) as (idle, seconds):
+            rows += [*seconds, *_rest("idle", idle, args.seconds, IDLE)]
+    report(rows, args.json)
+    return 0
+
+
+def _peers(place: Processes) -> tuple[dict[str, Taken], dict[str, float]]:
+    """What the bare peers take, each alone beside the others, and the seconds until they were there."""
+    children, seconds = {}, {}
+    for kind in ("ros1", "ros2", "zenoh"):
+        began = time.monotonic()
+        children[kind] = place.launch(kind, "benchmarks.footprints.peer", kind, system=kind == "ros1")
+        place.wait_for(kind, "ready")
+        seconds[kind] = time.monotonic() - began
+    found = {kind: taken(child.pid) for kind, child in children.items()}
+    for kind in children:
+        place.stop(kind)
+    return found, seconds
+
+
+def _start(place: Processes, peers: dict[str, Taken], peer_seconds: dict[str, float]) -> list[Row]:
+    """Each worker started beside those before it, as one that comes back meets them."""
+    config, environ, rows = with_state(place.place.config), place.place.environment(), []
+    with contextlib.ExitStack() as stack:
+        for name, kind in PEERS.items():
+            started = stack.enter_context(StartedWorker(name, config, environ))
+            started.wait()
+            rows += [
+                Row(f"{name}: first heartbeat", started.first, peer_seconds[kind], "s"),
+                Row(f"{name}: running", started.running, peer_seconds[kind], "s"),
+                Row(f"{name}: processor time", started.cpu, peers[kind].seconds, "s"),
+            ]
+    return rows
+
+
+@contextlib.contextmanager
+def _daemon(place: Processes, sides: Sequence[str]) -> Iterator[tuple[Processes, list[Row]]]:
+    """A daemon whose sides all run, after a moment of rest; with how long that took."""
+    with place:
+        place.start_master()
+        began = time.monotonic()
+        place.start_daemon()
+        times: dict[str, float] = {}
+
+        def all_run() -> bool:
+            with contextlib.suppress(CliError), connect(place.place.config, 0.2) as client:
+                while len(times) < len(sides):
+                    for answer in client.ask("status", timeout=0.5):
+                        running = isinstance(answer.value, dict) and answer.value.get("state") == "running"
+                        if running and answer.worker in sides:
+                            times.setdefault(answer.worker, time.monotonic() - began)
+                    time.sleep(0.05)
+                    if time.monotonic() - began > _UP_SECONDS:
+                        break
+            return len(times) == len(sides)
+
+        place.until(all_run, f"{', '.join(sides)} run")
+        time.sleep(SETTLE_SECONDS)
+        what = "the robot" if DRIVER in sides else "no robot"
+        rows = [Row(f"midspan run, {what}: all sides running", max(times[s] for s in SIDES), RUN, "s")]
+        yield place, rows
+
+
+def _robot(place: Processes, peers: dict[str, Taken], seconds: float) -> list[Row]:
+    found = {name: taken(pid) for name, pid in daemon_processes(place.place.folder).items()}
+    rows = [Row(f"{name}: PSS, aim", found[name].pss, aim, "MB") for name, aim in AIMS.items()]
+    for name, kind in PEERS.items():
+        rows.append(Row(f"{name}: PSS, bare {kind}", found[name].pss, peers[kind].pss, "MB"))
+        rows.append(Row(f"{name}: RSS, bare {kind}", found[name].rss, peers[kind].rss, "MB"))
+    rows.append(Row("all: PSS, aims", sum(t.pss for t in found.values()), sum(AIMS.values()), "MB"))
+    return rows + _rest("standing", place, seconds, STANDING)
+
+
+def _rest(what: str, place: Processes, seconds: float, aim: float) -> list[Row]:
+    """Percent of a core of each process and of all, while nothing is asked of them."""
+    pids = daemon_processes(place.place.folder)
+    before = {name: cpu_seconds(pid) for name, pid in pids.items()}
+    began = time.monotonic()
+    time.sleep(seconds)
+    passed = time.monotonic() - began
+    shares = {name: 100.0 * (cpu_seconds(pid) - before[name]) / passed for name, pid in pids.items()}
+    rows = [Row(f"{what}: {name}", share, aim, "%") for name, share in shares.items()]
+    return [*rows, Row(f"{what}: all", sum(shares.values()), aim, "%")]
+
+
+def _verbs(place: Processes, times: int) -> list[Row]:
+    rows = []
+    for verb in VERBS:
+        config = [] if verb.startswith("-") else ["--config", str(place.place.config_file)]
+        command = [sys.executable, "-m", "bridge.cli.main", *verb.split(), *config]
+        took: list[float] = []
+        for _ in range(3 * times):  # the first reads the files; one that fails, on a busy machine, tells nothing
+            began = time.monotonic()
+            ended = subprocess.run(command, env=place.place.environment(), stdout=subprocess.DEVNULL, check=False)
+            if ended.returncode == 0:
+                took.append(time.monotonic() - began)
+            if len(took) > times:
+                break
+        rows.append(
+            Row(f"midspan {verb}", statistics.median(took[1:] or [math.inf]), HELP if config == [] else VERB, "s")
+        )
+    return rows
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,1 @@
+"""The programs of `benchmarks/returned_planner.py`."""

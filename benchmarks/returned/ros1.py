@@ -1,0 +1,43 @@
+"""The programs on ROS 1: a planner's stand-in that tells when its action server is registered, and a bare client.
+
+Runs on the system's Python. Usage: ``python -m benchmarks.returned.ros1 planner PROGRAM`` or ``... ros1 waiter``.
+"""
+
+import os
+import runpy
+import sys
+from typing import Any
+
+import actionlib
+
+from benchmarks.returned.words import tell
+
+_start = actionlib.ActionServer.start
+
+
+def _told(server: Any) -> None:
+    _start(server)  # it returns with all five topics at the master
+    tell("registered")
+
+
+def _plan(program: str) -> None:
+    actionlib.ActionServer.start = _told
+    sys.argv = [program, "1.0", "1.0"]
+    runpy.run_path(program, run_name="__main__")
+
+
+def _wait() -> None:
+    """The floor: a client of the planner's own side."""
+    import rospy
+    from move_base_msgs.msg import MoveBaseAction
+
+    rospy.init_node(f"waiter_{os.getpid()}", disable_signals=True, disable_rosout=True)
+    client = actionlib.SimpleActionClient("/move_base", MoveBaseAction)
+    tell("waiting")
+    client.wait_for_server()
+    tell("found")
+    sys.stdin.read()
+
+
+if __name__ == "__main__":
+    _plan(sys.argv[2]) if sys.argv[1] == "planner" else _wait()

@@ -1,0 +1,224 @@
+"""How soon a planner that was killed and started again is found through the daemon, beside a bare client of its side.
+
+The planner is the tests' stand-in for move_base (rospy) or Nav2 (rclpy), killed with SIGKILL: what it registered at the
+ROS 1 master stays there until the new one comes. The seconds count from the moment at which the new one's action server
+is registered (its five topics at the master) until a client on the hub finds it, by the same question as the gateway
+asks. The floor is what a bare client of the planner's own side takes from the same moment, which waits since before.
+It is started anew at once, or after it was gone for a while (`--away`; a dead ROS 2 program is known to be gone after
+20 s, Fast DDS's lease). 0 s: it was back before anybody knew that it was gone.
+
+The last rows tell the processor time of the side's worker, in per cent of a core, while the planner is away; their
+"peer" is that while the planner is there and idle.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import signal
+import statistics
+import sys
+import threading
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import psutil
+
+sys.path.insert(0, str(Path(__file__).parents[1]))
+
+from benchmarks.processes import Processes
+from benchmarks.rows import Row, add_json_option, report
+from bridge.clock import SYSTEM
+from bridge.daemon.query import ask_daemon
+from bridge.hub.session import Hub, HubSettings
+from bridge.messages.registry import Registry
+from bridge.modules.host import Node
+from bridge.modules.loop import EventLoop
+
+_SUPPORT = Path(__file__).parents[1] / "tests" / "support"
+_TYPE = "nav2_msgs/action/NavigateToPose"  # move_base's too, on the hub
+_LOOK_SECONDS = 0.002
+_IDLE_SECONDS = 10.0
+_STEADY_SECONDS = 3.0
+
+
+@dataclass(frozen=True, slots=True)
+class Side:
+    """One side's planner: the side's key, which is its worker's name too; for people; its action; the stand-in.
+
+    ``aways``: for how many seconds it is gone.
+    """
+
+    key: str
+    name: str
+    action: str
+    program: str
+    aways: tuple[float, ...]
+
+
+SIDES = (
+    Side("ros1", "move_base on ROS 1", "/move_base", "ros1_move_base.py", (0.0, 5.0)),
+    Side("ros2", "Nav2 on ROS 2", "/navigate_to_pose", "ros2_nav2.py", (0.0, 25.0)),
+)
+
+
+@dataclass(slots=True)
+class Times:
+    """Seconds from the registration until the hub's client, and the bare one, found the planner."""
+
+    ours: list[float] = field(default_factory=list)
+    bare: list[float] = field(default_factory=list)
+
+
+class Watcher:
+    """A client on the hub, asked all the time whether the planner is there.
+
+    Attributes:
+        ready: whether it is.
+        since: when that began (monotonic).
+    """
+
+    def __init__(self, node: Node, action: str) -> None:
+        self._client = node.action_client(action, _TYPE)
+        self.ready, self.since = False, time.monotonic()
+        self._stopping = threading.Event()
+        self._thread = threading.Thread(target=self._run, daemon=True)
+        self._thread.start()
+
+    def close(self) -> None:
+        """Ask no more."""
+        self._stopping.set()
+        self._thread.join()
+        self._client.close()
+
+    def _run(self) -> None:
+        while not self._stopping.wait(_LOOK_SECONDS):
+            ready = self._client.ready
+            if ready != self.ready:
+                self.since, self.ready = time.monotonic(), ready
+
+
+class Bench(Processes):
+    """One side's planner, with the daemon and a client on the hub."""
+
+    def __init__(self, side: Side) -> None:
+        # the daemon polls as it does where nobody set anything
+        super().__init__({"log": {"level": "warning"}})
+        self.side = side
+        self._loop: EventLoop | None = None
+        try:
+            self.start_master()
+            self.start_daemon()
+            self._open_hub()
+            self.start_planner()
+            self.until(lambda: self.watcher.ready, "the planner is found for the first time")
+        except BaseException:
+            self.close()
+            raise
+
+    def _open_hub(self) -> None:
+        hub = self.place.config.hub
+        settings = HubSettings(domain=hub.domain, router=hub.listen, node="client", daemon="client", worker="client")
+        self.until(lambda: self._worker(), "the side's worker is up")
+        self._hub, self._loop = Hub.open(settings), EventLoop("client")
+        self._node = Node(self._hub, Registry(), self._loop, SYSTEM)
+        self._loop.start()
+        self.watcher = Watcher(self._node, self.side.action)
+
+    def start_planner(self) -> float:
+        """Start the planner; the moment at which it was registered."""
+        program = str(_SUPPORT / self.side.program)
+        self.launch(
+            "planner", f"benchmarks.returned.{self.side.key}", "planner", program, system=self.side.key == "ros1"
+        )
+        return float(self.wait_for("planner", "registered")["at"])
+
+    def kill_planner(self) -> None:
+        """SIGKILL."""
+        os.kill(self._children["planner"].pid, signal.SIGKILL)
+        self.stop("planner")
+
+    def round(self, away: float, times: Times) -> None:
+        """Kill the planner, and start it again after so many seconds."""
+        killed = time.monotonic()
+        self.kill_planner()
+        self.launch("waiter", f"benchmarks.returned.{self.side.key}", "waiter", system=self.side.key == "ros1")
+        self.wait_for("waiter", "waiting")
+        time.sleep(max(0.0, killed + away - time.monotonic()))
+        registered = self.start_planner()
+
+        def found() -> bool:
+            """Found again, or never lost."""
+            known = self.watcher.since > killed or time.monotonic() > registered + _STEADY_SECONDS
+            return self.watcher.ready and known
+
+        self.until(found, "the hub's client finds it again")
+        times.ours.append(max(0.0, self.watcher.since - registered))
+        times.bare.append(float(self.wait_for("waiter", "found")["at"]) - registered)
+        self.stop("waiter")
+
+    def load(self) -> float:
+        """The processor time of the side's worker for a while from now, in per cent of a core."""
+        process = psutil.Process(self._worker())
+        before, began = process.cpu_times(), time.monotonic()
+        time.sleep(_IDLE_SECONDS)
+        after, took = process.cpu_times(), time.monotonic() - began
+        return 100.0 * (after.user + after.system - before.user - before.system) / took
+
+    def _worker(self) -> int:
+        workers = (ask_daemon(self.place.config) or {"workers": []})["workers"]
+        return next((int(w["pid"]) for w in workers if w["worker"] == self.side.key and w["phase"] == "running"), 0)
+
+    def close(self) -> None:
+        """End everything."""
+        if self._loop is not None:
+            self.watcher.close()
+            self._node.close()
+            self._loop.close()
+            self._hub.close()
+        if "planner" in self._children:
+            self.kill_planner()
+        super().close()
+
+
+def measure(side: Side, aways: Sequence[float], rounds: int) -> list[Row]:
+    """The rows of one side."""
+    rows = []
+    with Bench(side) as bench:
+        for away in aways:
+            times = Times()
+            for number in range(rounds):
+                bench.round(away, times)
+                last = f"{times.ours[-1]:.3f} s, bare {times.bare[-1]:.3f} s"
+                print(f"{side.name}, away for {away:g} s, {number + 1}/{rounds}: {last}", flush=True)
+            name = f"{side.name}, killed, back after {away:g} s, found"
+            for what, of in (("p50", statistics.median), ("max", max)):
+                rows.append(Row(f"{name}, {what}", of(times.ours), of(times.bare), "s"))
+        there = bench.load()
+        bench.kill_planner()
+        bench.until(lambda: not bench.watcher.ready, "the planner's death is known")
+        rows.append(Row(f"{side.name}, its worker's load while it is away", bench.load(), there, "%"))
+    return rows
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the benchmark."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--sides", nargs="+", choices=[side.key for side in SIDES], help="default all")
+    parser.add_argument("--away", nargs="+", type=float, metavar="S", help="default 0 and 5; ROS 2: 25")
+    parser.add_argument("--rounds", type=int, default=5, metavar="N", help="of each (default 5)")
+    add_json_option(parser)
+    args = parser.parse_args(arguments)
+    rows = []
+    for side in SIDES:
+        if args.sides is None or side.key in args.sides:
+            rows += measure(side, args.away or side.aways, args.rounds)
+    print()
+    report(rows, args.json)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,143 @@
+"""Which actionlib servers and clients a look at the master shows.
+
+A server subscribes ``goal`` and ``cancel`` and publishes ``status``, ``feedback`` and ``result`` below the action's
+name; a client the reverse (http://wiki.ros.org/actionlib/DetailedDescription).
+"""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+
+from bridge.adapters.ros1.graph.probe import Facts
+from bridge.adapters.ros1.graph.state import MasterState, Registration
+from bridge.messages import actions as ros2_action
+
+GOAL, CANCEL, STATUS, FEEDBACK, RESULT = "goal", "cancel", "status", "feedback", "result"
+
+TO_SERVER = frozenset({GOAL, CANCEL})
+FROM_SERVER = frozenset({STATUS, FEEDBACK, RESULT})
+
+STATUS_TYPE = "actionlib_msgs/GoalStatusArray"
+CANCEL_TYPE = "actionlib_msgs/GoalID"
+STATUS_TYPE_ON_HUB = "action_msgs/GoalStatusArray"
+_SUFFIXES = {GOAL: "ActionGoal", FEEDBACK: "ActionFeedback", RESULT: "ActionResult"}
+
+
+@dataclass(frozen=True, slots=True)
+class FoundServer:
+    """One actionlib server.
+
+    Attributes:
+        name: the action's.
+        type: its type without ending: ``move_base_msgs/MoveBase`` has MoveBaseActionGoal and so on.
+        node: the node's name.
+        uri: its XML-RPC address.
+    """
+
+    name: str
+    type: str
+    node: str
+    uri: str
+
+    def link(self, topic: str) -> Registration:
+        """Its registration for one of the five topics."""
+        return Registration(self.node, f"{self.name}/{topic}", self.uri)
+
+
+@dataclass(frozen=True, slots=True)
+class FoundActions:
+    """What one look shows.
+
+    Attributes:
+        servers: those of each action, in the order of their nodes' names.
+        topics: the topics of all actions, whether only clients or servers are there, and the types they must have;
+            none of these crosses as a topic.
+    """
+
+    servers: Mapping[str, tuple[FoundServer, ...]]
+    topics: Mapping[str, str]
+
+
+NOTHING = FoundActions({}, {})
+
+
+def topics_of(name: str, type_: str) -> dict[str, str]:
+    """The five topics of an action with their types."""
+    types = {part: f"{type_}{suffix}" for part, suffix in _SUFFIXES.items()}
+    types |= {STATUS: STATUS_TYPE, CANCEL: CANCEL_TYPE}
+    return {f"{name}/{part}": kind for part, kind in types.items()}
+
+
+def find(look: MasterState, own: str) -> FoundActions:
+    """The actions of a look, without what our own node has."""
+    published = _by_node(look.publishers, own)
+    subscribed = _by_node(look.subscribers, own)
+    servers: dict[str, list[FoundServer]] = defaultdict(list)
+    topics: dict[str, str] = {}
+    for ends, others, has, hears in (
+        (published, subscribed, FROM_SERVER, TO_SERVER),
+        (subscribed, published, FROM_SERVER, TO_SERVER),
+    ):
+        for (name, node, uri), parts in ends.items():
+            if has <= parts and hears <= others.get((name, node, uri), set()):
+                type_ = _type(name, look.types)
+                if not type_:
+                    continue
+                topics |= topics_of(name, type_)
+                if ends is published:
+                    servers[name].append(FoundServer(name, type_, node, uri))
+    return FoundActions({n: tuple(sorted(s, key=lambda s: s.node)) for n, s in servers.items()}, topics)
+
+
+def _by_node(links: Iterable[Registration], own: str) -> dict[tuple[str, str, str], set[str]]:
+    """Which of the five topics each node has, by action, node and address."""
+    found: dict[tuple[str, str, str], set[str]] = defaultdict(set)
+    for node, topic, uri in links:
+        name, _, part = topic.rpartition("/")
+        if node != own and name and (part in FROM_SERVER or part in TO_SERVER):
+            found[name, node, uri].add(part)
+    return found
+
+
+def _type(name: str, types: Mapping[str, str]) -> str:
+    """The action's type where all that is known of the five topics agrees, else ""."""
+    result = types.get(f"{name}/{RESULT}", "")
+    if not result.endswith(_SUFFIXES[RESULT]):
+        return ""
+    type_ = result.removesuffix(_SUFFIXES[RESULT])
+    known = ((types.get(topic, ""), wanted) for topic, wanted in topics_of(name, type_).items())
+    return type_ if all(is_ in ("", "*", wanted) for is_, wanted in known) else ""
+
+
+def is_native(server: FoundServer, facts: Mapping[Registration, Facts]) -> bool | None:
+    """Whether a server is no Midspan's; None while it has not answered."""
+    found = [facts.get(server.link(part)) for part in FROM_SERVER]
+    return None if None in found else all(f is not None and f.native for f in found)
+
+
+# -- the parts of a ROS 2 action, as this edge spells their types ------------------------------------------------------
+
+
+def part_type(action_type: str, part: str) -> str:
+    """The type of one part of an action (``move_base_msgs/MoveBase``)."""
+    ending = ros2_action.ENDINGS.get(part)
+    if ending is not None:
+        return action_type.replace("/", "/action/", 1) + ending
+    return STATUS_TYPE_ON_HUB if part == ros2_action.STATUS else ros2_action.CANCEL
+
+
+def split_part(name: str, type_name: str) -> tuple[str, str] | None:
+    """Action and part of a service or topic, None where it is no part of an action."""
+    action, part = ros2_action.split(name)
+    ending = ros2_action.ENDINGS.get(part)
+    fits = (
+        type_name == part_type("", part) if ending is None else "/action/" in type_name and type_name.endswith(ending)
+    )
+    return (action, part) if part and fits else None
+
+
+def action_type(type_name: str, part: str) -> str:
+    """The action's type by that of its send_goal, get_result or feedback."""
+    return type_name.removesuffix(ros2_action.ENDINGS[part]).replace("/action/", "/", 1)

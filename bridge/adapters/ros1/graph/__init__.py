@@ -1,0 +1,1 @@
+"""The ROS 1 graph: the master, our registrations there, and the other nodes."""

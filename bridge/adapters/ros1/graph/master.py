@@ -1,0 +1,298 @@
+"""The one thread that talks to the master: looks at its graph, and keeps our registrations there as they should be.
+
+rospy registers once and never again. Here what our node wants is compared with what the master says at every look, and
+the difference is made up; so a master that was restarted, or that lost our registrations, has them again within one
+look.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import logging
+import os
+import re
+import threading
+import time
+from collections.abc import Callable, Iterator, Sequence
+from typing import NamedTuple
+
+from bridge.adapters.ros1.graph.presence import Ledger, NodeEntry, is_alive, removal_calls
+from bridge.adapters.ros1.graph.state import MasterReader, MasterState, Registration
+from bridge.adapters.ros1.node import Ros1Node
+from bridge.adapters.ros1_peers import Call, Ros1Error, UnreachableError, XmlRpcClient
+
+_log = logging.getLogger(__name__)
+
+_TIMEOUT = 2.0
+_STOP_TIMEOUT = 0.7
+_RETRY = 0.1
+_FAILURES = 2
+_PATIENCE = 5.0
+"""Seconds that a master may be silent, on a busy machine, before it counts as away."""
+
+_BATCH = 200
+SIM_TIME = "/use_sim_time"
+"""The parameter by which ROS 1 nodes, as they start, decide to run on ``/clock`` (wiki.ros.org/Clock)."""
+
+_SPARE_NAMES = 9
+
+Seen = Callable[[MasterState | None], None]
+Lost = Callable[[str], None]
+
+
+class _Own(NamedTuple):
+    """The topics that the master has of our node at one look."""
+
+    look: MasterState
+    published: frozenset[str]
+    subscribed: frozenset[str]
+
+
+class Master:
+    """Follows one master for one node. ``seen`` is called on its thread at each look, with None once it is away.
+
+    ``is_dead`` says whether a service's server is known to be gone, so that ours may take its name.
+
+    Attributes:
+        uri: the master's address.
+        trouble: why it is away, "" where it is not.
+        looked: ``time.monotonic()`` before the latest look.
+        simulated: whether its nodes are to run on ``/clock``, as its parameter ``/use_sim_time`` said when we joined.
+    """
+
+    def __init__(
+        self,
+        uri: str,
+        node: Ros1Node,
+        daemon: str,
+        ledger: Ledger,
+        period: float,
+        seen: Seen,
+        lost_name: Lost,
+        is_dead: Callable[[Registration], bool],
+        *,
+        simulated: bool,
+    ) -> None:
+        self.uri = uri
+        self.trouble = ""
+        self.simulated = self._simulated = simulated
+        self.looked = float("-inf")
+        self._node, self._daemon, self._ledger = node, daemon, ledger
+        self._period, self._seen, self._lost_name, self._is_dead = period, seen, lost_name, is_dead
+        self._evicted = False
+        self._client = XmlRpcClient(uri, _TIMEOUT)
+        self._looker = MasterReader(self._client, node.name)
+        self._run_id: str | None = None
+        self._own: _Own | None = None
+        self._failures = 0
+        self._answered = time.monotonic()
+        self._refused: set[str] = set()
+        self._ended: set[str] = set()
+        self._wake = threading.Event()
+        self._stopping = threading.Event()
+        self._thread = threading.Thread(target=self._loop, name="midspan-ros1-master", daemon=True)
+
+    def start(self) -> None:
+        """Start following; the master may be away."""
+        self._wake.set()
+        self._thread.start()
+
+    def wake(self) -> None:
+        """Look again at once."""
+        self._wake.set()
+
+    def doubt(self, service: str) -> None:
+        """A service is not at the address that the master gave; the next look asks again."""
+        self._looker.doubt(service)
+
+    def evicted(self) -> None:
+        """Another node has our name: register nothing more, else the two would end each other in turn."""
+        self._evicted = True
+
+    def presence(self) -> NodeEntry:
+        """Our own entry."""
+        return NodeEntry(
+            self._ledger.owner, self._daemon, self._node.name, self._node.uri, os.getpid(), self._node.port
+        )
+
+    def stop(self) -> None:
+        """Unregister all that the master has of this node."""
+        self._stopping.set()
+        self._wake.set()
+        self._thread.join(_STOP_TIMEOUT)
+        client = XmlRpcClient(self.uri, _STOP_TIMEOUT)
+        with contextlib.closing(client):
+            try:
+                own = self.presence()
+                look = MasterReader(client, own.node).look()
+                for batch in _batches(removal_calls(look, [own])):
+                    client.calls(batch)
+                self._ledger.remember(None)
+            except Ros1Error as err:
+                _log.info("not unregistered, the master is away: %s", err)
+
+    def _loop(self) -> None:
+        while True:
+            self._wake.wait(_RETRY if self._failures == 1 else self._looker.pause(self._period))
+            self._wake.clear()
+            if self._stopping.is_set():
+                self._client.close()
+                return
+            try:
+                look = self._turn()
+            except Ros1Error as err:
+                self._failed(err)
+            else:
+                self._failures, self.trouble, self._answered = 0, "", time.monotonic()
+                self._seen(look)
+
+    def _turn(self) -> MasterState:
+        self.looked = time.monotonic()
+        look = self._looker.look()
+        if look.run != self._run_id:
+            self._join(look)
+            self.looked = time.monotonic()
+            look = self._looker.look()
+            self._run_id = look.run
+        self._guard_name(look)
+        calls = [] if self._evicted else self._missing(look)
+        self._refused &= {_what(call) for call in calls}
+        for batch in _batches(calls):
+            if self._stopping.is_set():
+                break
+            self._check(batch, self._client.calls(batch))
+        else:
+            self._ended.clear()
+        if calls:
+            self.looked = time.monotonic()
+            look = self._looker.look()
+        return look
+
+    def _failed(self, err: Ros1Error) -> None:
+        self._failures += 1
+        gone = isinstance(err, UnreachableError) and err.refused and self._failures >= _FAILURES
+        if gone or time.monotonic() - self._answered > _PATIENCE:
+            if not self.trouble:
+                _log.warning("the ROS 1 master is away: %s", err)
+            self.trouble = str(err)
+            self._run_id = None
+            self._seen(None)
+
+    # -- joining -------------------------------------------------------------------------------------------------------
+
+    def _join(self, look: MasterState) -> None:
+        own = self.presence()
+        dead = [e for e in self._ledger.predecessors(look, own) if not is_alive(own.node, e)]
+        for batch in _batches(removal_calls(look, dead)):
+            self._client.calls(batch)
+        gone = {e.uri for e in dead}
+        for _ in range(_SPARE_NAMES):
+            name = self._free_name(look, gone)
+            if name != self._node.name:
+                _log.info("the name %s is taken on this ROS 1 network; this node is %s", self._node.name, name)
+                self._node.rename(name)
+                self._looker.caller = name
+            # Another daemon may be choosing too: whoever then reads the other's entry takes another name.
+            own = self.presence()
+            self._client.calls([("setParam", (own.node, own.parameter, own.as_dict()))])
+            look = self._looker.look()
+            if self._free_name(look, gone) == name:
+                break
+        self._ledger.remember(self.presence())
+        self._agree_on_the_clock()
+        _log.info("joined the ROS 1 network %s as %s", look.network, name)
+
+    def _agree_on_the_clock(self) -> None:
+        """In a simulated run have new nodes use ``/clock``; otherwise read whether they do."""
+        if self._simulated:
+            self._client.calls([("setParam", (self._node.name, SIM_TIME, True))])
+        else:
+            (self.simulated,) = (bool(v) for v in self._client.calls([("getParam", (self._node.name, SIM_TIME))]))
+
+    def _free_name(self, look: MasterState, dead: set[str]) -> str:
+        """Our name, or a variant while another living node has it: the master would shut that one down."""
+        first = self._node.name
+        second = f"{first}_{re.sub(r'[^A-Za-z0-9_]', '_', self._daemon)}"
+        for name in (first, second, *(f"{second}_{n}" for n in range(2, 2 + _SPARE_NAMES))):
+            entries = [NodeEntry.parse(entry) for entry in look.presence.values()]
+            uris = {look.uris.get(name), *(e.uri for e in entries if e is not None and e.node == name)}
+            holders = {u for u in uris if u and u != self._node.uri and u not in dead}
+            if not any(self._answers(holder) for holder in holders):
+                return name
+        return f"{second}_{os.getpid()}"
+
+    def _guard_name(self, look: MasterState) -> None:
+        name = self._node.name
+        uri = look.uris.get(name, self._node.uri)
+        if uri != self._node.uri and not self._evicted and self._answers(uri):
+            self.evicted()
+            self._lost_name(f"another node, at {uri}, took the name {name} on this ROS 1 network")
+
+    def _answers(self, uri: str) -> bool:
+        try:
+            client = XmlRpcClient(uri, 1.0)
+            with contextlib.closing(client):
+                client.call("getPid", self._node.name)
+        except Ros1Error:
+            return False
+        return True
+
+    # -- registrations -------------------------------------------------------------------------------------------------
+
+    def _missing(self, look: MasterState) -> list[Call]:
+        """The calls that make the master's state of us what it should be."""
+        name, uri = self._node.name, self._node.uri
+        self._ended |= self._node.take_removed()
+        published, subscribed = self._node.publications(), self._node.subscriptions()
+        if self._own is None or self._own.look is not look:
+            self._own = _Own(
+                look,
+                *(
+                    frozenset(r.topic for r in registered if r.node == name and r.uri == uri)
+                    for registered in (look.publishers, look.subscribers)
+                ),
+            )
+        has_published, has_subscribed = self._own.published, self._own.subscribed
+        # A publication that ended and was made anew between two looks is told as both: a rospy subscriber whose
+        # connection broke comes again only when the master tells of a publisher that it did not have.
+        standing = has_published & published.keys() - self._ended
+        calls: list[Call] = [
+            *(("unregisterPublisher", (name, t, uri)) for t in has_published - standing),
+            *(("unregisterSubscriber", (name, t, uri)) for t in has_subscribed - subscribed.keys()),
+            *(("registerPublisher", (name, t, published[t], uri)) for t in published.keys() - standing),
+            *(("registerSubscriber", (name, t, subscribed[t], uri)) for t in subscribed.keys() - has_subscribed),
+            *self._service_calls(look),
+        ]
+        own = self.presence()
+        if NodeEntry.parse(look.presence.get(own.key)) != own:
+            calls.append(("setParam", (name, own.parameter, own.as_dict())))
+        return calls
+
+    def _service_calls(self, look: MasterState) -> list[Call]:
+        """Services differ from topics: a master knows one server of a name, and the last to register takes it over."""
+        name, uri, wanted = self._node.name, self._node.uri, self._node.services()
+        has = {link.topic: link.uri for link in look.servers if link.node == name}
+        taken = {link.topic for link in look.servers if link.node != name and not self._is_dead(link)}
+        return [
+            *(("unregisterService", (name, s, a)) for s, a in has.items() if a and wanted.get(s) != a),
+            *(("registerService", (name, s, a, uri)) for s, a in wanted.items() if has.get(s) != a and s not in taken),
+        ]
+
+    def _check(self, calls: Sequence[Call], values: Sequence[object]) -> None:
+        for call, value in zip(calls, values, strict=True):
+            what = _what(call)
+            if value is None and what not in self._refused:
+                _log.warning("the master refuses %s", what)
+                self._refused.add(what)
+            elif value is not None:
+                self._refused.discard(what)
+
+
+def _what(call: Call) -> str:
+    method, params = call
+    return f"{method} {params[1]}"
+
+
+def _batches(calls: Sequence[Call]) -> Iterator[Sequence[Call]]:
+    for at in range(0, len(calls), _BATCH):
+        yield calls[at : at + _BATCH]

@@ -1,0 +1,334 @@
+"""The Midspan nodes on a ROS 1 network: a master parameter per node, and this daemon's dead predecessors.
+
+Each node of ours has an entry below ``/midspan/nodes`` on the master: ``{owner, daemon, node, uri, pid, port}``. Its
+key comes from the node's address alone, so that two nodes of one name never write over each other's. ``owner`` is a
+random identity that stays in the state folder, so that a daemon knows its own dead selves again; what they left on the
+master is removed, and nobody else's.
+
+The nodes tell each other everything else over connections of their own, so that a death is known at once: the
+connection breaks. Each node connects to every other one's TCPROS port with the header field ``midspan_presence`` (the
+uri of the node that it seeks), is answered with the same field, and then receives that node's records: a little-endian
+32-bit length and so many bytes, each.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import logging
+import socket
+import struct
+import threading
+import time
+import uuid
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import asdict, dataclass
+from hashlib import sha256
+from pathlib import Path
+from typing import Any
+from urllib.parse import urlsplit
+
+from bridge.adapters.ros1.graph.state import PRESENCE, MasterState
+from bridge.adapters.ros1.handshake import Header, encode, read_exactly, read_header
+from bridge.adapters.ros1_peers import Call, DeadlineSocket, Ros1Error, Ros1ProtocolError, ask
+from bridge.routing.edge import Sighting
+from bridge.state_file import keep
+
+_LIVENESS_SECONDS = 1.0
+
+
+@dataclass(frozen=True, slots=True)
+class NodeEntry:
+    """One Midspan node on a ROS 1 network.
+
+    Attributes:
+        owner: random identity of the daemon's state folder.
+        daemon: the daemon's name, for people.
+        node: the node's name on the graph.
+        uri: the node's XML-RPC address.
+        pid: its process on its machine.
+        port: its TCPROS port, where it tells more; see `bridge.adapters.ros1.graph.presence`.
+    """
+
+    owner: str
+    daemon: str
+    node: str
+    uri: str
+    pid: int
+    port: int = 0
+
+    @property
+    def key(self) -> str:
+        """The last part of the entry's parameter name."""
+        return "node_" + sha256(self.uri.encode()).hexdigest()[:12]
+
+    @property
+    def parameter(self) -> str:
+        """The entry's parameter name."""
+        return f"{PRESENCE}/{self.key}"
+
+    def as_dict(self) -> dict[str, Any]:
+        """The entry as it stands on the master."""
+        return asdict(self)
+
+    @classmethod
+    def parse(cls, entry: Any) -> NodeEntry | None:
+        """Parse an entry of a master or the state folder; None if it is malformed."""
+        match entry:
+            case {
+                "owner": str(owner), "daemon": str(daemon), "node": str(node), "uri": str(uri), "pid": int(pid),
+            } if (owner + daemon + node + uri).isprintable():  # fmt: skip
+                port = entry.get("port")
+                return cls(owner, daemon, node, uri, pid, port if isinstance(port, int) else 0)
+        return None
+
+
+def others(look: MasterState, own: NodeEntry) -> list[NodeEntry]:
+    """The entries of all other nodes of Midspan's, dead ones among them."""
+    entries = [NodeEntry.parse(entry) for entry in look.presence.values()]
+    return [e for e in entries if e is not None and e.uri != own.uri]
+
+
+def is_alive(caller: str, entry: NodeEntry) -> bool:
+    """Whether an entry's node answers, and is the process that made the entry. Blocks up to a second."""
+    try:
+        return bool(ask(entry.uri, _LIVENESS_SECONDS, "getPid", caller) == entry.pid)
+    except Ros1Error:
+        return False
+
+
+def removal_calls(look: MasterState, dead: Iterable[NodeEntry]) -> list[Call]:
+    """The calls to the master that remove what dead nodes left there."""
+    calls: list[Call] = []
+    for entry in dead:
+        node, uri = entry.node, entry.uri
+        # The master ignores these where another process has taken the node's name meanwhile: its address differs.
+        for method, links in (("unregisterPublisher", look.publishers), ("unregisterSubscriber", look.subscribers)):
+            calls += [(method, (node, k.topic, uri)) for k in links if k.node == node and k.uri == uri]
+        calls += [
+            ("unregisterService", (node, k.topic, k.uri))
+            for k in look.servers
+            if k.node == node and k.uri.endswith(f":{entry.port}")
+        ]
+        if NodeEntry.parse(look.presence.get(entry.key)) == entry:
+            calls.append(("deleteParam", (node, entry.parameter)))
+    return calls
+
+
+class Ledger:
+    """What the state folder knows of this daemon's ROS 1 nodes."""
+
+    def __init__(self, folder: Path) -> None:
+        self._path = folder / "ros1.json"
+        saved = self._load()
+        owner = saved.get("owner")
+        self.owner = owner if isinstance(owner, str) and owner else uuid.uuid4().hex
+        self.last = NodeEntry.parse(saved.get("last"))
+
+    def remember(self, entry: NodeEntry | None) -> None:
+        """Note the node that now lives, None once it has stopped cleanly."""
+        if entry == self.last and self._path.exists():
+            return
+        self.last = entry
+        document = {"owner": self.owner, "last": entry.as_dict() if entry else None}
+        keep(self._path, json.dumps(document), "what a killed worker leaves on the master will stay there")
+
+    def predecessors(self, look: MasterState, own: NodeEntry) -> list[NodeEntry]:
+        """Entries of this daemon's earlier nodes, from the master and from the state folder."""
+        found = {e.uri: e for e in others(look, own) if e.owner == self.owner}
+        if self.last is not None and self.last.uri != own.uri:
+            found.setdefault(self.last.uri, self.last)
+        return list(found.values())
+
+    def _load(self) -> Mapping[str, Any]:
+        try:
+            document = json.loads(self._path.read_text())
+        except (OSError, ValueError, RecursionError):
+            return {}
+        return document if isinstance(document, dict) else {}
+
+
+# -- the connections between the nodes ---------------------------------------------------------------------------------
+
+_log = logging.getLogger(__name__)
+
+FIELD = "midspan_presence"
+"""Header field that asks for a node's records."""
+
+MAX_RECORD = 1 << 18
+_MAX_LINKS = 64
+_CONNECT_SECONDS = 1.0
+_RETRY_SECONDS = 0.3
+_AGAIN_SECONDS = 0.02
+_LENGTH = struct.Struct("<I")
+
+Caller = Callable[[], str]
+Changed = Callable[[], None]
+
+
+class NodeConnections:
+    """The connections of one node to all others and from them.
+
+    Args:
+        caller: our node's name now.
+        changed: called when another node came, left, or said something.
+        visited: called when another node has connected to us: it has an entry on the master by now.
+    """
+
+    def __init__(self, caller: Caller, changed: Changed, visited: Changed) -> None:
+        self._caller, self._changed, self._visited = caller, changed, visited
+        self._lock = threading.Lock()
+        self._out: dict[str, _NodeConnection] = {}
+        self._in: list[socket.socket] = []
+        self._record = b""
+        self._closed = False
+
+    def follow(self, entries: Iterable[NodeEntry]) -> None:
+        """Have a connection to each of these nodes; one that is no longer named keeps its connection while it lasts."""
+        with self._lock:
+            if self._closed:
+                return
+            named = {e.uri: e for e in entries}
+            for link in [k for k in self._out.values() if not k.alive and k.entry.uri not in named]:
+                link.close()
+                del self._out[link.entry.uri]
+            for uri, entry in named.items():
+                if uri not in self._out and len(self._out) < _MAX_LINKS:
+                    self._out[uri] = link = _NodeConnection(entry, self._caller, self._changed)
+                    link.start()
+
+    def sightings(self) -> Sequence[Sighting]:
+        """The nodes that live, or of which that is not known yet."""
+        with self._lock:
+            return [link.sighting() for link in self._out.values() if link.alive]
+
+    def living(self) -> list[NodeEntry]:
+        """The entries of the nodes that live."""
+        with self._lock:
+            return sorted((link.entry for link in self._out.values() if link.alive), key=lambda e: e.node)
+
+    def announce(self, record: bytes) -> None:
+        """Send a record to all connected nodes; one that does not read is disconnected, and reconnects."""
+        self._record = record
+        with self._lock:
+            self._in = [sock for sock in self._in if _send(sock, record)]
+
+    def admit(self, sock: DeadlineSocket, header: Header, own_uri: str) -> str:
+        """Take in a node that connected to us; "" or why it is not taken."""
+        if header[FIELD] != own_uri:
+            return "this is another node"
+        sock.sendall(encode({"callerid": self._caller(), FIELD: own_uri}))
+        sock.setblocking(False)
+        with self._lock:
+            if self._closed or len(self._in) >= _MAX_LINKS:
+                return "no more nodes are taken"
+            if not self._record or _send(sock, self._record):
+                self._in.append(sock)
+        self._visited()
+        return ""
+
+    def close(self) -> None:
+        """Cut all connections."""
+        with self._lock:
+            self._closed = True
+            links, self._out = list(self._out.values()), {}
+            visitors, self._in = self._in, []
+        for sock in visitors:
+            sock.close()
+        for link in links:
+            link.close()
+
+
+class _NodeConnection:
+    """The connection to one other node, and the thread that reads it."""
+
+    def __init__(self, entry: NodeEntry, caller: Caller, changed: Changed) -> None:
+        self.entry, self._caller, self._changed = entry, caller, changed
+        self.alive = True
+        self._record: bytes | None = None
+        self._heard = time.monotonic()
+        self._sock: DeadlineSocket | None = None
+        self._closing = threading.Event()
+        self._thread = threading.Thread(target=self._run, name="midspan-ros1-link", daemon=True)
+
+    def start(self) -> None:
+        """Start connecting."""
+        self._thread.start()
+
+    def sighting(self) -> Sighting:
+        """The node as the engine sees it."""
+        return Sighting(self.entry.uri, self._record, self._heard)
+
+    def close(self) -> None:
+        """Cut the connection."""
+        self._closing.set()
+        sock = self._sock
+        if sock is not None:
+            with contextlib.suppress(OSError):
+                sock.shutdown(socket.SHUT_RDWR)
+        self._thread.join(_CONNECT_SECONDS)
+
+    def _run(self) -> None:
+        while not self._closing.is_set():
+            try:
+                sock = self._connect()
+            except TimeoutError:
+                # It neither answers nor refuses: whoever asks is told when it was last heard.
+                pass
+            except (OSError, OverflowError, ValueError, Ros1Error) as err:
+                self._live(False, str(err))
+            else:
+                before = self._heard
+                with contextlib.suppress(OSError, Ros1ProtocolError):
+                    self._hear(sock)
+                sock.close()
+                if self._heard != before:
+                    # A node that lives is connected again at once; a dead one refuses.
+                    self._closing.wait(_AGAIN_SECONDS)
+                    continue
+            self._closing.wait(_RETRY_SECONDS)
+
+    def _connect(self) -> DeadlineSocket:
+        host = urlsplit(self.entry.uri).hostname or ""
+        deadline = time.monotonic() + _CONNECT_SECONDS
+        sock = DeadlineSocket.connected(host, self.entry.port, deadline)
+        try:
+            sock.sendall(encode({"callerid": self._caller(), FIELD: self.entry.uri}))
+            header = read_header(sock)
+        except BaseException:
+            sock.close()
+            raise
+        if header.get(FIELD) != self.entry.uri:
+            sock.close()
+            raise Ros1ProtocolError(header.get("error", "it is another node"))
+        return sock
+
+    def _hear(self, sock: DeadlineSocket) -> None:
+        self._sock = sock
+        sock.deadline = float("inf")
+        while not self._closing.is_set():
+            (length,) = _LENGTH.unpack(read_exactly(sock, _LENGTH.size))
+            if length > MAX_RECORD:
+                raise Ros1ProtocolError(f"a record of {length} bytes")
+            self._record, self._heard = read_exactly(sock, length), time.monotonic()
+            self._live(True)
+            self._changed()
+
+    def _live(self, alive: bool, why: str = "") -> None:
+        if alive != self.alive:
+            self.alive = alive
+            state = "is there" if alive else f"is gone: {why}"
+            _log.info("the Midspan node %s (%s) %s", self.entry.node, self.entry.daemon, state)
+            self._changed()
+
+
+def _send(sock: socket.socket, record: bytes) -> bool:
+    """Send a record without waiting; False, and the connection is closed, where it cannot be sent whole."""
+    data = _LENGTH.pack(len(record)) + record
+    try:
+        if socket.socket.send(sock, data) == len(data):
+            return True
+    except OSError:
+        pass
+    sock.close()
+    return False

@@ -1,0 +1,349 @@
+"""What each publisher and server on the graph is, asked by a TCPROS handshake, and who of ours follows them.
+
+The connection to a publisher stays open for a moment, and the subscription that follows takes it over. To the publisher
+it is a listener. Programs that wait for one before they publish (``get_num_connections`` of rospy, ``getOutputCount``
+of YARP's ports, which count one until they next write) send their first message there, some of them their only one.
+"""
+
+from __future__ import annotations
+
+import logging
+import threading
+import time
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Generic, Protocol, TypeVar
+
+from bridge.adapters.ros1.epoll_loop import EpollLoop
+from bridge.adapters.ros1.graph.state import Registration
+from bridge.adapters.ros1.handshake import ORIGIN_FIELD, Header, connect
+from bridge.adapters.ros1.peer_pool import PeerPool
+from bridge.adapters.ros1_peers import DeadlineSocket, Ros1Error, UnreachableError
+from bridge.concurrency import DelayedCalls
+
+_log = logging.getLogger(__name__)
+
+HANDSHAKE_SECONDS = 2.0
+
+HOLD_SECONDS = 1.0
+"""How long a publisher's connection waits for a subscription. Nothing is read meanwhile, so one that publishes some
+megabytes and waits for its listeners may wait for so long, once."""
+
+_FIRST_WAIT = 0.5
+_LONGEST_WAIT = 10.0
+
+
+@dataclass(frozen=True, slots=True)
+class Ros1Context:
+    """What all of the edge's endpoints share.
+
+    Attributes:
+        pool: threads for conversations with other nodes.
+        loop: reads connections.
+        timer: makes delayed calls.
+        node: our node's name now.
+        origin: the daemon's name.
+        found: called when something became known of a publisher or server.
+        limit: bytes of the longest message, request and reply.
+    """
+
+    pool: PeerPool
+    loop: EpollLoop
+    timer: DelayedCalls
+    node: Callable[[], str]
+    origin: str
+    found: Callable[[], None]
+    limit: int
+
+
+@dataclass(frozen=True, slots=True)
+class Facts:
+    """What a publisher or server announces in its connection header."""
+
+    type: str
+    md5: str
+    definition: str
+    latching: bool
+    native: bool
+
+    @classmethod
+    def of(cls, header: Header) -> Facts:
+        """The facts in a header."""
+        return cls(
+            header["type"],
+            header["md5sum"],
+            header.get("message_definition", ""),
+            header.get("latching", "0").strip() == "1",
+            ORIGIN_FIELD not in header,
+        )
+
+    def fits(self, md5: str) -> bool:
+        """Whether it is no Midspan's, and has the wanted type."""
+        return self.native and md5 in (self.md5, "*", "")
+
+
+@dataclass(slots=True)
+class _Attempt:
+    """How asking one goes: when next, and what went wrong; ``refused``: nobody listens there."""
+
+    due: float = 0.0
+    wait: float = _FIRST_WAIT
+    under_way: bool = False
+    trouble: str = ""
+    refused: bool = False
+
+
+ProbedConnection = tuple[DeadlineSocket, Header]
+"""A peer that has told what it is, and its header."""
+
+Handshake = Callable[[str, str, str, float], ProbedConnection]
+"""``handshake(caller, uri, topic, seconds)``: connect, up to and with the peer's header; raises `Ros1Error`."""
+
+
+class Prober:
+    """Asks every new publisher (or server) once, and those that do not answer again and again, ever more seldom.
+
+    Args:
+        changed: called with each one of which something else is known by now.
+        handshake: how they are asked.
+        kind: what they are called.
+        holds: whether a native one's connection is kept for `take` a while; else it is closed at once.
+    """
+
+    def __init__(
+        self,
+        context: Ros1Context,
+        changed: Callable[[Registration], None],
+        handshake: Handshake = connect,
+        kind: str = "publisher",
+        *,
+        holds: bool = False,
+    ) -> None:
+        self._pool, self._caller, self._timer = context.pool, context.node, context.timer
+        self._changed, self._handshake, self._kind, self._holds = changed, handshake, kind, holds
+        self._lock = threading.Lock()
+        self._facts: dict[Registration, Facts] = {}
+        self._open: dict[Registration, _Attempt] = {}
+        self._held: dict[Registration, ProbedConnection] = {}
+
+    def close(self) -> None:
+        """Close the connections that nobody took."""
+        with self._lock:
+            for link in list(self._held):
+                self._release(link)
+
+    def follow(self, links: frozenset[Registration]) -> None:
+        """Update the publishers that are on the graph, and ask those that are due."""
+        now = time.monotonic()
+        with self._lock:
+            for gone in self._facts.keys() - links:
+                del self._facts[gone]
+                self._release(gone)
+            for gone in self._open.keys() - links:
+                del self._open[gone]
+            for new in links - self._facts.keys() - self._open.keys():
+                self._open[new] = _Attempt()
+            due = [link for link, a in self._open.items() if link.uri and not a.under_way and a.due <= now]
+            for link in due:
+                self._open[link].under_way = True
+        for link in due:
+            self._pool.submit(link.uri, lambda link=link: self._probe(link))  # type: ignore[misc]
+
+    @property
+    def waiting(self) -> bool:
+        """Whether there are publishers of which nothing is known."""
+        return bool(self._open)
+
+    def facts(self, topic: str = "") -> Mapping[Registration, Facts]:
+        """What is known now, of one topic where one is given."""
+        with self._lock:
+            return {link: facts for link, facts in self._facts.items() if topic in ("", link.topic)}
+
+    def discard(self, link: Registration) -> None:
+        """Close the connection by which a publisher was asked, with what came by it: a base takes no old commands."""
+        with self._lock:
+            self._release(link)
+
+    def take(self, link: Registration) -> ProbedConnection | None:
+        """The connection by which a publisher was asked, while it is held; the caller's from now on."""
+        with self._lock:
+            return self._held.pop(link, None)
+
+    def doubt(self, link: Registration, trouble: str) -> None:
+        """A publisher broke off or changed: forget what is known of it until it is asked again."""
+        with self._lock:
+            if self._facts.pop(link, None) is None:
+                return
+            self._release(link)
+            self._open[link] = _Attempt(due=time.monotonic() + _FIRST_WAIT, trouble=trouble)
+        self._changed(link)
+
+    def check(self, link: Registration) -> None:
+        """Ask one again of which something is known; where it does not answer, it is doubted."""
+        self._pool.submit(link.uri, lambda: self._check(link))
+
+    def _check(self, link: Registration) -> None:
+        try:
+            sock, header = self._shake(link)
+        except Ros1Error as err:
+            self.doubt(link, str(err))
+        else:
+            sock.close()
+            self.learned(link, Facts.of(header))
+
+    def learned(self, link: Registration, facts: Facts) -> None:
+        """A publisher announced itself to a subscription that connected; it may have advertised anew."""
+        with self._lock:
+            if self._facts.get(link) in (None, facts):
+                return
+            self._facts[link] = facts
+        self._changed(link)
+
+    def troubles(self) -> dict[Registration, str]:
+        """Publishers that did not answer, and why."""
+        with self._lock:
+            return {link: a.trouble for link, a in self._open.items() if a.trouble}
+
+    def is_gone(self, link: Registration) -> bool:
+        """Whether the last attempt was refused: nobody listens there."""
+        with self._lock:
+            attempt = self._open.get(link)
+        return attempt is not None and attempt.refused
+
+    def _shake(self, link: Registration, *, held: bool = False) -> ProbedConnection:
+        # rospy drops an older connection of the same caller, so one that no subscription takes has another name.
+        caller = self._caller() if held else f"{self._caller()}_probe"
+        return self._handshake(caller, link.uri, link.topic, HANDSHAKE_SECONDS)
+
+    def _probe(self, link: Registration) -> None:
+        try:
+            sock, header = self._shake(link, held=self._holds)
+        except Ros1Error as err:
+            if isinstance(err, UnreachableError):
+                self._pool.failed(link.uri)
+            self._again(link, str(err), refused=isinstance(err, UnreachableError) and err.refused)
+            return
+        except Exception as err:
+            self._again(link, f"{type(err).__name__}: {err}")
+            raise
+        self._pool.answered(link.uri)
+        facts = Facts.of(header)
+        with self._lock:
+            known = self._open.pop(link, None) is not None
+            if known:
+                self._facts[link] = facts
+            if known and facts.native and self._holds:
+                self._release(link)
+                self._held[link] = sock, header
+                self._timer.after(HOLD_SECONDS, lambda: self._expire(link, sock))
+            else:
+                sock.close()
+        if known:
+            self._changed(link)
+
+    def _expire(self, link: Registration, sock: DeadlineSocket) -> None:
+        with self._lock:
+            if link in self._held and self._held[link][0] is sock:
+                self._release(link)
+
+    def _release(self, link: Registration) -> None:
+        """Close a connection that nobody took; called with the lock held."""
+        if (held := self._held.pop(link, None)) is not None:
+            held[0].close()
+
+    def _again(self, link: Registration, trouble: str, *, refused: bool = False) -> None:
+        with self._lock:
+            attempt = self._open.get(link)
+            if attempt is None:
+                return
+            if trouble != attempt.trouble:
+                _log.info(
+                    "the %s of %s in %s does not announce its type: %s", self._kind, link.topic, link.node, trouble
+                )
+            attempt.trouble, attempt.refused = trouble, refused
+            attempt.under_way = False
+            attempt.due = time.monotonic() + attempt.wait
+            attempt.wait = min(2 * attempt.wait, _LONGEST_WAIT)
+
+
+class FollowingEnd(Protocol):
+    """A subscription or a caller of ours."""
+
+    name: str
+
+    @property
+    def restless(self) -> bool:
+        """Whether it has a connection to make."""
+
+    def close(self) -> None:
+        """Give it back."""
+
+
+AnyEnd = TypeVar("AnyEnd", bound=FollowingEnd)
+
+
+class Follower(ABC, Generic[AnyEnd]):
+    """Informs our subscriptions (or callers) about the publishers (or servers) of their names.
+
+    Args:
+        handshake: how they are asked; see `Prober` for the others, too.
+    """
+
+    def __init__(
+        self, context: Ros1Context, handshake: Handshake = connect, kind: str = "publisher", *, holds: bool = False
+    ) -> None:
+        self._context = context
+        self.prober = Prober(context, self._probed, handshake, kind, holds=holds)
+        self._lock = threading.Lock()
+        self._following = threading.Lock()  # older knowledge must not be followed after newer
+        self._links: frozenset[Registration] = frozenset()
+        self._ends: set[AnyEnd] = set()
+
+    @abstractmethod
+    def _tell(self, end: AnyEnd, known: Mapping[Registration, Facts]) -> None:
+        """Inform one end."""
+
+    def take_up(self, links: frozenset[Registration]) -> None:
+        """Update the publishers, or servers, that the master lists; on its thread."""
+        changed, self._links = links != self._links, links
+        if changed or self.prober.waiting:
+            self.prober.follow(links)
+        with self._lock:
+            restless = any(end.restless for end in self._ends)
+        if changed or restless:
+            self.follow()
+
+    def follow(self, name: str = "") -> None:
+        """Inform our ends: all, or those of one name."""
+        with self._lock:
+            ends = [end for end in self._ends if name in ("", end.name)]
+        if not ends:
+            return
+        with self._following:
+            known: dict[str, dict[Registration, Facts]] = {}
+            for link, facts in self.prober.facts(name).items():
+                known.setdefault(link.topic, {})[link] = facts
+            for end in ends:
+                self._tell(end, known.get(end.name, {}))
+
+    def _add(self, end: AnyEnd) -> AnyEnd:
+        with self._lock:
+            self._ends.add(end)
+        self.follow(end.name)
+        return end
+
+    def _remove(self, end: AnyEnd) -> None:
+        with self._lock:
+            self._ends.discard(end)
+
+    def _probed(self, link: Registration) -> None:
+        self.follow(link.topic)
+        self._context.found()
+
+    def close(self) -> None:
+        """Close all of our ends."""
+        with self._lock:
+            ends, self._ends = list(self._ends), set()
+        for end in ends:
+            end.close()

@@ -1,0 +1,160 @@
+"""A master's state at one look, and how it is read."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from typing import Any, NamedTuple
+
+from bridge.adapters.ros1_peers import Ros1ProtocolError, XmlRpcClient
+
+_TRIES = 3
+
+_RATE = 200_000
+"""Bytes of its state that a master is asked for in a second. 500 topics make 250 kB, which take ``rosmaster`` 4 ms of
+Python: messages that have to wait for these are late, so they must be fewer than one in a hundred."""
+
+_LONGEST = 2.0
+"""Seconds between two looks at most, where the configuration does not ask for more."""
+
+PRESENCE = "/midspan/nodes"
+"""Master parameter under which every Midspan node says that it is there."""
+
+
+class Registration(NamedTuple):
+    """One node's registration for one topic or service.
+
+    Attributes:
+        node: the node's name.
+        topic: the topic's or service's name as it is registered.
+        uri: the node's XML-RPC address, of a service its own (``rosrpc://host:port``); "" where the master does not
+            know it.
+    """
+
+    node: str
+    topic: str
+    uri: str
+
+
+def publisher_id(link: Registration, *, latching: bool) -> str:
+    """Id of a publisher's endpoint; a node that advertises anew, now latched, is another publisher."""
+    return f"publisher {link.topic} {link.node} {link.uri}{' latched' if latching else ''}"
+
+
+@dataclass(frozen=True)
+class MasterState:
+    """A master's state at one look.
+
+    Attributes:
+        run: what changes when the master is started anew: its run id and its process.
+        network: identity of the ROS 1 network: the master's ``/run_id``, which roscore sets; a bare rosmaster's address
+            and process id.
+        uris: XML-RPC address of each node.
+        presence: the entries of `PRESENCE` by their key.
+    """
+
+    run: str
+    network: str
+    publishers: frozenset[Registration] = frozenset()
+    subscribers: frozenset[Registration] = frozenset()
+    servers: frozenset[Registration] = frozenset()
+    types: Mapping[str, str] = field(default_factory=dict)
+    uris: Mapping[str, str] = field(default_factory=dict)
+    presence: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
+
+
+class MasterReader:
+    """Reads a master's state; a look at an unchanged master costs one exchange and no parsing."""
+
+    def __init__(self, client: XmlRpcClient, caller: str) -> None:
+        self.caller = caller
+        self._client = client
+        self._size = 0
+        self._nodes: tuple[str, ...] = ()
+        self._answers: list[Any] = []
+        self._look: MasterState | None = None
+        self._servers: dict[Registration, str] = {}
+        self._doubted: set[str] = set()
+
+    def doubt(self, service: str) -> None:
+        """A service is not at the address that the master gave: the next look asks again. From any thread."""
+        self._doubted.add(service)
+
+    def pause(self, period: float) -> float:
+        """Seconds to the next look, at least ``period``: a master with a large state is asked less often."""
+        return max(period, min(self._size / _RATE, _LONGEST))
+
+    def look(self) -> MasterState:
+        """The master's state now; the very same object as the last time where nothing changed. Raises `Ros1Error`."""
+        try:
+            return self._try()
+        except (LookupError, TypeError, ValueError) as err:
+            self._nodes, self._answers, self._look = (), [], None
+            raise Ros1ProtocolError(f"the master's state is not what ROS 1's masters say: {err}") from None
+
+    def _try(self) -> MasterState:
+        for _ in range(_TRIES):
+            asked = self._nodes
+            answers = self._ask()
+            if answers == self._answers and self._look is not None and not self._doubted:
+                return self._look
+            self._nodes = tuple(sorted({node for kind in _state(answers) for _, names in kind for node in names}))
+            if self._nodes == asked:
+                break
+        # Where nodes came while their addresses were asked for, the next look asks again.
+        self._answers = answers if self._nodes == asked else []
+        look = _read(answers, asked)
+        look = replace(look, servers=self._addresses(_state(answers)[2], look.uris))
+        if look != self._look:
+            self._look = look
+        assert self._look is not None
+        return self._look
+
+    def _addresses(self, services: list[tuple[str, list[str]]], uris: Mapping[str, str]) -> frozenset[Registration]:
+        """Each service's server; its address is asked for once, again where its node is another or it is in doubt."""
+        there = {Registration(nodes[0], name, uris.get(nodes[0], "")) for name, nodes in services if nodes}
+        doubted, self._doubted = self._doubted, set()
+        self._servers = {k: uri for k, uri in self._servers.items() if k in there and k.topic not in doubted}
+        new = sorted(there - self._servers.keys())
+        found = self._client.calls([("lookupService", (self.caller, link.topic)) for link in new]) if new else []
+        self._servers |= {link: uri for link, uri in zip(new, found, strict=True) if isinstance(uri, str)}
+        return frozenset(Registration(k.node, k.topic, self._servers.get(k, "")) for k in there)
+
+    def _ask(self) -> list[Any]:
+        me, self._size = self.caller, 0  # one that is away is looked for as often as ever
+        answers = self._client.calls([
+            ("getSystemState", (me,)), ("getTopicTypes", (me,)), ("getParam", (me, "/run_id")),
+            ("getParam", (me, PRESENCE)), ("getPid", (me,)), ("getUri", (me,)),
+            *(("lookupNode", (me, node)) for node in self._nodes),
+        ])  # fmt: skip
+        self._size = self._client.size
+        return answers
+
+
+def _read(answers: list[Any], nodes: tuple[str, ...]) -> MasterState:
+    types, run_id, presence, pid, uri = answers[1:6]
+    uris = {n: u for n, u in zip(nodes, answers[6:], strict=True) if isinstance(u, str)}
+    publishers, subscribers, _ = _state(answers)
+    network = run_id if isinstance(run_id, str) and run_id else f"{uri}#{pid}"
+    return MasterState(
+        run=f"{network}#{pid}",
+        network=network,
+        publishers=_links(publishers, uris),
+        subscribers=_links(subscribers, uris),
+        types={str(name): str(type_) for name, type_ in types or ()},
+        uris=uris,
+        presence={k: v for k, v in presence.items() if isinstance(v, dict)} if isinstance(presence, dict) else {},
+    )
+
+
+_State = tuple[list[tuple[str, list[str]]], ...]
+
+
+def _state(answers: list[Any]) -> _State:
+    """Publishers, subscribers and services, each as pairs of a name and its nodes."""
+    kinds = answers[0] if isinstance(answers[0], list) else [[], [], []]
+    return tuple([(str(name), [str(n) for n in nodes]) for name, nodes in kind] for kind in kinds[:3])
+
+
+def _links(kind: list[tuple[str, list[str]]], uris: Mapping[str, str]) -> frozenset[Registration]:
+    return frozenset(Registration(node, topic, uris.get(node, "")) for topic, nodes in kind for node in nodes)

@@ -1,0 +1,101 @@
+"""Threads for conversations with other nodes, so that dead and slow ones delay nobody else."""
+
+from __future__ import annotations
+
+import logging
+import threading
+from collections import deque
+from collections.abc import Callable
+
+from bridge.concurrency import WorkerPool
+
+_log = logging.getLogger(__name__)
+
+AT_ONCE = 2
+"""Conversations with one address at a time. rospy's TCPROS server and roscpp's XML-RPC server let five connections wait
+(``listen(5)``). Of more at once some are dropped, and come again a second later by TCP's own clock: those of other
+nodes too."""
+
+Job = Callable[[], None]
+
+
+class PeerPool:
+    """Two pools of threads: one for addresses that answered or were not yet asked, one for those that failed lately.
+
+    A job whose address has failed since it was queued changes pools, so dead nodes keep only each other waiting.
+    """
+
+    def __init__(self, fresh: int = 48, doubtful: int = 4) -> None:
+        self._fresh = WorkerPool(fresh, "midspan-ros1-fresh")
+        self._doubtful = WorkerPool(doubtful, "midspan-ros1-doubtful")
+        self._lock = threading.Lock()
+        self._lines: dict[str, _PeerJobs] = {}
+        self._failed: set[str] = set()
+
+    def submit(self, address: str, job: Job) -> None:
+        """Run a job that talks to ``address`` soon."""
+        with self._lock:
+            line = self._lines.setdefault(address, _PeerJobs())
+            line.jobs.append(job)
+            if line.talking == AT_ONCE:
+                return
+            line.talking += 1
+        self._go_on(address, line)
+
+    def _go_on(self, address: str, line: _PeerJobs) -> None:
+        """Run the next job of an address's."""
+        if self._is_doubtful(address):
+            self._doubtful.submit(lambda: self._talk(address, line))
+        else:
+            self._fresh.submit(
+                lambda: self._go_on(address, line) if self._is_doubtful(address) else self._talk(address, line)
+            )
+
+    def _talk(self, address: str, line: _PeerJobs) -> None:
+        with self._lock:
+            job = line.jobs.popleft() if line.jobs else lambda: None  # another thread took it
+        try:
+            job()
+        except Exception:
+            _log.exception("a conversation with a ROS 1 node failed unexpectedly")
+        finally:
+            with self._lock:
+                more = bool(line.jobs)
+                if not more:
+                    line.talking -= 1
+                if not line.talking:
+                    del self._lines[address]
+            if more:
+                self._go_on(address, line)
+
+    def failed(self, address: str) -> None:
+        """An address did not answer."""
+        with self._lock:
+            self._failed.add(address)
+
+    def answered(self, address: str) -> None:
+        """An address did answer."""
+        with self._lock:
+            self._failed.discard(address)
+
+    def forget(self, alive: set[str]) -> None:
+        """Drop what is remembered of addresses that left the graph."""
+        with self._lock:
+            self._failed &= alive
+
+    def stop(self) -> None:
+        """Run nothing more; jobs under way end by their own deadlines."""
+        self._fresh.close()
+        self._doubtful.close()
+
+    def _is_doubtful(self, address: str) -> bool:
+        with self._lock:
+            return address in self._failed
+
+
+class _PeerJobs:
+    """The jobs of one address that wait, and how many threads take them."""
+
+    def __init__(self) -> None:
+        self.jobs: deque[Job] = deque()
+        self.talking = 0

@@ -1,0 +1,1 @@
+"""ROS 1 services: callers and servers, as raw bytes."""

@@ -1,0 +1,315 @@
+"""Calling a ROS 1 server: persistent connections, of which each call has one to itself.
+
+A connection is kept open while nothing is called, so that the death of a server is known before the next call.
+"""
+
+from __future__ import annotations
+
+import logging
+import socket
+import threading
+import time
+from collections.abc import Callable
+from typing import NamedTuple
+
+from bridge.adapters.ros1.epoll_loop import EpollLoop
+from bridge.adapters.ros1.graph.probe import Ros1Context
+from bridge.adapters.ros1.graph.state import Registration
+from bridge.adapters.ros1.handshake import connect_service
+from bridge.adapters.ros1.services.connection import LENGTH, ServiceConnection
+from bridge.adapters.ros1_peers import ExhaustedError, Ros1Error, UnreachableError, unanswered
+from bridge.hub.endpoints.calls import Abandon, CallError, Done
+from bridge.messages.transcode.conversion import SideType
+
+_log = logging.getLogger(__name__)
+
+MAX_CALLS = 1000
+"""Calls of one service that are under way at most; each has a connection."""
+
+_MAX_ERROR = 64 * 1024
+_KEPT = 8
+_CONNECT_SECONDS = 10.0
+_FIRST_WAIT = 0.2
+_LONGEST_WAIT = 5.0
+
+Doubt = Callable[[Registration, str], None]
+"""``doubt(link, trouble)``: a server did not answer, or is not what it was."""
+
+
+class _Pending:
+    """One call that is under way; it ends once, whoever is first to end it."""
+
+    def __init__(self, request: bytes, done: Done, over: Callable[[_Pending], None]) -> None:
+        self.request = request
+        self.connection: _ServerConnection | None = None
+        self._done: Done | None = done
+        self._over = over
+        self._lock = threading.Lock()
+
+    @property
+    def waits(self) -> bool:
+        """Whether its end is still wanted."""
+        return self._done is not None
+
+    def finish(self, result: bytes | CallError) -> None:
+        """Tell the end, unless it has ended before."""
+        done = self._take()
+        if done is not None:
+            done(result)
+
+    def abandon(self) -> None:
+        """The caller is gone: a ROS 1 server learns that by its connection alone."""
+        if self._take() is not None and self.connection is not None:
+            self.connection.cut()
+
+    def _take(self) -> Done | None:
+        with self._lock:
+            done, self._done = self._done, None
+        if done is not None:
+            self._over(self)
+        return done
+
+
+class _ServerConnection(ServiceConnection):
+    """One connection to a server, ready for one call at a time."""
+
+    head = 5
+
+    def __init__(self, sock: socket.socket, link: Registration, owner: Ros1Caller, loop: EpollLoop, limit: int) -> None:
+        super().__init__(sock, loop, limit)
+        self.link = link
+        self._owner = owner
+        self._pending: _Pending | None = None
+
+    def begin(self, pending: _Pending) -> bool:
+        """Send a call's request; False where nothing of it was sent, since the connection is over."""
+        with self._lock:
+            if self._over:
+                return False
+            self._pending, pending.connection = pending, self
+        request = pending.request
+        if self.send(LENGTH.pack(len(request)), request):
+            return True
+        with self._lock:
+            unsent, self._pending = self._pending is pending, None
+        self.cut()
+        return not unsent
+
+    def _message(self, head: bytes, body: bytes) -> None:
+        pending, self._pending = self._pending, None
+        if pending is None:
+            self.end("sent something without being asked")
+            return
+        if head[0]:
+            pending.finish(body)
+        else:
+            reason = body[:_MAX_ERROR].decode(errors="replace")
+            pending.finish(CallError(reason or "the server says that it failed, and gives no reason"))
+        # It may have answered before it had the whole request, or send or close right behind the answer.
+        if self.is_at_rest():
+            self._owner.freed(self, served=True)
+        else:
+            self.cut()
+
+    def _too_large(self, size: int) -> bool:
+        pending, self._pending = self._pending, None
+        trouble = f"announced a reply of {size} bytes, limits.message allows {self._limit}"
+        if pending is not None:
+            pending.finish(CallError(f"the server {self.link.node} {trouble}"))
+        self.end(trouble)
+        return False
+
+    def _ended(self, trouble: str) -> None:
+        with self._lock:
+            pending, self._pending = self._pending, None
+        if pending is not None:
+            pending.finish(CallError(f"the server {self.link.node} {trouble} before it answered"))
+        self._owner.lost(self, trouble)
+
+
+class CallerLoad(NamedTuple):
+    """How busy a caller is: its calls that have not ended, its connections, and those of them that wait for a call."""
+
+    calls: int
+    connections: int
+    idle: int
+
+
+class Ros1Caller:
+    """Calls the server of one name that has one type; see `bridge.routing.edge.EdgeCaller`."""
+
+    def __init__(
+        self,
+        context: Ros1Context,
+        name: str,
+        side_type: SideType,
+        doubt: Doubt,
+        closed: Callable[[Ros1Caller], None],
+    ) -> None:
+        self.name, self.md5 = name, side_type.type_id
+        self._context, self._pool, self._doubt, self._on_closed = context, context.pool, doubt, closed
+        self._lock = threading.Lock()
+        self._link: Registration | None = None
+        self._connections: set[_ServerConnection] = set()
+        self._free: list[_ServerConnection] = []
+        self._calls: set[_Pending] = set()
+        self._warming = False
+        self._due, self._wait = 0.0, _FIRST_WAIT
+        self._closed = False
+
+    @property
+    def restless(self) -> bool:
+        """Whether a connection is to be made."""
+        return self._link is not None and not self._connections and not self._warming
+
+    @property
+    def load(self) -> CallerLoad:
+        """How busy it is now."""
+        with self._lock:
+            return CallerLoad(len(self._calls), len(self._connections), len(self._free))
+
+    def follow(self, link: Registration | None) -> None:
+        """The server's registration now; None without one."""
+        with self._lock:
+            if self._closed:
+                return
+            moved = link != self._link
+            if moved:
+                self._link, self._due, self._wait = link, 0.0, _FIRST_WAIT
+            old, self._free = (self._free, []) if moved else ([], self._free)
+        for connection in old:
+            connection.cut()
+        self._warm()
+
+    def call(self, request: bytes, done: Done) -> Abandon:
+        """See `bridge.routing.edge.EdgeCaller.call`."""
+        pending = _Pending(request, done, self._over)
+        with self._lock:
+            trouble = self._why_not()
+            if not trouble:
+                self._calls.add(pending)
+        if trouble:
+            pending.finish(CallError(trouble))
+        else:
+            self._begin(pending)
+        return pending.abandon
+
+    def close(self) -> None:
+        """See `bridge.routing.edge.EdgeCaller.close`."""
+        self._on_closed(self)
+        with self._lock:
+            self._closed, self._link = True, None
+            calls, connections = list(self._calls), list(self._connections)
+        for pending in calls:
+            pending.finish(CallError(f"{self.name} no longer crosses"))
+        for connection in connections:
+            connection.cut()
+
+    def freed(self, connection: _ServerConnection, *, served: bool) -> None:
+        """A line is ready for a call; ``served``: it has carried one."""
+        with self._lock:
+            keep = not self._closed and connection.link == self._link and len(self._free) < _KEPT
+            if keep:
+                self._free.append(connection)
+            if served:
+                self._due, self._wait = 0.0, _FIRST_WAIT
+        if not keep:
+            connection.cut()
+
+    def lost(self, connection: _ServerConnection, trouble: str) -> None:
+        """A line is over."""
+        _log.debug("%s: connection to %s: it %s", self.name, connection.link.node, trouble)
+        with self._lock:
+            self._connections.discard(connection)
+            if connection in self._free:
+                self._free.remove(connection)
+        self._warm()
+
+    def _why_not(self) -> str:
+        """Why a call cannot begin now, "" where it can. With the lock held."""
+        if self._closed:
+            return f"{self.name} no longer crosses"
+        if self._link is None:
+            return f"{self.name} has no server on ROS 1 now"
+        if len(self._calls) >= MAX_CALLS:
+            return f"{self.name} is busy: {MAX_CALLS} calls are under way"
+        return ""
+
+    def _over(self, pending: _Pending) -> None:
+        with self._lock:
+            self._calls.discard(pending)
+
+    def _begin(self, pending: _Pending) -> None:
+        while (connection := self._take()) is not None:
+            if connection.begin(pending):
+                return
+        threading.Thread(target=self._begin_anew, args=(pending,), name="midspan-ros1-call", daemon=True).start()
+
+    def _take(self) -> _ServerConnection | None:
+        with self._lock:
+            return self._free.pop() if self._free else None
+
+    def _begin_anew(self, pending: _Pending) -> None:
+        link = self._link
+        if link is None:
+            pending.finish(CallError(f"{self.name} no longer has a server on ROS 1"))
+            return
+        try:
+            connection = self._connect(link)
+        except Ros1Error as err:
+            pending.finish(CallError(f"the server {link.node} of {self.name} cannot be called: {err}"))
+            self._suspect(link, err)
+            return
+        if not pending.waits:
+            connection.start()
+            self.freed(connection, served=False)
+        elif connection.begin(pending):
+            connection.start()
+        else:
+            connection.end("closed the connection")
+            pending.finish(CallError(f"the server {link.node} of {self.name} closed the connection at once"))
+
+    def _connect(self, link: Registration) -> _ServerConnection:
+        """A new line; raises `Ros1Error`. Blocks for a while."""
+        fields = {"md5sum": self.md5, "persistent": "1"}
+        sock, _ = connect_service(self._context.node(), link.uri, link.topic, _CONNECT_SECONDS, **fields)
+        try:
+            connection = _ServerConnection(sock, link, self, self._context.loop, self._context.limit)
+        except OSError as err:
+            sock.close()
+            raise unanswered(f"{link.topic} broke off", err) from None
+        with self._lock:
+            self._connections.add(connection)
+        return connection
+
+    def _suspect(self, link: Registration, err: Ros1Error) -> None:
+        if isinstance(err, ExhaustedError):
+            return
+        if isinstance(err, UnreachableError):
+            self._pool.failed(link.uri)
+        self._doubt(link, str(err))
+
+    # -- the connection that is kept open ------------------------------------------------------------------------------
+
+    def _warm(self) -> None:
+        """Have a connection, so that the next call is quick and a death is noticed; soon, where it did not last."""
+        now = time.monotonic()
+        with self._lock:
+            link = self._link
+            if link is None or self._connections or self._warming or self._due > now:
+                return
+            self._warming = True
+            self._due, self._wait = now + self._wait, min(2 * self._wait, _LONGEST_WAIT)
+        self._pool.submit(link.uri, lambda: self._warmed(link))
+
+    def _warmed(self, link: Registration) -> None:
+        try:
+            connection = self._connect(link)
+        except Ros1Error as err:
+            self._suspect(link, err)
+            return
+        finally:
+            self._warming = False
+        self._pool.answered(link.uri)
+        connection.start()
+        self.freed(connection, served=False)

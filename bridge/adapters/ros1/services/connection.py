@@ -1,0 +1,219 @@
+"""Connections that carry calls: the loop reads them, any thread writes.
+
+After its header a connection to a service carries one call at a time (https://wiki.ros.org/ROS/TCPROS,
+https://wiki.ros.org/roscpp/Overview/Services): the request is a little-endian 32-bit length and so many bytes; the
+reply a byte that says whether the call succeeded, a length, and the reply or the error's text.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import logging
+import socket
+import struct
+import threading
+from abc import abstractmethod
+from typing import ClassVar
+
+from bridge.adapters.ros1.epoll_loop import EpollLoop, PolledConnection
+
+_log = logging.getLogger(__name__)
+
+LENGTH = struct.Struct("<I")
+
+_CHUNK = 64 * 1024
+"""Bytes of the longest message that the common thread reads itself: a longer one must not hold up the others."""
+
+_TRUSTED = 16 * 2**20
+"""Bytes for which room is made because they are announced; for more, only as they come."""
+
+_NOW = socket.MSG_DONTWAIT
+_STOPS = "was closed, since the bridge stops"
+
+
+class ServiceConnection(PolledConnection):
+    """One connection. Only the thread that reads it closes its descriptor; the others cut it, and that thread sees."""
+
+    head: ClassVar[int]
+    """Bytes before a message's body; the last four of them are the body's length."""
+
+    def __init__(self, sock: socket.socket, loop: EpollLoop, limit: int) -> None:
+        sock.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        super().__init__(sock)
+        self._loop, self._limit = loop, limit
+        self._over = False
+        self._buffer = b""
+        self._size = 0
+        self._skip = 0
+        self._sending = False
+
+    @abstractmethod
+    def _message(self, head: bytes, body: bytes) -> None:
+        """A whole message came. On the reading thread."""
+
+    @abstractmethod
+    def _too_large(self, size: int) -> bool:
+        """A message is announced that is longer than the limit; whether to read on, past it."""
+
+    def _skipped(self, size: int) -> None:
+        """A message that is longer than the limit is behind us."""
+
+    @abstractmethod
+    def _ended(self, trouble: str) -> None:
+        """The connection is over; ``trouble`` as in "the peer <trouble>". On the reading thread, once."""
+
+    def _sent(self) -> None:
+        """All that was to be sent is on its way. On any thread."""
+
+    def start(self) -> None:
+        """Begin to read. On the thread that reads until then."""
+        try:
+            trouble = "" if self._loop.add(self) else _STOPS
+        except OSError as err:
+            trouble = f"cannot be read: {err}"
+        if trouble:
+            self.end(trouble)
+
+    def cut(self) -> None:
+        """Break the connection; what was sent still goes out. From any thread, also twice."""
+        with self._lock:
+            if not self._over:
+                with contextlib.suppress(OSError):
+                    self._sock.shutdown(socket.SHUT_RDWR)
+
+    def end(self, trouble: str) -> None:
+        """Close the connection. On the reading thread alone."""
+        with self._lock:
+            if self._over:
+                return
+            self._over = True
+            self._loop.remove(self)
+            with contextlib.suppress(OSError):
+                self._sock.shutdown(socket.SHUT_RDWR)
+            self._sock.close()
+        self._ended(trouble)
+
+    def send(self, *parts: bytes) -> bool:
+        """Send without waiting: now what the socket takes, the rest on a thread. False where nothing can be sent."""
+        with self._lock:
+            if self._over:
+                return False
+            try:
+                sent = self._sock.sendmsg(parts, [], _NOW)
+            except BlockingIOError:
+                sent = 0
+            except OSError:
+                return False
+            rest = memoryview(b"".join(parts))[sent:] if sent < sum(map(len, parts)) else None
+            if rest is not None:
+                try:
+                    copy = self._sock.dup()
+                except OSError:  # no descriptor left
+                    return False
+                self._sending = True
+        if rest is None:
+            self._sent()
+        else:
+            threading.Thread(target=self._send_rest, args=(copy, rest), name="midspan-ros1-send", daemon=True).start()
+        return True
+
+    def _send_rest(self, copy: socket.socket, rest: memoryview) -> None:
+        try:
+            with copy:
+                copy.sendall(rest)
+        except OSError:
+            self.cut()
+        else:
+            with self._lock:
+                self._sending = False
+            self._sent()
+
+    def is_at_rest(self) -> bool:
+        """Whether all is sent, and nothing more has come in, not even the end. On the reading thread."""
+        with self._lock:
+            if self._sending:
+                return False
+        try:
+            self._sock.recv(1, _NOW | socket.MSG_PEEK)
+        except BlockingIOError:
+            return True
+        except OSError:
+            pass
+        return False
+
+    def take(self) -> None:
+        """See `PolledConnection`."""
+        try:
+            self.ready()
+        except Exception as err:
+            _log.exception("a call failed unexpectedly")
+            self.end(f"failed here: {type(err).__name__}: {err}")
+
+    def abandon(self) -> None:
+        """See `PolledConnection`."""
+        self.end(_STOPS)
+
+    def ready(self) -> None:
+        """Read what is there, up to the end of one message. On the reading thread."""
+        wanted = self._skip or (self._size if len(self._buffer) >= self.head else self.head) - len(self._buffer)
+        try:
+            data = self._sock.recv(min(wanted, _CHUNK), _NOW)
+        except BlockingIOError:
+            return
+        except OSError as err:
+            self.end(f"broke off: {err}")
+            return
+        if not data:
+            self.end("closed the connection")
+        elif self._skip:
+            self._skip -= len(data)
+            if not self._skip:
+                self._skipped(self._size - self.head)
+                self._buffer = b""
+        else:
+            self._buffer += data
+            self._advance()
+
+    def _advance(self) -> None:
+        if len(self._buffer) == self.head:
+            (size,) = LENGTH.unpack_from(self._buffer, self.head - 4)
+            self._size = self.head + size
+            if size > self._limit:
+                if self._too_large(size):
+                    self._skip = size
+                return
+            if size > _CHUNK:
+                self._loop.remove(self)
+                threading.Thread(target=self._read_large, name="midspan-ros1-large", daemon=True).start()
+                return
+            if size:
+                self.ready()
+                return
+        if len(self._buffer) >= self.head and len(self._buffer) == self._size:
+            self._whole(self._buffer[: self.head], self._buffer[self.head :])
+
+    def _whole(self, head: bytes, body: bytes) -> None:
+        self._buffer = b""
+        self._message(head, body)
+
+    def _read_large(self) -> None:
+        """Read one large body, and hand the connection back to the loop."""
+        left, parts = self._size - self.head, []
+        try:
+            while left:
+                data = self._sock.recv(min(left, _TRUSTED), socket.MSG_WAITALL)
+                if not data:
+                    self.end("closed the connection")
+                    return
+                parts.append(data)
+                left -= len(data)
+            self._whole(self._buffer, parts[0] if len(parts) == 1 else b"".join(parts))
+        except OSError as err:
+            self.end(f"broke off: {err}")
+            return
+        except Exception as err:
+            _log.exception("a large message failed unexpectedly")
+            self.end(f"failed here: {type(err).__name__}: {err}")
+            return
+        if not self._over:
+            self.start()

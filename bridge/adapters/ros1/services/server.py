@@ -1,0 +1,272 @@
+"""Serving on ROS 1: our node's services, and the connections of their clients."""
+
+from __future__ import annotations
+
+import logging
+import select
+import socket
+import threading
+from collections.abc import Callable, Iterable
+
+from bridge.adapters.ros1.epoll_loop import EpollLoop
+from bridge.adapters.ros1.graph.probe import Ros1Context
+from bridge.adapters.ros1.handshake import ORIGIN_FIELD, Header, encode
+from bridge.adapters.ros1.services.connection import LENGTH, ServiceConnection
+from bridge.adapters.ros1_peers import DeadlineSocket
+from bridge.hub.endpoints.calls import Abandon, Call, CallError
+from bridge.messages.errors import MessageTypeError
+from bridge.messages.transcode.conversion import SideType
+
+_log = logging.getLogger(__name__)
+
+MAX_CLIENTS = 1000
+"""Connections to one service at most; each carries one call at a time."""
+
+_NEEDED = ("md5sum", "callerid")
+_YES = ("1", "true")
+
+
+class _ClientConnection(ServiceConnection):
+    """One client's connection."""
+
+    head = 4
+
+    def __init__(
+        self, sock: socket.socket, server: Ros1Server, loop: EpollLoop, limit: int, *, persistent: bool
+    ) -> None:
+        super().__init__(sock, loop, limit)
+        self._server, self._persistent = server, persistent
+        self._state = threading.Lock()
+        self._turn = self._left = 0
+        self._waits = False
+        self._busy = False
+        self._abandon: Abandon | None = None
+
+    def ready(self) -> None:
+        """Read a request; during a call only the client's leaving counts."""
+        if not self._busy:
+            super().ready()
+        else:
+            poll = select.poll()
+            poll.register(self, select.POLLRDHUP)
+            if poll.poll(0):
+                self.end("left")
+
+    def close(self, why: str) -> None:
+        """Answer the call that is under way with an error, and close."""
+        abandon, turn = self._take()
+        if abandon is not None:
+            abandon()
+        if turn:
+            self._persistent = False
+            self._reply(CallError(why))
+        else:
+            self.cut()
+
+    def _message(self, head: bytes, body: bytes) -> None:  # noqa: ARG002 - a request's head is its length alone
+        with self._state:
+            self._turn += 1
+            turn = self._turn
+            self._waits = self._busy = True
+        self._loop.listen(self, data=False)
+        if not self._server.is_open:
+            self._done(turn, CallError(self._server.gone))
+            return
+        try:
+            abandon = self._server.call(body, lambda result: self._done(turn, result))
+        except Exception as err:
+            _log.exception("a call of %s failed unexpectedly", self._server.name)
+            self._done(turn, CallError(f"failed here: {type(err).__name__}: {err}"))
+            return
+        with self._state:
+            if self._waits and self._turn == turn:
+                self._abandon = abandon
+            left = self._left == turn
+        if left:
+            abandon()
+
+    def _too_large(self, size: int) -> bool:  # noqa: ARG002 - its size is told when it is read past
+        return True
+
+    def _skipped(self, size: int) -> None:
+        # Told only now: a connection that closes on unread bytes takes the error with it.
+        self._busy = True
+        self._loop.listen(self, data=False)
+        self._reply(CallError(f"the request has {size} bytes, limits.message allows {self._limit}"))
+
+    def _done(self, turn: int, result: bytes | CallError) -> None:
+        """A call has ended, on any thread; what comes twice, or after the client has left, is dropped."""
+        if self._take(turn)[1]:
+            self._reply(result)
+
+    def _take(self, turn: int = 0) -> tuple[Abandon | None, int]:
+        """End the wait for a reply, that of one turn alone where one is given: how to abandon it, and its turn."""
+        with self._state:
+            if not self._waits or turn not in (0, self._turn):
+                return None, 0
+            self._waits = False
+            abandon, self._abandon = self._abandon, None
+            if not turn and abandon is None:
+                self._left = self._turn  # the call is just being made: who makes it abandons it
+            return abandon, self._turn
+
+    def _reply(self, result: bytes | CallError) -> None:
+        if isinstance(result, bytes) and len(result) > self._limit:
+            result = CallError(f"the reply has {len(result)} bytes, limits.message allows {self._limit}")
+        ok, body = (b"\1", result) if isinstance(result, bytes) else (b"\0", str(result).encode(errors="replace"))
+        if not self.send(ok + LENGTH.pack(len(body)), body):
+            self.cut()
+
+    def _sent(self) -> None:
+        if self._persistent:
+            self._busy = False
+            self._loop.listen(self, data=True)
+        else:
+            self.cut()
+
+    def _ended(self, trouble: str) -> None:
+        abandon, turn = self._take()
+        if turn:
+            _log.debug("a client of %s %s", self._server.name, trouble)
+        if abandon is not None:
+            abandon()
+        self._server.left(self)
+
+
+class Ros1Server:
+    """One service that our node serves; see `bridge.routing.edge.EdgeServer`."""
+
+    def __init__(self, name: str, side_type: SideType, call: Call, closed: Callable[[Ros1Server], None]) -> None:
+        self.name, self.side_type, self.call = name, side_type, call
+        self.gone = f"{name} is no longer served"
+        self._closed = closed
+        self._lock = threading.Lock()
+        self._clients: set[_ClientConnection] = set()
+        self._open = True
+
+    @property
+    def is_open(self) -> bool:
+        """Whether calls are taken."""
+        return self._open
+
+    @property
+    def clients(self) -> int:
+        """Clients that are connected."""
+        return len(self._clients)
+
+    @property
+    def is_full(self) -> bool:
+        """Whether there is no room for one more client."""
+        return self.clients >= MAX_CLIENTS
+
+    def add(self, client: _ClientConnection) -> bool:
+        """Take a client in, unless the service is no longer served."""
+        with self._lock:
+            if self._open:
+                self._clients.add(client)
+            return self._open
+
+    def left(self, client: _ClientConnection) -> None:
+        """A client's connection is over."""
+        with self._lock:
+            self._clients.discard(client)
+
+    def close(self) -> None:
+        """See `bridge.routing.edge.EdgeServer.close`."""
+        with self._lock:
+            if not self._open:
+                return
+            self._open = False
+            clients = list(self._clients)
+        self._closed(self)
+        for client in clients:
+            client.close(self.gone)
+
+
+class ServiceServers:
+    """All that our node serves.
+
+    Args:
+        changed: called when a service came or went: the master is to know.
+    """
+
+    def __init__(self, context: Ros1Context, changed: Callable[[], None]) -> None:
+        self._context, self._changed = context, changed
+        self._lock = threading.Lock()
+        self._servers: dict[str, Ros1Server] = {}
+
+    def open(self, name: str, side_type: SideType, call: Call) -> Ros1Server:
+        """Serve a service; raises `MessageTypeError`."""
+        if not side_type.type_id or side_type.type_id == "*":
+            raise MessageTypeError(
+                f"the md5 sum of {side_type.name} is not known, ROS 1 clients would refuse it",
+                "give the type's .srv folder under types.folders",
+            )
+        server = Ros1Server(name, side_type, call, self._gone)
+        with self._lock:
+            if name in self._servers:
+                raise MessageTypeError(
+                    f"{name} is already served on ROS 1 as {self._servers[name].side_type.name}",
+                    "rename one of the two by a rule: a ROS 1 service has one server",
+                )
+            self._servers[name] = server
+        self._changed()
+        return server
+
+    def names(self) -> Iterable[str]:
+        """The services that are served now."""
+        with self._lock:
+            return list(self._servers)
+
+    def admit(self, sock: DeadlineSocket, header: Header) -> str:
+        """Take in a client whose header is read; "" or why it is not taken. Raises `OSError`."""
+        for field in _NEEDED:
+            if field not in header:
+                return f"the header of a service's client needs the field {field}"
+        with self._lock:
+            server = self._servers.get(header["service"])
+        if server is None:
+            return f"{self._context.node()} does not serve {header['service']}"
+        ours, md5 = server.side_type, header["md5sum"]
+        if md5 not in ("*", ours.type_id):
+            return (
+                f"{server.name}: md5 sums differ: {header['callerid']} asks for {md5}, it is {ours.name} with"
+                f" {ours.type_id}; use the same version of {ours.name.split('/')[0]} on both sides"
+            )
+        if server.is_full:
+            return f"{server.name} has {MAX_CLIENTS} clients already"
+        sock.sendall(encode(self._header(server)))
+        if header.get("probe") == "1":
+            sock.close()
+            return ""
+        persistent = header.get("persistent", "").strip().lower() in _YES
+        client = _ClientConnection(sock, server, self._context.loop, self._context.limit, persistent=persistent)
+        if server.add(client):
+            client.start()
+        else:
+            client.end("came too late")
+        return ""
+
+    def close(self) -> None:
+        """Close all servers."""
+        with self._lock:
+            servers = list(self._servers.values())
+        for server in servers:
+            server.close()
+
+    def _gone(self, server: Ros1Server) -> None:
+        with self._lock:
+            del self._servers[server.name]
+        self._changed()
+
+    def _header(self, server: Ros1Server) -> Header:
+        name = server.side_type.name
+        return {
+            "callerid": self._context.node(),
+            "service": server.name,
+            "type": name,
+            "md5sum": server.side_type.type_id,
+            "request_type": f"{name}Request",
+            "response_type": f"{name}Response",
+            ORIGIN_FIELD: self._context.origin,
+        }

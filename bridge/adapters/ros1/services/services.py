@@ -1,0 +1,121 @@
+"""The services of a ROS 1 graph: which servers there are, calling them, and serving ours.
+
+A master names a service's node and address alone. Its type and md5 sum stand in the header that its server answers
+with, so each new one is asked once. Clients leave no trace on the graph: there are none to be shown.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator, Mapping
+
+from bridge.adapters.ros1.graph.probe import Facts, Follower, Ros1Context
+from bridge.adapters.ros1.graph.state import MasterState, Registration
+from bridge.adapters.ros1.handshake import Header, connect_service
+from bridge.adapters.ros1.services.caller import Ros1Caller
+from bridge.adapters.ros1.services.server import ServiceServers
+from bridge.adapters.ros1_peers import DeadlineSocket, ExhaustedError, Ros1Error
+from bridge.hub.wire.qos import Qos
+from bridge.messages.transcode.conversion import SideType
+from bridge.routing.edge import Endpoint, Kind, MadeBy
+
+_OF_EVERY_NODE = ("/get_loggers", "/set_logger_level")
+"""A dead node leaves these on the master too; nobody misses them."""
+
+_CHECK_PERIOD = 2.0
+
+
+class Ros1Services(Follower[Ros1Caller]):
+    """The services of one edge.
+
+    Args:
+        wake: called to have the master looked at.
+        doubt: called with the name of a service that is not where the master said.
+    """
+
+    def __init__(self, context: Ros1Context, wake: Callable[[], None], doubt: Callable[[str], None]) -> None:
+        super().__init__(context, self._handshake, "server")
+        self._doubt = doubt
+        self._check_due = 0.0
+        self.servers = ServiceServers(context, wake)
+
+    def stop(self) -> None:
+        """Close everything."""
+        self.close()
+        self.servers.close()
+
+    # -- the graph -----------------------------------------------------------------------------------------------------
+
+    def seen(self, look: MasterState | None) -> None:
+        """One look at the master; on its thread."""
+        own = self._context.node()
+        self.take_up(frozenset(s for s in look.servers if s.node != own) if look is not None else frozenset())
+        self._check_rivals()
+
+    def _check_rivals(self) -> None:
+        """Check that the other servers of our services still live: nothing else notices their death."""
+        if time.monotonic() < self._check_due:
+            return
+        self._check_due = time.monotonic() + _CHECK_PERIOD
+        known = self.prober.facts().keys()
+        for link in self._rivals():
+            if link in known:
+                self.prober.check(link)
+
+    def _rivals(self) -> list[Registration]:
+        ours = frozenset(self.servers.names())
+        return sorted(link for link in self._links if link.topic in ours) if ours else []
+
+    def endpoints(self, look: MasterState) -> Iterator[Endpoint]:
+        """The other nodes' servers."""
+        own, facts = self._context.node(), self.prober.facts()
+        midspans = {entry.get("node") for entry in look.presence.values()}
+        for link in look.servers:
+            if link.node != own:
+                yield _endpoint(link, facts.get(link), midspan=link.node in midspans)
+
+    def is_gone(self, link: Registration) -> bool:
+        """Whether a server is known to be dead though the master still names it."""
+        return self.prober.is_gone(link)
+
+    def warnings(self) -> Iterator[str]:
+        """What a person should know."""
+        for link, trouble in sorted(self.prober.troubles().items()):
+            if not link.topic.endswith(_OF_EVERY_NODE):
+                yield f"{link.topic}: its server {link.node} does not announce its type: {trouble}"
+        for link in self._rivals():
+            if not self.is_gone(link):
+                yield f"{link.topic}: {link.node} serves it on ROS 1 itself, so the hub's is not offered there"
+
+    def _handshake(self, caller: str, uri: str, service: str, seconds: float) -> tuple[DeadlineSocket, Header]:
+        try:
+            return connect_service(caller, uri, service, seconds, md5sum="*", probe="1")
+        except ExhaustedError:
+            raise
+        except Ros1Error:
+            self._doubt(service)
+            raise
+
+    def _doubted(self, link: Registration, trouble: str) -> None:
+        self._doubt(link.topic)
+        self.prober.doubt(link, trouble)
+
+    # -- our callers ---------------------------------------------------------------------------------------------------
+
+    def caller(self, name: str, side_type: SideType) -> Ros1Caller:
+        """See `bridge.routing.edge.Edge.caller`."""
+        return self._add(Ros1Caller(self._context, name, side_type, self._doubted, self._remove))
+
+    def _tell(self, end: Ros1Caller, known: Mapping[Registration, Facts]) -> None:
+        natives = [(link, facts) for link, facts in known.items() if facts.native]
+        end.follow(natives[-1][0] if natives and natives[-1][1].fits(end.md5) else None)
+
+
+def _endpoint(link: Registration, facts: Facts | None, *, midspan: bool) -> Endpoint:
+    if midspan or (facts is not None and not facts.native):
+        made_by = MadeBy.MIDSPAN
+    else:
+        made_by = MadeBy.UNKNOWN if facts is None else MadeBy.NATIVE
+    name = f"server {link.topic} {link.node} {link.uri}"
+    type_, md5 = (facts.type, facts.md5) if facts is not None else ("", "")
+    return Endpoint(name, Kind.SERVER, link.topic, type_, Qos(), made_by, link.node, md5)

@@ -1,0 +1,1 @@
+"""ROS 1 topics: subscriptions and publications, as raw bytes."""

@@ -1,0 +1,224 @@
+"""One connection to a publisher: whole messages off the wire, as the bytes they are."""
+
+from __future__ import annotations
+
+import contextlib
+import itertools
+import logging
+import socket
+import struct
+import threading
+from collections.abc import Callable
+
+from bridge.adapters.ros1.epoll_loop import EpollLoop, PolledConnection
+from bridge.adapters.ros1_peers import DeadlineSocket, Ros1ProtocolError
+
+_log = logging.getLogger(__name__)
+
+MAX_MESSAGE = 512 * 2**20
+"""A publisher that announces a message of more bytes is taken for a liar, and its connection is closed."""
+
+_CLOSED = "the publisher closed the connection"
+_LENGTH = struct.Struct("<I")
+_CHUNK = 64 * 1024
+_LARGE = 32 * 1024
+_TRUSTED = 16 * 2**20
+"""Bytes for which room is made because they are announced; for more, only once so many have come."""
+
+_numbers = itertools.count(1)
+
+Refused = Callable[[str, str], None]
+"""``refused(reason, why)``: a message is not delivered; ``reason`` is ``bad`` or ``large``."""
+
+
+class PublisherConnection(PolledConnection):
+    """Reads one publisher's messages until the connection ends.
+
+    Where a loop is given its thread reads them until a large one comes, else, and from then on, one of its own.
+    The attributes without docstring are what rospy's bus statistics (rosnode info) ask of a connection.
+    """
+
+    direction = "i"
+    transport_type = "TCPROS"
+
+    def __init__(
+        self,
+        sock: DeadlineSocket,
+        topic: str,
+        uri: str,
+        deliver: Callable[[bytes], None],
+        ended: Callable[[str], None],
+        refused: Refused,
+        limit: int = MAX_MESSAGE,
+        loop: EpollLoop | None = None,
+    ) -> None:
+        self.id = f"midspan-{next(_numbers)}"
+        self.endpoint_id = uri
+        self.stat_bytes = self.stat_num_msg = 0
+        self.done = False
+        self._peer, self._local = sock.getpeername(), sock.getsockname()
+        super().__init__(sock)  # its lock says who closes the socket: nobody reads it before it is started, nor after
+        self._deliver, self._ended, self._refused, self._limit = deliver, ended, refused, limit
+        self._loop, self._taken = loop, b""
+        self._started = False
+        self._thread = threading.Thread(target=self._run, name=f"midspan-ros1-in{topic}", daemon=True)
+
+    def start(self) -> None:
+        """Begin to read, unless it is closed already."""
+        with self._lock:
+            if self.done:
+                return
+            self._started = True
+            try:
+                if self._loop is not None:
+                    if not self._loop.add(self):
+                        self.done = True
+                        self._sock.close()
+                    return
+            except OSError as err:
+                _log.warning("%s is read on its own: %s", self._thread.name, err)
+        self._go_on_alone()
+
+    def close(self) -> None:
+        """Stop reading; nothing is delivered from now on."""
+        with self._lock:
+            self.done = True
+            with contextlib.suppress(OSError):
+                self._sock.shutdown(socket.SHUT_RDWR)
+            if not self._started:
+                self._sock.close()
+
+    def take(self) -> Callable[[], None] | None:
+        """See `PolledConnection`."""
+        try:
+            alone = self._take_small()
+        except BlockingIOError:
+            return None
+        except OSError as err:
+            return lambda err=err: self._end(str(err))  # type: ignore[misc]
+        except Exception as err:
+            _log.exception("reading %s failed", self._thread.name)
+            return lambda err=err: self._end(f"{type(err).__name__}: {err}")  # type: ignore[misc]
+        return self._go_on_alone if alone else None
+
+    def _go_on_alone(self) -> None:
+        try:
+            self._thread.start()
+        except RuntimeError as err:  # the system gives no more threads
+            self._end(str(err))
+
+    def abandon(self) -> None:
+        """See `PolledConnection`."""
+        with self._lock:
+            self.done = True
+            self._sock.close()
+
+    def get_transport_info(self) -> str:
+        """In the words that rosnode's parser expects."""
+        return (
+            f"TCPROS connection on port {self._local[1]} to [{self._peer[0]}:{self._peer[1]} on socket {self.fileno()}]"
+        )
+
+    def _run(self) -> None:
+        trouble = _CLOSED
+        try:
+            self._read(self._taken)
+        except OSError as err:
+            trouble = str(err)
+        except Ros1ProtocolError as err:
+            trouble = str(err)
+            self._refused("bad", trouble)
+        except Exception as err:
+            trouble = f"{type(err).__name__}: {err}"
+            _log.exception("reading %s failed", self._thread.name)
+        self._end(trouble)
+
+    def _end(self, trouble: str) -> None:
+        with self._lock:
+            self._sock.close()
+        if not self.done:
+            self.done = True
+            self._ended(trouble)
+
+    def _take_small(self) -> bool:
+        """Deliver the whole small messages that have come; whether a large one is next.
+
+        Raises:
+            BlockingIOError: nothing has come.
+            OSError: the connection has ended.
+        """
+        more = self._sock.recv(_CHUNK, socket.MSG_DONTWAIT)
+        if not more:
+            raise ConnectionResetError(_CLOSED)
+        buffer, at, small = self._taken + more, 0, min(self._limit, MAX_MESSAGE, _LARGE)
+        end = len(buffer)
+        while end - at >= 4:
+            (size,) = _LENGTH.unpack_from(buffer, at)
+            if size > small or end - at - 4 < size:
+                self._taken = buffer[at:]
+                return bool(size > small)
+            self._hand_over(buffer[at + 4 : at + 4 + size])
+            at += 4 + size
+        self._taken = buffer[at:]
+        return False
+
+    def _hand_over(self, payload: bytes) -> None:
+        self.stat_bytes += len(payload) + 4
+        self.stat_num_msg += 1
+        if not self.done:
+            self._deliver(payload)
+
+    def _read(self, buffer: bytes = b"") -> None:
+        """Small messages come many to a chunk; after a large one, the next is read in one piece, without a copy."""
+        at, size = 0, 0
+        while not self.done:
+            left = len(buffer) - at
+            if left < 4:
+                more = self._sock.recv(4 - left if size > _LARGE else _CHUNK)
+                if not more:
+                    return
+                buffer, at = buffer[at:] + more, 0
+                continue
+            (size,) = _LENGTH.unpack_from(buffer, at)
+            if size > MAX_MESSAGE:
+                raise Ros1ProtocolError(
+                    f"the publisher announces a message of {size} bytes, at most {MAX_MESSAGE} are read"
+                )
+            at += 4
+            if size > self._limit:
+                self._refused("large", f"message of {size} bytes, limits.message allows {self._limit}")
+                here = min(left - 4, size)
+                at += here
+                if not self._skip(size - here):
+                    return
+                continue
+            if left - 4 >= size:
+                payload = buffer[at : at + size]
+                at += size
+            else:
+                rest = self._exactly(size - left + 4)
+                if rest is None:
+                    return
+                payload = buffer[at:] + rest if left > 4 else rest
+                buffer, at = b"", 0
+            self._hand_over(payload)
+
+    def _skip(self, count: int) -> bool:
+        """Read so many bytes and forget them; False where the connection ends before."""
+        scratch = bytearray(min(count, _CHUNK))
+        while count:
+            came = self._sock.recv_into(scratch, min(count, _CHUNK))
+            if not came:
+                return False
+            count -= came
+        return True
+
+    def _exactly(self, count: int) -> bytes | None:
+        data = self._sock.recv(min(count, _TRUSTED), socket.MSG_WAITALL)
+        if len(data) == count:
+            return data
+        parts = [data]
+        while data and (count := count - len(data)):
+            data = self._sock.recv(count, socket.MSG_WAITALL)
+            parts.append(data)
+        return b"".join(parts) if data else None

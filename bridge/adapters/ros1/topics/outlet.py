@@ -1,0 +1,131 @@
+"""One subscriber's connection: written at once where its socket has room, else queued, never waited for."""
+
+from __future__ import annotations
+
+import logging
+import socket
+import struct
+import threading
+from collections import Counter, deque
+
+_log = logging.getLogger(__name__)
+
+MAX_WAITING = 64 * 2**20
+"""Bytes that wait for one subscriber at most, but for the newest message."""
+
+MAX_MESSAGES = 20_000
+"""Messages that wait for one subscriber at most, however many sources they have."""
+
+_LENGTH = struct.Struct("<I")
+_NOW = getattr(socket, "MSG_DONTWAIT", 0)
+
+
+class SubscriberConnection:
+    """Sends messages to one subscriber without ever blocking the sender.
+
+    While the socket's buffer takes all, the sender's thread writes. A subscriber that is slower gets a thread of its
+    own and a queue in which at most ``depth`` messages of each source wait, and `MAX_WAITING` bytes; the oldest of that
+    source make room.
+    """
+
+    def __init__(self, sock: socket.socket, name: str) -> None:
+        self.dropped = 0
+        self._sock, self._name = sock, name
+        self._condition = threading.Condition()
+        self._queue: deque[tuple[str, bytes]] = deque()
+        self._waiting: Counter[str] = Counter()
+        self._bytes = 0
+        self._rest: bytes | memoryview = b""
+        self._writing = False
+        self._closed = False
+        self._thread: threading.Thread | None = None
+
+    @property
+    def waiting(self) -> int:
+        """Messages that wait in the queue."""
+        return len(self._queue)
+
+    def send(self, payload: bytes, source: str, depth: int) -> bool:
+        """Send or queue one message; False where the connection is broken."""
+        with self._condition:
+            if self._closed:
+                return False
+            if self._writing or self._rest or self._queue:
+                self._enqueue(payload, source, depth)
+                return True
+            header = _LENGTH.pack(len(payload))
+            try:
+                sent = self._sock.sendmsg([header, payload], [], _NOW)
+            except BlockingIOError:
+                sent = 0
+            except OSError:
+                self._closed = True
+                return False
+            if sent < len(payload) + 4:
+                self._rest = header[sent:] + payload if sent < 4 else memoryview(payload)[sent - 4 :]
+                self._wake()
+            return True
+
+    def close(self) -> None:
+        """Send no more; the socket is its owner's to close."""
+        with self._condition:
+            self._closed = True
+            self._queue.clear()
+            self._waiting.clear()
+            self._bytes = 0
+            self._condition.notify()
+
+    def _enqueue(self, payload: bytes, source: str, depth: int) -> None:
+        while self._waiting[source] and (self._waiting[source] >= depth or self._bytes + len(payload) > MAX_WAITING):
+            self._drop(next(i for i, (s, _) in enumerate(self._queue) if s == source))
+        if len(self._queue) >= MAX_MESSAGES:
+            self._drop(0)
+        self._waiting[source] += 1
+        self._bytes += len(payload)
+        self._queue.append((source, payload))
+
+    def _drop(self, position: int) -> None:
+        source, payload = self._queue[position]
+        del self._queue[position]
+        self._bytes -= len(payload)
+        self._waiting[source] -= 1
+        if not self._waiting[source]:
+            del self._waiting[source]
+        self.dropped += 1
+
+    def _wake(self) -> None:
+        if self._thread is None:
+            self._thread = threading.Thread(target=self._run, name=self._name, daemon=True)
+            self._thread.start()
+        self._condition.notify()
+
+    def _next(self) -> bytes | memoryview | None:
+        """Wait for something to write, None once closed. Called with the lock held."""
+        while not self._closed and not self._rest and not self._queue:
+            self._condition.wait()
+        if self._closed:
+            return None
+        if self._rest:
+            rest, self._rest = self._rest, b""
+            return rest
+        source, payload = self._queue.popleft()
+        self._waiting[source] -= 1
+        self._bytes -= len(payload)
+        if not self._waiting[source]:
+            del self._waiting[source]
+        return _LENGTH.pack(len(payload)) + payload
+
+    def _run(self) -> None:
+        while True:
+            with self._condition:
+                self._writing = False
+                data = self._next()
+                if data is None:
+                    return
+                self._writing = True
+            try:
+                self._sock.sendall(data)
+            except OSError as err:
+                _log.debug("%s: %s", self._name, err)
+                self.close()
+                return

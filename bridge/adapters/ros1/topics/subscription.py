@@ -1,0 +1,218 @@
+"""A subscription: registered through rospy, read by our own connections.
+
+rospy's ``Subscriber`` with ``AnyMsg`` connects to every publisher of a topic, whoever made it, puts no limit on a
+message's length, and asks the master for parameters in the caller's thread. Here a connection is opened to publishers
+that are known to be native and of the subscription's type, and to nobody else: what a Midspan published never even
+comes in, and a latched message is not lost while it is not yet known who sent it.
+"""
+
+from __future__ import annotations
+
+import logging
+import threading
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+
+import rospy
+import rospy.impl.registration as registration
+from rospy.topics import _TopicImpl
+
+from bridge.adapters.ros1.graph.probe import HANDSHAKE_SECONDS, Facts, ProbedConnection, Prober, Ros1Context
+from bridge.adapters.ros1.graph.state import Registration, publisher_id
+from bridge.adapters.ros1.handshake import connect
+from bridge.adapters.ros1.topics.connection import PublisherConnection, Refused
+from bridge.adapters.ros1_peers import Ros1Error, UnreachableError, unanswered
+from bridge.routing.edge import Deliver
+
+_log = logging.getLogger(__name__)
+
+_FIRST_WAIT = 0.2
+_LONGEST_WAIT = 5.0
+_SETTLE_SECONDS = 0.2
+"""How long a publisher that is new is left unread. The other sides are about to make their ends of the topic, and what
+came through before these know each other was lost; so it waits in the connection."""
+
+
+class _SubscribedTopic(_TopicImpl):  # type: ignore[misc]  # rospy has no types
+    """One subscribed topic in rospy's books; what the slave API tells of our subscriptions comes from here."""
+
+    def __init__(self, topic: str) -> None:
+        super().__init__(topic, rospy.AnyMsg)
+        self.resolved_name = self.name = topic
+        # rospy spends an epoll descriptor per topic on broken connections; our readers notice these themselves.
+        self.connection_poll.poller.close()
+
+    def check(self) -> None:
+        """Nothing to look for; see the constructor."""
+
+    def get_stats(self) -> tuple[str, list[tuple[str, int, int, int, bool]]]:
+        """The answer to ``getBusStats``."""
+        connections = [(c.id, c.stat_bytes, c.stat_num_msg, -1, not c.done) for c in self.connections]
+        return self.resolved_name, connections
+
+
+def _acquire(topic: str) -> _SubscribedTopic:
+    topics = registration.get_topic_manager()
+    with topics.lock:
+        entry = topics.subs.get(topic)
+        if entry is None:
+            entry = _SubscribedTopic(topic)
+            topics._add(entry, topics.subs, registration.Registration.SUB)
+        entry.ref_count += 1
+        return entry  # type: ignore[no-any-return]
+
+
+@dataclass(slots=True)
+class _PublisherState:
+    """One publisher that the subscription wants to hear."""
+
+    reader: PublisherConnection | None = None
+    connecting: bool = False
+    due: float = 0.0
+    wait: float = _FIRST_WAIT
+
+    def postpone(self) -> None:
+        """Let some time pass before the next attempt."""
+        self.due, self.wait = time.monotonic() + self.wait, min(2 * self.wait, _LONGEST_WAIT)
+
+
+class Ros1Subscription:
+    """Keeps a connection to each native publisher of one topic that has the wanted type.
+
+    Attributes:
+        lost: TCP loses nothing, and a publisher does not tell what its queue dropped.
+    """
+
+    lost = 0
+
+    def __init__(
+        self,
+        context: Ros1Context,
+        prober: Prober,
+        topic: str,
+        md5: str,
+        deliver: Deliver,
+        suffix: str,
+        take: Callable[[Registration], ProbedConnection | None],
+        refused: Refused,
+        closed: Callable[[Ros1Subscription], None],
+    ) -> None:
+        self.name = self.topic = topic
+        self._context, self._prober, self._suffix, self._take = context, prober, suffix, take
+        self._md5, self._deliver, self._refused, self._on_closed = md5, deliver, refused, closed
+        self._lock = threading.Lock()
+        self._publishers: dict[Registration, _PublisherState] = {}
+        self._closed = False
+        self._entry = _acquire(topic)
+
+    @property
+    def restless(self) -> bool:
+        """Whether a publisher is to be connected to."""
+        return any(source.reader is None for source in list(self._publishers.values()))
+
+    @property
+    def connected(self) -> frozenset[Registration]:
+        """The publishers that are heard now."""
+        sources = list(self._publishers.items())
+        return frozenset(link for link, source in sources if source.reader is not None and not source.reader.done)
+
+    def follow(self, publishers: Mapping[Registration, Facts]) -> None:
+        """Take up the topic's publishers as they are known now."""
+        wanted = {link for link, facts in publishers.items() if facts.fits(self._md5)}
+        now = time.monotonic()
+        with self._lock:
+            if self._closed:
+                return
+            gone = [self._publishers.pop(link) for link in self._publishers.keys() - wanted]
+            for link in wanted - self._publishers.keys():
+                self._publishers[link] = _PublisherState()
+            idle = [
+                (n, s) for n, s in self._publishers.items() if s.reader is None and not s.connecting and s.due <= now
+            ]
+            for _, source in idle:
+                source.connecting = True
+        for source in gone:
+            self._drop(source.reader)
+        for link, source in idle:
+            self._context.pool.submit(link.uri, lambda link=link, source=source: self._connect(link, source))  # type: ignore[misc]
+
+    def close(self) -> None:
+        """Close all connections and give the registration back. Safe to call twice."""
+        self._on_closed(self)
+        with self._lock:
+            if self._closed:
+                return
+            self._closed = True
+            sources, self._publishers = list(self._publishers.values()), {}
+        for source in sources:
+            self._drop(source.reader)
+        registration.get_topic_manager().release_impl(registration.Registration.SUB, self.topic)
+
+    def _connect(self, link: Registration, source: _PublisherState) -> None:
+        try:
+            taken = self._take(link)
+            caller = self._context.node() + self._suffix
+            sock, header = taken or connect(caller, link.uri, link.topic, HANDSHAKE_SECONDS)
+        except Ros1Error as err:
+            self._failed(link, source, err)
+            return
+        facts = Facts.of(header)
+        if not facts.fits(self._md5):
+            sock.close()
+            self._prober.doubt(link, "the publisher changed its type or its maker")
+            return
+        self._prober.learned(link, facts)
+        endpoint = publisher_id(link, latching=facts.latching)
+        try:
+            reader = PublisherConnection(
+                sock, self.topic, link.uri,
+                lambda payload: self._deliver(payload, endpoint, None),
+                lambda trouble: self._ended(link, source, trouble),
+                self._refused, self._context.limit, self._context.loop,
+            )  # fmt: skip
+        except OSError as err:  # it has broken again
+            sock.close()
+            self._failed(link, source, unanswered(f"{link.node} breaks off", err))
+            return
+        with self._lock:
+            wanted = self._publishers.get(link) is source
+            if wanted:
+                source.reader, source.connecting, source.wait = reader, False, _FIRST_WAIT
+        if not wanted:
+            reader.close()
+            return
+        with self._entry.c_lock:
+            self._entry.connections = [*self._entry.connections, reader]
+        if taken:
+            self._context.timer.after(_SETTLE_SECONDS, lambda: self._start(reader))
+        else:
+            self._start(reader)
+
+    def _start(self, reader: PublisherConnection) -> None:
+        reader.start()
+        if reader.done:
+            self._drop(reader)
+
+    def _failed(self, link: Registration, source: _PublisherState, err: Ros1Error) -> None:
+        with self._lock:
+            source.connecting = False
+            source.postpone()
+        if isinstance(err, UnreachableError):
+            # It may be dead though the master still lists it: it counts no more until it answers a probe.
+            self._context.pool.failed(link.uri)
+            self._prober.doubt(link, str(err))
+
+    def _ended(self, link: Registration, source: _PublisherState, trouble: str) -> None:
+        _log.debug("%s: connection to %s ended: %s", self.topic, link.node, trouble)
+        self._drop(source.reader)
+        with self._lock:
+            source.reader = None
+            source.postpone()
+
+    def _drop(self, reader: PublisherConnection | None) -> None:
+        if reader is None:
+            return
+        reader.close()
+        with self._entry.c_lock:
+            self._entry.connections = [c for c in self._entry.connections if c is not reader]

@@ -1,0 +1,90 @@
+"""The topics of a ROS 1 graph: which publishers and subscribers there are, and ours."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from functools import partial
+from typing import TYPE_CHECKING
+
+from bridge.adapters.ros1.graph.probe import Facts, Follower, Ros1Context
+from bridge.adapters.ros1.graph.state import MasterState, Registration, publisher_id
+from bridge.hub.wire.qos import LATCHED, Qos
+from bridge.messages.transcode.conversion import SideType
+from bridge.routing.edge import Deliver, Endpoint, Kind, MadeBy
+
+if TYPE_CHECKING:
+    from bridge.adapters.ros1.topics.publisher import Ros1Publisher
+    from bridge.adapters.ros1.topics.subscription import Ros1Subscription
+
+_VOLATILE = Qos()
+
+
+class Ros1Topics(Follower["Ros1Subscription"]):
+    """The topics of one edge.
+
+    Args:
+        refused: reports a message that is not delivered: ``refused(topic, reason, why)``.
+    """
+
+    def __init__(self, context: Ros1Context, refused: Callable[[str, str, str], None]) -> None:
+        super().__init__(context, holds=True)
+        self._refused = refused
+
+    def endpoints(self, look: MasterState) -> Iterator[Endpoint]:
+        """The other nodes' publishers and subscriptions."""
+        own, facts = self._context.node(), self.prober.facts()
+        for link in look.publishers:
+            if link.node != own:
+                yield _publisher(link, look, facts.get(link))
+        midspans = {entry.get("node") for entry in look.presence.values()}
+        for link in look.subscribers:
+            if link.node != own:
+                yield _subscriber(link, look, midspan=link.node in midspans)
+
+    def warnings(self) -> Iterator[str]:
+        """What a person should know."""
+        for link, trouble in sorted(self.prober.troubles().items()):
+            yield f"{link.topic}: its publisher {link.node} does not announce its type: {trouble}"
+
+    def subscribe(
+        self, topic: str, side_type: SideType, deliver: Deliver, suffix: str = "", *, fresh: bool = False
+    ) -> Ros1Subscription:
+        """Subscribe to the native publishers of a topic that have this type, as our node's name with a suffix.
+
+        ``fresh``: nothing is heard that was published before the subscription was there, as befits commands.
+        """
+        from bridge.adapters.ros1.topics.subscription import Ros1Subscription
+
+        own = not suffix  # the prober's connections bear our node's own name
+        take = self.prober.take if own and not fresh else self.prober.discard if own else lambda _: None
+        refused = partial(self._refused, topic)
+        return self._add(Ros1Subscription(
+            self._context, self.prober, topic, side_type.type_id, deliver, suffix, take, refused, self._remove
+        ))  # fmt: skip
+
+    def advertise(self, topic: str, side_type: SideType, qos: Qos) -> Ros1Publisher:
+        """Publish on a topic."""
+        from bridge.adapters.ros1.topics.publisher import Ros1Publisher
+
+        return Ros1Publisher(topic, side_type, qos, self._context.origin, self._context.found)
+
+    def _tell(self, end: Ros1Subscription, known: Mapping[Registration, Facts]) -> None:
+        end.follow(known)
+
+
+def _publisher(link: Registration, look: MasterState, facts: Facts | None) -> Endpoint:
+    if facts is None:
+        type_, qos, made_by, md5, definition = look.types.get(link.topic, ""), _VOLATILE, MadeBy.UNKNOWN, "", ""
+    else:
+        type_, md5, definition = facts.type, facts.md5, facts.definition
+        qos = LATCHED if facts.latching else _VOLATILE
+        made_by = MadeBy.NATIVE if facts.native else MadeBy.MIDSPAN
+    name = publisher_id(link, latching=qos.latched)
+    return Endpoint(name, Kind.PUBLISHER, link.topic, type_, qos, made_by, link.node, md5, definition)
+
+
+def _subscriber(link: Registration, look: MasterState, *, midspan: bool) -> Endpoint:
+    name = f"subscription {link.topic} {link.node} {link.uri}"
+    type_ = look.types.get(link.topic, "").replace("*", "")
+    made_by = MadeBy.MIDSPAN if midspan else MadeBy.NATIVE
+    return Endpoint(name, Kind.SUBSCRIPTION, link.topic, type_, _VOLATILE, made_by, link.node)

@@ -1,0 +1,278 @@
+"""Asks a ROS 1 master or node: XML-RPC with a deadline and a size limit for each answer, and the errors.
+
+The ROS 1 side uses it, and others that have to ask a master. ROS 1's API answers each call with
+``[code, status message, value]``; code 1 is success (https://wiki.ros.org/ROS/Master_API,
+https://wiki.ros.org/ROS/Slave_API). The errors::
+
+    Ros1Error
+     +-- UnreachableError     a master or node does not answer in time, or not at all
+     +-- ProtocolError        it answers, but not as ROS 1 does
+     +-- RefusedError         it answers, and says no
+     +-- ExhaustedError       it was not asked: this process has no file descriptor left
+"""
+
+from __future__ import annotations
+
+import contextlib
+import http.client
+import math
+import socket
+import time
+import xmlrpc.client
+from collections.abc import Sequence
+from typing import Any
+from urllib.parse import urlsplit
+from xml.parsers.expat import ExpatError
+
+from bridge import resources
+
+
+class Ros1Error(Exception):
+    """Base of these errors."""
+
+
+class UnreachableError(Ros1Error):
+    """A master or node does not answer in time, or not at all.
+
+    Attributes:
+        refused: its machine answers that nobody listens there.
+    """
+
+    def __init__(self, message: str, *, refused: bool = False) -> None:
+        super().__init__(message)
+        self.refused = refused
+
+
+class Ros1ProtocolError(Ros1Error):
+    """A peer's answer is not what ROS 1's protocols say."""
+
+
+class RefusedError(Ros1Error):
+    """A peer says no: it is not a publisher of that topic, or it wants another type."""
+
+
+class ExhaustedError(Ros1Error):
+    """A peer was not asked, since this process has no file descriptor left: that says nothing of the peer."""
+
+
+def unanswered(what: str, err: OSError) -> Ros1Error:
+    """What it means that a connection failed.
+
+    Args:
+        what: went wrong, for people, where it is the peer's fault.
+        err: what the system says.
+    """
+    # without a descriptor a host's name cannot be looked up either, and the resolver does not say why
+    own = err.errno in resources.OUT or (isinstance(err, socket.gaierror) and not resources.has_descriptor())
+    if own:
+        msg = f"this process has no file descriptor left to connect to it with; {resources.RAISE}"
+        return ExhaustedError(msg)
+    msg = f"{what}: {str(err) or type(err).__name__}"
+    return UnreachableError(msg, refused=isinstance(err, ConnectionRefusedError))
+
+
+# -- sockets -----------------------------------------------------------------------------------------------------------
+
+
+class DeadlineSocket(socket.socket):
+    """A TCP socket with one deadline for all that is sent and received.
+
+    A plain time-out counts for each operation anew: a peer that sends a byte now and then would hold a thread for ever.
+    """
+
+    deadline = math.inf
+
+    @classmethod
+    def connected(cls, host: str, port: int, deadline: float) -> DeadlineSocket:
+        """Connect; ``deadline`` is on the monotonic clock. Raises `OSError`."""
+        left = deadline - time.monotonic()
+        if left <= 0:
+            raise TimeoutError
+        plain = socket.create_connection((host, port), timeout=left)
+        sock = cls(fileno=plain.detach())
+        sock.deadline = deadline
+        # http.client sends a request in two parts, of which the second would wait 40 ms for the first's acknowledgement
+        sock.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        return sock
+
+    def _arm(self) -> None:
+        if self.deadline == math.inf:
+            self.settimeout(None)
+            return
+        left = self.deadline - time.monotonic()
+        if left <= 0:
+            raise TimeoutError
+        self.settimeout(left)
+
+    def recv(self, *args: Any) -> bytes:
+        """As `socket.socket.recv`, until the deadline."""
+        self._arm()
+        return super().recv(*args)
+
+    def recv_into(self, *args: Any) -> int:
+        """As `socket.socket.recv_into`, until the deadline."""
+        self._arm()
+        return super().recv_into(*args)
+
+    def sendall(self, *args: Any) -> None:
+        """As `socket.socket.sendall`, until the deadline."""
+        self._arm()
+        super().sendall(*args)
+
+
+# -- XML-RPC -----------------------------------------------------------------------------------------------------------
+
+MAX_ANSWER = 64 * 2**20
+"""Bytes of the longest answer of a master that is read: its state with 100,000 registrations is about 20 MB."""
+
+MAX_NODE_ANSWER = 2**16
+"""The same for a node, which anybody may register: its answers are a few words."""
+
+_PIECE = 64 * 1024
+
+_NO_XMLRPC = (
+    ExpatError, xmlrpc.client.Error, ArithmeticError, AttributeError, LookupError, TypeError, ValueError,
+)  # fmt: skip
+"""What Python's reader of XML-RPC raises for what is none."""
+
+Call = tuple[str, tuple[Any, ...]]
+
+
+class _Connection(http.client.HTTPConnection):
+    """HTTP over a socket with a deadline."""
+
+    deadline = 0.0
+
+    def connect(self) -> None:
+        self.sock = DeadlineSocket.connected(self.host, self.port, self.deadline)
+
+
+class XmlRpcClient:
+    """A client of one XML-RPC server that keeps its connection. One thread at a time."""
+
+    def __init__(self, uri: str, timeout: float, limit: int = MAX_ANSWER) -> None:
+        try:
+            parts = urlsplit(uri)
+            host = parts.hostname if parts.scheme == "http" else None
+            self._http = _Connection(host or "", parts.port or 80)
+        except (ValueError, http.client.InvalidURL):
+            host = None
+        if not host:
+            raise Ros1ProtocolError(f"not a ROS 1 address: {uri[:200]!r} (it should look like http://host:11311/)")
+        self.uri = uri
+        self._path = parts.path or "/"
+        self._timeout = timeout
+        self._limit = limit
+        self._asked: tuple[list[Call], str] = ([], "")
+        self._last: tuple[bytes, bytes, Any] | None = None
+
+    @property
+    def size(self) -> int:
+        """Bytes of the last answer."""
+        return len(self._last[1]) if self._last is not None else 0
+
+    def call(self, method: str, *params: Any) -> Any:
+        """Call one method; the value of its answer. Raises `RefusedError` where the code is not 1."""
+        code, message, value = _triple(self._post(xmlrpc.client.dumps(params, method, allow_none=False)))
+        if code != 1:
+            raise RefusedError(message)
+        return value
+
+    def calls(self, calls: Sequence[Call]) -> list[Any]:
+        """Make many calls in one exchange; each one's value, None where it did not succeed.
+
+        Where request and answer are the same as the last time the very same list is returned, without being parsed.
+        """
+        if self._asked[0] != calls:
+            batch = [{"methodName": name, "params": list(params)} for name, params in calls]
+            self._asked = (list(calls), xmlrpc.client.dumps((batch,), "system.multicall"))
+        answers = self._post(self._asked[1])
+        if isinstance(answers, _Answers):
+            return answers
+        if not isinstance(answers, list) or len(answers) != len(calls):
+            raise Ros1ProtocolError(
+                f"{self.uri} answers system.multicall with something else than {len(calls)} answers"
+            )
+        values = _Answers()
+        for answer in answers:
+            try:
+                code, _, value = _triple(answer[0])
+            except (LookupError, TypeError, Ros1ProtocolError):
+                code, value = 0, None
+            values.append(value if code == 1 else None)
+        if self._last is not None:
+            self._last = (self._last[0], self._last[1], values)
+        return values
+
+    def close(self) -> None:
+        """Close the connection."""
+        self._http.close()
+
+    def _post(self, request: str) -> Any:
+        body = request.encode()
+        deadline = time.monotonic() + self._timeout
+        kept = self._http.sock is not None
+        try:
+            try:
+                answer = self._exchange(body, deadline)
+            except (http.client.HTTPException, ConnectionError):
+                # A kept connection that the server has closed meanwhile.
+                if not kept:
+                    raise
+                self._http.close()
+                answer = self._exchange(body, deadline)
+        except (OSError, ValueError, http.client.HTTPException) as err:  # ValueError: a chunk of negative length
+            self._http.close()
+            what = f"{self.uri} does not answer"
+            if isinstance(err, OSError) and not isinstance(err, http.client.HTTPException):
+                raise unanswered(what, err) from None
+            raise Ros1ProtocolError(f"{what}: {str(err) or type(err).__name__}") from None
+        if self._last is not None and self._last[0] == body and self._last[1] == answer:
+            return self._last[2]
+        value = self._parse(answer)
+        self._last = (body, answer, value)
+        return value
+
+    def _exchange(self, body: bytes, deadline: float) -> bytes:
+        self._http.deadline = deadline
+        if isinstance(self._http.sock, DeadlineSocket):
+            self._http.sock.deadline = deadline
+        self._http.request("POST", self._path, body, {"Content-Type": "text/xml"})
+        response = self._http.getresponse()
+        answer = bytearray()
+        # In pieces: a server that only claims a long answer costs no memory.
+        while piece := response.read(_PIECE):
+            answer += piece
+            if len(answer) > self._limit:
+                raise http.client.HTTPException(f"answer longer than {self._limit} bytes")
+        if response.length:
+            raise http.client.IncompleteRead(bytes(answer[:80]), response.length)
+        if response.status != http.client.OK:
+            raise http.client.HTTPException(f"HTTP status {response.status}")
+        return bytes(answer)
+
+    def _parse(self, answer: bytes) -> Any:
+        try:
+            values, _ = xmlrpc.client.loads(answer)
+        except xmlrpc.client.Fault as err:
+            raise RefusedError(err.faultString) from None
+        except _NO_XMLRPC as err:
+            raise Ros1ProtocolError(f"{self.uri} answers something else than XML-RPC: {err}") from None
+        return values[0] if values else None
+
+
+class _Answers(list[Any]):
+    """Answers of `XmlRpcClient.calls`, already taken apart."""
+
+
+def ask(uri: str, timeout: float, method: str, *params: Any) -> Any:
+    """Call one method of a node on a connection of its own; see `XmlRpcClient.call`."""
+    client = XmlRpcClient(uri, timeout, MAX_NODE_ANSWER)
+    with contextlib.closing(client):
+        return client.call(method, *params)
+
+
+def _triple(answer: Any) -> tuple[int, str, Any]:
+    if isinstance(answer, list) and len(answer) == 3 and isinstance(answer[0], int):
+        return answer[0], str(answer[1]), answer[2]
+    raise Ros1ProtocolError(f"not a ROS 1 answer: {str(answer)[:200]}")

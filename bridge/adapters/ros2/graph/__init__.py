@@ -1,0 +1,1 @@
+"""The DDS graph: participants, endpoints, and which of them Midspan made."""

@@ -1,0 +1,116 @@
+"""The topic on which the Midspan participants of one DDS network announce themselves: one writer each.
+
+The topic is hidden by ROS 2's rule (``/_midspan/presence``) and carries JSON in a ``std_msgs/msg/String``. It is
+latched, so that one who comes hears all others at once, and each record replaces the last. Who is there is known
+before anything is heard, by the mark in the GUID prefix; a participant that ended without a word stays until its
+successor tells of it or its lease is over (20 s), but is not heard any more.
+"""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable, Sequence
+from typing import Any
+
+from bridge.adapters.ros2 import rcl
+from bridge.adapters.ros2.graph.origins import PREFIX_BYTES, is_marked
+from bridge.adapters.ros2.loop import EndpointReader, ReadLoop
+from bridge.adapters.ros2.participant import Participant
+from bridge.hub.wire.qos import Durability, Qos, Reliability
+from bridge.routing.edge import Sighting
+
+TOPIC = "/_midspan/presence"
+TYPE = "std_msgs/msg/String"
+
+DISCOVERY_SECONDS = 0.8
+"""Seconds within which participants of one network have seen each other: one that starts announces itself five times
+in the first half second, and whoever hears it answers at once (measured: 20 ms)."""
+
+_MAX_RECORD = 1 << 18
+_WRITERS = 64
+_HEADER = b"\x00\x01\x00\x00"
+_LENGTH = slice(4, 8)
+_TEXT = 8
+
+
+class PresenceTopic(EndpointReader):
+    """Our writer and our reader of the topic.
+
+    Args:
+        participant: ours.
+        loop: serves the reader.
+        message_class: of `TYPE`, for raw use.
+        seen: the GUID prefixes on the network now, without our own.
+        past: prefixes of this daemon's dead participants.
+        changed: called when another one said something.
+    """
+
+    def __init__(
+        self,
+        participant: Participant,
+        loop: ReadLoop,
+        message_class: Any,
+        seen: Callable[[], frozenset[bytes]],
+        past: frozenset[bytes],
+        changed: Callable[[], None],
+    ) -> None:
+        self._loop = loop
+        self._seen, self._past, self._changed = seen, past, changed
+        self._since = time.monotonic()
+        self._lock = threading.Lock()
+        self._heard: dict[bytes, Sighting] = {}
+        self._first: dict[bytes, float] = {}
+        self._writer: Any = participant.make_writer(message_class, TOPIC, _qos(1))
+        super().__init__(participant, participant.make_reader(message_class, TOPIC, _qos(_WRITERS)))
+        loop.add(self)
+
+    def announce(self, record: bytes) -> None:
+        """Publish a record."""
+        length = len(record) + 1
+        with self._lock:
+            if self._writer is not None:
+                rcl.publish(int(self._writer.pointer), _HEADER + length.to_bytes(4, "little") + record + b"\0")
+
+    def sightings(self) -> Sequence[Sighting]:
+        """The marked participants that are on the network, and those that spoke a moment ago."""
+        now, seen = time.monotonic(), self._seen()
+        with self._lock:
+            for prefix, sighting in list(self._heard.items()):
+                if prefix not in seen and now - sighting.heard > DISCOVERY_SECONDS:
+                    del self._heard[prefix]
+            marked = {p for p in seen if is_marked(p)} - self._past
+            self._first = {p: self._first.get(p, now) for p in marked}
+            silent = marked - self._heard.keys()
+            return [*self._heard.values(), *(Sighting(p.hex(), None, self._first[p]) for p in silent)]
+
+    def settled(self, since: float) -> bool:
+        """Whether all participants that were there at that time are seen by now."""
+        return time.monotonic() > max(since, self._since) + DISCOVERY_SECONDS
+
+    def drain(self, taker: rcl.Taker, limit: int) -> None:
+        """See `EndpointReader`."""
+        for _ in range(limit):
+            taken = taker.take(self.pointer, large=False)
+            if taken is None:
+                return
+            payload, gid, _, _ = taken
+            length = int.from_bytes(payload[_LENGTH], "little")
+            prefix = gid[:PREFIX_BYTES]
+            if is_marked(gid) and prefix not in self._past and 0 < length <= min(_MAX_RECORD, len(payload) - _TEXT):
+                record = payload[_TEXT : _TEXT + length - 1]
+                with self._lock:
+                    self._heard[prefix] = Sighting(prefix.hex(), record, time.monotonic())
+                self._changed()
+
+    def close(self) -> None:
+        """Give the writer and the reader back."""
+        with self._lock:
+            writer, self._writer = self._writer, None
+        if writer is not None:
+            self._participant.destroy(writer)
+            self._loop.remove(self)
+
+
+def _qos(depth: int) -> Qos:
+    return Qos(Reliability.RELIABLE, Durability.TRANSIENT_LOCAL, depth=depth)

@@ -1,0 +1,139 @@
+"""Words of our own in the discovery protocol of DDS: farewell for a dead participant, and a call to everybody.
+
+**Farewell.** Stock participants notice a death without a word after its lease, 20 s. A short lease is no way out: who
+only stood still or was cut off for longer is forgotten by the others and does not forget them, and two such
+participants match again without ever completing their discovery (seen with Fast DDS 2.14.5: nothing crosses, for good).
+So the lease is the default one, and the successor of a killed worker says what its own clean end would have said: a
+``DATA`` submessage with the status "disposed and unregistered" (DDSI-RTPS 2.5, 8.5.5.1, 9.4.5.4, 9.6.4.9).
+
+**Call.** A new participant announces itself, and each other one answers at once, but once: Fast DDS listens only after
+its first announcement, so that answers that come within a millisecond are lost, and whoever gave one speaks again at
+his next turn, up to 3 s later (measured: every second start). So once ours listens, a participant that is none says
+hello and leaves: it tells our address as its own, and whoever hears of it answers there.
+"""
+
+from __future__ import annotations
+
+import logging
+import socket
+import struct
+from collections.abc import Iterable, Sequence
+
+MULTICAST = "239.255.0.1"
+"""The SPDP multicast address (DDSI-RTPS 2.5, 9.6.1.4.1)."""
+
+PARTICIPANTS = 32
+"""Participants of one machine and domain that are told by unicast; as rmw_fastrtps does it for LOCALHOST."""
+
+_log = logging.getLogger(__name__)
+
+_LOOPBACK = "127.0.0.1"
+_UDP_V4 = 1
+_VERSION = b"\x02\x03"
+_PARTICIPANT = b"\x00\x00\x01\xc1"
+_SPDP_WRITER, _SPDP_READER = b"\x00\x01\x00\xc2", b"\x00\x01\x00\xc7"
+_DATA, _LITTLE_ENDIAN, _INLINE_QOS, _PAYLOAD, _KEY = 0x15, 0x01, 0x02, 0x04, 0x08
+_TO_INLINE_QOS = 16
+"""Bytes from after this very field to the inline QoS."""
+_LAST = 0x7FFFFFFF
+"""A sequence number above all that the dead one used."""
+_PID_SENTINEL, _PID_LEASE, _PID_VERSION, _PID_VENDOR = 0x0001, 0x0002, 0x0015, 0x0016
+_PID_UNICAST, _PID_MULTICAST, _PID_GUID, _PID_ENDPOINTS = 0x0032, 0x0033, 0x0050, 0x0058
+_PID_KEY_HASH, _PID_STATUS_INFO = 0x0070, 0x0071
+_DISPOSED_AND_UNREGISTERED = b"\x00\x00\x00\x03"
+_ANNOUNCER_AND_DETECTOR = struct.pack("<I", 0b11)
+_LEASE = struct.pack("<iI", 1, 0)
+_PL_CDR_LE = b"\x00\x03\x00\x00"
+
+
+def farewell(prefix: bytes) -> bytes:
+    """The RTPS message by which the participant with this GUID prefix (12 bytes) leaves."""
+    guid = prefix + _PARTICIPANT
+    qos = _parameters((_PID_KEY_HASH, guid), (_PID_STATUS_INFO, _DISPOSED_AND_UNREGISTERED))
+    return _message(prefix, _INLINE_QOS | _KEY, _LAST, qos + _PL_CDR_LE + _parameters((_PID_GUID, guid)))
+
+
+def hello(prefix: bytes, domain: int, number: int) -> bytes:
+    """The RTPS message by which a participant without endpoints announces the address of another one.
+
+    Args:
+        prefix: its own GUID prefix.
+        domain: the ROS domain.
+        number: of the other one, on this host.
+    """
+    payload = _PL_CDR_LE + _parameters(
+        (_PID_VERSION, _VERSION + bytes(2)),
+        (_PID_VENDOR, prefix[:2] + bytes(2)),
+        (_PID_GUID, prefix + _PARTICIPANT),
+        (_PID_UNICAST, _locator(_LOOPBACK, _unicast_port(domain, number))),
+        (_PID_MULTICAST, _locator(MULTICAST, _multicast_port(domain))),
+        (_PID_LEASE, _LEASE),
+        (_PID_ENDPOINTS, _ANNOUNCER_AND_DETECTOR),
+    )
+    return _message(prefix, _PAYLOAD, 1, payload)
+
+
+def say(messages: Sequence[bytes], domain: int, *, localhost_only: bool) -> None:
+    """Say something to every participant in reach, on loopback alone or on all interfaces."""
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender:
+        for interface, name in socket.if_nameindex():
+            if name == "lo" or not localhost_only:
+                _send_by(sender, interface, messages, domain)
+        for number in range(PARTICIPANTS):
+            _send(sender, messages, (_LOOPBACK, _unicast_port(domain, number)))
+
+
+def _message(prefix: bytes, flags: int, number: int, content: bytes) -> bytes:
+    """A header and one ``DATA`` submessage from an SPDP writer to all SPDP readers."""
+    body = struct.pack("<HH", 0, _TO_INLINE_QOS) + _SPDP_READER + _SPDP_WRITER + struct.pack("<iI", 0, number) + content
+    header = b"RTPS" + _VERSION + prefix[:2] + prefix
+    return header + struct.pack("<BBH", _DATA, _LITTLE_ENDIAN | flags, len(body)) + body
+
+
+def _parameters(*parameters: tuple[int, bytes]) -> bytes:
+    """A parameter list (DDSI-RTPS 2.5, 9.4.2.11)."""
+    listed = b"".join(struct.pack("<HH", pid, len(value)) + value for pid, value in parameters)
+    return listed + struct.pack("<HH", _PID_SENTINEL, 0)
+
+
+def _locator(address: str, port: int) -> bytes:
+    return struct.pack("<iI", _UDP_V4, port) + bytes(12) + socket.inet_aton(address)
+
+
+def _multicast_port(domain: int) -> int:
+    """See DDSI-RTPS 2.5, 9.6.2.3."""
+    return 7400 + 250 * domain
+
+
+def _unicast_port(domain: int, number: int) -> int:
+    return _multicast_port(domain) + 10 + 2 * number
+
+
+def discovery_ports(domain: int) -> range:
+    """The well-known ports of which each participant of a domain has one (DDSI-RTPS 2.5, 9.6.2.3)."""
+    return range(_unicast_port(domain, 0), _multicast_port(domain + 1), 2)
+
+
+def unicast_ports(domain: int, number: int) -> tuple[int, int]:
+    """A participant's well-known ports of its own, for discovery and for data (DDSI-RTPS 2.5, 9.6.2.3)."""
+    port = _unicast_port(domain, number)
+    return port, port + 1
+
+
+def _send_by(sender: socket.socket, interface: int, messages: Iterable[bytes], domain: int) -> None:
+    chosen = struct.pack("@4s4si", b"", b"", interface)  # struct ip_mreqn
+    try:
+        sender.setsockopt(socket.IPPROTO_IP, socket.IP_MULTICAST_IF, chosen)
+    except OSError as err:  # one without an IPv4 address
+        _log.debug("nothing is said on interface %d: %s", interface, err)
+        return
+    _send(sender, messages, (MULTICAST, _multicast_port(domain)))
+
+
+def _send(sender: socket.socket, messages: Iterable[bytes], address: tuple[str, int]) -> None:
+    for message in messages:
+        try:
+            sender.sendto(message, address)
+        except OSError as err:  # nobody there, or no way there
+            _log.debug("nothing is said to %s:%d: %s", *address, err)
+            return

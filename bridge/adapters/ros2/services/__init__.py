@@ -1,0 +1,1 @@
+"""ROS 2 services: callers and servers, as raw bytes."""

@@ -1,0 +1,209 @@
+"""Calls of the servers of one name on the DDS network."""
+
+from __future__ import annotations
+
+import logging
+import time
+from collections import deque
+from collections.abc import Callable
+from functools import partial
+from typing import Any, ClassVar
+
+from bridge.adapters.ros2 import rcl
+from bridge.adapters.ros2.graph.origins import PREFIX_BYTES
+from bridge.adapters.ros2.participant import SERVICE
+from bridge.adapters.ros2.rcl import ENCAPSULATION
+from bridge.adapters.ros2.services.endpoint import Ros2Context, ServiceEndpoint
+from bridge.adapters.ros2.services.pacing import SentRequests
+from bridge.hub.endpoints.calls import Abandon, CallError, Done
+from bridge.routing.edge import EdgeCaller
+
+_MOST = SERVICE.depth // 2
+"""Calls of one caller under way; the engine allows less."""
+
+_MATCH = 0.01
+_MATCH_SECONDS = 5.0
+"""DDS endpoints that are on the graph find each other within milliseconds; on a machine that is busy, later."""
+
+_log = logging.getLogger(__name__)
+
+
+class _PendingCall:
+    """One call under way."""
+
+    __slots__ = ("done", "request", "servers", "since")
+
+    def __init__(self, request: bytes, done: Done) -> None:
+        self.request, self.done = request, done
+        self.since = time.monotonic()
+        self.servers: frozenset[bytes] = frozenset()
+
+
+class Ros2Caller(ServiceEndpoint, EdgeCaller):
+    """An rcl client. A request goes to every server of the name, and the first reply counts, as always on DDS."""
+
+    kind: ClassVar[str] = "client"
+
+    def __init__(
+        self, name: str, service_class: Any, context: Ros2Context, closed: Callable[[Ros2Caller], None]
+    ) -> None:
+        super().__init__(name, service_class, context.participant.make_client(service_class, name, SERVICE), context)
+        self._on_closed = closed
+        self._waiting: deque[_PendingCall] = deque()
+        self._sent: dict[int, _PendingCall] = {}
+        self._requests = SentRequests()
+        self._gone: set[bytes] = set()
+        self._matched = self._due = False
+        self._find_gone()
+        self._loop.add(self)
+
+    def call(self, request: bytes, done: Done) -> Abandon:
+        """See `EdgeCaller`."""
+        calling = _PendingCall(request, done)
+        with self._lock:
+            refused = self._refused(request)
+            if not refused:
+                self._waiting.append(calling)
+        if refused:
+            done(CallError(refused))
+        else:
+            self._advance()
+        return partial(self._abandon, calling)
+
+    def _refused(self, request: bytes) -> str:
+        if self._closed:
+            return f"{self.name} is no longer bridged"
+        if request[: len(ENCAPSULATION)] != ENCAPSULATION:
+            return f"{self.name}: the request is not little-endian CDR"
+        if not self._servers():
+            return f"{self.name} has no server on ROS 2"
+        if len(self._sent) + len(self._waiting) >= _MOST:
+            return f"{self.name} is busy: {_MOST} calls are under way"
+        return ""
+
+    def _servers(self) -> frozenset[bytes]:
+        """GIDs of the native servers that live."""
+        servers = self._graph.snapshot.servers.get(self.name, frozenset())
+        if self._gone:
+            servers = frozenset(gid for gid in servers if gid[:PREFIX_BYTES] not in self._gone)
+        return servers
+
+    def _advance(self) -> None:
+        """Send what may be sent now, and schedule the rest."""
+        failed: list[tuple[_PendingCall, str]] = []
+        with self._lock:
+            wait = self._send_waiting(failed)
+            if wait and not self._due:
+                self._due = True
+                self._later.after(wait, self._advance_later)
+            if self._sent:
+                self._look_soon()
+        for calling, why in failed:
+            _end(calling, CallError(why))
+
+    def _advance_later(self) -> None:
+        with self._lock:
+            self._due = False
+        self._advance()
+
+    def _send_waiting(self, failed: list[tuple[_PendingCall, str]]) -> float:
+        """Send under the lock; seconds until the next can go, 0 where none waits."""
+        while self._waiting and not self._closed:
+            servers = self._servers()
+            if not servers:
+                failed += [(calling, f"{self.name} has no server on ROS 2") for calling in self._waiting]
+                self._waiting.clear()
+                return 0.0
+            if not self._matched:
+                self._matched = rcl.has_server(self._participant.pointer, self.pointer)
+                if not self._matched and time.monotonic() < self._waiting[0].since + _MATCH_SECONDS:
+                    return _MATCH
+            wait = self._requests.wait()
+            if wait:
+                return wait
+            calling = self._waiting.popleft()
+            if not self._matched:
+                failed.append((calling, f"the server of {self.name} on ROS 2 cannot be reached"))
+                continue
+            try:
+                number = rcl.send_request(self.pointer, calling.request)
+            except rcl.RclError as err:
+                failed.append((calling, f"{self.name}: {err}"))
+                continue
+            calling.servers, calling.request = servers, b""
+            self._sent[number] = calling
+            self._requests.sent(number)
+        return 0.0
+
+    def drain(self, _taker: rcl.Taker, limit: int) -> None:
+        """See `EndpointReader`."""
+        for _ in range(limit):
+            taken = self._taker.response(self.pointer)
+            if taken is None:
+                continue  # a reply to another client: every client of a name is given all
+            request, payload = taken
+            with self._lock:
+                calling = self._sent.pop(request.number, None)
+                self._requests.answered(request.number)
+                waiting = bool(self._waiting)
+            if calling is not None:
+                _end(calling, payload)
+            if waiting:
+                self._advance()
+
+    def refit(self) -> None:
+        """End the calls whose servers have left."""
+        self._find_gone()
+        with self._lock:
+            servers = self._servers()
+            self._matched = False
+            left = [number for number, calling in self._sent.items() if not calling.servers & servers]
+            ended = [self._sent.pop(number) for number in left]
+        for calling in ended:
+            _end(calling, CallError(f"the server of {self.name} on ROS 2 left before it answered"))
+        self._advance()
+
+    def _look(self) -> None:
+        """Find servers whose processes have ended, while a call waits for them."""
+        with self._lock:
+            self._looking = False
+            if self._sent and not self._closed:
+                self._look_soon()
+        before = self._gone
+        if self._find_gone() - before:
+            self.refit()
+
+    def _find_gone(self) -> set[bytes]:
+        """Look which servers' processes have ended; one that is new is then remembered as living."""
+        servers = self._graph.snapshot.servers.get(self.name, frozenset())
+        prefixes = {gid[:PREFIX_BYTES] for gid in servers}
+        self._gone = {prefix for prefix in prefixes if self._processes.is_gone(prefix)}
+        return self._gone
+
+    def _abandon(self, calling: _PendingCall) -> None:
+        with self._lock:
+            if calling in self._waiting:
+                self._waiting.remove(calling)
+            for number in [number for number, other in self._sent.items() if other is calling]:
+                del self._sent[number]
+
+    def close(self) -> None:
+        """See `EdgeCaller`."""
+        with self._lock:
+            if self._closed:
+                return
+            self._closed = True
+            ended = [*self._sent.values(), *self._waiting]
+            self._sent.clear()
+            self._waiting.clear()
+        self._loop.remove(self)
+        for calling in ended:
+            _end(calling, CallError(f"{self.name} is no longer bridged"))
+        self._on_closed(self)
+
+
+def _end(calling: _PendingCall, result: bytes | CallError) -> None:
+    try:
+        calling.done(result)
+    except Exception:
+        _log.exception("telling of a call's end failed")

@@ -1,0 +1,57 @@
+"""What clients and servers of the edge have in common: rclpy's object, and watching the processes at the other end."""
+
+from __future__ import annotations
+
+import threading
+from abc import abstractmethod
+from dataclasses import dataclass
+from typing import Any
+
+from bridge.adapters.ros2 import rcl
+from bridge.adapters.ros2.graph.graph import Ros2Graph
+from bridge.adapters.ros2.graph.neighbours import ProcessWatch
+from bridge.adapters.ros2.loop import EndpointReader, ReadLoop
+from bridge.adapters.ros2.participant import Participant
+from bridge.concurrency import DelayedCalls
+
+_LOOK_SECONDS = 0.5
+"""Between two looks whether a process that a call waits for has ended: DDS notices that only when its lease is over."""
+
+
+@dataclass(frozen=True, slots=True)
+class Ros2Context:
+    """What the endpoints of the edge share."""
+
+    participant: Participant
+    loop: ReadLoop
+    graph: Ros2Graph
+    processes: ProcessWatch
+    later: DelayedCalls
+
+
+class ServiceEndpoint(EndpointReader):
+    """A client or a server. While calls are under way it looks whether the processes at their other end live."""
+
+    def __init__(self, name: str, service_class: Any, handle: Any, context: Ros2Context) -> None:
+        super().__init__(context.participant, handle)
+        self.name, self.type_name = name, str(service_class.type_name)
+        self._loop, self._graph = context.loop, context.graph
+        self._later, self._processes = context.later, context.processes
+        self._taker = rcl.CallTaker()
+        self._lock = threading.Lock()
+        self._looking = self._closed = False
+
+    def destroy(self) -> None:
+        """See `EndpointReader`."""
+        self._taker.close()
+        super().destroy()
+
+    def _look_soon(self) -> None:
+        """Have `_look` called, once; with the lock held."""
+        if not self._looking:
+            self._looking = True
+            self._later.after(_LOOK_SECONDS, self._look)
+
+    @abstractmethod
+    def _look(self) -> None:
+        """Look whether processes have ended; first takes back ``_looking``."""

@@ -1,0 +1,206 @@
+"""A server on the DDS network that hands its requests over and sends what comes back."""
+
+from __future__ import annotations
+
+import logging
+import threading
+import time
+from collections.abc import Callable
+from functools import partial
+from typing import Any, ClassVar
+
+from bridge.adapters.ros2 import rcl
+from bridge.adapters.ros2.graph.origins import PREFIX_BYTES, is_marked
+from bridge.adapters.ros2.participant import SERVICE
+from bridge.adapters.ros2.rcl import ENCAPSULATION, RequestId
+from bridge.adapters.ros2.services.endpoint import Ros2Context, ServiceEndpoint
+from bridge.adapters.ros2.services.pacing import ClientReplies
+from bridge.hub.endpoints.calls import Abandon, Call, CallError
+from bridge.routing.edge import EdgeServer
+
+_LINGER = 1.0
+"""Seconds for which a server stays after its last words: they may wait to be sent, and a client that hears of its end
+before them drops them."""
+
+_MOST_CLIENTS = 1000
+_LOG_SECONDS = 10.0
+
+_log = logging.getLogger(__name__)
+
+Refusal = Callable[[], bytes]
+"""Gives the reply by which a service of its kind says no."""
+
+
+class _PendingRequest:
+    """One request that waits for its reply."""
+
+    __slots__ = ("abandon", "id", "left", "seen")
+
+    def __init__(self, request: RequestId) -> None:
+        self.id = request
+        self.abandon: Abandon | None = None
+        self.seen = self.left = False
+
+
+class Ros2Server(ServiceEndpoint, EdgeServer):
+    """An rcl service.
+
+    A DDS client cannot be told that its call failed. Where the service's type has a reply that says no (``refusal``)
+    it gets that, else nothing, and the log says why.
+    """
+
+    kind: ClassVar[str] = "service"
+
+    def __init__(
+        self,
+        name: str,
+        service_class: Any,
+        call: Call,
+        refusal: Refusal | None,
+        context: Ros2Context,
+        closed: Callable[[Ros2Server], None],
+    ) -> None:
+        super().__init__(name, service_class, context.participant.make_server(service_class, name, SERVICE), context)
+        self._call, self._refusal, self._on_closed = call, refusal, closed
+        self._asked: dict[RequestId, _PendingRequest] = {}
+        self._clients: dict[bytes, ClientReplies] = {}
+        self._complained = self._spoke = float("-inf")
+        self._alive = threading.Lock()
+        self._destroyed = False
+        self._loop.add(self)
+
+    def drain(self, _taker: rcl.Taker, limit: int) -> None:
+        """See `EndpointReader`."""
+        for _ in range(limit):
+            taken = self._taker.request(self.pointer)
+            # A client that Midspan made means the native server of the name; DDS gives its request to all.
+            if taken is not None and not is_marked(taken[0].gid):
+                self._begin(*taken, limit)
+
+    def _begin(self, request: RequestId, payload: bytes, backlog: int) -> None:
+        asked = _PendingRequest(request)
+        with self._lock:
+            if self._closed:
+                return
+            self._asked[request] = asked
+            self._client(request.gid).asked(backlog)
+            self._look_soon()
+        try:
+            abandon = self._call(payload, partial(self._answer, asked))
+        except Exception:
+            _log.exception("%s: beginning a call failed", self.name)
+            self._answer(asked, CallError("the bridge failed"))
+            return
+        with self._lock:
+            asked.abandon, left = abandon, asked.left
+        if left:
+            abandon()
+
+    def _answer(self, asked: _PendingRequest, result: bytes | CallError) -> None:
+        with self._lock:
+            if self._asked.pop(asked.id, None) is None:
+                return
+            client = self._client(asked.id.gid)
+        if isinstance(result, CallError) or result[: len(ENCAPSULATION)] != ENCAPSULATION:
+            why = str(result) if isinstance(result, CallError) else "the reply is not little-endian CDR"
+            refusal = self._refuse(why)
+            if refusal is None:
+                client.unanswered()
+                return
+            result = refusal
+        self._spoke = time.monotonic()
+        client.send(asked.id, result)
+
+    def _client(self, gid: bytes) -> ClientReplies:
+        found = self._clients.get(gid)
+        if found is None:
+            if len(self._clients) >= _MOST_CLIENTS:
+                self._clients = {gid: client for gid, client in self._clients.items() if client.busy}
+            found = self._clients[gid] = ClientReplies(self._write, self._later)
+            self._later.after(0.0, partial(self._processes.is_gone, gid[:PREFIX_BYTES]))
+        return found
+
+    def _refuse(self, why: str) -> bytes | None:
+        told = self._refusal() if self._refusal is not None else None
+        if time.monotonic() - self._complained > _LOG_SECONDS:
+            self._complained = time.monotonic()
+            how = (
+                "its client got a refusal"
+                if told is not None
+                else "ROS 2 has no way to tell its client, which waits on"
+            )
+            _log.warning("a call of %s failed: %s; %s", self.name, why, how)
+        return told
+
+    def _write(self, request: RequestId, payload: bytes) -> bool:
+        """Send a reply; False where its client cannot be reached."""
+        with self._alive:
+            if self._destroyed:
+                return True
+            try:
+                return rcl.send_response(self.pointer, request, payload)
+            except rcl.RclError as err:
+                _log.warning("%s: a reply could not be sent: %s", self.name, err)
+                return True
+
+    def refit(self) -> None:
+        """Abandon the calls whose clients have left."""
+        with self._lock:
+            waiting = list(self._asked.values())
+        if not waiting:
+            return
+        there = self._graph.clients(self.name)
+        prefixes = {gid[:PREFIX_BYTES] for gid in there}
+        gone = {prefix for prefix in prefixes if self._processes.is_gone(prefix)}
+        for asked in waiting:
+            if asked.id.gid in there and asked.id.gid[:PREFIX_BYTES] not in gone:
+                asked.seen = True
+            elif asked.seen or asked.id.gid[:PREFIX_BYTES] in gone:
+                self._leave(asked)
+
+    def _leave(self, asked: _PendingRequest) -> None:
+        with self._lock:
+            if self._asked.pop(asked.id, None) is None:
+                return
+            asked.left, abandon = True, asked.abandon
+            self._clients.pop(asked.id.gid, None)
+        if abandon is not None:
+            abandon()
+
+    def _look(self) -> None:
+        """Look for clients whose processes have ended, while they wait."""
+        with self._lock:
+            self._looking = False
+            if self._closed or not self._asked:
+                return
+            self._look_soon()
+        self.refit()
+
+    def close(self) -> None:
+        """See `EdgeServer`."""
+        with self._lock:
+            if self._closed:
+                return
+            self._closed = True
+            waiting = [(asked, asked.abandon) for asked in self._asked.values()]
+            for asked, _ in waiting:
+                asked.left = True  # a call that is just being made is abandoned by who makes it
+        for asked, abandon in waiting:
+            if abandon is not None:
+                abandon()
+            self._answer(asked, CallError(f"{self.name} is no longer bridged"))
+        with self._lock:
+            clients = list(self._clients.values())
+        for client in clients:
+            client.flush()
+        if self._spoke > time.monotonic() - _LINGER:
+            self._later.after(_LINGER, partial(self._loop.remove, self))
+        else:
+            self._loop.remove(self)
+        self._on_closed(self)
+
+    def destroy(self) -> None:
+        """See `EndpointReader`."""
+        with self._alive:
+            self._destroyed = True
+            super().destroy()

@@ -1,0 +1,1 @@
+"""ROS 2 topics: subscriptions and publishers, as raw bytes."""

@@ -1,0 +1,108 @@
+"""Publishers on the ROS 2 side."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable
+from typing import Any
+
+from bridge.adapters.ros2 import rcl
+from bridge.adapters.ros2.participant import Participant
+from bridge.hub.wire.qos import Qos
+
+
+class _Writer:
+    """One DDS writer; `send` and `close` may meet."""
+
+    def __init__(self, participant: Participant, message_class: Any, topic: str, qos: Qos) -> None:
+        self._participant = participant
+        self._handle: Any = participant.make_writer(message_class, topic, qos)
+        self._pointer = int(self._handle.pointer)
+        self._lock = threading.Lock()
+
+    def send(self, payload: bytes) -> None:
+        with self._lock:
+            if self._handle is not None:
+                rcl.publish(self._pointer, payload)
+
+    def close(self) -> None:
+        with self._lock:
+            handle, self._handle = self._handle, None
+        if handle is not None:
+            self._participant.destroy(handle)
+
+
+class Ros2Publisher:
+    """Publishes what comes from the hub.
+
+    Volatile: one writer for all sources. Latched: a writer per source, since DDS keeps the last messages of each
+    writer: so a late joiner gets every source's last message, and a source that goes takes its message along. The
+    writer made at first becomes the first source's.
+    """
+
+    def __init__(
+        self,
+        topic: str,
+        message_class: Any,
+        qos: Qos,
+        participant: Participant,
+        closed: Callable[[Ros2Publisher], None],
+        heard: Callable[[str], bool],
+    ) -> None:
+        self.topic, self.qos = topic, qos
+        self.type_name = str(message_class.type_name)
+        self._closed, self._heard = closed, heard
+        self._participant, self._message_class = participant, message_class
+        self._lock = threading.Lock()
+        self._open = True
+        self._spare: _Writer | None = self._make()
+        self._writers: dict[str, _Writer] = {}
+        self._only = None if qos.latched else self._spare
+
+    def _make(self) -> _Writer:
+        return _Writer(self._participant, self._message_class, self.topic, self.qos)
+
+    @property
+    def dropped(self) -> int:
+        """DDS does not tell what a slow reader missed."""
+        return 0
+
+    @property
+    def heard(self) -> bool:
+        """Whether another participant subscribes to the topic."""
+        return self._heard(self.topic)
+
+    def send(self, payload: bytes, source: str) -> None:
+        """Publish bytes of one source."""
+        writer = self._only or self._writers.get(source) or self._writer_for(source)
+        if writer is not None:
+            writer.send(payload)
+
+    def _writer_for(self, source: str) -> _Writer | None:
+        with self._lock:
+            if not self._open:
+                return None
+            writer = self._writers.get(source)
+            if writer is None:
+                writer, self._spare = self._spare or self._make(), None
+                self._writers[source] = writer
+            return writer
+
+    def forget(self, source: str) -> None:
+        """Drop what is retained for a source; the topic stays advertised."""
+        with self._lock:
+            writer = self._writers.pop(source, None)
+            if writer is not None and not self._writers and self._spare is None and self._open:
+                self._spare = self._make()
+        if writer is not None:
+            writer.close()
+
+    def close(self) -> None:
+        """Give the writers back. Safe to call twice."""
+        with self._lock:
+            self._open = False
+            writers = [*self._writers.values(), *([self._spare] if self._spare else [])]
+            self._writers, self._spare = {}, None
+        for writer in writers:
+            writer.close()
+        self._closed(self)

@@ -1,0 +1,201 @@
+"""A subscription on the ROS 2 side that receives from every native publisher of its topic.
+
+DDS matches a reader with the writers that offer at least what it asks for. So one reader does not do where publishers
+differ: asking for the history of a latched one excludes the volatile ones, and a best-effort reader is given no
+history. Publishers are therefore sorted into classes, each class has its own reader, and a message counts only from the
+reader of its publisher's class.
+"""
+
+from __future__ import annotations
+
+import logging
+import threading
+import time
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any, NamedTuple
+
+from bridge.adapters.ros2 import rcl
+from bridge.adapters.ros2.graph.origins import is_marked
+from bridge.adapters.ros2.loop import EndpointReader
+from bridge.adapters.ros2.participant import Participant
+from bridge.adapters.ros2.services.endpoint import Ros2Context
+from bridge.hub.wire.qos import Durability, Qos, Reliability
+from bridge.routing.edge import Deliver, Endpoint, MadeBy
+
+LATCHED_DEPTH = 128
+"""Least depth of a reader of latched publishers: KEEP_LAST counts over all its writers, and they come at once."""
+
+VOLATILE_DEPTH = 32
+"""Least depth of the other readers: room for what comes while the loop is kept from its turn for some milliseconds."""
+
+_SEQUENCES = 32
+"""Publishers of one reader whose messages' numbers are remembered before it is looked which are still there."""
+
+_LOG_SECONDS = 10.0
+
+_log = logging.getLogger(__name__)
+
+
+class ReaderClass(NamedTuple):
+    """What a reader asks for."""
+
+    reliability: Reliability
+    durability: Durability
+
+
+class _Source(NamedTuple):
+    id: str
+    reader_class: ReaderClass
+
+
+class Ros2Subscription:
+    """See the module."""
+
+    def __init__(
+        self,
+        topic: str,
+        message_class: Any,
+        qos: Qos,
+        deliver: Deliver,
+        context: Ros2Context,
+        closed: Callable[[Ros2Subscription], None],
+    ) -> None:
+        self.topic, self.qos, self.deliver = topic, qos, deliver
+        self._message_class = message_class
+        self.type_name = str(message_class.type_name)
+        self._participant, self._loop, self._graph = context.participant, context.loop, context.graph
+        self._on_closed = closed
+        self.lost = 0
+        self._lock = threading.Lock()
+        self._readers: dict[ReaderClass, ClassReader] = {}
+        self._sources: dict[bytes, _Source] = {}
+        self.closed = False
+        self._complained = float("-inf")
+        self.refit()
+
+    def refit(self) -> None:
+        """Have a reader for each class of the native publishers that are there now."""
+        with self._lock:  # the look at the graph too: an older one must not come last
+            if self.closed:
+                return
+            publishers = {g: p for g, p in self._graph.publishers(self.topic).items() if p.made_by is MadeBy.NATIVE}
+            wanted = {self._class_of(p, publishers.values()) for p in publishers.values()}
+            if not wanted and not self._readers:
+                wanted = {ReaderClass(self.qos.reliability, self.qos.durability)}
+            # A publisher's class may change with its company; see `_class_of`.
+            self._sources = {
+                gid: _Source(publisher.id, self._class_of(publisher, publishers.values()))
+                for gid, publisher in publishers.items()
+            }
+            for new in wanted - self._readers.keys():
+                self._readers[new] = self._open(new)
+            for old in self._readers.keys() - wanted if wanted else ():
+                self._loop.remove(self._readers.pop(old))
+
+    def _open(self, reader_class: ReaderClass) -> ClassReader:
+        least = LATCHED_DEPTH if reader_class.durability is Durability.TRANSIENT_LOCAL else VOLATILE_DEPTH
+        depth = max(least, self.qos.depth)
+        qos = replace(self.qos, reliability=reader_class.reliability, durability=reader_class.durability, depth=depth)
+        handle = self._participant.make_reader(self._message_class, self.topic, qos)
+        reader = ClassReader(self, reader_class, handle, self._participant)
+        self._loop.add(reader)
+        return reader
+
+    def _class_of(self, publisher: Endpoint, among: Any) -> ReaderClass:
+        wish, offer = self.qos, publisher.qos
+        # The engine asks for best effort where any publisher is; only where none is, it is a rule that forces it.
+        forced = wish.reliability is Reliability.BEST_EFFORT and not any(
+            p.qos.reliability is Reliability.BEST_EFFORT for p in among
+        )
+        reliable = offer.reliability is Reliability.RELIABLE and not forced
+        latched = wish.latched and offer.latched and reliable
+        return ReaderClass(
+            Reliability.RELIABLE if reliable else Reliability.BEST_EFFORT,
+            Durability.TRANSIENT_LOCAL if latched else Durability.VOLATILE,
+        )
+
+    def source(self, gid: bytes, reader_class: ReaderClass) -> str | None:
+        """Id of the publisher whose message came by a reader, None where the message is not to be delivered."""
+        source = self._sources.get(gid) or self._resolve(gid, reader_class)
+        if source is None:
+            return None
+        own = source.reader_class
+        # Its own reader delivers it, or will: a latched one is given the history when it comes.
+        if own != reader_class and (own.durability is Durability.TRANSIENT_LOCAL or own in self._readers):
+            return None
+        return source.id
+
+    def sources(self) -> set[str]:
+        """Ids of the publishers that are there now."""
+        return {source.id for source in self._sources.values()}
+
+    def _resolve(self, gid: bytes, reader_class: ReaderClass) -> _Source | None:
+        if is_marked(gid):
+            return None
+        publisher = self._graph.find(self.topic, gid)
+        if publisher is None:
+            return _Source(gid.hex(), reader_class)
+        known = {**self._graph.publishers(self.topic), gid: publisher}
+        source = _Source(gid.hex(), self._class_of(publisher, known.values()))
+        with self._lock:
+            self._sources[gid] = source
+        return source
+
+    def failed(self, source: str) -> None:
+        """Log the exception that one message met, at a limited rate; the next message is not its fault."""
+        if time.monotonic() - self._complained > _LOG_SECONDS:
+            self._complained = time.monotonic()
+            _log.exception("%s: a message of %s is dropped", self.topic, source)
+
+    def close(self) -> None:
+        """Stop delivering and give the readers back. Safe to call twice."""
+        with self._lock:
+            if self.closed:
+                return
+            self.closed = True
+            readers, self._readers = list(self._readers.values()), {}
+        for reader in readers:
+            self._loop.remove(reader)
+        self._on_closed(self)
+
+
+class ClassReader(EndpointReader):
+    """One DDS reader of a subscription."""
+
+    def __init__(
+        self, owner: Ros2Subscription, reader_class: ReaderClass, handle: Any, participant: Participant
+    ) -> None:
+        super().__init__(participant, handle)
+        self._owner, self._class = owner, reader_class
+        self.topic = owner.topic
+        self._large = False
+        self._sequences: dict[str, int] = {}
+        self._room = _SEQUENCES
+
+    def drain(self, taker: rcl.Taker, limit: int) -> None:
+        """See `EndpointReader`."""
+        owner = self._owner
+        for _ in range(limit):
+            taken = taker.take(self.pointer, large=self._large)
+            if taken is None or owner.closed:
+                return
+            payload, gid, source_ns, sequence = taken
+            self._large = len(payload) >= rcl.LARGE
+            source = owner.source(gid, self._class)
+            if source is None:
+                continue
+            try:
+                owner.deliver(payload, source, source_ns)
+            except Exception:
+                owner.failed(source)
+            self._count(source, sequence)
+
+    def _count(self, source: str, sequence: int) -> None:
+        """Count what is missing between two messages of a publisher: overwritten in a full history, or never here."""
+        if source not in self._sequences and len(self._sequences) >= self._room:
+            self._sequences = {s: self._sequences[s] for s in self._sequences.keys() & self._owner.sources()}
+            self._room = 2 * len(self._sequences) + _SEQUENCES
+        last = self._sequences.get(source, sequence)
+        self._owner.lost += max(sequence - last - 1, 0)
+        self._sequences[source] = max(sequence, last)

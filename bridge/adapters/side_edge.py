@@ -1,0 +1,79 @@
+"""What the edges of Midspan's own sides share: types, the listener, and the other Midspan workers on the network."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Protocol
+
+from bridge.config.model import Config
+from bridge.messages.errors import MessageTypeError
+from bridge.messages.registry import Registry
+from bridge.messages.transcode.conversion import Conversion, ServiceConversion, SideType
+from bridge.routing.edge import Edge, EdgeListener, Sighting
+
+
+class Presence(Protocol):
+    """The Midspan workers on one network."""
+
+    def announce(self, record: bytes) -> None:
+        """Tell all others."""
+
+    def sightings(self) -> Sequence[Sighting]:
+        """The others that are there."""
+
+
+class SideEdge(Edge):
+    """An edge with a registry of types and one listener."""
+
+    def __init__(self, config: Config, registry: Registry) -> None:
+        self._config, self._registry = config, registry
+        self._listener: EdgeListener | None = None
+        self._presence: Presence | None = None
+
+    def learn(self, type_name: str, definition: str) -> None:
+        """See `Edge.learn`."""
+        self._registry.learn_ros2(type_name, definition)
+
+    def announce(self, record: bytes) -> None:
+        """See `Edge.announce`."""
+        presence = self._presence
+        if presence is not None:
+            presence.announce(record)
+
+    def sightings(self) -> Sequence[Sighting]:
+        """See `Edge.sightings`."""
+        presence = self._presence
+        return () if presence is None else presence.sightings()
+
+    def _graph_changed(self) -> None:
+        if self._listener is not None:
+            self._listener.graph_changed()
+
+    def _presence_changed(self) -> None:
+        if self._listener is not None:
+            self._listener.presence_changed()
+
+    def _refuse(self, topic: str, reason: str, why: str) -> None:
+        if self._listener is not None:
+            self._listener.message_refused(topic, reason, why)
+
+    def _own_type(self, type_name: str, type_hash: str) -> SideType:
+        """This machine's definition of a hub type; raises `MessageTypeError` where the publisher has another."""
+        known = self._registry.ros2(type_name)
+        if type_hash and type_hash != known.type_id:
+            raise MessageTypeError(
+                f"{type_name}: its publisher has {type_hash}, this machine's definition has {known.type_id}",
+                "install the same version of the message package on both, or give its .msg folder in types.folders",
+            )
+        return known
+
+    def _same_bytes(self, type_name: str, type_hash: str) -> Conversion:
+        """Between the hub and a side with the same bytes: a check of each message."""
+        known = self._own_type(type_name, type_hash)
+        return Conversion(known, known, self._registry.hub_check(type_name))
+
+    def _same_service(self, type_name: str, type_hash: str) -> ServiceConversion:
+        """The same for the calls of a service."""
+        known = self._registry.service_ros2(type_name, type_hash)
+        request, response = self._registry.hub_service_check(type_name, type_hash)
+        return ServiceConversion(known, known, request, request, response, response)

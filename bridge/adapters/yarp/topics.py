@@ -1,0 +1,322 @@
+"""The bridge's ports of a topic: inputs from YARP programs, outputs to them, and their envelopes."""
+
+from __future__ import annotations
+
+import itertools
+import logging
+import re
+import threading
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from decimal import Decimal
+
+from bridge.adapters.latched_cache import LatchedCache
+from bridge.adapters.yarp.contents import Contents
+from bridge.hub.wire.qos import Qos
+from bridge.messages.errors import MessageError
+from bridge.messages.transcode.conversion import SideType
+from bridge.messages.yarp.codec import Codec, stamp_of
+from bridge.messages.yarp.contents import Content
+from bridge.resources import LARGE_MESSAGES
+from bridge.routing.edge import Deliver, MadeBy
+from yarp_compat.ports.connections import AnyOutput
+from yarp_compat.ports.message import Payload, PortMessage
+from yarp_compat.ports.port import PortCore
+from yarp_compat.wire.profile import Profile
+
+_STAMP = re.compile(r"\s*-?\d{1,12}\s+(\d{1,12}(?:\.\d{1,30})?(?:[eE][+-]?\d{1,2})?)\s*")
+_DAY_NS = 86_400_000_000_000
+
+
+def envelope(count: int, stamp_ns: int | None) -> str:
+    """The envelope of a message with this time, "" without one."""
+    if stamp_ns is None or stamp_ns <= 0:
+        return ""
+    return f"{count} {stamp_ns // 1_000_000_000}.{stamp_ns % 1_000_000_000:09d}"
+
+
+def stamp(text: str) -> int | None:
+    """The time in an envelope in nanoseconds, None if it has none."""
+    found = _STAMP.fullmatch(text)
+    if found is None:
+        return None
+    time_ns = int(Decimal(found[1]).scaleb(9).to_integral_value())
+    return time_ns if 0 < time_ns < 1 << 62 else None
+
+
+def on_system_clock(stamp_ns: int | None) -> int | None:
+    """The time, where it is one of the system's clock and not of a simulation's or a machine's since its start."""
+    return stamp_ns if stamp_ns is not None and abs(time.time_ns() - stamp_ns) < _DAY_NS else None
+
+
+_log = logging.getLogger(__name__)
+
+HOLD_SECONDS = 2.0
+"""Seconds for which the newest message of a new peer is held until it is known who it is."""
+
+MAX_HELD = 64
+
+
+@dataclass(slots=True)
+class _Held:
+    """A message that waits, since when, and whether it is being passed on at this moment."""
+
+    since: float
+    message: PortMessage
+    going: bool = False
+
+
+@dataclass(eq=False)
+class InputPort:
+    """An input port: converts messages and delivers them to its topic's route.
+
+    Attributes:
+        only: whether a peer is heard; None: anybody.
+        source: the id of the endpoint that messages count as; None: that of the port which sent them.
+        made_by: tells who made a port.
+        refused: called for a message that is refused: topic, reason, why.
+    """
+
+    port: str
+    topic: str
+    type: str
+    codec: Codec
+    only: Callable[[str], bool] | None
+    source: str | None
+    made_by: Callable[[str], MadeBy]
+    refused: Callable[[str, str, str], None]
+    _deliver: Deliver | None = None
+    _held: dict[str, _Held] = field(default_factory=dict)
+    _changed: threading.Condition = field(default_factory=threading.Condition)
+
+    def on_message(self, message: PortMessage) -> None:
+        """Take a message; on the thread of its connection."""
+        LARGE_MESSAGES.passed(len(message.payload))
+        peer = message.peer.route.source
+        if self.only is not None and not self.only(peer):
+            return
+        made_by = self.made_by(peer)
+        if made_by is MadeBy.MIDSPAN:
+            return
+        deliver = self._deliver
+        if deliver is None or made_by is MadeBy.UNKNOWN or peer in self._held:
+            self.release()  # an earlier one goes first
+            self._hold(peer, message)
+            self.release()  # a route may have come meanwhile
+            return
+        self._pass_on(message, deliver)
+
+    def _hold(self, peer: str, message: PortMessage) -> None:
+        """Hold a message, in place of its peer's earlier one, or behind one that is being delivered."""
+        with self._changed:
+            self._changed.wait_for(lambda: not ((held := self._held.get(peer)) and held.going))
+            if peer in self._held or len(self._held) < MAX_HELD:
+                self._held[peer] = _Held(time.monotonic(), message)
+
+    def deliver_to(self, deliver: Deliver | None) -> None:
+        """Give messages to a route from now on; those that wait are its own with the next `release`."""
+        self._deliver = deliver
+
+    def waiting(self) -> set[str]:
+        """The peers whose messages are held, even if they have left."""
+        now = time.monotonic()
+        with self._changed:
+            for peer, held in list(self._held.items()):
+                if now - held.since > HOLD_SECONDS and not held.going:
+                    del self._held[peer]
+            return set(self._held)
+
+    def release(self) -> None:
+        """Deliver the held messages whose senders are known by now."""
+        while self._held and (found := self._next()) is not None:
+            peer, message, deliver = found
+            try:
+                self._pass_on(message, deliver)
+            finally:
+                with self._changed:
+                    del self._held[peer]
+                    self._changed.notify_all()
+
+    def _next(self) -> tuple[str, PortMessage, Deliver] | None:
+        """A held message that can be passed on; until that is done, the next of its peer waits."""
+        now, deliver = time.monotonic(), self._deliver
+        if deliver is None:
+            return None
+        with self._changed:
+            for peer, held in [(peer, held) for peer, held in self._held.items() if not held.going]:
+                made_by = self.made_by(peer)
+                if made_by is MadeBy.NATIVE and now - held.since <= HOLD_SECONDS:
+                    held.going = True
+                    return peer, held.message, deliver
+                if made_by is not MadeBy.UNKNOWN or now - held.since > HOLD_SECONDS:
+                    del self._held[peer]
+        return None
+
+    def _pass_on(self, message: PortMessage, deliver: Deliver) -> None:
+        peer = message.peer
+        stamp_ns = stamp(message.envelope) if message.envelope else None
+        try:
+            cdr = self.codec.to_hub(message.payload, peer.profile, stamp_ns)
+        except MessageError as err:
+            self.refused(self.topic, "bad", f"from {peer.route.source}: {err}")
+            return
+        deliver(cdr, self.source or peer.route.source, on_system_clock(stamp_ns))
+
+
+_QUEUE = 10
+"""Depth from which a stream waits for a slow reader; a rule that gives less wants it fresh rather than complete."""
+
+
+@dataclass(frozen=True, slots=True)
+class OutputPort:
+    """An output port and its content."""
+
+    core: PortCore
+    content: Content
+
+
+class TopicOutput:
+    """Publishes one topic and type. Methods may be called from any thread.
+
+    Args:
+        stamped: whether its messages begin with a header.
+    """
+
+    def __init__(self, topic: str, side_type: SideType, stamped: bool, contents: Contents) -> None:
+        self.topic, self.side_type = topic, side_type
+        self._stamped, self._contents = stamped, contents
+        self._ports: tuple[OutputPort, ...] = ()
+        self._publishers: list[YarpPublisher] = []
+        self._numbers = itertools.count()
+        self._lock = threading.RLock()
+
+    def publisher(self, qos: Qos, closed: Callable[[YarpPublisher], None]) -> YarpPublisher:
+        """A new publisher."""
+        made = YarpPublisher(self, qos, closed)
+        with self._lock:
+            self._publishers.append(made)
+        return made
+
+    def remove(self, publisher: YarpPublisher) -> bool:
+        """A publisher is closed; whether it was the last one."""
+        with self._lock:
+            if publisher in self._publishers:
+                self._publishers.remove(publisher)
+            return not self._publishers
+
+    def add(self, port: OutputPort) -> None:
+        """Another port for the topic."""
+        with self._lock:
+            self._ports = (*self._ports, port)
+
+    def drop(self, core: PortCore) -> None:
+        """A port is closed."""
+        with self._lock:
+            self._ports = tuple(port for port in self._ports if port.core is not core)
+
+    @property
+    def heard(self) -> bool:
+        """Whether a reader is connected to one of the ports."""
+        return any(port.core.connections.outputs for port in self._ports)
+
+    @property
+    def dropped(self) -> int:
+        """Messages that slow readers missed, or that were on their way when one left."""
+        return sum(port.core.lost.total() for port in self._ports)
+
+    def write(self, cdr: bytes, *, command: bool = False, strict: bool = True) -> None:
+        """Publish on all ports; raises the last `ConversionError` of a content that cannot express it.
+
+        Args:
+            cdr: the message.
+            command: a reader that is busy with the last one misses this one, so that none waits behind another.
+            strict: a reader that is busy gets it later; else the newest alone.
+        """
+        LARGE_MESSAGES.passed(len(cdr))
+        failure: MessageError | None = None
+        number = next(self._numbers)
+        chosen: Callable[[AnyOutput], bool] | None = (lambda output: not output.busy) if command else None
+        for port in self._ports:
+            try:
+                self._write(port, cdr, number, chosen, strict=strict and not command)
+            except MessageError as err:
+                failure = err
+        if failure is not None:
+            raise failure
+
+    def welcome(self, core: PortCore, target: str) -> None:
+        """Send the latched messages to a new reader."""
+        with self._lock:
+            port = next((port for port in self._ports if port.core is core), None)
+            if port is None:
+                return
+            for payload in [payload for publisher in self._publishers for payload in publisher.latched()]:
+                self._write(port, payload, next(self._numbers), lambda output: output.route.target == target)
+
+    def _write(
+        self,
+        port: OutputPort,
+        cdr: bytes,
+        number: int,
+        chosen: Callable[[AnyOutput], bool] | None,
+        *,
+        strict: bool = True,
+    ) -> None:
+        side, contents = self.side_type, self._contents
+
+        def payload(profile: Profile) -> Payload:
+            return contents.codec(port.content, side.name, side.type_id, profile).to_yarp(cdr).payload
+
+        stamp = envelope(number, stamp_of(cdr)) if self._stamped else ""
+        port.core.write(payload, stamp, strict=strict, chosen=chosen)
+
+    @property
+    def lock(self) -> threading.RLock:
+        """Held while a message is published and kept, so that late joiners get each in order."""
+        return self._lock
+
+
+class YarpPublisher:
+    """One publisher of a topic; see `EdgePublisher`."""
+
+    def __init__(self, output: TopicOutput, qos: Qos, closed: Callable[[YarpPublisher], None]) -> None:
+        self.output = output
+        self._latched, self._command = qos.latched, not qos.latched and qos.depth == 1
+        self._strict = qos.depth >= _QUEUE
+        self._cache = LatchedCache(qos.depth)
+        self._closed: Callable[[YarpPublisher], None] | None = closed
+
+    @property
+    def heard(self) -> bool:
+        """Whether a reader is connected to the topic's ports."""
+        return self.output.heard
+
+    @property
+    def dropped(self) -> int:
+        """Messages that slow readers of the topic missed."""
+        return self.output.dropped
+
+    def latched(self) -> list[bytes]:
+        """The messages for late joiners."""
+        return self._cache.all()
+
+    def send(self, payload: bytes, source: str) -> None:
+        """See `EdgePublisher`."""
+        if not self._latched:
+            self.output.write(payload, command=self._command, strict=self._strict)
+            return
+        with self.output.lock:
+            self._cache.add(payload, source)
+            self.output.write(payload)
+
+    def forget(self, source: str) -> None:
+        """See `EdgePublisher`."""
+        with self.output.lock:
+            self._cache.forget(source)
+
+    def close(self) -> None:
+        """Give it back. Safe to call twice."""
+        closed, self._closed = self._closed, None
+        if closed is not None:
+            closed(self)

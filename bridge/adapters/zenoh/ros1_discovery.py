@@ -1,0 +1,249 @@
+"""Keys of zenoh-plugin-ros1, and the beacons by which its bridges tell each other their topics and services.
+
+A topic's samples travel on ``<type in hex>/<md5>/<bridge namespace>/<topic>``, the payload is the ROS 1 message as it
+is on TCPROS, without an attachment. The bridge namespace is ``*`` by default. A service is a queryable on the same kind
+of key, with the service's type and md5; a bridge whose server failed replies with the error's text instead of a
+response. Bridges tell each other what they have on
+``ros1_discovery_info/<discovery namespace>/{pub|sub|srv|cl}/<type in hex>/<md5>/<bridge namespace>/<topic>``, the
+discovery namespace being ``*``. Read in zenoh-plugin-ros1, ``topic_utilities.rs``, ``discovery.rs`` and
+``abstract_bridge.rs``, of May 2025; free_fleet's clients use the same data keys (its ``utils.py``).
+
+The beacons are in the manner of ALOHA. Who has a topic puts an empty sample on its discovery key each second, and is
+taken for gone after three seconds' silence. Who hears another's beacon on the same key may fall silent, and speaks
+again after a second without any (``aloha_declaration.rs``, ``aloha_subscription.rs``). So that no native bridge falls
+silent because of us, which would look as if it were gone, we always give way. One that hears us before we hear it may
+still fall silent: our beacons leave it time to speak again, those of all Midspans on a key together.
+"""
+
+from __future__ import annotations
+
+import logging
+import re
+import threading
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import zenoh
+
+from bridge.adapters.zenoh.neighbours import is_marked, sender
+from bridge.hub.errors import HubWireError
+from bridge.hub.zenoh_compat import subscribe, undeclare
+from bridge.messages.definitions.names import is_ros1_name
+from bridge.routing.edge import Kind
+
+_SPACE = "ros1_discovery_info"
+_CLASSES = {Kind.PUBLISHER: "pub", Kind.SUBSCRIPTION: "sub", Kind.SERVER: "srv", Kind.CLIENT: "cl"}
+_KINDS = {name: kind for kind, name in _CLASSES.items()}
+_MD5 = re.compile(r"[0-9a-f]{32}|\*")
+_MAX_KEY = 4096
+
+
+@dataclass(frozen=True, slots=True)
+class AnnouncedTopic:
+    """A topic or a service as a bridge announces it: absolute name, ROS 1 type, md5 (``*`` for any)."""
+
+    name: str
+    type: str
+    md5: str
+
+
+def data_key(topic: AnnouncedTopic, namespace: str) -> str:
+    """The key of a topic's samples, or of a service's calls."""
+    return f"{topic.type.encode().hex()}/{topic.md5}/{namespace}/{topic.name.strip('/')}"
+
+
+def discovery_key(kind: Kind, topic: AnnouncedTopic, namespace: str) -> str:
+    """The key on which a topic or a service is announced."""
+    return f"{_SPACE}/*/{_CLASSES[kind]}/{data_key(topic, namespace)}"
+
+
+def all_discovery(namespace: str) -> str:
+    """The expression of all keys on which bridges of a namespace announce."""
+    return f"{_SPACE}/*/*/*/*/{namespace}/*/**"
+
+
+def parse(key: str) -> tuple[Kind, AnnouncedTopic]:
+    """Read a discovery key.
+
+    Raises:
+        WireError: it is none, or has no type, md5 or topic.
+    """
+    parts = key.split("/", 6)
+    if len(key) > _MAX_KEY or len(parts) != 7 or parts[0] != _SPACE or not all(parts):
+        raise HubWireError("no discovery key of the ros1 plugin")
+    kind = _KINDS.get(parts[2])
+    try:
+        type_name = bytes.fromhex(parts[3]).decode("ascii")
+    except (ValueError, UnicodeDecodeError):
+        type_name = ""
+    if kind is None or not is_ros1_name(type_name):
+        raise HubWireError(f"class {parts[2][:20]!r}, type {parts[3][:80]!r}: no ROS 1 topic or service")
+    if not _MD5.fullmatch(parts[4]):
+        raise HubWireError(f"md5 {parts[4][:80]!r} is not an md5 sum")
+    if any(char in parts[6] for char in "*$?#@"):
+        raise HubWireError(f"{parts[6][:80]!r} is not a topic name")
+    return kind, AnnouncedTopic("/" + parts[6], type_name, parts[4])
+
+
+_log = logging.getLogger(__name__)
+
+PERIOD = 1.0
+"""Seconds between the beacons of a native bridge."""
+
+_PAUSE = 2.25
+"""Periods between beacons of ours: a whole period of whoever is silent, and then up to one more until it speaks, fit
+between two of them; still less than the plugin's three."""
+
+_LOST = 4
+"""Periods of silence after which a topic is gone: one more than the plugin's, as two may have met at the start."""
+
+_SOON = 0.5
+"""Periods within which a second beacon on one key is another bridge's."""
+
+_FORGOTTEN = 60
+"""Periods of silence after which a bridge counts as new: it may be silent for long where another one beacons."""
+
+_MAX_TOPICS = 20_000
+_MAX_SPEAKERS = 100
+
+
+class _Beacon:
+    """One of our own topics."""
+
+    def __init__(self, session: zenoh.Session, key: str) -> None:
+        self.users = 0
+        self.due = 0.0
+        self._publisher = session.declare_publisher(
+            key,
+            congestion_control=zenoh.CongestionControl.DROP,
+            priority=zenoh.Priority.BACKGROUND,
+            reliability=zenoh.Reliability.BEST_EFFORT,
+            allowed_destination=zenoh.Locality.REMOTE,
+        )
+
+    def send(self, now: float) -> None:
+        self.rest(now)
+        self._publisher.put(b"", source_info=zenoh.SourceInfo(self._publisher.id, 0))
+
+    def rest(self, now: float) -> None:
+        """We or another Midspan just beaconed on the key."""
+        self.due = now + _PAUSE * PERIOD
+
+    def close(self) -> None:
+        undeclare(self._publisher)
+
+
+class Aloha:
+    """Receives the beacons of native bridges and sends our own. Safe to use from any thread.
+
+    Args:
+        changed: called after a topic came or went.
+        newcomer: called when a bridge begins to tell that it subscribes, with the topic's name and whether it is the
+            first one.
+    """
+
+    def __init__(
+        self, session: zenoh.Session, namespace: str, changed: Callable[[], None], newcomer: Callable[[str, bool], None]
+    ) -> None:
+        self._session, self._namespace = session, namespace
+        self._changed, self._newcomer = changed, newcomer
+        self._lock = threading.Lock()
+        self._heard: dict[tuple[Kind, AnnouncedTopic], float] = {}
+        self._speakers: dict[tuple[Kind, AnnouncedTopic], dict[str, float]] = {}
+        self._own: dict[tuple[Kind, AnnouncedTopic], _Beacon] = {}
+        self._ticked = time.monotonic()
+        self._refused = 0
+        self._subscriber = subscribe(session, all_discovery(namespace), self._on_beacon)
+
+    def topics(self) -> list[tuple[Kind, AnnouncedTopic]]:
+        """The topics and services that native bridges announce now."""
+        with self._lock:
+            return list(self._heard)
+
+    def announce(self, kind: Kind, topic: AnnouncedTopic) -> Callable[[], None]:
+        """Announce a topic of ours until the returned function is called."""
+        with self._lock:
+            beacon = self._own.get((kind, topic))
+            if beacon is None:
+                beacon = _Beacon(self._session, discovery_key(kind, topic, self._namespace))
+                self._own[kind, topic] = beacon
+            beacon.users += 1
+            if (kind, topic) not in self._heard and beacon.due == 0.0:
+                beacon.send(time.monotonic())
+
+        def withdraw() -> None:
+            with self._lock:
+                beacon.users -= 1
+                if beacon.users == 0:
+                    self._own.pop((kind, topic)).close()
+
+        return withdraw
+
+    def tick(self, now: float) -> None:
+        """Send the beacons that are due, and forget silent bridges; our own standstill does not count as silence."""
+        with self._lock:
+            stood_still, self._ticked = now - self._ticked, now
+            if stood_still > PERIOD:
+                self._heard = {place: min(heard + stood_still, now) for place, heard in self._heard.items()}
+            gone = [place for place, heard in self._heard.items() if now - heard > _LOST * PERIOD]
+            for place in gone:
+                del self._heard[place]
+                self._speakers.pop(place, None)
+            for place, beacon in self._own.items():
+                if now >= beacon.due and place not in self._heard:
+                    beacon.send(now)
+        if gone:
+            self._changed()
+
+    def warnings(self) -> list[str]:
+        """How many beacons could not be read."""
+        return [f"{self._refused} beacons of ros1 bridges are left out: see the log"] if self._refused else []
+
+    def close(self) -> None:
+        """Fall silent."""
+        undeclare(self._subscriber)
+        with self._lock:
+            beacons, self._own = list(self._own.values()), {}
+        for beacon in beacons:
+            beacon.close()
+
+    def _on_beacon(self, sample: zenoh.Sample) -> None:
+        if sample.kind != zenoh.SampleKind.PUT:
+            return
+        key = str(sample.key_expr)
+        try:
+            place = parse(key)
+        except HubWireError as err:
+            level = logging.DEBUG if self._refused else logging.WARNING
+            self._refused += 1
+            _log.log(level, "beacon left out, %s: %.200s", err, key)
+            return
+        now = time.monotonic()
+        if is_marked(sender(sample)):
+            with self._lock:
+                if place in self._own:
+                    self._own[place].rest(now)
+            return
+        with self._lock:
+            before = self._heard.get(place)
+            if before is None and len(self._heard) >= _MAX_TOPICS:
+                return
+            self._heard[place] = now
+            new = place[0] is Kind.SUBSCRIPTION and self._is_new(place, sender(sample), before, now)
+        if before is None:
+            self._changed()
+        if new:
+            self._newcomer(place[1].name, before is None)
+
+    def _is_new(self, place: tuple[Kind, AnnouncedTopic], speaker: str, before: float | None, now: float) -> bool:
+        """Whether a beacon is of a bridge that did not beacon before.
+
+        The time stamp tells, where the bridge itself set it; else two beacons soon after each other are of two bridges.
+        """
+        speakers = self._speakers.setdefault(place, {})
+        last = speakers.get(speaker, 0.0)
+        speakers[speaker] = now
+        if len(speakers) > _MAX_SPEAKERS:
+            del speakers[next(iter(speakers))]
+        return before is None or now - last > _FORGOTTEN * PERIOD or now - before < _SOON * PERIOD

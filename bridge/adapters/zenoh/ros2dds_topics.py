@@ -1,0 +1,174 @@
+"""Publishers and latched subscriptions of the ros2dds dialect.
+
+The plugin's transient-local publishers are zenoh's advanced publishers, numbered by time stamps (its
+``src/route_publisher.rs``); other programs' may number their samples instead.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import threading
+from collections import Counter
+from collections.abc import Callable
+
+import zenoh
+
+from bridge.adapters.zenoh.neighbours import sender, time_ns
+from bridge.adapters.zenoh.topics import Announcement, KeyContext, KeySubscription, PlainSink, priority
+from bridge.concurrency import DelayedCalls
+from bridge.hub.endpoints.latched import LatchedHistory, LatchedPublisher
+from bridge.hub.wire.qos import Qos
+from bridge.routing.edge import Deliver
+
+
+class Ros2ddsPublisher:
+    """Publishes what comes from the hub; latched: an advanced publisher for each source, which goes with it."""
+
+    dropped = 0  #: zenoh does not tell what a congested link dropped
+    heard = True  #: nor is it asked who listens
+
+    def __init__(
+        self, context: KeyContext, key: str, qos: Qos, heartbeats: DelayedCalls, announcement: Announcement
+    ) -> None:
+        self.announcement = announcement
+        self._context, self._key, self._qos, self._heartbeats = context, key, qos, heartbeats
+        self._lock = threading.Lock()
+        self._open = True
+        self._sinks: dict[str, PlainSink | LatchedPublisher] = {}
+
+    def send(self, payload: bytes, source: str) -> None:
+        """See `EdgePublisher`."""
+        name = source if self._qos.latched else ""
+        with self._lock:
+            if not self._open:
+                return
+            sink = self._sinks.get(name)
+            if sink is None:
+                sink = self._sinks[name] = self._make()
+            with contextlib.suppress(zenoh.ZError):  # the session is being closed
+                sink.put(payload)
+
+    def _make(self) -> PlainSink | LatchedPublisher:
+        session, key, qos = self._context.session, self._key, self._qos
+        if not qos.latched:
+            return PlainSink(session, key, qos)
+        depth, drop = max(qos.depth, 1), zenoh.CongestionControl.DROP
+        return LatchedPublisher(session, key, depth, self._heartbeats, congestion=drop, priority=priority(qos))
+
+    def forget(self, source: str) -> None:
+        """See `EdgePublisher`."""
+        with self._lock:
+            sink = self._sinks.pop(source, None) if self._qos.latched else None
+        if sink is not None:
+            sink.close()
+
+    def close(self) -> None:
+        """Give the publishers back. Safe to call twice."""
+        with self._lock:
+            opened, self._open = self._open, False
+            sinks, self._sinks = list(self._sinks.values()), {}
+        if opened:
+            self.announcement.withdraw()
+            for sink in sinks:
+                sink.close()
+            self._context.closed(self)
+
+
+_MAX_HELD = 1000
+_MAX_PUBLISHERS = 4096
+
+
+class LatchedSubscription(KeySubscription):
+    """Receives live samples, and asks each publisher once for its latched ones.
+
+    Args:
+        depth: how many of the samples that were kept count, for the source with this id.
+        wanted: samples that each publisher is asked for.
+    """
+
+    def __init__(
+        self,
+        context: KeyContext,
+        key: str,
+        qos: Qos,
+        deliver: Deliver,
+        source_of: Callable[[zenoh.Sample], str],
+        announcement: Announcement,
+        depth: Callable[[str], int],
+        wanted: int,
+    ) -> None:
+        self._depth = depth
+        self._asking = threading.Lock()
+        self._asked: Counter[str] = Counter()
+        self._kept: dict[str, list[tuple[zenoh.Sample, str]]] = {}
+        self._held: dict[str, list[tuple[zenoh.Sample, str]]] = {}
+        self._last: dict[tuple[str, str], int] = {}
+        super().__init__(context, key, qos, deliver, source_of, announcement)
+        self._history = LatchedHistory(context.session, key, wanted, self, context.executor, recovers=False)
+        self._history.open()
+
+    def ask_for(self, wanted: int) -> None:
+        """Ask publishers that come from now on for at least so many samples."""
+        self._history.depth = max(self._history.depth, wanted)
+
+    def close(self) -> None:
+        """Stop delivering. Safe to call twice."""
+        if self._open:
+            self._history.close()
+        super().close()
+
+    def take(self, sample: zenoh.Sample, source: str) -> None:
+        """A live sample: it waits while its session is asked."""
+        zid = sender(sample)
+        with self._asking:
+            if self._asked[zid] and len(self._held.get(zid, ())) < _MAX_HELD:
+                self._held.setdefault(zid, []).append((sample, source))
+            else:
+                self._deliver(sample, source)
+
+    # -- see `bridge.hub.endpoints.latched.HistoryListener` ------------------------------------------------------------
+
+    def asked(self, zid: str) -> None:
+        """A session's publishers were asked."""
+        with self._asking:
+            self._asked[zid] += 1
+
+    def came(self, sample: zenoh.Sample) -> None:
+        """One of the samples that a publisher keeps."""
+        source = self.native(sample)
+        if source:
+            with self._asking:
+                self._kept.setdefault(sender(sample), []).append((sample, source))
+
+    def done(self, zid: str) -> None:
+        """All that was asked of a session has come."""
+        with self._asking:
+            self._asked[zid] -= 1
+            if self._asked[zid] > 0:
+                return
+            del self._asked[zid]
+            by_source: dict[str, list[tuple[zenoh.Sample, str]]] = {}
+            for entry in sorted(self._kept.pop(zid, []), key=lambda entry: _order(entry[0])):
+                by_source.setdefault(entry[1], []).append(entry)
+            for source, entries in by_source.items():
+                for entry in entries[-self._depth(source) :]:
+                    self._deliver(*entry)
+            for entry in self._held.pop(zid, []):
+                self._deliver(*entry)
+
+    def _deliver(self, sample: zenoh.Sample, source: str) -> None:
+        info = sample.source_info
+        publisher = sender(sample), "" if info is None else str(info.source_id.eid)
+        order = _order(sample)
+        if order and order <= self._last.get(publisher, 0):
+            return  # it came both ways
+        if len(self._last) >= _MAX_PUBLISHERS:
+            del self._last[next(iter(self._last))]
+        self._last[publisher] = order
+        super().take(sample, source)
+
+
+def _order(sample: zenoh.Sample) -> int:
+    """A number that grows from sample to sample of one publisher, 0 without one."""
+    stamp, info = time_ns(sample), sample.source_info
+    return stamp if stamp is not None else 0 if info is None else info.source_sn + 1

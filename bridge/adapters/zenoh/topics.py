@@ -1,0 +1,298 @@
+"""Publishers and subscriptions on the keys of a foreign dialect, and their announcements."""
+
+from __future__ import annotations
+
+import contextlib
+import threading
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import zenoh
+
+from bridge.adapters.latched_cache import LatchedCache
+from bridge.adapters.zenoh.neighbours import is_marked, sender, time_ns
+from bridge.concurrency import SerialExecutor
+from bridge.hub.endpoints.calls import nothing
+from bridge.hub.wire.qos import Qos
+from bridge.hub.zenoh_compat import answer, subscribe, undeclare
+from bridge.routing.dispatcher import Dispatcher
+from bridge.routing.edge import Deliver
+from bridge.routing.limits import BULK, QUEUE_BYTES, Priority
+
+Withdraw = Callable[[], None]
+
+
+@dataclass(frozen=True, slots=True)
+class KeyContext:
+    """What the endpoints of one edge share.
+
+    Attributes:
+        limit: bytes of a request or a reply at most.
+        executor: runs what may wait for zenoh.
+        small: converts received messages, urgent ones first.
+        bulk: the same for large ones.
+        closed: called with each endpoint that has closed.
+    """
+
+    session: zenoh.Session
+    limit: int
+    executor: SerialExecutor
+    small: Dispatcher
+    bulk: Dispatcher
+    closed: Callable[[Any], None]
+
+
+class Announcement:
+    """Announces an endpoint, and withdraws that when the endpoint closes.
+
+    It is told once the endpoint is there: whoever hears of it calls, publishes or asks at once. An endpoint that has
+    been closed by then is not told at all.
+
+    Args:
+        announce: announces the endpoint; returns what withdraws that. By default nobody is told.
+    """
+
+    def __init__(self, announce: Callable[[], Withdraw] = lambda: nothing) -> None:
+        self._announce = announce
+        self._lock = threading.Lock()
+        self._withdraw: Withdraw | None = None
+        self._over = False
+
+    def publish(self) -> None:
+        """Announce the endpoint, unless it has been closed."""
+        with self._lock:
+            if not self._over:
+                self._withdraw = self._announce()
+
+    def withdraw(self) -> None:
+        """The endpoint closes. Safe to call twice."""
+        with self._lock:
+            self._over = True
+            withdraw, self._withdraw = self._withdraw, None
+        if withdraw is not None:
+            withdraw()
+
+
+_NUMBERS = 0xFFFFFFFF
+
+
+def is_command(qos: Qos) -> bool:
+    """Whether only the newest message counts: volatile with depth 1, as the engine asks for commands."""
+    return qos.depth == 1 and not qos.latched
+
+
+def priority(qos: Qos) -> zenoh.Priority:
+    """The zenoh priority for a QoS: commands before state before streams."""
+    if is_command(qos):
+        return zenoh.Priority.INTERACTIVE_HIGH
+    return zenoh.Priority.DATA_HIGH if qos.latched else zenoh.Priority.DATA
+
+
+class PlainSink:
+    """Puts on a key; each sample carries our session's marked id. Also for the other dialects.
+
+    Commands (volatile, depth 1) go before all else.
+    """
+
+    def __init__(self, session: zenoh.Session, key: str, qos: Qos, encoding: zenoh.Encoding | None = None) -> None:
+        self._encoding = encoding
+        self.publisher = session.declare_publisher(
+            key,
+            congestion_control=zenoh.CongestionControl.DROP,
+            priority=priority(qos),
+            express=is_command(qos),
+            allowed_destination=zenoh.Locality.REMOTE,
+        )
+        self._id = self.publisher.id
+        self._number = 0
+
+    def put(self, payload: bytes) -> None:
+        """Publish; one thread at a time."""
+        self._number += 1
+        info = zenoh.SourceInfo(self._id, self._number & _NUMBERS)
+        with contextlib.suppress(zenoh.ZError):  # the session is being closed
+            self.publisher.put(payload, source_info=info, encoding=self._encoding)
+
+    def close(self) -> None:
+        """Give the publisher back."""
+        undeclare(self.publisher)
+
+
+class KeyPublisher:
+    """Puts messages of the hub on a plain key, and answers a ``get`` there with the latched ones.
+
+    Args:
+        qos: latched or not, and how many messages of each source are kept.
+        encoding: told with each sample.
+        newest: whether a ``get`` is answered with the newest message alone, not with every source's.
+    """
+
+    dropped = 0  #: zenoh does not tell what a congested link dropped
+    heard = True  #: nor is it asked who listens
+
+    def __init__(
+        self,
+        context: KeyContext,
+        key: str,
+        qos: Qos,
+        announcement: Announcement,
+        *,
+        encoding: zenoh.Encoding | None = None,
+        newest: bool = False,
+    ) -> None:
+        self.announcement = announcement
+        self._session, self._closed = context.session, context.closed
+        self._key, self._qos, self._encoding, self._newest = key, qos, encoding, newest
+        self._lock = threading.Lock()
+        self._cache = LatchedCache(qos.depth)
+        self._listener: zenoh.MatchingListener[None] | None = None
+        self._sink: PlainSink | None = PlainSink(context.session, key, qos, encoding)
+        self._queryable = answer(context.session, key, self._on_query) if qos.latched else None
+
+    def send(self, payload: bytes, source: str) -> None:
+        """See `EdgePublisher`."""
+        with self._lock:
+            if self._sink is None:
+                return
+            if self._qos.latched:
+                self._cache.add(payload, source)
+            self._sink.put(payload)
+
+    def forget(self, source: str) -> None:
+        """See `EdgePublisher`."""
+        with self._lock:
+            self._cache.forget(source)
+
+    def put_again(self) -> None:
+        """Put the latched messages once more."""
+        with self._lock:
+            for payload in self._cache.all():
+                if self._sink is not None:
+                    self._sink.put(payload)
+
+    def close(self) -> None:
+        """Give the key back. Safe to call twice."""
+        with self._lock:
+            sink, self._sink = self._sink, None
+        if sink is not None:
+            self.announcement.withdraw()
+            sink.close()
+            if self._queryable is not None:
+                undeclare(self._queryable)
+            self._closed(self)
+
+    def _on_query(self, query: zenoh.Query) -> None:
+        with self._lock:
+            latched = self._cache.all()
+        with query, contextlib.suppress(zenoh.ZError):
+            for payload in latched[-1:] if self._newest else latched:
+                query.reply(self._key, payload, encoding=self._encoding, timestamp=self._session.new_timestamp())
+
+    def watch(self, matched: Callable[[], None]) -> None:
+        """Call ``matched`` when the key has got its first subscriber."""
+
+        def changed(status: zenoh.MatchingStatus) -> None:
+            if status.matching:
+                matched()
+
+        if self._sink is not None:
+            handler = zenoh.handlers.Callback(changed, indirect=False)
+            self._listener = self._sink.publisher.declare_matching_listener(handler)
+
+
+class SampleQueue:
+    """A bounded queue that drops its oldest; of commands (depth 1, volatile) only the newest counts."""
+
+    def __init__(self, deliver: Deliver, qos: Qos, context: KeyContext) -> None:
+        self.lost = 0
+        self._deliver, self._bulk = deliver, context.bulk
+        self._depth = max(qos.depth, 1)
+        self._priority = Priority.COMMAND if is_command(qos) else Priority.STATE if qos.latched else Priority.STREAM
+        self._lock = threading.Lock()
+        self._queue: deque[tuple[zenoh.ZBytes, str, int | None]] = deque()
+        self._bytes = 0
+        self._dispatcher = context.small
+        self._closed = False
+
+    def add(self, payload: zenoh.ZBytes, source: str, time_ns: int | None) -> None:
+        """Append a message and wake a thread."""
+        size = len(payload)
+        with self._lock:
+            if self._closed:
+                return
+            self._queue.append((payload, source, time_ns))
+            self._bytes += size
+            while len(self._queue) > self._depth or (self._bytes > QUEUE_BYTES and len(self._queue) > 1):
+                self._bytes -= len(self._queue.popleft()[0])
+                self.lost += 1
+            if size > BULK and len(self._queue) == 1:
+                self._dispatcher = self._bulk
+            dispatcher = self._dispatcher
+        dispatcher.submit(self._priority, self._next)
+
+    def _next(self) -> None:
+        with self._lock:
+            if not self._queue or self._closed:
+                return
+            payload, source, time_ns = self._queue.popleft()
+            self._bytes -= len(payload)
+        self._deliver(payload.to_bytes(), source, time_ns)
+
+    def close(self) -> None:
+        """Deliver nothing more."""
+        with self._lock:
+            self._closed = True
+            self._queue.clear()
+
+
+class KeySubscription:
+    """Delivers the samples that native programs put on a key; those of any Midspan are ignored.
+
+    Args:
+        source_of: the id of the endpoint that a native sample is from, "" where it is nobody's that counts here.
+    """
+
+    def __init__(
+        self,
+        context: KeyContext,
+        key: str,
+        qos: Qos,
+        deliver: Deliver,
+        source_of: Callable[[zenoh.Sample], str],
+        announcement: Announcement,
+    ) -> None:
+        self.key, self.announcement = key, announcement
+        self._queue, self._source_of, self._closed = SampleQueue(deliver, qos, context), source_of, context.closed
+        self._open = True
+        self._subscriber = subscribe(context.session, key, self._on_sample)
+
+    @property
+    def lost(self) -> int:
+        """Messages that found the queue full."""
+        return self._queue.lost
+
+    def close(self) -> None:
+        """Stop delivering. Safe to call twice."""
+        opened, self._open = self._open, False
+        if opened:
+            undeclare(self._subscriber)
+            self._queue.close()
+            self.announcement.withdraw()
+            self._closed(self)
+
+    def _on_sample(self, sample: zenoh.Sample) -> None:
+        source = self.native(sample)
+        if source:
+            self.take(sample, source)
+
+    def native(self, sample: zenoh.Sample) -> str:
+        """The endpoint that a sample is from; "" where it is to be passed over."""
+        if not self._open or sample.kind != zenoh.SampleKind.PUT or is_marked(sender(sample)):
+            return ""
+        return self._source_of(sample)
+
+    def take(self, sample: zenoh.Sample, source: str) -> None:
+        """Queue a native message."""
+        self._queue.add(sample.payload, source, time_ns(sample))

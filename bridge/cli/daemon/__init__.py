@@ -1,0 +1,1 @@
+"""The verbs that run the daemon, one worker, one module or the simulator."""

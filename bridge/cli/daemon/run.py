@@ -1,0 +1,161 @@
+"""``midspan run``, ``midspan worker`` and ``midspan module``: the daemon, one worker, one hosted module."""
+
+from __future__ import annotations
+
+import argparse
+import logging
+import os
+import signal
+import subprocess
+import sys
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from typing import TYPE_CHECKING, NoReturn
+
+from bridge.cli.arguments import add_config
+from bridge.cli.output import CliError
+from bridge.daemon.workers import WORKERS, child_command, worker_kinds
+
+if TYPE_CHECKING:
+    from bridge.config.model import Config
+    from bridge.daemon.workers import WorkerKind
+
+
+def register_run(parser: argparse.ArgumentParser) -> None:
+    """Describe the verb and its arguments."""
+    parser.description = (
+        "Runs the daemon in the foreground. SIGHUP checks and loads the configuration again; only what changed is"
+        " touched. SIGTERM or Ctrl-C stops everything in order, a second one at once."
+    )
+    add_config(parser)
+    parser.add_argument(
+        "--adopt",
+        action="append",
+        default=[],
+        choices=[kind.name for kind in WORKERS],
+        metavar="WORKER",
+        help="use this worker of a service of its own, never start or stop it (may be repeated)",
+    )
+    parser.set_defaults(run=run_run)
+
+
+def run_run(args: argparse.Namespace) -> int:
+    """Run the daemon until it is asked to stop."""
+    from bridge.config.document import ConfigError
+    from bridge.daemon import log
+    from bridge.daemon.protocol import EXIT_CANNOT_WORK
+    from bridge.daemon.supervisor import Supervisor
+
+    try:
+        supervisor = Supervisor(args.config, standing=args.adopt)
+    except ConfigError as err:
+        print(err, file=sys.stderr)
+        return EXIT_CANNOT_WORK  # a service must not be started again and again with it
+    log.setup(supervisor.config, "midspan", log.style_for())
+    signal.signal(signal.SIGTERM, lambda *_: supervisor.request_stop())
+    signal.signal(signal.SIGINT, lambda *_: supervisor.request_stop())
+    signal.signal(signal.SIGHUP, lambda *_: supervisor.request_reload())
+    supervisor.run()
+    return 0
+
+
+_KEPT = ("NOTIFY_SOCKET", "WATCHDOG_USEC", "WATCHDOG_PID", "JOURNAL_STREAM")
+
+
+def register_worker(parser: argparse.ArgumentParser) -> None:
+    """Describe the verb and its arguments."""
+    parser.description = (
+        "Runs one worker in the foreground, without the daemon: on another machine, or as a service of its own."
+        " SIGHUP loads the configuration again."
+    )
+    parser.add_argument("side", choices=[kind.name for kind in WORKERS], help="which worker")
+    add_config(parser)
+    parser.add_argument(
+        "--control",
+        action="store_true",
+        help="open a control socket in the state folder, by which a daemon of the same name finds the worker",
+    )
+    parser.add_argument(
+        "--supervised",
+        action="store_true",
+        help="take the configuration and commands as JSON lines from the standard input (how the daemon starts it)",
+    )
+    parser.add_argument("--prepared", action="store_true", help=argparse.SUPPRESS)  # the environment is already its own
+    parser.set_defaults(run=run_worker)
+
+
+def run_worker(args: argparse.Namespace) -> int:
+    """Run the worker until it is asked to stop."""
+    from bridge.daemon.process import Process
+
+    kind = worker_kinds()[args.side]
+    if args.supervised:
+        ended = Process(kind, control=args.control).run_supervised()
+        # The daemon's SIGTERM may come behind its word, when Python has taken its handlers away already.
+        signal.signal(signal.SIGTERM, signal.SIG_IGN)
+        return ended
+    config = _config(args)
+    if kind.environment and not args.prepared:
+        _enter_environment(kind, config, args)
+    return run_alone(kind, config, lambda: _config(args), control=args.control)
+
+
+def run_alone(kind: WorkerKind, config: Config, load: Callable[[], Config], *, control: bool = False) -> int:
+    """Run a worker in this process without the daemon; the exit code."""
+    from bridge.daemon.process import Process
+
+    code = Process(kind, control=control).run_alone(config, load)
+    if code is None:
+        logging.getLogger("midspan").info("starting again")
+        _go_on_as([sys.executable, *sys.orig_argv[1:]], os.environ)
+    return code
+
+
+def _config(args: argparse.Namespace) -> Config:
+    from bridge.config.load import load
+    from bridge.state_file import with_state
+
+    return with_state(load(args.config))
+
+
+def _enter_environment(kind: WorkerKind, config: Config, args: argparse.Namespace) -> None:
+    """Start this command again in the environment that the worker needs."""
+    env = kind.child_environment(config)
+    env.update({name: os.environ[name] for name in _KEPT if name in os.environ})
+    options = ["--prepared", *(["--control"] if args.control else [])]
+    if args.config is not None:
+        options += ["--config", str(args.config)]
+    command = child_command(kind.name, *options)
+    _go_on_as(command, env)
+
+
+def _go_on_as(command: list[str], env: Mapping[str, str]) -> NoReturn:
+    """Let a command of our own take this process's place."""
+    if sys.platform == "win32":  # exec leaves whoever waits for this process with nobody there
+        sys.exit(subprocess.call(command, env=dict(env)))
+    os.execve(command[0], command, dict(env))  # noqa: S606  our own interpreter and module
+
+
+def register_module(parser: argparse.ArgumentParser) -> None:
+    """Describe the verb and its arguments."""
+    parser.description = (
+        "Runs one hosted module in the foreground, without the daemon: on another machine, or as a service of its own."
+        " The configuration switches it on; SIGHUP loads that again. Switch it off where a daemon runs it too."
+    )
+    parser.add_argument("name", help="its name in the configuration's section modules")
+    add_config(parser)
+    parser.set_defaults(run=run_module)
+
+
+def run_module(args: argparse.Namespace) -> int:
+    """Run the module until it is asked to stop."""
+    from bridge.config.load import load
+    from bridge.state_file import with_state
+
+    config = with_state(load(args.config))
+    sections = config.hosted
+    if args.name not in sections:
+        known = ", ".join(sections) or "none"
+        raise CliError(f"modules.{args.name} is not switched on in the configuration; those that are: {known}")
+    kind = replace(worker_kinds()["modules"], arguments=(args.name,))
+    return run_alone(kind, config, lambda: with_state(load(args.config)))

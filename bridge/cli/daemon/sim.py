@@ -1,0 +1,101 @@
+"""``midspan sim``: the simulated base, alone; its plans and robots; maps of a plan; a picture."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from bridge.cli.arguments import add_config
+from bridge.cli.output import CliError
+
+if TYPE_CHECKING:
+    from bridge.config.model import Config
+
+
+def register(parser: argparse.ArgumentParser) -> None:
+    """Describe the verb and its arguments."""
+    parser.description = (
+        "Runs the simulated base of the section sim in the foreground, without the daemon; the options here override"
+        " the file. It joins the hub, or waits for one."
+    )
+    add_config(parser)
+    parser.add_argument("--plan", metavar="PLAN", help="name of a floor plan, or a file; see --list")
+    parser.add_argument("--robot", metavar="ROBOT", help="name of a robot, or a file; see --list")
+    parser.add_argument("--speed", metavar="SPEED", help="1.0 is real time; 'max'; 'step' by a client")
+    parser.add_argument("--list", action="store_true", help="say which plans and robots come with Midspan, and end")
+    parser.add_argument("--export", type=Path, metavar="FOLDER", help="write the plan's maps and locations, and end")
+    parser.add_argument("--resolution", type=float, metavar="METRES", help="of a cell with --export (default 0.05)")
+    parser.add_argument("--picture", type=Path, metavar="FILE", help="draw the plan and the robot as PNG, and end")
+    parser.set_defaults(run=run)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Run the simulation until it is asked to stop, or do the one thing that is asked for."""
+    if args.list:
+        return _list()
+    config = _config(args)
+    if args.export is not None:
+        return _export(config, args)
+    if args.picture is not None:
+        return _picture(config, args.picture)
+    from bridge.cli.daemon.run import run_alone
+    from bridge.daemon.workers import worker_kinds
+
+    kind = worker_kinds()["sim"]
+    if why := kind.missing(config):
+        raise CliError(why)
+    return run_alone(kind, config, lambda: _config(args))
+
+
+def _list() -> int:
+    from sim.environment import ready
+
+    print("plans: ", ", ".join(ready("plans")))
+    print("robots:", ", ".join(ready("robots")))
+    return 0
+
+
+def _config(args: argparse.Namespace) -> Config:
+    from bridge.config.load import load
+    from bridge.config.sections.sim import SimSection
+    from bridge.state_file import with_state
+
+    config = with_state(load(args.config))
+    speed = args.speed
+    if speed not in (None, "max", "step"):
+        try:
+            speed = float(speed)
+        except ValueError:
+            raise CliError(f"--speed {speed}: a number, 'max' or 'step'") from None
+    given = {"plan": args.plan, "robot": args.robot, "speed": speed}
+    changed = {name: value for name, value in given.items() if value is not None}
+    try:
+        section = SimSection.model_validate({**config.sim.model_dump(), **changed, "enabled": True})
+    except ValueError as err:
+        raise CliError(str(err)) from None
+    return config.model_copy(update={"sim": section})
+
+
+def _export(config: Config, args: argparse.Namespace) -> int:
+    from sim import export
+    from sim.plan import load_plan
+
+    resolution = args.resolution or 0.05
+    if not 0.001 <= resolution <= 10:
+        raise CliError(f"--resolution {resolution}: 0.001 to 10 metres")
+    plan = load_plan(config.sim.plan, config.sim.resolution)
+    for file in export.save(plan, args.export, resolution):
+        print(file)
+    for name, link in export.links(plan).items():
+        print(f"link {name}: {link.first} and {link.second}, cost {link.cost:g}")
+    return 0
+
+
+def _picture(config: Config, file: Path) -> int:
+    from sim.export import png
+    from sim.simulation import Simulation
+
+    png(Simulation(config.sim), file)
+    print(file)
+    return 0

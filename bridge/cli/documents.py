@@ -1,0 +1,160 @@
+"""The workers' status documents for people: the table of routes, and the YARP ports."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any
+
+from rich import box
+from rich.table import Table
+from rich.text import Text
+
+from bridge.cli.output import clean, duration, is_number, milliseconds, plural, rate, side_name
+
+Document = Mapping[str, Any]
+"""One worker's status document: what it answers to the verb ``status``."""
+
+
+def routes_table(documents: Iterable[Document], *, errors: bool = True) -> Table:
+    """A table of all routes of these workers by topic, where asked with each route's last error under it."""
+    rows = sorted(
+        ((document, route) for document in documents for route in route_list(document)),
+        key=lambda row: (str(row[1].get("hub_topic", "")), str(row[1].get("direction")), str(row[0].get("side"))),
+    )
+    several = len({str(document.get("daemon")) for document, _ in rows}) > 1
+    table = Table(box=box.SIMPLE_HEAD, pad_edge=False)
+    for name in (*(["daemon"] if several else []), "direction", "topic", "type", "class"):
+        table.add_column(name, no_wrap=name not in ("topic", "type"), overflow="fold")
+    for name in ("msg/s", "p50 ms", "p99 ms", "messages"):
+        table.add_column(name, justify="right", no_wrap=True)
+    table.add_column("drops")
+    table.add_column("age", justify="right", no_wrap=True)
+    table.add_column("state")
+    for document, route in rows:
+        cells = _cells(document, route)
+        table.add_row(*([Text(clean(document.get("daemon", "")))] if several else []), *cells)
+        if errors and route.get("error"):
+            blank = [Text("")] * (2 if several else 1)
+            table.add_row(*blank, Text(f"  {clean(route['error'])}", style="red"))
+    return table
+
+
+def route_list(document: Document) -> list[Document]:
+    """The routes of a status document; what is no route is left out."""
+    return dicts(document.get("routes"))
+
+
+def dicts(value: object) -> list[Document]:
+    """The entries of a list in a document; none where it is no list, and what is no entry is left out."""
+    return [item for item in value if isinstance(item, dict)] if isinstance(value, list) else []
+
+
+def arrow(side: object, direction: object) -> str:
+    """``ROS 1 -> hub`` or ``hub -> ROS 2``."""
+    return f"{side_name(side)} -> hub" if direction == "in" else f"hub -> {side_name(side)}"
+
+
+def topic_text(route: Document) -> str:
+    """The topic's name; both names where a rule or a side's spelling changes it on the way."""
+    side, hub = clean(route.get("topic", "")), clean(route.get("hub_topic", ""))
+    if side == hub or not hub:
+        return side
+    return f"{side} -> {hub}" if route.get("direction") == "in" else f"{hub} -> {side}"
+
+
+def drops_text(route: Document) -> str:
+    """Drops by reason, ``-`` where there are none."""
+    drops = route.get("drops")
+    counts = drops.items() if isinstance(drops, dict) else ()
+    return ", ".join(f"{clean(reason)} {count}" for reason, count in counts if count) or "-"
+
+
+def _call_text(route: Document) -> str:
+    """Calls of a service that have no reply, or none yet."""
+    counts = {name: route.get(name) for name in ("pending", "errors", "abandoned")}
+    return ", ".join(f"{name} {count}" for name, count in counts.items() if is_number(count) and count)
+
+
+def _cells(document: Document, route: Document) -> Sequence[Text]:
+    latency = route.get("latency_ms")
+    late = latency if isinstance(latency, dict) else {}
+    drops = ", ".join(text for text in (_call_text(route), drops_text(route)) if text not in ("", "-")) or "-"
+    state = clean(route.get("state", ""))
+    return [
+        Text(arrow(document.get("side"), route.get("direction"))),
+        Text(topic_text(route), style="bold"),
+        Text(clean(route.get("type", "")), style="cyan"),
+        Text(clean(route.get("priority") or ("action" if route.get("action") else route.get("kind", "")))),
+        Text(rate(route.get("rate"))),
+        Text(milliseconds(late.get("p50"))),
+        Text(milliseconds(late.get("p99"))),
+        Text(str(route.get("messages", "-"))),
+        Text(drops, style="" if drops == "-" else "yellow"),
+        Text(duration(route.get("age"))),
+        Text(state, style="green" if state == "active" else "dim"),
+    ]
+
+
+_FORMS = {"bottle": "nested lists, as YARP's own converter of ROS messages writes them", "natural": "YARP's own type"}
+_DOES = {"out": "writes it", "in": "reads it"}
+_BYTES = {"yarp3": "YARP 3's bytes", "yarp4": "YARP 4's bytes"}
+
+
+def port_list(document: Document) -> list[Document]:
+    """The YARP ports of a worker's status document."""
+    return dicts(document.get("ports"))
+
+
+def content_text(port: Document) -> str:
+    """``sensor_msgs/msg/LaserScan as YARP's own type, YARP 3's bytes``; "" where it does not say it."""
+    said = []
+    if port.get("type") and port.get("carries"):
+        said.append(f"{port['type']} as {_form(port['carries'])}")
+    if port.get("replies"):
+        said.append(f"answered by {_form(port['replies'])}")
+    if port.get("profile"):
+        said.append(_bytes(port))
+    return clean(", ".join(said))
+
+
+def _form(carries: object) -> str:
+    return _FORMS.get(str(carries), f"a Bottle of the {carries}")
+
+
+def port_lines(port: Document) -> list[str]:
+    """Sentences on one port, a line for each of its peers."""
+    does = _DOES.get(str(port.get("direction")), "answers calls")
+    content, peers = content_text(port), dicts(port.get("peers"))
+    who = plural(len(peers), "port") + " connected" if peers else "nobody is connected"
+    lines = [f"YARP port {clean(port.get('port', '?'))} {does}: {content + '; ' if content else ''}{who}."]
+    for peer in peers:
+        said = [f"{_bytes(peer)} ({peer.get('profile_why')})"] if peer.get("profile") else []
+        if peer.get("generation"):
+            said.append(f"its calls are answered as YARP {peer['generation']} does ({peer.get('generation_why')})")
+        lines.append(clean(f"    {_peer(peer)}: {'; '.join(said)}"))
+        if peer.get("generation_cure"):
+            lines.append(clean(f"        cure: {peer['generation_cure']}"))
+    return lines
+
+
+def connected_lines(ports: Iterable[Document]) -> list[str]:
+    """A line for each port that somebody is connected to, and one for the others."""
+    lines, idle = [], 0
+    for port in ports:
+        peers = dicts(port.get("peers"))
+        idle += not peers
+        if peers:
+            mark = "->" if port.get("direction") == "out" else "<-"
+            who = ", ".join(map(_peer, peers))
+            lines.append(clean(f"{port.get('port')}: {content_text(port)} {mark} {who}"))
+    if idle:
+        lines.append(f"{plural(idle, 'port')} to which nobody is connected")
+    return lines
+
+
+def _peer(peer: Document) -> str:
+    return f"{peer.get('port')} over {peer.get('carrier')}"
+
+
+def _bytes(port: Document) -> str:
+    return _BYTES.get(str(port.get("profile")), "bytes of an unknown YARP")

@@ -1,0 +1,206 @@
+"""The frames that a verb hears: a buffer of its own, filled from the two topics of transforms."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import threading
+import time
+from collections import deque
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Self
+
+from bridge.cli.arguments import add_hub_arguments
+from bridge.cli.client import CliClient, open_client
+from bridge.cli.graph.feed import TopicFeed
+from bridge.cli.graph.view import absolute
+from bridge.cli.output import CliError, clean, side_name
+from bridge.clock import RunClock
+from bridge.hub.endpoints.subscription import HubSample
+from bridge.hub.session import follow_clock
+from bridge.tf.buffer import TransformBuffer
+from bridge.tf.stamped import TF, TF_STATIC, TF_TYPE, read
+
+_WINDOW = 1000
+_RATE_SECONDS = 5.0
+
+
+class FrameMeter:
+    """Counts one frame's transforms, and measures the newest thousand; ``arrived`` is the last one's monotonic time."""
+
+    def __init__(self) -> None:
+        self.count = 0
+        self.arrived = 0.0
+        self._arrivals: deque[float] = deque(maxlen=_WINDOW)
+        self._delays: deque[int] = deque(maxlen=_WINDOW)
+
+    def add(self, arrived: float, delay: int | None) -> None:
+        """One came; ``delay`` is the ns from its stamp, None where it holds for all times."""
+        self.count += 1
+        self.arrived = arrived
+        self._arrivals.append(arrived)
+        if delay is not None:
+            self._delays.append(delay)
+
+    def rate(self, now: float) -> float:
+        """Transforms a second over the last five seconds; 0 where fewer than two came."""
+        recent = [at for at in self._arrivals if at >= now - _RATE_SECONDS]
+        whole = recent[-1] - recent[0] if recent else 0.0
+        return (len(recent) - 1) / whole if whole > 0 else 0.0
+
+    @property
+    def delay(self) -> float | None:
+        """Mean of the seconds from the stamp to the arrival."""
+        return sum(self._delays) / len(self._delays) / 1e9 if self._delays else None
+
+    @property
+    def longest(self) -> float | None:
+        """The most of them."""
+        return max(self._delays) / 1e9 if self._delays else None
+
+    def copy(self) -> Self:
+        """As it is now."""
+        made = type(self)()
+        made.count, made.arrived = self.count, self.arrived
+        made._arrivals, made._delays = self._arrivals.copy(), self._delays.copy()
+        return made
+
+
+PATIENCE = 5.0
+"""Seconds within which the first transform is to come."""
+
+_LOOK_SECONDS = 0.5
+_FIRST_LOOK_SECONDS = 0.05
+
+
+class TransformFeed(TopicFeed):
+    """One topic's transforms, which go into a buffer; see `TransformListener`."""
+
+    def __init__(self, listener: TransformListener, topic: str, *, static: bool, side: str | None) -> None:
+        super().__init__(listener.client, topic, side)
+        self._listener, self._static = listener, static
+
+    def take(self, sample: HubSample, type_name: str, type_hash: str, side: str) -> None:  # noqa: ARG002
+        """Take up a message, on a thread of zenoh."""
+        if type_name == TF_TYPE:
+            self._listener.take(sample, side, static=self._static)
+
+
+class TransformListener:
+    """Receives frames of `namespace` + `/tf` and `/tf_static`, by default of all sides. Safe to use from any thread."""
+
+    def __init__(self, client: CliClient, namespace: str = "", side: str | None = None) -> None:
+        self.client = client
+        self.buffer = TransformBuffer()
+        self.clock = RunClock(simulated=client.config.clock.simulated)
+        self._meters: dict[str, FrameMeter] = {}
+        self._authorities: dict[bytes, str] = {}
+        self._lock = threading.Lock()
+        self._bad = ""
+        namespace = absolute(namespace).rstrip("/") if namespace else ""
+        self._feeds = [
+            TransformFeed(self, namespace + TF, static=False, side=side),
+            TransformFeed(self, namespace + TF_STATIC, static=True, side=side),
+        ]
+
+    def open(self) -> None:
+        """Subscribe."""
+        follow_clock(self.clock, self.client.hub)
+        self.client.settle()
+        self.look()
+
+    def listen(self, seconds: float) -> None:
+        """Hear for so long."""
+        end = time.monotonic() + seconds
+        while (left := end - time.monotonic()) > 0:
+            time.sleep(min(left, _LOOK_SECONDS))
+            self.look()
+
+    def look(self) -> None:
+        """Take up publishers that came."""
+        for feed in self._feeds:
+            feed.look()
+
+    def take(self, sample: HubSample, side: str, *, static: bool) -> None:
+        """Take up a message."""
+        cdr, now = sample.data(), self.clock.now_ns()
+        authority = self._authority(sample.gid, side)
+        try:
+            self.buffer.set_message(cdr, authority, static=static)
+        except ValueError as err:
+            self._bad = f"{authority}: {err}"
+            return
+        arrived = time.monotonic()
+        with self._lock:
+            for transform in read(cdr):
+                name = transform.child_frame_id.lstrip("/")
+                meter = self._meters.get(name)
+                if meter is None:
+                    meter = self._meters[name] = FrameMeter()
+                meter.add(arrived, None if static else now - transform.stamp)
+
+    def meters(self) -> dict[str, FrameMeter]:
+        """What was counted of each frame, by its name."""
+        with self._lock:
+            return {name: meter.copy() for name, meter in self._meters.items()}
+
+    def wait(self) -> None:
+        """Wait for the first transform; raises `CliError` where none comes."""
+        end = time.monotonic() + PATIENCE
+        while not self.buffer.changes:
+            if time.monotonic() > end:
+                raise CliError(self._nothing())
+            self.listen(_FIRST_LOOK_SECONDS)
+
+    def close(self) -> None:
+        """Unsubscribe, and print what was wrong."""
+        for feed in self._feeds:
+            feed.close()
+        if refused := self.buffer.refused:  # the first of each kind was logged in words
+            print("refused: " + ", ".join(f"{why} {count}" for why, count in refused.items()), file=sys.stderr)
+        if self._bad:
+            print(clean(self._bad), file=sys.stderr)
+        if lost := sum(feed.lost for feed in self._feeds):
+            print(f"{lost} messages were lost on the way", file=sys.stderr)
+
+    def _nothing(self) -> str:
+        topics = [feed.topic for feed in self._feeds]
+        publishers = self.client.hub.graph.publishers()
+        others = {e.topic for e in publishers if e.type_name == TF_TYPE and not e.own}.difference(topics)
+        hint = f"; there is {clean(', '.join(sorted(others)))}: see --namespace" if others else ""
+        return f"no transform came on {' or '.join(topics)} for {PATIENCE:g} s{hint}"
+
+    def _authority(self, gid: bytes, side: str) -> str:
+        """Who published: a node of the hub, or the side that a bridge worker speaks for."""
+        known = self._authorities.get(gid)
+        if known is None:
+            endpoint = self.client.hub.graph.endpoint(gid)
+            if endpoint is None:
+                return side_name(side)
+            origin = endpoint.origin
+            node = f"{endpoint.namespace.rstrip('/')}/{endpoint.node}"
+            known = node if origin is None else f"{side_name(origin.side)} by {origin.daemon}"
+            self._authorities[gid] = known
+        return known
+
+
+def add_tf_arguments(parser: argparse.ArgumentParser) -> None:
+    """The arguments by which every verb finds the frames."""
+    parser.add_argument(
+        "--namespace", default="", metavar="NAME", help="use NAME/tf and NAME/tf_static instead of /tf and /tf_static"
+    )
+    parser.add_argument("--side", metavar="SIDE", help="only from this side: ros1, ros2, zenoh (the hub itself)")
+    add_hub_arguments(parser)
+
+
+@contextmanager
+def open_listener(args: argparse.Namespace) -> Iterator[TransformListener]:
+    """Join the hub and subscribe; raises `CliError` where no router answers."""
+    with open_client(args) as client:
+        listener = TransformListener(client, args.namespace, args.side)
+        try:
+            listener.open()
+            yield listener
+        finally:
+            listener.close()

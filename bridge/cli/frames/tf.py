@@ -1,0 +1,304 @@
+"""``midspan tf``: the frames of all sides: list, tree, echo and monitor."""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import math
+import sys
+import time
+from collections.abc import Iterable, Mapping
+from typing import Any
+
+from rich import box
+from rich.table import Table
+from rich.text import Text
+
+from bridge.cli.arguments import add_verb, add_verbs, number_in
+from bridge.cli.frames.feed import FrameMeter, TransformListener, add_tf_arguments, open_listener
+from bridge.cli.output import CliError, clean, duration, make_console, print_json, rate
+from bridge.tf import tree
+from bridge.tf.errors import InvalidArgumentError, TransformError
+from bridge.tf.transform import FrameInfo, Quaternion, Transform
+
+_DURATION = 1.0
+
+
+def register(parser: argparse.ArgumentParser) -> None:
+    """Describe the verb and its arguments."""
+    verbs = add_verbs(parser, "Shows the frames on /tf and /tf_static of all sides. It needs no module.")
+    _register_list_and_tree(verbs)
+    _register_echo(verbs)
+    _register_monitor(verbs)
+
+
+def _register_list_and_tree(verbs: Any) -> None:
+    listing = add_verb(verbs, "list", _list, "all frames", "Lists the frames published within --duration.", hub=False)
+    listing.add_argument("-v", "--verbose", action="store_true", help="with parents, authorities, rates, newest stamps")
+    drawing = add_verb(
+        verbs, "tree", _tree, "the tree of frames, as text or for Graphviz",
+        "Draws the tree of the frames that are published within --duration. Marks loops, and frames to which several"
+        " programs give different parents.",
+        example="midspan tf tree --dot | dot -Tpdf > frames.pdf", hub=False,
+    )  # fmt: skip
+    drawing.add_argument("--dot", action="store_true", help="print it for Graphviz")
+    for parser in (listing, drawing):
+        parser.add_argument(
+            "--duration", type=float, default=_DURATION, metavar="SECONDS",
+            help=f"how long to listen once a transform came (default {_DURATION:g}); a slow frame needs longer",
+        )  # fmt: skip
+        parser.add_argument("--json", action="store_true", help="print all that is known of each frame as JSON")
+        add_tf_arguments(parser)
+
+
+def _list(args: argparse.Namespace) -> int:
+    with open_listener(args) as listener:
+        frames = _frames(args, listener)
+    if args.json:
+        print_json([frame_json(info) for info in frames])
+    elif args.verbose:
+        make_console().print(_table(frames))
+    else:
+        for name in sorted({info.name for info in frames} | {info.parent for info in frames}):
+            print(clean(name))
+    return 0
+
+
+def _tree(args: argparse.Namespace) -> int:
+    with open_listener(args) as listener:
+        frames = _frames(args, listener)
+    if args.json:
+        print_json([frame_json(info) for info in frames])
+    else:
+        drawn = tree.as_dot(frames) if args.dot else tree.as_text(frames)
+        print("\n".join(line[: len(line) - len(line.lstrip())] + clean(line.lstrip()) for line in drawn.splitlines()))
+    return 0
+
+
+def frame_json(info: FrameInfo) -> dict[str, Any]:
+    """What is known of a frame, for ``--json``."""
+    return {
+        "frame": info.name,
+        "parent": info.parent,
+        "authority": info.authority,
+        "static": info.static,
+        "oldest_ns": info.oldest,
+        "newest_ns": info.newest,
+        "samples": info.samples,
+        "rate": info.rate,
+        "sources": [{"parent": s.parent, "authority": s.authority, "newest_ns": s.stamp} for s in info.sources],
+    }
+
+
+def _frames(args: argparse.Namespace, listener: TransformListener) -> list[FrameInfo]:
+    listener.wait()
+    listener.listen(args.duration)
+    return listener.buffer.frames()
+
+
+def _table(frames: Iterable[FrameInfo]) -> Table:
+    table = Table(box=box.SIMPLE_HEAD, pad_edge=False)
+    for name in ("frame", "parent", "authority"):
+        table.add_column(name, overflow="fold")
+    for name in ("Hz", "newest"):
+        table.add_column(name, justify="right")
+    for info in frames:
+        several = len(info.parents) > 1
+        table.add_row(
+            Text(clean(info.name), style="bold"),
+            Text(clean(", ".join(sorted(info.parents)) if several else info.parent), style="red" if several else ""),
+            Text(clean(", ".join(sorted({source.authority for source in info.sources})))),
+            Text("static" if info.static else rate(info.rate)),
+            Text("" if info.static else f"{info.newest / 1e9:.3f}"),
+        )
+    return table
+
+
+_RATE = 1.0
+_LOOK_SECONDS = 1.0
+
+
+def _register_echo(verbs: Any) -> None:
+    parser = add_verb(
+        verbs, "echo", _echo, "print where one frame is in another",
+        "Prints the pose of FRAME in REFERENCE, which takes points from FRAME to REFERENCE, at the newest time that all"
+        " frames between them have, until Ctrl-C. While there is none, it says why.",
+        example="midspan tf echo map base_link", hub=False,
+    )  # fmt: skip
+    parser.add_argument("reference", metavar="REFERENCE", help="the frame to see it in, for example map")
+    parser.add_argument("frame", metavar="FRAME", help="the frame to look at, for example base_link")
+    parser.add_argument("--rate", type=number_in(0, 1000), default=_RATE, metavar="HZ", help=f"default {_RATE:g}")
+    parser.add_argument("--count", type=int, metavar="N", help="end after so many")
+    parser.add_argument(
+        "--timeout", type=float, metavar="SECONDS", help="end with exit code 1 after so long without one"
+    )
+    parser.add_argument("--json", action="store_true", help="one JSON object a line")
+    add_tf_arguments(parser)
+
+
+def _echo(args: argparse.Namespace) -> int:
+    with open_listener(args) as listener, contextlib.suppress(KeyboardInterrupt):
+        shown = 0
+        while args.count is None or shown < args.count:
+            due = time.monotonic() + 1.0 / args.rate
+            _print_pose(args, listener, _next(args, listener))
+            shown += 1
+            if shown != args.count:
+                listener.listen(due - time.monotonic())
+    return 0
+
+
+def _next(args: argparse.Namespace, listener: TransformListener) -> Transform:
+    """Wait for a transform, saying why there is none; raises `CliError` when the time is over."""
+    end = math.inf if args.timeout is None else time.monotonic() + args.timeout
+    told = ""
+    while True:
+        left = max(0.0, end - time.monotonic())
+        try:
+            return listener.buffer.lookup_transform(args.reference, args.frame, timeout=min(left, _LOOK_SECONDS))
+        except TransformError as err:
+            why = clean(err).strip()
+            if left <= _LOOK_SECONDS or isinstance(err, InvalidArgumentError):
+                raise CliError(why) from None
+        if why != told:
+            print(f"waiting: {why}", file=sys.stderr, flush=True)
+            told = why
+        listener.look()
+
+
+def _print_pose(args: argparse.Namespace, listener: TransformListener, found: Transform) -> None:
+    age = (listener.clock.now_ns() - found.stamp) / 1e9 if found.stamp else None
+    if args.json:
+        print_json(
+            {
+                "reference": found.frame_id,
+                "frame": found.child_frame_id,
+                "time_ns": found.stamp,
+                "age": age,
+                "translation": dict(zip("xyz", found.translation, strict=True)),
+                "rotation": dict(zip("xyzw", found.rotation, strict=True)),
+            },
+            lines=True,
+        )
+        return
+    when = "static" if age is None else f"at {found.stamp / 1e9:.3f} s, {age:.3f} s ago"
+    moved = ", ".join(f"{part:.3f}" for part in found.translation)
+    turned = ", ".join(f"{part:.4f}" for part in found.rotation)
+    angles = ", ".join(f"{math.degrees(part):.2f}" for part in angles_of(found.rotation))
+    print(f"{when}\n  x, y, z:          {moved} m", flush=False)
+    print(f"  roll, pitch, yaw: {angles} degrees\n  quaternion:       {turned}", flush=True)
+
+
+def angles_of(rotation: Quaternion) -> tuple[float, float, float]:
+    """Roll, pitch and yaw in radians: first about x, then y, then z, all axes fixed (REP 103)."""
+    x, y, z, w = rotation
+    pitch = math.asin(max(-1.0, min(1.0, 2.0 * (w * y - z * x))))
+    roll = math.atan2(2.0 * (w * x + y * z), 1.0 - 2.0 * (x * x + y * y))
+    yaw = math.atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
+    return roll, pitch, yaw
+
+
+_INTERVAL = 2.0
+
+
+def _register_monitor(verbs: Any) -> None:
+    parser = add_verb(
+        verbs, "monitor", _monitor, "rates, delays, authorities and ages of frames",
+        "Prints each frame's rate, its delay from stamp to arrival (between machines as good as their clocks agree;"
+        " negative if stamped ahead), its publishers, and the time since its last message. For two frames: only the"
+        " frames between them, and the age of the newest transform. Until Ctrl-C, or for --duration.", hub=False,
+    )  # fmt: skip
+    parser.add_argument("frames", nargs="*", metavar="FRAME", help="two frames")
+    parser.add_argument("--interval", type=float, default=_INTERVAL, metavar="SECONDS", help=f"default {_INTERVAL:g}")
+    parser.add_argument("--duration", type=float, metavar="SECONDS", help="end after so long")
+    parser.add_argument("--json", action="store_true", help="one JSON list a line")
+    add_tf_arguments(parser)
+
+
+def _monitor(args: argparse.Namespace) -> int:
+    """Print tables until Ctrl-C, or for so long."""
+    if len(args.frames) not in (0, 2):
+        raise CliError("name two frames, or none")
+    with open_listener(args) as listener, contextlib.suppress(KeyboardInterrupt):
+        listener.wait()
+        end = math.inf if args.duration is None else time.monotonic() + args.duration
+        while (left := end - time.monotonic()) > 0:
+            listener.listen(min(args.interval, left))
+            _print_meters(args, listener)
+    return 0
+
+
+def way(frames: Mapping[str, FrameInfo], one: str, other: str) -> list[str]:
+    """The frames on the way from one to another, without the last one above both."""
+    ups: list[list[str]] = []
+    for name in (one, other):
+        up: list[str] = []
+        while name in frames and name not in up:
+            up.append(name)
+            name = frames[name].parent
+        ups.append(up)
+    return [name for name in [*ups[0], *ups[1]] if (name in ups[0]) != (name in ups[1])]
+
+
+def _print_meters(args: argparse.Namespace, listener: TransformListener) -> None:
+    meters, now = listener.meters(), time.monotonic()
+    frames = {info.name: info for info in listener.buffer.frames() if info.name in meters}
+    said = ""
+    if args.frames:
+        one, other = (name.lstrip("/") for name in args.frames)
+        said = _age_text(listener, one, other)
+        frames = {name: frames[name] for name in sorted(way(frames, one, other))}
+    if args.json:
+        print_json([_meter_json(info, meters[info.name], now) for info in frames.values()], lines=True)
+        return
+    make_console().print(_meter_table(frames.values(), meters, now))
+    if said:
+        print(said, flush=True)
+
+
+def _age_text(listener: TransformListener, one: str, other: str) -> str:
+    try:
+        found = listener.buffer.lookup_transform(one, other)
+    except TransformError as err:
+        return clean(err).strip()
+    if not found.stamp:
+        return f"{one} to {other}: static"
+    return f"{one} to {other}: newest {(listener.clock.now_ns() - found.stamp) / 1e9:.3f} s old"
+
+
+def _meter_json(info: FrameInfo, meter: FrameMeter, now: float) -> dict[str, Any]:
+    return {
+        "frame": info.name,
+        "parent": info.parent,
+        "authorities": sorted({source.authority for source in info.sources}),
+        "static": info.static,
+        "count": meter.count,
+        "rate": meter.rate(now),
+        "delay": meter.delay,
+        "longest_delay": meter.longest,
+        "age": now - meter.arrived,
+    }
+
+
+def _meter_table(frames: Iterable[FrameInfo], meters: Mapping[str, FrameMeter], now: float) -> Table:
+    table = Table(box=box.SIMPLE_HEAD, pad_edge=False)
+    for name in ("frame", "parent", "authority"):
+        table.add_column(name, overflow="fold")
+    for name in ("Hz", "delay", "longest", "age"):
+        table.add_column(name, justify="right")
+    for info in frames:
+        meter = meters[info.name]
+        table.add_row(
+            Text(clean(info.name), style="bold"),
+            Text(clean(", ".join(sorted(info.parents))), style="red" if len(info.parents) > 1 else ""),
+            Text(clean(", ".join(sorted({source.authority for source in info.sources})))),
+            Text("static" if info.static else rate(meter.rate(now))),
+            Text(_seconds_text(meter.delay)),
+            Text(_seconds_text(meter.longest)),
+            Text(duration(now - meter.arrived)),
+        )
+    return table
+
+
+def _seconds_text(value: float | None) -> str:
+    return "-" if value is None else f"{value:.3f} s"

@@ -1,0 +1,1 @@
+"""The verbs ``topic``, ``service`` and ``action``."""

@@ -1,0 +1,88 @@
+"""``midspan service`` and ``midspan action``: list, info, call and send, whichever side they are served on."""
+
+from __future__ import annotations
+
+import argparse
+from typing import Any
+
+from bridge.cli.arguments import add_verb, add_verbs
+from bridge.cli.client import open_client
+from bridge.cli.graph import listing
+from bridge.cli.graph.caller import ServiceCaller, type_and_values
+from bridge.cli.graph.goal import STATES, SUCCEEDED, FollowedGoal, Interrupt
+from bridge.cli.graph.view import absolute, all_actions, all_services
+from bridge.cli.messages import Types, message_text, ros2_spelling, yaml_fields
+from bridge.cli.output import print_json
+
+
+def register_service(parser: argparse.ArgumentParser) -> None:
+    """Describe the verb and its arguments."""
+    verbs = add_verbs(parser, "Looks at services and calls them, whichever side serves them.")
+    listing.register(verbs, "service", all_services)
+    call = add_verb(
+        verbs, "call", _call, "call a service",
+        "Calls a service once and prints its reply. Checks the request against its type; missing fields are zero or"
+        " empty. Waits 5 s for a server. Exit code 1 where the call failed.",
+        example="midspan service call /static_map --timeout 10",
+    )  # fmt: skip
+    call.add_argument("name", help="the service's name")
+    call.add_argument("request", nargs="*", metavar="[TYPE] REQUEST", help="the fields as YAML or JSON: '{data: true}'")
+    call.add_argument("--timeout", type=float, metavar="SECONDS", help="give up after so long (default: never)")
+    call.add_argument("--full", action="store_true", help="print long arrays and texts whole")
+    call.add_argument("--json", action="store_true", help="print the reply as JSON")
+
+
+def _call(args: argparse.Namespace) -> int:
+    type_name, values = type_and_values(args.request)
+    request = yaml_fields(values)
+    with open_client(args) as client:
+        caller = ServiceCaller(client, Types(client), absolute(args.name), ros2_spelling(type_name, "srv"))
+        reply = caller.ask(request, args.timeout)
+    if args.json:
+        print_json(reply)
+    else:
+        print(message_text(reply, full=args.full) if reply else "done", end="" if reply else "\n")
+    return 0
+
+
+def register_action(parser: argparse.ArgumentParser) -> None:
+    """Describe the verb and its arguments."""
+    verbs = add_verbs(parser, "Looks at actions and sends goals to them, whichever side serves them.")
+    listing.register(verbs, "action", all_actions)
+    goal = add_verb(
+        verbs, "send", _send, "send a goal",
+        "Sends a goal, shows its feedback, and waits for its result. Ctrl-C cancels the goal and waits for its end; a"
+        " second one does not wait. Exit code 0 where the goal succeeded, 1 where it did not.",
+        example="midspan action send /move_base"
+        " '{pose: {header: {frame_id: map}, pose: {position: {x: 1.0}, orientation: {w: 1.0}}}}'",
+    )  # fmt: skip
+    goal.add_argument("name", help="the action's name")
+    goal.add_argument("goal", nargs="*", metavar="[TYPE] GOAL", help="the fields as YAML or JSON: '{order: 5}'")
+    goal.add_argument("--timeout", type=float, metavar="SECONDS", help="cancel the goal after so long (default: never)")
+    goal.add_argument("--no-feedback", action="store_true", help="show the result alone")
+    goal.add_argument("--full", action="store_true", help="print long arrays and texts whole")
+    goal.add_argument("--json", action="store_true", help="print one JSON object a line: each feedback, then the end")
+
+
+def _send(args: argparse.Namespace) -> int:
+    type_name, values = type_and_values(args.goal)
+    goal = yaml_fields(values)
+    with open_client(args) as client, Interrupt() as interrupt:
+        sent = FollowedGoal(client, absolute(args.name), ros2_spelling(type_name, "action"), interrupt)
+        end, _ = sent.run(goal, args.timeout, lambda feedback: _show_feedback(feedback, args))
+    state = STATES.get(end["status"], f"state {end['status']}")
+    if args.json:
+        print_json({"status": state, "result": end["result"]}, lines=True)
+    else:
+        result = message_text(end["result"], full=args.full) if end["result"] else ""
+        print(f"{state}\n{result}", end="")
+    return 0 if end["status"] == SUCCEEDED else 1
+
+
+def _show_feedback(feedback: dict[str, Any], args: argparse.Namespace) -> None:
+    if args.no_feedback:
+        return
+    if args.json:
+        print_json({"feedback": feedback}, lines=True)
+    else:
+        print(f"feedback:\n{message_text(feedback, full=args.full)}---", flush=True)

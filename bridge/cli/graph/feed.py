@@ -1,0 +1,174 @@
+"""The messages of one topic as they come in, from the hub or through a worker that taps its side for us."""
+
+from __future__ import annotations
+
+import argparse
+import threading
+import time
+from collections import deque
+from typing import NamedTuple
+
+import zenoh
+
+from bridge.cli.client import CliClient
+from bridge.cli.graph.view import absolute, ask_decisions, known_names, unknown
+from bridge.cli.output import CliError, side_name
+from bridge.hub.endpoints.subscription import HubSample, HubSubscription
+from bridge.hub.graph import HubEndpoint
+from bridge.hub.wire.qos import Durability, Qos
+from bridge.routing.gates import origin_side
+from bridge.routing.limits import combined_qos
+
+MAX_QUEUED = 10_000
+MAX_QUEUED_BYTES = 64 * 1024 * 1024
+TAP_SECONDS = 10
+"""How long a worker is asked to go on tapping; it is asked again at a third of it."""
+
+_LOOK_SECONDS = 0.5
+_TAP_QOS = Qos(durability=Durability.TRANSIENT_LOCAL, depth=100)
+
+
+class Arrival(NamedTuple):
+    """One message that came in.
+
+    ``payload`` is CDR with its encapsulation header, None where only arrivals count; ``source_time_ns`` is the source's
+    system time, if known; ``arrived`` is monotonic seconds.
+    """
+
+    payload: zenoh.ZBytes | None
+    size: int
+    type_name: str
+    type_hash: str
+    source_time_ns: int | None
+    arrived: float
+    side: str
+
+
+class TopicFeed:
+    """Follows one topic, where asked of one side alone: subscribes on the hub, or has a worker tap its side.
+
+    Without ``payloads`` it keeps the arrivals alone.
+    """
+
+    def __init__(self, client: CliClient, topic: str, side: str | None = None, *, payloads: bool = True) -> None:
+        self.topic = absolute(topic)
+        self.overrun = 0
+        self._client, self._side, self._payloads = client, side, payloads
+        self._subscriptions: dict[tuple[str, str, str], HubSubscription] = {}
+        self._taps: set[str] = set()
+        self._tap_due = 0.0
+        self._names = [self.topic]
+        self._queue: deque[Arrival] = deque()
+        self._bytes = 0
+        self._arrived = threading.Condition()
+
+    @property
+    def lost(self) -> int:
+        """Messages that publishers numbered and that never came."""
+        return sum(subscription.lost for subscription in self._subscriptions.values())
+
+    def open(self, seconds: float) -> None:
+        """Find the topic, waiting up to ``seconds`` for it; raises `CliError` where nobody knows it."""
+        end = time.monotonic() + seconds
+        self._client.ask("status", timeout=1.0)
+        self._client.settle()
+        self._learn_names()
+        while True:
+            self.look()
+            if self._subscriptions:
+                return
+            if time.monotonic() >= end:
+                raise CliError(self._why_not())
+            time.sleep(min(_LOOK_SECONDS, max(0.0, end - time.monotonic())))
+
+    def look(self) -> None:
+        """Take up publishers that came, and renew the taps."""
+        groups: dict[tuple[str, str, str], list[HubEndpoint]] = {}
+        for name in self._names:
+            for endpoint in self._client.hub.graph.publishers(name):
+                if not endpoint.own and self._side in (None, origin_side(endpoint)):
+                    groups.setdefault((name, endpoint.type_name, endpoint.type_hash), []).append(endpoint)
+        for key, endpoints in groups.items():
+            self._subscribe(key, combined_qos([endpoint.qos for endpoint in endpoints]))
+        if self._taps or not self._subscriptions:
+            self._tap()
+
+    def next(self, until: float) -> Arrival | None:
+        """The next message; None when none came until then (monotonic seconds)."""
+        while True:
+            wait = min(until - time.monotonic(), _LOOK_SECONDS)
+            with self._arrived:
+                if self._queue or (wait > 0 and self._arrived.wait_for(lambda: bool(self._queue), wait)):
+                    arrival = self._queue.popleft()
+                    self._bytes -= arrival.size if self._payloads else 0
+                    return arrival
+            if time.monotonic() >= until:
+                return None
+            self.look()
+
+    def take(self, sample: HubSample, type_name: str, type_hash: str, side: str) -> None:
+        """Keep a message that came, on a thread of zenoh."""
+        kept = sample.payload if self._payloads else None
+        time_ns = sample.source_time_ns or None
+        arrival = Arrival(kept, len(sample.payload), type_name, type_hash, time_ns, time.monotonic(), side)
+        with self._arrived:
+            self._queue.append(arrival)
+            self._bytes += arrival.size if self._payloads else 0
+            while len(self._queue) > MAX_QUEUED or (self._bytes > MAX_QUEUED_BYTES and len(self._queue) > 1):
+                self._bytes -= self._queue.popleft().size if self._payloads else 0
+                self.overrun += 1
+            self._arrived.notify()
+
+    def close(self) -> None:
+        """Listen no more; the taps end by themselves."""
+        for subscription in self._subscriptions.values():
+            subscription.close()
+        self._subscriptions.clear()
+
+    def _learn_names(self) -> None:
+        """A side's own spelling of a topic leads to its name on the hub."""
+        for decision in ask_decisions(self._client, self.topic):
+            if decision.decision == "bridged" and decision.hub_topic not in self._names:
+                self._names.append(decision.hub_topic)
+
+    def _subscribe(self, key: tuple[str, str, str], qos: Qos) -> None:
+        if key in self._subscriptions:
+            return
+        topic, type_name, type_hash = key
+
+        def heard(sample: HubSample) -> None:
+            origin = self._client.hub.graph.origin_of(sample.zid)
+            side = "zenoh" if origin is None else origin.side
+            if self._side in (None, side):
+                self.take(sample, type_name, type_hash, side)
+
+        self._subscriptions[key] = self._client.hub.subscription(topic, type_name, type_hash, qos, heard)
+
+    def _tap(self) -> None:
+        if time.monotonic() < self._tap_due:
+            return
+        self._tap_due = time.monotonic() + TAP_SECONDS / 3
+        for answer in self._client.ask("tap", {"topic": self.topic, "seconds": TAP_SECONDS}):
+            value = answer.value if isinstance(answer.value, dict) else {}
+            topic, type_name, type_hash = (str(value.get(name, "")) for name in ("topic", "type", "hash"))
+            if topic and self._side in (None, answer.worker):
+                self._taps.add(topic)
+                # the tap may hold latched messages; a subscription that asks for them hears the others too
+                self._subscribe((topic, type_name, type_hash), _TAP_QOS)
+
+    def _why_not(self) -> str:
+        decisions = ask_decisions(self._client, self.topic)
+        if not decisions:
+            return unknown("topic", self.topic, known_names(self._client))
+        words = "; ".join(f"{side_name(d.worker)}: {d.decision}: {d.why}" for d in decisions)
+        return f"nothing of {self.topic} can be received now ({words}); wait for it with --timeout SECONDS"
+
+
+def add_feed_arguments(parser: argparse.ArgumentParser) -> None:
+    """The arguments of verbs that listen to one topic."""
+    parser.add_argument("topic", help="the topic's name")
+    parser.add_argument(
+        "--side",
+        metavar="SIDE",
+        help="only from this side: ros1, ros2, yarp, zenoh (the hub itself), zenoh_ros2dds, zenoh_ros1, zenoh_json",
+    )

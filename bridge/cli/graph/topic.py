@@ -1,0 +1,310 @@
+"""``midspan topic``: list, info, echo, hz and pub on any topic, whichever side it lives on."""
+
+from __future__ import annotations
+
+import argparse
+import math
+import statistics
+import sys
+import threading
+import time
+from collections import deque
+from dataclasses import asdict, dataclass
+from itertools import pairwise
+from typing import Any
+
+from bridge.cli.arguments import add_verb, add_verbs, number_in
+from bridge.cli.client import CliClient, open_client
+from bridge.cli.graph import listing
+from bridge.cli.graph.feed import Arrival, TopicFeed, add_feed_arguments
+from bridge.cli.graph.view import absolute, all_topics, ask_decisions
+from bridge.cli.messages import Types, message_text, yaml_fields
+from bridge.cli.output import CliError, clean, json_line, print_json, side_name, size
+from bridge.hub.endpoints.publisher import HubPublisher
+from bridge.hub.wire.qos import Durability, Qos
+from bridge.messages.errors import ConversionError
+from bridge.routing.limits import default_priority
+
+
+def register(parser: argparse.ArgumentParser) -> None:
+    """Describe the verb and its arguments."""
+    verbs = add_verbs(
+        parser,
+        "Looks at topics and publishes on them, whichever side they are on. It hears on the hub what crosses; the"
+        " side's worker taps what does not (private to a side, or denied by a rule).",
+    )
+    listing.register(verbs, "topic", all_topics)
+    _register_echo(verbs)
+    _register_hz(verbs)
+    _register_pub(verbs)
+
+
+def _register_echo(verbs: Any) -> None:
+    parser = add_verb(
+        verbs, "echo", _echo, "print a topic's messages",
+        "Prints each message of a topic until Ctrl-C, latched ones at once. Cuts long arrays and texts unless --full.",
+    )  # fmt: skip
+    add_feed_arguments(parser)
+    parser.add_argument("--count", type=int, metavar="N", help="end after so many messages")
+    parser.add_argument(
+        "--timeout", type=float, metavar="SECONDS",
+        help="end with exit code 1 after so long without a message; also how long to wait for the topic",
+    )  # fmt: skip
+    parser.add_argument("--full", action="store_true", help="write arrays and texts whole")
+    parser.add_argument("--json", action="store_true", help="a JSON object a line: topic, type, side, time_ns, message")
+    parser.add_argument("--raw", action="store_true", help="print the bytes (CDR) in hex instead of the fields")
+
+
+def _echo(args: argparse.Namespace) -> int:
+    patience = math.inf if args.timeout is None else args.timeout
+    with open_client(args) as client:
+        feed, types = TopicFeed(client, args.topic, args.side), Types(client)
+        shown = 0
+        try:
+            feed.open(0.0 if args.timeout is None else args.timeout)
+            while args.count is None or shown < args.count:
+                arrival = feed.next(time.monotonic() + patience)
+                if arrival is None:
+                    raise CliError(f"no message of {feed.topic} for {args.timeout:g} s")
+                print(_text(args, feed.topic, types, arrival), flush=True)
+                shown += 1
+        except KeyboardInterrupt:
+            pass
+        finally:
+            feed.close()
+            _tell_losses(feed)
+    return 0
+
+
+def _text(args: argparse.Namespace, topic: str, types: Types, arrival: Arrival) -> str:
+    assert arrival.payload is not None
+    cdr = arrival.payload.to_bytes()
+    if args.raw and not args.json:
+        return cdr.hex()
+    document: dict[str, Any] = {
+        "topic": topic, "type": arrival.type_name, "side": arrival.side, "time_ns": arrival.source_time_ns,
+    }  # fmt: skip
+    if args.raw:
+        return json_line({**document, "cdr": cdr.hex()})
+    try:
+        message = types.decode(arrival.type_name, arrival.type_hash, cdr)
+    except ConversionError as err:
+        if args.json:
+            return json_line({**document, "error": str(err)})
+        return f"# {clean(err)}\n---"
+    if args.json:
+        return json_line({**document, "message": message})
+    return f"{message_text(message, full=args.full)}---"
+
+
+def _tell_losses(feed: TopicFeed) -> None:
+    if feed.overrun:
+        print(f"{feed.overrun} messages were not shown: they come faster than they can be printed", file=sys.stderr)
+    if feed.lost:
+        print(f"{feed.lost} messages were lost on the way", file=sys.stderr)
+
+
+DEFAULT_RATE = 1.0
+_MATCH_SECONDS = 2.0
+_LINGER_SECONDS = 0.5
+"""How long a single message's publisher stays, so that it gets through before it is gone."""
+
+
+def _register_pub(verbs: Any) -> None:
+    parser = add_verb(
+        verbs, "pub", _pub, "publish messages",
+        "Publishes messages on the hub; the rules say where they cross. Checks the message against its type; missing"
+        " fields are zero or empty.",
+        example="midspan topic pub /cmd_vel geometry_msgs/Twist '{linear: {x: 0.2}}' --rate 10",
+    )  # fmt: skip
+    parser.add_argument("topic", help="the topic's name")
+    parser.add_argument("type", help="its type, as ROS 1 (std_msgs/String) or ROS 2 (std_msgs/msg/String) spells it")
+    parser.add_argument("message", nargs="?", default="{}", help="the fields as YAML or JSON, for example '{data: hi}'")
+    how = parser.add_mutually_exclusive_group()
+    how.add_argument("--rate", type=number_in(0, 1000), metavar="HZ", help=f"until Ctrl-C (default {DEFAULT_RATE:g})")
+    how.add_argument("--once", action="store_true", help="publish one message, as soon as somebody listens")
+    parser.add_argument("--count", type=int, metavar="N", help="end after so many messages")
+    parser.add_argument(
+        "--latch", action="store_true",
+        help="late joiners get the last message (transient local); without --rate it publishes once, until Ctrl-C",
+    )  # fmt: skip
+    parser.add_argument(
+        "--settle", type=float, default=1.0, metavar="SECONDS", help="time for listeners to connect first (default 1)"
+    )
+
+
+def _pub(args: argparse.Namespace) -> int:
+    from bridge.messages.json import from_json
+
+    topic, fields = absolute(args.topic), yaml_fields(args.message)
+    with open_client(args) as client:
+        types = Types(client)
+        name = types.name(args.type)
+        type_hash = types.hash_of(name)
+        try:
+            cdr = from_json(types.registry, name, fields)
+        except ConversionError as err:
+            raise CliError(f"{name}: {err}") from None
+        client.settle()
+        _warn_of_other_types(client, topic, name)
+        durability = Durability.TRANSIENT_LOCAL if args.latch else Durability.VOLATILE
+        priority = default_priority(topic, name, latched=args.latch)
+        qos = Qos(durability=durability, depth=1 if args.latch else 10)
+        publisher = client.hub.publisher(topic, name, type_hash, qos, priority=priority.value)
+        try:
+            _await_listeners(client, publisher, topic, args.settle)
+            _publish(args, publisher, cdr)
+        except KeyboardInterrupt:
+            pass
+        finally:
+            publisher.close()
+    return 0
+
+
+def _publish(args: argparse.Namespace, publisher: HubPublisher, cdr: bytes) -> None:
+    never = threading.Event()
+    kept = args.latch and args.rate is None
+    count = 1 if args.once or kept else args.count if args.count is not None else math.inf
+    period = 1.0 / (args.rate or DEFAULT_RATE)
+    due = time.monotonic()
+    sent = 0
+    while sent < count:
+        publisher.put(cdr)
+        sent += 1
+        due += period
+        if sent < count:
+            never.wait(max(0.0, due - time.monotonic()))
+    if kept and not args.once and args.count is None:
+        print("published; kept for late joiners until Ctrl-C", file=sys.stderr)
+        never.wait()
+    never.wait(_LINGER_SECONDS)
+
+
+def _await_listeners(client: CliClient, publisher: HubPublisher, topic: str, settle: float) -> None:
+    end = time.monotonic() + _MATCH_SECONDS
+    while not publisher.matched() and time.monotonic() < end:
+        time.sleep(0.02)
+    if publisher.matched():
+        # the workers listen; those on their sides are still connecting to the publishers that the workers made
+        time.sleep(settle)
+    else:
+        print(f"nobody listens to {topic} on the hub yet", file=sys.stderr)
+    for decision in ask_decisions(client, topic):
+        if decision.direction == "out" and decision.decision in ("denied", "private", "refused"):
+            why = f"{decision.decision}: {decision.why}"
+            print(f"it does not reach {side_name(decision.worker)}: {clean(why)}", file=sys.stderr)
+
+
+def _warn_of_other_types(client: CliClient, topic: str, name: str) -> None:
+    graph = client.hub.graph
+    others = {e.type_name for e in [*graph.publishers(topic), *graph.subscriptions(topic)]} - {name}
+    if others:
+        print(f"{topic} is {clean(', '.join(sorted(others)))} elsewhere, not {name}", file=sys.stderr)
+
+
+_REPORT_SECONDS = 1.0
+
+
+@dataclass(frozen=True, slots=True)
+class Rate:
+    """Arrivals in a window: their rate, and the times between them in seconds.
+
+    ``messages`` counts all arrivals so far, ``window`` those that the figures are made of.
+    """
+
+    topic: str
+    messages: int
+    window: int
+    rate: float
+    least: float
+    most: float
+    deviation: float
+    bytes_per_second: float
+    lost: int
+
+    def __str__(self) -> str:
+        """For people."""
+        times = f"between {self.least * 1e3:.1f} and {self.most * 1e3:.1f} ms, deviation {self.deviation * 1e3:.1f} ms"
+        lost = f", {self.lost} lost" if self.lost else ""
+        return f"{self.rate:.2f} msg/s ({times}, window {self.window}), {size(self.bytes_per_second)}/s{lost}"
+
+
+def _register_hz(subparsers: Any) -> None:
+    parser = add_verb(
+        subparsers, "hz", _hz, "measure a topic's rate",
+        "Measures how often messages arrive at this command over the hub: all publishers together, after the rate limit"
+        " of a rule. Prints once a second until Ctrl-C.",
+    )  # fmt: skip
+    add_feed_arguments(parser)
+    parser.add_argument("--window", type=int, default=1000, metavar="N", help="use the last N messages (default 1000)")
+    parser.add_argument("--count", type=int, metavar="N", help="end after so many messages")
+    parser.add_argument("--duration", type=float, metavar="SECONDS", help="end after so long; exit code 1 if none came")
+    parser.add_argument("--json", action="store_true", help="one JSON object a line")
+
+
+def _hz(args: argparse.Namespace) -> int:
+    """Measure until the count, the duration or Ctrl-C; the last figures are printed at the end."""
+    with open_client(args) as client:
+        feed = TopicFeed(client, args.topic, args.side, payloads=False)
+        meter = _Meter(feed.topic, max(args.window, 2))
+        try:
+            feed.open(args.duration or 0.0)
+            _measure(args, feed, meter)
+        except KeyboardInterrupt:
+            pass
+        finally:
+            feed.close()
+    if meter.messages == 0:
+        raise CliError(f"no message of {feed.topic} came")
+    _print_rate(args, meter.rate(feed.lost))
+    return 0
+
+
+class _Meter:
+    """Times and sizes of the last arrivals."""
+
+    def __init__(self, topic: str, window: int) -> None:
+        self.topic = topic
+        self.messages = 0
+        self._arrivals: deque[tuple[float, int]] = deque(maxlen=window)
+
+    def add(self, arrived: float, size: int) -> None:
+        self.messages += 1
+        self._arrivals.append((arrived, size))
+
+    def rate(self, lost: int) -> Rate | None:
+        """The figures; None with fewer than two arrivals."""
+        if len(self._arrivals) < 2:
+            return None
+        gaps = [later[0] - earlier[0] for earlier, later in pairwise(self._arrivals)]
+        whole = max(self._arrivals[-1][0] - self._arrivals[0][0], 1e-9)
+        sizes = sum(size for _, size in self._arrivals) - self._arrivals[0][1]
+        return Rate(
+            self.topic, self.messages, len(self._arrivals), len(gaps) / whole,
+            min(gaps), max(gaps), statistics.pstdev(gaps), sizes / whole, lost,
+        )  # fmt: skip
+
+
+def _measure(args: argparse.Namespace, feed: TopicFeed, meter: _Meter) -> None:
+    end = time.monotonic() + args.duration if args.duration is not None else math.inf
+    report = time.monotonic() + _REPORT_SECONDS
+    while time.monotonic() < end and (args.count is None or meter.messages < args.count):
+        arrival = feed.next(min(end, report))
+        if arrival is not None:
+            meter.add(arrival.arrived, arrival.size)
+        if time.monotonic() >= report:
+            report += _REPORT_SECONDS
+            if meter.messages:
+                _print_rate(args, meter.rate(feed.lost))
+            elif not args.json:
+                print(f"no message of {feed.topic} yet", flush=True)
+
+
+def _print_rate(args: argparse.Namespace, rate: Rate | None) -> None:
+    if rate is None:
+        if not args.json:
+            print("1 message so far", flush=True)
+    elif args.json:
+        print_json(asdict(rate), lines=True)
+    else:
+        print(rate, flush=True)

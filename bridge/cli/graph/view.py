@@ -1,0 +1,225 @@
+"""What is known about topics, services and actions: the hub's graph, and the workers' decisions."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass, field
+from typing import Any, Literal
+
+from bridge.cli.client import CliClient
+from bridge.cli.documents import arrow, route_list
+from bridge.cli.messages import ros2_spelling
+from bridge.cli.output import CliError, clean, near, side_name
+from bridge.hub.graph import HubEndpoint
+from bridge.hub.graph.tokens import EndpointKind
+from bridge.messages.actions import split
+from bridge.routing.gates import TAPS, origin_side
+from bridge.routing.limits import qos_text
+
+Kind = Literal["topic", "service", "action"]
+
+_PROVIDERS = (EndpointKind.PUBLISHER, EndpointKind.SERVER)
+
+
+@dataclass(frozen=True, slots=True)
+class Decision:
+    """What one worker decided about a topic; the fields are those of its answer to ``explain``."""
+
+    daemon: str
+    worker: str
+    direction: str
+    topic: str
+    hub_topic: str
+    type: str
+    decision: str
+    why: str
+    cure: str
+
+    def as_dict(self) -> dict[str, str]:
+        """For ``--json``."""
+        return {name: getattr(self, name) for name in self.__slots__}
+
+    def __str__(self) -> str:
+        return f"{arrow(self.worker, self.direction)}: {clean(self.decision)}: {clean(self.why)}"
+
+
+@dataclass(slots=True)
+class GraphView:
+    """One topic, service or action with its endpoints on the hub; an action is known by its ``send_goal`` service."""
+
+    kind: Kind
+    name: str
+    types: set[str] = field(default_factory=set)
+    providers: list[HubEndpoint] = field(default_factory=list)
+    users: list[HubEndpoint] = field(default_factory=list)
+    decisions: list[Decision] = field(default_factory=list)
+
+    def add(self, found: HubEndpoint | Decision, type_name: str) -> None:
+        """Take up an endpoint or a decision, and its type unless that is empty."""
+        if isinstance(found, Decision):
+            self.decisions.append(found)
+        else:
+            (self.providers if found.kind in _PROVIDERS else self.users).append(found)
+        self.types |= {type_name} - {""}
+
+    @property
+    def ends(self) -> dict[str, list[HubEndpoint]]:
+        """The endpoints under the words that people use for this kind."""
+        one, other = ("publishers", "subscriptions") if self.kind == "topic" else ("servers", "clients")
+        return {one: self.providers, other: self.users}
+
+    @property
+    def sides(self) -> list[str]:
+        """The sides that it comes from."""
+        decided = {d.worker for d in self.decisions if d.direction == "in" and d.decision != "own"}
+        return sorted({origin_side(endpoint) for endpoint in self.providers} | decided)
+
+    @property
+    def state(self) -> str:
+        """One word: ``hub`` where it can be used on the hub, else what the workers decided."""
+        if self.providers or (self.users and self.kind == "topic"):
+            return "hub"
+        decided = ", ".join(sorted({d.decision for d in self.decisions}))
+        return decided if decided or self.kind == "topic" else "no server"
+
+    def as_dict(self) -> dict[str, Any]:
+        """For ``--json``."""
+        return {
+            self.kind: self.name,
+            "types": sorted(self.types),
+            "from": self.sides,
+            **{word: len(endpoints) for word, endpoints in self.ends.items()},
+            "state": self.state,
+            "decisions": [decision.as_dict() for decision in self.decisions],
+        }
+
+
+Views = dict[str, GraphView]
+
+
+def absolute(topic: str) -> str:
+    """The topic's name with its leading slash."""
+    return topic if topic.startswith("/") else f"/{topic}"
+
+
+def ask_decisions(client: CliClient, topic: str, kind: str | None = "topic") -> list[Decision]:
+    """What every worker decided about a topic or service (None: either); an empty name asks for all of them."""
+    found: list[Decision] = []
+    for answer in client.ask("explain", {"topic": topic}):
+        for entry in answer.value if isinstance(answer.value, list) else ():
+            if isinstance(entry, dict) and kind in (None, entry.get("kind", "topic")):
+                words = {name: str(entry.get(name, "")) for name in Decision.__slots__[2:]}
+                found.append(Decision(answer.daemon, answer.worker, **words))
+    return found
+
+
+def all_topics(client: CliClient) -> Views:
+    """Every topic of the hub and of the workers' sides, by name."""
+    decisions = ask_decisions(client, "")
+    client.settle()
+    return _topics(client, decisions)
+
+
+def all_services(client: CliClient) -> Views:
+    """Every service of the hub and of the workers' sides by name, without the parts of actions."""
+    views: Views = {}
+    for name, type_name, found in _calls(client, "srv"):
+        if not split(name)[1]:
+            views.setdefault(name, GraphView("service", name)).add(found, type_name)
+    return views
+
+
+def all_actions(client: CliClient) -> Views:
+    """Every action of the hub and of the workers' sides, by name."""
+    views: Views = {}
+    for part_name, type_name, found in _calls(client, "action"):
+        name, part = split(part_name)
+        if part == "send_goal":
+            views.setdefault(name, GraphView("action", name)).add(found, type_name.removesuffix("_SendGoal"))
+    return views
+
+
+def _topics(client: CliClient, decisions: Iterable[Decision]) -> Views:
+    views: Views = {}
+    for endpoint in _on_hub(client, EndpointKind.PUBLISHER, EndpointKind.SUBSCRIPTION):
+        views.setdefault(endpoint.topic, GraphView("topic", endpoint.topic)).add(endpoint, endpoint.type_name)
+    for decision in decisions:
+        name = decision.hub_topic if decision.hub_topic in views else decision.topic
+        view = views.setdefault(name, GraphView("topic", name))
+        view.add(decision, "" if view.state == "hub" else ros2_spelling(decision.type, "msg"))
+    return views
+
+
+def _calls(client: CliClient, middle: str) -> Iterator[tuple[str, str, HubEndpoint | Decision]]:
+    """Name and type of each service, those of actions included, with where it was found."""
+    decisions = ask_decisions(client, "", kind="service")
+    client.settle()
+    for endpoint in _on_hub(client, EndpointKind.SERVER, EndpointKind.CLIENT):
+        yield endpoint.topic, endpoint.type_name, endpoint
+    for decision in decisions:
+        yield decision.hub_topic or decision.topic, ros2_spelling(decision.type, middle), decision
+
+
+def _on_hub(client: CliClient, *kinds: EndpointKind) -> Iterator[HubEndpoint]:
+    for endpoint in client.hub.graph.endpoints():
+        if endpoint.kind in kinds and not endpoint.own and not endpoint.topic.startswith(TAPS):
+            yield endpoint
+
+
+def known_names(
+    client: CliClient, documents: Iterable[Any] = (), decisions: Iterable[Decision] | None = None
+) -> set[str]:
+    """Names of known topics, for hints; without ``decisions`` it asks the workers."""
+    names = set(all_topics(client) if decisions is None else _topics(client, decisions))
+    for document in documents:
+        names.update(str(route.get("topic")) for route in route_list(document))
+    return names
+
+
+def find(views: Mapping[str, GraphView], name: str, kind: Kind) -> GraphView:
+    """The view with a name on the hub or on a side; raises `CliError` where nobody knows it."""
+    name = absolute(name)
+    if name in views:
+        return views[name]
+    for view in views.values():
+        if any(name in (d.topic, d.hub_topic) for d in view.decisions):
+            return view
+    raise CliError(unknown(kind, name, views))
+
+
+def unknown(kind: Kind, name: str, names: Iterable[str]) -> str:
+    """The words for a name that nobody knows, with the names that the user may have meant."""
+    meant = near(name, names)
+    hint = f" Did you mean {', '.join(meant)}?" if meant else f" 'midspan {kind} list' shows all."
+    return f"no {kind} {name} on the hub or on any side.{hint}"
+
+
+def endpoint_text(endpoint: HubEndpoint) -> str:
+    """One endpoint for people."""
+    if endpoint.origin is None:
+        who = "maker not known yet" if endpoint.pending else "zenoh, on the hub itself"
+    else:
+        who = f"for {side_name(endpoint.origin.side)}, daemon {endpoint.origin.daemon}"
+    return f"{clean(node_name(endpoint))} ({clean(who)}), {qos_text(endpoint.qos)}, {clean(endpoint.type_name)}"
+
+
+def endpoint_json(endpoint: HubEndpoint) -> dict[str, Any]:
+    """One endpoint as JSON."""
+    origin = endpoint.origin
+    return {
+        "node": node_name(endpoint),
+        "kind": str(endpoint.kind),
+        "type": endpoint.type_name,
+        "hash": endpoint.type_hash,
+        "qos": qos_text(endpoint.qos),
+        "gid": endpoint.gid.hex(),
+        "zid": endpoint.zid,
+        "side": "zenoh" if origin is None else origin.side,
+        "network": None if origin is None else origin.network,
+        "daemon": None if origin is None else origin.daemon,
+    }
+
+
+def node_name(endpoint: HubEndpoint) -> str:
+    """The full name of an endpoint's node."""
+    return f"{endpoint.namespace.rstrip('/')}/{endpoint.node}"

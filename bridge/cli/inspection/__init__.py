@@ -1,0 +1,1 @@
+"""The verbs ``status``, ``top``, ``explain`` and ``doctor``."""

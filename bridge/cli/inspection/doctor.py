@@ -1,0 +1,123 @@
+"""``midspan doctor``: looks for what commonly goes wrong, and says the cure."""
+
+from __future__ import annotations
+
+import argparse
+import dataclasses
+import os
+
+from rich.console import Console
+from rich.text import Text
+
+from bridge.cli.arguments import add_hub_arguments
+from bridge.cli.client import CliClient, client_config, connect
+from bridge.cli.inspection.status import absent_workers, document_of
+from bridge.cli.output import CliError, clean, make_console, print_json
+from bridge.config.document import ConfigError
+from bridge.config.load import find
+from bridge.config.model import Config
+from bridge.doctor import context
+from bridge.doctor.check import Finding, Report, Result, examine
+from bridge.doctor.checks import CHECKS
+from bridge.doctor.context import CheckContext, HubSnapshot
+
+_STYLES = {Result.OK: "green", Result.WARN: "yellow", Result.FAIL: "bold red", Result.SKIP: "dim"}
+_CLOCK_SECONDS = 0.5
+_MAX_CLOCKS = 50
+
+
+def register(parser: argparse.ArgumentParser) -> None:
+    """Describe the verb and its arguments."""
+    parser.description = (
+        "Checks the configuration, the daemon, all sides, the network and this machine for what commonly keeps topics"
+        " from crossing, and names a cure for each finding. It needs no running daemon and changes nothing; run it in"
+        " the shell, and as the user, whose programs have trouble. Exit code 1 when a check fails; warnings give 0."
+    )
+    parser.add_argument("--json", action="store_true", help="print one entry for each finding as JSON")
+    parser.add_argument("--only", metavar="ID", action="append", default=[], help="run this check alone (repeatable)")
+    parser.add_argument("--list", action="store_true", help="list the checks and end")
+    add_hub_arguments(parser)
+    parser.set_defaults(run=run)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Run the checks."""
+    if args.list:
+        for check in CHECKS:
+            print(f"{check.id:<18} {check.title}")
+        return 0
+    unknown = set(args.only) - {check.id for check in CHECKS}
+    if unknown:
+        raise CliError(f"no check {', '.join(sorted(unknown))}; 'midspan doctor --list' shows all")
+    checks = [check for check in CHECKS if not args.only or check.id in args.only]
+    reports = examine(_look_around(args), checks)
+    if args.json:
+        print_json([_as_json(report, finding) for report in reports for finding in report.findings])
+    else:
+        _show(make_console(), reports)
+    failed = any(finding.result is Result.FAIL for report in reports for finding in report.findings)
+    return 1 if failed else 0
+
+
+def _look_around(args: argparse.Namespace) -> CheckContext:
+    environ = dict(os.environ)
+    try:
+        config = client_config(args)
+    except (ConfigError, OSError) as err:
+        hub = HubSnapshot("the hub was not asked: the configuration cannot be used")
+        return CheckContext(config_text=str(err), config_good=False, environ=environ, hub=hub)
+    view = _look_at_hub(config)
+    answering = {(document.get("daemon"), document.get("worker")) for document in view.documents}
+    silent = [d for d in absent_workers(args) if (d.get("daemon"), d.get("worker")) not in answering]
+    view = dataclasses.replace(view, documents=[*view.documents, *silent])
+    file = args.config or find()
+    text = f"{file} is good" if file is not None else "no configuration file: all defaults"
+    return CheckContext(config, text, environ=environ, hub=view)
+
+
+def _look_at_hub(config: Config) -> HubSnapshot:
+    try:
+        with connect(config) as client:
+            documents = [document_of(answer) for answer in client.ask("status")]
+            client.settle()
+            endpoints = [e for e in client.hub.graph.endpoints() if not e.own]
+            return HubSnapshot("", documents, endpoints, _clocks(client))
+    except CliError as err:
+        return HubSnapshot(str(err))
+
+
+def _clocks(client: CliClient) -> dict[str, context.Offset]:
+    """The clock of each worker that reports it."""
+    found: dict[str, context.Offset] = {}
+    for answer in client.ask("time", timeout=_CLOCK_SECONDS)[:_MAX_CLOCKS]:
+        if not answer.error:
+            offset = context.measure(lambda to=answer: _time(client, to.daemon, to.worker))  # type: ignore[misc]
+            if offset is not None:
+                found[f"{answer.daemon}/{answer.worker}"] = offset
+    return found
+
+
+def _time(client: CliClient, daemon: str, worker: str) -> int | None:
+    for answer in client.hub.ask("time", {}, daemon, worker, _CLOCK_SECONDS):
+        if isinstance(answer.value, dict) and isinstance(answer.value.get("time_ns"), int):
+            return int(answer.value["time_ns"])
+    return None
+
+
+def _show(console: Console, reports: list[Report]) -> None:
+    counts = dict.fromkeys(Result, 0)
+    for report in reports:
+        for finding in report.findings:
+            counts[finding.result] += 1
+            line = Text(f"{finding.result.upper():<5}", style=_STYLES[finding.result])
+            line.append(f" {report.check.id}: ", style="bold")
+            line.append(clean(finding.seen), style="")
+            console.print(line, soft_wrap=True)
+            if finding.cure:
+                console.print(Text(f"      cure: {clean(finding.cure)}"), soft_wrap=True)
+    words = ", ".join(f"{count} {result}" for result, count in counts.items() if count)
+    console.print(Text(f"\n{words}"))
+
+
+def _as_json(report: Report, finding: Finding) -> dict[str, str]:
+    return {"check": report.check.id, "title": report.check.title, **dataclasses.asdict(finding)}

@@ -1,0 +1,309 @@
+"""``midspan explain NAME``: why is this topic, service or action bridged, or why is it not?"""
+
+from __future__ import annotations
+
+import argparse
+import dataclasses
+from collections.abc import Iterable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from typing import Any
+
+from bridge.cli.arguments import add_hub_arguments
+from bridge.cli.client import ASK_SECONDS, CliClient, open_client
+from bridge.cli.documents import Document, arrow, drops_text, port_lines, port_list, route_list
+from bridge.cli.graph.view import Decision, absolute, ask_decisions, endpoint_json, endpoint_text, known_names, unknown
+from bridge.cli.inspection.refusals import refusals
+from bridge.cli.output import CliError, clean, duration, plural, print_json, rate, side_name
+from bridge.config.model import Config
+from bridge.config.sections.routing import Rule
+from bridge.doctor import hub_problems
+from bridge.doctor.hub_problems import Note, absence
+from bridge.hub.graph import HubEndpoint
+from bridge.messages.actions import split
+from bridge.routing.rules import RuleSet
+
+_WORDS = {
+    "bridged": "crosses",
+    "denied": "does not cross",
+    "private": "does not cross",
+    "refused": "cannot cross",
+    "unseen": "has nothing to cross",
+    "own": "is not taken up",
+    "standby": "is not carried here",
+}
+
+
+def register(parser: argparse.ArgumentParser) -> None:
+    """Describe the verb and its arguments."""
+    parser.description = (
+        "Says what every worker decided about a topic, service or action and why, and what the hub shows, with a cure"
+        " for each problem. Exit code 1 where nobody knows it."
+    )
+    parser.add_argument("topic", help="its name, on the hub or on a side; or that of a YARP port of ours")
+    parser.add_argument("--json", action="store_true", help="print it as JSON")
+    add_hub_arguments(parser)
+    parser.set_defaults(run=run)
+
+
+@dataclass(frozen=True, slots=True)
+class Explanation:
+    """What is known of one topic: decisions with their routes' status, endpoints, notes, and YARP ports."""
+
+    topic: str
+    decisions: Sequence[tuple[Decision, Document | None]]
+    endpoints: Sequence[HubEndpoint]
+    notes: Sequence[Note]
+    ports: Sequence[Document] = ()
+
+
+def run(args: argparse.Namespace) -> int:
+    """Explain one topic."""
+    with open_client(args) as client:
+        explanation = explain(client, absolute(args.topic))
+    if args.json:
+        print_json(_as_json(explanation))
+    else:
+        print("\n".join(_sentences(explanation)))
+    return 0
+
+
+def explain(client: CliClient, topic: str) -> Explanation:
+    """Gather what is known of a topic; raises `CliError` where nobody knows it."""
+    everything, documents = _asked(client)
+    decisions = _decisions(everything, topic)
+    names = {topic} | {d.hub_topic for d in decisions if d.decision == "bridged"}
+    endpoints = [e for e in client.hub.graph.endpoints() if not e.own and names & {e.topic, split(e.topic)[0]}]
+    endpoints.sort(key=lambda e: (e.topic, e.kind))
+    ports = [
+        port for document in documents for port in port_list(document) if names & {port.get("topic"), port.get("port")}
+    ]
+    away = planner_note(client.config, topic, client.hub.graph.endpoints(), documents)
+    planner = [] if away is None else [away]
+    silent = _silent(client, documents)
+    if not decisions and not endpoints and not ports:
+        ruled = [Note(text) for text in by_rules(client.config, topic)]
+        if not ruled:
+            missing = "".join(f"\n{note.text}." for note in silent)
+            raise CliError(unknown("topic", topic, known_names(client, documents, everything)) + missing)
+        return Explanation(topic, (), (), [Note(f"nobody has the name {topic} now"), *planner, *ruled, *silent])
+    paired = [(decision, _route(decision, documents)) for decision in decisions]
+    names |= {d.topic for d in decisions}
+    notes = [*silent, *_hub_notes(topic, endpoints), *_warnings(names, documents)]
+    if decisions or endpoints:  # nothing is decided of a port, such as a module's
+        notes += _worker_notes(decisions, documents)
+    notes += [Note(refusal.text, refusal.cure) for refusal in refusals(client, documents) if refusal.topic in names]
+    return Explanation(topic, paired, endpoints, [*planner, *notes], ports)
+
+
+def _asked(client: CliClient) -> tuple[list[Decision], list[Document]]:
+    """All that the workers decided, and how they are: asked at once, for one that hangs keeps each answer waiting."""
+    with ThreadPoolExecutor(2) as pool:
+        decisions = pool.submit(ask_decisions, client, "", None)
+        status = pool.submit(client.ask, "status")
+        client.settle()
+        return decisions.result(), [a.value for a in status.result() if isinstance(a.value, dict)]
+
+
+def _decisions(everything: Sequence[Decision], topic: str) -> list[Decision]:
+    """What was decided of a topic; where it has another name on the hub, of what becomes of that too."""
+
+    def of(name: str) -> list[Decision]:
+        return [d for d in everything if any(name in (each, split(each)[0]) for each in (d.topic, d.hub_topic))]
+
+    decisions = of(topic)
+    renamed = {d.hub_topic for d in decisions if d.decision == "bridged" and d.direction == "in"} - {topic}
+    for name in sorted(renamed):
+        decisions += [d for d in of(name) if d.direction == "out" and d not in decisions]
+    return decisions
+
+
+def _silent(client: CliClient, documents: Sequence[Document]) -> list[Note]:
+    """The workers that are there and did not answer: what they know is missing."""
+    answered = {document.get("zid") for document in documents}
+    late = f"did not answer within {ASK_SECONDS:g} s, so what it knows is missing"
+    return [
+        Note(f"{side_name(origin.side)} (daemon {clean(origin.daemon)}) {late}", "midspan status says how it is")
+        for zid, origin in client.hub.graph.origins().items()
+        # zenoh's worker has sessions of its own for its dialects
+        if zid not in answered and not origin.side.startswith("zenoh")
+    ]
+
+
+def _route(decision: Decision, documents: Sequence[Document]) -> Document | None:
+    if decision.decision != "bridged":
+        return None
+    for document in documents:
+        if (document.get("daemon"), document.get("worker")) == (decision.daemon, decision.worker):
+            for route in route_list(document):
+                same = (route.get("direction"), route.get("topic")) == (decision.direction, decision.topic)
+                if same and decision.type in (route.get("type"), route.get("side_type")):
+                    return route
+    return None
+
+
+def _hub_notes(topic: str, endpoints: Sequence[HubEndpoint]) -> list[Note]:
+    notes = hub_problems.conflicts(endpoints)
+    publishers = [e for e in endpoints if e.kind == "publisher"]
+    subscriptions = [e for e in endpoints if e.kind == "subscription"]
+    if subscriptions and not publishers:
+        notes.append(Note(f"nobody publishes {topic} on the hub; {hub_problems.nodes(subscriptions)} would listen"))
+    waiting = [e for e in publishers if e.pending]
+    if waiting:
+        who = hub_problems.nodes(waiting)
+        notes.append(Note(f"it is not known yet which network {who} speaks for, so nothing of it crosses"))
+    if publishers and not any(p.qos.latched for p in publishers) and any(s.qos.latched for s in subscriptions):
+        who = hub_problems.nodes(s for s in subscriptions if s.qos.latched)
+        asks = f"{who} asks for earlier messages (transient local), but no publisher keeps them"
+        cure = "if the publisher cannot change, a rule with qos: {durability: transient_local} keeps its last message"
+        notes.append(Note(asks, cure))
+    return notes
+
+
+def _warnings(names: set[str], documents: Sequence[Document]) -> list[Note]:
+    """The workers' warnings that begin with the topic's name: QoS mismatches, types that nobody defines."""
+    told = [
+        (side_name(document.get("side")), str(warning))
+        for document in documents
+        if isinstance(document.get("warnings"), list)
+        for warning in document["warnings"]
+    ]
+    return [Note(f"{side}: {text}") for side, text in told if text.partition(": ")[0] in names]
+
+
+def _worker_notes(decisions: Sequence[Decision], documents: Sequence[Document]) -> list[Note]:
+    if not documents:
+        return [Note("no worker answers, so nothing is bridged now", "start the daemon: midspan run")]
+    notes: list[Note] = []
+    told = {(d.daemon, d.worker) for d in decisions}
+    for document in documents:
+        if document.get("module"):
+            continue  # it decides of no topic
+        side, who = document.get("side"), (document.get("daemon"), document.get("worker"))
+        name = f"{side_name(side)} (daemon {clean(who[0])})"
+        if document.get("state") == "waiting":
+            notes.append(Note(f"{name} is away: nothing crosses to or from it now"))
+        elif document.get("state") == "standby":
+            notes.append(Note(f"{name} stands by: another daemon is active on that network"))
+        elif side != "router" and who not in told:
+            notes.append(Note(f"{name} has decided nothing of it: it is not published there, and nothing leads there"))
+    return notes
+
+
+def _sentences(explanation: Explanation) -> list[str]:
+    lines: list[str] = []
+    several = len({decision.daemon for decision, _ in explanation.decisions}) > 1
+    for decision, route in explanation.decisions:
+        whose = f" (daemon {decision.daemon})" if several else ""
+        lines += _decision_lines(decision, route, whose)
+    if explanation.decisions or explanation.endpoints:
+        lines += _hub_lines(explanation)
+    for port in explanation.ports:
+        lines += port_lines(port)
+    for note in explanation.notes:
+        lines.append(f"Note: {clean(note.text)}.")
+        if note.cure:
+            lines.append(f"    cure: {clean(note.cure)}")
+    return lines
+
+
+_KINDS = {"publisher": "published by", "subscription": "heard by", "server": "served by", "client": "called by"}
+
+
+def _hub_lines(explanation: Explanation) -> list[str]:
+    """Who has it on the hub."""
+    ends = explanation.endpoints
+    kinds = ("server", "client") if any(e.kind in ("server", "client") for e in ends) else ("publisher", "subscription")
+    counts = [plural(sum(1 for e in ends if e.kind == kind), kind) for kind in kinds]
+    lines = [f"On the hub: {', '.join(counts)}."]
+    for e in ends:
+        part = f" ({e.topic})" if e.topic != explanation.topic else ""
+        lines.append(f"    {_KINDS[e.kind]} {endpoint_text(e)}{clean(part)}")
+    return lines
+
+
+def _decision_lines(decision: Decision, route: Document | None, whose: str) -> list[str]:
+    word = _WORDS.get(decision.decision, decision.decision)
+    name = decision.topic if decision.direction == "in" else decision.hub_topic
+    lands = decision.hub_topic if decision.direction == "in" else decision.topic
+    renamed = f" as {lands}" if decision.decision == "bridged" and name != lands else ""
+    way = arrow(decision.worker, decision.direction)
+    text = f"{way}{whose}: {name} ({decision.type}) {word}{renamed}: {decision.why}."
+    lines = [clean(text)]
+    if decision.cure:
+        lines.append(f"    cure: {clean(decision.cure)}")
+    if route is not None:
+        lines.append(f"    {_flow(route)}")
+        if route.get("error"):
+            lines.append(f"    last error: {clean(route['error'])}")
+    return lines
+
+
+def _flow(route: Document) -> str:
+    if route.get("kind") == "service":
+        return _calls(route)
+    if not route.get("messages"):
+        return f"no message has come yet; drops: {drops_text(route)}"
+    speed = rate(route.get("rate"))
+    speed = "none in the last second" if speed == "-" else f"{speed} msg/s"
+    return (
+        f"{plural(route['messages'], 'message')}, {speed}, the last one {duration(route.get('age'))} ago;"
+        f" drops: {drops_text(route)}; {clean(route.get('qos', ''))}"
+    )
+
+
+def _as_json(explanation: Explanation) -> dict[str, Any]:
+    return {
+        "topic": explanation.topic,
+        "decisions": [{**decision.as_dict(), "route": route} for decision, route in explanation.decisions],
+        "hub": [endpoint_json(endpoint) for endpoint in explanation.endpoints],
+        "ports": list(explanation.ports),
+        "notes": [dataclasses.asdict(note) for note in explanation.notes],
+    }
+
+
+def _calls(route: Document) -> str:
+    if not route.get("messages"):
+        return "nobody has called yet"
+    under_way = f", {route['pending']} under way" if route.get("pending") else ""
+    return (
+        f"{plural(route['messages'], 'call')}, the last one {duration(route.get('age'))} ago: {route.get('replies', 0)}"
+        f" replies, {route.get('errors', 0)} errors, {route.get('abandoned', 0)} given up by their callers{under_way}"
+    )
+
+
+_EVERYTHING = (None, "**", "/**")
+
+
+def planner_note(
+    config: Config, name: str, endpoints: Iterable[HubEndpoint], documents: Sequence[Document]
+) -> Note | None:
+    """Where a name is the action of the chosen planner, on its side or on the hub: why that one is not there."""
+    section = config.navigation
+    other = section.others.get(section.planner)
+    if not section.planner or name not in (section.at(section.planner), other and other.action):
+        return None
+    return absence(section, section.planner, endpoints, documents)
+
+
+def by_rules(config: Config, name: str) -> Iterator[str]:
+    """A sentence for each rule that names it, or gives something this name; rules of everything name nothing."""
+    rules = RuleSet(config.rules)
+    for of, rule, matches in rules.naming(name):
+        if matches and (rule.regex or rule.topic not in _EVERYTHING):
+            yield f"{of}: {_what(rule)} with this name {_fate(rule)}"
+        elif rule.rename == name:
+            yield f"{of}: {_what(rule)} {rule.topic or rule.regex} gets this name"
+
+
+def _what(rule: Rule) -> str:
+    kind = {None: "a topic, service or action", "action": "an action"}.get(rule.kind, f"a {rule.kind}")
+    typed = "" if rule.type is None else f" ({rule.type})"
+    return f"{kind}{typed}" + ("" if rule.from_ is None else f" of {side_name(rule.from_)}")
+
+
+def _fate(rule: Rule) -> str:
+    way = "" if rule.to is None else " into the hub" if rule.to == "zenoh" else f" to {side_name(rule.to)}"
+    if rule.deny:
+        return f"does not cross{way}"
+    return f"crosses{way}" + ("" if rule.rename is None else f" as {rule.rename}")

@@ -1,0 +1,132 @@
+"""Commands and calls of other machines that a router refuses (`hub.open.trusted`).
+
+zenoh drops them at the door without a word, so it is told from who is where: which machines a router does not trust,
+which sessions are theirs, and what those publish and call.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+
+import zenoh
+
+from bridge.cli.client import CliClient
+from bridge.cli.documents import Document, dicts, route_list
+from bridge.cli.output import plural
+from bridge.config.rules import commands
+from bridge.config.sections.routing import RoutingSection
+from bridge.doctor import hub_problems
+from bridge.hub.errors import HubWireError
+from bridge.hub.graph import HubEndpoint
+from bridge.hub.graph.tokens import EndpointKind
+from bridge.hub.security.access import QUESTIONS, harmless_keys
+from bridge.hub.wire.keys import topic_key
+
+_QUESTIONS = [zenoh.KeyExpr(key) for key in QUESTIONS]
+
+
+@dataclass(frozen=True, slots=True)
+class Refusal:
+    """Commands on one topic, or calls of one service, of one machine, which another refuses.
+
+    ``daemon`` refuses; ``machine`` is the name in the certificate, "" without one; ``messages`` counts what its bridge
+    sent so far, None where no bridge counts.
+    """
+
+    daemon: str
+    machine: str
+    topic: str
+    type: str
+    nodes: str
+    messages: int | None
+    is_service: bool
+
+    @property
+    def text(self) -> str:
+        """For people."""
+        who = self.machine or "a machine without a certificate"
+        one, what = ("call", "calls of {} to") if self.is_service else ("message", "commands of {} on")
+        count = "" if self.messages is None else f"; {plural(self.messages, one)} so far"
+        return f"{self.daemon} refuses the {what.format(who)} {self.topic} ({self.nodes}){count}"
+
+    @property
+    def cure(self) -> str:
+        """What to do where they are meant to be obeyed."""
+        name = f"name {self.machine!r}" if self.machine else "give it a certificate (midspan keys), and name that"
+        return f"where that is not meant, {name} in hub.open.trusted of {self.daemon} and reload"
+
+
+def refusals(client: CliClient, documents: Iterable[Document]) -> list[Refusal]:
+    """What the doors refuse now, by the workers' status documents and the hub's graph, which has settled."""
+    documents = list(documents)
+    graph = client.hub.graph
+    found: list[Refusal] = []
+    for router in documents:
+        distrusted = [machine for machine in dicts(router.get("machines")) if not machine.get("trusted")]
+        if not distrusted:
+            continue
+        harmless = _harmless(router.get("commands"))
+        for machine in distrusted:
+            theirs = _sessions(str(machine.get("zid")), documents)
+            served = {server.topic for server in graph.servers() if server.zid not in theirs}
+            for endpoints, allowed in ((graph.publishers(), harmless), (graph.clients(), _QUESTIONS)):
+                groups = _by_topic(e for e in endpoints if e.zid in theirs)
+                refused = [group for group in groups if not _is_among(allowed, group[0], client.hub.domain)]
+                told = (_refusal(router, machine, group, documents) for group in refused)
+                found += [one for one in told if not one.is_service or (one.topic in served and one.messages != 0)]
+    return found
+
+
+def _refusal(
+    router: Document, machine: Document, endpoints: Sequence[HubEndpoint], documents: Iterable[Document]
+) -> Refusal:
+    first = endpoints[0]
+    is_service = first.kind is EndpointKind.CLIENT
+    direction, figure = ("out", "calls") if is_service else ("in", "messages")
+    zids = {endpoint.zid for endpoint in endpoints}
+    counted = [
+        int(route.get(figure) or 0)
+        for document in documents
+        if document.get("zid") in zids
+        for route in route_list(document)
+        if (route.get("direction"), route.get("hub_topic")) == (direction, first.topic)
+    ]
+    return Refusal(
+        str(router.get("daemon")),
+        str(machine.get("name") or ""),
+        first.topic,
+        first.type_name,
+        hub_problems.nodes(endpoints),
+        sum(counted) if counted else None,
+        is_service,
+    )
+
+
+def _sessions(zid: str, documents: Iterable[Document]) -> set[str]:
+    """The sessions of the machine that a door is linked to: its own, or those of the router behind its own door."""
+    behind = [document.get("members") or () for document in documents if document.get("door") == zid]
+    return {zid} | {str(session) for members in behind for session in members}
+
+
+def _by_topic(endpoints: Iterable[HubEndpoint]) -> Iterable[list[HubEndpoint]]:
+    groups: dict[tuple[str, str], list[HubEndpoint]] = {}
+    for endpoint in endpoints:
+        groups.setdefault((endpoint.topic, endpoint.type_name), []).append(endpoint)
+    return [groups[key] for key in sorted(groups)]
+
+
+def _harmless(commanding: object) -> list[zenoh.KeyExpr]:
+    """The keys that a router lets everybody say, by the commands of its document."""
+    usual = commands(RoutingSection())
+    told = commanding.items() if isinstance(commanding, Mapping) else ()
+    table = usual | {str(name): frozenset(map(str, parts)) for name, parts in told if isinstance(parts, list)}
+    try:
+        return [zenoh.KeyExpr(key) for key in harmless_keys(table)]
+    except (HubWireError, zenoh.ZError):  # no types, or no names
+        return [zenoh.KeyExpr(key) for key in harmless_keys(usual)]
+
+
+def _is_among(keys: Iterable[zenoh.KeyExpr], endpoint: HubEndpoint, domain: int) -> bool:
+    key = zenoh.KeyExpr(topic_key(domain, endpoint.topic, endpoint.type_name, endpoint.type_hash))
+    return any(each.includes(key) for each in keys)

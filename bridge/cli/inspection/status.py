@@ -1,0 +1,268 @@
+"""``midspan status`` and ``midspan top``: every daemon, worker and route on the hub, once or live."""
+
+from __future__ import annotations
+
+import argparse
+import dataclasses
+import sys
+import time
+from collections.abc import Sequence
+
+from rich.console import Console, Group, RenderableType
+from rich.live import Live
+from rich.text import Text
+
+from bridge.cli.arguments import add_hub_arguments, number_in
+from bridge.cli.client import CliClient, client_config, open_client
+from bridge.cli.documents import Document, arrow, connected_lines, dicts, port_list, route_list, routes_table
+from bridge.cli.inspection.refusals import Refusal, refusals
+from bridge.cli.output import CliError, clean, duration, is_number, make_console, plural, print_json, side_name, size
+from bridge.daemon.query import Phase, ask_daemon
+from bridge.hub.control import WorkerAnswer
+
+_STYLES = {"running": "green", "waiting": "yellow", "standby": "cyan", "starting": "yellow", "queued": "yellow"}
+_ABSENT = {phase.value for phase in (Phase.QUEUED, Phase.STARTING, Phase.PAUSED, Phase.FAILED)}
+
+
+def register_status(parser: argparse.ArgumentParser) -> None:
+    """Describe the verb and its arguments."""
+    parser.description = (
+        "Shows every daemon and worker on the hub, this machine's workers that start or cannot work, what blocks"
+        " topics, and for each route what crosses, how fast, and what was dropped. Exit code 1 where nothing answers."
+    )
+    parser.add_argument("--json", action="store_true", help="print the workers' status documents as JSON")
+    add_hub_arguments(parser)
+    parser.set_defaults(run=run_status)
+
+
+def run_status(args: argparse.Namespace) -> int:
+    """Show the status once."""
+    absent = absent_workers(args)
+    try:
+        documents, refused = _ask(args)
+    except CliError:
+        if not absent:
+            raise
+        documents, refused = [], []
+    answering = {(document["daemon"], document["worker"]) for document in documents}
+    documents += [document for document in absent if (document["daemon"], document["worker"]) not in answering]
+    documents.sort(key=lambda document: str(document["daemon"]))
+    if args.json:
+        print_json([_with_refusals(document, refused) for document in documents])
+    else:
+        show(make_console(), documents, refused)
+    return 0
+
+
+def _ask(args: argparse.Namespace) -> tuple[list[Document], list[Refusal]]:
+    with open_client(args) as client:
+        documents = ask_status(client)
+        client.settle()
+        return documents, list(refusals(client, documents))
+
+
+def ask_status(client: CliClient) -> list[Document]:
+    """The status documents of all workers; raises `CliError` where none answers."""
+    answers = client.ask("status")
+    if not answers:
+        raise CliError(
+            f"a router answers, but no worker of Midspan does on {client.where}.\n"
+            "Is the daemon running ('midspan run'), and is this its domain (hub.domain)?"
+        )
+    return [document_of(answer) for answer in answers]
+
+
+def absent_workers(args: argparse.Namespace) -> list[Document]:
+    """Workers that are to run and do not yet answer on the hub, by the word of this machine's daemon."""
+    if args.router is not None or args.hub_domain is not None:
+        return []  # that hub is another daemon's
+    said = ask_daemon(client_config(args)) or {}
+    return [
+        {
+            "daemon": said["daemon"],
+            "worker": worker["worker"],
+            "state": worker["phase"],
+            "text": " ".join(filter(None, (worker["text"], f"({duration(worker.get('since'))})"))),
+            "pid": worker["pid"],
+            "restarts": worker["restarts"],
+        }
+        for worker in said.get("workers", ())
+        if worker["phase"] in _ABSENT
+    ]
+
+
+def show(console: Console, documents: Sequence[Document], refused: Sequence[Refusal] = ()) -> None:
+    """One block for each worker, then the routes."""
+    daemon = None
+    for document in documents:
+        if document.get("daemon") != daemon:
+            daemon = document.get("daemon")
+            console.print(Text(clean(daemon), style="bold"))
+        _show_worker(console, document)
+        for refusal in _of(document, refused):
+            console.print(Text(f"           {clean(refusal.text)}", "yellow"))
+            console.print(Text(f"             cure: {clean(refusal.cure)}"))
+    console.print()
+    if any(route_list(document) for document in documents):
+        console.print(routes_table(documents))
+    else:
+        console.print("no routes: nothing is published that would cross; 'midspan topic list -v' shows what there is")
+
+
+def _of(document: Document, refused: Sequence[Refusal]) -> list[Refusal]:
+    """Those of a router's door."""
+    return [r for r in refused if document.get("side") == "router" and document.get("daemon") == r.daemon]
+
+
+def _with_refusals(document: Document, refused: Sequence[Refusal]) -> Document:
+    found = [dataclasses.asdict(refusal) for refusal in _of(document, refused)]
+    return {**document, "refused_commands": found} if found else document
+
+
+def document_of(answer: WorkerAnswer) -> Document:
+    """A worker's status document; of one that fails to answer, a document that says so."""
+    if isinstance(answer.value, dict) and not answer.error:
+        return {**answer.value, "daemon": answer.daemon, "worker": answer.worker}
+    error = answer.error or "the answer is no status document"
+    return {"daemon": answer.daemon, "worker": answer.worker, "side": answer.worker, "state": "failed", "error": error}
+
+
+def _show_worker(console: Console, document: Document) -> None:
+    state = clean(document.get("state", "?"))
+    line = Text(f"  {clean(document.get('worker', '?')):<8} ")
+    line.append(f"{state:<8}", style=_STYLES.get(state, "red"))
+    line.append(f" {_figures(document)}")
+    console.print(line)
+    if document.get("error"):
+        console.print(Text(f"           {clean(document['error'])}", style="red"))
+    for refused in dicts(document.get("refused")):
+        way = arrow(document.get("side"), refused.get("direction"))
+        topic, type_name = clean(refused.get("topic", "")), clean(refused.get("type", ""))
+        console.print(
+            Text(f"           refused {way} {topic} ({type_name}): {clean(refused.get('reason', ''))}", "yellow")
+        )
+        if refused.get("cure"):
+            console.print(Text(f"             cure: {clean(refused['cure'])}"))
+    for machine in dicts(document.get("machines")):
+        console.print(_machine(machine))
+    for told in connected_lines(port_list(document)):
+        console.print(Text(f"           {told}"))
+    warnings = document.get("warnings")
+    for warning in warnings if isinstance(warnings, list) else ():
+        console.print(Text(f"           warning: {clean(warning)}", "yellow"))
+
+
+def _machine(machine: Document) -> Text:
+    """Another machine that is connected."""
+    name, address = clean(machine.get("name") or "a machine without a certificate"), clean(machine.get("address", "?"))
+    if machine.get("trusted"):
+        return Text(f"           {name} at {address}")
+    return Text(f"           {name} may not command (hub.open.trusted), at {address}", "yellow")
+
+
+def _figures(document: Document) -> str:
+    parts: list[str] = []
+    if document.get("network"):
+        parts.append(f"{side_name(document.get('side'))} network {clean(document['network'])}")
+    elif document.get("state") == "waiting" and document.get("side"):  # a module waits for something else
+        parts.append(f"{side_name(document.get('side'))} is away")
+    if document.get("text"):
+        parts.append(clean(document["text"]))
+    if document.get("listen"):
+        parts.append(f"listens at {clean(document['listen'])}, {_sessions(document)}")
+    routes = route_list(document)
+    if routes:
+        rate = sum(r["rate"] for r in routes if is_number(r.get("rate")))
+        parts.append(f"{plural(len(routes), 'route')}, {rate:.0f} msg/s")
+    if is_number(document.get("uptime")):
+        parts.append(f"up {duration(document['uptime'])}")
+    if is_number(document.get("cpu")):
+        parts.append(f"cpu {document['cpu'] * 100:.0f} %")
+    if document.get("rss"):
+        parts.append(size(document["rss"]))
+    if document.get("pid"):
+        parts.append(f"pid {clean(document['pid'])}")
+    return ", ".join(parts)
+
+
+def _sessions(document: Document) -> str:
+    count = document.get("sessions")
+    return plural(count if isinstance(count, int) else 0, "session")
+
+
+_INTERVAL = 1.0
+
+
+def register_top(parser: argparse.ArgumentParser) -> None:
+    """Describe the verb and its arguments."""
+    parser.description = (
+        "Shows every route of every worker on the hub until Ctrl-C: messages a second, latency (from the source's time"
+        " stamp to the worker that delivers; between machines as good as their clocks agree), messages, drops by"
+        " reason, age of the last message. Without a terminal it prints the table once, or every --interval seconds."
+    )
+    parser.add_argument("--once", action="store_true", help="print the table once and end")
+    parser.add_argument(
+        "--interval", type=number_in(0.1, 3600), metavar="SECONDS", help=f"how often to look (default {_INTERVAL:g})"
+    )
+    parser.add_argument("--json", action="store_true", help="print all status documents, one JSON list a line")
+    add_hub_arguments(parser)
+    parser.set_defaults(run=run_top)
+
+
+def run_top(args: argparse.Namespace) -> int:
+    """Show the table until Ctrl-C, or once."""
+    live = sys.stdout.isatty()
+    once = args.once or (args.interval is None and not live)
+    interval = args.interval or _INTERVAL
+    with open_client(args) as client:
+        try:
+            if live and not once and not args.json:
+                _live(client, interval)
+            else:
+                _plain(client, 0.0 if once else interval, as_json=args.json)
+        except KeyboardInterrupt:
+            return 0
+    return 0
+
+
+def _plain(client: CliClient, interval: float, *, as_json: bool) -> None:
+    console = make_console()
+    while True:
+        documents = ask_status(client)
+        if as_json:
+            print_json(documents, lines=True)
+        else:
+            console.print(_view(documents))
+        if not interval:
+            return
+        time.sleep(interval)
+
+
+def _live(client: CliClient, interval: float) -> None:
+    console = make_console()
+    with Live(console=console, screen=True, auto_refresh=False, vertical_overflow="crop") as live:
+        while True:
+            try:
+                view = _view(ask_status(client))
+            except CliError as err:
+                # the daemon may come back
+                view = Text(str(err), style="red")
+            live.update(view, refresh=True)
+            time.sleep(interval)
+
+
+def _view(documents: Sequence[Document]) -> RenderableType:
+    head = Text()
+    for number, document in enumerate(documents):
+        head.append("   " if number else "")
+        head.append(f"{clean(document.get('daemon', ''))}/{clean(document.get('worker', ''))} ", style="bold")
+        head.append(
+            clean(document.get("state", "?")), style="green" if document.get("state") == "running" else "yellow"
+        )
+        routes = route_list(document)
+        if routes:
+            head.append(f" {plural(len(routes), 'route')}")
+        refused = document.get("refused")
+        if isinstance(refused, list) and refused:
+            head.append(f", {len(refused)} refused", style="yellow")
+    return Group(head, routes_table(documents, errors=False))

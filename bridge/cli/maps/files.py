@@ -1,0 +1,124 @@
+"""Maps and places between files and the store: ``map import``, ``map export`` and ``location export``."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import Any
+
+from bridge.cli.arguments import add_verb
+from bridge.cli.maps.store import named_map, open_stored
+from bridge.cli.output import CliError, clean
+from bridge.stores.kinds import AREA, BEHAVIOUR, CURRENT, LINK, LOCATION, MAP, OBJECT, PATH
+from bridge.stores.service import read_files
+from bridge.stores.store import THE_MAP, Write
+from yarp_compat.dev.exports import to_geojson, to_waypoints
+from yarp_compat.dev.extras import Extras, extras_file
+from yarp_compat.dev.mapfile import MapFileError, write
+from yarp_compat.dev.places import Places, save_maps
+
+
+def register_map_files(verbs: Any) -> None:
+    """Add the verbs' parsers."""
+    come = add_verb(
+        verbs, "import", _import_maps, "bring maps and places from files into the store",
+        "Reads maps of YARP (.map) and of ROS (.yaml with its image), collections (maps_collection.ini), and locations,"
+        " areas, paths and objects (locations.ini) with their extras (locations_extras.ini). Imports all or nothing.",
+        example="midspan map import house.yaml --use",
+    )  # fmt: skip
+    come.add_argument("files", nargs="+", type=Path, metavar="FILE", help="the files")
+    come.add_argument("--name", help="the map's name in the store; default as the file says it")
+    come.add_argument("--replace", action="store_true", help="in place of what has the same name")
+    come.add_argument("--use", action="store_true", help="the first map is in use from now on")
+    go = add_verb(
+        verbs, "export", _export_maps, "write a map, or all of them, to files",
+        "Writes a map for YARP (.map, with its images) or for ROS (.yaml), or all maps as YARP's collection (.ini).",
+        example="midspan map export house.yaml house --image png",
+    )  # fmt: skip
+    go.add_argument("file", type=Path, metavar="FILE", help="where to: .map, .yaml or .ini")
+    go.add_argument("name", nargs="?", help="which map (default: the one in use)")
+    go.add_argument("--image", choices=("pgm", "png", "bmp"), default="pgm", help="form of the image beside a .yaml")
+
+
+def _import_maps(args: argparse.Namespace) -> int:
+    writes = [write for file in args.files for write in read_files(file)]
+    maps = [write for write in writes if write.kind is MAP]
+    if args.name is not None:
+        if len(maps) != 1:
+            raise CliError(f"--name names one map, and the files have {len(maps)}")
+        writes[writes.index(maps[0])] = maps[0] = Write(MAP, args.name, maps[0].value)
+    if args.use:
+        if not maps:
+            raise CliError("--use needs a map, and the files have none")
+        writes.append(Write(CURRENT, THE_MAP, maps[0].name))
+    names = [(write.kind.name, write.name) for write in writes]
+    twice = {key for key in names if names.count(key) > 1}
+    with open_stored(args) as (_, stored):
+        taken = stored.keys().intersection(names) - {(CURRENT.name, THE_MAP)} if not args.replace else set()
+        if twice or taken:
+            kind, name = min(twice or taken)
+            where = "in the files twice" if twice else "stored already; --replace puts this one in its place"
+            raise CliError(f"{kind} {name!r} is {where}; nothing is imported")
+        stored.write(writes)
+    for kind, name in names:
+        print(f"{kind} {clean(name)}" if kind != CURRENT.name else f"{clean(maps[0].name)} is in use")
+    return 0
+
+
+def _export_maps(args: argparse.Namespace) -> int:
+    with open_stored(args) as (_, stored):
+        if args.file.suffix.lower() == ".ini":
+            if args.name is not None:
+                raise CliError("a collection holds all maps: leave the name out, or write a .map or .yaml")
+            maps = stored.all(MAP)
+            _save(lambda: save_maps(maps, args.file))
+            print(f"{len(maps)} maps to {args.file}")
+            return 0
+        grid = named_map(stored, args.name)
+    if args.file.suffix.lower() not in (".map", ".yaml", ".yml"):
+        raise CliError(f"{args.file} says no form: give it .map (YARP), .yaml (ROS) or .ini (a collection)")
+    _save(lambda: grid.save(args.file, **({} if args.file.suffix.lower() == ".map" else {"image": args.image})))
+    print(f"{clean(grid.name)} to {args.file}")
+    return 0
+
+
+def _save(save: Any) -> None:
+    try:
+        save()
+    except ValueError as err:
+        raise CliError(str(err)) from None
+
+
+def register_location_export(verbs: Any) -> None:
+    """Add the verb's parser."""
+    parser = add_verb(
+        verbs, "export", _export_locations, "write locations, areas, paths and objects to a file",
+        "Writes .ini for YARP's map storage (all maps; behaviours and links go into a file beside it), .geojson, or"
+        " .yaml: the locations as waypoints for Nav2.",
+        example="midspan location export house.geojson --map house",
+    )  # fmt: skip
+    parser.add_argument("file", type=Path, metavar="FILE", help="where to: .ini, .geojson or .yaml")
+    parser.add_argument("--map", metavar="NAME", help="only what is on this map; for .yaml default the one in use")
+
+
+def _export_locations(args: argparse.Namespace) -> int:
+    form = args.file.suffix.lower()
+    if form not in (".ini", ".geojson", ".yaml", ".yml") or (form == ".ini" and args.map is not None):
+        raise CliError(f"{args.file}: give it .ini (YARP, all maps), .geojson or .yaml (waypoints for Nav2)")
+    with open_stored(args) as (_, stored):
+        places = Places(stored.all(LOCATION), stored.all(OBJECT), stored.all(AREA), stored.all(PATH))
+        extras = Extras(stored.all(BEHAVIOUR), stored.all(LINK))
+        map_name = args.map or (stored.current_map() if form in (".yaml", ".yml") else "")
+    try:
+        if form == ".ini":
+            places.save(args.file)
+            extras.save(extras_file(args.file))
+        elif form == ".geojson":
+            write(args.file, to_geojson(places, extras.behaviours, extras.links, map_name))
+        else:
+            chosen = {name: each for name, each in places.locations.items() if map_name in ("", each.map_id)}
+            write(args.file, to_waypoints(chosen))
+    except MapFileError as err:
+        raise CliError(str(err)) from None
+    print(f"to {args.file}" + (f" and {extras_file(args.file)}" if form == ".ini" else ""))
+    return 0

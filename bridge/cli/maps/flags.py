@@ -1,0 +1,105 @@
+"""``midspan map edit-flags``: what cells of a map are to those who plan ways."""
+
+from __future__ import annotations
+
+import argparse
+import math
+from typing import Any
+
+import numpy as np
+
+from bridge.cli.arguments import add_verb
+from bridge.cli.maps.store import missing, named_map, open_stored
+from bridge.cli.output import CliError, clean
+from bridge.stores.client import StoreClient
+from bridge.stores.kinds import AREA, MAP
+from bridge.stores.store import Write
+from navigation.maps.masks import cells_of
+from yarp_compat.dev.mapgrid import MapFlag, MapGrid2D
+from yarp_compat.sig.vec2d import Vec2D
+
+_FLAGS = {flag.name.lower().replace("_", "-"): flag for flag in MapFlag}
+_CORNERS = 64
+
+
+def register(verbs: Any) -> None:
+    """Add the verb's parser."""
+    parser = add_verb(
+        verbs, "edit-flags", run, "flag cells of a map: keep-out, wall, free, ...",
+        "Frees temporary and enlarged obstacles, then flags the cells of a shape (metres in the map's frame), then"
+        " enlarges obstacles, as far as asked.",
+        example="midspan map edit-flags house --flag keep-out --points 1,1 2,1 2,3 1,3",
+    )  # fmt: skip
+    parser.add_argument("name", nargs="?", help="which map (default: the one in use)")
+    parser.add_argument("--flag", choices=sorted(_FLAGS), help="what the shape's cells become")
+    shape = parser.add_mutually_exclusive_group()
+    shape.add_argument("--points", nargs="+", type=_point, metavar="X,Y", help="a polygon's corners, three or more")
+    shape.add_argument("--circle", type=_circle, metavar="X,Y,RADIUS", help="a circle")
+    shape.add_argument("--area", metavar="NAME", help="a stored area")
+    parser.add_argument("--enlarge", type=float, metavar="METRES", help="enlarge obstacles so far; 0: not at all")
+    parser.add_argument("--clear-temporary", action="store_true", help="temporary and enlarged obstacles become free")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Change flags, and write the map back."""
+    shaped = args.points is not None or args.circle is not None or args.area is not None
+    if shaped is not (args.flag is not None):
+        raise CliError("a shape (--points, --circle or --area) and a flag (--flag) go together")
+    if not (shaped or args.enlarge is not None or args.clear_temporary):
+        raise CliError("say what to change: --flag with a shape, --enlarge or --clear-temporary")
+    with open_stored(args) as (_, stored):
+        grid = named_map(stored, args.name)
+        before = grid.flags.copy()
+        if args.clear_temporary:
+            grid.clearMapTemporaryFlags()
+        if shaped:
+            part, inside = cells_of(grid, _corners(args, stored, grid))
+            if not inside.any():
+                raise CliError(f"the shape has no cell on {grid.name}")
+            grid.flags[part][inside] = _FLAGS[args.flag]
+        if args.enlarge is not None and not (math.isfinite(args.enlarge) and grid.enlargeObstacles(args.enlarge)):
+            raise CliError(f"obstacles cannot be enlarged by {args.enlarge} m")
+        changed = int(np.count_nonzero(before != grid.flags))
+        stored.write([Write(MAP, grid.name, grid)])
+    print(f"{clean(grid.name)}: {changed} cells changed")
+    return 0
+
+
+def _corners(args: argparse.Namespace, stored: StoreClient, grid: MapGrid2D) -> list[Vec2D]:
+    if args.circle is not None:
+        x, y, radius = args.circle
+        turns = (2 * math.pi * number / _CORNERS for number in range(_CORNERS))
+        return [Vec2D(x + radius * math.cos(turn), y + radius * math.sin(turn)) for turn in turns]
+    if args.area is not None:
+        area = stored.get(AREA, args.area)
+        if area is None:
+            raise CliError(missing("area", args.area, stored.names(AREA)))
+        if area.map_id != grid.name:
+            raise CliError(f"the area {args.area!r} is on the map {area.map_id!r}, not on {grid.name!r}")
+        return list(area.points)
+    if len(args.points) < 3:
+        raise CliError(f"a polygon has three corners or more, not {len(args.points)}")
+    return [Vec2D(x, y) for x, y in args.points]
+
+
+def _numbers(text: str, count: int) -> list[float]:
+    try:
+        found = [float(part) for part in text.split(",")]
+    except ValueError:
+        found = []
+    if len(found) != count or not all(map(math.isfinite, found)):
+        msg = f"{text!r} is not {count} numbers with commas between them"
+        raise argparse.ArgumentTypeError(msg)
+    return found
+
+
+def _point(text: str) -> list[float]:
+    return _numbers(text, 2)
+
+
+def _circle(text: str) -> list[float]:
+    found = _numbers(text, 3)
+    if found[2] <= 0:
+        msg = f"a circle's radius is above 0, not {found[2]:g}"
+        raise argparse.ArgumentTypeError(msg)
+    return found

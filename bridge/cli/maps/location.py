@@ -1,0 +1,197 @@
+"""``midspan location``: list, add, remove and export of locations, areas, paths, objects and links."""
+
+from __future__ import annotations
+
+import argparse
+import math
+from typing import Any
+
+from rich.table import Table
+
+from bridge.cli.arguments import add_verb, add_verbs
+from bridge.cli.client import CliClient
+from bridge.cli.frames.feed import TransformListener
+from bridge.cli.frames.tf import angles_of
+from bridge.cli.maps import files
+from bridge.cli.maps.store import missing, open_stored
+from bridge.cli.output import CliError, clean, make_console, plural, print_json
+from bridge.stores import kinds
+from bridge.stores.client import StoreClient
+from bridge.stores.entry import check_name
+from bridge.stores.store import Write
+from bridge.tf.errors import TransformError
+from yarp_compat.dev.locations import Map2DLocation
+
+
+def register(parser: argparse.ArgumentParser) -> None:
+    """Describe the verb and its arguments."""
+    verbs = add_verbs(
+        parser,
+        "Shows and changes the locations, areas, paths, objects and links in the store that all daemons of a deployment"
+        " share. 'midspan map import' imports them from files.",
+    )
+    _register_list_and_remove(verbs)
+    _register_add(verbs)
+    files.register_location_export(verbs)
+
+
+KINDS: dict[str, kinds.ValueKind[Any]] = {
+    kind.name: kind for kind in (kinds.LOCATION, kinds.AREA, kinds.PATH, kinds.OBJECT, kinds.LINK)
+}
+_JSON: dict[str, Any] = {
+    "location": kinds.location_json,
+    "area": kinds.area_json,
+    "path": kinds.path_json,
+    "object": kinds.object_json,
+    "link": kinds.link_json,
+}
+
+
+def _register_list_and_remove(verbs: Any) -> None:
+    listing = add_verb(verbs, "list", _list, "list locations, areas with their behaviour, paths, objects and links")
+    listing.add_argument("--map", metavar="NAME", help="only what is on this map")
+    listing.add_argument("--kind", choices=sorted(KINDS), help="only these")
+    listing.add_argument("--json", action="store_true", help="print them as JSON")
+    remove = add_verb(verbs, "remove", _remove, "remove a location, or another kind")
+    remove.add_argument("name", help="its name")
+    remove.add_argument("--kind", choices=sorted(KINDS), default="location", help="what it is (default: location)")
+
+
+def _list(args: argparse.Namespace) -> int:
+    with open_stored(args) as (_, stored):
+        rows = [row for row in _rows(stored, args.kind) if args.map is None or args.map in row["maps"]]
+    if args.json:
+        print_json(rows)
+        return 0
+    if not rows:
+        print("nothing is stored; 'midspan location add' adds one, 'midspan map import' brings them in from a file")
+        return 0
+    table = Table(box=None, pad_edge=False)
+    for column in ("kind", "name", "map", "where", "", "description"):
+        table.add_column(column, overflow="fold")
+    for row in rows:
+        value = row["value"]
+        table.add_row(
+            row["kind"],
+            clean(row["name"]),
+            clean(", ".join(row["maps"])),
+            clean(_where(row["kind"], value)),
+            _behaviour(row.get("behaviour")),
+            clean(value.get("description", "")),
+        )
+    make_console().print(table)
+    return 0
+
+
+def _remove(args: argparse.Namespace) -> int:
+    with open_stored(args) as (_, stored):
+        names = stored.names(KINDS[args.kind])
+        if args.name not in names:
+            raise CliError(missing(args.kind, args.name, names))
+        stored.write([Write(KINDS[args.kind], args.name, None)])
+    print(f"{args.kind} {clean(args.name)} is removed")
+    return 0
+
+
+def _rows(stored: StoreClient, only: str | None) -> list[dict[str, Any]]:
+    rows = []
+    locations = stored.all(kinds.LOCATION) if only in (None, "location", "link") else {}
+    behaviours = stored.all(kinds.BEHAVIOUR) if only in (None, "area") else {}
+    for name, kind in KINDS.items():
+        if only not in (None, name):
+            continue
+        for each, value in (locations if kind is kinds.LOCATION else stored.all(kind)).items():
+            told = dict(_JSON[name](value))
+            row: dict[str, Any] = {"kind": name, "name": each, "maps": _maps(name, told, locations), "value": told}
+            if name == "area" and each in behaviours:
+                row["behaviour"] = dict(kinds.behaviour_json(behaviours[each]))
+            rows.append(row)
+    return rows
+
+
+def _maps(kind: str, value: dict[str, Any], locations: dict[str, Any]) -> list[str]:
+    if kind == "path":
+        return sorted({point["map"] for point in value["waypoints"]})
+    if kind == "link":
+        return [locations[end].map_id for end in (value["from"], value["to"]) if end in locations]
+    return [value["map"]]
+
+
+def _where(kind: str, value: dict[str, Any]) -> str:
+    if kind == "location":
+        return f"{value['x']:g}, {value['y']:g} m, {value['theta_deg']:g} degrees"
+    if kind == "object":
+        return f"{value['x']:g}, {value['y']:g}, {value['z']:g} m"
+    if kind == "area":
+        return plural(len(value["points"]), "corner")
+    if kind == "path":
+        return plural(len(value["waypoints"]), "waypoint")
+    return f"{value['from']} to {value['to']}, cost {value['cost']:g}"
+
+
+def _behaviour(found: dict[str, Any] | None) -> str:
+    if found is None:
+        return ""
+    words = [] if found["max_speed"] is None else [f"up to {found['max_speed']:g} m/s"]
+    if found["on_obstacle"]:
+        words.append(f"obstacle: {found['on_obstacle']}")
+    if found["keep_out"]:
+        words.append("keep out")
+    return ", ".join(words)
+
+
+PATIENCE = 5.0
+"""Seconds within which the robot's place must be known."""
+
+_OLD = 2.0
+"""Seconds; where the robot was then is not where it is."""
+
+
+def _register_add(verbs: Any) -> None:
+    parser = add_verb(
+        verbs, "add", _add, "store a location",
+        "Stores a location: a pose in metres and degrees, or the robot's own by /tf.",
+        example="midspan location add kitchen 1.5 2 90; midspan location add dock --here",
+    )  # fmt: skip
+    parser.add_argument("name", help="its name")
+    parser.add_argument("pose", nargs="*", type=float, metavar="X Y [DEGREES]", help="where it is")
+    parser.add_argument("--here", action="store_true", help="where the robot is: its base in the map's frame, by /tf")
+    parser.add_argument("--map", metavar="NAME", help="on which map (default: the one in use)")
+    parser.add_argument("--description", default="", help="for people")
+    parser.add_argument("--replace", action="store_true", help="in place of one of the same name")
+    parser.add_argument("--map-frame", default="map", metavar="FRAME", help="the map's frame, for --here")
+    parser.add_argument("--base-frame", default="base_link", metavar="FRAME", help="the robot's frame, for --here")
+
+
+def _add(args: argparse.Namespace) -> int:
+    check_name(args.name)
+    if args.here is bool(args.pose) or len(args.pose) not in (0, 2, 3):
+        raise CliError("give X Y [DEGREES], or --here")
+    with open_stored(args) as (client, stored):
+        map_name = args.map or stored.current_map()
+        if not map_name:
+            raise CliError("no map is in use: name one with --map, or choose one with 'midspan map use NAME'")
+        if not args.replace and args.name in stored.names(kinds.LOCATION):
+            raise CliError(f"location {args.name!r} is there already; --replace puts this one in its place")
+        x, y, theta = robot_pose(client, args.map_frame, args.base_frame) if args.here else (*args.pose, 0.0)[:3]
+        place = Map2DLocation(map_name, x, y, theta, args.description)
+        stored.write([Write(kinds.LOCATION, args.name, place)])
+    print(f"{clean(args.name)}: {x:.3f}, {y:.3f} m, {theta:.1f} degrees on {clean(map_name)}")
+    return 0
+
+
+def robot_pose(client: CliClient, map_frame: str, base_frame: str) -> tuple[float, float, float]:
+    """Where the robot is, metres and degrees; raises `CliError` where that is not known now."""
+    heard = TransformListener(client)
+    try:
+        heard.open()
+        heard.wait()
+        found = heard.buffer.lookup_transform(map_frame, base_frame, timeout=PATIENCE)
+    except TransformError as err:
+        raise CliError(f"the robot's place is not known: {clean(err).strip()}") from None
+    finally:
+        heard.close()
+    age = (heard.clock.now_ns() - found.stamp) / 1e9 if found.stamp else 0.0
+    if age > _OLD:
+        raise CliError(f"the robot's place was last published {age:.1f} s ago; does its localisation run?")
+    return found.translation[0], found.translation[1], math.degrees(angles_of(found.rotation)[2])

@@ -1,0 +1,76 @@
+"""``midspan map``: list, use, show, import, export and edit-flags of the maps in the store."""
+
+from __future__ import annotations
+
+import argparse
+from typing import Any
+
+import numpy as np
+from rich.table import Table
+
+from bridge.cli.arguments import add_verb, add_verbs
+from bridge.cli.maps import files, flags, show
+from bridge.cli.maps.store import open_stored
+from bridge.cli.output import clean, make_console, print_json
+from bridge.stores.kinds import MAP
+from yarp_compat.dev.mapgrid import MapFlag, MapGrid2D
+
+
+def register(parser: argparse.ArgumentParser) -> None:
+    """Describe the verb and its arguments."""
+    verbs = add_verbs(parser, "Shows and changes the maps in the store that all daemons of a deployment share.")
+    listing = add_verb(verbs, "list", _list, "list the maps", "Lists the maps in the store; * marks the one in use.")
+    listing.add_argument("--json", action="store_true", help="print them as JSON")
+    use = add_verb(verbs, "use", _use, "choose the map that is in use", "Chooses the map in use: /map on all sides.")
+    use.add_argument("name", help="the map's name")
+    show.register(verbs)
+    files.register_map_files(verbs)
+    flags.register(verbs)
+
+
+def _list(args: argparse.Namespace) -> int:
+    with open_stored(args) as (_, stored):
+        maps, current = stored.all(MAP), stored.current_map()
+    rows = [_row(name, grid, current) for name, grid in maps.items()]
+    if args.json:
+        print_json(rows)
+        return 0
+    if not rows:
+        print("no map is stored; 'midspan map import FILE' brings one in")
+        return 0
+    table = Table(box=None, pad_edge=False)
+    for column in ("", "map", "cells", "metres", "resolution", "origin x, y, degrees", "flags"):
+        table.add_column(column)
+    for row in rows:
+        width, height = row["width"], row["height"]
+        table.add_row(
+            "*" if row["current"] else "",
+            clean(row["name"]),
+            f"{width} x {height}",
+            f"{width * row['resolution']:.1f} x {height * row['resolution']:.1f}",
+            f"{row['resolution']:g}",
+            ", ".join(f"{part:g}" for part in row["origin"]),
+            ", ".join(f"{flag} {share}" for flag, share in row["flags"].items()),
+        )
+    make_console().print(table)
+    return 0
+
+
+def _use(args: argparse.Namespace) -> int:
+    with open_stored(args) as (_, stored):
+        stored.use_map(args.name)
+    print(f"{clean(args.name)} is in use")
+    return 0
+
+
+def _row(name: str, grid: MapGrid2D, current: str) -> dict[str, Any]:
+    counts = np.bincount(grid.flags.reshape(-1), minlength=len(MapFlag))
+    return {
+        "name": name,
+        "current": name == current,
+        "width": grid.width(),
+        "height": grid.height(),
+        "resolution": grid.resolution,
+        "origin": list(grid.origin),
+        "flags": {flag.name.lower(): int(counts[flag]) for flag in MapFlag if counts[flag]},
+    }

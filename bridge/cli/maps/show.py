@@ -1,0 +1,81 @@
+"""``midspan map show``: a map with its flags, locations and areas, in the terminal or as PNG.
+
+What draws takes its time to load; it is imported where it draws, since verbs that draw nothing need this file's
+arguments.
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from bridge.cli.arguments import add_verb
+from bridge.cli.output import CliError, clean
+
+if TYPE_CHECKING:
+    from yarp_compat.dev.locations import Map2DArea, Map2DLocation
+    from yarp_compat.dev.mapgrid import MapGrid2D
+
+
+_PLAIN_WIDTH = 120
+_MOST_SCALE = 64
+
+
+def register(verbs: Any) -> None:
+    """Add the verb's parser."""
+    parser = add_verb(
+        verbs, "show", run, "draw a map with its flags, locations and areas",
+        "Draws a map with its flags, locations and areas: in the terminal, in letters elsewhere, or as a PNG.",
+        example="midspan map show house --png house.png",
+    )  # fmt: skip
+    parser.add_argument("name", nargs="?", help="which map (default: the one in use)")
+    add_drawing_arguments(parser)
+
+
+def add_drawing_arguments(parser: argparse.ArgumentParser) -> None:
+    """The arguments of verbs that draw a map."""
+    parser.add_argument("--png", type=Path, metavar="FILE", help="write a picture instead")
+    parser.add_argument("--scale", type=int, default=0, metavar="PIXELS", help="pixels of a cell in the picture")
+    parser.add_argument("--width", type=int, metavar="COLUMNS", help="columns in the terminal")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Draw a map."""
+    from bridge.cli.maps.store import named_map, open_stored
+    from bridge.stores.kinds import AREA, LOCATION
+
+    with open_stored(args) as (_, stored):
+        grid = named_map(stored, args.name)
+        locations = {name: place for name, place in stored.all(LOCATION).items() if place.map_id == grid.name}
+        areas = {name: area for name, area in stored.all(AREA).items() if area.map_id == grid.name}
+    draw(grid, locations, areas, args)
+    return 0
+
+
+def draw(
+    grid: MapGrid2D,
+    locations: Mapping[str, Map2DLocation],
+    areas: Mapping[str, Map2DArea],
+    args: argparse.Namespace,
+    path: Sequence[tuple[float, float]] = (),
+) -> None:
+    """Draw a map as `add_drawing_arguments` says, with a line through ``path`` (metres); raises `CliError`."""
+    if not 0 <= args.scale <= _MOST_SCALE or (args.width is not None and not 0 < args.width <= 1000):
+        raise CliError(f"--scale is 1 to {_MOST_SCALE}, --width 1 to 1000")
+    if args.png is not None:
+        from bridge.cli.maps.drawing import draw as picture
+
+        if grid.width() * grid.height() * max(args.scale, 1) ** 2 > 1 << 28:
+            raise CliError("the picture would have more than 268 million pixels; give a smaller --scale")
+        picture(grid, locations, areas, args.scale, path).save(args.png, "PNG")
+        print(f"{clean(grid.name)} to {args.png}")
+        return
+    from bridge.cli.maps import drawing
+    from bridge.cli.output import make_console
+
+    console = make_console()
+    width = args.width or (console.width if console.is_terminal else _PLAIN_WIDTH)
+    for line in drawing.lines(grid, locations, areas, width, coloured=console.is_terminal, path=path):
+        console.print(line, soft_wrap=True)

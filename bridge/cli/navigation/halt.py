@@ -1,0 +1,164 @@
+"""``midspan halt``: every base stands still, every goal is cancelled."""
+
+from __future__ import annotations
+
+import argparse
+import threading
+import time
+from collections.abc import Collection, Iterable
+from typing import Any
+
+from bridge.cli.arguments import add_hub_arguments
+from bridge.cli.client import CliClient, open_client
+from bridge.cli.graph.caller import ServiceCaller
+from bridge.cli.messages import Types
+from bridge.cli.output import CliError, clean, plural, print_json
+from bridge.config.sections.navigation import NavigationSection
+from bridge.hub.endpoints.calls import CallError
+from bridge.hub.endpoints.publisher import HubPublisher
+from bridge.hub.wire.qos import Qos
+from bridge.messages.actions import CANCEL_GOAL, part_name
+from bridge.messages.json import from_json
+
+VELOCITIES = ("geometry_msgs/msg/Twist", "geometry_msgs/msg/TwistStamped")
+CANCEL = part_name("", CANCEL_GOAL)
+
+DEFAULT_SECONDS = 2.0
+"""So long zero is repeated: a topic that only now crosses to a side is heard there within this time."""
+
+_PERIOD = 0.05
+_ANSWER_SECONDS = 5.0
+"""The gateway waits for what confirms the stop."""
+
+_ALL: dict[str, Any] = {"goal_info": {}}
+"""A `CancelGoal` request without id and stamp: all goals (action_msgs/srv/CancelGoal)."""
+
+
+def register(parser: argparse.ArgumentParser) -> None:
+    """Describe the verb and its arguments."""
+    parser.description = (
+        "Publishes zero on every topic of velocities on the hub (the rules say where it crosses), clears the commands"
+        " of each BaseControl and the goals of the gateway and Midspan's planners, and cancels every goal of every"
+        " action. It is not an emergency stop: later commands are obeyed. Exit code 1 where something did not answer,"
+        " or it is not known that the robot stands."
+    )
+    parser.epilog = "Example: midspan halt"
+    parser.add_argument(
+        "--seconds", type=float, default=DEFAULT_SECONDS, help=f"repeat zero for so long (default {DEFAULT_SECONDS:g})"
+    )
+    parser.add_argument("--json", action="store_true", help="print what was halted as JSON")
+    add_hub_arguments(parser)
+    parser.set_defaults(run=run)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Halt everything; 1 where something did not answer."""
+    with open_client(args) as client:
+        client.settle()
+        types = Types(client)
+        zeros = ZeroVelocities(client, types)
+        cancels = [GoalCancellation(client, types, name) for name in actions(client)]
+        zeros.put()
+        bases: dict[str, str] = {}
+        asking = threading.Thread(target=lambda: bases.update(_halted(client)), daemon=True)
+        asking.start()
+        end = time.monotonic() + args.seconds
+        never = threading.Event()
+        while time.monotonic() < end:
+            never.wait(_PERIOD)
+            zeros.put()
+        asking.join()  # it has a time limit of its own
+        topics = {topic: zeros.listeners(topic) for topic in zeros.topics}
+        zeros.close()
+        trouble = unreached(client.config.navigation, bases, [cancel.name for cancel in cancels])
+    goals = {cancel.name: cancel.found for cancel in cancels}
+    failed = [cancel for cancel in cancels if cancel.error]
+    if args.json:
+        errors = {cancel.name: cancel.error for cancel in failed} | {base: why for base, why in bases.items() if why}
+        errors |= {"navigation": trouble} if trouble else {}
+        stands = {base: not why for base, why in bases.items()}
+        print_json({"topics": topics, "goals": goals, "bases": stands, "errors": errors})
+    else:
+        _tell(topics, cancels, bases)
+    if trouble:
+        raise CliError(trouble)
+    if not (topics or goals or bases):
+        raise CliError("nothing to halt: the hub has no topic of velocities, no action and no BaseControl")
+    return 1 if failed or any(bases.values()) else 0
+
+
+def unreached(section: NavigationSection, asked: Iterable[str], cancelled: Collection[str]) -> str:
+    """Why the configured planner may drive on: neither it nor the gateway is on the hub; else ""."""
+    planner = section.planner
+    if not planner or section.at(planner) in cancelled or any(worker.split()[0] == "gateway" for worker in asked):
+        return ""
+    return (
+        f"neither the gateway nor the planner {planner} is on the hub now, so nobody could be asked to stop: the robot"
+        " may still be moving; ask again, and see `midspan status`"
+    )
+
+
+def actions(client: CliClient) -> list[str]:
+    """The names of the actions that are served on the hub."""
+    return sorted({e.topic.removesuffix(CANCEL) for e in client.hub.graph.servers() if e.topic.endswith(CANCEL)})
+
+
+class ZeroVelocities:
+    """Publishes zero velocity on every topic of velocities on the hub."""
+
+    def __init__(self, client: CliClient, types: Types) -> None:
+        graph = client.hub.graph
+        self._graph = graph
+        ends = [*graph.publishers(), *graph.subscriptions()]
+        found = sorted({(e.topic, e.type_name, e.type_hash) for e in ends if e.type_name in VELOCITIES})
+        self.topics = [topic for topic, _, _ in found]
+        self._publishers: list[tuple[HubPublisher, bytes]] = []
+        for topic, name, type_hash in found:
+            publisher = client.hub.publisher(topic, name, type_hash, Qos(depth=1), priority="command")
+            self._publishers.append((publisher, from_json(types.registry, name, {})))
+
+    def put(self) -> None:
+        """Publish once on each."""
+        for publisher, zero in self._publishers:
+            publisher.put(zero)
+
+    def listeners(self, topic: str) -> int:
+        """How many listen to a topic on the hub."""
+        return len(self._graph.subscriptions(topic))
+
+    def close(self) -> None:
+        """Leave the topics."""
+        for publisher, _ in self._publishers:
+            publisher.close()
+
+
+class GoalCancellation:
+    """Cancels all goals of one action; ``found`` counts them, ``error`` says why that failed."""
+
+    def __init__(self, client: CliClient, types: Types, name: str) -> None:
+        self.name, self.found, self.error = name, 0, "it has not answered"
+        try:
+            ServiceCaller(client, types, f"{name}{CANCEL}").call(_ALL, self._answered)
+        except CliError as err:
+            self.error = str(err)
+
+    def _answered(self, reply: dict[str, Any] | CallError) -> None:
+        if isinstance(reply, CallError):
+            self.error = str(reply)
+            return
+        self.found, self.error = len(reply["goals_canceling"]), ""
+
+
+def _halted(client: CliClient) -> dict[str, str]:
+    """Who was asked to halt, and why it is not known to stand; "" where it is."""
+    return {f"{a.worker} of {a.daemon}": a.error for a in client.ask("halt", timeout=_ANSWER_SECONDS)}
+
+
+def _tell(topics: dict[str, int], cancels: list[GoalCancellation], bases: dict[str, str]) -> None:
+    for topic, listeners in topics.items():
+        print(f"{clean(topic)}: zero velocity, {plural(listeners, 'listener')} on the hub")
+    for base, why in bases.items():
+        print(f"{clean(base)}: {clean(why) or 'stands still'}")
+    for cancel in cancels:
+        told = f"not cancelled: {clean(cancel.error)}" if cancel.error else f"{plural(cancel.found, 'goal')} cancelled"
+        print(f"{clean(cancel.name)}: {told}")

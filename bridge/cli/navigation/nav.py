@@ -1,0 +1,187 @@
+"""``midspan nav``: status, stop, pause, resume, path and show of what drives the robot."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import time
+from typing import Any
+
+from bridge.cli.arguments import add_verb, add_verbs
+from bridge.cli.client import CliClient, open_client
+from bridge.cli.maps.show import add_drawing_arguments, draw
+from bridge.cli.messages import Types
+from bridge.cli.navigation.gateway import (
+    gateway_caller,
+    gateway_status,
+    latest_message,
+    place_of,
+    place_text,
+    planner_away,
+    state_text,
+    told_status,
+)
+from bridge.cli.output import CliError, clean, plural, print_json
+from bridge.config.sections.navigation import OURS
+
+PATH = "nav_msgs/msg/Path"
+_ASK_SECONDS = 10.0
+_ZERO_SECONDS, _PERIOD = 1.0, 0.05
+_PATH_SECONDS = 1.0
+_DONE = {"stop": "stopped: no goal is under way", "pause": "paused", "resume": "resumed"}
+
+
+def register(parser: argparse.ArgumentParser) -> None:
+    """Describe the verb and its arguments."""
+    verbs = add_verbs(parser, "Shows and holds the planner that drives the robot, whichever it is.", dest="nav_verb")
+    for verb, text in (
+        ("status", "what the planner does, why, and where to"),
+        ("path", "the waypoints that are left"),
+        ("stop", "give up the goal, whoever gave it"),
+        ("pause", "stand still; the client's goal stays active"),
+        ("resume", "go on after a pause"),
+    ):
+        added = add_verb(verbs, verb, run, text, example=f"midspan nav {verb}")
+        if verb in ("status", "path"):
+            added.add_argument("--json", action="store_true", help="print JSON")
+    show = add_verb(
+        verbs, "show", run, "draw the map with the robot, its goal and its path",
+        "Draws the map in use with the robot, its goal and its path: in the terminal, in letters elsewhere, or as a"
+        " PNG.",
+        example="midspan nav show --png way.png",
+    )  # fmt: skip
+    add_drawing_arguments(show)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Run one of the verbs."""
+    with open_client(args) as client:
+        types = Types(client)
+        if args.nav_verb == "status":
+            return _status(client, types, args)
+        if args.nav_verb == "path":
+            return _path(client, types, args)
+        if args.nav_verb == "show":
+            told, way = told_status(client, types), waypoints(client, types)
+            return _draw(client, told, way, args)
+        return _ask(client, types, args.nav_verb)
+
+
+def _ask(client: CliClient, types: Types, verb: str) -> int:
+    try:
+        reply = gateway_caller(client, types, f"/navigation/{verb}").ask({}, _ASK_SECONDS)
+    except CliError as err:
+        if verb != "stop":
+            raise
+        return _stop_itself(client, types, str(err))
+    if not reply["success"]:
+        raise CliError(clean(reply["message"]) or f"it cannot be done: {verb}")
+    print(clean(reply["message"]) or _DONE[verb])
+    return 0
+
+
+def _stop_itself(client: CliClient, types: Types, why: str) -> int:
+    """Have the planner give up its goals without the gateway, and the base stand; raises `CliError` where none can."""
+    from bridge.cli.navigation.halt import GoalCancellation, ZeroVelocities, actions  # which loads message types
+
+    planner = client.config.navigation.planner
+    action = client.config.navigation.at(planner)
+    if not planner:
+        raise CliError(why)
+    client.settle()
+    if action not in actions(client):
+        raise CliError(f"{why}\nNor is the planner {planner} on the hub: the robot may still be moving")
+    cancel, zeros = GoalCancellation(client, types, action), ZeroVelocities(client, types)
+    end = time.monotonic() + _ZERO_SECONDS
+    while time.monotonic() < end:
+        zeros.put()
+        time.sleep(_PERIOD)
+    zeros.close()
+    if cancel.error:
+        raise CliError(f"{why}\n{planner} did not take the stop ({clean(cancel.error)}): the robot may still be moving")
+    print(f"the gateway is not there; {planner} itself was asked: {plural(cancel.found, 'goal')} cancelled")
+    return 0
+
+
+def _status(client: CliClient, types: Types, args: argparse.Namespace) -> int:
+    told, gateway = told_status(client, types), gateway_status(client)
+    away = planner_away(client, gateway)
+    goal = told["goal"] if told["goal"]["header"]["frame_id"] else None
+    if args.json:
+        place = None if goal is None else dict(zip(("frame", "x", "y", "theta_deg"), place_of(goal), strict=True))
+        shown = {key: gateway.get(key) for key in ("planner", "pending", "goals", "client", "goals_of_others")}
+        waits = {"waits": "" if away is None else away.text, "cure": "" if away is None else away.cure}
+        print_json({"state": told["state"], "reason": told["reason"], "goal": place, **shown, **waits})
+        return 0
+    print(clean(state_text(told)))
+    if goal is not None and gateway.get("goals"):
+        who = gateway.get("client")
+        print(f"goal     {clean(place_text(goal))}" + (f", of {clean(who)}" if who else ""))
+        more = int(gateway["goals"]) - 1
+        if more > 0:
+            print(f"         and {plural(more, 'more place')} after it")
+    print(f"planner  {clean(gateway.get('planner', '?'))}")
+    if away is not None:
+        print(f"         {clean(away.text)}" + (f"\n         cure: {clean(away.cure)}" if away.cure else ""))
+    if gateway.get("pending"):
+        print(f"         {clean(gateway['pending'])} once the robot stands")
+    others = gateway.get("goals_of_others")
+    if others:
+        print(f"         it has {plural(int(others), 'goal')} that did not come through the gateway")
+    return 0
+
+
+def _path(client: CliClient, types: Types, args: argparse.Namespace) -> int:
+    way = waypoints(client, types)
+    rows = [dict(zip(("frame", "x", "y", "theta_deg"), place_of(pose), strict=True)) for pose in way]
+    if args.json:
+        print_json(rows)
+        return 0
+    if not rows:
+        raise CliError("there is no path: nothing is driven now, or the planner publishes none")
+    for number, row in enumerate(rows, 1):
+        print(f"{number:>4}  {row['x']:>8.2f} {row['y']:>8.2f} m  {row['theta_deg']:>6.0f} degrees")
+    return 0
+
+
+def waypoints(client: CliClient, types: Types) -> list[dict[str, Any]]:
+    """The chosen planner's path: a ``PoseStamped`` each; empty where it publishes none. Raises `CliError`."""
+    planner = str(gateway_status(client).get("planner", ""))
+    other = client.config.navigation.others.get(planner)
+    topic = other.path if other is not None and other.path else f"/planner/{planner}/path"
+    client.settle()
+    if planner not in OURS and not client.hub.graph.publishers(topic):
+        return []
+    found = latest_message(client, types, topic, PATH, _PATH_SECONDS)
+    return [] if found is None else list(found["poses"])
+
+
+def _draw(client: CliClient, told: dict[str, Any], way: list[dict[str, Any]], args: argparse.Namespace) -> int:
+    """Draw the map, given the newest ``NavigationStatus`` and the path as ``PoseStamped``."""
+    # the other verbs of the navigation need no maps
+    from bridge.cli.maps.location import robot_pose
+    from bridge.cli.maps.store import named_map
+    from bridge.stores.client import StoreClient
+    from bridge.stores.wire import prefix
+    from yarp_compat.dev.locations import Map2DLocation
+
+    navigation = client.config.navigation
+    stored = StoreClient(client.hub.keyspace(prefix(client.config.hub.domain)), client.config.name)
+    grid = named_map(stored, None)
+    places: dict[str, Map2DLocation] = {}
+    frame, x, y, theta = place_of(told["goal"])
+    if frame in (navigation.frame, grid.name):
+        places["goal"] = Map2DLocation(grid.name, round(x, 2), round(y, 2), round(theta))
+    try:
+        x, y, theta = robot_pose(client, navigation.frame, navigation.base_frame)
+    except CliError as err:
+        print(f"# {err}", file=sys.stderr)
+    else:
+        places["robot"] = Map2DLocation(grid.name, round(x, 2), round(y, 2), round(theta))
+    line = [(x, y) for _, x, y, _ in map(place_of, way)]
+    if line and "robot" in places:
+        line.insert(0, (places["robot"].x, places["robot"].y))
+    draw(grid, places, {}, args, path=line)
+    if args.png is None:
+        print(clean(state_text(told)))
+    return 0

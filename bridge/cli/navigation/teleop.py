@@ -1,0 +1,174 @@
+"""``midspan teleop``: a base driven by the keyboard."""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import os
+import select
+import sys
+import time
+from collections.abc import Iterator
+from typing import Any, NamedTuple
+
+from bridge.cli.arguments import add_hub_arguments
+from bridge.cli.client import open_client
+from bridge.cli.graph.view import absolute
+from bridge.cli.messages import Types
+from bridge.cli.output import CliError
+from bridge.hub.endpoints.publisher import HubPublisher
+from bridge.hub.wire.qos import Qos
+from bridge.messages.json import from_json
+from bridge.messages.registry import Registry
+
+TWIST = "geometry_msgs/msg/Twist"
+
+RATE = 20.0
+HOLD_SECONDS = 0.6
+"""A key counts as held for so long after it came: keyboards repeat a key that is held after half a second."""
+
+STEP = 1.1
+MOST_SPEED, MOST_TURN = 2.0, 3.0
+
+KEYS = {
+    "i": (1, 0, 0), ",": (-1, 0, 0), "j": (0, 0, 1), "l": (0, 0, -1), "u": (1, 0, 1), "o": (1, 0, -1),
+    "m": (-1, 0, -1), ".": (-1, 0, 1), "J": (0, 1, 0), "L": (0, -1, 0),
+    "\x1b[A": (1, 0, 0), "\x1b[B": (-1, 0, 0), "\x1b[D": (0, 0, 1), "\x1b[C": (0, 0, -1),
+}  # fmt: skip
+"""The keys of ROS's teleop_twist_keyboard, and arrows: forward, to the left, turning to the left."""
+
+HELP = """\
+   u  i  o      forward, with a turn to the left and right      (arrow keys, too)
+   j  k  l      turn on the spot; k or space: stop
+   m  ,  .      backward
+   J     L      to the side (holonomic bases)
+   q / z: faster / slower    Ctrl-C or x: end
+The base stops when no key is held."""
+
+
+class HeldKeys(NamedTuple):
+    """What the keys ask for: shares of the speeds, forward, left and turning left."""
+
+    forward: int = 0
+    left: int = 0
+    turn: int = 0
+
+
+class Keys:
+    """The velocity that the pressed keys ask for, in m/s and rad/s."""
+
+    def __init__(self, speed: float, turn: float) -> None:
+        self.speed, self.turn = speed, turn
+        self.ended = False
+        self._wish = HeldKeys()
+        self._until = 0.0
+
+    def press(self, key: str, now: float) -> None:
+        """Take a key at a time in seconds."""
+        if key in KEYS:
+            self._wish, self._until = HeldKeys(*KEYS[key]), now + HOLD_SECONDS
+        elif key in "qz":
+            factor = STEP if key == "q" else 1.0 / STEP
+            self.speed, self.turn = min(self.speed * factor, MOST_SPEED), min(self.turn * factor, MOST_TURN)
+        else:
+            self._wish = HeldKeys()  # a key that means nothing stops, too
+            self.ended = key in ("x", "\x03", "\x04")
+
+    def twist(self, now: float) -> dict[str, Any]:
+        """The velocity to command at a time: zero unless a key is held."""
+        wish = self._wish if now <= self._until and not self.ended else HeldKeys()
+        return {
+            "linear": {"x": wish.forward * self.speed, "y": wish.left * self.speed},
+            "angular": {"z": wish.turn * self.turn},
+        }
+
+
+def register(parser: argparse.ArgumentParser) -> None:
+    """Describe the verb and its arguments."""
+    parser.description = (
+        "Drives a base on any side by the keyboard: publishes velocities on the hub while a key is held, then zero, and"
+        " nothing once it has ended."
+    )
+    parser.epilog = HELP
+    parser.formatter_class = argparse.RawDescriptionHelpFormatter
+    parser.add_argument("--topic", default="/cmd_vel", help="the topic of velocities (default /cmd_vel)")
+    parser.add_argument("--speed", type=float, default=0.2, metavar="M/S", help="to begin with (default 0.2)")
+    parser.add_argument("--turn", type=float, default=0.5, metavar="RAD/S", help="to begin with (default 0.5)")
+    add_hub_arguments(parser)
+    parser.set_defaults(run=run)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Drive until Ctrl-C or ``x``."""
+    if not (0.0 < args.speed <= MOST_SPEED and 0.0 < args.turn <= MOST_TURN):
+        raise CliError(f"--speed is at most {MOST_SPEED:g} m/s and --turn at most {MOST_TURN:g} rad/s, both above 0")
+    if not sys.stdin.isatty():
+        raise CliError("teleop reads keys from a terminal only; 'midspan topic pub' publishes from scripts")
+    topic = absolute(args.topic)
+    with open_client(args) as client:
+        types = Types(client)
+        publisher = client.hub.publisher(topic, TWIST, types.hash_of(TWIST), Qos(depth=1), priority="command")
+        print(f"{HELP}\n{topic}:", flush=True)
+        keys = Keys(args.speed, args.turn)
+        try:
+            with _raw(sys.stdin.fileno()) as terminal:
+                _drive(keys, terminal, publisher, types.registry)
+        except KeyboardInterrupt:
+            pass
+        finally:
+            publisher.put(from_json(types.registry, TWIST, {}))
+            publisher.close()
+            print()
+    return 0
+
+
+def _drive(keys: Keys, terminal: int, publisher: HubPublisher, registry: Registry) -> None:
+    due = time.monotonic()
+    idle = False
+    while not keys.ended:
+        for key in _pressed(terminal, max(0.0, due - time.monotonic())):
+            keys.press(key, time.monotonic())
+        if time.monotonic() < due:
+            continue
+        due = max(due + 1.0 / RATE, time.monotonic())
+        twist = keys.twist(time.monotonic())
+        moving = any(value for part in twist.values() for value in part.values())
+        if moving or not idle:  # one zero, then silence: whoever else drives is not overruled
+            publisher.put(from_json(registry, TWIST, twist))
+        idle = not moving
+        _show(keys, twist)
+
+
+def _show(keys: Keys, twist: dict[str, Any]) -> None:
+    linear, turn = twist["linear"], twist["angular"]["z"]
+    now = f"x {linear['x']:+.2f} y {linear['y']:+.2f} m/s, turn {turn:+.2f} rad/s"
+    print(f"\r{now}   (speed {keys.speed:.2f}, turn {keys.turn:.2f}) ", end="", flush=True)
+
+
+def _pressed(terminal: int, seconds: float) -> Iterator[str]:
+    """The keys that came within so many seconds; an arrow is one key."""
+    if not select.select([terminal], [], [], seconds)[0]:
+        return
+    text = os.read(terminal, 1024).decode(errors="ignore")
+    if not text:
+        yield "x"  # the terminal is gone
+    while text:
+        length = 3 if text.startswith("\x1b[") else 1
+        yield text[:length]
+        text = text[length:]
+
+
+@contextlib.contextmanager
+def _raw(terminal: int) -> Iterator[int]:
+    """A terminal that gives each key at once and shows none."""
+    try:
+        import termios
+        import tty
+    except ImportError:
+        raise CliError("teleop needs a POSIX terminal; 'midspan topic pub' publishes from any system") from None
+    before = termios.tcgetattr(terminal)
+    try:
+        tty.setcbreak(terminal)
+        yield terminal
+    finally:
+        termios.tcsetattr(terminal, termios.TCSADRAIN, before)

@@ -1,0 +1,138 @@
+"""``midspan config`` and ``midspan import``: our configuration files, and another bridge's turned into ours."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from bridge.cli.arguments import add_verb, add_verbs
+
+if TYPE_CHECKING:
+    from bridge.config.document import Problem
+    from bridge.config.importers.draft import Draft
+
+
+def register_config(parser: argparse.ArgumentParser) -> None:
+    """Describe the verb and its arguments."""
+    actions = add_verbs(parser, "Checks a configuration file, or prints what helps to write one.", dest="action")
+    check = add_verb(actions, "check", run_config, "check a file: every problem with its place and cure", hub=False)
+    check.add_argument("file", type=Path, nargs="?", metavar="FILE", help="the file (default: where one is found)")
+    check.add_argument("--json", action="store_true", help="print JSON")
+    for name, text in (
+        ("schema", "print the JSON schema, for editors"),
+        ("example", "print a file with all keys at their defaults and what each does"),
+        ("reference", "print the reference page in Markdown, as in docs/operate/config.md"),
+    ):
+        add_verb(actions, name, run_config, text, hub=False)
+
+
+def run_config(args: argparse.Namespace) -> int:
+    """Check or print."""
+    if args.action == "check":
+        return _check_file(args.file, as_json=args.json)
+    from bridge.config import generate
+
+    text = {"schema": generate.schema, "example": generate.example, "reference": generate.reference}[args.action]()
+    sys.stdout.write(text)
+    return 0
+
+
+def _check_file(file: Path | None, *, as_json: bool) -> int:
+    from bridge.config.document import ConfigError
+    from bridge.config.load import find, load
+
+    used = file if file is not None else find()
+    problems: list[dict[str, Any]] = []
+    try:
+        load(used)
+    except ConfigError as err:
+        problems = [
+            {"file": str(p.file), "line": p.line, "column": p.column, "key": p.key, "text": p.text}
+            for p in err.problems
+        ]
+        if not as_json:
+            print(err, file=sys.stderr)
+    if as_json:
+        print(json.dumps({"file": None if used is None else str(used), "problems": problems}, indent=2))
+    elif not problems:
+        print(f"{used}: no problem" if used is not None else "no file found: the defaults are used")
+    return 1 if problems else 0
+
+
+NOT_ALL = 3
+
+
+def register_import(parser: argparse.ArgumentParser) -> None:
+    """Describe the verb and its arguments."""
+    peers = add_verbs(
+        parser,
+        "Turns another bridge's configuration into Midspan's. Names what has no counterpart by its line, on the"
+        " standard error and in the new file; then the exit code is 3.",
+        "BRIDGE",
+        dest="peer",
+    )
+    ros1 = add_verb(peers, "ros1_bridge", run_import, "the parameter file of ros1_bridge's parameter_bridge", hub=False)
+    ros1.add_argument(
+        "--mapping-rules", type=Path, action="append", default=[], metavar="RULES",
+        help="a mapping-rule file that the bridge was built with; Midspan reads it as it is (may be repeated)",
+    )  # fmt: skip
+    domain = add_verb(
+        peers, "domain_bridge", run_import, "domain_bridge's file: one configuration for each of its domains", hub=False
+    )
+    for peer, what, meta in ((ros1, "file", "FILE"), (domain, "folder", "FOLDER")):
+        peer.add_argument("file", type=Path, metavar="FILE", help="the other bridge's file")
+        peer.add_argument("-o", "--output", type=Path, metavar=meta, help=f"the {what} to write to (default: print)")
+        peer.add_argument("--force", action="store_true", help="overwrite what is there")
+
+
+def run_import(args: argparse.Namespace) -> int:
+    """Import."""
+    drafts, notes = _drafts(args)
+    _check(drafts)
+    if args.output is None:
+        sys.stdout.write("---\n".join(draft.text() for draft in drafts))
+    else:
+        files = [args.output] if args.peer == "ros1_bridge" else [args.output / f"{d.name}.yaml" for d in drafts]
+        _write(drafts, files, force=args.force)
+    for note in notes:
+        print(note, file=sys.stderr)
+    if len(drafts) > 1 and args.output is None:
+        print(f"{len(drafts)} configurations, one for each domain: -o FOLDER writes them", file=sys.stderr)
+    return NOT_ALL if notes else 0
+
+
+def _drafts(args: argparse.Namespace) -> tuple[Sequence[Draft], Sequence[Problem]]:
+    if args.peer == "ros1_bridge":
+        from bridge.config.importers import ros1_bridge
+        from bridge.messages.mapping.rules import load_rules
+
+        for rules in args.mapping_rules:
+            load_rules(rules)
+        draft, notes = ros1_bridge.draft(args.file, args.mapping_rules)
+        return [draft], notes
+    from bridge.config.importers import domain_bridge
+
+    return domain_bridge.drafts(args.file)
+
+
+def _check(drafts: Sequence[Draft]) -> None:
+    from bridge.config.load import loads
+
+    for draft in drafts:
+        loads(draft.text(), Path(f"{draft.name}.yaml"))
+
+
+def _write(drafts: Sequence[Draft], files: Sequence[Path], *, force: bool) -> None:
+    from bridge.cli.output import CliError
+
+    there = [str(file) for file in files if file.exists()]
+    if there and not force:
+        raise CliError(f"{', '.join(there)} is there already; --force overwrites")
+    for draft, file in zip(drafts, files, strict=True):
+        file.parent.mkdir(parents=True, exist_ok=True)
+        file.write_text(draft.text(), encoding="utf-8")
+        print(file)

@@ -1,0 +1,102 @@
+"""``midspan interfaces``: builds ROS 2 message packages, and lists those that there are."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from pathlib import Path
+
+from bridge.cli.arguments import add_verb, add_verbs
+from bridge.cli.output import CliError, make_console, print_json
+from bridge.interfaces.builder import build, build_bundled
+from bridge.interfaces.cache import BuildCache, default_cache, environment, link_into_venv, members
+from bridge.interfaces.definition import BuildError, bundled_packages, read_folders
+from bridge.interfaces.ros2 import Ros2
+
+
+def register(parser: argparse.ArgumentParser) -> None:
+    """Describe the verb and its arguments."""
+    verbs = add_verbs(
+        parser,
+        "Builds ROS 2 message packages from .msg, .srv and .action files with gcc alone, into a cache that all programs"
+        " of this user share ($MIDSPAN_CACHE, else ~/.cache/midspan/interfaces).",
+        dest="action",
+    )
+    make = add_verb(
+        verbs, "build", run, "build packages; without a folder, those that Midspan always needs",
+        "Builds the packages of the folders and what they need. Without a folder: tf2_msgs, nav2_msgs and the others"
+        " that come with Midspan, and makes them importable in this virtual environment.", hub=False,
+    )  # fmt: skip
+    make.add_argument("folders", nargs="*", type=Path, metavar="FOLDER", help="a package's folder, or a folder of such")
+    show = add_verb(verbs, "list", run, "list the message packages that are installed or built", hub=False)
+    for each in (make, show):
+        each.add_argument("--cache", type=Path, metavar="FOLDER", help="the cache to use")
+        each.add_argument("--json", action="store_true", help="print the result as JSON")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Build or list."""
+    try:
+        if args.action == "list":
+            return _list(args)
+        return _build(args)
+    except BuildError as err:
+        raise CliError(str(err)) from None
+
+
+def _build(args: argparse.Namespace) -> int:
+    if args.folders:
+        prefix = build(read_folders(args.folders), args.cache, _tell)
+        linked = None
+    else:
+        prefix = build_bundled(args.cache, _tell)
+        linked = link_into_venv(prefix)
+    packages = sorted(members(prefix))
+    if args.json:
+        print_json({"prefix": str(prefix), "packages": packages, "linked": str(linked) if linked else None})
+    elif linked:
+        print(f"interfaces: {', '.join(packages) or 'all installed'}")
+    else:
+        print(f"# {', '.join(packages) or 'all installed'}; to use them in programs of your own:")
+        variables = environment([prefix])
+        for name in ("PYTHONPATH", "AMENT_PREFIX_PATH"):
+            print(f"export {name}={variables[name]}")
+    return 0
+
+
+def _tell(line: str) -> None:
+    print(f"interfaces: {line}", file=sys.stderr, flush=True)
+
+
+def _list(args: argparse.Namespace) -> int:
+    installed = Ros2.find().packages
+    rows = [
+        {"package": name, "state": "installed", "version": each.version, "prefix": str(each.prefix)}
+        for name, each in installed.items()
+    ]
+    for prefix in BuildCache(args.cache or default_cache()).packages():
+        name, _, key = prefix.name.rpartition("-")
+        rows.append({"package": name, "state": "built", "version": key, "prefix": str(prefix)})
+    there = {row["package"] for row in rows}
+    rows += [
+        {"package": name, "state": "missing", "version": "", "prefix": ""}
+        for name in bundled_packages()
+        if name not in there
+    ]
+    rows.sort(key=lambda row: (row["package"], row["state"]))
+    if args.json:
+        print_json(rows)
+    else:
+        _show(rows)
+    return 0
+
+
+def _show(rows: list[dict[str, str]]) -> None:
+    from rich.table import Table
+
+    table = Table("PACKAGE", "STATE", "VERSION", "WHERE", box=None, pad_edge=False)
+    for row in rows:
+        table.add_row(row["package"], row["state"], row["version"], row["prefix"])
+    make_console().print(table)
+    if any(row["state"] == "missing" for row in rows):
+        print("Missing ones: `midspan interfaces build`")

@@ -1,0 +1,227 @@
+"""The verbs of ``midspan yarp`` about names and connections: where, list, ping, connect and their kin."""
+
+from __future__ import annotations
+
+import argparse
+import math
+import sys
+from typing import Any
+
+from bridge.cli.arguments import add_verb
+from bridge.cli.output import CliError, clean, near, print_json
+from yarp_compat.naming import config, connections
+from yarp_compat.naming.client import TIMEOUT, NameClient
+from yarp_compat.naming.config import Address
+from yarp_compat.ports import text_client
+from yarp_compat.ports.naming import NamingConfigError, NamingError
+from yarp_compat.wire.text import from_text
+
+
+def add_server_arguments(parser: argparse.ArgumentParser, timeout: float = TIMEOUT) -> None:
+    """Which name server, and how patient."""
+    parser.add_argument("--server", type=_address, metavar="HOST:PORT", help="the name server (default: yarp.conf's)")
+    parser.add_argument(
+        "--timeout", type=float, default=timeout, metavar="SECONDS",
+        help="seconds that each step may take (default %(default)g)",
+    )  # fmt: skip
+
+
+def client(args: argparse.Namespace) -> NameClient:
+    """The name server's client that the arguments ask for."""
+    if not 0 < args.timeout < math.inf:
+        raise CliError("--timeout takes seconds, more than 0")
+    return NameClient(args.server, timeout=args.timeout)
+
+
+def register(verbs: Any) -> None:
+    """Add the parsers."""
+    where = _add(verbs, "where", "where the name server is, and whether it answers")
+    where.add_argument("--json", action="store_true", help="print JSON")
+    name = _add(
+        verbs, "name", "send any command to the name server",
+        "Sends a command to the name server and prints its answer. 'help' lists the commands.",
+    )  # fmt: skip
+    name.add_argument("words", nargs="+", metavar="WORD", help="the command: query /port, get /port key, list, ...")
+    ports = _add(verbs, "list", "all registered ports")
+    ports.add_argument("prefix", nargs="?", default="", help="only those at and below this name")
+    ports.add_argument("--json", action="store_true", help="print JSON")
+    exists = _add(
+        verbs, "exists", "whether a port answers, or two are connected",
+        "Exit code 0 when the port is registered and answers, or when the first port writes to the second; else 1.",
+    )  # fmt: skip
+    exists.add_argument("port")
+    exists.add_argument("target", nargs="?", help="the port that it should be connected to")
+    ping = _add(verbs, "ping", "what a port says of itself and its connections")
+    ping.add_argument("port")
+    connect = _add(
+        verbs, "connect", "connect two ports",
+        "Connects two ports, whoever opened them. Without ports, or with one, lists persistent connections.",
+    )  # fmt: skip
+    connect.add_argument("source", nargs="?", help="the port that writes")
+    connect.add_argument("target", nargs="?", help="the port that reads")
+    connect.add_argument("carrier", nargs="?", default="", help="tcp (default), fast_tcp, udp, ...")
+    persist = connect.add_mutually_exclusive_group()
+    persist.add_argument(
+        "--persist", dest="mode", action="store_const", const="",
+        help="have the name server make the connection whenever both ports are there",
+    )  # fmt: skip
+    for mode, end in (("from", "writes"), ("to", "reads")):
+        persist.add_argument(
+            f"--persist-{mode}", dest="mode", action="store_const", const=mode,
+            help=f"as --persist, until the port that {end} is closed",
+        )  # fmt: skip
+    disconnect = _add(verbs, "disconnect", "end a connection")
+    disconnect.add_argument("source", help="the port that writes")
+    disconnect.add_argument("target", help="the port that reads")
+    disconnect.add_argument("--persist", action="store_true", help="forget a persistent connection")
+    _add(
+        verbs, "clean", "forget ports that are dead",
+        "Tries each registered port, and unregisters those at whose address nobody answers.",
+    )  # fmt: skip
+
+
+def _add(verbs: Any, name: str, text: str, description: str | None = None) -> argparse.ArgumentParser:
+    parser = add_verb(verbs, name, VERBS[name], text, description or f"Shows {text}.", hub=False)
+    add_server_arguments(parser)
+    return parser
+
+
+def _where(args: argparse.Namespace) -> int:
+    names = client(args)
+    address, space = names.address, config.namespace()
+    file = None if args.server else str(config.file())
+    try:
+        names.lines(["query", space])
+        problem = ""
+    except NamingError as err:
+        problem = str(err)
+    if args.json:
+        print_json({"host": address.host, "port": address.port, "name": space, "file": file, "reachable": not problem})
+    else:
+        print(f"{space} at {address.host} port {address.port}, {'does not answer' if problem else 'answers'}")
+        print(f"said by {file or '--server'}; to be browsed at http://{address.host}:{address.port}/")
+    if problem:
+        raise CliError(problem)
+    return 0
+
+
+def _name(args: argparse.Namespace) -> int:
+    words = from_text(" ".join(args.words))
+    # unlike name clients' own carrier this one keeps quotes
+    for line in text_client.ask(client(args).contact, words, timeout=args.timeout):
+        if not line.startswith("*** "):
+            print(clean(line))
+    return 0
+
+
+def _list(args: argparse.Namespace) -> int:
+    ports = client(args).list(args.prefix)
+    if args.json:
+        print_json([{"name": c.name, "host": c.host, "port": c.port, "carrier": c.carrier} for c in ports])
+    else:
+        for contact in ports:
+            print(clean(f"{contact.name}  {contact.uri}"))
+    return 0
+
+
+def _exists(args: argparse.Namespace) -> int:
+    names = client(args)
+    if args.target is None:
+        found = connections.exists(names, args.port, timeout=args.timeout)
+        text = f"{args.port} is {'there' if found else 'not there, or does not answer'}"
+    else:
+        carrier = connections.carrier_between(names, args.port, args.target, timeout=args.timeout)
+        found = bool(carrier)
+        text = f"{args.port} is {'' if found else 'not '}connected to {args.target}{carrier and f' by {carrier}'}"
+    print(clean(text), file=sys.stdout if found else sys.stderr)
+    return 0 if found else 1
+
+
+def _ping(args: argparse.Namespace) -> int:
+    names = client(args)
+    for line in connections.ping(names, _known(names, args.port), timeout=args.timeout):
+        print(clean(line))
+    return 0
+
+
+def _connect(args: argparse.Namespace) -> int:
+    names = client(args)
+    if args.target is None:
+        for answer in names.command(["subscribe", *filter(None, [args.source])])[1:]:
+            print(clean(_subscription(answer)))
+        return 0
+    target = f"{args.carrier}:/{args.target}" if args.carrier else args.target
+    if args.mode is not None:
+        _done(names.command(["subscribe", args.source, target, *filter(None, [args.mode])]))
+        print(clean(f"{args.source} will be connected to {target} whenever both are there"))
+        return 0
+    for port in (args.source, args.target):
+        _known(names, port)
+    print(clean(connections.connect(names, args.source, args.target, args.carrier, timeout=args.timeout)))
+    return 0
+
+
+def _disconnect(args: argparse.Namespace) -> int:
+    names = client(args)
+    if args.persist:
+        _done(names.command(["unsubscribe", args.source, args.target]))
+        print(clean(f"{args.source} will not be connected to {args.target} any more; an open connection stays"))
+        return 0
+    print(clean(connections.disconnect(names, args.source, args.target, timeout=args.timeout)))
+    return 0
+
+
+def _clean(args: argparse.Namespace) -> int:
+    names = client(args)
+    gone = 0
+    for contact in names.list():
+        if contact.carrier in ("mcast", "topic") or contact.name == config.namespace():
+            continue
+        if not connections.responds(contact, timeout=args.timeout):
+            names.unregister(contact.name)
+            gone += 1
+            print(clean(f"{contact.name} does not answer at {contact.uri}: forgotten"))
+    names.lines(["gc"])
+    print(f"{gone} of the registered ports were dead" if gone else "all registered ports answer")
+    return 0
+
+
+def _known(names: NameClient, port: str) -> str:
+    """A port that is registered; for one that is not, an error that says which may be meant."""
+    if names.query(port) is None:
+        alike = near(port, [contact.name for contact in names.list()])
+        hint = f"; did you mean {' or '.join(alike)}?" if alike else ""
+        raise CliError(clean(f"there is no port {port} at the name server{hint}"))
+    return port
+
+
+def _subscription(answer: Any) -> str:
+    fields = {str(f[0]): str(f[1]) for f in answer[1:] if isinstance(f, list) and len(f) == 2}
+    mode = f" [{fields['mode']}]" if "mode" in fields else ""
+    return f"{fields.get('src', '?')} -> {fields.get('dest', '?')}{mode}"
+
+
+def _done(answer: list[Any]) -> None:
+    if answer != ["ok"]:
+        raise CliError("the name server did not take it: are both names port names, such as /robot/camera?")
+
+
+def _address(text: str) -> Address:
+    host, _, port = text.rpartition(":")
+    try:
+        return config.parse(f"{host.strip('[]')} {port}")
+    except NamingConfigError:
+        msg = f"{text!r} is no address: write it as 127.0.0.1:10000"
+        raise argparse.ArgumentTypeError(msg) from None
+
+
+VERBS = {
+    "where": _where,
+    "name": _name,
+    "list": _list,
+    "exists": _exists,
+    "ping": _ping,
+    "connect": _connect,
+    "disconnect": _disconnect,
+    "clean": _clean,
+}

@@ -1,0 +1,198 @@
+"""The verbs of ``midspan yarp`` that send and take messages: read, write, rpc."""
+
+from __future__ import annotations
+
+import argparse
+import math
+import queue
+import signal
+import sys
+from collections.abc import Callable, Iterator
+from functools import partial
+from typing import Any
+
+from bridge.cli.arguments import add_verb
+from bridge.cli.output import CliError, clean
+from bridge.cli.yarp_network.names import add_server_arguments, client
+from yarp_compat.naming import connections
+from yarp_compat.ports import text_client
+from yarp_compat.ports.message import PortMessage
+from yarp_compat.ports.naming import PortError
+from yarp_compat.ports.port import PortCore
+from yarp_compat.wire.binary import decode, encode
+from yarp_compat.wire.errors import WireError
+from yarp_compat.wire.profile import Profile
+from yarp_compat.wire.text import from_text, to_text
+
+_WAITING = 1000
+"""Messages that wait to be printed; what comes beyond that is counted, not kept."""
+_RPC_TIMEOUT = 30.0
+
+
+def register(verbs: Any) -> None:
+    """Add the parsers."""
+    read = add_verb(
+        verbs, "read", _ended_by_signals(_read), "print what comes in at a port",
+        "Opens a port and prints the Bottles that come in, one a line, until Ctrl-C.", hub=False,
+    )  # fmt: skip
+    read.add_argument("port", help="the name of the port to be opened ('...': the name server chooses one)")
+    read.add_argument("source", nargs="?", help="a port to be read from; without it, others connect to this one")
+    read.add_argument("--carrier", default="", help="how to connect to it: tcp (default), fast_tcp, udp, ...")
+    read.add_argument("--count", type=int, metavar="N", help="end after so many messages")
+    read.add_argument("--envelope", action="store_true", help="print each message's envelope (its stamp) before it")
+    read.add_argument("--json", action="store_true", help="one JSON object a line: from, envelope, text")
+    write = add_verb(
+        verbs, "write", _ended_by_signals(_write), "write lines as Bottles",
+        "Opens a port and writes each line of the standard input (or each --message) as a Bottle.",
+        example="midspan yarp write ... /reader --message 'set speed 0.5'", hub=False,
+    )  # fmt: skip
+    write.add_argument("port", help="the name of the port to be opened ('...': the name server chooses one)")
+    write.add_argument("targets", nargs="*", metavar="target", help="ports to write to: /reader, udp://reader")
+    write.add_argument("--wait", action="store_true", help="wait until somebody is connected before the first message")
+    rpc = add_verb(
+        verbs, "rpc", _rpc, "send commands to a port and print its answers",
+        "Sends each line of the standard input (or each --message) to a port and prints what it answers.",
+        example="midspan yarp rpc /robot/rpc --message 'get enc 0'", hub=False,
+    )  # fmt: skip
+    rpc.add_argument("port", help="the port that answers")
+    rpc.add_argument("--admin", action="store_true", help="to the port itself rather than to its owner ('[help]')")
+    for parser in (write, rpc):
+        parser.add_argument(
+            "-m", "--message", action="append", metavar="TEXT", help="a message, instead of the standard input's lines"
+        )
+    for parser in (read, write):
+        parser.add_argument(
+            "--yarp4", action="store_true", help="write as YARP 4 to peers that do not say which they are (default: 3)"
+        )
+        add_server_arguments(parser)
+    add_server_arguments(rpc, _RPC_TIMEOUT)
+
+
+def _read(args: argparse.Namespace) -> int:
+    came: queue.Queue[PortMessage] = queue.Queue(_WAITING)
+    missed = 0
+
+    def take(message: PortMessage) -> None:
+        nonlocal missed
+        try:
+            came.put_nowait(message)
+        except queue.Full:
+            missed += 1
+
+    names = client(args)
+    _refuse_taken(args)
+    port = PortCore(args.port, on_message=take, naming=names, is_output=False, profile=_profile(args))
+    port.open()
+    try:
+        if args.source:
+            connections.connect(names, args.source, port.name, args.carrier, timeout=args.timeout)
+        else:
+            print(f"{port.name} is open: connect it by 'midspan yarp connect /source {port.name}'", file=sys.stderr)
+        shown = 0
+        while shown < (math.inf if args.count is None else args.count):
+            print(_shown(args, came.get()), flush=True)
+            shown += 1
+    except KeyboardInterrupt:
+        pass
+    finally:
+        port.close()
+        if missed:
+            print(f"{missed} messages were not shown: they come faster than they can be printed", file=sys.stderr)
+    return 0
+
+
+def _shown(args: argparse.Namespace, message: PortMessage) -> str:
+    try:
+        text = to_text(decode(message.payload, message.peer.profile))
+    except WireError as err:
+        text = f"# {len(message.payload)} bytes that are no Bottle: {err}"
+    if args.json:
+        import json
+
+        fields = {"from": message.peer.route.source, "envelope": message.envelope, "text": text}
+        return json.dumps(fields, ensure_ascii=False)
+    return clean(f"[{message.envelope}] {text}" if args.envelope else text)
+
+
+def _write(args: argparse.Namespace) -> int:
+    names = client(args)
+    _refuse_taken(args)
+    port = PortCore(args.port, naming=names, is_input=False, profile=_profile(args))
+    port.open()
+    try:
+        for target in args.targets:
+            done, words = port.add_output(target)
+            if not done:
+                raise CliError(clean(words))
+        if args.wait:
+            _await_reader(port)
+        for line in _lines(args):
+            reached = port.write(partial(encode, _values(line)), wait=True, timeout=args.timeout)
+            if not reached and not args.targets:
+                print("nobody is connected: not sent", file=sys.stderr)
+            elif reached < len(args.targets):
+                raise CliError(f"{len(args.targets) - reached} of {len(args.targets)} targets did not take it")
+    except KeyboardInterrupt:
+        pass
+    finally:
+        port.close()
+    return 0
+
+
+def _rpc(args: argparse.Namespace) -> int:
+    contact = client(args).query(args.port)
+    if contact is None:
+        raise CliError(clean(f"there is no port {args.port} at the name server"))
+    for line in _lines(args):
+        answer = text_client.ask(contact, _values(line), admin=args.admin, timeout=args.timeout)
+        for text in answer:
+            print(clean(text), flush=True)
+    return 0
+
+
+def _await_reader(port: PortCore) -> None:
+    import threading
+
+    never = threading.Event()
+    while not port.outputs():
+        never.wait(0.05)
+
+
+def _lines(args: argparse.Namespace) -> Iterator[str]:
+    if args.message is not None:
+        yield from args.message
+        return
+    for line in sys.stdin:
+        if line.strip():
+            yield line.rstrip("\r\n")
+
+
+def _values(line: str) -> list[Any]:
+    try:
+        return from_text(line)
+    except WireError as err:
+        raise CliError(f"that is no Bottle: {err}") from None
+
+
+def _refuse_taken(args: argparse.Namespace) -> None:
+    """A name in use is not taken from its port: the name server would let us."""
+    if args.port != "..." and connections.exists(client(args), args.port, timeout=args.timeout):
+        msg = f"{args.port} is in use by another program; '...' opens a port with a name of its own"
+        raise PortError(clean(msg))
+
+
+def _profile(args: argparse.Namespace) -> Profile:
+    return Profile.YARP4 if args.yarp4 else Profile.YARP3
+
+
+def _ended_by_signals(verb: Callable[[argparse.Namespace], int]) -> Callable[[argparse.Namespace], int]:
+    """Have SIGTERM end a verb as Ctrl-C does, so that its port is unregistered."""
+
+    def run(args: argparse.Namespace) -> int:
+        former = signal.signal(signal.SIGTERM, signal.default_int_handler)
+        try:
+            return verb(args)
+        finally:
+            signal.signal(signal.SIGTERM, former)
+
+    return run

@@ -1,0 +1,335 @@
+"""Executors, delayed calls and bounded queues, used by every part of Midspan.
+
+Each starts its daemon threads when the first piece of work comes, so that one which is never used costs nothing, and
+work which hangs does not keep Python from ending (unlike the threads of `concurrent.futures.ThreadPoolExecutor`).
+"""
+
+from __future__ import annotations
+
+import heapq
+import itertools
+import logging
+import threading
+import time
+from collections import deque
+from collections.abc import Callable
+from concurrent.futures import Future
+from queue import SimpleQueue
+from typing import Any, Generic, TypeVar
+
+_log = logging.getLogger(__name__)
+
+_IDLE_SECONDS = 10.0
+
+Job = Callable[[], object]
+Message = TypeVar("Message")
+
+
+class _OneThread:
+    """Something with one daemon thread, which starts when it is first needed."""
+
+    def __init__(self, name: str) -> None:
+        self._name = name
+        self._thread: threading.Thread | None = None
+        self._closed = False
+
+    def _start(self) -> None:
+        if self._thread is None:
+            self._thread = threading.Thread(target=self._run, name=self._name, daemon=True)
+            self._thread.start()
+
+    def _join(self, seconds: float | None) -> None:
+        if self._thread is not None:
+            self._thread.join(seconds)
+
+    def _run(self) -> None:
+        raise NotImplementedError
+
+
+class SerialExecutor(_OneThread):
+    """Runs jobs in order on one thread.
+
+    For jobs that may block, submitted by threads that must not: zenoh's receiving threads, for example.
+    """
+
+    def __init__(self, name: str) -> None:
+        super().__init__(name)
+        self._queue: SimpleQueue[Job | None] = SimpleQueue()
+        self._lock = threading.Lock()
+
+    def submit(self, job: Job) -> None:
+        """Run a job soon; after `close` it is ignored."""
+        with self._lock:
+            if self._closed:
+                return
+            self._queue.put(job)
+            self._start()
+
+    def close(self) -> None:
+        """Run what was submitted, for two seconds at most, and end the thread. Safe to call twice."""
+        with self._lock:
+            self._closed = True
+            self._queue.put(None)
+        self._join(2.0)
+
+    def _run(self) -> None:
+        while (job := self._queue.get()) is not None:
+            try:
+                job()
+            except Exception:
+                _log.debug("%s: a job failed", self._name, exc_info=True)
+
+
+class InlineExecutor:
+    """Runs jobs in order, one at a time, on the threads that submit them: for state that many threads' events change.
+
+    The thread that submits a job while none runs also runs those that are submitted meanwhile. So a job that submits
+    another one, by a callback that answers at once for example, sees it run after itself, and no lock is held during a
+    call.
+    """
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._jobs: deque[Job] = deque()
+        self._running = False
+
+    def submit(self, job: Job) -> None:
+        """Run a job now or, where another one runs, after it."""
+        with self._lock:
+            self._jobs.append(job)
+            if self._running:
+                return
+            self._running = True
+        while True:
+            with self._lock:
+                if not self._jobs:
+                    self._running = False
+                    return
+                job = self._jobs.popleft()
+            try:
+                job()
+            except Exception:
+                _log.exception("an event was not handled")
+
+
+class WorkerPool:
+    """Runs jobs on at most ``limit`` threads, which end after ten idle seconds."""
+
+    def __init__(self, limit: int, name: str) -> None:
+        self._limit, self._name = limit, name
+        self._condition = threading.Condition()
+        self._jobs: deque[tuple[Future[Any], Callable[[], Any]]] = deque()
+        self._threads: set[threading.Thread] = set()
+        self._numbers = itertools.count()
+        self._idle = 0
+        self._closed = False
+
+    def submit(self, job: Callable[[], Any]) -> Future[Any]:
+        """Run a job as soon as a thread is free; after `close` it is cancelled at once."""
+        future: Future[Any] = Future()
+        with self._condition:
+            if self._closed:
+                future.cancel()
+                return future
+            self._jobs.append((future, job))
+            if len(self._jobs) > self._idle and len(self._threads) < self._limit:
+                name = f"{self._name}-{next(self._numbers)}"
+                thread = threading.Thread(target=self._run, name=name, daemon=True)
+                self._threads.add(thread)
+                thread.start()
+            else:
+                self._condition.notify()
+        return future
+
+    def close(self, seconds: float = 0.0) -> None:
+        """Cancel the jobs that have not begun, and wait up to ``seconds`` for each thread that still runs one."""
+        with self._condition:
+            self._closed = True
+            waiting, self._jobs = self._jobs, deque()
+            threads = list(self._threads)
+            self._condition.notify_all()
+        for future, _ in waiting:
+            future.cancel()
+        for thread in threads:
+            if thread is not threading.current_thread():
+                thread.join(seconds)
+
+    def _run(self) -> None:
+        while (taken := self._next()) is not None:
+            future, job = taken
+            if future.set_running_or_notify_cancel():
+                try:
+                    future.set_result(job())
+                except Exception as err:
+                    future.set_exception(err)
+
+    def _next(self) -> tuple[Future[Any], Callable[[], Any]] | None:
+        with self._condition:
+            self._idle += 1
+            self._condition.wait_for(lambda: self._jobs or self._closed, _IDLE_SECONDS)
+            self._idle -= 1
+            if self._jobs:
+                return self._jobs.popleft()
+            self._threads.discard(threading.current_thread())
+            return None
+
+
+class DelayedCalls(_OneThread):
+    """Makes calls when they are due, one after the other, on one thread."""
+
+    def __init__(self, name: str) -> None:
+        super().__init__(name)
+        self._condition = threading.Condition()
+        self._due: list[tuple[float, int, Job]] = []
+        self._once: set[Job] = set()
+        self._numbers = itertools.count()
+
+    def after(self, seconds: float, call: Job, *, once: bool = False) -> None:
+        """Make a call after so many seconds, unless `close` comes first.
+
+        With ``once`` it is ignored where the same call is already due.
+        """
+        with self._condition:
+            if self._closed or (once and call in self._once):
+                return
+            if once:
+                self._once.add(call)
+            number = next(self._numbers)
+            heapq.heappush(self._due, (time.monotonic() + seconds, number, call))
+            self._start()
+            if self._due[0][1] == number:
+                self._condition.notify()
+
+    def close(self, seconds: float | None = None) -> None:
+        """Make no more calls; wait up to ``seconds`` for the one that runs, by default until it ends."""
+        with self._condition:
+            self._closed = True
+            self._due.clear()
+            self._once.clear()
+            self._condition.notify()
+        self._join(seconds)
+
+    def _run(self) -> None:
+        while (call := self._next()) is not None:
+            try:
+                call()
+            except Exception:
+                _log.exception("%s: a call failed", self._name)
+
+    def _next(self) -> Job | None:
+        with self._condition:
+            while not self._closed:
+                left = self._due[0][0] - time.monotonic() if self._due else None
+                if left is not None and left <= 0:
+                    call = heapq.heappop(self._due)[2]
+                    self._once.discard(call)
+                    return call
+                self._condition.wait(left)
+        return None
+
+
+class BoundedQueue(_OneThread, Generic[Message]):
+    """A bounded queue and the thread that empties it. Where it is full, it drops the oldest messages.
+
+    A route uses it for large messages, which may wait for a slow link of the hub: zenoh fits a message larger than a
+    packet in between what a congested link still has to send, and waits up to 0.2 s for that. A thread that serves all
+    topics of a side must not wait so long. ``take`` gets each message in order, ``dropped`` is called for each dropped
+    one; ``max_bytes`` does not count the newest message.
+    """
+
+    def __init__(
+        self, name: str, depth: int, max_bytes: int, take: Callable[[Message], None], dropped: Callable[[], None]
+    ) -> None:
+        super().__init__(name)
+        self._depth, self._max_bytes = depth, max_bytes
+        self._take, self._dropped = take, dropped
+        self._condition = threading.Condition()
+        self._queue: deque[tuple[int, Message]] = deque()
+        self._bytes = 0
+        self._taking = False
+
+    @property
+    def busy(self) -> bool:
+        """Whether a message waits or is under way, so that a later one must wait for its turn."""
+        return bool(self._queue) or self._taking  # in this order: `_run` sets the one before it empties the other
+
+    @property
+    def waiting(self) -> int:
+        """Messages that wait for their turn."""
+        return len(self._queue)
+
+    def put(self, message: Message, size: int) -> None:
+        """Queue a message of so many bytes."""
+        with self._condition:
+            if self._closed:
+                return
+            self._add(message, size)
+            while len(self._queue) > self._depth or (self._bytes > self._max_bytes and len(self._queue) > 1):
+                self._bytes -= self._queue.popleft()[0]
+                self._dropped()
+
+    def offer(self, message: Message, size: int) -> bool:
+        """Queue a message of so many bytes where that drops no other one; whether it was queued."""
+        with self._condition:
+            full = len(self._queue) >= self._depth or (self._queue and self._bytes + size > self._max_bytes)
+            if self._closed or full:
+                return False
+            self._add(message, size)
+            return True
+
+    def _add(self, message: Message, size: int) -> None:
+        self._queue.append((size, message))
+        self._bytes += size
+        self._start()
+        self._condition.notify()
+
+    def close(self) -> None:
+        """Drop what waits, and end the thread. Safe to call twice."""
+        with self._condition:
+            self._closed = True
+            self._queue.clear()
+            self._condition.notify()
+        self._join(2.0)
+
+    def _run(self) -> None:
+        while True:
+            with self._condition:
+                self._taking = False
+                while not self._queue and not self._closed:
+                    self._condition.wait()
+                if self._closed:
+                    return
+                self._taking = True
+                size, message = self._queue.popleft()
+                self._bytes -= size
+            try:
+                self._take(message)
+            except Exception:
+                _log.exception("%s: one message failed", self._name)
+
+
+FIRST = 0.2
+LONGEST = 10.0
+GOOD_LIFE = 30.0
+
+
+class Backoff:
+    """Doubles from 0.2 s to 10 s, and begins again after a life of 30 s."""
+
+    def __init__(self, first: float = FIRST, longest: float = LONGEST, good_life: float = GOOD_LIFE) -> None:
+        self._first = first
+        self._longest = longest
+        self._good_life = good_life
+        self._next = first
+
+    def pause(self, lived: float) -> float:
+        """Seconds to wait after a life of ``lived`` seconds."""
+        if lived >= self._good_life:
+            self._next = self._first
+        pause = self._next
+        self._next = min(self._next * 2, self._longest)
+        return pause
+
+    def reset(self) -> None:
+        """Begin again, as after a change of the configuration."""
+        self._next = self._first

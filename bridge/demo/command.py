@@ -1,0 +1,169 @@
+"""``midspan demo``: the simulated R1 sent to rooms by clients of every side; or topics of every side, bridged."""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import json
+import logging
+import os
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from bridge.cli.output import CliError
+
+if TYPE_CHECKING:
+    from bridge.demo.sandbox import Sandbox
+    from bridge.demo.shutdown import Shutdown
+
+
+def register(parser: argparse.ArgumentParser) -> None:
+    """Describe the verb and its arguments."""
+    parser.description = (
+        "rooms: a YARP, a ROS 1 and a ROS 2 client in turn send the R1 to named rooms of a simulated apartment, with"
+        " nothing but Midspan in between (configs/navigation.yaml); shows the map and the way. topics: a roscore, the"
+        " simulated R1 as a ROS 1 robot, the daemon, and real rclpy, zenoh and YARP programs that listen and drive;"
+        " shows every route, and checks by the programs' own reports that everything crossed. Both use ports and a ROS"
+        " domain of their own, and leave nothing behind. Exit code 1 where a room was not reached, or something did not"
+        " cross."
+    )
+    parser.add_argument("what", nargs="?", choices=("rooms", "topics"), default="rooms", help="default rooms")
+    stay = os.environ.get("STAY", "") not in ("", "0")
+    file: Any = {"type": Path, "metavar": "FILE"}
+    parser.add_argument(
+        "--stay", action="store_true", default=stay, help="go on until Ctrl-C after the checks (STAY=1)"
+    )
+    parser.add_argument(
+        "--json", **file, default=os.environ.get("JSON") or None, help="write what was seen (JSON=FILE)"
+    )
+    png = os.environ.get("PNG") or Path("midspan-demo.png")
+    parser.add_argument("--png", **file, default=png, help="rooms: the drawn way (default midspan-demo.png; PNG=FILE)")
+    rooms = ("kitchen", "corridor", "bathroom")
+    parser.add_argument(
+        "--to", nargs=3, metavar="ROOM", default=rooms, help=f"rooms: one for each client (default {' '.join(rooms)})"
+    )
+    parser.add_argument("--seconds", type=float, metavar="N", default=20.0, help="topics: least time (default 20)")
+    parser.add_argument("--config", **file, help="configuration (default configs/navigation.yaml or configs/demo.yaml)")
+    parser.set_defaults(run=run)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Run the demo; 0 where everything went well."""
+    from bridge.demo.shutdown import INTERRUPTED, Shutdown
+
+    logging.basicConfig(format="%(message)s", level=logging.WARNING)
+    with Shutdown() as shutdown:
+        try:
+            with contextlib.ExitStack() as stack:
+                code = _topics(args, shutdown, stack) if args.what == "topics" else _rooms(args, shutdown, stack)
+        except KeyboardInterrupt:
+            code = INTERRUPTED
+    shutdown.leave(code)
+    return code
+
+
+def _rooms(args: argparse.Namespace, shutdown: Shutdown, stack: contextlib.ExitStack) -> int:
+    from bridge.demo import rooms
+    from bridge.demo.progress import DemoError
+    from bridge.demo.rooms_view import RoomsView
+    from bridge.demo.sandbox import missing, too_slow
+
+    template = args.config or rooms.CONFIG
+    here = _sandbox(shutdown, stack, template, rooms.laid_over(template), ports=False)
+    _require([*missing(here.config), *too_slow()])
+    with shutdown.held():
+        view = stack.enter_context(RoomsView())
+    result = None
+    try:
+        demo = rooms.RoomsDemo(here, view.tick, shutdown)
+        with demo.started() as course:
+            result = demo.run(course, args.to)
+            view.show(result, course)
+            _draw(course, Path(args.png))
+            view.say(f"{result.seconds:.0f} s; the way is drawn in {args.png}")
+            if args.json is not None:
+                _write(args.json, result.as_dict())
+            if args.stay:
+                view.say(f"try: {demo.next}")
+                demo.stay(course)
+    except DemoError as err:
+        raise CliError(str(err)) from None
+    except KeyboardInterrupt:
+        if not args.stay or result is None:
+            raise
+    if not args.stay:
+        view.say("next: 'STAY=1 make demo' waits for your commands; docs/start/quickstart.md goes on to your own robot")
+    return 0 if result.ok else 1
+
+
+def _sandbox(
+    shutdown: Shutdown, stack: contextlib.ExitStack, template: Path | None, more: dict[str, Any], *, ports: bool
+) -> Sandbox:
+    """A sandbox for the run, which is left as it was found whatever happens."""
+    from bridge.demo.leftovers import erase
+    from bridge.demo.sandbox import Sandbox
+
+    def leave_nothing() -> None:
+        erase(here.folder, here.domain_ports)
+        here.close()
+
+    with shutdown.held():
+        here = stack.enter_context(Sandbox(template, more, ports=ports))
+        shutdown.guard(leave_nothing)
+        stack.callback(shutdown.calm)
+    return here
+
+
+def _draw(course: Any, file: Path) -> None:
+    try:
+        course.png(file)
+    except (OSError, ValueError) as err:
+        raise CliError(f"cannot write {file}: {err}") from None
+
+
+def _topics(args: argparse.Namespace, shutdown: Shutdown, stack: contextlib.ExitStack) -> int:
+    from bridge.demo.progress import DemoError
+    from bridge.demo.sandbox import CONFIG, missing, too_slow
+    from bridge.demo.topics_demo.scenario import TopicsDemo, TopicsResult
+    from bridge.demo.topics_demo.view import TopicsView
+    from sim.environment import available
+
+    template = args.config or (CONFIG if CONFIG.is_file() else None)
+    here = _sandbox(shutdown, stack, template, {}, ports=True)
+    lacking = available(here.config)
+    _require([*missing(here.config), *([f"simulation: {lacking}"] if lacking else []), *too_slow()])
+    result = TopicsResult()
+    with shutdown.held():
+        view = stack.enter_context(TopicsView(here))
+    try:
+        with TopicsDemo(here, view.tick, shutdown) as demo:
+            result = demo.run(args.seconds)
+            view.look()
+            view.ask_why(result.checks)
+            view.say(f"checked after {result.seconds:.0f} s")
+            if args.stay:
+                view.show(result.checks)
+                demo.stay()
+    except DemoError as err:
+        raise CliError(str(err)) from None
+    except KeyboardInterrupt:
+        if not args.stay or not result.checks:
+            raise
+    view.show(result.checks)
+    if args.json is not None:
+        _write(args.json, {**result.as_dict(), "routes": view.routes()})
+    return 0 if result.ok else 1
+
+
+def _require(lacking: list[str]) -> None:
+    if lacking:
+        raise CliError("\n".join(["the demo needs more than this machine has:", *lacking]))
+
+
+def _write(file: Path, document: dict[str, Any]) -> None:
+    try:
+        Path(file).write_text(json.dumps(document, indent=2, ensure_ascii=False) + "\n", encoding="utf-8")
+    except OSError as err:
+        raise CliError(f"cannot write {file}: {err.strerror}") from None
+    print(f"written to {file}", file=sys.stderr)

@@ -1,0 +1,125 @@
+"""What a run of the demo could leave behind: processes, and files in shared memory."""
+
+from __future__ import annotations
+
+import contextlib
+import fcntl
+import os
+import re
+import time
+from pathlib import Path
+
+import psutil
+
+from bridge.demo.sandbox import MARK
+
+_MEMORY = Path("/dev/shm")  # noqa: S108 - where the system keeps POSIX shared memory
+_MAPPED = re.compile(rf"{_MEMORY}/\S+")
+_OWN = re.compile(r"\d+\.zenoh|fastrtps_[0-9a-f]{16}(_el)?")
+"""zenoh's pools and Fast DDS's segments; their names are never used again."""
+_END_SECONDS = 0.5
+"""How long the end of killed processes is waited for, which keep their files until then."""
+
+_LOCK = "_el"
+_PORT = re.compile(r"(?:sem\.)?fastrtps_port(\d+)(?:_el|_mutex)?")
+
+
+def erase(folder: Path, ports: range) -> list[str]:
+    """End what is left of a run at once, with its files in shared memory; returns the names of its processes.
+
+    Processes are stopped before they are killed, so that none starts another, or makes a file, meanwhile.
+    """
+    stopped: list[psutil.Process] = []
+    while new := [pid for pid in marked(folder) if pid not in {one.pid for one in stopped}]:
+        for pid in new:
+            with contextlib.suppress(psutil.Error):
+                stopped.append(psutil.Process(pid))
+                stopped[-1].suspend()
+    used = {file for process in stopped for file in _used_by(process.pid)}
+    memory = {file for file in used if is_own(file.name, ports)} | _of_ports(ports)
+    shared = _shared_ports(used - memory)
+    names = []
+    for process in stopped:
+        with contextlib.suppress(psutil.Error):
+            names.append(f"{process.name()} ({process.pid})")
+            process.kill()
+    end = time.monotonic() + _END_SECONDS
+    while True:
+        remove_unused(memory)
+        remove_unread(shared)
+        memory, shared = ({file for file in files if file.exists()} for files in (memory, shared))
+        if not (memory or shared or marked(folder)) or time.monotonic() > end:
+            return names
+        time.sleep(0.02)
+
+
+def shared_memory(folder: Path, ports: range) -> tuple[set[Path], set[Path]]:
+    """Files in shared memory that a run uses now: its own, by the ports of its ROS domain, and Fast DDS's common ports.
+
+    Both are empty except on Linux.
+    """
+    used = {file for pid in marked(folder) for file in _used_by(pid)}
+    own = {file for file in used if is_own(file.name, ports)}
+    return own, _shared_ports(used - own)
+
+
+def _shared_ports(files: set[Path]) -> set[Path]:
+    return {_MEMORY / f"fastrtps_port{found[1]}" for file in files if (found := _PORT.fullmatch(file.name))}
+
+
+def remove_unused(files: set[Path]) -> list[Path]:
+    """Remove those files that are still there and that no process uses; returns them."""
+    there = {file for file in files if file.exists()}
+    if there:
+        there -= {file for pid in psutil.pids() for file in _used_by(pid)}
+    for file in there:
+        file.unlink(missing_ok=True)
+    return sorted(there)
+
+
+def marked(folder: Path) -> list[int]:
+    """Process ids of a run's living processes."""
+    found = []
+    for process in psutil.process_iter():
+        with contextlib.suppress(psutil.Error, OSError):
+            if process.pid != os.getpid() and process.environ().get(MARK) == str(folder):
+                found.append(process.pid)
+    return found
+
+
+def is_own(name: str, ports: range) -> bool:
+    """Whether a file's name in shared memory can only be a run's own."""
+    port = _PORT.fullmatch(name)
+    return bool(_OWN.fullmatch(name)) or (port is not None and int(port[1]) in ports)
+
+
+def _of_ports(ports: range) -> set[Path]:
+    """Files of a ROS domain's ports: those of a domain that the run holds are its own, in use or not."""
+    found = {file: _PORT.fullmatch(file.name) for file in _MEMORY.iterdir()} if _MEMORY.is_dir() else {}
+    return {file for file, port in found.items() if port is not None and int(port[1]) in ports}
+
+
+def remove_unread(ports: set[Path]) -> None:
+    """Remove the files of those ports of Fast DDS's that nobody reads any more: whoever does holds a port's lock.
+
+    Beside those of its domain each participant takes the first of the machine's that is free, from 7000 on. One that
+    ended between making the port and locking it leaves no lock, so the lock is made here: who comes now finds the port
+    taken, and tries the next.
+    """
+    for port in ports:
+        lock = port.with_name(port.name + _LOCK)
+        with contextlib.suppress(OSError), lock.open("ab") as file:
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            for name in (port.name, f"sem.{port.name}_mutex", lock.name):
+                (_MEMORY / name).unlink(missing_ok=True)
+
+
+def _used_by(pid: int) -> set[Path]:
+    used: set[Path] = set()
+    with contextlib.suppress(OSError):
+        used.update(map(Path, _MAPPED.findall(Path(f"/proc/{pid}/maps").read_text())))
+    with contextlib.suppress(OSError):
+        for descriptor in Path(f"/proc/{pid}/fd").iterdir():
+            with contextlib.suppress(OSError):
+                used.add(descriptor.readlink())
+    return {file for file in used if file.parent == _MEMORY}

@@ -1,0 +1,161 @@
+"""Processes of the demo: in groups of their own, with their output kept, and ended when their input ends."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections import deque
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from bridge.demo import guard
+
+_LAST_WORDS = 1500
+_KEPT_LINES = 400
+
+
+class DemoProcess:
+    """One process, which ends when its standard input ends."""
+
+    def __init__(self, command: Sequence[str | Path], env: Mapping[str, str], folder: Path, errors: Any) -> None:
+        self._popen = subprocess.Popen(
+            [str(part) for part in command],
+            env=dict(env),
+            cwd=folder,
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=errors,
+            start_new_session=True,
+        )
+        self._reader = threading.Thread(target=self._read, name="a process's output", daemon=True)
+        self._reader.start()
+
+    @property
+    def pid(self) -> int:
+        """Process id, of its guard where it has one."""
+        return self._popen.pid
+
+    @property
+    def code(self) -> int | None:
+        """Its exit code; None while it runs."""
+        code = self._popen.poll()
+        if code is not None:
+            self._reader.join(1.0)
+        return code
+
+    @property
+    def running(self) -> bool:
+        """Whether it lives."""
+        return self._popen.poll() is None
+
+    def begin_stop(self) -> None:
+        """Ask it to end, by the end of its input."""
+        assert self._popen.stdin is not None
+        with contextlib.suppress(OSError):
+            self._popen.stdin.close()
+
+    def finish_stop(self, seconds: float) -> None:
+        """Wait for the end; SIGTERM, then SIGKILL to its whole group after ``seconds``."""
+        for number in (signal.SIGTERM, signal.SIGKILL):
+            try:
+                self._popen.wait(seconds)
+                break
+            except subprocess.TimeoutExpired:
+                with contextlib.suppress(ProcessLookupError):
+                    os.killpg(self._popen.pid, number)
+        self.close()
+
+    def close(self) -> None:
+        """Read what it wrote last; it has ended."""
+        self._popen.wait()
+        self._reader.join(1.0)
+
+    def _read(self) -> None:
+        assert self._popen.stdout is not None
+        with self._popen.stdout as lines:
+            self._take(lines)
+
+    def _take(self, lines: Iterable[bytes]) -> None:
+        """Keep its output, on a thread of its own."""
+        raise NotImplementedError
+
+
+class DemoChild(DemoProcess):
+    """A process that reports as `bridge.demo.topics_demo.report` does, or not at all; ``report`` is the last one."""
+
+    def __init__(self, name: str, command: Sequence[str | Path], env: Mapping[str, str], folder: Path) -> None:
+        self.name = name
+        self.report: dict[str, Any] = {}
+        self._events: dict[str, dict[str, Any]] = {}
+        self._changed = threading.Condition()
+        self._log = folder / f"{name.replace(' ', '-')}.log"
+        with self._log.open("wb") as log:
+            super().__init__(command, env, folder, log)
+
+    def last_words(self) -> str:
+        """The end of what it wrote to its error output, and its exit code where it ended."""
+        words = self._log.read_text(errors="replace").strip()[-_LAST_WORDS:] if self._log.exists() else ""
+        code = self._popen.poll()
+        return words if code is None else f"{words}\n(exit code {code})".strip()
+
+    def ask(self, do: str, **params: Any) -> None:
+        """Send a command; a dead program is not an error here; the checks find it."""
+        assert self._popen.stdin is not None
+        with contextlib.suppress(OSError, ValueError):
+            self._popen.stdin.write(json.dumps({"do": do, **params}).encode() + b"\n")
+            self._popen.stdin.flush()
+
+    def wait_for(self, event: str, seconds: float) -> dict[str, Any] | None:
+        """An event with this name, each given once; None where it does not come in time, or the process ended."""
+        end = time.monotonic() + seconds
+        with self._changed:
+            while event not in self._events:
+                left = end - time.monotonic()
+                if left <= 0 or not self._reader.is_alive():
+                    return None
+                self._changed.wait(min(left, 0.2))
+            return self._events.pop(event)
+
+    def has_event(self, event: str) -> bool:
+        """Whether there is an event of this name that `wait_for` has not given yet."""
+        with self._changed:
+            return event in self._events
+
+    def _take(self, lines: Iterable[bytes]) -> None:
+        for line in lines:
+            try:
+                values = json.loads(line)
+                event = str(values.pop("event"))
+            except (ValueError, KeyError, AttributeError, TypeError):
+                continue
+            with self._changed:
+                if event == "report":
+                    self.report = values
+                else:
+                    self._events[event] = values
+                self._changed.notify_all()
+        with self._changed:
+            self._changed.notify_all()
+
+
+class Program(DemoProcess):
+    """A guarded process that prints for people; ``lines`` are the last ones, errors included."""
+
+    def __init__(self, command: Sequence[str | Path], env: Mapping[str, str], folder: Path) -> None:
+        self.lines: deque[str] = deque(maxlen=_KEPT_LINES)
+        super().__init__(guarded(*command), env, folder, subprocess.STDOUT)
+
+    def _take(self, lines: Iterable[bytes]) -> None:
+        self.lines.extend(line.decode(errors="replace").rstrip() for line in lines)
+
+
+def guarded(*command: str | Path) -> list[str | Path]:
+    """A command that does not read its input, made to end with it."""
+    return [sys.executable, "-I", Path(guard.__file__), *command]

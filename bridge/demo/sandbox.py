@@ -1,0 +1,268 @@
+"""A sandbox in which one run of the demo meets nobody else: free ports, a ROS domain and a folder of its own."""
+
+from __future__ import annotations
+
+import http.client
+import os
+import random
+import shutil
+import socket
+import tempfile
+import xmlrpc.client
+from collections.abc import Mapping
+from importlib.util import find_spec
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Self
+
+import yaml
+
+import bridge
+from bridge.adapters.ros1 import environment as ros1
+from bridge.adapters.ros2 import environment as ros2
+from bridge.config.load import load
+from bridge.config.model import Config
+from navigation.status import not_compiled
+
+MARK = "MIDSPAN_DEMO"
+"""Variable in the environment of all processes of one run; its value is the run's folder."""
+
+_ROOT = Path(bridge.__file__).parents[1]
+CONFIG = _ROOT / "configs" / "demo.yaml"
+
+_NOT_OURS = ("ROS_HOSTNAME", "ROS_NAMESPACE", "ROS_LOCALHOST_ONLY", "ROS_STATIC_PEERS")
+_NOT_OURS_PREFIXES = ("ZENOH_", "RMW_", "FASTDDS_", "FASTRTPS_", "MIDSPAN_")
+"""Settings of the user's own networks, which the demo does not touch."""
+
+_LONGEST_BASE = 50
+_DOMAINS = range(10, 101)
+_PORT_BASE, _DOMAIN_GAIN = 7400, 250  # DDSI-RTPS 2.5, 9.6.2.4: ports of a domain
+_TCP_BASE, _TCP_EACH = 30_000, 20
+"""Below what Linux gives to connections going out (from 32768 on): one of those would take a port before its server."""
+
+
+class Sandbox:
+    """Ports, ROS domain, folder and configuration of one run.
+
+    The configuration is the file ``template`` with ``more`` laid over it, and with addresses of its own. ``ports``:
+    topics have the YARP ports that the demo's YARP program expects; ``yarp``: there is a YARP network.
+    """
+
+    def __init__(
+        self, template: Path | None, more: Mapping[str, Any] | None = None, *, ports: bool = True, yarp: bool = True
+    ) -> None:
+        self._hold: socket.socket | None = None
+        self.folder = Path(tempfile.mkdtemp(prefix="midspan-demo-", dir=_base()))
+        try:
+            self._hold, self.domain = _hold_domain()
+            self.master_port, self.router_port, self.yarp_port = _free_ports(3, self.domain)
+            # a package alone on a path of its own: what else lies beside it must not reach the system's Python
+            self.system_path = self.folder / "system"
+            self.system_path.mkdir()
+            (self.system_path / "bridge").symlink_to(Path(bridge.__file__).parent)
+            self.config_file = self.folder / "demo.yaml"
+            self.config = self._write_config(template, more or {}, ports=ports and yarp, yarp=yarp)
+        except BaseException:
+            self.close()
+            raise
+
+    @property
+    def master(self) -> str:
+        """URI of the ROS master."""
+        return f"http://127.0.0.1:{self.master_port}/"
+
+    @property
+    def domain_ports(self) -> range:
+        """The ports of the ROS domain."""
+        return _ports(self.domain)
+
+    def master_answers(self) -> bool:
+        """Whether the ROS master is up, its ``/run_id`` included; a rospy program that comes earlier fails."""
+        try:
+            with xmlrpc.client.ServerProxy(self.master) as proxy:
+                answer: Any = proxy.hasParam("/demo", "/run_id")
+        except (OSError, xmlrpc.client.Error, http.client.HTTPException):
+            return False
+        return bool(answer[0] == 1 and answer[2])
+
+    def environment(self) -> dict[str, str]:
+        """Environment of the daemon and of the programs that run on Midspan's own Python."""
+        own = {
+            k: v
+            for k, v in os.environ.items()
+            if not k.startswith(("ROS_", "ZENOH_", "RMW_", "FASTDDS_", "FASTRTPS_", "YARP_"))
+        }
+        return own | {
+            MARK: str(self.folder),
+            "ROS_MASTER_URI": self.master,
+            "ROS_IP": "127.0.0.1",
+            "ROS_DOMAIN_ID": str(self.domain),
+            "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
+            "ROS_HOME": str(self.folder / "ros"),
+            "YARP_CONFIG_HOME": str(self.folder / "yarp"),
+            "ROS_LOG_DIR": str(self.folder / "log"),
+            "PYTHONUNBUFFERED": "1",
+            # where Midspan runs from a checkout that is not installed
+            "PYTHONPATH": os.pathsep.join(filter(None, [own.get("PYTHONPATH"), str(_ROOT)])),
+        }
+
+    def ros1_environment(self) -> dict[str, str]:
+        """Environment of roscore and of ROS 1 programs, which run on the system's Python."""
+        packages = ros1_packages(self.config)
+        drop = ("LD_LIBRARY_PATH", "AMENT_PREFIX_PATH", "VIRTUAL_ENV", "PYTHONHOME", "ROS_DOMAIN_ID")
+        env = {k: v for k, v in self.environment().items() if k not in drop}
+        env["PATH"] = os.pathsep.join([str(packages.parents[2] / "bin"), "/usr/bin", "/bin"])
+        paths = [self.system_path] if str(packages).startswith("/usr/") else [self.system_path, packages]
+        env["PYTHONPATH"] = os.pathsep.join(map(str, paths))
+        return env
+
+    def close(self) -> None:
+        """Give everything back."""
+        if self._hold is not None:
+            self._hold.close()
+        shutil.rmtree(self.folder, ignore_errors=True)
+
+    def _write_config(self, template: Path | None, more: Mapping[str, Any], *, ports: bool, yarp: bool) -> Config:
+        base: dict[str, Any] = {}
+        if template is not None:
+            load(template)  # its mistakes are told with file and line
+            base = yaml.safe_load(template.read_text(encoding="utf-8")) or {}
+        base = _merged(base, more)
+        if ports and not (base.get("yarp") or {}).get("topics"):  # what the demo's YARP program expects on its ports
+            shipped = yaml.safe_load(CONFIG.read_text(encoding="utf-8"))["yarp"]
+            base = _merged(base, {"yarp": shipped})
+        own = {
+            "name": f"demo-{os.getpid()}",
+            "state": str(self.folder / "state"),
+            "hub": {"listen": f"tcp/127.0.0.1:{self.router_port}", "domain": self.domain, "router": True},
+            "ros1": {"enabled": True, "master": self.master},
+            "ros2": {"enabled": True, "domain": self.domain},
+            "yarp": {"enabled": yarp, "nameserver": "embedded", "address": f"127.0.0.1:{self.yarp_port}"},
+        }
+        self.config_file.write_text(yaml.safe_dump(_merged(base, own), sort_keys=False), encoding="utf-8")
+        return load(self.config_file)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, err: BaseException | None, tb: TracebackType | None) -> None:
+        self.close()
+
+
+def _base() -> str | None:
+    """Where the folder is made; a deep one of the user's would make the names of the daemon's sockets too long."""
+    short = Path("/tmp")  # noqa: S108 - mkdtemp makes a folder of its own in it
+    return str(short) if len(tempfile.gettempdir()) > _LONGEST_BASE and short.is_dir() else None
+
+
+def _merged(base: Mapping[str, Any], over: Mapping[str, Any]) -> dict[str, Any]:
+    merged = dict(base)
+    for key, value in over.items():
+        below = merged.get(key)
+        merged[key] = _merged(below or {}, value) if isinstance(value, Mapping) else value
+    return merged
+
+
+def _free_ports(count: int, domain: int) -> list[int]:
+    """TCP ports that nobody uses; those of a domain that is held are no other demo's."""
+    first = _TCP_BASE + _TCP_EACH * domain
+    ports = [port for port in range(first, first + _TCP_EACH) if _is_free(port, socket.SOCK_STREAM)][:count]
+    if len(ports) < count:
+        raise RuntimeError(f"too few free TCP ports between {first} and {first + _TCP_EACH - 1} on this machine")
+    return ports
+
+
+def _hold_domain() -> tuple[socket.socket, int]:
+    """A ROS domain that nobody uses, held by a socket on the last of its ports, which participants do not reach."""
+    domains = list(_DOMAINS)
+    random.shuffle(domains)
+    for domain in domains:
+        ports = _ports(domain)
+        if not _is_free(ports[0]) or not _is_free(ports[10]):  # discovery: everybody's, the first participant's
+            continue
+        hold = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        try:
+            hold.bind(("127.0.0.1", ports[-1]))
+        except OSError:
+            hold.close()
+            continue
+        return hold, domain
+    raise RuntimeError(f"no free ROS domain between {_DOMAINS.start} and {_DOMAINS.stop - 1} on this machine")
+
+
+def _ports(domain: int) -> range:
+    first = _PORT_BASE + _DOMAIN_GAIN * domain
+    return range(first, first + _DOMAIN_GAIN)
+
+
+def _is_free(port: int, kind: socket.SocketKind = socket.SOCK_DGRAM) -> bool:
+    with socket.socket(socket.AF_INET, kind) as sock:
+        try:
+            sock.bind(("", port))
+        except OSError:
+            return False
+    return True
+
+
+SYSTEM_PYTHON = Path("/usr/bin/python3")
+"""The Python that ROS 1's packages are installed for."""
+
+_APT = (
+    "apt install python3-rospy python3-roslaunch python3-std-msgs python3-sensor-msgs python3-nav-msgs"
+    " python3-geometry-msgs python3-tf2-msgs"
+)
+
+
+def missing(config: Config) -> list[str]:
+    """What is missing, each with its cure; empty where the demo can run."""
+    return [reason for reason in (_ros1(config), _ros2(config), _zenoh()) if reason]
+
+
+def too_slow() -> list[str]:
+    """Why the robot would not be driven, with the cure; empty where all kernels are compiled."""
+    reason = not_compiled()
+    return [f"kernels: {reason}"] if reason else []
+
+
+def ros1_packages(config: Config) -> Path:
+    """Folder of ROS 1's Python packages; to be asked only where nothing is `missing`."""
+    folder = ros1.packages_folder(config, os.environ)
+    assert folder is not None
+    return folder
+
+
+def roscore(config: Config) -> Path:
+    """The program ``roscore``."""
+    found = shutil.which("roscore", path=f"{ros1_packages(config).parents[2] / 'bin'}:{os.environ.get('PATH', '')}")
+    assert found is not None
+    return Path(found)
+
+
+def _ros1(config: Config) -> str:
+    reason = ros1.available(config)
+    if reason:
+        return f"ROS 1: {reason}"
+    folder = ros1_packages(config)
+    lacking = [
+        name for name in ("nav_msgs", "sensor_msgs", "geometry_msgs", "tf2_msgs") if not (folder / name).is_dir()
+    ]
+    if lacking:
+        return f"ROS 1: {folder} lacks {', '.join(lacking)}: {_APT}"
+    if shutil.which("roscore", path=f"{folder.parents[2] / 'bin'}:{os.environ.get('PATH', '')}") is None:
+        return f"ROS 1: no roscore on this machine: {_APT}"
+    return ""
+
+
+def _ros2(config: Config) -> str:
+    reason = ros2.available(config)
+    if reason:
+        return f"ROS 2: {reason}"
+    if find_spec("tf2_msgs") is None:
+        return "ROS 2: no message package tf2_msgs for this Python: midspan interfaces build"
+    return ""
+
+
+def _zenoh() -> str:
+    if find_spec("zenoh_ros2_sdk") is None:
+        return "zenoh: no zenoh-ros2-sdk for this Python: pip install zenoh-ros2-sdk==0.1.8"
+    return ""

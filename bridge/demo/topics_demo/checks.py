@@ -1,0 +1,151 @@
+"""What must have crossed, by what the real programs report."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
+from typing import Any
+
+from bridge.demo.topics_demo import messages
+
+ROS1, ROS2, ZENOH, YARP = "ROS 1", "ROS 2", "zenoh", "YARP"
+YARP_TEXT = "YARP text"
+"""The YARP program once more, by lines of text."""
+
+_MOVED = 0.4
+"""Metres or radians that a drive moves the robot at least."""
+
+
+@dataclass(frozen=True, slots=True)
+class CrossingCheck:
+    """One promise and what became of it."""
+
+    name: str
+    source: str
+    target: str
+    topic: str
+    expected: str
+    seen: str
+    ok: bool
+
+    def as_dict(self) -> dict[str, Any]:
+        """As it stands in the demo's JSON file."""
+        values = asdict(self)
+        return {"name": values.pop("name"), "from": values.pop("source"), "to": values.pop("target"), **values}
+
+
+@dataclass(frozen=True, slots=True)
+class Drive:
+    """One drive: its command (m/s, rad/s), the robot's x, y, yaw before and after, and its velocity after the silence.
+
+    ``received`` of ``sent`` commands reached the robot; ``seen``: the driver saw the pose change.
+    """
+
+    source: str
+    command: tuple[float, float]
+    before: Sequence[float]
+    after: Sequence[float]
+    received: int
+    sent: int
+    velocity: Sequence[float]
+    seen: bool
+
+
+@dataclass(frozen=True, slots=True)
+class Promise:
+    """A topic that crosses: how many messages at least, and how each reads."""
+
+    name: str
+    topic: str
+    least: int
+    reads: str
+    latched: bool = False
+
+
+def promises(map_text: str, image: str) -> tuple[Promise, ...]:
+    """What ROS 1's topics must give to each of the others, with the robot's own words on its map and image."""
+    return (
+        Promise("laser scan", messages.SCAN, 20, f"{messages.BEAMS} ranges"),
+        Promise("odometry", messages.ODOM, 40, "at "),
+        Promise("transforms", messages.TF, 40, "odom to base_link"),
+        Promise("camera image", messages.IMAGE, 8, image),
+        Promise("greeting", messages.FROM_ROS1, 3, "from ROS 1"),
+        Promise("map, joined late", messages.MAP, 1, map_text, latched=True),
+        Promise(
+            "static transforms, joined late", messages.TF_STATIC, 1, ", ".join(messages.STATIC_FRAMES), latched=True
+        ),
+    )
+
+
+GREETINGS = (
+    (ROS2, ROS1, messages.FROM_ROS2),
+    (ROS2, ZENOH, messages.FROM_ROS2),
+    (ZENOH, ROS1, messages.FROM_ZENOH),
+    (ZENOH, ROS2, messages.FROM_ZENOH),
+    (ROS2, YARP, messages.FROM_ROS2),
+    (ZENOH, YARP, messages.FROM_ZENOH),
+    (YARP, ROS1, messages.FROM_YARP),
+    (YARP, ROS2, messages.FROM_YARP),
+    (YARP, ZENOH, messages.FROM_YARP),
+)
+
+
+def evaluate(reports: Mapping[str, Mapping[str, Any]], drives: Sequence[Drive]) -> list[CrossingCheck]:
+    """All checks, by the last report of each program and the drives."""
+    map_text, image = (str(reports[ROS1].get(what) or f"no {what} was published") for what in ("map", "image"))
+    checks = [
+        _heard(promise, ROS1, target, reports[target])
+        for promise in promises(map_text, image)
+        for target in (ROS2, ZENOH, YARP)
+    ]
+    for source, target, topic in GREETINGS:
+        checks.append(_heard(Promise("greeting", topic, 3, f"from {source}"), source, target, reports[target]))
+    for source, topic in zip((ROS1, ROS2, ZENOH, YARP), messages.HELLOS, strict=True):
+        checks.append(_not_echoed(source, topic, reports[source]))
+    for source in (ROS2, ZENOH, YARP, YARP_TEXT):
+        checks += _driven(source, next((d for d in drives if d.source == source), None))
+    return checks
+
+
+def _received(report: Mapping[str, Any], topic: str) -> tuple[int, int, str]:
+    heard = report.get("heard", {}).get(topic, {})
+    return heard.get("count", 0), heard.get("repeated", 0), heard.get("detail", "")
+
+
+def _heard(promise: Promise, source: str, target: str, report: Mapping[str, Any]) -> CrossingCheck:
+    count, repeated, detail = _received(report, promise.topic)
+    ok = count >= promise.least and repeated == 0 and promise.reads in detail
+    seen = f"{count}: {detail}" if count else "nothing"
+    if repeated:
+        seen += f"; {repeated} of them twice"
+    expected = f"the whole of it: {promise.reads}" if promise.latched else f"{promise.least} or more: {promise.reads}"
+    return CrossingCheck(promise.name, source, target, promise.topic, expected.rstrip(": "), seen, ok)
+
+
+def _not_echoed(source: str, topic: str, report: Mapping[str, Any]) -> CrossingCheck:
+    count, repeated, _ = _received(report, topic)
+    seen = f"{repeated} of {count} came back"
+    return CrossingCheck("no echo", source, source, topic, "its own messages once", seen, count > 0 and repeated == 0)
+
+
+def _driven(source: str, drive: Drive | None) -> list[CrossingCheck]:
+    if drive is None:
+        return [
+            CrossingCheck("drive", source, ROS1, messages.CMD_VEL, "the robot moves", "no drive was done", ok=False)
+        ]
+    linear, angular = drive.command
+    moved = ((drive.after[0] - drive.before[0]) ** 2 + (drive.after[1] - drive.before[1]) ** 2) ** 0.5
+    turned = drive.after[2] - drive.before[2]
+    way = f"{linear:g} m/s" if linear else f"{angular:g} rad/s"
+    far = (moved if linear else abs(turned)) >= _MOVED
+    arrived = f"{drive.received} of {drive.sent} commands, moved {moved:.2f} m, turned {turned:+.2f} rad"
+    at_rest = far and all(abs(v) < 1e-6 for v in drive.velocity)
+    resting = (
+        "it stands" if at_rest else f"at {drive.velocity[0]:.2f} m/s, {drive.velocity[1]:.2f} rad/s after {arrived}"
+    )
+    seen = "it does" if drive.seen else "it does not"
+    return [
+        CrossingCheck("drive", source, ROS1, messages.CMD_VEL, f"the robot moves at {way}", arrived, far),
+        CrossingCheck("drive seen", ROS1, source, messages.ODOM, "its driver sees the robot move", seen, drive.seen),
+        CrossingCheck("silence stops it", source, ROS1, messages.CMD_VEL, "no command, no motion", resting, at_rest),
+    ]

@@ -1,0 +1,181 @@
+"""How a program of the demo reports what it received: JSON lines on its output, and commands on its input.
+
+The end of the input ends the program, so that none is left when the demo dies: also one that waits for ever for what
+died with it, as rospy for its master.
+"""
+
+from __future__ import annotations
+
+import json
+import queue
+import signal
+import sys
+import threading
+import time
+from collections import OrderedDict
+from collections.abc import Callable, Hashable, Iterable
+from typing import Any
+
+from bridge.demo.topics_demo import messages
+
+EVERY = 0.5
+"""Seconds between two reports."""
+
+LAST_SECONDS = 4
+"""A program that has not ended by itself so long after its input is ended by the system, wherever it hangs."""
+
+_REMEMBERED = 2000
+
+
+class Received:
+    """What a program received on one topic."""
+
+    def __init__(self) -> None:
+        self.count = 0
+        self.repeated = 0
+        self.detail = ""
+        self._lock = threading.Lock()
+        self._keys: OrderedDict[Hashable, None] = OrderedDict()
+
+    def add(self, key: Hashable, detail: str) -> None:
+        """Count a message; one whose key came before was duplicated on its way (None: nothing tells them apart)."""
+        with self._lock:
+            self.count += 1
+            self.detail = detail
+            if key is None:
+                return
+            if key in self._keys:
+                self.repeated += 1
+            self._keys[key] = None
+            if len(self._keys) > _REMEMBERED:
+                self._keys.popitem(last=False)
+
+    def as_dict(self) -> dict[str, Any]:
+        """As it stands in a report."""
+        with self._lock:
+            return {"count": self.count, "repeated": self.repeated, "detail": self.detail}
+
+
+class TopicsProgram:
+    """A program that says hello, drives, and joins late; each side has one."""
+
+    def __init__(self) -> None:
+        self._pose: list[float] | None = None
+        self._static_frames: set[str] = set()
+        self.reporter = Reporter(lambda: {"pose": self._pose})
+
+    def join_late(self) -> None:
+        """Subscribe to what was published once, long ago."""
+        raise NotImplementedError
+
+    def drive(self, linear: float, angular: float, seconds: float) -> None:
+        """Publish a velocity for some seconds, then fall silent; reports where the robot was and is."""
+        self._send_velocity(self._send, linear, angular, seconds)
+
+    def close(self) -> None:
+        """Leave the network."""
+        raise NotImplementedError
+
+    def _send(self, linear: float, angular: float) -> None:
+        raise NotImplementedError
+
+    def _say(self, text: str) -> None:
+        raise NotImplementedError
+
+    def _send_velocity(
+        self, send: Callable[[float, float], object], linear: float, angular: float, seconds: float
+    ) -> None:
+        before, sent = self._pose, 0
+        end = time.monotonic() + seconds
+        while time.monotonic() < end:
+            send(linear, angular)
+            sent += 1
+            time.sleep(1 / messages.DRIVE_RATE)
+        self.reporter.tell("drove", before=before, after=self._pose, sent=sent)
+
+    def say_hello(self, who: str, ended: threading.Event) -> None:
+        """Say hello once in a while until the event is set."""
+        number = 0
+        while not ended.wait(1 / messages.HELLO_RATE):
+            number += 1
+            self._say(f"hello {number} from {who}")
+
+    def _odometry(self, message: Any) -> str:
+        self._pose = messages.pose(message)
+        return messages.position(message)
+
+    def _mounts(self, message: Any) -> str:
+        return self._add_mounts(t.child_frame_id for t in message.transforms)
+
+    def _add_mounts(self, frames: Iterable[str]) -> str:
+        self._static_frames.update(frames)
+        return ", ".join(sorted(self._static_frames))
+
+
+def serve(program: TopicsProgram, who: str) -> None:
+    """Run a program until the standard input ends."""
+    ended = threading.Event()
+    hello = threading.Thread(target=program.say_hello, args=(who, ended), name="hello", daemon=True)
+    hello.start()
+    try:
+        program.reporter.tell("ready")
+        program.reporter.obey({"drive": program.drive, "join_late": program.join_late})
+    finally:
+        ended.set()
+        hello.join(2.0)
+        program.close()
+
+
+class Reporter:
+    """One program's line to the demo, made before anything that may wait for others; ``more`` adds to each report."""
+
+    def __init__(self, more: Callable[[], dict[str, Any]] | None = None) -> None:
+        self._received: dict[str, Received] = {}
+        self._more = more
+        self._write_lock = threading.Lock()
+        self._ended = threading.Event()
+        self._commands: queue.SimpleQueue[bytes | None] = queue.SimpleQueue()
+        threading.Thread(target=self._read, name="commands", daemon=True).start()
+
+    def received(self, topic: str) -> Received:
+        """What was received on a topic so far."""
+        return self._received.setdefault(topic, Received())
+
+    def tell(self, event: str, **values: Any) -> None:
+        """Write one line."""
+        with self._write_lock:
+            sys.stdout.write(json.dumps({"event": event, **values}) + "\n")
+            sys.stdout.flush()
+
+    def obey(self, commands: dict[str, Callable[..., None]]) -> None:
+        """Report every while and obey commands until the input ends; each command runs on this thread."""
+        reporter = threading.Thread(target=self._report, name="report", daemon=True)
+        reporter.start()
+        try:
+            while (line := self._commands.get()) is not None:
+                command = json.loads(line)
+                commands[command.pop("do")](**command)
+        finally:
+            self._ended.set()
+            reporter.join(2.0)
+
+    def _read(self) -> None:
+        # unbuffered: a thread that reads sys.stdin holds its lock as Python ends
+        with open(0, "rb", buffering=0, closefd=False) as lines:
+            for line in lines:
+                self._commands.put(line)
+        self._commands.put(None)
+        signal.alarm(LAST_SECONDS)
+
+    def _report(self) -> None:
+        while not self._ended.is_set():
+            more = self._more() if self._more is not None else {}
+            try:
+                self.tell(
+                    "report",
+                    heard={topic: received.as_dict() for topic, received in list(self._received.items())},
+                    **more,
+                )
+            except OSError:
+                return  # nobody reads any more
+            self._ended.wait(EVERY)

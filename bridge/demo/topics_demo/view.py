@@ -1,0 +1,144 @@
+"""What the demo shows: every route, in a live table on a terminal and as a line now and then elsewhere; the checks."""
+
+from __future__ import annotations
+
+import contextlib
+import time
+from collections.abc import Sequence
+from types import TracebackType
+from typing import Any, Self
+
+from rich.console import Group, RenderableType
+from rich.live import Live
+from rich.table import Table
+from rich.text import Text
+
+from bridge.cli.client import CliClient, connect
+from bridge.cli.documents import Document, route_list, routes_table
+from bridge.cli.inspection.status import ask_status
+from bridge.cli.output import CliError, clean, make_console
+from bridge.demo.sandbox import Sandbox
+from bridge.demo.topics_demo.checks import CrossingCheck
+
+_LIVE_EVERY, _PLAIN_EVERY = 0.5, 2.0
+"""Seconds between two looks at the workers."""
+
+
+class TopicsView:
+    """The demo's output, and its session on the hub while the daemon runs."""
+
+    def __init__(self, sandbox: Sandbox) -> None:
+        self._sandbox = sandbox
+        self._console = make_console()
+        self._live: Live | None = None
+        self._stack = contextlib.ExitStack()
+        self._client: CliClient | None = None
+        self._documents: Sequence[Document] = ()
+        self._looked = self._began = time.monotonic()
+        self._doing = ""
+        self._reasons: dict[str, list[str]] = {}
+
+    def __enter__(self) -> Self:
+        if self._console.is_terminal:
+            self._live = self._stack.enter_context(
+                Live(console=self._console, auto_refresh=False, transient=True, vertical_overflow="crop")
+            )
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, err: BaseException | None, tb: TracebackType | None) -> None:
+        self._stack.close()
+        self._live = self._client = None
+
+    def tick(self, doing: str) -> None:
+        """Show what the demo is at, and once in a while how the routes are."""
+        if doing != self._doing:
+            self.say(doing)
+        if time.monotonic() - self._looked < (_LIVE_EVERY if self._live else _PLAIN_EVERY):
+            return
+        self.look()
+        self._doing = doing
+        if self._live:
+            self._live.update(self._picture(), refresh=True)
+        elif self._documents:
+            self._console.print(f"{self._time()} {_one_line(self._documents)}")
+
+    def say(self, doing: str) -> None:
+        """Show one line."""
+        self._doing = doing
+        if self._live:
+            self._live.update(self._picture(), refresh=True)
+        else:
+            self._console.print(f"{self._time()} {doing}")
+
+    def look(self) -> None:
+        """Ask the workers how their routes are; keeps what they said last where they do not answer."""
+        self._looked = time.monotonic()
+        try:
+            if self._client is None:
+                self._client = self._stack.enter_context(connect(self._sandbox.config, 0.2))
+            self._documents = ask_status(self._client)
+        except CliError:
+            return  # not up yet, or just ended: the demo itself watches its processes
+
+    def ask_why(self, checks: Sequence[CrossingCheck]) -> None:
+        """Ask the workers about the topics of failed checks, while they are there to answer."""
+        topics = dict.fromkeys(check.topic for check in checks if not check.ok)
+        self._reasons = {topic: _reasons(self._client, topic) for topic in topics} if self._client else {}
+
+    def show(self, checks: Sequence[CrossingCheck]) -> None:
+        """Print the routes and the checks."""
+        console = self._live.console if self._live else self._console
+        if self._documents:
+            console.print(routes_table(self._documents))
+        table = Table(title="What crossed, by the programs' own word", title_justify="left")
+        for column in ("", "what", "from", "to", "topic", "expected", "seen"):
+            table.add_column(column, overflow="fold")
+        for check in checks:
+            mark = Text("ok", style="green") if check.ok else Text("NO", style="bold red")
+            texts = (check.name, check.source, check.target, check.topic, check.expected, check.seen)
+            table.add_row(mark, *map(Text, texts))
+        console.print(table)
+        for topic, reasons in self._reasons.items():
+            for reason in reasons:
+                console.print(Text(f"{topic}: {reason}", style="yellow"))
+        failed = sum(1 for check in checks if not check.ok)
+        verdict = f"{failed} of {len(checks)} did not cross" if failed else f"all {len(checks)} crossed"
+        console.print(Text(verdict, style="bold red" if failed else "bold green"))
+
+    def routes(self) -> list[dict[str, Any]]:
+        """Every route as its worker described it last."""
+        return [
+            {"worker": document.get("worker"), **route}
+            for document in self._documents
+            for route in route_list(document)
+        ]
+
+    def _picture(self) -> RenderableType:
+        return Group(Text(f"{self._time()} {self._doing}"), routes_table(self._documents))
+
+    def _time(self) -> str:
+        return f"{time.monotonic() - self._began:5.1f} s"
+
+
+def _reasons(client: CliClient, topic: str) -> list[str]:
+    """What each worker says of a topic that it does not carry as it should."""
+    told = []
+    for answer in client.ask("explain", {"topic": topic}):
+        for entry in answer.value if isinstance(answer.value, list) else ():
+            if isinstance(entry, dict) and entry.get("decision") not in ("bridged", "own"):
+                words = (entry.get("direction"), entry.get("decision"), entry.get("why"), entry.get("cure"))
+                told.append(f"{answer.worker}: " + ", ".join(clean(word) for word in words if word))
+    return told
+
+
+def _one_line(documents: Sequence[Document]) -> str:
+    parts = []
+    for document in documents:
+        routes = route_list(document)
+        if routes:
+            rate = sum(float(route.get("rate") or 0) for route in routes)
+            drops = sum(sum((route.get("drops") or {}).values()) for route in routes)
+            parts.append(f"{document.get('worker')}: {len(routes)} routes, {rate:.0f} msg/s, {drops} dropped")
+        else:
+            parts.append(f"{document.get('worker')}: {document.get('state')}")
+    return " | ".join(parts)

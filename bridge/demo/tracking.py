@@ -1,0 +1,114 @@
+"""Where the demo's robot is and where it goes, as the hub shows it; drawn on its map."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from pathlib import Path
+from typing import Any
+
+from rich.text import Text
+
+from bridge.cli.client import CliClient
+from bridge.cli.maps import drawing
+from bridge.cli.messages import Types
+from bridge.cli.navigation.gateway import STATUS, STATUS_TOPIC, LatestMessage, place_of, state_text
+from bridge.config.sections.navigation import OURS
+from bridge.demo.progress import DemoError, Progress
+from yarp_compat.dev.locations import Map2DLocation
+from yarp_compat.dev.mapgrid import MapGrid2D
+from yarp_compat.dev.places import Places
+
+Place = tuple[float, float]
+
+_STEP = 0.1
+"""Metres between two places of the way that was driven."""
+
+
+class RobotTracker:
+    """Follows the robot on the hub; ``driven`` are places of its way, in metres."""
+
+    def __init__(self, client: CliClient) -> None:
+        store = client.config.store
+        if store.maps is None or store.locations is None:
+            raise DemoError("the configuration names no store.maps and store.locations")
+        self.grid = MapGrid2D.load(store.maps)
+        self._places = Places.load(store.locations)
+        types = Types(client)
+        self._status = LatestMessage(client, types, STATUS_TOPIC, STATUS)
+        self._localized = LatestMessage(client, types, "/localization/status", "std_msgs/msg/String")
+        self._truth = LatestMessage(client, types, "/ground_truth", "nav_msgs/msg/Odometry")
+        self._path = LatestMessage(client, types, f"/planner/{OURS[0]}/path", "nav_msgs/msg/Path")
+        self.driven: list[Place] = []
+
+    @property
+    def localized(self) -> bool:
+        """Whether the robot knows where it is, and there is a gateway for goals."""
+        said = self._localized.wait(0.0)
+        return said is not None and said["data"] == "localized_ok" and None not in (self._status.wait(0.0), self._at())
+
+    @property
+    def state(self) -> str:
+        """The gateway's state, in words."""
+        said = self._status.wait(0.0)
+        return state_text(said) if said is not None else "the gateway has published nothing yet"
+
+    def _at(self) -> Map2DLocation | None:
+        said = self._truth.wait(0.0)
+        if said is None:
+            return None
+        _, x, y, degrees = place_of({"header": said["header"], "pose": said["pose"]["pose"]})
+        return Map2DLocation(self.grid.name, x, y, degrees)
+
+    def look(self, progress: Progress) -> None:
+        """Keep the robot's place, and note what has moved."""
+        at, localized = self._at(), self._localized.wait(0.0)
+        progress.heard("the gateway", self.state)
+        progress.heard("the localiser", localized["data"] if localized is not None else "")
+        if at is not None:
+            progress.at(at.x, at.y, math.radians(at.theta))
+        if at is not None and (not self.driven or math.dist(self.driven[-1], (at.x, at.y)) >= _STEP):
+            self.driven.append((at.x, at.y))
+
+    def off(self, room: str) -> float:
+        """Metres from the robot to a room's place, in truth."""
+        at, place = self._at(), self._places.locations.get(room)
+        return math.inf if at is None or place is None else math.dist((at.x, at.y), (place.x, place.y))
+
+    @property
+    def left(self) -> list[Place]:
+        """What is left of the path from the robot on; none where it has no goal."""
+        said, at = self._path.wait(0.0), self._at()
+        if said is None or at is None or not said["poses"]:
+            return []
+        line, here = [(x, y) for _, x, y, _ in map(place_of, said["poses"])], (at.x, at.y)
+        parts = list(itertools.pairwise(line))
+        passed = min(range(len(parts)), key=lambda part: _aside(here, *parts[part]), default=-1)
+        return [here, *line[passed + 1 :]]
+
+    def picture(self, width: int, *, coloured: bool) -> list[Text]:
+        """The map's lines in the terminal: the robot, its path, the rooms."""
+        return drawing.lines(self.grid, self._marked(), {}, width, coloured=coloured, path=self.left)
+
+    def png(self, file: Path) -> None:
+        """Write the map with the way that was driven; raises `OSError`."""
+        drawing.draw(self.grid, self._marked(), {}, path=self.driven).save(file, format="PNG")
+
+    def _marked(self) -> dict[str, Map2DLocation]:
+        at = self._at()
+        return {**self._places.locations, **({} if at is None else {"robot": at})}
+
+    def words(self) -> dict[str, Any]:
+        """Where the robot is and what it does, for one line."""
+        at, left = self._at(), self.left
+        way = sum(math.dist(a, b) for a, b in itertools.pairwise(left))
+        where = "?" if at is None else f"{at.x:5.2f} {at.y:5.2f} m"
+        return {"where": where, "left": f"{way:4.1f} m to go" if left else "", "state": self.state}
+
+
+def _aside(here: Place, one: Place, other: Place) -> float:
+    """How far a place is from a line between two others, metres."""
+    dx, dy = other[0] - one[0], other[1] - one[1]
+    along = ((here[0] - one[0]) * dx + (here[1] - one[1]) * dy) / max(dx * dx + dy * dy, 1e-12)
+    along = min(1.0, max(0.0, along))
+    return math.dist(here, (one[0] + along * dx, one[1] + along * dy))

@@ -1,0 +1,114 @@
+"""Checks of the doctor: what they find, and how they run, all at once and each within its time."""
+
+from __future__ import annotations
+
+import logging
+import threading
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from enum import StrEnum
+
+from bridge.config.sections.section import Enabled
+from bridge.doctor.context import CheckContext
+from bridge.sides import label
+
+
+class Result(StrEnum):
+    """How a check went."""
+
+    OK = "ok"
+    WARN = "warn"
+    FAIL = "fail"
+    SKIP = "skip"
+
+
+@dataclass(frozen=True, slots=True)
+class Finding:
+    """What a check saw, and what helps ("" if nothing needs to be done)."""
+
+    result: Result
+    seen: str
+    cure: str = ""
+
+
+Findings = Finding | Sequence[Finding]
+
+
+@dataclass(frozen=True, slots=True)
+class Check:
+    """One check with a stable id; ``look`` is given up after ``seconds``."""
+
+    id: str
+    title: str
+    look: Callable[[CheckContext], Findings]
+    seconds: float = 8.0
+
+
+def ok(seen: str) -> Finding:
+    """All is well."""
+    return Finding(Result.OK, seen)
+
+
+def warn(seen: str, cure: str = "") -> Finding:
+    """Something that may be meant, or will bite later."""
+    return Finding(Result.WARN, seen, cure)
+
+
+def fail(seen: str, cure: str = "") -> Finding:
+    """Something that keeps topics from crossing."""
+    return Finding(Result.FAIL, seen, cure)
+
+
+def skip(seen: str) -> Finding:
+    """The check does not apply here."""
+    return Finding(Result.SKIP, seen)
+
+
+def packages(side: str, package: str, enabled: Enabled, lacking: str) -> Finding:
+    """Whether a side's package is installed; ``lacking`` says why it cannot be used, "" where it can."""
+    name = label(side)
+    if enabled is False:
+        return skip(f"{side}.enabled is false")
+    if not lacking:
+        return ok(f"{package} is installed")
+    if enabled is True:
+        return fail(f"{side}.enabled is true, but {lacking}")
+    return warn(f"the {name} side stays off: {lacking}", f"nothing to do if no {name} is wanted: {side}.enabled: false")
+
+
+_log = logging.getLogger(__name__)
+
+
+@dataclass(slots=True)
+class Report:
+    """What one check found."""
+
+    check: Check
+    findings: Sequence[Finding] = ()
+    done: threading.Event = field(default_factory=threading.Event)
+
+
+def examine(context: CheckContext, checks: Sequence[Check]) -> list[Report]:
+    """Run all checks, in threads of their own; one that hangs is given up and said to."""
+    started = time.monotonic()
+    reports = [Report(check) for check in checks]
+    for report in reports:
+        # daemon threads: what hangs in the system's resolver must not keep the command from ending
+        threading.Thread(target=_run, args=(context, report), name=f"doctor-{report.check.id}", daemon=True).start()
+    for report in reports:
+        left = started + report.check.seconds - time.monotonic()
+        if not report.done.wait(max(left, 0.0)):
+            report.findings = [fail(f"no answer within {report.check.seconds:g} s; what it looks at hangs")]
+    return reports
+
+
+def _run(context: CheckContext, report: Report) -> None:
+    try:
+        found = report.check.look(context)
+    except Exception as err:
+        _log.debug("check %s failed", report.check.id, exc_info=err)
+        found = fail(f"the check itself failed: {type(err).__name__}: {err}")
+    if not report.done.is_set():
+        report.findings = [found] if isinstance(found, Finding) else found
+        report.done.set()

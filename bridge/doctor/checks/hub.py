@@ -1,0 +1,176 @@
+"""The configuration, the daemon and its workers, the router's port, and the keys by which machines join."""
+
+from __future__ import annotations
+
+import stat
+from typing import Any
+
+import psutil
+
+from bridge.daemon.query import Phase
+from bridge.doctor.check import Finding, Findings, fail, ok, skip, warn
+from bridge.doctor.context import CheckContext
+from bridge.doctor.hub_problems import absence
+from bridge.hub.errors import HubConfigError, HubError
+from bridge.hub.router import port_held, probe_router
+from bridge.hub.security.certificates import Certificate, CertificateError, read_certificate, signed_by
+from bridge.hub.security.door import KeyFiles, has_tls, key_files
+from bridge.hub.zenoh_config import connect_endpoint
+
+_LOG = "look into its log: journalctl -u midspan"
+_COMES = {phase.value for phase in (Phase.QUEUED, Phase.STARTING, Phase.PAUSED)}
+"""What the daemon says of a worker that does not answer on the hub yet."""
+
+
+def look_at_config(context: CheckContext) -> Findings:
+    """The file's problems, and a hub that is open to everybody."""
+    if not context.config_good:
+        return [fail(line, "mend it ('midspan config check')") for line in context.config_text.splitlines()]
+    findings = [ok(context.config_text)]
+    door = context.config.hub.open
+    if door.insecure:
+        findings.append(
+            warn(
+                f"the hub is open without TLS at {', '.join((*door.listen, *door.connect))}: whoever reaches it joins",
+                "certificates ('midspan keys'), and tls/ endpoints in hub.open",
+            )
+        )
+    return findings
+
+
+def look_at_workers(context: CheckContext) -> Findings:
+    """Who answers on the hub, and how they are."""
+    absent = [_worker(context, document) for document in context.hub.documents] if context.hub.error else []
+    if context.hub.error:
+        cure = "" if absent else "start the daemon: midspan run (or systemctl start midspan)"
+        return [warn(context.hub.error.splitlines()[0], cure), *absent]
+    if not context.hub.documents:
+        domain = context.config.hub.domain
+        return warn(
+            f"a router answers at {context.config.hub.listen}, but no worker does in domain {domain}",
+            "start the daemon: midspan run; where it runs, compare hub.domain",
+        )
+    return [_worker(context, document) for document in context.hub.documents]
+
+
+def _worker(context: CheckContext, document: Any) -> Finding:
+    name = f"{document.get('daemon')}/{document.get('worker')}"
+    state = document.get("state")
+    if document.get("error"):
+        return fail(f"{name} does not answer: {document['error']}", _LOG)
+    warnings = document.get("warnings") or []
+    if warnings:
+        return warn(f"{name} is {state}, and warns: {'; '.join(str(w) for w in warnings)}")
+    if state == "waiting":
+        return _waiting(context, document, name)
+    if state in ("running", "standby"):
+        return ok(f"{name} is {state}")
+    if state == Phase.FAILED.value:
+        return fail(f"{name} {state}: {document.get('text')}", _LOG)
+    if state in _COMES:
+        return warn(f"{name} is {state}: {document.get('text')}", _LOG if state == Phase.PAUSED.value else "wait")
+    return skip(f"{name} says {state}")
+
+
+def _waiting(context: CheckContext, document: Any, name: str) -> Finding:
+    """A side waits for its network; a module for anything, which it says itself."""
+    if not document.get("module"):
+        return warn(f"{name} waits: its network is away", "see the checks of that side")
+    hub = context.hub
+    if document.get("worker") == "gateway" and document.get("daemon") == context.config.name:
+        away = absence(context.config.navigation, str(document.get("planner")), hub.endpoints, hub.documents)
+        if away is not None:
+            return warn(f"{name} waits: {away.text}", away.cure)
+    return warn(f"{name} waits: {document.get('text')}")
+
+
+def look_at_port(context: CheckContext) -> Findings:
+    """Our router, another's, something else, or nobody."""
+    hub = context.config.hub
+    try:
+        info = probe_router(hub.listen, hub.zenoh)
+    except HubError as err:
+        return fail(str(err), "mend hub.zenoh")
+    if info is None:
+        if not port_held(hub.listen):
+            return ok(f"nothing listens at {hub.listen}: the daemon's router will")
+        return fail(
+            f"{hub.listen} is held by a program that does not speak zenoh{_holder(hub.listen)}",
+            "stop that program, or set hub.listen to a free port",
+        )
+    if info.mode != "router":
+        return fail(f"{hub.listen} is held by {info}, which routes nothing", "set hub.listen to a free port")
+    if info.daemon:
+        return ok(f"{hub.listen} is {info}")
+    text = f"{hub.listen} is held by {info}{_holder(hub.listen)}"
+    if hub.router is True:
+        return fail(text, "hub.router is true: stop that router, set hub.listen to a free port, or hub.router to auto")
+    return warn(f"{text}; it is used as the hub's router", "where that is not meant, set hub.listen to a free port")
+
+
+def _holder(endpoint: str) -> str:
+    """The process that listens there, as far as this user may know."""
+    port = connect_endpoint(endpoint).partition("?")[0].rpartition(":")[2]
+    try:
+        for connection in psutil.net_connections("tcp"):
+            listens = connection.status == psutil.CONN_LISTEN and tuple(connection.laddr)[1:] == (int(port),)
+            if listens and connection.pid:
+                return f" (process {connection.pid}, {psutil.Process(connection.pid).name()})"
+    except (psutil.Error, OSError, ValueError):
+        return ""
+    return ""
+
+
+SOON_DAYS = 30
+_RENEW = "'midspan keys make NAME --replace', and copy the files; the router takes them up by itself"
+
+
+def look_at_keys(context: CheckContext) -> Findings:
+    """The files of ``hub.open``: there, readable, for this machine, of one authority, and valid for a while."""
+    if not has_tls(context.config.hub.open):
+        return skip("hub.open names no endpoint with TLS: no certificate is needed")
+    files = key_files(context.config)
+    try:
+        files.check()
+        own, authority = read_certificate(files.certificate), read_certificate(files.ca)
+        signed = signed_by(files.certificate, files.ca)
+    except (HubConfigError, CertificateError) as err:
+        return fail(str(err), "'midspan keys make' makes the files; see docs/operate/security.md")
+    findings = [*_expiry(own), *_expiry(authority), *_mode(files), *_distrust(own.name, context)]
+    if not signed:
+        findings.append(
+            fail(
+                f"{files.certificate} was not signed by {files.ca}", "copy both from the same folder of 'midspan keys'"
+            )
+        )
+    if own.name != context.config.name:
+        findings.append(warn(f"this machine's certificate names it {own.name!r}: others trust that name", "see 'name'"))
+    return findings or ok(f"this machine is {own.name} to others, until {own.until:%Y-%m-%d}")
+
+
+def _distrust(name: str, context: CheckContext) -> list[Finding]:
+    """The daemons that take no commands from this machine."""
+    return [
+        warn(
+            f"{document.get('daemon')} takes no commands, goals and service calls from this machine",
+            f"where that is not meant, name {name!r} in hub.open.trusted there",
+        )
+        for document in context.hub.documents
+        for machine in document.get("machines") or ()
+        if machine.get("name") == name and not machine.get("trusted")
+    ]
+
+
+def _expiry(certificate: Certificate) -> list[Finding]:
+    left = certificate.days_left()
+    if left < 0:
+        return [fail(f"{certificate.file} expired on {certificate.until:%Y-%m-%d}: nobody lets it in", _RENEW)]
+    if left < SOON_DAYS:
+        return [warn(f"{certificate.file} expires in {left} days", _RENEW)]
+    return []
+
+
+def _mode(files: KeyFiles) -> list[Finding]:
+    if not files.key.stat().st_mode & (stat.S_IRWXG | stat.S_IRWXO):
+        return []
+    return [warn(f"other users may use {files.key}, and so pass for this machine", f"chmod 600 {files.key}")]

@@ -1,0 +1,119 @@
+"""What the doctor's checks look at: configuration, environment, the hub, clocks, the ROS 1 master, the machine."""
+
+from __future__ import annotations
+
+import os
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from pathlib import Path
+from threading import Lock
+from typing import Any
+
+import psutil
+
+from bridge.adapters.ros1.environment import master_uri
+from bridge.adapters.ros1.graph.state import MasterReader, MasterState
+from bridge.adapters.ros1_peers import Ros1Error, XmlRpcClient
+from bridge.config.model import Config
+from bridge.hub.graph import HubEndpoint
+
+
+@dataclass(frozen=True, slots=True)
+class Offset:
+    """Seconds by which another clock is ahead of ours, within plus or minus ``error``."""
+
+    seconds: float
+    error: float
+
+
+def measure(ask: Callable[[], int | None], times: int = 5) -> Offset | None:
+    """Measure a clock by asking for its system time in ns; the quickest answer counts. None without an answer."""
+    best: Offset | None = None
+    for _ in range(times):
+        started, before = time.monotonic_ns(), time.time_ns()  # in this order a pause in between is in the round trip
+        told = ask()
+        round_trip = time.monotonic_ns() - started
+        if told is None:
+            continue
+        offset = Offset((told - before - round_trip / 2) / 1e9, round_trip / 2e9)
+        if best is None or offset.error < best.error:
+            best = offset
+    return best
+
+
+Document = Mapping[str, Any]
+
+_MASTER_SECONDS = 2.0
+
+
+@dataclass(frozen=True)
+class HubSnapshot:
+    """The hub as it was found, with each worker's clock by ``daemon/worker``; ``error`` says why nobody answered."""
+
+    error: str = ""
+    documents: Sequence[Document] = ()
+    endpoints: Sequence[HubEndpoint] = ()
+    clocks: Mapping[str, Offset] = field(default_factory=dict)
+
+    def of_side(self, side: str, daemon: str | None = None) -> list[Document]:
+        """The documents of one side's workers."""
+        return [d for d in self.documents if d.get("side") == side and daemon in (None, d.get("daemon"))]
+
+
+@dataclass
+class CheckContext:
+    """What the checks may look at; the configuration is all defaults where it cannot be used."""
+
+    config: Config = field(default_factory=Config)
+    config_text: str = "no file, all defaults"
+    config_good: bool = True
+    environ: Mapping[str, str] = field(default_factory=lambda: dict(os.environ))
+    hub: HubSnapshot = field(default_factory=HubSnapshot)
+    shm: Path = Path("/dev/shm")  # noqa: S108  where the system keeps it
+    proc: Path = Path("/proc")
+    _lock: Lock = field(default_factory=Lock, repr=False)
+
+    @property
+    def master(self) -> str:
+        """The ROS 1 master that the daemon uses by configuration and environment."""
+        return master_uri(self.config, self.environ)
+
+    def look_at_master(self) -> MasterState | Ros1Error:
+        """The master's state, or why it does not answer; asked once."""
+        with self._lock:
+            return self._look
+
+    @cached_property
+    def _look(self) -> MasterState | Ros1Error:
+        try:
+            client = XmlRpcClient(self.master, _MASTER_SECONDS)
+            try:
+                return MasterReader(client, "/midspan_doctor").look()
+            finally:
+                client.close()
+        except Ros1Error as err:
+            return err
+
+    def process(self, document: Document) -> psutil.Process | None:
+        """The process of a worker of this daemon on this machine, None where it is not here or hidden from us."""
+        pid = document.get("pid")
+        if document.get("daemon") != self.config.name or not isinstance(pid, int) or pid <= 0:
+            return None
+        try:
+            process = psutil.Process(pid)
+            words = process.cmdline()[:4]  # interpreter, its flags, program
+        except psutil.Error:
+            return None
+        return process if any(w.startswith("bridge.") or Path(w).name == "midspan" for w in words) else None
+
+
+def environment_of(process: psutil.Process | None) -> Mapping[str, str]:
+    """A process's environment, empty where it cannot be read."""
+    if process is None:
+        return {}
+    try:
+        return process.environ()
+    except psutil.Error:
+        return {}

@@ -1,0 +1,106 @@
+"""What the hub's graph and the workers' documents show to be wrong: types that differ, a planner that is away."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from bridge.config.sections.navigation import OURS, NavigationSection, Planner
+from bridge.hub.graph import HubEndpoint
+from bridge.hub.graph.tokens import UNKNOWN_HASH, EndpointKind
+from bridge.messages.actions import split
+from bridge.sides import label
+
+CURE = "install the same version of the message package on both machines, or name its folder in types.folders"
+
+
+@dataclass(frozen=True, slots=True)
+class Note:
+    """Something worth knowing, and what to do about it."""
+
+    text: str
+    cure: str = ""
+
+
+def conflicts(endpoints: Iterable[HubEndpoint]) -> list[Note]:
+    """Topics of the hub with several types, or with several hashes of one type."""
+    topics: dict[str, dict[str, dict[str, list[HubEndpoint]]]] = {}
+    ends: dict[str, list[HubEndpoint]] = {}
+    for endpoint in endpoints:
+        if endpoint.kind in (EndpointKind.PUBLISHER, EndpointKind.SUBSCRIPTION):
+            ends.setdefault(endpoint.topic, []).append(endpoint)
+            hashes = topics.setdefault(endpoint.topic, {}).setdefault(endpoint.type_name, {})
+            if endpoint.type_hash != UNKNOWN_HASH:
+                hashes.setdefault(endpoint.type_hash, []).append(endpoint)
+    found: list[Note] = []
+    for topic, types in sorted(topics.items()):
+        if len(types) > 1 and not _all_heard(ends[topic]):
+            text = f"{topic} has {len(types)} types on the hub ({', '.join(sorted(types))}) that do not match"
+            found.append(Note(text, "give one of them another name, or rename it by a rule"))
+        for type_name, hashes in sorted(types.items()):
+            if len(hashes) > 1:
+                who = "; ".join(f"{nodes(e)} {h[:17]}..." for h, e in sorted(hashes.items()))
+                text = f"{topic}: the definitions of {type_name} differ ({who}); they do not hear each other"
+                found.append(Note(text, CURE))
+    return found
+
+
+def _all_heard(endpoints: Iterable[HubEndpoint]) -> bool:
+    """Whether each listening node hears each publisher of a topic of several types: one may listen to all of them."""
+    published: set[str] = set()
+    heard: dict[tuple[str, str, str], set[str]] = {}
+    for e in endpoints:
+        if e.kind is EndpointKind.PUBLISHER:
+            published.add(e.type_name)
+        else:
+            heard.setdefault((e.zid, e.namespace, e.node), set()).add(e.type_name)
+    common = set.intersection(*heard.values()) if heard else set()
+    return bool(common) and published <= common
+
+
+def nodes(endpoints: Iterable[HubEndpoint]) -> str:
+    """The nodes of some endpoints, for people."""
+    return ", ".join(sorted({f"{e.namespace.rstrip('/')}/{e.node}" for e in endpoints}))
+
+
+Document = Mapping[str, Any]
+
+_CHECKS = {"ros1": "ros1-packages and ros1-master", "ros2": "ros2-packages and ros2-environment"}
+
+
+def absence(
+    section: NavigationSection, planner: str, endpoints: Iterable[HubEndpoint], documents: Sequence[Document]
+) -> Note | None:
+    """Why a planner is absent; None where its action is on the hub, or the gateway's configuration does not know it."""
+    if planner not in section.choices:
+        return None
+    action = section.at(planner)
+    if any(e.kind is EndpointKind.SERVER and split(e.topic)[0] == action for e in endpoints):
+        return None
+    why, cure = _of_module(planner) if planner in OURS else _of_program(section.others[planner], documents)
+    return Note(f"the planner {planner} is not there: {why}", cure)
+
+
+def _of_module(planner: str) -> tuple[str, str]:
+    return "its module does not run", (
+        f"modules.{planner}.enabled: true; where it is, 'midspan status' and the log tell why it does not come up"
+    )
+
+
+def _of_program(planner: Planner, documents: Sequence[Document]) -> tuple[str, str]:
+    side = planner.side
+    where = "the hub" if side == "zenoh" else label(side)
+    workers = [document for document in documents if document.get("side") == side]
+    if side in _CHECKS and not workers:
+        return f"no worker of the {where} side answers", f"see the checks {_CHECKS[side]}, and 'midspan status'"
+    if side in _CHECKS and all(document.get("state") == "waiting" for document in workers):
+        return f"its side, {where}, is away", f"see the checks {_CHECKS[side]}"
+    for document in workers:
+        for entry in document.get("refused") or ():
+            if entry.get("direction") == "in" and str(entry.get("topic")).startswith(f"{planner.action}/"):
+                return f"its action {planner.action} cannot cross: {entry.get('reason')}", str(entry.get("cure", ""))
+    return (
+        f"nobody serves its action {planner.action} on {where}",
+        f"start {planner.name} there, or name another planner in navigation.planner",
+    )

@@ -1,0 +1,443 @@
+"""Calls as zenoh queries on one key: those that are asked, and those that are answered.
+
+Each call ends once: by a reply, by zenoh's error reply, or because its server left.
+"""
+
+from __future__ import annotations
+
+import logging
+import time
+from collections.abc import Callable
+from functools import partial
+from threading import Lock
+from typing import Any
+
+import zenoh
+
+from bridge.concurrency import SerialExecutor
+from bridge.hub.errors import zenoh_reason
+from bridge.hub.zenoh_compat import answer, keep_thread_state, undeclare
+
+
+class CallError(Exception):
+    """A call without a reply; the text tells the caller why."""
+
+
+Done = Callable[[bytes | CallError], None]
+"""Gets a call's end, once, on any thread; it only appends and wakes, or sends."""
+
+Abandon = Callable[[], None]
+"""The caller is gone: nobody waits for the reply. Safe to call twice, and after the end."""
+
+Call = Callable[[bytes, Done], Abandon]
+"""``call(request, done)``: begins a call and returns at once; nothing limits how long it takes."""
+
+
+def nothing() -> None:
+    """Abandons a call that is over, or not begun."""
+
+
+_log = logging.getLogger(__name__)
+
+LEFT = "the server of {name} left before it answered"
+PRIORITY = zenoh.Priority.INTERACTIVE_LOW
+"""Before topics, so that no call waits behind an image; the replies have their query's."""
+
+MAX_ERROR = 4096
+"""Bytes of an error's text."""
+
+_CLOSED = "the call of {name} was ended: its client was closed"
+_REFUSED = "; or a door between the machines refuses this call (hub.open.trusted)"
+_AT_ONCE = 0.2
+"""Seconds within which a query that no server took has ended; a longer one was with a server."""
+
+_SETTLING = 1.0
+"""Seconds from a server's coming in which zenoh's routers may not have the way to it yet, though they announce it."""
+
+_AGAIN = 0.02
+_NO_SERVER = "no server of {name} is on {where}"
+_FOR_EVER = 1e9
+"""Seconds after which zenoh ends a query, ten by default: no call has a limit of ours."""
+
+
+class _PendingCall:
+    """One call that waits for its reply."""
+
+    __slots__ = ("attached", "done", "number", "request", "sent", "token")
+
+    def __init__(self, number: int, request: bytes, attached: bytes | None, done: Done) -> None:
+        self.number = number
+        self.request = request
+        self.attached = attached
+        self.done = done
+        self.token = zenoh.CancellationToken()
+        self.sent = 0.0
+
+
+class CallClient:
+    """Calls the queryables of one key. Safe to use from any thread.
+
+    Args:
+        limit: bytes of a request or a reply at most.
+        executor: runs what may wait for zenoh.
+        target: which of several queryables are asked.
+        closed: called once with the client when it has closed.
+        changed: called when the first server came, or the last one went.
+    """
+
+    where = "the hub"
+    encoding: zenoh.Encoding | None = None
+    _withdraw: Callable[[], None]
+
+    def __init__(
+        self,
+        session: zenoh.Session,
+        key: str,
+        name: str,
+        limit: int,
+        executor: SerialExecutor,
+        target: zenoh.QueryTarget,
+        closed: Callable[[Any], None],
+        changed: Callable[[], None] | None = None,
+    ) -> None:
+        self.name = name
+        self._session, self._key, self._limit, self._executor = session, key, limit, executor
+        self._on_close, self._changed = closed, changed
+        self._lock = Lock()
+        self._number = 0
+        self._waiting: dict[int, _PendingCall] = {}
+        self._again: list[_PendingCall] = []
+        self._since = time.monotonic()
+        self._querier: zenoh.Querier | None = session.declare_querier(
+            key,
+            target=target,
+            consolidation=zenoh.ConsolidationMode.NONE,
+            timeout=_FOR_EVER,
+            priority=PRIORITY,
+            express=True,
+            allowed_destination=zenoh.Locality.REMOTE,
+        )
+        self._listener = self._querier.declare_matching_listener(
+            zenoh.handlers.Callback(self._match_changed, indirect=False)
+        )
+
+    def _attached(self, number: int) -> bytes | None:  # noqa: ARG002
+        """The attachment of a request."""
+        return None
+
+    def _abandoned(self, attached: bytes | None) -> None:
+        """The caller of the request with this attachment left."""
+
+    @property
+    def ready(self) -> bool:
+        """Whether there is a server to call."""
+        querier = self._querier
+        try:
+            return querier is not None and _matching(querier.matching_status)
+        except (zenoh.ZError, RuntimeError):  # it is being closed
+            return False
+
+    def call(self, request: bytes, done: Done) -> Abandon:
+        """Begin a call with a request in the key's wire bytes; see `bridge.hub.endpoints.calls.Call`.
+
+        A large request waits where the link to the server is congested.
+        """
+        if len(request) > self._limit:
+            done(CallError(f"the request has {len(request)} bytes, limits.message allows {self._limit}"))
+            return nothing
+        if not self.ready:
+            done(CallError(_NO_SERVER.format(name=self.name, where=self.where)))
+            return nothing
+        with self._lock:
+            self._number += 1
+            asking = _PendingCall(self._number, request, self._attached(self._number), done)
+            self._waiting[self._number] = asking
+        self._ask(asking)
+        return partial(self._abandon, asking)
+
+    def _ask(self, asking: _PendingCall) -> None:
+        querier = self._querier
+        if querier is None:
+            self._end(asking.number, CallError(_CLOSED.format(name=self.name)))
+            return
+        over = partial(self._over, asking.number)
+        handler = zenoh.handlers.Callback(partial(self._came, asking.number), over, indirect=False)
+        asking.sent = time.monotonic()
+        try:
+            querier.get(
+                handler,
+                payload=asking.request,
+                encoding=self.encoding,
+                attachment=asking.attached,
+                cancellation_token=asking.token,
+            )
+        except (zenoh.ZError, RuntimeError) as err:  # it is being closed
+            self._end(asking.number, CallError(f"{self.name} cannot be called: {zenoh_reason(err)}"))
+        if not self.ready:  # zenoh may never end a query that finds nobody
+            over()
+
+    def close(self) -> None:
+        """End every call that is under way with an error, and withdraw the client. Safe to call twice."""
+        with self._lock:
+            querier, self._querier = self._querier, None
+        if querier is not None:
+            self._end_all(CallError(_CLOSED.format(name=self.name)))
+            self._withdraw()
+            undeclare(self._listener)
+            _undeclare_querier(querier)
+            self._on_close(self)
+
+    def _match_changed(self, status: object) -> None:
+        """The first server came, or the last one went; runs on a thread of zenoh."""
+        keep_thread_state()
+        self._since = time.monotonic()
+        if not _matching(status):
+            self._end_all(CallError(LEFT.format(name=self.name)))
+        if self._changed is not None:
+            self._changed()
+
+    def _came(self, number: int, reply: zenoh.Reply) -> None:
+        """A reply; runs on zenoh's receiving thread."""
+        keep_thread_state()
+        if reply.ok is None:
+            error = b"" if reply.err is None else reply.err.payload.to_bytes()[:MAX_ERROR]
+            text = error.decode(errors="replace") or "the server answered with an error"
+            self._end(number, CallError(text))
+        elif len(reply.ok.payload) > self._limit:
+            size = len(reply.ok.payload)
+            self._end(number, CallError(f"the reply has {size} bytes, limits.message allows {self._limit}"))
+        else:
+            self._end(number, reply.ok.payload.to_bytes())
+
+    def _over(self, number: int) -> None:
+        """No reply will come any more; runs on a thread of zenoh."""
+        keep_thread_state()
+        text, now = LEFT.format(name=self.name), time.monotonic()
+        with self._lock:
+            asking = self._waiting.get(number)
+        if asking is None:
+            return
+        if self.ready and now - asking.sent < _AT_ONCE:
+            if now - self._since < _SETTLING:
+                self._later(asking)
+                return
+            text += _REFUSED
+        self._end(number, CallError(text))
+
+    def _later(self, asking: _PendingCall) -> None:
+        """Ask again soon: there was no way to the server yet."""
+        with self._lock:
+            self._again.append(asking)
+            first = len(self._again) == 1
+        if first:
+            self._executor.submit(self._ask_again)
+
+    def _ask_again(self) -> None:
+        time.sleep(_AGAIN)
+        with self._lock:
+            again, self._again = self._again, []
+            again = [asking for asking in again if asking.number in self._waiting]
+        for asking in again:
+            self._ask(asking)
+
+    def _end(self, number: int, result: bytes | CallError) -> None:
+        with self._lock:
+            asking = self._waiting.pop(number, None)
+        if asking is not None:
+            asking.done(result)
+
+    def _end_all(self, error: CallError) -> None:
+        with self._lock:
+            waiting, self._waiting = self._waiting, {}
+        for asking in waiting.values():
+            asking.done(error)
+
+    def _abandon(self, asking: _PendingCall) -> None:
+        with self._lock:
+            waited = self._waiting.pop(asking.number, None) is not None
+        if waited:
+            # both may wait: the one for a callback that runs, the other for a congested link
+            self._executor.submit(asking.token.cancel)
+            self._abandoned(asking.attached)
+
+
+def reply_error(query: zenoh.Query, error: CallError) -> None:
+    """Answer a query with zenoh's error reply, and end it."""
+    try:
+        with query:
+            query.reply_err(str(error)[:MAX_ERROR].encode())
+    except zenoh.ZError as err:
+        _log.debug("nobody waits for the reply: %s", err)
+
+
+def _undeclare_querier(querier: zenoh.Querier) -> None:
+    """Undeclare what another thread may be using in this moment, for which the wheel raises `RuntimeError`.
+
+    Leaving it to the last reference would hold Python's lock, which a thread of zenoh may wait for.
+    """
+    for _ in range(1000):
+        try:
+            querier.undeclare()  # type: ignore[no-untyped-call]
+        except RuntimeError:
+            time.sleep(0.002)
+        else:
+            return
+
+
+def _matching(status: object) -> bool:
+    # the wheel returns a MatchingStatus (always true) where its stubs say bool
+    return bool(getattr(status, "matching", status))
+
+
+class PendingRequest:
+    """One request that waits for its reply, which ends it.
+
+    Attributes:
+        caller: GID of who asks; empty where it does not say.
+    """
+
+    caller = b""
+
+    def __init__(self, query: zenoh.Query, answer: Callable[[Any, bytes | CallError], None]) -> None:
+        self.query, self._answer = query, answer
+        self.abandon: Abandon | None = None
+        self.left = False
+
+    def __call__(self, result: bytes | CallError) -> None:
+        """Reply, unless the request has ended."""
+        self._answer(self, result)
+
+
+class CallServer:
+    """Serves one key by a queryable. Safe to use from any thread.
+
+    Args:
+        limit: bytes of a request or a reply at most.
+        closed: called once with the server when it has closed.
+        complete: whether the queryable says that it has all there is.
+    """
+
+    encoding: zenoh.Encoding | None = None
+    _withdraw: Callable[[], None]
+
+    def __init__(
+        self,
+        session: zenoh.Session,
+        key: str,
+        name: str,
+        limit: int,
+        call: Call,
+        closed: Callable[[Any], None],
+        *,
+        complete: bool = False,
+    ) -> None:
+        self.name = name
+        self._key, self._limit, self._call, self._on_close = key, limit, call, closed
+        self._lock = Lock()
+        self._waiting: dict[PendingRequest, None] = {}
+        self._closed = False
+        self._declared: list[Any] = [answer(session, key, self._asked, complete=complete)]
+
+    def _takes(self, query: zenoh.Query) -> bool:  # noqa: ARG002
+        """Whether a query is a call at all; it ends without an answer where it is none."""
+        return True
+
+    def _pending(self, query: zenoh.Query) -> PendingRequest:
+        """The pending request of a query; raises `CallError` where it is malformed."""
+        return PendingRequest(query, self._answer)
+
+    def _request(self, payload: bytes) -> bytes:
+        """The request in the bytes of a query, of none where it has none; raises `CallError`."""
+        return payload
+
+    def _attached(self, asked: PendingRequest) -> bytes | None:  # noqa: ARG002
+        """The attachment of a reply."""
+        return None
+
+    def _remembered(self, asked: PendingRequest) -> None:
+        """A request waits now; called with the lock held."""
+
+    def _forgotten(self, asked: PendingRequest) -> None:
+        """A request waits no more."""
+
+    def close(self) -> None:
+        """Tell all who wait that the server left, and withdraw the server. Safe to call twice."""
+        with self._lock:
+            closed, self._closed = self._closed, True
+            waiting = list(self._waiting)
+        if not closed:
+            self._withdraw()
+            for asked in waiting:
+                self._leave(asked)
+                self._answer(asked, CallError(LEFT.format(name=self.name)))
+            undeclare(*self._declared)
+            self._on_close(self)
+
+    def _asked(self, query: zenoh.Query) -> None:
+        """Begin a call; runs on zenoh's receiving thread."""
+        keep_thread_state()
+        if not self._takes(query):
+            query.drop()  # type: ignore[no-untyped-call]
+            return
+        try:
+            request = self._read(query)
+            asked = self._pending(query)
+        except CallError as err:
+            reply_error(query, err)
+            return
+        with self._lock:
+            closed = self._closed
+            if not closed:
+                self._waiting[asked] = None
+                self._remembered(asked)
+        if closed:
+            reply_error(query, CallError(LEFT.format(name=self.name)))
+            return
+        abandon = self._call(request, asked)
+        with self._lock:
+            asked.abandon = abandon
+            left = asked.left
+        if left:
+            abandon()
+
+    def _read(self, query: zenoh.Query) -> bytes:
+        payload = query.payload
+        if payload is not None and len(payload) > self._limit:
+            raise CallError(f"the request has {len(payload)} bytes, limits.message allows {self._limit}")
+        return self._request(b"" if payload is None else payload.to_bytes())
+
+    def _forget(self, asked: PendingRequest) -> bool:
+        """Whether the request was still waiting."""
+        with self._lock:
+            waited = asked in self._waiting
+            self._waiting.pop(asked, None)
+        if waited:
+            self._forgotten(asked)
+        return waited
+
+    def _answer(self, asked: PendingRequest, result: bytes | CallError) -> None:
+        if not self._forget(asked):
+            return
+        if isinstance(result, bytes) and len(result) > self._limit:
+            result = CallError(f"the reply has {len(result)} bytes, limits.message allows {self._limit}")
+        if isinstance(result, CallError):
+            reply_error(asked.query, result)
+            return
+        try:
+            with asked.query as query:
+                query.reply(self._key, result, encoding=self.encoding, attachment=self._attached(asked))
+        except zenoh.ZError as err:
+            _log.debug("%s: nobody waits for the reply: %s", self.name, err)
+
+    def _abandoned(self, asked: PendingRequest) -> None:
+        """A caller left."""
+        if self._forget(asked):
+            asked.query.drop()  # type: ignore[no-untyped-call]
+            self._leave(asked)
+
+    def _leave(self, asked: PendingRequest) -> None:
+        with self._lock:
+            asked.left = True
+            abandon = asked.abandon
+        if abandon is not None:
+            abandon()

@@ -1,0 +1,242 @@
+"""Plain zenoh keys beneath one prefix: values with their time, queries and liveliness tokens.
+
+zenoh replaces the time of a sample that is more than half a second ahead of the receiver's clock (measured with zenoh
+1.10; its hybrid logical clock refuses to follow). Who must know the writer's time sends it in the attachment as well.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import logging
+import threading
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import zenoh
+
+from bridge.hub.errors import HubClosedError, HubError, zenoh_reason
+from bridge.hub.zenoh_compat import answer, follow_tokens, keep_thread_state, subscribe, undeclare
+
+_log = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True, slots=True)
+class KeyItem:
+    """A value under a key, or the news that it was deleted.
+
+    Attributes:
+        body: the value; None where it was deleted.
+        ns: when it was written, nanoseconds since 1970; 0 where that is not known.
+        writer: whose clock gave the time, up to 16 bytes in hexadecimal.
+    """
+
+    key: str
+    body: bytes | None
+    encoding: str = ""
+    ns: int = 0
+    writer: str = ""
+    attached: bytes = b""
+
+
+class KeyQuery:
+    """A query that waits for its answers. Its receiver ends it, on any thread.
+
+    Attributes:
+        key: what is asked for, beneath the prefix; it may have wildcards.
+    """
+
+    def __init__(self, query: zenoh.Query, prefix: str) -> None:
+        self._query, self._prefix = query, prefix
+        self.key = str(query.key_expr).removeprefix(f"{prefix}/")
+        self.body = b"" if query.payload is None else query.payload.to_bytes()
+
+    def asks_for(self, key: str) -> bool:
+        """Whether the question means a key beneath the prefix."""
+        return bool(self._query.key_expr.intersects(zenoh.KeyExpr(f"{self._prefix}/{key}")))
+
+    def reply(self, item: KeyItem) -> None:
+        """Answer with one value; there may be several."""
+        stamp = _timestamp(item)
+        key, attached = f"{self._prefix}/{item.key}", item.attached or None
+        with self._nobody_waits():
+            if item.body is None:
+                self._query.reply_del(key, timestamp=stamp, attachment=attached)
+            else:
+                self._query.reply(key, item.body, encoding=item.encoding or None, timestamp=stamp, attachment=attached)
+
+    def fail(self, why: str) -> None:
+        """Answer that it cannot be."""
+        with self._nobody_waits():
+            self._query.reply_err(why.encode())
+
+    def end(self) -> None:
+        """End the answers."""
+        with self._nobody_waits():
+            self._query.drop()  # type: ignore[no-untyped-call]
+
+    @contextlib.contextmanager
+    def _nobody_waits(self) -> Iterator[None]:
+        try:
+            yield
+        except zenoh.ZError as err:
+            _log.debug("nobody waits for %s any more: %s", self.key, err)
+
+
+class KeySpace:
+    """The keys beneath a prefix as one session sees and serves them. Safe to use from any thread.
+
+    Callbacks run on zenoh's receiving thread: they append and wake, nothing more. What this very session does is not
+    reported to it.
+
+    Args:
+        limit: bytes of a value at most; larger ones are left out.
+    """
+
+    def __init__(self, session: zenoh.Session, prefix: str, limit: int) -> None:
+        self._session, self._prefix, self._limit = session, prefix, limit
+        self._lock = threading.Lock()
+        self._ends: list[Any] = []
+        self._asking: set[zenoh.CancellationToken] = set()
+        self._closed = False
+
+    def send(self, item: KeyItem) -> None:
+        """Publish that a value was written or deleted; waits where a link is full."""
+        key, stamp, attached = f"{self._prefix}/{item.key}", _timestamp(item), item.attached or None
+        options: Any = {
+            "timestamp": stamp,
+            "attachment": attached,
+            "congestion_control": zenoh.CongestionControl.BLOCK,
+            "allowed_destination": zenoh.Locality.REMOTE,
+        }
+        try:
+            if item.body is None:
+                self._session.delete(key, **options)
+            else:
+                self._session.put(key, item.body, encoding=item.encoding or None, **options)
+        except zenoh.ZError as err:
+            raise HubError(f"cannot send {item.key}: {zenoh_reason(err)}") from None
+
+    def subscribe(self, keys: str, callback: Callable[[KeyItem], None]) -> None:
+        """Call back for each value that is written or deleted, until the space is closed."""
+
+        def take(sample: zenoh.Sample) -> None:
+            keep_thread_state()
+            item = self._item(sample)
+            if item is not None:
+                callback(item)
+
+        self._keep(subscribe(self._session, f"{self._prefix}/{keys}", take))
+
+    def serve(self, keys: str, asked: Callable[[KeyQuery], None], *, complete: bool = False) -> None:
+        """Answer queries of some keys, which may have wildcards, until the space is closed.
+
+        ``complete`` says that any one such server knows all values.
+        """
+
+        def take(query: zenoh.Query) -> None:
+            keep_thread_state()
+            if query.payload is not None and len(query.payload) > self._limit:
+                query.drop()  # type: ignore[no-untyped-call]
+            else:
+                asked(KeyQuery(query, self._prefix))
+
+        self._keep(answer(self._session, f"{self._prefix}/{keys}", take, complete=complete))
+
+    def ask(self, keys: str, body: bytes = b"", seconds: float = 5.0) -> list[KeyItem]:
+        """Ask all who serve some keys; returns when all have answered, or the time is over.
+
+        Raises:
+            HubError: one answered that it cannot be.
+            HubClosedError: the space was closed.
+        """
+        token = zenoh.CancellationToken()
+        with self._lock:
+            if self._closed:
+                raise HubClosedError("the hub session is closed")
+            self._asking.add(token)
+        try:
+            replies: Any = self._session.get(
+                f"{self._prefix}/{keys}",
+                target=zenoh.QueryTarget.ALL,
+                consolidation=zenoh.ConsolidationMode.NONE,
+                timeout=seconds,
+                payload=body,
+                allowed_destination=zenoh.Locality.REMOTE,
+                cancellation_token=token,
+            )
+            return list(self._items(replies))
+        except zenoh.ZError as err:
+            raise HubError(f"cannot ask for {keys}: {zenoh_reason(err)}") from None
+        finally:
+            with self._lock:
+                self._asking.discard(token)
+
+    def announce(self, key: str) -> None:
+        """Declare a liveliness token, until the space is closed."""
+        self._keep(self._session.liveliness().declare_token(f"{self._prefix}/{key}"))
+
+    def tokens(self, keys: str, seconds: float = 2.0) -> list[str]:
+        """The tokens that are there now, of keys that this session does not watch.
+
+        Those that it watches, zenoh lists from what it received, and at times misses the newest (zenoh 1.10).
+        """
+        found: Any = self._session.liveliness().get(f"{self._prefix}/{keys}", timeout=seconds)
+        return [self._below(str(reply.ok.key_expr)) for reply in found if reply.ok is not None]
+
+    def watch(self, keys: str, changed: Callable[[str, bool], None]) -> None:
+        """Call back for tokens that are there, that come (True) and go (False), until the space is closed."""
+
+        def take(sample: zenoh.Sample) -> None:
+            keep_thread_state()
+            changed(self._below(str(sample.key_expr)), sample.kind == zenoh.SampleKind.PUT)
+
+        self._keep(follow_tokens(self._session, f"{self._prefix}/{keys}", take))
+
+    def close(self) -> None:
+        """Withdraw everything, and end questions that wait. Safe to call twice."""
+        with self._lock:
+            self._closed = True
+            ends, self._ends = self._ends, []
+            asking = list(self._asking)
+        for token in asking:
+            token.cancel()  # type: ignore[no-untyped-call]
+        undeclare(*reversed(ends))
+
+    def _keep(self, end: Any) -> None:
+        with self._lock:
+            if not self._closed:
+                self._ends.append(end)
+                return
+        end.undeclare()
+
+    def _items(self, replies: Any) -> Iterator[KeyItem]:
+        for reply in replies:
+            if reply.ok is None:
+                raise HubError(reply.err.payload.to_bytes()[:1000].decode(errors="replace"))
+            item = self._item(reply.ok)
+            if item is not None:
+                yield item
+
+    def _item(self, sample: zenoh.Sample) -> KeyItem | None:
+        key = self._below(str(sample.key_expr))
+        if len(sample.payload) > self._limit:
+            _log.warning("%s of %d bytes is left out: more than %d", key[:100], len(sample.payload), self._limit)
+            return None
+        ns, writer = 0, ""
+        if sample.timestamp is not None:
+            ns = sample.timestamp.get_time_as_ntp64().as_nanos()
+            writer = bytes(sample.timestamp.get_id()).hex()
+        body = sample.payload.to_bytes() if sample.kind == zenoh.SampleKind.PUT else None
+        attached = b"" if sample.attachment is None else sample.attachment.to_bytes()
+        return KeyItem(key, body, str(sample.encoding), ns, writer, attached)
+
+    def _below(self, key: str) -> str:
+        return key.removeprefix(f"{self._prefix}/")
+
+
+def _timestamp(item: KeyItem) -> zenoh.Timestamp | None:
+    if not item.ns:
+        return None
+    seconds, nanoseconds = divmod(item.ns, 1_000_000_000)
+    return zenoh.Timestamp(zenoh.NTP64(seconds, nanoseconds), bytes.fromhex(item.writer))

@@ -1,0 +1,250 @@
+"""A publisher on the hub."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from enum import Enum
+from functools import partial
+from threading import Lock
+from typing import Any, ClassVar, Protocol
+
+import zenoh
+
+from bridge.concurrency import DelayedCalls, SerialExecutor
+from bridge.hub.endpoints.latched import LatchedPublisher
+from bridge.hub.errors import HubClosedError, HubError, zenoh_reason
+from bridge.hub.graph import HubGraph
+from bridge.hub.graph.tokens import gid_of
+from bridge.hub.wire.keys import pack_attachment
+from bridge.hub.wire.qos import History, Qos, Reliability
+from bridge.hub.zenoh_compat import undeclare
+from bridge.hub.zenoh_config import POOL
+from bridge.resources import LARGE_MESSAGES
+
+KEEP_ALL_CACHE = 1000
+"""Samples that a latched publisher keeps when its history is unlimited."""
+MAX_CACHE = 10_000
+
+LARGE = POOL
+"""Bytes from which a message does not fit the shared memory, and goes over the links in hundreds of packets."""
+
+_BEHIND = zenoh.Priority.DATA_LOW
+"""How a publisher's samples go once one was `LARGE`: in a queue of their own, behind all others.
+
+While one is put into a link's queue all else for that queue waits, up to 2 s. What comes after a large one goes the
+same way, so that nothing overtakes it.
+"""
+
+
+@dataclass(frozen=True, slots=True)
+class EndpointContext:
+    """What the endpoints of one session share.
+
+    Attributes:
+        limit: bytes of the largest message.
+        executor: what calls run on that may wait for zenoh.
+        asking: the same for what latched publishers keep.
+        heartbeats: publishes the numbers of latched publishers' last samples.
+        closed: called with each endpoint that has closed.
+    """
+
+    session: zenoh.Session
+    graph: HubGraph
+    limit: int
+    executor: SerialExecutor
+    asking: SerialExecutor
+    heartbeats: DelayedCalls
+    closed: Callable[[Any], None]
+
+
+class SamplePriority(Enum):
+    """zenoh's priority for each of Midspan's classes; command before state before stream."""
+
+    COMMAND = zenoh.Priority.INTERACTIVE_HIGH
+    STATE = zenoh.Priority.DATA_HIGH
+    STREAM = zenoh.Priority.DATA
+
+
+class _Sink(Protocol):
+    keeps: ClassVar[bool]
+    """Whether it keeps samples for those who subscribe later."""
+
+    def send(self, payload: bytes, attached: bytes) -> None: ...
+    def matched(self) -> bool: ...
+    def close(self) -> None: ...
+
+
+def _matching(publisher: zenoh.Publisher) -> bool:
+    # the wheel returns a MatchingStatus (always true) where its stubs say bool
+    status: Any = publisher.matching_status
+    return bool(status.matching)
+
+
+class _PlainSink:
+    """A volatile publisher: nothing is kept."""
+
+    keeps: ClassVar[bool] = False
+
+    def __init__(self, session: zenoh.Session, key: str, options: PublisherOptions) -> None:
+        self._publisher = session.declare_publisher(
+            key,
+            congestion_control=options.congestion,
+            priority=options.priority,
+            express=options.express,
+            allowed_destination=zenoh.Locality.REMOTE,
+        )
+        self._declare = partial(session.declare_publisher, key, allowed_destination=zenoh.Locality.REMOTE)
+        self._large: zenoh.Publisher | None = None
+        self._blocks = options.congestion is zenoh.CongestionControl.BLOCK
+        self._put = self._putter(self._publisher)
+
+    @staticmethod
+    def _putter(publisher: zenoh.Publisher) -> Callable[..., None]:
+        # of the source info only the session's id is read; the attachment numbers the samples
+        return partial(publisher.put, source_info=zenoh.SourceInfo(publisher.id, 0))
+
+    def send(self, payload: bytes, attached: bytes) -> None:
+        if len(payload) > LARGE and self._large is None and not self._blocks:
+            self._large = self._declare(congestion_control=zenoh.CongestionControl.DROP, priority=_BEHIND)
+            self._put = self._putter(self._large)
+        self._put(payload, attachment=attached)
+
+    def matched(self) -> bool:
+        return _matching(self._publisher)
+
+    def close(self) -> None:
+        for publisher in (self._publisher, self._large):
+            if publisher is not None:
+                undeclare(publisher)
+
+
+class _LatchedSink:
+    """A transient-local publisher: it keeps its last samples and gives them to late joiners."""
+
+    keeps: ClassVar[bool] = True
+
+    def __init__(
+        self, session: zenoh.Session, key: str, options: PublisherOptions, qos: Qos, heartbeats: DelayedCalls
+    ) -> None:
+        reliable = qos.reliability is Reliability.RELIABLE
+        self._publisher = LatchedPublisher(
+            session,
+            key,
+            cache_depth(qos),
+            heartbeats if reliable else None,
+            congestion=options.congestion,
+            priority=options.priority,
+            express=options.express,
+        )
+        # the wheel's AdvancedPublisher does not show whether it is matched
+        self._shadow = session.declare_publisher(key, allowed_destination=zenoh.Locality.REMOTE)
+
+    def send(self, payload: bytes, attached: bytes) -> None:
+        self._publisher.put(payload, attached)
+
+    def matched(self) -> bool:
+        return _matching(self._shadow)
+
+    def close(self) -> None:
+        undeclare(self._shadow)
+        self._publisher.close()
+
+
+class PublisherOptions:
+    """How zenoh carries a publisher's samples.
+
+    As in rmw_zenoh samples are dropped where a link is congested, and only RELIABLE with KEEP_ALL blocks: one slow peer
+    must not delay the others. What a latched publisher lost so, a latched subscription recovers from its cache.
+    """
+
+    def __init__(self, qos: Qos, priority: str, express: bool | None) -> None:
+        blocks = qos.reliability is Reliability.RELIABLE and qos.history is History.KEEP_ALL
+        self.congestion = zenoh.CongestionControl.BLOCK if blocks else zenoh.CongestionControl.DROP
+        self.priority: zenoh.Priority = SamplePriority[priority.upper()].value
+        self.express = self.priority == SamplePriority.COMMAND.value if express is None else express
+
+
+def cache_depth(qos: Qos) -> int:
+    """How many samples a latched publisher with this QoS keeps, and a latched subscription asks for."""
+    return KEEP_ALL_CACHE if qos.history is History.KEEP_ALL else min(max(qos.depth, 1), MAX_CACHE)
+
+
+class HubPublisher:
+    """Publishes one topic on the hub; made by `bridge.hub.session.Hub.publisher`. Safe to use from any thread.
+
+    Attributes:
+        gid: the 16 bytes that name the publisher in its samples.
+    """
+
+    def __init__(
+        self,
+        context: EndpointContext,
+        token: str,
+        key: str,
+        topic: str,
+        qos: Qos,
+        options: PublisherOptions,
+    ) -> None:
+        self.topic = topic
+        self.gid = gid_of(token)
+        self._limit, self._on_close = context.limit, context.closed
+        self._lock = Lock()
+        self._sequence = 0
+        self._sink: _Sink | None
+        if qos.latched:
+            self._sink = _LatchedSink(context.session, key, options, qos, context.heartbeats)
+        else:
+            self._sink = _PlainSink(context.session, key, options)
+        self._withdraw = context.graph.announce(token)
+
+    def put(self, payload: bytes, source_time_ns: int | None = None) -> None:
+        """Publish CDR bytes, encapsulation header first.
+
+        ``source_time_ns`` is the system time of its source, by default now. Raises `HubClosedError` where the publisher
+        or its session is closed, and `HubError` for a message that is larger than the hub takes.
+        """
+        if len(payload) > self._limit:
+            raise HubError(f"message of {len(payload)} bytes on {self.topic}: the hub takes up to {self._limit}")
+        LARGE_MESSAGES.passed(len(payload))
+        if source_time_ns is None:
+            source_time_ns = time.time_ns()
+        # the lock is held while sending, so that the numbers arrive in order
+        with self._lock:
+            if self._sink is None:
+                raise HubClosedError(f"publisher of {self.topic} is closed")
+            self._sequence += 1
+            attached = pack_attachment(self._sequence, source_time_ns, self.gid)
+            try:
+                self._sink.send(payload, attached)
+            except zenoh.ZError as err:
+                raise HubClosedError(f"cannot publish on {self.topic}: {zenoh_reason(err)}") from None
+
+    def pass_over(self) -> bool:
+        """Number a message that needs not even be encoded; False where it is to be `put`, since somebody may get it.
+
+        Nobody gets one of a volatile publisher to which no other session subscribes; whoever comes later finds the same
+        numbers as if it had been put. Raises `HubClosedError` where the publisher is closed.
+        """
+        with self._lock:
+            if self._sink is None:
+                raise HubClosedError(f"publisher of {self.topic} is closed")
+            if self._sink.keeps or self._sink.matched():
+                return False
+            self._sequence += 1
+            return True
+
+    def matched(self) -> bool:
+        """Whether anybody subscribes on another session."""
+        with self._lock:
+            return self._sink is not None and self._sink.matched()
+
+    def close(self) -> None:
+        """Leave the graph; a latched publisher's samples are no longer served. Safe to call twice."""
+        with self._lock:
+            sink, self._sink = self._sink, None
+        if sink is not None:
+            self._withdraw()
+            sink.close()
+            self._on_close(self)

@@ -1,0 +1,5 @@
+"""The participants of the hub: nodes, endpoints and origins, from the liveliness tokens of all sessions."""
+
+from bridge.hub.graph.view import HubEndpoint, HubGraph, HubNode
+
+__all__ = ["HubEndpoint", "HubGraph", "HubNode"]

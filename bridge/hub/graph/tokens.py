@@ -1,0 +1,208 @@
+"""Liveliness tokens: how each participant of the hub announces itself.
+
+A node's token is ``@ros2_lv/<domain>/<zid>/<node id>/<id>/NN/<enclave>/<namespace>/<node>``, an endpoint's has ``MP``,
+``MS``, ``SS`` or ``SC`` for ``NN`` and then ``/<name>/<type>/<hash>/<qos>`` (rmw_zenoh_cpp, liveliness_utils.cpp). A
+GID is the 128-bit XXH3 of the whole key, low half first.
+
+Midspan's workers announce beside it which foreign network they speak for, their origin:
+``@midspan/<domain>/origin/<zid>/<side>/<network>/<daemon>``, one per session, declared before any endpoint. An endpoint
+declared while its session has an origin carries the enclave ``/midspan``, so that whoever sees the endpoint first knows
+that an origin is to come. A worker that carries messages announces too which other workers it sees on its network:
+``@midspan/<domain>/member/<zid>/<zid of the other>``, one for each and one for itself, so that two networks of two
+hubs are known to be one.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import StrEnum
+from urllib.parse import quote, unquote
+
+import xxhash
+
+from bridge.hub.errors import HubWireError
+from bridge.hub.wire.keys import ANY_HASH, check_hash, check_topic, dds_type_name, demangle, mangle, ros_type_name
+from bridge.hub.wire.qos import Qos, decode_qos, encode_qos
+
+
+@dataclass(frozen=True, slots=True)
+class Origin:
+    """The foreign network that a worker's hub session speaks for.
+
+    A hub session without an origin token is a native participant of the hub (an rmw_zenoh node, a zenoh program).
+
+    Attributes:
+        side: ``ros1``, ``ros2``, ``yarp``, or of the zenoh adapter's dialects ``zenoh_ros2dds``, ``zenoh_ros1``,
+            ``zenoh_json``.
+        network: identity of the network: the master's run id on ROS 1, the participant's marked GUID prefix (24 hex
+            digits) on ROS 2, the dialect session's id on zenoh. The adapter of that side says whether it is its own
+            network.
+        daemon: identity of the daemon (its machine and name), for people.
+    """
+
+    side: str
+    network: str
+    daemon: str
+
+
+ADMIN_SPACE = "@ros2_lv"
+MIDSPAN_SPACE = "@midspan"
+BRIDGE_ENCLAVE = "/midspan"
+UNKNOWN_HASH = "RIHS01_" + "0" * 64
+"""Stands in the token of a subscription that takes any hash."""
+
+_NODE = "NN"
+_NODE_PARTS = 9
+_ENDPOINT_PARTS = 13
+_MAX_TOKEN = 4096
+
+
+class EndpointKind(StrEnum):
+    """What an endpoint is."""
+
+    PUBLISHER = "publisher"
+    SUBSCRIPTION = "subscription"
+    SERVER = "server"
+    CLIENT = "client"
+
+
+_LETTERS = {
+    EndpointKind.PUBLISHER: "MP",
+    EndpointKind.SUBSCRIPTION: "MS",
+    EndpointKind.SERVER: "SS",
+    EndpointKind.CLIENT: "SC",
+}
+_KINDS = {letters: kind for kind, letters in _LETTERS.items()}
+
+
+@dataclass(frozen=True, slots=True)
+class NodeToken:
+    """A node of a session."""
+
+    domain: int
+    zid: str
+    node_id: str
+    namespace: str
+    node: str
+    enclave: str = "/"
+
+
+@dataclass(frozen=True, slots=True)
+class EndpointToken:
+    """An endpoint of a node; ``id`` is unique within its session."""
+
+    owner: NodeToken
+    id: str
+    kind: EndpointKind
+    topic: str
+    type_name: str
+    type_hash: str
+    qos: Qos
+
+
+@dataclass(frozen=True, slots=True)
+class OriginToken:
+    """The origin of a session."""
+
+    domain: int
+    zid: str
+    origin: Origin
+
+
+def node_key(token: NodeToken) -> str:
+    """The key of a node's token."""
+    return _head(token, token.node_id, _NODE)
+
+
+def endpoint_key(token: EndpointToken) -> str:
+    """The key of an endpoint's token."""
+    any_hash = token.type_hash == ANY_HASH and token.kind is EndpointKind.SUBSCRIPTION
+    type_hash = UNKNOWN_HASH if any_hash else check_hash(token.type_hash)
+    return (
+        f"{_head(token.owner, token.id, _LETTERS[token.kind])}/{mangle(check_topic(token.topic))}"
+        f"/{dds_type_name(token.type_name)}/{type_hash}/{encode_qos(token.qos)}"
+    )
+
+
+def origin_key(token: OriginToken) -> str:
+    """The key of an origin's token; its texts are percent-encoded."""
+    words = "/".join(_quote(word) for word in (token.origin.side, token.origin.network, token.origin.daemon))
+    return f"{MIDSPAN_SPACE}/{token.domain}/origin/{token.zid}/{words}"
+
+
+def parse_token(key: str) -> NodeToken | EndpointToken:
+    """Read a token of the ROS 2 graph; raises `HubWireError`."""
+    parts = _split(key, ADMIN_SPACE)
+    if len(parts) not in (_NODE_PARTS, _ENDPOINT_PARTS):
+        raise HubWireError(f"token has {len(parts)} parts instead of {_NODE_PARTS} or {_ENDPOINT_PARTS}")
+    letters = parts[5]
+    namespace, node = demangle(parts[7]), demangle(parts[8])
+    owner = NodeToken(_domain(parts[1]), parts[2], parts[3], _absolute(namespace), node, _absolute(demangle(parts[6])))
+    if letters == _NODE:
+        return owner
+    kind = _KINDS.get(letters)
+    if kind is None or len(parts) != _ENDPOINT_PARTS:
+        raise HubWireError(f"token of the unknown kind {letters[:20]!r}")
+    topic = _absolute(demangle(parts[9]))
+    return EndpointToken(owner, parts[4], kind, topic, ros_type_name(parts[10]), parts[11], decode_qos(parts[12]))
+
+
+def parse_origin(key: str) -> OriginToken:
+    """Read an origin's token; raises `HubWireError`."""
+    parts = _split(key, MIDSPAN_SPACE)
+    if len(parts) != 7 or parts[2] != "origin":
+        raise HubWireError("token is not an origin's")
+    side, network, daemon = (_unquote(part) for part in parts[4:])
+    return OriginToken(_domain(parts[1]), parts[3], Origin(side, network, daemon))
+
+
+def member_key(domain: int, zid: str, member: str) -> str:
+    """The key of the token by which a session announces that another one's worker is on its network."""
+    return f"{MIDSPAN_SPACE}/{domain}/member/{zid}/{_quote(member)}"
+
+
+def parse_member(key: str) -> tuple[str, str]:
+    """Read a member's token: the session that announces, and the one that it announces; raises `HubWireError`."""
+    parts = _split(key, MIDSPAN_SPACE)
+    if len(parts) != 5 or parts[2] != "member":
+        raise HubWireError("token is not a member's")
+    return parts[3], _unquote(parts[4])
+
+
+def gid_of(key: str) -> bytes:
+    """The 16 bytes that name the endpoint whose token has this key."""
+    value = xxhash.xxh3_128_intdigest(key.encode())
+    return (value & (2**64 - 1)).to_bytes(8, "little") + (value >> 64).to_bytes(8, "little")
+
+
+def _head(owner: NodeToken, entity: str, letters: str) -> str:
+    return (
+        f"{ADMIN_SPACE}/{owner.domain}/{owner.zid}/{owner.node_id}/{entity}/{letters}"
+        f"/{mangle(owner.enclave)}/{mangle(owner.namespace)}/{mangle(owner.node)}"
+    )
+
+
+def _split(key: str, space: str) -> list[str]:
+    parts = key.split("/", 16)
+    if len(key) > _MAX_TOKEN or parts[0] != space or not all(parts) or "*" in key:
+        raise HubWireError("token is too long, has empty parts or wildcards, or is in another space")
+    return parts
+
+
+def _domain(part: str) -> int:
+    if not (part.isascii() and part.isdigit() and len(part) < 6):
+        raise HubWireError(f"domain {part[:20]!r} is not a number")
+    return int(part)
+
+
+def _absolute(name: str) -> str:
+    """A token of other makers may lack the leading slash, or have one at the end."""
+    return "/" + name.strip("/")
+
+
+def _quote(word: str) -> str:
+    return quote(word, safe="") or "%"
+
+
+def _unquote(part: str) -> str:
+    return "" if part == "%" else unquote(part)

@@ -1,0 +1,335 @@
+"""The hub's graph as this session sees it: nodes, endpoints and origins, from the liveliness tokens of all sessions."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from threading import Lock
+
+import zenoh
+
+from bridge.hub.errors import HubWireError
+from bridge.hub.graph.tokens import (
+    ADMIN_SPACE,
+    BRIDGE_ENCLAVE,
+    MIDSPAN_SPACE,
+    EndpointKind,
+    EndpointToken,
+    NodeToken,
+    Origin,
+    gid_of,
+    member_key,
+    parse_member,
+    parse_origin,
+    parse_token,
+)
+from bridge.hub.wire.qos import Qos
+from bridge.hub.zenoh_compat import follow_tokens, undeclare
+
+_log = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True, slots=True)
+class HubNode:
+    """A node on the hub."""
+
+    zid: str
+    node: str
+    namespace: str
+    origin: Origin | None
+    own: bool
+
+
+@dataclass(frozen=True, slots=True)
+class HubEndpoint:
+    """An endpoint on the hub.
+
+    Attributes:
+        type_name: as ROS 2 spells it, ``std_msgs/msg/String``.
+        gid: the 16 bytes that rmw_zenoh derives from the token; a publisher's samples carry them.
+        origin: the foreign network that the session speaks for, None where it is native or not known yet.
+        pending: a bridge made it, and its origin is not known (yet): nothing of it may cross.
+    """
+
+    zid: str
+    node: str
+    namespace: str
+    kind: EndpointKind
+    topic: str
+    type_name: str
+    type_hash: str
+    qos: Qos
+    gid: bytes
+    origin: Origin | None
+    pending: bool
+    own: bool
+
+
+class HubGraph:
+    """Nodes, endpoints and origins. Safe to use from any thread.
+
+    Attributes:
+        refused: how many tokens were left out because they are malformed or too many.
+        trouble: what was wrong with the last of them.
+    """
+
+    def __init__(self, session: zenoh.Session, domain: int, max_tokens: int) -> None:
+        self._zid = str(session.zid())
+        self._domain = domain
+        self._max_tokens = max_tokens
+        self._member_space = f"{MIDSPAN_SPACE}/{domain}/member/"
+        self._lock = Lock()
+        self._nodes: dict[str, NodeToken] = {}
+        self._endpoints: dict[str, HubEndpoint] = {}
+        self._marked: set[str] = set()
+        self._topics: dict[str, dict[str, HubEndpoint]] = {}
+        self._sessions: dict[str, dict[str, None]] = {}
+        self._origin_tokens: dict[str, dict[str, Origin]] = {}
+        self._origins: dict[str, Origin] = {}
+        self._members: dict[str, dict[str, None]] = {}
+        self._zids: dict[bytes, str] = {}
+        self._own: dict[str, zenoh.LivelinessToken] = {}
+        self._watches: dict[object, Callable[[], None]] = {}
+        self.refused = 0
+        self.trouble = ""
+        self._liveliness = session.liveliness()
+        origins, members = f"{MIDSPAN_SPACE}/{domain}/origin/**", f"{MIDSPAN_SPACE}/{domain}/member/**"
+        spaces = (origins, members, f"{ADMIN_SPACE}/{domain}/**")
+        self._subscribers = [follow_tokens(session, space, self._on_sample) for space in spaces]
+
+    def endpoints(self) -> list[HubEndpoint]:
+        """All endpoints, this session's own among them."""
+        with self._lock:
+            return list(self._endpoints.values())
+
+    def endpoint(self, gid: bytes) -> HubEndpoint | None:
+        """The endpoint with this GID, None where it is not known; not for each sample."""
+        return next((endpoint for endpoint in self.endpoints() if endpoint.gid == gid), None)
+
+    def publishers(self, topic: str | None = None) -> list[HubEndpoint]:
+        """All publishers, or those of one topic."""
+        return self._of_kind(EndpointKind.PUBLISHER, topic)
+
+    def subscriptions(self, topic: str | None = None) -> list[HubEndpoint]:
+        """All subscriptions, or those of one topic."""
+        return self._of_kind(EndpointKind.SUBSCRIPTION, topic)
+
+    def servers(self, name: str | None = None) -> list[HubEndpoint]:
+        """All servers, or those of one service."""
+        return self._of_kind(EndpointKind.SERVER, name)
+
+    def clients(self, name: str | None = None) -> list[HubEndpoint]:
+        """All clients, or those of one service."""
+        return self._of_kind(EndpointKind.CLIENT, name)
+
+    def nodes(self) -> list[HubNode]:
+        """All nodes, this session's own among them."""
+        with self._lock:
+            return [
+                HubNode(token.zid, token.node, token.namespace, self._origins.get(token.zid), token.zid == self._zid)
+                for token in self._nodes.values()
+            ]
+
+    def origins(self) -> dict[str, Origin]:
+        """The origin of each session that announces one, by zid."""
+        with self._lock:
+            return dict(self._origins)
+
+    def members(self) -> dict[str, frozenset[str]]:
+        """The members of the foreign network of each session that carries messages, as it announces them; by zid."""
+        with self._lock:
+            return {zid: frozenset(members) for zid, members in self._members.items()}
+
+    def announce_member(self, member: str) -> Callable[[], None]:
+        """Tell that another session's worker is on our foreign network, until the returned function is called."""
+        return self.announce(member_key(self._domain, self._zid, member))
+
+    def origin_of(self, zid: str) -> Origin | None:
+        """A session's origin. Quick enough to be asked for each sample."""
+        return self._origins.get(zid)
+
+    def zid_of(self, gid: bytes) -> str:
+        """The session of the endpoint with this GID, "" where it is not known."""
+        return self._zids.get(gid, "")
+
+    def watch(self, callback: Callable[[], None]) -> Callable[[], None]:
+        """Call ``callback`` after each change, until the returned function is called.
+
+        It runs on a thread of zenoh: it only sets a flag and wakes a thread.
+        """
+        watch = object()
+        self._watches[watch] = callback
+
+        def close() -> None:
+            self._watches.pop(watch, None)
+
+        return close
+
+    def catch_up(self, seconds: float) -> None:
+        """Wait, in a zenoh client, until the router has sent all that it knew when this was called.
+
+        It answers in order; what it is asked for is nothing that there is, nor that this session watches, as zenoh
+        would answer that by itself.
+        """
+        for _ in self._liveliness.get(f"{MIDSPAN_SPACE}/{self._domain}/told/{self._zid}", timeout=seconds):
+            pass
+
+    def close(self) -> None:
+        """Stop watching tokens. Safe to call twice."""
+        self._watches.clear()
+        undeclare(*self._subscribers)
+        self._subscribers.clear()
+
+    def _of_kind(self, kind: EndpointKind, topic: str | None) -> list[HubEndpoint]:
+        with self._lock:
+            known = self._endpoints if topic is None else self._topics.get(topic, {})
+            return [endpoint for endpoint in known.values() if endpoint.kind is kind]
+
+    def announce(self, key: str) -> Callable[[], None]:
+        """Declare a token of this session's own, until the returned function is called."""
+        self._own[key] = self._liveliness.declare_token(key)
+        # own tokens are not taken from zenoh, which forgets a client's when it loses its router
+        with self._lock:
+            changed = self._put_token(key)
+        self._tell(changed)
+
+        def withdraw() -> None:
+            with self._lock:
+                changed = self._delete_token(key)
+                token = self._own.pop(key, None)
+            if token is not None:
+                undeclare(token)
+            self._tell(changed)
+
+        return withdraw
+
+    def _on_sample(self, sample: zenoh.Sample) -> None:
+        key = str(sample.key_expr)
+        if f"/{self._zid}/" in key:
+            return
+        with self._lock:
+            changed = self._delete_token(key) if sample.kind == zenoh.SampleKind.DELETE else self._put_token(key)
+        self._tell(changed)
+
+    def _put_token(self, key: str) -> bool:
+        try:
+            if not key.startswith(MIDSPAN_SPACE):
+                return self._learn(key, parse_token(key))
+            if key.startswith(self._member_space):
+                return self._put_member(key, *parse_member(key))
+            token = parse_origin(key)
+        except HubWireError as err:
+            self._refuse(key, str(err))
+            return False
+        if token.zid not in self._origin_tokens and len(self._origin_tokens) >= self._max_tokens:
+            self._refuse(key, f"more than {self._max_tokens} origins")
+            return False
+        tokens = self._origin_tokens.setdefault(token.zid, {})
+        # the newest of a session's origins holds; the one that it replaces goes right after
+        tokens.pop(key, None)
+        tokens[key] = token.origin
+        self._settle(token.zid, token.origin)
+        return True
+
+    def _delete_token(self, key: str) -> bool:
+        if not key.startswith(MIDSPAN_SPACE):
+            return self._forget(key)
+        try:
+            if key.startswith(self._member_space):
+                return self._delete_member(*parse_member(key))
+            zid = parse_origin(key).zid
+        except HubWireError:
+            return False
+        tokens = self._origin_tokens.get(zid, {})
+        if tokens.pop(key, None) is None:
+            return False
+        if tokens:
+            self._settle(zid, next(reversed(tokens.values())))
+        else:
+            del self._origin_tokens[zid]
+            self._settle(zid, None)
+        return True
+
+    def _put_member(self, key: str, zid: str, member: str) -> bool:
+        if sum(map(len, self._members.values())) >= self._max_tokens:
+            self._refuse(key, f"more than {self._max_tokens} members of networks")
+            return False
+        self._members.setdefault(zid, {})[member] = None
+        return True
+
+    def _delete_member(self, zid: str, member: str) -> bool:
+        members = self._members.get(zid, {})
+        if member not in members:
+            return False
+        del members[member]
+        if not members:
+            del self._members[zid]
+        return True
+
+    def _settle(self, zid: str, origin: Origin | None) -> None:
+        if origin is None:
+            self._origins.pop(zid, None)
+        else:
+            self._origins[zid] = origin
+        for key in self._sessions.get(zid, ()):
+            endpoint = self._endpoints.get(key)
+            if endpoint is not None:
+                self._place(key, endpoint)
+
+    def _learn(self, key: str, token: NodeToken | EndpointToken) -> bool:
+        owner = token if isinstance(token, NodeToken) else token.owner
+        if owner.domain != self._domain or key in self._nodes or key in self._endpoints:
+            return False
+        if len(self._nodes) + len(self._endpoints) >= self._max_tokens:
+            self._refuse(key, f"more than {self._max_tokens} tokens")
+            return False
+        self._sessions.setdefault(owner.zid, {})[key] = None
+        if isinstance(token, NodeToken):
+            self._nodes[key] = token
+            return True
+        if owner.enclave == BRIDGE_ENCLAVE:
+            self._marked.add(key)
+        gid = gid_of(key)
+        self._zids[gid] = owner.zid
+        name = token.topic, token.type_name, token.type_hash
+        place = owner.zid, owner.node, owner.namespace, token.kind
+        own = owner.zid == self._zid
+        endpoint = HubEndpoint(*place, *name, token.qos, gid, origin=None, pending=False, own=own)
+        self._place(key, endpoint)
+        return True
+
+    def _place(self, key: str, endpoint: HubEndpoint) -> None:
+        origin = self._origins.get(endpoint.zid)
+        endpoint = replace(endpoint, origin=origin, pending=origin is None and key in self._marked)
+        self._endpoints[key] = endpoint
+        self._topics.setdefault(endpoint.topic, {})[key] = endpoint
+
+    def _forget(self, key: str) -> bool:
+        endpoint = self._endpoints.pop(key, None)
+        known = endpoint or self._nodes.pop(key, None)
+        if known is None:
+            return False
+        if endpoint is not None:
+            self._marked.discard(key)
+            self._zids.pop(endpoint.gid, None)
+            topic = self._topics[endpoint.topic]
+            del topic[key]
+            if not topic:
+                del self._topics[endpoint.topic]
+        keys = self._sessions[known.zid]
+        del keys[key]
+        if not keys:
+            del self._sessions[known.zid]
+        return True
+
+    def _refuse(self, key: str, why: str) -> None:
+        level = logging.DEBUG if self.refused else logging.WARNING
+        self.refused += 1
+        self.trouble = f"{why}: {key:.100}"
+        _log.log(level, "liveliness token left out, %s: %.200s", why, key)
+
+    def _tell(self, changed: bool) -> None:
+        if changed:
+            for callback in tuple(self._watches.values()):
+                callback()

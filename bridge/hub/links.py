@@ -1,0 +1,218 @@
+"""The links of zenoh sessions: lost ones between programs of this machine are mended, dead ones to others given up.
+
+Peers learn of each other when one of them joins the router (zenoh calls it gossip) and link directly then. A link that
+is given up later is not tried again, and zenoh's routers pass nothing on between two peers (zenoh 1.10:
+``closed_session`` of ``orchestrator.rs`` connects anew to configured endpoints only, ``peers_failover_brokering`` has
+no effect any more). A process that stands still for about the lease of 3 s loses some of its links and keeps others: if
+the router's is among those that it keeps, it and a lost peer receive nothing from each other until one of them is
+restarted. Seen with a worker that was stopped for 3 s again and again: the fourth time. A session that joins has the
+router and all peers speak of each other again. So a session that lost a peer which is still at the router opens one for
+a moment (`Mesh`).
+
+zenoh (1.10) ends a link that was silent for its lease. Over TLS it then waits for a packet that is being written, and
+while data goes out that is one which the cut link does not take: until TCP gives up, up to a quarter of an hour, all
+that is behind the link counts as there. A time limit has TCP give up in time (RFC 5482; Linux alone has it as
+``TCP_USER_TIMEOUT``), see `LinkLimits`.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import ipaddress
+import json
+import logging
+import os
+import secrets
+import socket
+import threading
+import time
+from collections.abc import Callable, Collection
+from threading import Event, Thread
+from typing import Any
+
+import psutil
+import zenoh
+
+from bridge.hub.errors import HubError, zenoh_reason
+from bridge.hub.zenoh_config import LEASE_MS
+
+_log = logging.getLogger(__name__)
+
+MEMBERS = "members"
+"""The verb that a router of ours answers with the sessions that are there."""
+
+_MARK = "d0c0ffee"
+"""Begins the zenoh ids of the sessions that introduce others: nobody misses these."""
+
+_FIRST_SECONDS = 1.5
+"""Longer than the others and the router take to notice a loss, too: else who stands still would be spoken of, and their
+vain attempts to reach him be under way when he is back."""
+
+_SOON_SECONDS = 0.2
+_TOGETHER_SECONDS = 1.0
+"""Who lost the router within this time of them is he who stood still, and is back: he need not wait."""
+
+_LONGEST_SECONDS = 4.0
+_INTRODUCTION_SECONDS = 2.0
+_REMEMBERED_SECONDS = 60.0
+"""So long one who is not at the router is remembered: he may come back and not be found."""
+
+_LOOK_SECONDS = 0.4
+_MOST_EVENTS = 1000
+"""Links' beginnings and ends that wait to be looked at."""
+
+Members = Callable[[], set[str] | None]
+
+
+class Mesh:
+    """Watches the direct links of a session.
+
+    Args:
+        config: makes a configuration by which another session joins the same hub.
+        members: zenoh ids of all that are linked with our routers; None where they do not answer.
+
+    Attributes:
+        mended: links that were lost and are there again.
+    """
+
+    def __init__(self, session: zenoh.Session, config: Callable[[], zenoh.Config], members: Members) -> None:
+        self._session, self._config, self._members = session, config, members
+        self._lost: dict[str, float] = {}
+        self._adrift = float("-inf")
+        self._closed = Event()
+        self.mended = 0
+        # Not a callback: zenoh's thread, which waits for Python's lock there, has links to make and to end
+        channel: Any = zenoh.handlers.RingChannel(_MOST_EVENTS)
+        self._listener: Any = session.info.declare_transport_events_listener(channel)
+        self._events: Any = self._listener.handler
+        self._thread = Thread(target=self._run, name="hub-mesh", daemon=True)
+        self._thread.start()
+
+    def close(self) -> None:
+        """Stop watching. Safe to call twice."""
+        self._closed.set()
+        with contextlib.suppress(zenoh.ZError):  # the session is closed already
+            self._listener.undeclare()
+        self._thread.join(2 * _INTRODUCTION_SECONDS)
+
+    @property
+    def lost(self) -> frozenset[str]:
+        """Zenoh ids of those whose links were lost, and who are looked for."""
+        return frozenset(self._lost)
+
+    def _run(self) -> None:
+        while not self._closed.wait(_LOOK_SECONDS):  # zenoh's own way to wait for an event looks ten times a second
+            try:
+                self._take_all()
+            except zenoh.ZError:  # the session is closed
+                return
+            self._search()
+
+    def _take_all(self) -> None:
+        while (event := self._events.try_recv()) is not None:
+            self._take(event)
+
+    def _search(self) -> None:
+        """Mend until nobody is lost any more."""
+        pause = _SOON_SECONDS
+        while self._lost and not self._closed.wait(pause):
+            try:
+                self._take_all()
+                self._mend()
+            except (zenoh.ZError, HubError) as err:  # the session is being closed, or another cannot be opened
+                _log.debug("lost links are not mended: %s", zenoh_reason(err))
+            oldest = time.monotonic() - _REMEMBERED_SECONDS
+            self._lost = {zid: at for zid, at in self._lost.items() if at > oldest}
+            pause = min(2 * pause, _LONGEST_SECONDS)
+
+    def _take(self, event: zenoh.TransportEvent) -> None:
+        """Note who is lost."""
+        if event.kind != zenoh.SampleKind.DELETE:
+            return
+        zid, now = str(event.transport.zid), time.monotonic()
+        if event.transport.whatami == zenoh.WhatAmI.ROUTER:
+            self._adrift = now
+        elif event.transport.whatami == zenoh.WhatAmI.PEER and not zid.startswith(_MARK):
+            self._lost[zid] = now
+
+    def _mend(self) -> None:
+        """Introduce those that are missing; at a router that does not answer nobody is missed."""
+        if not self._session.info.routers_zid():  # its return has all speak of each other
+            return
+        members = self._members()
+        if members is None:
+            self._lost.clear()
+            return
+        for zid in self._here() & self._lost.keys():
+            del self._lost[zid]
+        before = time.monotonic() - _FIRST_SECONDS
+        due = {zid for zid, at in self._lost.items() if at < before or abs(at - self._adrift) < _TOGETHER_SECONDS}
+        missing = due & members
+        if missing:
+            self._introduce(missing)
+
+    def _here(self) -> set[str]:
+        return {str(zid) for zid in self._session.info.peers_zid()}
+
+    def _introduce(self, missing: Collection[str]) -> None:
+        """Have a session join that speaks of them, until they are here."""
+        config = self._config()
+        config.insert_json5("id", json.dumps(_MARK + secrets.token_hex(12)))
+        session = zenoh.open(config)
+        try:
+            deadline = time.monotonic() + _INTRODUCTION_SECONDS
+            while time.monotonic() < deadline and not self._closed.wait(0.02):
+                if self._here().issuperset(missing):
+                    self.mended += len(missing)
+                    _log.warning("the direct link to %s had been lost, and is there again", ", ".join(missing))
+                    break
+        finally:
+            session.close()  # type: ignore[no-untyped-call]
+
+
+_EVERY = 1.0
+_OPTION: int | None = getattr(socket, "TCP_USER_TIMEOUT", None)
+
+
+def _far(address: str) -> bool:
+    return not ipaddress.ip_address(address.partition("%")[0]).is_loopback
+
+
+def limit_links(process: psutil.Process, far: Callable[[str], bool] = _far) -> None:
+    """Give this process's connections to other machines the limit; those that have it already, once more."""
+    if _OPTION is None:
+        return
+    with contextlib.suppress(psutil.Error, OSError):
+        for connection in process.net_connections("tcp"):
+            if connection.raddr and connection.fd >= 0 and far(connection.raddr.ip):
+                _limit(connection.fd, _OPTION)
+
+
+def _limit(descriptor: int, option: int) -> None:
+    copy = os.dup(descriptor)  # zenoh may close its own in this moment, and another file have its number
+    try:
+        link = socket.socket(fileno=copy)
+    except OSError:
+        os.close(copy)
+        return
+    with link, contextlib.suppress(OSError):
+        link.setsockopt(socket.IPPROTO_TCP, option, LEASE_MS)
+
+
+class LinkLimits:
+    """Gives connections the limit as they are made. On a thread of its own."""
+
+    def __init__(self) -> None:
+        self._end = threading.Event()
+        self._thread = threading.Thread(target=self._run, name="hub-link-limits", daemon=True)
+        self._thread.start()
+
+    def close(self) -> None:
+        """End the thread."""
+        self._end.set()
+        self._thread.join(2.0)
+
+    def _run(self) -> None:
+        process = psutil.Process()
+        while not self._end.wait(_EVERY):
+            limit_links(process)

@@ -1,0 +1,251 @@
+"""Certificates by which machines know each other: an authority of the fleet's own, and one certificate per machine.
+
+The authority is ``ca.pem`` and ``ca.key`` in a folder, a machine's are ``<name>.pem`` and ``<name>.key``. The machine's
+name is its certificate's common name, by which the hub's door trusts it. The names and addresses that others connect to
+it by stand beside it (subjectAltName); TLS compares those alone.
+"""
+
+from __future__ import annotations
+
+import ipaddress
+import os
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+
+from cryptography import x509
+from cryptography.exceptions import InvalidSignature
+from cryptography.hazmat.primitives import hashes, serialization
+from cryptography.hazmat.primitives.asymmetric import ec
+from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
+
+AUTHORITY = "ca"
+AUTHORITY_DAYS = 3650
+MACHINE_DAYS = 730
+
+_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,62}")
+_HOST = re.compile(
+    r"(?=.{1,253}$)[A-Za-z0-9_](?:[A-Za-z0-9_-]*[A-Za-z0-9_])?(?:\.[A-Za-z0-9_](?:[A-Za-z0-9_-]*[A-Za-z0-9_])?)*"
+)
+_EARLIER = timedelta(days=1)
+"""Certificates are valid from the day before, for machines whose clocks are behind."""
+
+
+class CertificateError(Exception):
+    """A certificate cannot be made or read; the text says why."""
+
+
+@dataclass(frozen=True, slots=True)
+class Certificate:
+    """The content of a certificate.
+
+    Attributes:
+        names: names and addresses that others connect to it by.
+        authority: whether it signs others.
+    """
+
+    file: Path
+    name: str
+    issuer: str
+    names: tuple[str, ...]
+    until: datetime
+    authority: bool
+
+    def days_left(self) -> int:
+        """Days until it expires; negative where it has."""
+        return (self.until - datetime.now(UTC)).days
+
+
+class Authority:
+    """The authority in a folder.
+
+    Attributes:
+        folder: where its files and those that it makes are.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+
+    def exists(self) -> bool:
+        """Whether it was made."""
+        return (self.folder / f"{AUTHORITY}.pem").exists() or (self.folder / f"{AUTHORITY}.key").exists()
+
+    def make(self, days: int = AUTHORITY_DAYS) -> Certificate:
+        """Make the authority; raises `CertificateError` where there is one: a second one would sign for nobody."""
+        if self.exists():
+            raise CertificateError(
+                f"there is an authority in {self.folder} already; every machine's certificate depends on it"
+            )
+        key = ec.generate_private_key(ec.SECP256R1())
+        name = _x509_name("midspan authority")
+        certificate = (
+            _builder(name, name, key.public_key(), days)
+            .add_extension(x509.BasicConstraints(ca=True, path_length=0), critical=True)
+            .add_extension(_usage(signs=True), critical=True)
+            .sign(key, hashes.SHA256())
+        )
+        return self._write(AUTHORITY, certificate, key)
+
+    def issue(
+        self, name: str, names: Sequence[str] = (), days: int = MACHINE_DAYS, *, replace: bool = False
+    ) -> Certificate:
+        """Make a machine's key and certificate.
+
+        Args:
+            name: the machine's; it stands for itself and ``<name>.local`` besides.
+            names: further host names and IP addresses that others connect to it by.
+            days: how long it is valid, at most as long as the authority's own.
+            replace: take the place of one that is there.
+
+        Raises:
+            CertificateError: it is there already, a name is not valid, or the authority cannot be used.
+        """
+        if not _NAME.fullmatch(name) or name == AUTHORITY:
+            raise CertificateError(
+                f"{name!r} is not a machine's name: letters, digits, '_', '.' and '-', not {AUTHORITY!r}"
+            )
+        there = [file for file in (self.folder / f"{name}{end}" for end in (".pem", ".key")) if file.exists()]
+        if there and not replace:
+            raise CertificateError(f"{there[0]} is there already; --replace makes a new one in its place")
+        signer, signer_key = self._load()
+        wanted = list(dict.fromkeys([name, f"{name}.local", *names]))
+        key = ec.generate_private_key(ec.SECP256R1())
+        certificate = (
+            _builder(_x509_name(name), signer.subject, key.public_key(), days, signer.not_valid_after_utc)
+            .add_extension(x509.BasicConstraints(ca=False, path_length=None), critical=True)
+            .add_extension(_usage(signs=False), critical=True)
+            .add_extension(
+                x509.ExtendedKeyUsage([ExtendedKeyUsageOID.SERVER_AUTH, ExtendedKeyUsageOID.CLIENT_AUTH]),
+                critical=False,
+            )
+            .add_extension(x509.SubjectAlternativeName([_general_name(each) for each in wanted]), critical=False)
+            .add_extension(x509.AuthorityKeyIdentifier.from_issuer_public_key(signer_key.public_key()), critical=False)
+            .sign(signer_key, hashes.SHA256())
+        )
+        return self._write(name, certificate, key)
+
+    def _load(self) -> tuple[x509.Certificate, ec.EllipticCurvePrivateKey]:
+        file = self.folder / f"{AUTHORITY}.key"
+        try:
+            certificate = _load(self.folder / f"{AUTHORITY}.pem")
+            key = serialization.load_pem_private_key(file.read_bytes(), password=None)
+        except (OSError, ValueError, TypeError) as err:
+            raise CertificateError(f"the authority's key cannot be used: {err}") from None
+        if not isinstance(key, ec.EllipticCurvePrivateKey) or key.public_key() != certificate.public_key():
+            raise CertificateError(f"{file} is not the key of {AUTHORITY}.pem beside it")
+        if certificate.not_valid_after_utc < datetime.now(UTC):
+            raise CertificateError(
+                f"the authority in {self.folder} has expired; make a new one in another folder, and new certificates"
+            )
+        return certificate, key
+
+    def _write(self, name: str, certificate: x509.Certificate, key: ec.EllipticCurvePrivateKey) -> Certificate:
+        pem, private = self.folder / f"{name}.pem", self.folder / f"{name}.key"
+        text = key.private_bytes(
+            serialization.Encoding.PEM, serialization.PrivateFormat.PKCS8, serialization.NoEncryption()
+        )
+        try:
+            self.folder.mkdir(parents=True, exist_ok=True, mode=0o700)
+            _write_private(private, text)
+            _write_private(pem, certificate.public_bytes(serialization.Encoding.PEM))
+        except OSError as err:
+            raise CertificateError(f"cannot write into {self.folder}: {err.strerror}") from None
+        return read_certificate(pem)
+
+
+def read_certificate(file: Path) -> Certificate:
+    """The content of a certificate file; raises `CertificateError`."""
+    found = _load(file)
+    try:
+        alternatives = found.extensions.get_extension_for_class(x509.SubjectAlternativeName).value
+        names = tuple(str(name.value) for name in alternatives)
+    except x509.ExtensionNotFound:
+        names = ()
+    try:
+        authority = found.extensions.get_extension_for_class(x509.BasicConstraints).value.ca
+    except x509.ExtensionNotFound:
+        authority = False
+    return Certificate(
+        file, _common_name(found.subject), _common_name(found.issuer), names, found.not_valid_after_utc, authority
+    )
+
+
+def signed_by(file: Path, authority: Path) -> bool:
+    """Whether a certificate was signed by an authority's; raises `CertificateError` where one cannot be read."""
+    try:
+        _load(file).verify_directly_issued_by(_load(authority))
+    except (InvalidSignature, ValueError, TypeError):
+        return False
+    return True
+
+
+def _load(file: Path) -> x509.Certificate:
+    try:
+        return x509.load_pem_x509_certificate(file.read_bytes())
+    except OSError as err:
+        msg = f"{file}: {err.strerror}"
+    except ValueError:
+        msg = f"{file} is not a certificate (PEM)"
+    raise CertificateError(msg)
+
+
+def _builder(
+    subject: x509.Name, issuer: x509.Name, key: ec.EllipticCurvePublicKey, days: int, latest: datetime | None = None
+) -> x509.CertificateBuilder:
+    now = datetime.now(UTC)
+    end = now + timedelta(days=days)
+    return (
+        x509.CertificateBuilder()
+        .subject_name(subject)
+        .issuer_name(issuer)
+        .public_key(key)
+        .serial_number(x509.random_serial_number())
+        .not_valid_before(now - _EARLIER)
+        .not_valid_after(end if latest is None else min(end, latest))
+        .add_extension(x509.SubjectKeyIdentifier.from_public_key(key), critical=False)
+    )
+
+
+def _usage(*, signs: bool) -> x509.KeyUsage:
+    return x509.KeyUsage(
+        digital_signature=not signs,
+        content_commitment=False,
+        key_encipherment=False,
+        data_encipherment=False,
+        key_agreement=False,
+        key_cert_sign=signs,
+        crl_sign=signs,
+        encipher_only=False,
+        decipher_only=False,
+    )
+
+
+def _x509_name(name: str) -> x509.Name:
+    return x509.Name([x509.NameAttribute(NameOID.COMMON_NAME, name)])
+
+
+def _common_name(name: x509.Name) -> str:
+    found = name.get_attributes_for_oid(NameOID.COMMON_NAME)
+    return str(found[0].value) if found else ""
+
+
+def _general_name(name: str) -> x509.GeneralName:
+    try:
+        return x509.IPAddress(ipaddress.ip_address(name))
+    except ValueError:
+        pass
+    if not _HOST.fullmatch(name):
+        raise CertificateError(f"{name!r} is neither a host name nor an IP address")
+    return x509.DNSName(name)
+
+
+def _write_private(file: Path, content: bytes) -> None:
+    """Write a file that its owner alone can read, whole or not at all."""
+    new = file.with_name(file.name + ".new")
+    new.unlink(missing_ok=True)
+    handle = os.open(new, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)
+    with os.fdopen(handle, "wb") as out:
+        out.write(content)
+    new.replace(file)

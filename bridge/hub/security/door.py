@@ -1,0 +1,211 @@
+"""The hub's door to other machines: a router of its own, beside the one of this machine's programs.
+
+Its access rules hold for whoever comes in by it, and this machine's programs do not learn of it: zenoh's gossip would
+have them connect to the programs of other machines directly, past every rule. zenoh reads certificates when the door is
+opened, and never again; so whoever runs a door watches for new ones (`KeyWatch`).
+"""
+
+from __future__ import annotations
+
+import json
+import logging
+import os
+import ssl
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import psutil
+import zenoh
+
+from bridge.config.model import Config
+from bridge.config.sections.hub import OpenSection
+from bridge.config.sections.section import is_loopback
+from bridge.hub.errors import HubConfigError, HubError, zenoh_reason
+from bridge.hub.links import LinkLimits
+from bridge.hub.security.access import ANYBODY, access_control
+from bridge.hub.zenoh_config import MAX_PAYLOAD, connect_endpoint, make_config, router_tree
+
+KEYS = Path("/etc/midspan/keys")
+"""Where this machine's certificate, its key and the authority's certificate are by default."""
+
+_TIMEOUT_MS = 3000
+"""How long a connection may take to be made; then it is tried again."""
+
+
+@dataclass(frozen=True, slots=True)
+class KeyFiles:
+    """The files by which a machine shows who it is."""
+
+    ca: Path
+    certificate: Path
+    key: Path
+
+    def check(self) -> None:
+        """Raises `HubConfigError` where one is missing or cannot be read."""
+        for file in (self.ca, self.certificate, self.key):
+            if not file.exists():
+                raise HubConfigError(f"there is no {file}; 'midspan keys make' makes it, and says what to copy here")
+            if not os.access(file, os.R_OK):
+                raise HubConfigError(f"{file} cannot be read by this process's user; give it to that user (chown)")
+
+
+@dataclass(frozen=True, slots=True)
+class ConnectedMachine:
+    """Another machine, connected by the door.
+
+    Attributes:
+        name: in its certificate, "" where it showed none.
+        zid: the zenoh session that it is linked by: its door's, or its program's.
+        address: its address and port, as zenoh writes them.
+        trusted: whether its commands are accepted.
+    """
+
+    name: str
+    zid: str
+    address: str
+    trusted: bool
+
+
+class HubDoor:
+    """The router that other machines connect to, and that connects to them.
+
+    Raises:
+        HubError: it cannot be opened; the reason is a plain one.
+    """
+
+    def __init__(self, config: Config) -> None:
+        self._open = config.hub.open
+        self._here = connect_endpoint(config.hub.listen)
+        try:
+            self._session = zenoh.open(make_config(door_tree(config), self._open.zenoh))
+        except zenoh.ZError as err:
+            places = ", ".join((*self._open.listen, *self._open.connect))
+            raise HubError(f"cannot open {places}: {zenoh_reason(err)}") from None
+        self._limits = LinkLimits()
+
+    @property
+    def zid(self) -> str:
+        """Its session's."""
+        return str(self._session.zid())
+
+    def machines(self) -> list[ConnectedMachine]:
+        """The machines that are connected."""
+        links = self._session.info.links()
+        found = {(str(link.auth_identifier or ""), str(link.zid), str(link.dst)) for link in links}
+        return [
+            ConnectedMachine(name, zid, address, ANYBODY in self._open.trusted or name in self._open.trusted)
+            for name, zid, address in sorted(found)
+            if address != self._here
+        ]
+
+    def close(self) -> None:
+        """Cut all machines off."""
+        self._limits.close()
+        self._session.close()  # type: ignore[no-untyped-call]
+
+
+def key_files(config: Config) -> KeyFiles:
+    """Where this machine's certificate and key are."""
+    door, folder = config.hub.open, config.hub.open.keys or KEYS
+    return KeyFiles(
+        door.ca or folder / "ca.pem",
+        door.certificate or folder / f"{config.name}.pem",
+        door.key or folder / f"{config.name}.key",
+    )
+
+
+def has_tls(door: OpenSection) -> bool:
+    """Whether any of the door's endpoints has TLS."""
+    return any(place.startswith(("tls/", "quic/")) for place in (*door.listen, *door.connect))
+
+
+def door_tree(config: Config) -> dict[str, Any]:
+    """The door's zenoh configuration; raises `HubConfigError` where a file is missing."""
+    door = config.hub.open
+    tree = router_tree(door.listen, max_payload=MAX_PAYLOAD)
+    tree["connect"] = {
+        "endpoints": [connect_endpoint(config.hub.listen), *door.connect],
+        "timeout_ms": -1,
+        "exit_on_failure": False,
+        "retry": {"period_init_ms": 250, "period_max_ms": 1000, "period_increase_factor": 2},
+    }
+    # programs of different machines find each other over their routers alone
+    tree["scouting"]["gossip"] = {"enabled": False}
+    tree["transport"]["unicast"] = {"open_timeout": _TIMEOUT_MS, "accept_timeout": _TIMEOUT_MS}
+    if has_tls(door):
+        files = key_files(config)
+        files.check()
+        tree["transport"]["link"]["tls"] = {
+            "root_ca_certificate": str(files.ca),
+            "listen_certificate": str(files.certificate),
+            "listen_private_key": str(files.key),
+            "connect_certificate": str(files.certificate),
+            "connect_private_key": str(files.key),
+            "enable_mtls": True,
+            "verify_name_on_connect": True,
+        }
+    tree["access_control"] = access_control(door, config.rules, _loopback_interfaces())
+    return tree
+
+
+def check_closed(config: zenoh.Config) -> None:
+    """Raises `HubConfigError` where a router's final configuration joins other machines."""
+    for part in ("listen", "connect"):
+        value = json.loads(config.get_json(f"{part}/endpoints"))  # a list, or one for each mode
+        lists = value.values() if isinstance(value, dict) else [value]
+        for place in (str(place) for places in lists for place in places or ()):
+            if not is_loopback(place):
+                raise HubConfigError(f"{part}/endpoints has {place}: other machines join by hub.open alone")
+
+
+def _loopback_interfaces() -> list[str]:
+    return [
+        name
+        for name, addresses in psutil.net_if_addrs().items()
+        if any(address.address in ("127.0.0.1", "::1") for address in addresses)
+    ]
+
+
+_log = logging.getLogger(__name__)
+
+_Stamp = tuple[tuple[int, int, int] | None, ...]
+
+
+class KeyWatch:
+    """Notices that a machine's key files were replaced since it was made."""
+
+    def __init__(self, files: KeyFiles) -> None:
+        self._files = files
+        self._used = self._seen = self._stamp()
+
+    def renewed(self) -> bool:
+        """Whether there are new files that can be used: all written, and a key that fits its certificate."""
+        stamp, before = self._stamp(), self._seen
+        self._seen = stamp
+        if stamp == self._used or stamp != before:  # as they were, or still being copied
+            return False
+        self._used = stamp
+        trouble = self._trouble()
+        if trouble:
+            _log.error("hub.open: the new certificates cannot be used, and the old ones stay: %s", trouble)
+        return not trouble
+
+    def _stamp(self) -> _Stamp:
+        stamps: list[tuple[int, int, int] | None] = []
+        for file in (self._files.ca, self._files.certificate, self._files.key):
+            try:
+                found = file.stat()
+                stamps.append((found.st_mtime_ns, found.st_size, found.st_ino))
+            except OSError:
+                stamps.append(None)
+        return tuple(stamps)
+
+    def _trouble(self) -> str:
+        context = ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT)
+        try:
+            context.load_verify_locations(self._files.ca)
+            context.load_cert_chain(self._files.certificate, self._files.key, password="")
+        except (OSError, ssl.SSLError) as err:  # also where a key does not fit its certificate
+            return f"{self._files.certificate}: {err}"
+        return ""

@@ -1,0 +1,106 @@
+"""Names on the hub, the zenoh keys that carry them, and the attachment of each sample.
+
+A topic's key is ``<domain>/<topic without outer slashes>/<DDS type name>/<RIHS01 hash>``; in liveliness tokens a name
+is one chunk of the key, so that its slashes become ``%`` (rmw_zenoh, docs/design.md).
+
+The attachment has 33 bytes since Jazzy's 0.2.4: the sequence number and the source time (int64, little endian), then
+the GID as zenoh's serialisation writes an array: its length (16) in one byte, and the bytes (rmw_zenoh_cpp,
+attachment_helpers.cpp).
+"""
+
+from __future__ import annotations
+
+import re
+import struct
+
+from bridge.hub.errors import HubWireError
+
+ANY_HASH = "*"
+"""In place of a type hash: whatever hash the publisher has."""
+
+_TOPIC = re.compile(r"/[^\s/*$?#%@][^\s/*$?#%]*(?:/[^\s/*$?#%@][^\s/*$?#%]*)*")
+_TYPE = re.compile(r"([A-Za-z]\w*)/(msg|srv|action)/([A-Za-z]\w*)", re.ASCII)
+_DDS_TYPE = re.compile(r"([A-Za-z]\w*)::(msg|srv|action)::dds_::([A-Za-z]\w*?)_", re.ASCII)
+_HASH = re.compile(r"RIHS[0-9]{2}_[0-9a-f]{1,128}")
+_MAX_NAME = 1024
+
+
+def check_topic(topic: str) -> str:
+    """Return an absolute topic name that can be a part of a zenoh key, or raise `HubWireError`."""
+    if len(topic) > _MAX_NAME or not _TOPIC.fullmatch(topic):
+        raise HubWireError(
+            f"topic name {topic[:80]!r} must be absolute, without empty parts, blanks and any of * $ ? # %"
+        )
+    return topic
+
+
+def dds_type_name(type_name: str) -> str:
+    """``std_msgs/msg/String`` -> ``std_msgs::msg::dds_::String_``."""
+    match = _TYPE.fullmatch(type_name)
+    if match is None:
+        raise HubWireError(f"type name {type_name[:80]!r} is not of the form package/msg/Name")
+    return "{}::{}::dds_::{}_".format(*match.groups())
+
+
+def ros_type_name(dds_name: str) -> str:
+    """``std_msgs::msg::dds_::String_`` -> ``std_msgs/msg/String``."""
+    match = _DDS_TYPE.fullmatch(dds_name)
+    if match is None:
+        raise HubWireError(f"type {dds_name[:80]!r} is not of the form package::msg::dds_::Name_")
+    return "{}/{}/{}".format(*match.groups())
+
+
+def check_hash(type_hash: str) -> str:
+    """Return a type hash as ROS 2 writes it (``RIHS01_`` and 64 hex digits), or raise `HubWireError`."""
+    if not _HASH.fullmatch(type_hash):
+        raise HubWireError(f"type hash {type_hash[:80]!r} is not of the form RIHS01_<hex digits>")
+    return type_hash
+
+
+def topic_key(domain: int, topic: str, type_name: str, type_hash: str) -> str:
+    """The key that a publisher's samples travel on."""
+    return f"{domain}/{check_topic(topic)[1:]}/{dds_type_name(type_name)}/{check_hash(type_hash)}"
+
+
+def subscription_key(domain: int, topic: str, type_name: str, type_hash: str) -> str:
+    """The key of a subscription; the hash may be `ANY_HASH`."""
+    if type_hash != ANY_HASH:
+        return topic_key(domain, topic, type_name, type_hash)
+    return f"{domain}/{check_topic(topic)[1:]}/{dds_type_name(type_name)}/*"
+
+
+def mangle(name: str) -> str:
+    """A name as one chunk of a key: ``/`` becomes ``%``, and so does the empty name."""
+    return name.replace("/", "%") if name else "%"
+
+
+def demangle(chunk: str) -> str:
+    """The name in a chunk of a token."""
+    return chunk.replace("%", "/")
+
+
+GID_SIZE = 16
+_ATTACHMENT = struct.Struct(f"<qqB{GID_SIZE}s")
+ATTACHMENT_SIZE = _ATTACHMENT.size
+
+
+def pack_attachment(sequence: int, source_time_ns: int, gid: bytes) -> bytes:
+    """The attachment's bytes."""
+    return _ATTACHMENT.pack(sequence, source_time_ns, GID_SIZE, gid)
+
+
+def unpack_attachment(data: bytes) -> tuple[int, int, bytes]:
+    """Read an attachment; raises `HubWireError` where it is not rmw_zenoh's.
+
+    Returns:
+        The sample's number (per publisher, 1 for its first), the system time of its source in nanoseconds since 1970,
+        and the 16 bytes that name its publisher.
+    """
+    if len(data) != ATTACHMENT_SIZE:
+        raise HubWireError(
+            f"attachment of {len(data)} bytes instead of {ATTACHMENT_SIZE}: rmw_zenoh before 0.2.4 wrote another form"
+        )
+    sequence, time_ns, size, gid = _ATTACHMENT.unpack(data)
+    if size != GID_SIZE:
+        raise HubWireError(f"attachment with a GID of {size} bytes instead of {GID_SIZE}")
+    return sequence, time_ns, gid

@@ -1,0 +1,56 @@
+"""What Midspan declares on zenoh, in its one form, and the Python state of zenoh's threads.
+
+Callbacks run on zenoh's receiving thread (``indirect=False``): they append and wake. A session does not get what it
+puts itself.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import ctypes
+import threading
+from collections.abc import Callable
+from typing import Any
+
+import zenoh
+
+_kept: set[int] = set()
+
+
+def keep_thread_state() -> None:
+    """Keep this thread's Python state after the call from zenoh that it runs in; to be called in each of them.
+
+    CPython makes such a thread a new state for each call, maps a page of stack for it, and unmaps it afterwards: 20 us
+    a message, and a flush of the other core's address cache.
+    """
+    me = threading.get_ident()
+    if me not in _kept:
+        _kept.add(me)
+        ctypes.pythonapi.PyGILState_Ensure()
+
+
+def subscribe(session: zenoh.Session, key: str, callback: Callable[[zenoh.Sample], None]) -> zenoh.Subscriber[None]:
+    """Call back for each sample of other sessions on a key."""
+    handler = zenoh.handlers.Callback(callback, indirect=False)
+    return session.declare_subscriber(key, handler, allowed_origin=zenoh.Locality.REMOTE)
+
+
+def answer(
+    session: zenoh.Session, key: str, callback: Callable[[zenoh.Query], None], *, complete: bool = False
+) -> zenoh.Queryable[None]:
+    """Call back for each query of other sessions on a key; ``complete``: this one has all there is."""
+    handler = zenoh.handlers.Callback(callback, indirect=False)
+    return session.declare_queryable(key, handler, complete=complete, allowed_origin=zenoh.Locality.REMOTE)
+
+
+def follow_tokens(session: zenoh.Session, keys: str, callback: Callable[[zenoh.Sample], None]) -> Any:
+    """Call back for each liveliness token that is there, comes and goes."""
+    handler = zenoh.handlers.Callback(callback, indirect=False)
+    return session.liveliness().declare_subscriber(keys, handler, history=True)
+
+
+def undeclare(*ends: Any) -> None:
+    """Withdraw what was declared; where the session is closed, it is withdrawn already."""
+    for end in ends:
+        with contextlib.suppress(zenoh.ZError):
+            end.undeclare()

@@ -1,0 +1,208 @@
+"""The cache of built packages, a folder that several processes and checkouts share; and how programs find them there.
+
+::
+
+    <cache>/packages/<package>-<key>/   one built package: a small prefix, never changed once it is there
+    <cache>/sets/<key>/                 a prefix of links to several of them: what programs use
+    <cache>/locks/<name>
+
+A key stands for all that the content depends on, so there is nothing to invalidate; the whole cache may be deleted at
+any time that no program uses it.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import shutil
+import sys
+import sysconfig
+import tempfile
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+
+from bridge.interfaces.definition import BuildError
+from bridge.interfaces.ros2 import MARK, Ros2
+
+SITE = f"lib/python{sys.version_info.major}.{sys.version_info.minor}/site-packages"
+"""Where in a prefix the Python packages are."""
+
+_INDEX = "share/ament_index/resource_index"
+
+
+def default_cache() -> Path:
+    """$MIDSPAN_CACHE, else ``midspan/interfaces`` in $XDG_CACHE_HOME or ~/.cache."""
+    named = os.environ.get("MIDSPAN_CACHE")
+    if named:
+        return Path(named)
+    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "midspan" / "interfaces"
+
+
+def digest(parts: Iterable[str]) -> str:
+    """A short key for a list of texts."""
+    whole = hashlib.sha256()
+    for part in parts:
+        data = part.encode()
+        whole.update(len(data).to_bytes(8, "little") + data)
+    return whole.hexdigest()[:16]
+
+
+class BuildCache:
+    """The cache folder."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder.absolute()
+
+    def package(self, name: str, key: str) -> Path:
+        """Where a built package is, or will be."""
+        return self.folder / "packages" / f"{name}-{key}"
+
+    def packages(self) -> list[Path]:
+        """All built packages, whole ones only."""
+        folder = self.folder / "packages"
+        return sorted(entry for entry in folder.iterdir() if entry.name[0] != ".") if folder.is_dir() else []
+
+    @contextmanager
+    def adding(self, final: Path) -> Iterator[Path | None]:
+        """Hold a prefix's lock and offer a folder to fill, which becomes ``final`` as a whole or not at all.
+
+        Yields None where another process had it ready meanwhile. Waits while another one builds the same.
+        """
+        import fcntl
+
+        try:
+            (self.folder / "locks").mkdir(parents=True, exist_ok=True)
+            final.parent.mkdir(exist_ok=True)
+            lock = (self.folder / "locks" / final.name).open("w")
+        except OSError as err:
+            raise BuildError(
+                f"the cache {self.folder} cannot be written: {err.strerror}", cure="Name another one in $MIDSPAN_CACHE"
+            ) from None
+        with lock:
+            fcntl.flock(lock, fcntl.LOCK_EX)
+            if final.is_dir():
+                yield None
+                return
+            for left in final.parent.glob(f".{final.name}-*"):
+                shutil.rmtree(left, ignore_errors=True)  # of a process that was killed while it held the lock
+            scratch = Path(tempfile.mkdtemp(prefix=f".{final.name}-", dir=final.parent))
+            try:
+                scratch.chmod(0o755)
+                yield scratch
+                scratch.rename(final)
+            finally:
+                shutil.rmtree(scratch, ignore_errors=True)
+
+    def join(self, packages: Iterable[Path]) -> Path:
+        """A prefix that holds all of these built packages, by links."""
+        members = sorted(set(packages))
+        final = self.folder / "sets" / digest(member.name for member in members)
+        if final.is_dir():
+            return final
+        with self.adding(final) as scratch:
+            if scratch is not None:
+                for member in members:
+                    _link(member, scratch)
+                mark = scratch / MARK
+                mark.parent.mkdir(parents=True)
+                mark.write_text("".join(f"{member.name}\n" for member in members), encoding="utf-8")
+        return final
+
+
+def members(prefix: Path) -> dict[str, Path]:
+    """The built packages that a set's prefix holds, by name; raises `BuildError` where the folder is no such prefix."""
+    site = prefix / SITE
+    if not (prefix / MARK).is_file():
+        raise BuildError(f"{prefix} is not a prefix of built interfaces", cure="Run `midspan interfaces build`")
+    return {entry.name: entry.resolve().parents[3] for entry in sorted(site.iterdir())} if site.is_dir() else {}
+
+
+def _link(package: Path, prefix: Path) -> None:
+    """Put links to a built package's parts into a prefix; the real folders hold nothing but links."""
+    for folder in (SITE, "share", "include", "lib", f"{_INDEX}/packages", f"{_INDEX}/rosidl_interfaces"):
+        source, target = package / folder, prefix / folder
+        target.mkdir(parents=True, exist_ok=True)
+        for entry in sorted(source.iterdir()):
+            if entry.name not in ("ament_index", Path(SITE).parent.name):
+                link = target / entry.name
+                # both folders stay where they are to each other when the set is renamed into place
+                link.symlink_to(os.path.relpath(entry, target))
+
+
+_PTH = "midspan_interfaces.pth"
+
+
+def activate(*prefixes: Path) -> tuple[str, ...]:
+    """Make this process, and those it starts, find the packages of these prefixes, before any others of their names.
+
+    Returns:
+        Names of packages that this process has imported from elsewhere already. It goes on with what it has, since
+        neither Python nor the dynamic loader can load a package again: start a new process to use the new ones.
+
+    Raises:
+        BuildError: two prefixes hold different builds of one package.
+    """
+    packages = _merged(prefixes)
+    for prefix in reversed(prefixes):
+        sys.path[:] = [str(prefix / SITE), *(entry for entry in sys.path if entry != str(prefix / SITE))]
+    os.environ["AMENT_PREFIX_PATH"] = _joined([str(prefix) for prefix in prefixes], "AMENT_PREFIX_PATH")
+    return tuple(name for name, folder in packages.items() if _is_loaded_from_elsewhere(name, folder))
+
+
+def environment(prefixes: Sequence[Path]) -> dict[str, str]:
+    """Variables for a new Python process that shall find ROS 2's libraries and the packages of these prefixes.
+
+    Lay them over a copy of `os.environ`.
+
+    Raises:
+        BuildError: two prefixes hold different builds of one package.
+    """
+    _merged(prefixes)
+    return {
+        "PYTHONPATH": _joined([str(prefix / SITE) for prefix in prefixes], "PYTHONPATH"),
+        "AMENT_PREFIX_PATH": _joined([str(prefix) for prefix in prefixes], "AMENT_PREFIX_PATH"),
+        "LD_LIBRARY_PATH": _joined([str(folder) for folder in Ros2.find().libraries], "LD_LIBRARY_PATH"),
+        # the wheels restart Python once to set LD_LIBRARY_PATH, unless told that it is set
+        "_ROS_WHEELS_BOOTSTRAP_COMPLETE": "1",
+    }
+
+
+def link_into_venv(prefix: Path) -> Path | None:
+    """Let every program of this virtual environment import the packages of a prefix; returns the file that does it.
+
+    None where this Python is not in a virtual environment: then nothing is touched.
+    """
+    if sys.prefix == sys.base_prefix:
+        return None
+    file = Path(sysconfig.get_path("purelib")) / _PTH
+    line = f"{prefix / SITE}\n"
+    if not file.is_file() or file.read_text(encoding="utf-8") != line:
+        scratch = file.with_suffix(".new")
+        scratch.write_text(line, encoding="utf-8")
+        scratch.replace(file)
+    return file
+
+
+def _merged(prefixes: Iterable[Path]) -> dict[str, Path]:
+    """Built packages of all prefixes by name."""
+    found: dict[str, Path] = {}
+    for prefix in prefixes:
+        for name, folder in members(prefix).items():
+            if found.setdefault(name, folder) != folder:
+                raise BuildError(
+                    f"package {name} is in {prefix} and in another prefix, with different contents",
+                    cure="Build all packages that one process uses together, in one call",
+                )
+    return found
+
+
+def _joined(entries: Sequence[str], variable: str) -> str:
+    present = [entry for entry in os.environ.get(variable, "").split(os.pathsep) if entry]
+    return os.pathsep.join(dict.fromkeys((*entries, *present)))
+
+
+def _is_loaded_from_elsewhere(name: str, folder: Path) -> bool:
+    module = sys.modules.get(name)
+    file = getattr(module, "__file__", None)
+    return module is not None and (file is None or not Path(file).resolve().is_relative_to(folder))

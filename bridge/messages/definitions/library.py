@@ -1,0 +1,136 @@
+"""All definitions of one world: those learned from the network, and those found on this machine."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from bridge.messages.definitions.hashes import md5_sum, rihs01
+from bridge.messages.definitions.parts import parse_announced
+from bridge.messages.definitions.schema import Definition, Schema, World
+from bridge.messages.definitions.sources import DefinitionSource, find_first
+from bridge.messages.definitions.text import closure
+from bridge.messages.errors import MessageTypeError
+
+MAX_VARIANTS = 16
+"""Different definitions that are kept of one learned name; the oldest goes first."""
+
+MAX_NAMES = 10_000
+"""Learned names that are kept."""
+
+MAX_LEARNED = 64 << 20
+"""Characters of definitions that are learned, in all."""
+
+MAX_NESTED = 2_000
+"""Types that one definition may nest."""
+
+
+class DefinitionLibrary:
+    """Schemas by name and by fingerprint (md5 in ROS 1, RIHS01 in ROS 2). Not safe for threads: its owner locks."""
+
+    def __init__(self, world: World, sources: Sequence[DefinitionSource]) -> None:
+        self.world = world
+        self._sources = sources
+        self._learned: dict[str, dict[str, Schema]] = {}
+        self._nested: dict[str, Definition] = {}
+        self._found: dict[str, Schema] = {}
+        self._room = MAX_LEARNED
+
+    def fingerprint(self, schema: Schema) -> str:
+        """The schema's md5 or RIHS01 hash."""
+        return md5_sum(schema) if self.world is World.ROS1 else rihs01(schema)
+
+    def learn(self, name: str, text: str, announced: str = "") -> None:
+        """Keep a full definition that the network announced; raises `MessageTypeError`."""
+        found = parse_announced(text, name, self.world)
+        if len(found) > MAX_NESTED:
+            raise MessageTypeError(f"the definition of {name} nests more than {MAX_NESTED} types")
+        schema = self._close(name, found)
+        fingerprint = self.fingerprint(schema)
+        if announced and announced != fingerprint:
+            msg = f"the definition sent of {name} has the fingerprint {fingerprint}, but {announced} was announced"
+            raise MessageTypeError(msg, f"build the publisher again with the right version of {name.split('/')[0]}")
+        if fingerprint in self._learned.get(name, {}):
+            self._learned[name][fingerprint] = self._learned[name].pop(fingerprint)
+            return
+        if len(self._learned) >= MAX_NAMES or len(text) > self._room:
+            msg = f"{name} is not taken up: too many definitions were learned already"
+            raise MessageTypeError(msg, "restart the worker if the network's types are meant to change so often")
+        self._room -= len(text)
+        variants = self._learned.setdefault(name, {})
+        variants[fingerprint] = schema
+        if len(variants) > MAX_VARIANTS:
+            del variants[next(iter(variants))]
+        if len(self._nested) < MAX_NAMES:
+            self._nested.update(found)
+
+    def find(self, name: str, fingerprint: str = "", *, newest: bool = False) -> Schema | None:
+        """The schema of ``name``, None where no definition is known, or none with that fingerprint ("" for any).
+
+        With ``newest`` and no fingerprint, what was learned last is preferred to what is installed.
+        """
+        variants = self._learned.get(name, {})
+        if fingerprint:
+            if fingerprint in variants:
+                return variants[fingerprint]
+            schema = self.installed(name)
+            return schema if schema is not None and self.fingerprint(schema) == fingerprint else None
+        last = next(reversed(variants.values()), None)
+        if newest and last is not None:
+            return last
+        return self.installed(name) or last or self._from_nested(name)
+
+    def fingerprints(self, name: str) -> list[str]:
+        """Fingerprints of all definitions known of ``name``."""
+        found = list(self._learned.get(name, {}))
+        schema = self.installed(name)
+        if schema is not None and (own := self.fingerprint(schema)) not in found:
+            found.append(own)
+        return found
+
+    def names(self, package: str, kind: str = "msg") -> list[str]:
+        """Names of the messages, services (``srv``) or actions that are known of a package."""
+        known = [name for source in self._sources for name in source.names(package, kind)]
+        start = f"{package}/" if self.world is World.ROS1 and kind == "msg" else f"{package}/{kind}/"
+        known += [name for name in self._learned if name.startswith(start)]
+        return list(dict.fromkeys(known))
+
+    def variants(self, name: str) -> list[Schema]:
+        """All definitions known of ``name``: what was learned, the newest first, then what is installed."""
+        found = list(reversed(self._learned.get(name, {}).values()))
+        rest = self.installed(name) or (None if found else self._from_nested(name))
+        return found if rest is None else [*found, rest]
+
+    def installed(self, name: str) -> Schema | None:
+        """The schema of ``name`` as this machine's packages and folders have it."""
+        if name not in self._found:
+            found = find_first(self._sources, name, self.world)
+            if found is None:
+                return None
+            self._found[name] = self._close(name, found)
+        return self._found[name]
+
+    def _from_nested(self, name: str) -> Schema | None:
+        definition = self._nested.get(name)
+        return None if definition is None else self._close(name, {name: definition})
+
+    def _close(self, name: str, found: dict[str, Definition]) -> Schema:
+        """The schema of ``name``; what its own place does not hold is looked up like any other type."""
+        types = dict(found)
+        waiting = [types[name]]
+        seen = {name}
+        while waiting:
+            for nested in waiting.pop().nested_names():
+                if nested in seen:
+                    continue
+                seen.add(nested)
+                definition = types.get(nested) or self._own_definition(nested)
+                if definition is not None:
+                    types[nested] = definition
+                    waiting.append(definition)
+        return closure(types[name], types)
+
+    def _own_definition(self, name: str) -> Definition | None:
+        if name in self._found:
+            return self._found[name].root
+        found = find_first(self._sources, name, self.world)
+        return self._nested.get(name) if found is None else found[name]

@@ -1,0 +1,167 @@
+"""Messages that are made of services and actions: ``pkg/srv/Name_Request``, ``pkg/action/Name_FeedbackMessage`` ...
+
+The parts are those of ``rosidl_parser.definition`` (jazzy): a service has request, response and event; an action has
+goal, result, feedback, the services send_goal and get_result, and the feedback message. A service and an action are
+described as a message that has all of these as fields, which is what their RIHS01 hash covers
+(``rosidl_generator_type_description``).
+
+ROS 1's parts are spelled the same way here, which nothing else in ROS 1 is, except an action's goal, result and
+feedback: these are messages of ROS 1, ``pkg/NameGoal`` and so on, as genaction.py of actionlib_msgs makes them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import replace
+from pathlib import Path
+
+from bridge.messages.definitions.names import split_part
+from bridge.messages.definitions.schema import Definition, Field, FieldType, Schema, World
+from bridge.messages.definitions.text import parse_definition, parse_full, split_parts
+from bridge.messages.errors import MessageTypeError
+
+CONTENTS = {"srv": ("Request", "Response"), "action": ("Goal", "Result", "Feedback")}
+"""What a file of either kind defines, in its order."""
+
+ACTION_SERVICES = ("SendGoal", "GetResult")
+"""An action's services with types of their own."""
+
+STATUS_TEXT = "actionlib_status_text"
+"""A field before a ROS 1 action's result, as GetResult of ROS 1's edge has it: the text of actionlib's GoalStatus."""
+
+CANCEL_GOAL = "action_msgs/srv/CancelGoal"
+"""The third; on ROS 1's edge it is spelled so too."""
+
+_SERVICE = "{base}_Request request_message\n{base}_Response response_message\n{base}_Event event_message\n"
+_EVENT = "service_msgs/ServiceEventInfo info\n{base}_Request[<=1] request\n{base}_Response[<=1] response\n"
+_SENT = {
+    "SendGoal_Request": "unique_identifier_msgs/UUID goal_id\n{content}Goal goal\n",
+    "SendGoal_Response": "bool accepted\nbuiltin_interfaces/Time stamp\n",
+    "GetResult_Request": "unique_identifier_msgs/UUID goal_id\n",
+    "GetResult_Response": "int8 status\n{content}Result result\n",
+    "FeedbackMessage": "unique_identifier_msgs/UUID goal_id\n{content}Feedback feedback\n",
+}
+_MADE = {
+    "srv": {"": _SERVICE, "Event": _EVENT},
+    "action": {
+        "": "{base}_Goal goal\n{base}_Result result\n{base}_Feedback feedback\n{base}_SendGoal send_goal_service\n"
+        "{base}_GetResult get_result_service\n{base}_FeedbackMessage feedback_message\n",
+        **_SENT,
+        **{service: _SERVICE.replace("{base}", f"{{base}}_{service}") for service in ACTION_SERVICES},
+        **{f"{service}_Event": _EVENT.replace("{base}", f"{{base}}_{service}") for service in ACTION_SERVICES},
+    },
+}
+_ACTIONLIB = {
+    "Action": "{content}ActionGoal action_goal\n{content}ActionResult action_result\n"
+    "{content}ActionFeedback action_feedback\n",
+    "ActionGoal": "Header header\nactionlib_msgs/GoalID goal_id\n{content}Goal goal\n",
+    "ActionResult": "Header header\nactionlib_msgs/GoalStatus status\n{content}Result result\n",
+    "ActionFeedback": "Header header\nactionlib_msgs/GoalStatus status\n{content}Feedback feedback\n",
+}
+
+
+def is_service(name: str) -> bool:
+    """Whether a name of three parts is that of a service, be it one of an action's."""
+    kind, part = name.split("/")[1], split_part(name)[1]
+    return part == "" if kind == "srv" else kind == "action" and part in ACTION_SERVICES
+
+
+def made_parts(base: str, world: World) -> dict[str, Definition]:
+    """What is made of a service or action beside what its file defines; no events or whole services in ROS 1."""
+    kind = base.split("/")[1]
+    made = _MADE[kind] if world is World.ROS2 else _SENT
+    texts = {f"{base}_{part}" if part else base: text for part, text in made.items()}
+    content = f"{base}_" if world is World.ROS2 else base.replace("/action/", "/", 1)
+    return {
+        name: parse_definition(text.format(base=base, content=content), name, world) for name, text in texts.items()
+    }
+
+
+def actionlib_messages(action: str) -> dict[str, Definition]:
+    """What actionlib wraps a goal, a result and feedback in, for a ROS 1 action (``move_base_msgs/MoveBase``)."""
+    return {
+        f"{action}{part}": parse_definition(text.format(content=action), f"{action}{part}", World.ROS1)
+        for part, text in _ACTIONLIB.items()
+    }
+
+
+def with_status_text(result: Schema) -> dict[str, Definition]:
+    """A ROS 1 action's result and all that it nests, with the status's text before it."""
+    root = result.root
+    text = Field(STATUS_TEXT, FieldType("string"))
+    return {**result.types, root.name: replace(root, fields=(text, *root.fields), text="")}
+
+
+def parse_announced(text: str, name: str, world: World) -> dict[str, Definition]:
+    """Read a full definition that the network announced; a service's has its request and response around a ``---``.
+
+    Returns the definitions by name, that of ``name`` among them. Raises `MessageTypeError`.
+    """
+    if world is World.ROS1 or not is_service(name):
+        return parse_full(text, name, world)
+    sections = split_parts(text)
+    if len(sections) != 2:
+        msg = f"the definition of the service {name} has {len(sections)} parts separated by '---' instead of 2"
+        raise MessageTypeError(msg)
+    found: dict[str, Definition] = {}
+    for part, section in zip(CONTENTS["srv"], sections, strict=True):
+        found = parse_full(section, f"{name}_{part}", world) | found
+    for made, pattern in {name: _SERVICE, f"{name}_Event": _EVENT}.items():
+        found[made] = parse_definition(pattern.format(base=name), made, world)
+    return found
+
+
+def base_of(name: str, world: World) -> str:
+    """The service or action that a part belongs to: ``pkg/srv/Name`` of ``pkg/srv/Name_Request``."""
+    # Names of ROS 1 may have underscores of their own.
+    return name.rpartition("_")[0] if world is World.ROS1 else split_part(name)[0]
+
+
+def find_part(folder: Path, name: str, world: World = World.ROS2) -> dict[str, Definition] | None:
+    """A message of a service or action whose file is in ``folder``, with the others; None where the folder has no such.
+
+    ``pkg/srv/Name_Request`` is the request, ``pkg/srv/Name`` is what describes the whole service.
+    """
+    base = base_of(name, world)
+    kind = name.split("/")[1]
+    path = folder / f"{base.rpartition('/')[2]}.{kind}"
+    if not path.is_file():
+        return None
+    sections = zip(CONTENTS[kind], _sections(path, kind), strict=True)
+    found = {f"{base}_{part}": parse_definition(text, f"{base}_{part}", world) for part, text in sections}
+    return with_made(found, name, world)
+
+
+def with_made(found: dict[str, Definition], name: str, world: World) -> dict[str, Definition] | None:
+    """What a service's or action's file defines, and what ROS 2 makes of it; None where ``name`` is not among them."""
+    if world is World.ROS2:
+        found = made_parts(base_of(name, world), world) | found
+    return found if name in found else None
+
+
+def find_actionlib(folder: Path, name: str) -> dict[str, Definition] | None:
+    """A ROS 1 message that comes of an ``.action`` file in ``folder``: ``pkg/NameGoal``, ``pkg/NameActionGoal`` ..."""
+    for part in (*_ACTIONLIB, *CONTENTS["action"]):
+        action = name.removesuffix(part)
+        path = folder / f"{action.rpartition('/')[2]}.action"
+        if action != name and path.is_file():
+            sections = zip(CONTENTS["action"], _sections(path, "action"), strict=True)
+            found = {f"{action}{own}": parse_definition(text, f"{action}{own}", World.ROS1) for own, text in sections}
+            return found | actionlib_messages(action)
+    return None
+
+
+def actionlib_names(stems: Iterable[str]) -> list[str]:
+    """Short names of the ROS 1 messages that come of ``.action`` files of these names."""
+    return [stem + part for stem in stems for part in (*CONTENTS["action"], *_ACTIONLIB)]
+
+
+def _sections(path: Path, kind: str) -> list[str]:
+    try:
+        text = path.read_text(encoding="utf-8", errors="replace")
+    except OSError as err:
+        raise MessageTypeError(f"cannot read {path}: {err}") from None
+    sections = split_parts(text)
+    if len(sections) != len(CONTENTS[kind]):
+        raise MessageTypeError(f"{path} has {len(sections)} parts separated by '---' instead of {len(CONTENTS[kind])}")
+    return sections

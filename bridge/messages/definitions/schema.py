@@ -1,0 +1,161 @@
+"""The model of a message definition: fields, constants, and the types it nests.
+
+Type names are spelled as their world spells them: ``std_msgs/Header`` in ROS 1, ``std_msgs/msg/Header`` in ROS 2
+(``pkg/srv/Name_Request`` and ``pkg/action/Name_Goal`` for the parts of services and actions).
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Mapping
+from dataclasses import dataclass
+from enum import Enum
+
+DefaultValue = bool | int | float | str | tuple["DefaultValue", ...]
+
+
+class World(Enum):
+    """Whose rules a definition follows."""
+
+    ROS1 = "ROS 1"
+    ROS2 = "ROS 2"
+
+
+class Shape(Enum):
+    """How many values a field holds."""
+
+    SINGLE = "single"
+    ARRAY = "array"
+    SEQUENCE = "sequence"
+
+
+STRUCT_FORMATS: Mapping[str, str] = {
+    "bool": "?", "byte": "B", "char": "B", "int8": "b", "uint8": "B", "int16": "h", "uint16": "H", "int32": "i",
+    "uint32": "I", "int64": "q", "uint64": "Q", "float32": "f", "float64": "d",
+}  # fmt: skip
+"""Each ROS 2 primitive as the module `struct` names it."""
+
+PRIMITIVE_SIZES: Mapping[str, int] = {base: struct.calcsize(f"<{code}") for base, code in STRUCT_FORMATS.items()}
+"""Bytes of each primitive on both wires; ROS 1's ``byte`` is an int8, ``char`` a uint8, ROS 2's ``byte`` an octet."""
+
+TIME_TYPES: Mapping[str, str] = {"time": "builtin_interfaces/msg/Time", "duration": "builtin_interfaces/msg/Duration"}
+"""ROS 1's two built-in structures (each two 32-bit integers) and the ROS 2 messages that stand for them."""
+
+STRING_TYPES = frozenset({"string", "wstring"})
+
+
+@dataclass(frozen=True, slots=True)
+class FieldType:
+    """A field's type."""
+
+    base: str  #: a primitive, ``string``, ``wstring``, ROS 1's ``time`` or ``duration``, or the name of a message type
+    shape: Shape = Shape.SINGLE  #: one value, a fixed array, or a sequence
+    length: int = 0  #: number of elements of a fixed array; greatest number of a sequence, 0 where unbounded
+    string_bound: int = 0  #: greatest number of bytes of a string, 0 where unbounded
+
+    @property
+    def nested(self) -> bool:
+        """Whether the base is another message type."""
+        return "/" in self.base
+
+    @property
+    def element(self) -> FieldType:
+        """The type of one element of an array or sequence."""
+        return FieldType(self.base, string_bound=self.string_bound)
+
+    def __str__(self) -> str:
+        """The type as a definition spells it, with the full name of a nested type."""
+        bound = f"<={self.string_bound}" if self.string_bound else ""
+        match self.shape:
+            case Shape.SINGLE:
+                count = ""
+            case Shape.ARRAY:
+                count = f"[{self.length}]"
+            case Shape.SEQUENCE:
+                count = f"[<={self.length}]" if self.length else "[]"
+        return f"{self.base}{bound}{count}"
+
+
+@dataclass(frozen=True, slots=True)
+class Field:
+    """A field; ``default`` is ROS 2's default value where the definition gives one."""
+
+    name: str
+    type: FieldType
+    default: DefaultValue | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Constant:
+    """A constant; ``text`` is the value exactly as written, since ROS 1's md5 covers it."""
+
+    name: str
+    base: str
+    text: str
+
+
+@dataclass(frozen=True, slots=True)
+class Definition:
+    """One message type's own definition."""
+
+    name: str
+    world: World
+    fields: tuple[Field, ...]
+    constants: tuple[Constant, ...] = ()
+    text: str = ""  #: the definition as its author wrote it, "" where it was made here
+
+    @property
+    def package(self) -> str:
+        """The package that the type belongs to."""
+        return self.name.split("/", 1)[0]
+
+    def nested_names(self) -> list[str]:
+        """Names of the message types that the fields use, each once, in order."""
+        return list(dict.fromkeys(f.type.base for f in self.fields if f.type.nested))
+
+
+TIME_DEFINITIONS: Mapping[str, Definition] = {
+    "time": Definition("time", World.ROS1, (Field("secs", FieldType("uint32")), Field("nsecs", FieldType("uint32")))),
+    "duration": Definition(
+        "duration", World.ROS1, (Field("secs", FieldType("int32")), Field("nsecs", FieldType("int32")))
+    ),
+}
+"""ROS 1's built-in structures as messages, for mapping rules that name their fields."""
+
+
+@dataclass(frozen=True)
+class Schema:
+    """A message type together with every type that it nests, so that it means one thing only."""
+
+    root: Definition
+    types: Mapping[str, Definition]  #: the root and all nested types by name
+
+    @property
+    def name(self) -> str:
+        """Name of the root type."""
+        return self.root.name
+
+    @property
+    def world(self) -> World:
+        """Whose type it is."""
+        return self.root.world
+
+    def sub(self, name: str) -> Schema:
+        """The schema of one of the nested types."""
+        return Schema(self.types[name], self.types)
+
+    def of(self, kind: FieldType) -> Definition | None:
+        """The fields of a field's type; None for a primitive or a string."""
+        return self.types[kind.base] if kind.nested else TIME_DEFINITIONS.get(kind.base)
+
+    def nested_order(self) -> list[str]:
+        """Names of the nested types in the order in which they are first met, without the root."""
+        order: dict[str, None] = {}
+        waiting = list(reversed(self.root.nested_names()))
+        while waiting:
+            name = waiting.pop()
+            if name in order or name == self.root.name:
+                continue
+            order[name] = None
+            waiting.extend(reversed(self.types[name].nested_names()))
+        return list(order)

@@ -1,0 +1,312 @@
+"""Where definitions are found on this machine. Nothing is read before it is asked for.
+
+A source answers with a type's own definition, and with those of nested types where it holds them in the same place.
+Names are checked against ROS's grammar before they become paths. The standard types of Noetic and Jazzy and the reader
+of IDL are those that rosbags ships.
+"""
+
+from __future__ import annotations
+
+import ast
+import gc
+import importlib
+import os
+import re
+import site
+import sys
+from collections.abc import Iterable, Mapping, Sequence
+from functools import cache
+from pathlib import Path
+from typing import Any, Protocol
+
+from bridge.messages.definitions.hashes import EMPTY_MEMBER
+from bridge.messages.definitions.names import is_legal_message, is_ros1_name, is_ros2_name
+from bridge.messages.definitions.parts import CONTENTS, actionlib_names, base_of, find_actionlib, find_part, with_made
+from bridge.messages.definitions.schema import Constant, Definition, Field, FieldType, Shape, World
+from bridge.messages.definitions.text import MAX_TEXT, parse_definition, parse_full, spell
+from bridge.messages.errors import MessageTypeError
+
+Found = dict[str, Definition]
+
+_OWN = Path(__file__).parent
+
+_FULL_TEXT = re.compile(r'^  _full_text = (r?"""(?:[^"\\]|\\.|"(?!""))*""")', re.MULTILINE | re.DOTALL)
+
+
+class DefinitionSource(Protocol):
+    """One place that holds definitions of one world."""
+
+    def find(self, name: str) -> Found | None:
+        """The definition of ``name`` first, then what it nests where that is at hand; None where it is not here."""
+
+    def names(self, package: str, kind: str = "msg") -> list[str]:
+        """Names of the package's messages, services (``srv``) or actions in this place; of ROS 1, no actions."""
+
+
+class DefinitionFolder:
+    """A folder of ``.msg``, ``.srv`` and ``.action`` (or ``.idl``) files.
+
+    Laid out as ``<package>/msg/<Name>.msg``, as ``<package>/<Name>.msg``, or being the package's own folder.
+    """
+
+    def __init__(self, root: Path, world: World) -> None:
+        self.root = root
+        self.world = world
+
+    def folders(self, package: str, kind: str) -> list[Path]:
+        """Folders of this tree that hold the package's files of one kind (``msg``, ``srv``, ``action``)."""
+        wanted = [self.root / package / kind]
+        if kind == "msg":
+            wanted.append(self.root / package)
+        if self.root.name == package:
+            wanted += [self.root / kind, self.root]
+        if self.root.name == kind and self.root.parent.name == package:
+            wanted.append(self.root)
+        return [folder for folder in wanted if folder.is_dir()]
+
+    def find(self, name: str) -> Found | None:
+        """See `DefinitionSource`."""
+        parts = name.split("/")
+        package, kind, short = parts if len(parts) == 3 else (parts[0], "msg", parts[1])
+        if self.world is World.ROS2 and kind == "msg" and not is_legal_message(short):
+            return None
+        for folder in self.folders(package, kind):
+            if kind != "msg":
+                found = self._part(folder, name)
+                if found is not None:
+                    return found
+                continue
+            if (path := folder / f"{short}.msg").is_file():
+                return self._native({name: parse_definition(read_text(path), name, self.world)})
+            if self.world is World.ROS2 and (path := folder / f"{short}.idl").is_file():
+                return parse_idl(read_text(path), name)
+        if self.world is World.ROS1 and kind == "msg":
+            for folder in self.folders(package, "action"):
+                found = find_actionlib(folder, name)
+                if found is not None:
+                    return self._native(found)
+        return None
+
+    def _part(self, folder: Path, name: str) -> Found | None:
+        found = find_part(folder, name, self.world)
+        if found is not None:
+            return self._native(found)
+        path = folder / f"{base_of(name, self.world).rpartition('/')[2]}.idl"
+        if self.world is World.ROS2 and path.is_file():
+            return with_made(parse_idl(read_text(path), _first_part(name)), name, self.world)
+        return None
+
+    def _native(self, found: Found) -> Found | None:
+        """What is found; None where it is written for the other world, as it is derived from there."""
+        return found if all(definition.text or not definition.fields for definition in found.values()) else None
+
+    def files(self, package: str) -> dict[str, str]:
+        """Text of the package's definition files by their path within it."""
+        found: dict[str, str] = {}
+        for kind in ("msg", "srv", "action"):
+            for folder in self.folders(package, kind):
+                for path in sorted(folder.glob(f"*.{kind}")):
+                    if kind != "msg" or self.find(f"{package}/msg/{path.stem}") is not None:
+                        found.setdefault(f"{kind}/{path.name}", read_text(path))
+        return found
+
+    def names(self, package: str, kind: str = "msg") -> list[str]:
+        """See `DefinitionSource`."""
+        middle = "" if self.world is World.ROS1 and kind == "msg" else f"{kind}/"
+        stems = self._stems(package, kind)
+        if self.world is World.ROS1 and kind == "msg":
+            stems |= set(actionlib_names(self._stems(package, "action")))
+        return [f"{package}/{middle}{stem}" for stem in sorted(stems)]
+
+    def _stems(self, package: str, kind: str) -> set[str]:
+        suffixes = (f".{kind}", ".idl")
+        return {p.stem for f in self.folders(package, kind) for p in f.iterdir() if p.suffix in suffixes}
+
+
+class GenpyPackages:
+    """ROS 1 Python packages, read as text: they cannot be imported beside ROS 2's, which have the same names."""
+
+    def __init__(self, root: Path) -> None:
+        self.root = root
+
+    def find(self, name: str) -> Found | None:
+        """See `DefinitionSource`."""
+        if name.count("/") > 1:
+            return self._service(name)
+        package, short = name.split("/")
+        texts = self._texts(self.root / package / "msg" / f"_{short}.py")
+        return parse_full(texts[0], name, World.ROS1) if texts else None
+
+    def names(self, package: str, kind: str = "msg") -> list[str]:
+        """See `DefinitionSource`."""
+        middle = "" if kind == "msg" else f"{kind}/"
+        files = (self.root / package / kind).glob("_[A-Za-z]*.py")
+        return [f"{package}/{middle}{path.stem[1:]}" for path in sorted(files)]
+
+    def _service(self, name: str) -> Found | None:
+        """The request or response of a service: their texts are in one file, in this order."""
+        package, kind, short = name.split("/")
+        base, _, part = short.rpartition("_")
+        texts = self._texts(self.root / package / "srv" / f"_{base}.py") if kind == "srv" else []
+        if part not in CONTENTS["srv"] or len(texts) != len(CONTENTS["srv"]):
+            return None
+        return parse_full(texts[CONTENTS["srv"].index(part)], name, World.ROS1)
+
+    def _texts(self, path: Path) -> list[str]:
+        """The full definitions in a generated file."""
+        if not path.is_file():
+            return []
+        return [str(ast.literal_eval(text)) for text in _FULL_TEXT.findall(read_text(path))]
+
+
+class RosbagsTypes:
+    """The standard types that rosbags ships."""
+
+    def __init__(self, world: World) -> None:
+        self.world = world
+
+    def find(self, name: str) -> Found | None:
+        """See `DefinitionSource`."""
+        definition = find_in_store(name, self.world)
+        return None if definition is None else {name: definition}
+
+    def names(self, package: str, kind: str = "msg") -> list[str]:
+        """See `DefinitionSource`."""
+        return store_names(package, self.world) if kind == "msg" else []
+
+
+def find_first(sources: Iterable[DefinitionSource], name: str, world: World) -> Found | None:
+    """The first source's answer; None where no source knows ``name`` or it is no legal type name."""
+    # The parts of ROS 1's services have names as ROS 2's.
+    if not is_ros2_name(name) and (world is World.ROS2 or not is_ros1_name(name)):
+        return None
+    for source in sources:
+        found = source.find(name)
+        if found is not None:
+            return found
+    return None
+
+
+def ros1_sources(folders: Sequence[Path], packages: Path | None) -> list[DefinitionSource]:
+    """Places of ROS 1 definitions, the most particular first."""
+    python = [packages] if packages is not None else _ros1_python_folders()
+    shares = [*_split(os.environ.get("ROS_PACKAGE_PATH")), Path("/opt/ros/noetic/share"), Path("/usr/share")]
+    return [
+        *(DefinitionFolder(folder, World.ROS1) for folder in folders),
+        *(GenpyPackages(folder) for folder in python if folder.is_dir()),
+        *(DefinitionFolder(folder, World.ROS1) for folder in shares if folder.is_dir()),
+        DefinitionFolder(_OWN / "ros1", World.ROS1),
+        RosbagsTypes(World.ROS1),
+    ]
+
+
+def ros2_sources(folders: Sequence[Path], prefixes: Sequence[Path]) -> list[DefinitionSource]:
+    """Places of ROS 2 definitions, the most particular first."""
+    own = Path(__file__).parents[2] / "interfaces" / "definitions"
+    roots = [*prefixes, *_split(os.environ.get("AMENT_PREFIX_PATH")), Path(sys.prefix), Path("/opt/ros/jazzy")]
+    shares = dict.fromkeys(root / "share" for root in roots)
+    return [
+        *(DefinitionFolder(folder, World.ROS2) for folder in folders),
+        *(DefinitionFolder(share, World.ROS2) for share in shares if share.is_dir()),
+        DefinitionFolder(own, World.ROS2),
+        DefinitionFolder(_OWN / "ros2", World.ROS2),
+        RosbagsTypes(World.ROS2),
+    ]
+
+
+def _first_part(name: str) -> str:
+    """What the file of a service or action defines first."""
+    return f"{base_of(name, World.ROS2)}_{CONTENTS[name.split('/')[1]][0]}"
+
+
+def read_text(path: Path) -> str:
+    """A definition file's text; `MessageTypeError` where it cannot be read."""
+    try:
+        if path.stat().st_size > MAX_TEXT:
+            raise MessageTypeError(f"{path} is larger than {MAX_TEXT} bytes")
+        return path.read_text(encoding="utf-8", errors="replace")
+    except OSError as err:
+        raise MessageTypeError(f"cannot read {path}: {err}") from None
+
+
+def _ros1_python_folders() -> list[Path]:
+    """Where Debian, a sourced workspace or /opt/ros put ROS 1's Python packages; never the venv's own ROS 2 ones."""
+    own = {Path(folder).resolve() for folder in site.getsitepackages()}
+    wanted = [*_split(os.environ.get("PYTHONPATH")), Path("/opt/ros/noetic/lib/python3/dist-packages")]
+    wanted.append(Path("/usr/lib/python3/dist-packages"))
+    return [folder for folder in dict.fromkeys(wanted) if folder.resolve() not in own]
+
+
+def _split(paths: str | None) -> list[Path]:
+    return [Path(path) for path in (paths or "").split(os.pathsep) if path]
+
+
+_MODULES = {World.ROS1: "rosbags.typesys.stores.ros1_noetic", World.ROS2: "rosbags.typesys.stores.ros2_jazzy"}
+_TIMES = {"builtin_interfaces/msg/Time": "time", "builtin_interfaces/msg/Duration": "duration"}
+_BASE, _NAME, _ARRAY, _SEQUENCE = 1, 2, 3, 4  # rosbags.interfaces.Nodetype
+
+
+def find_in_store(name: str, world: World) -> Definition | None:
+    """The definition of a standard type of Noetic or Jazzy, None where rosbags has none."""
+    store = _store(world)
+    key = name if world is World.ROS2 else name.replace("/", "/msg/", 1)
+    if world is World.ROS1 and key in _TIMES:
+        return None
+    return _definition(key, store[key], world) if key in store else None
+
+
+def store_names(package: str, world: World) -> list[str]:
+    """Names of a package's types in the store."""
+    names = [key for key in _store(world) if key.startswith(f"{package}/")]
+    return names if world is World.ROS2 else [key.replace("/msg/", "/", 1) for key in names]
+
+
+def parse_idl(text: str, name: str) -> dict[str, Definition]:
+    """The messages of an ``.idl`` file, a service's request and reply; raises `MessageTypeError` without ``name``."""
+    from rosbags.typesys import TypesysError, get_types_from_idl  # slow, and seldom needed
+
+    try:
+        types = get_types_from_idl(text)
+    except TypesysError as err:
+        raise MessageTypeError(f"cannot read the IDL definition of {name}: {err}") from None
+    found = {key: _definition(key, value, World.ROS2) for key, value in types.items()}
+    if name not in found:
+        raise MessageTypeError(f"the IDL file of {name} defines {', '.join(found) or 'nothing'} instead")
+    return found
+
+
+@cache
+def _store(world: World) -> Mapping[str, Any]:
+    """The definitions, without the class of each message that rosbags makes beside them: 3 MB in each worker."""
+    definitions: Mapping[str, Any] = importlib.import_module(_MODULES[world]).FIELDDEFS
+    stores = sys.modules[_MODULES[world].rpartition(".")[0]]
+    for name in [name for name in sys.modules if name.startswith(f"{stores.__name__}.ros")]:
+        del sys.modules[name]  # who wants the classes imports it again
+        vars(stores).pop(name.rpartition(".")[2], None)
+    gc.collect()
+    return definitions
+
+
+def _definition(key: str, value: Any, world: World) -> Definition:
+    constants, fields = value
+    name = key if world is World.ROS2 else key.replace("/msg/", "/", 1)
+    return Definition(
+        name,
+        world,
+        tuple(Field(f, _type(desc, name, world)) for f, desc in fields if f != EMPTY_MEMBER),
+        tuple(Constant(c, base, str(v)) for c, base, v in constants),
+    )
+
+
+def _type(desc: Any, owner: str, world: World) -> FieldType:
+    kind, content = int(desc[0]), desc[1]
+    if kind in (_ARRAY, _SEQUENCE):
+        inner = _type(content[0], owner, world)
+        shape = Shape.ARRAY if kind == _ARRAY else Shape.SEQUENCE
+        return FieldType(inner.base, shape, content[1], inner.string_bound)
+    if kind == _NAME:
+        if world is World.ROS1 and content in _TIMES:
+            return FieldType(_TIMES[content])
+        return FieldType(spell(content, owner, world))
+    base, bound = content
+    return FieldType({"octet": "byte"}.get(base, base), string_bound=bound)

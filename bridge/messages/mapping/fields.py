@@ -1,0 +1,188 @@
+"""Which field of a ROS 1 type stands for which field of a ROS 2 type.
+
+By rule where a mapping rule lists the fields, else by name ignoring case (``CameraInfo.D`` is ``d``). ``Header.seq``
+has no counterpart and needs none. Fields on one side only get default values; where both sides have such fields the
+types are no pair, since nobody can tell which field became which. actionlib's status text (`parts.STATUS_TEXT`) stands
+for the ``error_msg`` of a ROS 2 action's result where no field of ROS 1's does; else it needs no counterpart.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from bridge.messages.definitions.names import legal_fields
+from bridge.messages.definitions.parts import STATUS_TEXT
+from bridge.messages.definitions.schema import PRIMITIVE_SIZES, TIME_TYPES, Definition, Field, FieldType, Schema, Shape
+from bridge.messages.errors import MessageTypeError
+from bridge.messages.mapping.rules import FieldRule, Rules
+
+FieldPath = tuple[str, ...]
+Fields = tuple[tuple[FieldPath, FieldPath], ...]
+
+_ERROR_MSG = "error_msg"
+
+
+@dataclass(frozen=True, slots=True)
+class Pair:
+    """Two message types and the paths of the fields that stand for each other."""
+
+    ros1: Definition
+    ros2: Definition
+    fields: Fields
+
+
+PairTable = Mapping[tuple[str, str], Pair]
+"""Pairs by ROS 1 and ROS 2 name: the root types' and all that they nest."""
+
+
+def pair_types(ros1: Schema, ros2: Schema, rules: Rules) -> PairTable:
+    """Match two types and all that they nest; raises `MessageTypeError` with the fields that stand in the way."""
+    table: dict[tuple[str, str], Pair] = {}
+
+    def visit(name1: str, name2: str) -> None:
+        if (name1, name2) in table:
+            return
+        own1, own2 = ros1.sub(name1), ros2.sub(name2)
+        rule = rules.fields(name1, name2)
+        fields = _by_name(own1.root, own2.root) if rule is None else _by_rule(own1, own2, rule)
+        fields = _status_text(own1.root, own2.root, fields) + fields
+        table[name1, name2] = Pair(own1.root, own2.root, fields)
+        for path1, path2 in fields:
+            kind1, kind2 = field_at(own1, path1), field_at(own2, path2)
+            assert kind1 is not None
+            assert kind2 is not None
+            reason = _unlike(kind1, kind2, rules)
+            if reason:
+                msg = (
+                    f"{name1} and {name2} are no pair: field {'.'.join(path1)} ({kind1}) and field"
+                    f" {'.'.join(path2)} ({kind2}): {reason}"
+                )
+                raise MessageTypeError(msg, "write a mapping rule that leaves the field out (types.mapping_rules)")
+            if kind1.nested and kind2.nested:
+                visit(kind1.base, kind2.base)
+
+    visit(ros1.name, ros2.name)
+    return table
+
+
+def left_out(pairs: PairTable, rules: Rules) -> tuple[str, ...]:
+    """The ROS 1 fields that have no counterpart, as ``package/Name.field``, but for those that a rule leaves out."""
+    found: list[str] = []
+    for pair in pairs.values():
+        if rules.fields(pair.ros1.name, pair.ros2.name) is None:
+            mapped = {path1[0] for path1, _ in pair.fields}
+            found += [f"{pair.ros1.name}.{name}" for name in _named(pair.ros1) if name not in mapped]
+    return tuple(found)
+
+
+def _named(ros1: Definition) -> list[str]:
+    """The fields that need a counterpart: all but a header's ``seq``, and actionlib's status text."""
+    needless = {STATUS_TEXT, "seq"} if ros1.name == "std_msgs/Header" else {STATUS_TEXT}
+    return [field.name for field in ros1.fields if field.name not in needless]
+
+
+def _status_text(ros1: Definition, ros2: Definition, fields: Fields) -> Fields:
+    """What actionlib's status text stands for."""
+    said = any(field.name == STATUS_TEXT for field in ros1.fields)
+    wanted = Field(_ERROR_MSG, FieldType("string")) in ros2.fields
+    pair = (STATUS_TEXT,), (_ERROR_MSG,)
+    return (pair,) if said and wanted and all(two != pair[1] for _, two in fields) else ()
+
+
+def says_the_same(ros1: Schema, ros2: Schema, rules: Rules) -> bool:
+    """Whether two types and all that they nest are a pair in which each field has its counterpart."""
+    try:
+        pairs = pair_types(ros1, ros2, rules)
+    except MessageTypeError:
+        return False
+    for pair in pairs.values():
+        mapped = {path2 for _, path2 in pair.fields}
+        if rules.fields(pair.ros1.name, pair.ros2.name) is None and not (
+            len(mapped) == len(_named(pair.ros1)) == len(pair.ros2.fields)
+        ):
+            return False
+    return True
+
+
+def field_at(schema: Schema, path: FieldPath) -> FieldType | None:
+    """The type of the field at a path such as ``("header", "stamp")``; None where there is no such field."""
+    definition: Definition | None = schema.root
+    kind: FieldType | None = None
+    for step in path:
+        if definition is None or (kind is not None and kind.shape is not Shape.SINGLE):
+            return None
+        kind = next((field.type for field in definition.fields if field.name == step), None)
+        if kind is None:
+            return None
+        definition = schema.of(kind)
+    return kind
+
+
+def _by_rule(ros1: Schema, ros2: Schema, rule: FieldRule) -> Fields:
+    pairs = [(tuple(one.split(".")), tuple(two.split("."))) for one, two in rule.fields.items()]
+    for one, two in pairs:
+        for schema, path in ((ros1, one), (ros2, two)):
+            if field_at(schema, path) is None:
+                msg = f"{rule.origin}: {schema.name} has no field {'.'.join(path)}"
+                raise MessageTypeError(msg, f"its fields: {', '.join(f.name for f in schema.root.fields) or 'none'}")
+    targets = [two for _, two in pairs]
+    for two in targets:
+        if any(other is not two and other[: len(two)] == two for other in targets):
+            raise MessageTypeError(f"{rule.origin}: {'.'.join(two)} of {ros2.name} is mapped twice")
+    return tuple(pairs)
+
+
+def _by_name(ros1: Definition, ros2: Definition) -> Fields:
+    exact = {field.name: field.name for field in ros2.fields}
+    lower = {field.name.lower(): field.name for field in ros2.fields}
+    legal = legal_fields(field.name for field in ros1.fields)
+    pairs: list[tuple[FieldPath, FieldPath]] = []
+    only1: list[str] = []
+    taken: set[str] = set()
+    for field in ros1.fields:
+        name = exact.get(field.name) or lower.get(field.name.lower()) or exact.get(legal[field.name])
+        if name is None or name in taken:
+            only1.append(field.name)
+        else:
+            taken.add(name)
+            pairs.append(((field.name,), (name,)))
+    only1 = [name for name in only1 if name in _named(ros1)]
+    only2 = [field.name for field in ros2.fields if field.name not in taken]
+    if only1 and only2:
+        msg = (
+            f"{ros1.name} and {ros2.name} are no pair: only the first has {', '.join(only1)}, only the second"
+            f" {', '.join(only2)}"
+        )
+        raise MessageTypeError(msg, "say which field became which in a mapping rule (types.mapping_rules)")
+    return tuple(pairs)
+
+
+def _unlike(one: FieldType, two: FieldType, rules: Rules) -> str:
+    """Why a field of ROS 1 cannot stand for one of ROS 2; "" where it can."""
+    if one.shape is not two.shape:
+        return f"one is {_a(one.shape)}, the other {_a(two.shape)}"
+    if one.shape is Shape.ARRAY and one.length != two.length:
+        return "the arrays differ in length"
+    if one.base in TIME_TYPES:
+        return "" if TIME_TYPES[one.base] == two.base else f"{one.base} stands for {TIME_TYPES[one.base]} alone"
+    if one.nested and two.nested:
+        if rules.stand_for_each_other(one.base, two.base):
+            return ""
+        return "the two message types do not stand for each other"
+    if two.base == "wstring":
+        return "ROS 1 has no wstring"
+    if one.base == two.base or _same_bits(one.base, two.base):
+        return ""
+    return "the two types differ"
+
+
+def _same_bits(one: str, two: str) -> bool:
+    """Whether two primitives are integers of the same size: ROS 1's byte is an int8, ROS 2's an octet, and so on."""
+    sizes = PRIMITIVE_SIZES.get(one), PRIMITIVE_SIZES.get(two)
+    floats = any(base.startswith("float") or base == "bool" for base in (one, two))
+    return sizes[0] is not None and sizes[0] == sizes[1] and not floats
+
+
+def _a(shape: Shape) -> str:
+    return {Shape.SINGLE: "a single value", Shape.ARRAY: "an array", Shape.SEQUENCE: "a sequence"}[shape]

@@ -1,0 +1,229 @@
+"""Messages of ROS 1 and ROS 2: which stand for each other, and how their bytes get across.
+
+A type that only one world has gets a counterpart with the same fields in the same order, its nested types mapped.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+
+from bridge.messages.definitions.library import DefinitionLibrary
+from bridge.messages.definitions.names import is_ros1_name, is_ros2_name, legal_fields, legal_type
+from bridge.messages.definitions.schema import TIME_TYPES, Constant, Definition, Field, FieldType, Schema, World
+from bridge.messages.definitions.text import full_text, ros2_constants
+from bridge.messages.errors import MessageTypeError
+from bridge.messages.mapping.fields import left_out, pair_types, says_the_same
+from bridge.messages.mapping.rules import Rules
+from bridge.messages.transcode.conversion import Conversion, SideType, cdr_to_ros1, ros1_to_cdr
+
+Counterpart = Callable[[Schema], Schema]
+"""Gives the other world's schema of a nested type."""
+
+_TIMES_BACK = {name: base for base, name in TIME_TYPES.items()}
+
+
+def derive_ros2(ros1: Schema, counterpart: Counterpart, name: str = "") -> Schema:
+    """The ROS 2 type for a type that only ROS 1 has; names are made legal as ROS 2 wants them."""
+    names = legal_fields(field.name for field in ros1.root.fields)
+    types: dict[str, Definition] = {}
+
+    def base(kind: FieldType) -> str:
+        if kind.base in TIME_TYPES:
+            name = TIME_TYPES[kind.base]
+            types[name] = _TIME_DEFINITIONS[name]
+            return name
+        return _nested(ros1, kind, counterpart, types)
+
+    fields = tuple(
+        Field(names[field.name], FieldType(base(field.type), field.type.shape, field.type.length))
+        for field in ros1.root.fields
+    )
+    root = Definition(name or legal_type(ros1.name), World.ROS2, fields, ros2_constants(ros1.root.constants))
+    return Schema(root, {**types, root.name: root})
+
+
+def derive_ros1(ros2: Schema, counterpart: Counterpart, name: str = "") -> Schema:
+    """The ROS 1 type for a type that only ROS 2 has; bounds are dropped, and checked when messages are converted."""
+    package, kind, short = ros2.name.split("/")
+    if kind != "msg" and not name:
+        raise MessageTypeError(f"{ros2.name} is part of a service or action, for which ROS 1 has no message")
+    types: dict[str, Definition] = {}
+    fields: list[Field] = []
+    for field in ros2.root.fields:
+        if field.type.base == "wstring":
+            msg = f"{ros2.name} cannot be said in ROS 1: field {field.name} is a wstring"
+            raise MessageTypeError(
+                msg, "map it by a rule to a ROS 1 message that leaves the field out (types.mapping_rules)"
+            )
+        base = _TIMES_BACK.get(field.type.base) or _nested(ros2, field.type, counterpart, types)
+        length = field.type.length if field.type.shape.value == "array" else 0
+        fields.append(Field(field.name, FieldType(base, field.type.shape, length)))
+    constants = tuple(_ros1_constant(c) for c in ros2.root.constants if c.base != "wstring")
+    root = Definition(name or f"{package}/{short}", World.ROS1, tuple(fields), constants)
+    return Schema(root, {**types, root.name: root})
+
+
+_TIME_DEFINITIONS = {
+    name: Definition(
+        name, World.ROS2, (Field("sec", FieldType("int32")), Field("nanosec", FieldType("uint32"))), text=text
+    )
+    for name, text in {
+        "builtin_interfaces/msg/Time": "int32 sec\nuint32 nanosec\n",
+        "builtin_interfaces/msg/Duration": "int32 sec\nuint32 nanosec\n",
+    }.items()
+}
+
+
+def _nested(schema: Schema, kind: FieldType, counterpart: Counterpart, types: dict[str, Definition]) -> str:
+    if not kind.nested:
+        return kind.base
+    found = counterpart(schema.sub(kind.base))
+    types.update({name: found.types[name] for name in (found.name, *found.nested_order())})
+    return found.name
+
+
+def _ros1_constant(constant: Constant) -> Constant:
+    text = constant.text
+    if constant.base == "string" and text[:1] in ("'", '"') and text[-1:] == text[:1]:
+        text = text[1:-1]
+    if constant.base == "byte" and int(text, 0) > 127:
+        text = str(int(text, 0) - 256)
+    return Constant(constant.name, constant.base, text)
+
+
+ANY_MD5 = ("", "*")
+"""What a ROS 1 endpoint announces that takes any definition."""
+
+
+class MessageMapping:
+    """The registry's messages; the registry locks. Raises `MessageTypeError` for those that it cannot map."""
+
+    def __init__(self, ros1: DefinitionLibrary, ros2: DefinitionLibrary, rules: Rules) -> None:
+        self.ros1, self.ros2, self.rules = ros1, ros2, rules
+        self._converters: dict[tuple[str, ...], Conversion] = {}
+        self._counterparts: dict[tuple[str, str], Schema] = {}
+
+    def forget(self) -> None:
+        """A new definition may change what stands for what."""
+        self._counterparts.clear()
+
+    def side(self, schema: Schema) -> SideType:
+        """A message as its side, or the hub, names it."""
+        library = self.ros1 if schema.world is World.ROS1 else self.ros2
+        return SideType(schema.name, library.fingerprint(schema), full_text(schema))
+
+    def conversion(self, source: Schema, target: Schema) -> Conversion:
+        """How messages of one type become messages of its counterpart."""
+        sides = self.side(source), self.side(target)
+        key = (*(side.name for side in sides), *(side.type_id for side in sides))
+        if key not in self._converters:
+            if source.world is World.ROS1:
+                pairs = pair_types(source, target, self.rules)
+                convert = ros1_to_cdr(source, target, pairs)
+                self._converters[key] = Conversion(*sides, convert, left_out(pairs, self.rules))
+            else:
+                convert = cdr_to_ros1(source, target, pair_types(target, source, self.rules))
+                self._converters[key] = Conversion(*sides, convert)
+        return self._converters[key]
+
+    def find_ros1(self, name: str, md5: str = "") -> Schema:
+        """The ROS 1 message ``name``; where ROS 2 alone has it, the one derived from there."""
+        wanted = "" if md5 in ANY_MD5 else md5
+        found = self.ros1.find(name, wanted, newest=True)
+        if found is not None:
+            return found
+        if is_ros1_name(name):
+            for candidate in self.rules.ros2_names(name):
+                ros2 = self.ros2.find(candidate)
+                derived = None if ros2 is None else self.to_ros1(ros2)
+                if derived is not None and derived.name == name and wanted in ("", self.ros1.fingerprint(derived)):
+                    return derived
+        raise self._unknown(name, wanted, self.ros1, "md5")
+
+    def find_ros2(self, name: str, type_hash: str = "") -> Schema:
+        """The ROS 2 message ``name``; where ROS 1 alone has it, the one derived from there."""
+        found = self.ros2.find(name, type_hash)
+        if found is not None:
+            return found
+        if is_ros2_name(name):
+            for ros1 in self._ros1_variants(name):
+                ros2 = self.to_ros2(ros1)
+                if ros2.name == name and type_hash in ("", self.ros2.fingerprint(ros2)):
+                    return ros2
+        raise self._unknown(name, type_hash, self.ros2, "hash")
+
+    def _unknown(self, name: str, wanted: str, library: DefinitionLibrary, word: str) -> MessageTypeError:
+        world = library.world.value
+        known = library.fingerprints(name)
+        package = name.split("/")[0]
+        if wanted and known:
+            return MessageTypeError(
+                f"{name} has the {word} {wanted} there but {' or '.join(known)} here: the definitions differ",
+                f"use the same version of {package} on both sides",
+            )
+        return MessageTypeError(
+            f"no definition of the {world} type {name} is known",
+            f"install {package}, or put its .msg files into a folder that types.folders names",
+        )
+
+    def _ros1_variants(self, ros2_name: str) -> Iterator[Schema]:
+        """All ROS 1 definitions that may stand for a ROS 2 name, the likeliest first."""
+        package = ros2_name.split("/", 1)[0]
+        names = self.rules.ros1_names(ros2_name)
+        for name in names:
+            yield from self.ros1.variants(name)
+        for name in self.ros1.names(package):
+            if name not in names and legal_type(name) == ros2_name:
+                yield from self.ros1.variants(name)
+
+    def to_ros2(self, ros1: Schema) -> Schema:
+        """The ROS 2 type that stands for a ROS 1 type.
+
+        It is one that is installed; else one that others use on the hub and that says the same, field for field; else
+        it is derived.
+        """
+        key = (ros1.name, self.ros1.fingerprint(ros1))
+        if key not in self._counterparts:
+            self._counterparts[key] = self._match_ros2(ros1)
+        return self._counterparts[key]
+
+    def _match_ros2(self, ros1: Schema) -> Schema:
+        names = self.rules.ros2_names(ros1.name)
+        for name in names:
+            found = self.ros2.installed(name)
+            if found is not None:
+                return found
+        for name in names:
+            for announced in self.ros2.variants(name):
+                if says_the_same(ros1, announced, self.rules):
+                    return announced
+        return derive_ros2(ros1, self.to_ros2)
+
+    def to_ros1(self, ros2: Schema) -> Schema:
+        """The ROS 1 type that stands for a ROS 2 type: announced by publishers, installed, else derived."""
+        key = (ros2.name, self.ros2.fingerprint(ros2))
+        if key not in self._counterparts:
+            self._counterparts[key] = self._match_ros1(ros2, key[1])
+        return self._counterparts[key]
+
+    def _match_ros1(self, ros2: Schema, wanted: str) -> Schema:
+        first: Schema | None = None
+        for ros1 in self._ros1_variants(ros2.name):
+            back = self.to_ros2(ros1)
+            if back.name == ros2.name and self.ros2.fingerprint(back) == wanted:
+                return ros1
+            first = first or ros1
+        return first or derive_ros1(ros2, self.to_ros1)
+
+    def derivable(self, package: str) -> Iterator[Schema]:
+        """ROS 2 types of a package that are made from ROS 1 types."""
+        for name in self.ros1.names(package):
+            ros1 = self.ros1.find(name, newest=True)
+            if ros1 is None:
+                continue
+            try:
+                ros2 = self.to_ros2(ros1)
+            except MessageTypeError:
+                continue
+            if ros2.root.package == package:
+                yield ros2

@@ -1,0 +1,213 @@
+"""ros1_bridge's mapping rules: which packages, messages, services and fields of ROS 1 and ROS 2 stand for each other.
+
+The files are those of ros1_bridge (https://github.com/ros2/ros1_bridge/blob/master/doc/index.rst): a YAML list of
+mappings. A rule with ``fields_1_to_2`` maps these fields alone; a path such as ``header.stamp`` names a nested field.
+Actions, which ros1_bridge has none of, are written the same way: ``ros1_action_name``, ``ros2_action_name``, and
+``goal_fields_1_to_2``, ``result_fields_1_to_2``, ``feedback_fields_1_to_2``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from bridge.messages.definitions.names import legal_type, ros1_candidates, ros2_candidates, split_part
+from bridge.messages.errors import MessageTypeError
+
+Fields = Mapping[str, str]
+"""ROS 1 path to ROS 2 path."""
+
+_PARTS = {
+    "message": {"": "fields_1_to_2"},
+    "service": {part: f"{part.lower()}_fields_1_to_2" for part in ("Request", "Response")},
+    "action": {part: f"{part.lower()}_fields_1_to_2" for part in ("Goal", "Result", "Feedback")},
+}
+"""What a rule may map the fields of, and the key that does."""
+
+_KINDS = {"message": "msg", "service": "srv", "action": "action"}
+_KEYS = {
+    "ros1_package_name",
+    "ros2_package_name",
+    "enable_foreign_mappings",
+    *(f"{side}_{word}_name" for side in ("ros1", "ros2") for word in _PARTS),
+    *(key for parts in _PARTS.values() for key in parts.values()),
+}
+
+
+@dataclass(frozen=True, slots=True)
+class MappingRule:
+    """Two packages, or two messages, services or actions, that stand for each other."""
+
+    ros1_package: str
+    ros2_package: str
+    ros1: str = ""  #: with ``ros2``, the short names; "" where the rule speaks of whole packages
+    ros2: str = ""
+    kind: str = ""  #: ``msg``, ``srv`` or ``action`` as in ROS 2's names; "" where the rule speaks of whole packages
+    # by part ("" for a message, ``Request``, ``Goal`` ...), for the parts whose fields are not matched by name
+    fields: Mapping[str, Fields] = field(default_factory=dict)
+    origin: str = "built in"  #: file and entry, for error messages
+
+
+@dataclass(frozen=True, slots=True)
+class FieldRule:
+    """The fields of two types that stand for each other; all others have no counterpart."""
+
+    fields: Fields
+    origin: str
+
+
+_TIME_FIELDS = {"": {"data.secs": "sec", "data.nsecs": "nanosec"}}
+_LOG_FIELDS = {
+    "": {"header.stamp": "stamp"} | {name: name for name in ("level", "name", "msg", "file", "function", "line")}
+}
+_MOVE_BASE_FIELDS = {
+    "Goal": {"target_pose": "pose"},
+    "Result": dict[str, str](),
+    "Feedback": {"base_position": "current_pose"},
+}
+BUILT_IN = (
+    MappingRule("std_msgs", "builtin_interfaces", "Time", "Time", "msg", _TIME_FIELDS),
+    MappingRule("std_msgs", "builtin_interfaces", "Duration", "Duration", "msg", _TIME_FIELDS),
+    MappingRule("tf", "tf2_msgs", "tfMessage", "TFMessage", "msg", {"": {"transforms": "transforms"}}),
+    MappingRule("rosgraph_msgs", "rcl_interfaces", "Log", "Log", "msg", _LOG_FIELDS),
+    MappingRule("move_base_msgs", "nav2_msgs", "MoveBase", "NavigateToPose", "action", _MOVE_BASE_FIELDS),
+)
+
+
+class Rules:
+    """All rules, the configuration's before the built-in ones."""
+
+    def __init__(self, files: Iterable[Path] = ()) -> None:
+        loaded = [rule for file in files for rule in load_rules(file)]
+        # Rules of messages say more than rules of whole packages.
+        self._given = sorted(loaded, key=lambda rule: not rule.ros1)
+        self._fields: dict[tuple[str, str], FieldRule] = {}
+        for rule in (*self._given, *BUILT_IN):
+            for part, fields in rule.fields.items():
+                self._fields.setdefault(_part_names(rule, part), FieldRule(fields, rule.origin))
+
+    def ros2_names(self, ros1_name: str, kind: str = "msg") -> list[str]:
+        """ROS 2 names that may stand for a ROS 1 message, service (``srv``) or ``action``, the likeliest first."""
+        package, name = ros1_name.split("/")
+        ruled = [
+            f"{rule.ros2_package}/{kind}/{rule.ros2 or name}"
+            for rule in (*self._given, *BUILT_IN)
+            if rule.ros1_package == package and (rule.kind, rule.ros1) in (("", ""), (kind, name))
+        ]
+        return list(dict.fromkeys([*ruled, *ros2_candidates(ros1_name, kind)]))
+
+    def ros1_names(self, ros2_name: str) -> list[str]:
+        """ROS 1 names that may stand for a ROS 2 message, service or action, the likeliest first."""
+        return list(
+            dict.fromkeys(
+                [*_ruled_ros1(ros2_name, self._given), *ros1_candidates(ros2_name), *_ruled_ros1(ros2_name, BUILT_IN)]
+            )
+        )
+
+    def stand_for_each_other(self, ros1_name: str, ros2_name: str) -> bool:
+        """Whether the two messages are a pair by name or by rule; a goal, result or feedback is one as its action is.
+
+        ``move_base_msgs/MoveBaseGoal`` and ``nav2_msgs/action/NavigateToPose_Goal`` are such.
+        """
+        kind = ros2_name.split("/")[1]
+        if kind == "action":
+            ros2_name, part = split_part(ros2_name)
+            if not ros1_name.endswith(part):
+                return False
+            ros1_name = ros1_name.removesuffix(part)
+        return (
+            ros2_name in self.ros2_names(ros1_name, kind)
+            or ros1_name in self.ros1_names(ros2_name)
+            or legal_type(ros1_name, kind) == ros2_name
+        )
+
+    def fields(self, ros1_name: str, ros2_name: str) -> FieldRule | None:
+        """The rule that lists the fields of the pair, None where fields are matched by name."""
+        return self._fields.get((ros1_name, ros2_name))
+
+
+def _part_names(rule: MappingRule, part: str) -> tuple[str, str]:
+    """Names of a part in ROS 1 and in ROS 2: of the messages, of the requests, of the goals ..."""
+    middle = "srv/" if rule.kind == "srv" else ""
+    short1 = f"{rule.ros1}_{part}" if rule.kind == "srv" else f"{rule.ros1}{part}"
+    short2 = f"{rule.ros2}_{part}" if part else rule.ros2
+    return f"{rule.ros1_package}/{middle}{short1}", f"{rule.ros2_package}/{rule.kind}/{short2}"
+
+
+def _ruled_ros1(ros2_name: str, rules: Iterable[MappingRule]) -> list[str]:
+    package, kind, name = ros2_name.split("/")
+    if kind != "msg" and split_part(ros2_name)[1]:
+        return []
+    return [
+        f"{rule.ros1_package}/{rule.ros1 or name}"
+        for rule in rules
+        if rule.ros2_package == package and (rule.kind, rule.ros2) in (("", ""), (kind, name))
+    ]
+
+
+def load_rules(file: Path) -> list[MappingRule]:
+    """Read one mapping-rule file; `MessageTypeError` names the file and the entry that is wrong."""
+    import yaml  # most configurations name no such file
+
+    try:
+        entries = yaml.safe_load(file.read_text(encoding="utf-8"))
+    except (OSError, RecursionError, ValueError, yaml.YAMLError) as err:
+        raise MessageTypeError(f"cannot read the mapping rules {file}: {err}") from None
+    if entries is None:
+        return []
+    if not isinstance(entries, list):
+        msg = f"the mapping rules {file} are not a list of entries"
+        raise MessageTypeError(msg, "write each rule as a list item, as ros1_bridge's documentation shows")
+    return [_rule(entry, f"{file}, entry {number}") for number, entry in enumerate(entries, 1)]
+
+
+def _rule(entry: Any, origin: str) -> MappingRule:
+    if not isinstance(entry, dict):
+        raise MessageTypeError(f"{origin}: not a mapping of keys to values")
+    unknown = sorted(str(key) for key in entry.keys() - _KEYS)
+    if unknown:
+        raise MessageTypeError(f"{origin}: unknown key {unknown[0]!r}", f"known keys: {', '.join(sorted(_KEYS))}")
+    packages = _text(entry, "ros1_package_name", origin), _text(entry, "ros2_package_name", origin)
+    if not all(packages):
+        raise MessageTypeError(f"{origin}: needs ros1_package_name and ros2_package_name")
+    named = {word: _both(entry, f"ros1_{word}_name", f"ros2_{word}_name", origin) for word in _PARTS}
+    meant = [word for word, names in named.items() if any(names)]
+    if len(meant) > 1:
+        raise MessageTypeError(f"{origin}: speaks of {meant[0]}s and of {meant[1]}s; write two entries")
+    word = meant[0] if meant else ""
+    fields: dict[str, Fields] = {}
+    for other, parts in _PARTS.items():
+        for part, key in parts.items():
+            value = _fields(entry, key, origin)
+            if value is None:
+                continue
+            if other != word:
+                raise MessageTypeError(f"{origin}: {key} needs ros1_{other}_name and ros2_{other}_name")
+            fields[part] = value
+    names = named[word] if word else ("", "")
+    return MappingRule(*packages, *names, _KINDS.get(word, ""), fields, origin)
+
+
+def _both(entry: Mapping[str, Any], first: str, second: str, origin: str) -> tuple[str, str]:
+    pair = _text(entry, first, origin), _text(entry, second, origin)
+    if any(pair) and not all(pair):
+        raise MessageTypeError(f"{origin}: {first} and {second} go together")
+    return pair
+
+
+def _text(entry: Mapping[str, Any], key: str, origin: str) -> str:
+    value = entry.get(key, "")
+    if not isinstance(value, str):
+        raise MessageTypeError(f"{origin}: {key} is not text but {value!r}")
+    return value
+
+
+def _fields(entry: Mapping[str, Any], key: str, origin: str) -> Fields | None:
+    value = entry.get(key)
+    if value is None:
+        return None
+    if not isinstance(value, dict) or not all(isinstance(x, str) for pair in value.items() for x in pair):
+        raise MessageTypeError(f"{origin}: {key} is not a mapping of field names to field names")
+    return dict(value)

@@ -1,0 +1,195 @@
+"""Services of ROS 1 and ROS 2: their definitions, which stand for each other, and how their bytes get across."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+from bridge.messages.definitions.hashes import md5_sum, rihs01
+from bridge.messages.definitions.names import is_ros1_name, is_ros2_name, legal_type, split_part
+from bridge.messages.definitions.parts import CANCEL_GOAL, CONTENTS, is_service, made_parts
+from bridge.messages.definitions.schema import Schema, World
+from bridge.messages.definitions.text import closure, full_text
+from bridge.messages.errors import MessageTypeError
+from bridge.messages.mapping.fields import says_the_same
+from bridge.messages.mapping.messages import MessageMapping, derive_ros1, derive_ros2
+from bridge.messages.transcode.conversion import ServiceConversion, SideType
+
+
+@dataclass(frozen=True)
+class ServiceSchema:
+    """A service of one world."""
+
+    name: str  #: as the side spells it
+    type_id: str
+    request: Schema  #: the request's message, named ``pkg/srv/Name_Request`` in both worlds
+    response: Schema
+
+    @property
+    def side_type(self) -> SideType:
+        """What is announced of it on its side, or on the hub."""
+        text = f"{full_text(self.request)}---\n{full_text(self.response)}"
+        return SideType(self.name, self.type_id, text)
+
+
+def ros1_service(name: str, request: Schema, response: Schema) -> ServiceSchema:
+    """A service of ROS 1."""
+    return ServiceSchema(name, md5_sum(request, response), request, response)
+
+
+def ros2_service(root: Schema) -> ServiceSchema:
+    """The service of ROS 2 that a schema describes; raises `MessageTypeError` where it describes none."""
+    if any(f"{root.name}_{part}" not in root.types for part in CONTENTS["srv"]):
+        raise MessageTypeError(f"the definition that was announced of {root.name} is not that of a service")
+    request, response = (root.sub(f"{root.name}_{part}") for part in CONTENTS["srv"])
+    return ServiceSchema(root.name, rihs01(root), request, response)
+
+
+def unknown_type(name: str, world: World, wanted: str = "", known: str = "") -> MessageTypeError:
+    """What to say of a service or action that cannot be used, and the cure."""
+    package, kind = name.split("/")[0], "action" if "/action/" in name else "srv"
+    if wanted and known:
+        word = "md5" if world is World.ROS1 else "hash"
+        return MessageTypeError(
+            f"{name} has the {word} {wanted} there but {known} here: the definitions differ",
+            f"use the same version of {package} on both sides",
+        )
+    what = "action" if kind == "action" else "service"
+    return MessageTypeError(
+        f"no definition of the {world.value} {what} {name} is known, and no connection announces one",
+        f"install {package}, or put its .{kind} files into a folder that types.folders names",
+    )
+
+
+class ServiceMapping:
+    """The registry's services; the registry locks. Raises `MessageTypeError` for those that it cannot map."""
+
+    def __init__(self, messages: MessageMapping) -> None:
+        self._messages = messages
+
+    def of_ros1(self, name: str, md5: str = "") -> ServiceSchema:
+        """The ROS 1 service ``pkg/Name``; where ROS 2 alone has it, the one derived from there."""
+        if name == CANCEL_GOAL:
+            return self._derive_ros1(self.of_ros2(name))
+        if not is_ros1_name(name):
+            raise unknown_type(name, World.ROS1)
+        found = self._find_ros1(name)
+        if found is None:
+            for candidate in self._messages.rules.ros2_names(name, "srv"):
+                ros2 = self._find_ros2(candidate)
+                derived = None if ros2 is None else self.to_ros1(ros2)
+                if derived is not None and derived.name == name:
+                    found = derived
+                    break
+        if found is None or md5 not in ("", found.type_id):
+            raise unknown_type(name, World.ROS1, md5, "" if found is None else found.type_id)
+        return found
+
+    def of_ros2(self, name: str, type_hash: str = "") -> ServiceSchema:
+        """The ROS 2 service ``pkg/srv/Name``; where ROS 1 alone has it, the one derived from there."""
+        if not is_ros2_name(name) or not is_service(name):
+            raise unknown_type(name, World.ROS2)
+        found = self._find_ros2(name, type_hash)
+        if found is not None:
+            return found
+        known = " or ".join(self._messages.ros2.fingerprints(name))
+        for ros1 in self._ros1_candidates(name):
+            ros2 = self.to_ros2(ros1)
+            if ros2.name == name:
+                if type_hash in ("", ros2.type_id):
+                    return ros2
+                known = known or ros2.type_id
+        raise unknown_type(name, World.ROS2, type_hash, known)
+
+    def part(self, name: str, type_hash: str = "") -> Schema:
+        """The request or response of a ROS 2 service that ROS 1 alone has."""
+        base, part = split_part(name)
+        service = self.of_ros2(base) if part in CONTENTS["srv"] else None
+        found = None if service is None else service.request if part == "Request" else service.response
+        if found is None or type_hash not in ("", rihs01(found)):
+            raise unknown_type(name, World.ROS2, type_hash, "" if found is None else rihs01(found))
+        return found
+
+    def to_ros2(self, ros1: ServiceSchema) -> ServiceSchema:
+        """The ROS 2 service for one of ROS 1: installed, announced on the hub and saying the same, else derived."""
+        names = [CANCEL_GOAL] if ros1.name == CANCEL_GOAL else self._messages.rules.ros2_names(ros1.name, "srv")
+        for name in names:
+            root = self._messages.ros2.installed(name)
+            if root is not None:
+                return ros2_service(root)
+        for name in names:
+            for root in self._messages.ros2.variants(name):
+                announced = ros2_service(root)
+                if says_the_same(ros1.request, announced.request, self._messages.rules) and says_the_same(
+                    ros1.response, announced.response, self._messages.rules
+                ):
+                    return announced
+        return self._derive_ros2(ros1)
+
+    def to_ros1(self, ros2: ServiceSchema) -> ServiceSchema:
+        """The ROS 1 service for one of ROS 2: installed, else derived."""
+        first: ServiceSchema | None = None
+        for ros1 in self._ros1_candidates(ros2.name):
+            back = self.to_ros2(ros1)
+            if (back.name, back.type_id) == (ros2.name, ros2.type_id):
+                return ros1
+            first = first or ros1
+        return first or self._derive_ros1(ros2)
+
+    def conversion(self, ros1: ServiceSchema, ros2: ServiceSchema) -> ServiceConversion:
+        """How calls get from either to the other."""
+        request = self._messages.conversion(ros1.request, ros2.request)
+        response = self._messages.conversion(ros1.response, ros2.response)
+        return ServiceConversion(
+            side=ros1.side_type,
+            hub=ros2.side_type,
+            request_to_side=self._messages.conversion(ros2.request, ros1.request).convert,
+            request_to_hub=request.convert,
+            response_to_side=self._messages.conversion(ros2.response, ros1.response).convert,
+            response_to_hub=response.convert,
+            left_out=(*request.left_out, *response.left_out),
+        )
+
+    def names(self, package: str) -> list[str]:
+        """ROS 2 services of a package: installed, announced on the hub, or made of ROS 1 services."""
+        known = [name for name in self._messages.ros2.names(package, "srv") if is_service(name)]
+        for name in self._messages.ros1.names(package, "srv"):
+            ros2 = legal_type(name.replace("/srv/", "/", 1), "srv")
+            if ros2 not in known and ros2.startswith(f"{package}/"):
+                known.append(ros2)
+        return known
+
+    def _find_ros1(self, name: str) -> ServiceSchema | None:
+        base = name.replace("/", "/srv/", 1)
+        request, response = (self._messages.ros1.installed(f"{base}_{part}") for part in CONTENTS["srv"])
+        return ros1_service(name, request, response) if request is not None and response is not None else None
+
+    def _find_ros2(self, name: str, type_hash: str = "") -> ServiceSchema | None:
+        root = self._messages.ros2.find(name, type_hash)
+        return None if root is None else ros2_service(root)
+
+    def _ros1_candidates(self, ros2_name: str) -> Iterator[ServiceSchema]:
+        """All ROS 1 services that may stand for a ROS 2 name, the likeliest first."""
+        package = ros2_name.split("/", 1)[0]
+        names = self._messages.rules.ros1_names(ros2_name)
+        others = [name.replace("/srv/", "/", 1) for name in self._messages.ros1.names(package, "srv")]
+        names += [name for name in others if name not in names and legal_type(name, "srv") == ros2_name]
+        for name in names:
+            found = self._find_ros1(name)
+            if found is not None:
+                yield found
+
+    def _derive_ros2(self, ros1: ServiceSchema) -> ServiceSchema:
+        base = legal_type(ros1.name, "srv")
+        info = self._messages.ros2.installed("service_msgs/msg/ServiceEventInfo")
+        assert info is not None  # rosbags' store has it
+        types = {**made_parts(base, World.ROS2), **info.types}
+        for ros1_part in (ros1.request, ros1.response):
+            types |= derive_ros2(ros1_part, self._messages.to_ros2, f"{base}_{ros1_part.name.rpartition('_')[2]}").types
+        return ros2_service(closure(types[base], types))
+
+    def _derive_ros1(self, ros2: ServiceSchema) -> ServiceSchema:
+        request = derive_ros1(ros2.request, self._messages.to_ros1, ros2.request.name)
+        response = derive_ros1(ros2.response, self._messages.to_ros1, ros2.response.name)
+        name = ros2.name if ros2.name == CANCEL_GOAL else ros2.name.replace("/srv/", "/", 1)
+        return ros1_service(name, request, response)

@@ -1,0 +1,339 @@
+"""Makes the conversion program of a pair of types, or of one type that is only checked.
+
+Fields are walked in the target's order. Where the source has them in the same order they are read as they come; where a
+mapping rule mixes them up, the whole source structure is walked first, and its fields are then read where they were.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+
+from bridge.messages.definitions.schema import (
+    PRIMITIVE_SIZES,
+    STRING_TYPES,
+    STRUCT_FORMATS,
+    TIME_TYPES,
+    DefaultValue,
+    Definition,
+    FieldType,
+    Schema,
+    Shape,
+    World,
+)
+from bridge.messages.errors import MessageTypeError
+from bridge.messages.transcode.opcodes import MAX_STEP, Op
+from bridge.messages.transcode.program import ConversionProgram, Instruction
+
+FieldPath = tuple[str, ...]
+FieldPaths = Sequence[tuple[FieldPath, FieldPath]]
+Match = Callable[[str, str], FieldPaths]
+"""Gives the fields of a pair of types that stand for each other, as paths in the source and in the target."""
+
+MAX_STEPS = 100_000
+"""Most fields of a type, with those of the types that it nests, each as often as it occurs."""
+
+MAX_DEFAULT = 16 << 20
+"""Most bytes of default values that one message is given."""
+
+
+def compile_pair(source: Schema, target: Schema, match: Match) -> ConversionProgram:
+    """The program that turns messages of ``source`` into messages of ``target``."""
+    compiler = _Compiler(
+        source, target, match, ConversionProgram(source.name, source.world is World.ROS2, target.world is World.ROS2)
+    )
+    compiler.structure(source.root, target.root, ())
+    return compiler.program
+
+
+def compile_check(schema: Schema) -> ConversionProgram:
+    """The program that checks messages of a ROS 2 type, and writes them in their normal form."""
+    return compile_pair(schema, schema, lambda name, _: [((f.name,), (f.name,)) for f in schema.types[name].fields])
+
+
+@dataclass(frozen=True, slots=True)
+class _Part:
+    """A piece of a structure in the order of its bytes: a field that is wanted, or one that is passed over."""
+
+    path: FieldPath
+    type: FieldType
+    wanted: bool
+    default: DefaultValue | None = None
+
+
+class _Compiler:
+    def __init__(self, source: Schema, target: Schema, match: Match, program: ConversionProgram) -> None:
+        self.source = source
+        self.target = target
+        self.match = match
+        self.program = program
+        self._defaults = 0
+        self._steps = 0
+        self._least: dict[str, int] = {}
+
+    def structure(self, one: Definition, two: Definition, at: FieldPath) -> None:
+        """Convert one structure ``one`` into one ``two``."""
+        fields = self.match(one.name, two.name)
+        wanted = {path for path, _ in fields}
+        origins = {path2: path1 for path1, path2 in fields}
+        if self._hidden_member(one, self.source) and self._hidden_member(two, self.target):
+            self.program.emit(Instruction(Op.COPY, size=1, field=_name(at)))
+            return
+        source_parts = list(_parts(one, self.source, wanted, ()))
+        target_parts = list(_parts(two, self.target, set(origins), ()))
+        order = [part.path for part in source_parts if part.wanted]
+        if order == [origins[part.path] for part in target_parts if part.wanted]:
+            self._stream(source_parts, target_parts, at)
+        else:
+            self._reorder(one, wanted, origins, target_parts, at)
+        if self._hidden_member(one, self.source):
+            self.program.emit(Instruction(Op.SKIP, size=1, field=_name(at)))
+        if self._hidden_member(two, self.target):
+            self.program.emit(Instruction(Op.ZERO, size=1, field=_name(at)))
+
+    def _hidden_member(self, definition: Definition, schema: Schema) -> bool:
+        """ROS 2 gives a structure without fields one byte, since C and IDL want at least one member."""
+        return not definition.fields and schema.world is World.ROS2
+
+    def _stream(self, source_parts: list[_Part], target_parts: list[_Part], at: FieldPath) -> None:
+        """Both sides have the wanted fields in the same order."""
+        reading = iter(source_parts)
+        for part in target_parts:
+            if not part.wanted:
+                self.default(part.type, part.default, (*at, *part.path))
+                continue
+            for passed in reading:
+                if passed.wanted:
+                    self.value(passed.type, part.type, (*at, *passed.path))
+                    break
+                self.skip(passed.type, (*at, *passed.path))
+        for passed in reading:
+            self.skip(passed.type, (*at, *passed.path))
+
+    def _reorder(
+        self,
+        one: Definition,
+        wanted: set[FieldPath],
+        origins: dict[FieldPath, FieldPath],
+        target_parts: list[_Part],
+        at: FieldPath,
+    ) -> None:
+        """The source has the fields in another order: remember where each is, then read them in the target's."""
+        slots: dict[FieldPath, tuple[int, FieldType]] = {}
+
+        def mark() -> int:
+            slot = self.program.new_slot()
+            self.program.barrier()
+            self.program.emit(Instruction(Op.MARK, link=slot, field=_name(at)))
+            return slot
+
+        def walk(definition: Definition, prefix: FieldPath) -> None:
+            for field in definition.fields:
+                path = (*prefix, field.name)
+                if path in wanted:
+                    slots[path] = mark(), field.type
+                inner = self.source.of(field.type)
+                if inner is not None and any(_within(other, path) for other in wanted):
+                    walk(inner, path)
+                else:
+                    self.skip(field.type, (*at, *path))
+
+        walk(one, ())
+        end = mark()
+        for part in target_parts:
+            if part.wanted:
+                path = origins[part.path]
+                slot, kind = slots[path]
+                self._seek(slot, at)
+                self.value(kind, part.type, (*at, *path))
+            else:
+                self.default(part.type, part.default, (*at, *part.path))
+        self._seek(end, at)
+
+    def _seek(self, slot: int, at: FieldPath) -> None:
+        self.program.barrier()
+        self.program.emit(Instruction(Op.SEEK, link=slot, field=_name(at)))
+        self.program.barrier()
+
+    def value(self, one: FieldType, two: FieldType, at: FieldPath) -> None:
+        """Convert one field."""
+        self._step()
+        name = _name(at)
+        bound = min(filter(None, (_bound(one), _bound(two))), default=0)
+        strings = min(filter(None, (one.string_bound, two.string_bound)), default=0)
+        match one.shape:
+            case Shape.SINGLE:
+                self._element(one, two, strings, at)
+            case Shape.ARRAY:
+                least = self.least(one.element)
+                with self.program.loop(Instruction(Op.REPEAT, size=least, bound=one.length, field=name)):
+                    self._element(one, two, strings, (*at, ""))
+            case Shape.SEQUENCE if one.base == "string":
+                self.program.emit(Instruction(Op.STRINGS, size=strings, bound=bound, field=name))
+            case Shape.SEQUENCE if one.base == "bool":
+                self.program.emit(Instruction(Op.BOOLS, size=1, bound=bound, field=name))
+            case Shape.SEQUENCE:
+                least = self.least(one.element)
+                with self.program.loop(Instruction(Op.LOOP, size=least, bound=bound, field=name)):
+                    self._element(one, two, strings, (*at, ""))
+
+    def _element(self, one: FieldType, two: FieldType, strings: int, at: FieldPath) -> None:
+        name = _name(at)
+        if one.base in TIME_TYPES or two.base in TIME_TYPES:
+            self.program.emit(Instruction(Op.COPY, 3, 8, field=name))
+        elif one.nested and two.nested:
+            self.structure(self.source.types[one.base], self.target.types[two.base], at)
+        elif one.base == "string":
+            self.program.emit(Instruction(Op.STRING, bound=strings, field=name))
+        elif one.base == "wstring":
+            # Fast CDR: a count of UTF-16 units, each in four bytes, and no NUL.
+            self.program.emit(Instruction(Op.SEQUENCE, 3, 4, strings, field=name))
+        elif one.base == "bool":
+            self.program.emit(Instruction(Op.BOOL, size=1, field=name))
+        else:
+            size = PRIMITIVE_SIZES[one.base]
+            self.program.emit(Instruction(Op.COPY, size - 1, size, field=name))
+
+    def skip(self, kind: FieldType, at: FieldPath) -> None:
+        """Pass over one field of the source."""
+        self._step()
+        name = _name(at)
+        if kind.shape is Shape.ARRAY:
+            start = Instruction(Op.REPEAT, size=self.least(kind.element), bound=kind.length, field=name)
+        elif kind.shape is Shape.SEQUENCE:
+            start = Instruction(Op.SKIP_LOOP, size=self.least(kind.element), bound=kind.length, field=name)
+        else:
+            self._skip_element(kind, at)
+            return
+        with self.program.loop(start):
+            self._skip_element(kind.element, (*at, ""))
+
+    def _skip_element(self, kind: FieldType, at: FieldPath) -> None:
+        name = _name(at)
+        if kind.base in TIME_TYPES:
+            self.program.emit(Instruction(Op.SKIP, 3, 8, field=name))
+        elif kind.nested:
+            definition = self.source.types[kind.base]
+            for field in definition.fields:
+                self.skip(field.type, (*at, field.name))
+            if self._hidden_member(definition, self.source):
+                self.program.emit(Instruction(Op.SKIP, size=1, field=name))
+        elif kind.base == "string":
+            self.program.emit(Instruction(Op.SKIP_STRING, bound=kind.string_bound, field=name))
+        elif kind.base == "wstring":
+            self.program.emit(Instruction(Op.SKIP_SEQUENCE, 3, 4, kind.string_bound, field=name))
+        else:
+            size = PRIMITIVE_SIZES[kind.base]
+            self.program.emit(Instruction(Op.SKIP, size - 1, size, field=name))
+
+    def default(self, kind: FieldType, default: DefaultValue | None, at: FieldPath) -> None:
+        """Write a field that the source does not have: the definition's default value, else nothing and zero."""
+        self._step()
+        if kind.shape is Shape.SINGLE:
+            self._default_element(kind, default, at)
+        elif kind.shape is Shape.SEQUENCE or isinstance(default, tuple):
+            values = default if isinstance(default, tuple) else ()
+            if kind.shape is Shape.SEQUENCE:
+                self._literal(3, struct.pack("<I", len(values)), at)
+            for value in values:
+                self._default_element(kind, value, at)
+        else:
+            before = self._defaults
+            with self.program.loop(Instruction(Op.REPEAT, size=-1, bound=kind.length, field=_name(at))):
+                self._default_element(kind, None, at)
+            self._count_defaults((self._defaults - before) * (kind.length - 1), at)
+
+    def _default_element(self, kind: FieldType, default: DefaultValue | None, at: FieldPath) -> None:
+        if kind.base in TIME_TYPES:
+            self._literal(3, bytes(8), at)
+        elif kind.nested:
+            definition = self.target.types[kind.base]
+            for field in definition.fields:
+                self.default(field.type, field.default, (*at, field.name))
+            if self._hidden_member(definition, self.target):
+                self._literal(0, bytes(1), at)
+        elif kind.base in STRING_TYPES:
+            self._literal(3, self._text(kind.base, str(default or "")), at)
+        else:
+            size = PRIMITIVE_SIZES[kind.base]
+            self._literal(size - 1, self._number(kind.base, default, at), at)
+
+    def _number(self, base: str, default: DefaultValue | None, at: FieldPath) -> bytes:
+        try:
+            return struct.pack("<" + STRUCT_FORMATS[base], default or 0)
+        except struct.error:
+            msg = f"{self.target.name} cannot be made: the default {default!r} of {_name(at)} is no {base}"
+            raise MessageTypeError(msg) from None
+
+    def _text(self, base: str, text: str) -> bytes:
+        if base == "wstring":
+            units = text.encode("utf-16-le")
+            words = b"".join(units[k : k + 2] + b"\0\0" for k in range(0, len(units), 2))
+            return struct.pack("<I", len(units) // 2) + words
+        content = text.encode() + (b"\0" if self.target.world is World.ROS2 else b"")
+        return struct.pack("<I", len(content)) + content
+
+    def _literal(self, mask: int, content: bytes, at: FieldPath) -> None:
+        self._count_defaults(len(content), at)
+        self.program.literal(mask, content, _name(at))
+
+    def _count_defaults(self, size: int, at: FieldPath) -> None:
+        self._defaults += size
+        if self._defaults > MAX_DEFAULT:
+            raise MessageTypeError(
+                f"{self.target.name} cannot be made from {self.source.name}: the fields that only the first has, up to"
+                f" {_name(at)}, take more than {MAX_DEFAULT} bytes"
+            )
+
+    def least(self, kind: FieldType) -> int:
+        """Fewest bytes that a value of the source can take."""
+        if kind.shape is Shape.SEQUENCE:
+            return 4
+        if kind.base in TIME_TYPES:
+            size = 8
+        elif kind.nested:
+            size = self._least_of(kind.base)
+        else:
+            size = 4 if kind.base in STRING_TYPES else PRIMITIVE_SIZES[kind.base]
+        return min(size * (kind.length if kind.shape is Shape.ARRAY else 1), MAX_STEP)
+
+    def _least_of(self, name: str) -> int:
+        if name not in self._least:
+            definition = self.source.types[name]
+            size = sum(self.least(field.type) for field in definition.fields)
+            self._least[name] = size + self._hidden_member(definition, self.source)
+        return self._least[name]
+
+    def _step(self) -> None:
+        """Types that nest each other many times over would take for ever to compile."""
+        self._steps += 1
+        if self._steps > MAX_STEPS:
+            msg = f"{self.program.name} is too large to be converted: it has more than {MAX_STEPS} fields in all"
+            raise MessageTypeError(msg)
+
+
+def _parts(definition: Definition, schema: Schema, wanted: set[FieldPath], prefix: FieldPath) -> Iterator[_Part]:
+    """The structure's fields in the order of their bytes; a nested one is opened where only pieces of it are wanted."""
+    for field in definition.fields:
+        path = (*prefix, field.name)
+        inner = schema.of(field.type)
+        if path in wanted:
+            yield _Part(path, field.type, wanted=True)
+        elif inner is not None and any(_within(other, path) for other in wanted):
+            yield from _parts(inner, schema, wanted, path)
+        else:
+            yield _Part(path, field.type, wanted=False, default=field.default)
+
+
+def _within(path: FieldPath, outer: FieldPath) -> bool:
+    return len(path) > len(outer) and path[: len(outer)] == outer
+
+
+def _bound(kind: FieldType) -> int:
+    return kind.length if kind.shape is Shape.SEQUENCE else 0
+
+
+def _name(path: FieldPath) -> str:
+    """``("transforms", "", "header")`` as ``transforms[].header``."""
+    return "".join(f".{step}" if step else "[]" for step in path).removeprefix(".")

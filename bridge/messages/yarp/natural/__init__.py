@@ -1,1 +1,0 @@
-"""The YARP types that say the same as a ROS message; each module has those of one kind."""

@@ -1,0 +1,200 @@
+"""Motion and places as YARP's types: odometry, velocities, joints, poses, paths and maps. YARP's angles are in degrees.
+
+A pose is ``yarp/dev/Map2DLocation.h``'s ``map x y theta description``, where the map's name is the frame. A map is
+``yarp::dev::Nav2D::MapGrid2D``: the flags of a ROS map are those that YARP gives one it loads without flags: free below
+50, wall from there on, unknown. The two say different origins of a map that is turned, see `yarp_compat.dev.mapinfo`.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from bridge.messages.errors import ConversionError
+from bridge.messages.yarp.codec import Message, Missing, NaturalType, header, heading, turned
+from yarp_compat.dev.basecontrol import MobileBaseVelocity, OdometryData
+from yarp_compat.dev.locations import Map2DLocation, Map2DPath
+from yarp_compat.dev.mapflag import flags_of
+from yarp_compat.dev.mapgrid import MapGrid2D
+from yarp_compat.dev.mapinfo import MapGrid2DOrigin
+from yarp_compat.sig.vector import Vector
+from yarp_compat.wire.elements import ElementReader, ElementWriter
+
+
+class _Odometry:
+    """``yarp::dev::OdometryData``: pose, velocity in the robot's frame, velocity in the odometry's, each x y theta."""
+
+    def to_yarp(self, message: Mapping[str, Any], out: ElementWriter) -> None:
+        pose, twist = message["pose"]["pose"], message["twist"]["twist"]
+        theta, turn = heading(pose["orientation"]), math.degrees(twist["angular"]["z"])
+        ahead, left = twist["linear"]["x"], twist["linear"]["y"]
+        cosine, sine = math.cos(math.radians(theta)), math.sin(math.radians(theta))
+        OdometryData(
+            pose["position"]["x"], pose["position"]["y"], theta,
+            ahead, left, turn,
+            ahead * cosine - left * sine, ahead * sine + left * cosine, turn,
+        )._write(out)  # fmt: skip
+
+    def to_ros(self, source: ElementReader, stamp_ns: int, missing: Missing) -> Message:
+        found = OdometryData()
+        found._read(source)
+        position = {"x": found.odom_x, "y": found.odom_y}
+        return {
+            "header": header(stamp_ns, missing.frame or "odom"),
+            "child_frame_id": missing.child_frame or "base_link",
+            "pose": {"pose": {"position": position, "orientation": turned(found.odom_theta)}},
+            "twist": {"twist": _twist(found.base_vel_x, found.base_vel_y, found.base_vel_theta)},
+        }
+
+
+class _Velocity:
+    """``MobileBaseVelocity``: x and y in m/s, theta in degrees/s."""
+
+    def to_yarp(self, message: Mapping[str, Any], out: ElementWriter) -> None:
+        twist = message.get("twist", message)
+        turn = math.degrees(twist["angular"]["z"])
+        MobileBaseVelocity(twist["linear"]["x"], twist["linear"]["y"], turn)._write(out)
+
+    def to_ros(self, source: ElementReader, stamp_ns: int, missing: Missing) -> Message:  # noqa: ARG002
+        found = MobileBaseVelocity()
+        found._read(source)
+        return _twist(found.vel_x, found.vel_y, found.vel_theta)
+
+
+class _StampedVelocity(_Velocity):
+    def to_ros(self, source: ElementReader, stamp_ns: int, missing: Missing) -> Message:
+        velocity = super().to_ros(source, stamp_ns, missing)
+        return {"header": header(stamp_ns, missing.frame or "base_link"), "twist": velocity}
+
+
+class _Joints:
+    """A vector of the joints' positions in degrees, as a control board's ``state:o`` sends it; no names."""
+
+    def to_yarp(self, message: Mapping[str, Any], out: ElementWriter) -> None:
+        with np.errstate(over="ignore", invalid="ignore"):
+            degrees = np.degrees(message["position"])
+        Vector.of(degrees)._write(out)
+
+    def to_ros(self, source: ElementReader, stamp_ns: int, missing: Missing) -> Message:
+        found = Vector()
+        found._read(source)
+        with np.errstate(invalid="ignore"):
+            positions = np.radians(found.numpy())
+        names = missing.joints or tuple(f"joint_{number}" for number in range(len(positions)))
+        if len(names) != len(positions):
+            raise ConversionError(f"there are {len(positions)} joints, and the rule names {len(names)}")
+        return {"header": header(stamp_ns, missing.frame), "name": list(names), "position": positions}
+
+
+def _twist(ahead: float, left: float, turn: float) -> Message:
+    return {"linear": {"x": ahead, "y": left}, "angular": {"z": math.radians(turn)}}
+
+
+class Grid:
+    """The pair of map types."""
+
+    def to_yarp(self, message: Mapping[str, Any], out: ElementWriter) -> None:
+        """See `NaturalType`; the map is not zipped."""
+        info = message["info"]
+        width, height, position = info["width"], info["height"], info["origin"]["position"]
+        if len(message["data"]) != width * height:
+            raise ConversionError(f"a map of {width} x {height} cells has not {len(message['data'])}")
+        cells = np.ascontiguousarray(message["data"].reshape(height, width)[::-1]).view(np.uint8)  # -1 is 255
+        yaw = math.radians(heading(info["origin"]["orientation"]))
+        try:
+            origin = MapGrid2DOrigin.from_ros(position["x"], position["y"], yaw)
+            grid = MapGrid2D.of(
+                flags_of(cells), cells,
+                name=message["header"]["frame_id"], resolution=info["resolution"], origin=origin,
+            )  # fmt: skip
+        except ValueError as err:
+            raise ConversionError(str(err)) from None
+        grid.enable_map_compression_over_network(False)
+        grid._write(out)
+
+    def to_ros(self, source: ElementReader, stamp_ns: int, missing: Missing) -> Message:
+        """See `NaturalType`; the flags are not taken."""
+        grid = MapGrid2D()
+        grid._read(source)
+        cells = grid.occupancy.astype(np.int16)
+        cells[cells > 100] = -1
+        head = header(stamp_ns, missing.frame or grid.getMapName())
+        x, y, yaw = grid.origin.to_ros()
+        return {
+            "header": head,
+            "info": {
+                "map_load_time": head["stamp"],
+                "resolution": grid.getResolution(),
+                "width": grid.width(),
+                "height": grid.height(),
+                "origin": {"position": {"x": x, "y": y}, "orientation": turned(math.degrees(yaw))},
+            },
+            "data": cells[::-1].astype(np.int8).reshape(-1),
+        }
+
+
+def _location(frame: str, pose: Mapping[str, Any]) -> Map2DLocation:
+    return Map2DLocation(frame, pose["position"]["x"], pose["position"]["y"], heading(pose["orientation"]))
+
+
+def _pose(location: Map2DLocation) -> Message:
+    return {"position": {"x": location.x, "y": location.y}, "orientation": turned(location.theta)}
+
+
+def _read_location(source: ElementReader) -> Map2DLocation:
+    found = Map2DLocation()
+    found._read(source)
+    return found
+
+
+class _Pose:
+    def to_yarp(self, message: Mapping[str, Any], out: ElementWriter) -> None:
+        _location(message["header"]["frame_id"], message["pose"])._write(out)
+
+    def to_ros(self, source: ElementReader, stamp_ns: int, missing: Missing) -> Message:
+        found = _read_location(source)
+        return {"header": header(stamp_ns, missing.frame or found.map_id), "pose": _pose(found)}
+
+
+class _UncertainPose:
+    """YARP has no covariance."""
+
+    def to_yarp(self, message: Mapping[str, Any], out: ElementWriter) -> None:
+        _location(message["header"]["frame_id"], message["pose"]["pose"])._write(out)
+
+    def to_ros(self, source: ElementReader, stamp_ns: int, missing: Missing) -> Message:
+        found = _read_location(source)
+        return {"header": header(stamp_ns, missing.frame or found.map_id), "pose": {"pose": _pose(found)}}
+
+
+class _Path:
+    """``Map2DPath``: a list of locations, and a description."""
+
+    def to_yarp(self, message: Mapping[str, Any], out: ElementWriter) -> None:
+        frame = message["header"]["frame_id"]
+        Map2DPath([_location(pose["header"]["frame_id"] or frame, pose["pose"]) for pose in message["poses"]])._write(
+            out
+        )
+
+    def to_ros(self, source: ElementReader, stamp_ns: int, missing: Missing) -> Message:
+        path = Map2DPath()
+        path._read(source)
+        found = path.waypoints
+        frame = missing.frame or (found[0].map_id if found else "")
+        poses = [{"header": header(stamp_ns, missing.frame or one.map_id), "pose": _pose(one)} for one in found]
+        return {"header": header(stamp_ns, frame), "poses": poses}
+
+
+NAVIGATION: Mapping[str, NaturalType] = {
+    "nav_msgs/msg/Odometry": _Odometry(),
+    "geometry_msgs/msg/Twist": _Velocity(),
+    "geometry_msgs/msg/TwistStamped": _StampedVelocity(),
+    "sensor_msgs/msg/JointState": _Joints(),
+    "geometry_msgs/msg/PoseStamped": _Pose(),
+    "geometry_msgs/msg/PoseWithCovarianceStamped": _UncertainPose(),
+    "nav_msgs/msg/Path": _Path(),
+    "nav_msgs/msg/OccupancyGrid": Grid(),
+}

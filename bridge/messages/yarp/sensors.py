@@ -1,0 +1,225 @@
+"""Sensors as YARP's types: laser scans, point clouds and pictures.
+
+A scan is ``yarp::dev::LaserScan2D``: ``(angle_min angle_max range_min range_max (ranges) status)``, angles in degrees,
+no echo is infinity. The limits are those of the other side; YARP does not send the angle between two rays, which its
+readers take to be the span divided by the number of rays (``laserFromExternalPort.cpp``).
+
+``yarp::sig::PointCloud`` has points of a few fixed kinds, laid out as PCL does. A cloud with such fields is passed on
+as it is; of others the numbers that the nearest kind has are copied. The rows of ``yarp::sig::Image`` are padded to a
+multiple of 8 bytes.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from bridge.messages.errors import ConversionError
+from bridge.messages.yarp.codec import Message, Missing, NaturalType, header
+from yarp_compat.dev.rangefinder import LaserScan2D
+from yarp_compat.sig.image import QUANTUM, FlexImage
+from yarp_compat.sig.pixels import PixelCode, format_of
+from yarp_compat.sig.pointcloud import LAYOUTS, PointCloud, PointType
+from yarp_compat.sig.vector import Vector
+from yarp_compat.wire.elements import ElementReader, ElementWriter
+
+_IN_USE = 1  # ``IRangefinder2D::DEVICE_OK_IN_USE``
+
+
+class _Scan:
+    def to_yarp(self, message: Mapping[str, Any], out: ElementWriter) -> None:
+        low, high = math.degrees(message["angle_min"]), math.degrees(message["angle_max"])
+        ranges = Vector.of(message["ranges"])
+        LaserScan2D(low, high, message["range_min"], message["range_max"], ranges, _IN_USE)._write(out)
+
+    def to_ros(self, source: ElementReader, stamp_ns: int, missing: Missing) -> Message:
+        scan = LaserScan2D()
+        scan._read(source)
+        low, high, ranges = math.radians(scan.angle_min), math.radians(scan.angle_max), scan.scans.numpy()
+        return {
+            "header": header(stamp_ns, missing.frame or "laser"),
+            "angle_min": low,
+            "angle_max": high,
+            "angle_increment": (high - low) / len(ranges) if len(ranges) else 0.0,
+            "range_min": scan.range_min,
+            "range_max": scan.range_max,
+            "ranges": ranges,
+        }
+
+
+_DATATYPES = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f8"}
+_UINT32, _FLOAT32 = 6, 7
+_COLOURS = ("rgba", "rgb")
+_CHOICE = (
+    (PointType.XYZ_NORMAL_RGBA, {"x", "y", "z", "normal_x", "color"}),
+    (PointType.XYZ_NORMAL, {"x", "y", "z", "normal_x"}),
+    (PointType.XYZ_RGBA, {"x", "y", "z", "color"}),
+    (PointType.XYZ_I, {"x", "y", "z", "intensity"}),
+    (PointType.INTEREST_POINT_XYZ, {"x", "y", "z", "strength"}),
+    (PointType.XYZ, {"x", "y", "z"}),
+    (PointType.NORMAL, {"normal_x"}),
+    (PointType.XY, {"x", "y"}),
+)
+"""The first kind all of whose names a cloud has."""
+
+
+class _Cloud:
+    def to_yarp(self, message: Mapping[str, Any], out: ElementWriter) -> None:
+        points = _points(message)
+        names = set(points.dtype.names or ()) | ({"color"} if "b" in (points.dtype.names or ()) else set())
+        kind = next((kind for kind, wanted in _CHOICE if wanted <= names), None)
+        if kind is None:
+            raise ConversionError(f"YARP has no points of the fields {', '.join(sorted(names)) or 'none'}")
+        layout = LAYOUTS[kind]
+        if points.dtype.itemsize == layout.itemsize and _same_places(points.dtype, layout):
+            points = np.ascontiguousarray(points).view(layout)
+        else:
+            points = _copied(points, layout)
+        cloud = PointCloud.of(points, dense=bool(message["is_dense"]))
+        cloud.write(out)
+
+    def to_ros(self, source: ElementReader, stamp_ns: int, missing: Missing) -> Message:
+        cloud = PointCloud()
+        cloud._read(source)
+        layout = LAYOUTS[cloud.getPointType()]
+        places: Mapping[str, Any] = layout.fields or {}
+        fields = [
+            {"name": "rgba" if name == "b" else name, "offset": places[name][1],
+             "datatype": _UINT32 if name == "b" else _FLOAT32, "count": 1}
+            for name in layout.names or () if name not in ("g", "r", "a")
+        ]  # fmt: skip
+        return {
+            "header": header(stamp_ns, missing.frame or "camera"),
+            "height": cloud.height(),
+            "width": cloud.width(),
+            "fields": fields,
+            "point_step": layout.itemsize,
+            "row_step": layout.itemsize * cloud.width(),
+            "data": np.frombuffer(cloud.bytes_of_points(), np.uint8),
+            "is_dense": cloud.isDense(),
+        }
+
+
+def _points(message: Mapping[str, Any]) -> np.ndarray:
+    """The points as an array of records (height, width), or of one row; a colour's four bytes are ``b g r a``."""
+    height, width, step, row = (message[name] for name in ("height", "width", "point_step", "row_step"))
+    names: list[str] = []
+    formats: list[str] = []
+    offsets: list[int] = []
+    order = ">" if message["is_bigendian"] else "<"
+    for field in message["fields"]:
+        letters = _DATATYPES.get(field["datatype"])
+        if letters is None or field["offset"] + int(letters[1]) > step:
+            raise ConversionError(f"field {field['name']} of the points lies outside of them or has no known type")
+        if field["name"] in _COLOURS and letters[1] == "4":
+            names += "bgra" if order == "<" else "argb"
+            formats += ["u1"] * 4
+            offsets += [field["offset"] + n for n in range(4)]
+        elif field["name"] not in names:
+            names.append(field["name"])
+            formats.append(order + letters)
+            offsets.append(field["offset"])
+    data = message["data"]
+    if not step or row < step * width or len(data) < row * height:
+        raise ConversionError(f"{height} rows of {width} points of {step} bytes do not fit {len(data)} bytes")
+    layout = np.dtype({"names": names, "formats": formats, "offsets": offsets, "itemsize": step})
+    rows = np.asarray(data[: row * height]).reshape(height, row)[:, : step * width]
+    found = np.ascontiguousarray(rows).view(layout) if width else np.zeros((height, 0), layout)
+    return found if height != 1 else found.reshape(-1)
+
+
+def _same_places(found: np.dtype[Any], layout: np.dtype[Any]) -> bool:
+    have: Mapping[str, Any] = found.fields or {}
+    want: Mapping[str, Any] = layout.fields or {}
+    return all(name in have and have[name][:2] == place[:2] for name, place in want.items())
+
+
+def _copied(points: np.ndarray, layout: np.dtype[Any]) -> np.ndarray:
+    made = np.zeros(points.shape, layout)
+    for name in set(layout.names or ()) & set(points.dtype.names or ()):
+        made[name] = points[name]
+    return made
+
+
+_CODES = {
+    "mono8": PixelCode.MONO,
+    "8UC1": PixelCode.MONO,
+    "mono16": PixelCode.MONO16,
+    "16UC1": PixelCode.MONO16,
+    "rgb8": PixelCode.RGB,
+    "bgr8": PixelCode.BGR,
+    "8UC3": PixelCode.BGR,
+    "rgba8": PixelCode.RGBA,
+    "bgra8": PixelCode.BGRA,
+    "8UC4": PixelCode.BGRA,
+    "8SC1": PixelCode.MONO_SIGNED,
+    "8SC3": PixelCode.RGB_SIGNED,
+    "32SC1": PixelCode.INT,
+    "32SC3": PixelCode.RGB_INT,
+    "32FC1": PixelCode.MONO_FLOAT,
+    "32FC3": PixelCode.RGB_FLOAT,
+    **{
+        f"bayer_{code.name.rpartition('_')[2].rstrip('0123456789').lower()}{code.name[-2:].lstrip('BGR')}": code
+        for code in PixelCode
+        if "BAYER" in code.name
+    },
+}
+"""ROS's encodings (``sensor_msgs/image_encodings.hpp``) and the pixels that hold the same."""
+
+_ENCODINGS = {code: name for name, code in reversed(_CODES.items())}  # of several encodings, the first
+
+
+class _Picture:
+    def to_yarp(self, message: Mapping[str, Any], out: ElementWriter) -> None:
+        code = _CODES.get(message["encoding"])
+        if code is None:
+            raise ConversionError(f"YARP has no pixels of the encoding {message['encoding']!r}")
+        rows = _rows(message, format_of(code).size)
+        if message["is_bigendian"] and format_of(code).dtype.itemsize > 1:
+            rows = rows.view(format_of(code).dtype.newbyteorder(">")).astype(format_of(code).dtype).view(np.uint8)
+        padding = -rows.shape[1] % QUANTUM
+        if padding:
+            rows = np.pad(rows, ((0, 0), (0, padding)))
+        picture = FlexImage()
+        picture.setPixelCode(code)
+        picture.setQuantum(QUANTUM)
+        picture.setExternal(np.ascontiguousarray(rows), message["width"], message["height"])
+        picture.write(out)
+
+    def to_ros(self, source: ElementReader, stamp_ns: int, missing: Missing) -> Message:
+        picture = FlexImage()
+        picture._read(source)
+        name = _ENCODINGS.get(PixelCode(picture.getPixelCode())) if picture.getPixelCode() > 0 else None
+        if name is None:
+            raise ConversionError(f"ROS has no encoding for pixels of code {picture.getPixelCode()}")
+        row = picture.width() * picture.getPixelSize()
+        rows = np.frombuffer(picture.getRawImage(), np.uint8).reshape(picture.height(), picture.getRowSize())
+        return {
+            "header": header(stamp_ns, missing.frame or "camera"),
+            "height": picture.height(),
+            "width": picture.width(),
+            "encoding": name,
+            "is_bigendian": 0,
+            "step": row,
+            "data": rows[:, :row].reshape(-1),
+        }
+
+
+def _rows(message: Mapping[str, Any], pixel: int) -> np.ndarray:
+    """The picture's rows, without what stands behind them."""
+    width, height, step, data = (message[name] for name in ("width", "height", "step", "data"))
+    if step < width * pixel or len(data) < step * height:
+        raise ConversionError(
+            f"{height} rows of {step} bytes for {width} pixels of {message['encoding']} do not fit {len(data)} bytes"
+        )
+    return np.asarray(data[: step * height]).reshape(height, step)[:, : width * pixel]
+
+
+SENSORS: Mapping[str, NaturalType] = {
+    "sensor_msgs/msg/LaserScan": _Scan(),
+    "sensor_msgs/msg/PointCloud2": _Cloud(),
+    "sensor_msgs/msg/Image": _Picture(),
+}

@@ -1,0 +1,221 @@
+"""What a module calls on the hub: services, and actions, to which it sends goals."""
+
+from __future__ import annotations
+
+import time
+import uuid
+from collections.abc import Callable, Mapping
+from functools import partial
+from typing import Any, Protocol
+
+from bridge.hub.endpoints.calls import Abandon, CallError
+from bridge.hub.endpoints.services import HubClient
+from bridge.hub.session import Hub
+from bridge.hub.wire.qos import Qos
+from bridge.messages import actions
+from bridge.messages.actions import CANCEL, GoalState
+from bridge.messages.errors import ConversionError
+from bridge.messages.registry import Registry
+from bridge.messages.values import MessageReader, MessageWriter
+from bridge.modules.loop import EventLoop
+from bridge.routing.counters import Counters
+
+Replied = Callable[[dict[str, Any] | CallError], None]
+
+
+class Client:
+    """Calls one service on the hub; made by `bridge.modules.host.Node.client`."""
+
+    def __init__(self, hub: Hub, registry: Registry, loop: EventLoop, name: str, type_name: str) -> None:
+        side = registry.service_ros2(type_name)
+        self.topic, self.type_name = name, type_name
+        self.counters = Counters()
+        self._loop = loop
+        self._request, self._response = registry.service_schemas(type_name)
+        _, self._check = registry.hub_service_check(type_name)
+        self._end: HubClient = hub.client(name, type_name, side.type_id)
+
+    @property
+    def ready(self) -> bool:
+        """Whether there is a server to call."""
+        return self._end.ready
+
+    def call(self, request: Mapping[str, Any], replied: Replied) -> Abandon:
+        """Call; ``replied`` gets the reply or an error, once, on the module's thread. Nothing limits how long it takes.
+
+        Raises `ConversionError` if the request has an unknown field, or a value that does not fit.
+        """
+        payload = MessageWriter(self._request).message(request)
+        self.counters.crossed(len(payload))
+        return self._end.call(payload, lambda result: self._loop.post(lambda: replied(self._decoded(result))))
+
+    def close(self) -> None:
+        """Call no more; calls under way end with an error."""
+        self._end.close()
+
+    def _decoded(self, result: bytes | CallError) -> dict[str, Any] | CallError:
+        if isinstance(result, CallError):
+            self.counters.failed(str(result))
+            return result
+        try:
+            return MessageReader(self._response, self._check(result)).message()
+        except ConversionError as err:
+            self.counters.failed(str(err))
+            return CallError(f"{self.topic} answered with what is no reply: {err}")
+
+
+FEEDBACK_DEPTH = 100
+
+CANCEL_AGAIN = 0.2
+"""Seconds after which a cancel whose call failed is asked for again."""
+
+CANCEL_ALL_SECONDS = 5.0
+"""For so long the cancellation of all goals is: whoever gives one later means it."""
+
+Heard = Callable[[dict[str, Any]], None]
+
+
+class SentGoal:
+    """One goal; what it calls runs on the module's thread."""
+
+    def __init__(self, client: ActionClient, goal_id: bytes, feedback: Heard | None, ended: Ended) -> None:
+        self.id = goal_id  # its 16 bytes
+        self.accepted: bool | None = None  # whether the server took it; None until it has said so
+        self.status = GoalState.UNKNOWN  # what is known of it; a terminal one once it has ended
+        self._client, self._ended = client, ended
+        self.feedback = feedback
+        self._cancel_wanted = False
+
+    @property
+    def active(self) -> bool:
+        """Whether it has not ended, and its end would be heard of."""
+        return self._client.has(self.id)
+
+    def cancel(self) -> None:
+        """Ask the server to cancel it, on any thread, once more when it accepts it; the end tells whether it did."""
+        self._cancel_wanted = True
+        if self.accepted is not False:
+            self._client.cancel(self.id)
+
+    def answered(self, reply: dict[str, Any] | CallError) -> None:
+        """The server said whether it takes the goal."""
+        if isinstance(reply, CallError):
+            self.finish(GoalState.ABORTED, None, str(reply))
+        elif not reply["accepted"]:
+            self.accepted = False
+            self.finish(GoalState.UNKNOWN, None, "the server rejected the goal")
+        else:
+            self.accepted, self.status = True, GoalState.EXECUTING
+            self._client.ask_result(self)
+            if self._cancel_wanted:
+                self._client.cancel(self.id)
+
+    def resulted(self, reply: dict[str, Any] | CallError) -> None:
+        """The goal ended."""
+        if isinstance(reply, CallError):
+            self.finish(GoalState.ABORTED, None, str(reply))
+        else:
+            self.finish(GoalState(reply["status"]), reply["result"], "")
+
+    def finish(self, status: GoalState, result: dict[str, Any] | None, why: str) -> None:
+        """Tell of the end, once."""
+        if self._client.forget(self.id):
+            self.status = status
+            self._ended(self, result, why)
+
+
+Ended = Callable[[SentGoal, dict[str, Any] | None, str], None]
+"""``ended(goal, result, why)``: once; without a result where ``why`` says what went wrong."""
+
+
+class CallingNode(Protocol):
+    """What an action's client needs of its node; see `bridge.modules.host.Node`."""
+
+    loop: EventLoop
+
+    def client(self, name: str, type_name: str) -> Client:
+        """Call a service."""
+
+    def subscription(self, topic: str, type_name: str, heard: Heard, qos: Qos | None = None) -> Any:
+        """Hear a topic."""
+
+    def release(self, end: Any) -> None:
+        """Give one end back."""
+
+
+class ActionClient:
+    """Sends goals to one action; made by `bridge.modules.host.Node.action_client`."""
+
+    def __init__(self, node: CallingNode, name: str, type_name: str) -> None:
+        self.name, self.type_name, self._node = name, type_name, node
+        names, types = actions.names(name), actions.types(type_name)
+        self._send = node.client(names.send_goal, types.send_goal)
+        self._result = node.client(names.get_result, types.get_result)
+        self._cancel = node.client(names.cancel_goal, CANCEL)
+        self._feedback = node.subscription(names.feedback, types.feedback, self._heard, Qos(depth=FEEDBACK_DEPTH))
+        self._goals: dict[bytes, SentGoal] = {}
+        self._sent = 0
+
+    @property
+    def ready(self) -> bool:
+        """Whether there is a server."""
+        return self._send.ready and self._result.ready
+
+    def send(self, goal: Mapping[str, Any], ended: Ended, feedback: Heard | None = None) -> SentGoal:
+        """Send a goal, under a new id; raises `ConversionError` if it does not fit its type."""
+        sent = SentGoal(self, uuid.uuid4().bytes, feedback, ended)
+        self._goals[sent.id] = sent
+        self._sent += 1
+        try:
+            self._send.call({"goal_id": {"uuid": list(sent.id)}, "goal": goal}, sent.answered)
+        except BaseException:
+            del self._goals[sent.id]
+            raise
+        return sent
+
+    def ask_result(self, goal: SentGoal) -> None:
+        """Ask for the result; it comes when the goal has ended."""
+        self._result.call({"goal_id": {"uuid": list(goal.id)}}, goal.resulted)
+
+    def cancel(self, goal_id: bytes = bytes(16)) -> None:
+        """Ask the server to cancel a goal; zeros for all.
+
+        A stop must not get lost where the server cannot be called for a moment, as while a bridge before it looks who
+        is active: for a goal of its own it is asked until there is an answer, or the goal has ended; for all goals for
+        a while, unless one is sent meanwhile.
+        """
+        wanted = partial(self.has, goal_id) if any(goal_id) else self._stopping()
+
+        def answered(reply: dict[str, Any] | CallError) -> None:
+            if isinstance(reply, CallError) and wanted():
+                self._node.loop.after(CANCEL_AGAIN, lambda: ask() if wanted() else None)
+
+        def ask() -> None:
+            self._cancel.call({"goal_info": {"goal_id": {"uuid": list(goal_id)}}}, answered)
+
+        ask()
+
+    def _stopping(self) -> Callable[[], bool]:
+        """Tells whether all goals are still to end that there were."""
+        sent, until = self._sent, time.monotonic() + CANCEL_ALL_SECONDS
+        return lambda: self._sent == sent and time.monotonic() < until
+
+    def close(self) -> None:
+        """Give its ends back; goals under way go on, and nothing more is heard of them."""
+        self._goals.clear()
+        self._sent += 1  # nothing is asked for again
+        for end in (self._send, self._result, self._cancel, self._feedback):
+            self._node.release(end)
+
+    def has(self, goal_id: bytes) -> bool:
+        """Whether a goal of its own is under way."""
+        return goal_id in self._goals
+
+    def forget(self, goal_id: bytes) -> bool:
+        """The goal ended; whether it had not before."""
+        return self._goals.pop(goal_id, None) is not None
+
+    def _heard(self, message: dict[str, Any]) -> None:
+        goal = self._goals.get(bytes(message["goal_id"]["uuid"]))
+        if goal is not None and goal.feedback is not None:
+            goal.feedback(message["feedback"])

@@ -1,0 +1,247 @@
+"""A module's endpoints on the hub: topics, servers and clients whose messages are Python values."""
+
+from __future__ import annotations
+
+import logging
+import threading
+from collections import deque
+from collections.abc import Callable, Mapping
+from typing import Any
+
+from bridge.clock import RunClock
+from bridge.hub.endpoints.publisher import HubPublisher
+from bridge.hub.endpoints.subscription import HubSample, HubSubscription
+from bridge.hub.session import Hub
+from bridge.hub.wire.qos import Qos
+from bridge.messages.errors import ConversionError
+from bridge.messages.registry import Registry
+from bridge.messages.template import MessageTemplate
+from bridge.messages.values import MessageReader, MessageWriter
+from bridge.modules.clients import Client
+from bridge.modules.loop import EventLoop
+from bridge.modules.services import Serve, Server
+from bridge.routing.counters import Counters
+
+_log = logging.getLogger(__name__)
+
+Heard = Callable[[dict[str, Any]], None]
+
+
+class Publisher:
+    """Publishes values on one topic; made by `Node.publisher`. Safe to use from any thread."""
+
+    def __init__(self, publisher: HubPublisher, registry: Registry, type_name: str) -> None:
+        self.topic, self.type_name = publisher.topic, type_name
+        self.counters = Counters()
+        self._publisher = publisher
+        self._schema = registry.schema(type_name)
+
+    def publish(self, message: Mapping[str, Any]) -> None:
+        """Publish a message; fields that are missing have their defaults.
+
+        Raises `ConversionError` if a field is unknown, or its value does not fit.
+        """
+        self.publish_cdr(self.encoded(message))
+
+    def encoded(self, message: Mapping[str, Any]) -> bytes:
+        """A message in CDR; see `publish`, also for what it raises."""
+        return MessageWriter(self._schema).message(message)
+
+    def template(self, message: Mapping[str, Any], *changing: str) -> MessageTemplate:
+        """A message of this topic of which only some numbers change; see `MessageTemplate`, also for what it raises."""
+        return MessageTemplate(self._schema, message, *changing)
+
+    def offer(self, make: Callable[[], bytes]) -> None:
+        """Publish a message, which is made only where anybody may get it; one that nobody gets counts with 0 bytes."""
+        if self._publisher.pass_over():
+            self.counters.crossed(0)
+        else:
+            self.publish_cdr(make())
+
+    def publish_cdr(self, payload: bytes) -> None:
+        """Publish a message that is already CDR."""
+        self._publisher.put(payload)
+        self.counters.crossed(len(payload))
+
+    def close(self) -> None:
+        """Give the endpoint back."""
+        self._publisher.close()
+
+
+class Subscription:
+    """Hears one topic; made by `Node.subscription`. Messages wait in a bounded queue; the oldest make room."""
+
+    def __init__(
+        self,
+        node: Endpoints,
+        topic: str,
+        type_name: str,
+        type_hash: str,
+        heard: Callable[[bytes], None],
+        depth: int,
+        *,
+        at_once: bool = False,
+    ) -> None:
+        self.topic, self.type_name = topic, type_name
+        self.counters = Counters()
+        self._loop, self._heard, self._at_once = node.loop, heard, at_once
+        self._check = node.registry.hub_check(type_name, type_hash)
+        self._lock = threading.Lock()
+        self._queue: deque[HubSample] = deque()
+        self._depth = depth
+        self.end: HubSubscription | None = None
+        self.sender = b""  # the GID of the publisher whose message is being heard; on the module's thread
+        self.sent_ns = 0  # when that message was sent, nanoseconds of its publisher's clock
+
+    def take(self, sample: HubSample) -> None:
+        """Queue a sample, or give it out at once, on zenoh's thread."""
+        if self._at_once:
+            self._give(sample)
+            return
+        with self._lock:
+            self._queue.append(sample)
+            full = len(self._queue) > self._depth
+            if full:
+                self._queue.popleft()
+        if full:
+            self.counters.dropped("queue")
+        else:
+            # one for each sample: it keeps its place among what else was posted, such as the timers of a clock
+            self._loop.post(self._run)
+
+    def refused(self, reason: str, why: str) -> None:
+        """Count what the hub left out."""
+        self.counters.dropped(reason)
+        self.counters.failed(why)
+
+    def tick(self) -> None:
+        """Count what was lost on its way, too."""
+        self.counters.tick()
+        if self.end is not None:
+            self.counters.missed(self.end.lost, self.end.losses)
+
+    def _run(self) -> None:
+        with self._lock:
+            sample = self._queue.popleft() if self._queue else None
+        if sample is not None:
+            self._give(sample)
+
+    def _give(self, sample: HubSample) -> None:
+        try:
+            payload = self._check(sample.data())
+        except ConversionError as err:
+            self.refused("bad", str(err))
+            _log.warning("%s: message refused: %s", self.topic, err)
+            return
+        self.counters.crossed(len(payload))
+        self.sender, self.sent_ns = sample.gid, sample.source_time_ns
+        self._heard(payload)
+
+    def close(self) -> None:
+        """Hear no more."""
+        if self.end is not None:
+            self.end.close()
+        with self._lock:
+            self._queue.clear()
+
+
+class Endpoints:
+    """What a module's node has on the hub, apart from its actions; see `bridge.modules.host.Node`.
+
+    Attributes:
+        hub: its session.
+        registry: of types.
+        loop: the thread on which its callbacks run.
+        clock: the time of its stamps.
+    """
+
+    def __init__(self, hub: Hub, registry: Registry, loop: EventLoop, clock: RunClock) -> None:
+        self.hub, self.registry, self.loop, self.clock = hub, registry, loop, clock
+        self._ends: list[Publisher | Subscription | Server | Client] = []
+
+    def publisher(self, topic: str, type_name: str, qos: Qos | None = None, *, priority: str = "stream") -> Publisher:
+        """Make a publisher; raises `bridge.messages.errors.MessageTypeError` for a type that nobody knows."""
+        side = self.registry.ros2(type_name)
+        end = self.hub.publisher(topic, type_name, side.type_id, qos or Qos(), priority=priority)
+        made = Publisher(end, self.registry, type_name)
+        self._ends.append(made)
+        return made
+
+    def subscription(self, topic: str, type_name: str, heard: Heard, qos: Qos | None = None) -> Subscription:
+        """Hear a topic's messages as values, on the module's thread; arrays of numbers share the message's memory."""
+        schema = self.registry.schema(type_name)
+        return self.subscription_cdr(
+            topic, type_name, lambda payload: heard(MessageReader(schema, payload).message()), qos
+        )
+
+    def subscription_cdr(
+        self,
+        topic: str,
+        type_name: str,
+        heard: Callable[[bytes], None],
+        qos: Qos | None = None,
+        *,
+        at_once: bool = False,
+    ) -> Subscription:
+        """Hear a topic's messages as checked CDR bytes.
+
+        Args:
+            topic: its name.
+            type_name: its type.
+            heard: called with each message, on the module's thread.
+            qos: how it is subscribed to.
+            at_once: ``heard`` is called on zenoh's threads, several at a time: it keeps what it is given, and is quick.
+        """
+        side = self.registry.ros2(type_name)
+        qos = qos or Qos()
+        made = Subscription(self, topic, type_name, side.type_id, heard, max(qos.depth, 1), at_once=at_once)
+        made.end = self.hub.subscription(topic, type_name, side.type_id, qos, made.take, made.refused)
+        self._ends.append(made)
+        return made
+
+    def server(
+        self, name: str, type_name: str, serve: Serve, at_once: Callable[[dict[str, Any]], None] | None = None
+    ) -> Server:
+        """Serve a service (``std_srvs/srv/SetBool``); raises `bridge.messages.errors.MessageTypeError`.
+
+        Args:
+            name: the service's.
+            type_name: its type.
+            serve: called on the module's thread.
+            at_once: called with each request before, on a thread of the hub: it only sets a flag, wakes or sends.
+        """
+        made = Server(self.hub, self.registry, self.loop, name, type_name, serve, at_once)
+        self._ends.append(made)
+        return made
+
+    def client(self, name: str, type_name: str) -> Client:
+        """Call a service; raises `bridge.messages.errors.MessageTypeError`."""
+        made = Client(self.hub, self.registry, self.loop, name, type_name)
+        self._ends.append(made)
+        return made
+
+    def release(self, end: Publisher | Subscription | Server | Client) -> None:
+        """Give one end back before the node's end."""
+        self._ends = [each for each in self._ends if each is not end]
+        end.close()
+
+    def tick(self) -> None:
+        """Count rates; called once a second."""
+        for end in self._ends:
+            if isinstance(end, Subscription):
+                end.tick()
+            else:
+                end.counters.tick()
+
+    def status(self) -> list[dict[str, Any]]:
+        """Its ends, as they stand in the status document."""
+        return [
+            {"topic": end.topic, "type": end.type_name, "end": type(end).__name__.lower(), **end.counters.as_dict()}
+            for end in self._ends
+        ]
+
+    def close(self) -> None:
+        """Give back all ends."""
+        ends, self._ends = self._ends, []
+        for end in ends:
+            end.close()

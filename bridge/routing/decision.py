@@ -1,0 +1,149 @@
+"""The decision on each topic and service in each direction, with its reason, as ``midspan explain`` shows it."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any, NamedTuple, Self, TypeVar
+
+from bridge.hub.graph.view import HubEndpoint
+from bridge.messages.actions import split
+from bridge.messages.errors import MessageTypeError
+from bridge.messages.transcode.conversion import Conversion, ServiceConversion
+from bridge.routing.edge import Endpoint, Kind, MadeBy
+from bridge.routing.rules import RoutePolicy
+
+Converts = TypeVar("Converts", Conversion, ServiceConversion)
+
+OWN_NETWORK = "it comes from this very network"
+
+
+class RouteKey(NamedTuple):
+    """The identity of a route in its direction."""
+
+    topic: str
+    type_name: str
+    type_id: str
+
+
+@dataclass(slots=True)
+class RouteDecision:
+    """The decision on one topic or service in one direction.
+
+    It is refused where rules allow it but something else stands in the way. ``of`` is ``topic`` or ``service``.
+    """
+
+    direction: str
+    topic: str
+    hub_topic: str
+    type: str
+    policy: RoutePolicy
+    refused: bool = False
+    own: str = ""
+    rests: bool = False
+    reason: str = ""
+    cure: str = ""
+    of: str = "topic"
+
+    @classmethod
+    def not_native(cls, endpoint: Endpoint) -> Self:
+        """An endpoint on the side that a Midspan made, or whose maker is not known yet."""
+        if endpoint.made_by is MadeBy.MIDSPAN:
+            why = f"{endpoint.node or endpoint.id} was made by a Midspan and is never taken up again"
+        else:
+            why = f"it is not known yet who made {endpoint.node or endpoint.id}"
+        of = "service" if endpoint.kind in (Kind.SERVER, Kind.CLIENT) else "topic"
+        return cls.unrouted("in", endpoint.topic, endpoint.type, why, of)
+
+    @classmethod
+    def unrouted(
+        cls, direction: str, topic: str, type_name: str, why: str, of: str = "topic", hub_topic: str = ""
+    ) -> Self:
+        """Something that no rule can carry: it comes from this very network, or the side has no place for it."""
+        policy = RoutePolicy(allowed=False, why=why, name=topic)
+        return cls(direction, topic, hub_topic or topic, type_name, policy, own=why, of=of)
+
+    @classmethod
+    def resting(cls, direction: str, topic: str, type_name: str, why: str, of: str = "topic") -> Self:
+        """Something that another daemon carries instead, or whose carrier is not agreed yet."""
+        policy = RoutePolicy(allowed=False, why=why, name=topic)
+        return cls(direction, topic, topic, type_name, policy, rests=True, of=of)
+
+    @classmethod
+    def carried_by(cls, daemon: str, topic: str, type_name: str, of: str = "topic") -> Self:
+        """Something on the hub that another daemon puts on the side's network; "" while that is not agreed."""
+        why = f"standing by: {daemon} puts it on this network" if daemon else "not agreed yet who puts it here"
+        return cls.resting("out", topic, type_name, why, of)
+
+    @classmethod
+    def one_ended(cls, topic: str, type_name: str, why: str, of: str = "topic") -> Self:
+        """Something with nothing to cross: it has only subscriptions, or only clients."""
+        return cls("out", topic, topic, type_name, RoutePolicy(allowed=True, why=why, name=topic), own=why, of=of)
+
+    def refuse(self, reason: str, cure: str) -> None:
+        """Say that something stands in the way."""
+        self.refused, self.reason, self.cure = True, reason, cure
+
+    def convert(self, make: Callable[[], Converts]) -> Converts | None:
+        """Make the route's conversion; None, and the decision is refused, where its type cannot cross."""
+        try:
+            return make()
+        except MessageTypeError as err:
+            self.refuse(str(err), err.cure)
+            return None
+
+    @property
+    def kind(self) -> str:
+        """One word: bridged, denied, private, refused, unseen, own or standby."""
+        if self.rests:
+            return "standby"
+        if self.own or self.policy.settled:
+            return "unseen" if self.policy.allowed else "own"
+        if self.refused:
+            return "refused"
+        if self.policy.allowed:
+            return "bridged"
+        return "private" if self.policy.private else "denied"
+
+    def as_dict(self) -> dict[str, Any]:
+        """As it stands in the answers to ``explain`` and ``status``."""
+        cure = self.cure
+        if self.kind == "private":
+            cure = "name it in a rule that allows it, or set routing.private: false"
+        elif self.kind == "denied":
+            cure = "change the rule, or add one that allows it"
+        return {
+            "kind": self.of,
+            "action": split(self.hub_topic)[0],
+            "direction": self.direction,
+            "topic": self.topic,
+            "hub_topic": self.hub_topic,
+            "type": self.type,
+            "decision": self.kind,
+            "why": self.reason or self.policy.why,
+            "reason": self.reason or self.policy.why,
+            "cure": cure,
+        }
+
+
+def native_groups(
+    endpoints: Sequence[Endpoint], kind: Kind, decisions: list[RouteDecision]
+) -> dict[RouteKey, list[Endpoint]]:
+    """The native endpoints of a kind on the side, by the route that they need; the others get their decision."""
+    groups: dict[RouteKey, list[Endpoint]] = defaultdict(list)
+    for endpoint in endpoints:
+        if endpoint.kind is kind and endpoint.made_by is MadeBy.NATIVE:
+            groups[RouteKey(endpoint.topic, endpoint.type, endpoint.type_id)].append(endpoint)
+        elif endpoint.kind is kind:
+            decisions.append(RouteDecision.not_native(endpoint))
+    return groups
+
+
+def hub_groups(endpoints: Sequence[HubEndpoint]) -> dict[RouteKey, list[HubEndpoint]]:
+    """The endpoints of others on the hub, by the route that they need."""
+    groups: dict[RouteKey, list[HubEndpoint]] = defaultdict(list)
+    for endpoint in endpoints:
+        if not endpoint.own:
+            groups[RouteKey(endpoint.topic, endpoint.type_name, endpoint.type_hash)].append(endpoint)
+    return groups

@@ -1,0 +1,295 @@
+"""What every side's edge offers to the engine that routes between it and the hub.
+
+An edge writes little: it says what is on its side's graph, opens and closes endpoints there, and hands over bytes.
+Rules, conversion, queues, latching, origins and counters are the engine's, written once in ``bridge.routing``.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from enum import Enum
+from typing import TYPE_CHECKING, Any, ClassVar, Protocol
+
+from bridge.clock import SYSTEM, RunClock
+from bridge.hub.endpoints.calls import Abandon, Call, Done
+from bridge.hub.graph.tokens import Origin
+from bridge.hub.wire.qos import Qos
+from bridge.messages.errors import MessageTypeError
+from bridge.messages.transcode.conversion import Conversion, ServiceConversion, SideType
+
+if TYPE_CHECKING:
+    from bridge.config.sections.routing import ParameterRule
+    from bridge.hub.session import Hub
+
+_NO_SERVICES = "{name}: services do not cross to {side}"
+
+Deliver = Callable[[bytes, str, int | None], None]
+"""``deliver(payload, source, time_ns)``: one message in the side's wire bytes; ``source`` is the id of the endpoint
+that published it, ``time_ns`` the source's time stamp on the system clock where the middleware carries one."""
+
+
+class Kind(Enum):
+    """What an endpoint is."""
+
+    PUBLISHER = "publisher"
+    SUBSCRIPTION = "subscription"
+    SERVER = "server"
+    CLIENT = "client"
+
+
+class MadeBy(Enum):
+    """Who made an endpoint on the side's network. What is not NATIVE never crosses to the hub."""
+
+    NATIVE = "native"
+    MIDSPAN = "midspan"
+    UNKNOWN = "unknown"
+
+
+@dataclass(frozen=True, slots=True)
+class Endpoint:
+    """One publisher, subscription, server or client on a side's graph.
+
+    An action is shown as ROS 2 has it, by every edge: the servers ``<action>/_action/send_goal``, ``cancel_goal`` and
+    ``get_result`` and the publishers ``<action>/_action/feedback`` and ``status``.
+
+    Attributes:
+        id: unique on the side while the endpoint lives (ROS 2: GID in hex; ROS 1: node name and topic).
+        topic: absolute name of the topic or service as the side spells it.
+        type: the type's name as the side spells it (ROS 1 ``std_msgs/String``, ROS 2 ``std_msgs/msg/String``; services
+            ``std_srvs/SetBool``, ``std_srvs/srv/SetBool``; an action's ``nav2_msgs/action/NavigateToPose_SendGoal``).
+        type_id: what the endpoint itself announced of its type (md5 or RIHS01), "" where unknown.
+        definition: full definition text where the middleware carries one (ROS 1 connection header), else "".
+        node: fully qualified node name, for people.
+    """
+
+    id: str
+    kind: Kind
+    topic: str
+    type: str
+    qos: Qos
+    made_by: MadeBy
+    node: str = ""
+    type_id: str = ""
+    definition: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Sighting:
+    """Another Midspan worker that is on this side's network now.
+
+    Attributes:
+        id: tells it from the others while it is there, in the edge's own words.
+        record: what it announced last (`Edge.announce`), None while only its being there is known.
+        heard: ``time.monotonic()`` when that arrived, or when it was first seen.
+    """
+
+    id: str
+    record: bytes | None
+    heard: float
+
+
+class EdgeListener(Protocol):
+    """What an edge tells the engine; each call only sets a flag and wakes a thread."""
+
+    def graph_changed(self) -> None:
+        """The endpoints, their qualities or the network's identity may have changed."""
+
+    def presence_changed(self) -> None:
+        """Another Midspan worker came to this side's network, left it, or announced something."""
+
+    def message_refused(self, topic: str, reason: str, why: str) -> None:
+        """A message of this topic of the side was not delivered; ``reason`` is ``bad`` or ``large``."""
+
+    def edge_failed(self, reason: str) -> None:
+        """The edge cannot go on by itself; the worker ends and is started again."""
+
+
+class EdgeSubscription(Protocol):
+    """A subscription that the bridge holds on the side."""
+
+    @property
+    def lost(self) -> int:
+        """Messages so far that the side did not bring, as far as it tells; else 0."""
+
+    def close(self) -> None:
+        """Stop delivering and give the endpoint back. Safe to call twice."""
+
+
+class EdgePublisher(Protocol):
+    """A publisher that the bridge holds on the side."""
+
+    @property
+    def dropped(self) -> int:
+        """Messages so far that slow subscribers of this topic missed, as far as the side tells; else 0."""
+
+    @property
+    def heard(self) -> bool:
+        """Whether somebody on the side listens to the topic; True where the side does not tell.
+
+        The edge calls `EdgeListener.graph_changed` when it changes.
+        """
+
+    def send(self, payload: bytes, source: str) -> None:
+        """Publish bytes that came from the hub publisher ``source``; retained per source when the QoS is latched."""
+
+    def forget(self, source: str) -> None:
+        """The hub publisher ``source`` is gone: drop what is retained for it."""
+
+    def close(self) -> None:
+        """Give the endpoint back. Safe to call twice."""
+
+
+class EdgeCaller(Protocol):
+    """What calls the side's servers of one name."""
+
+    def call(self, request: bytes, done: Done) -> Abandon:
+        """Begin a call with the side's request bytes; see `bridge.hub.endpoints.calls.Call`. Never blocks."""
+
+    def close(self) -> None:
+        """End every call that is under way with an error, and give the endpoint back. Safe to call twice."""
+
+
+class EdgeServer(Protocol):
+    """A server that the bridge holds on the side."""
+
+    def close(self) -> None:
+        """Abandon every call that is under way, tell its caller, and give the endpoint back. Safe to call twice."""
+
+
+class Edge(ABC):
+    """One side's edge. Methods may be called from any thread after `start`; none of them blocks on a peer."""
+
+    side: ClassVar[str]
+    services: ClassVar[bool] = False
+    """Whether services and actions cross; otherwise nothing is said of them."""
+
+    clock: RunClock = SYSTEM
+    """What stamps are made by; the worker gives it before `start`."""
+
+    @abstractmethod
+    def start(self, listener: EdgeListener) -> None:
+        """Begin joining the network; returns at once, also where the network is away (it is then joined later)."""
+
+    @abstractmethod
+    def stop(self) -> None:
+        """Close and unregister everything that the edge made, within two seconds. Safe to call twice."""
+
+    @abstractmethod
+    def network(self) -> str | None:
+        """Identity of the network now joined, None while it is away."""
+
+    @abstractmethod
+    def is_own_network(self, origin: Origin) -> bool:
+        """Whether a hub session's origin is the very network that this edge is on."""
+
+    @abstractmethod
+    def endpoints(self) -> Sequence[Endpoint]:
+        """The side's graph as last seen, without the endpoints that this very edge made."""
+
+    @abstractmethod
+    def to_hub(self, endpoint: Endpoint) -> Conversion:
+        """Conversion of an endpoint's type to the hub's; raises `bridge.messages.errors.MessageTypeError`."""
+
+    @abstractmethod
+    def from_hub(self, type_name: str, type_hash: str) -> Conversion:
+        """Conversion of a hub type to the side's; raises `bridge.messages.errors.MessageTypeError`."""
+
+    @abstractmethod
+    def learn(self, type_name: str, definition: str) -> None:
+        """A definition of a ROS 2 type that another worker told on the hub; a later `from_hub` may use it."""
+
+    @abstractmethod
+    def subscribe(self, topic: str, side_type: SideType, qos: Qos, deliver: Deliver) -> EdgeSubscription:
+        """Subscribe on the side; ``deliver`` is called on a thread of the edge, one call at a time per source."""
+
+    @abstractmethod
+    def advertise(self, topic: str, side_type: SideType, qos: Qos) -> EdgePublisher:
+        """Advertise on the side; raises `bridge.messages.errors.MessageTypeError` where the type cannot be used."""
+
+    def service_to_hub(self, endpoint: Endpoint) -> ServiceConversion:
+        """Conversion of a server's type; raises `bridge.messages.errors.MessageTypeError`."""
+        raise MessageTypeError(_NO_SERVICES.format(side=self.side, name=endpoint.topic))
+
+    def service_from_hub(self, type_name: str, type_hash: str) -> ServiceConversion:
+        """Conversion of a hub service's type; raises `bridge.messages.errors.MessageTypeError`."""
+        del type_hash
+        raise MessageTypeError(_NO_SERVICES.format(side=self.side, name=type_name))
+
+    def caller(self, name: str, side_type: SideType) -> EdgeCaller:
+        """What calls the side's server ``name``; raises `bridge.messages.errors.MessageTypeError`."""
+        del side_type
+        raise MessageTypeError(_NO_SERVICES.format(side=self.side, name=name))
+
+    def serve(self, name: str, side_type: SideType, call: Call) -> EdgeServer:
+        """Serve ``name`` on the side; ``call`` gets the side's request bytes and answers with the side's reply bytes.
+
+        ``call`` runs on a thread of the edge and returns at once. What ends with
+        `bridge.hub.endpoints.calls.CallError` is told to the caller as the side tells errors. Raises
+        `bridge.messages.errors.MessageTypeError`.
+        """
+        del side_type, call
+        raise MessageTypeError(_NO_SERVICES.format(side=self.side, name=name))
+
+    def carry_parameters(
+        self, rules: Sequence[ParameterRule], hub: Hub, active: Callable[[], bool]
+    ) -> Callable[[], None]:
+        """Do the side's part for the parameters that rules name, until the returned call; most sides have none.
+
+        Called once `start` was; ``active`` says whether this worker is the one that joins the network to the hub.
+        """
+        del rules, hub, active
+        return lambda: None
+
+    def announce(self, record: bytes) -> None:  # noqa: B027 - a side without other Midspan workers has nothing to do
+        """Tell all other Midspan workers on this side's network, those that come later too; replaces the last record.
+
+        Called some five times a second by one thread, with up to some kilobytes. It also says that this worker lives,
+        so every record is sent, even one that equals the last; none is queued behind another.
+        """
+
+    def sightings(self) -> Sequence[Sighting]:
+        """The other Midspan workers on this very network, whatever daemon, node or hub they belong to.
+
+        One that left in good order, or whose death the side tells, is gone at once; one that may be standing still
+        stays, and its ``heard`` tells. Dead predecessors of this very daemon are left out.
+        """
+        return ()
+
+    def settled(self, since: float) -> bool:  # noqa: ARG002 - there is nobody to be seen
+        """Whether every Midspan worker that was on this network at ``since`` (``time.monotonic()``) is seen by now.
+
+        False while the network is away. Until then nothing crosses.
+        """
+        return True
+
+    def why_not(self, topic: str, type_name: str) -> str:  # noqa: ARG002 - most sides take every topic
+        """Why a hub topic has no place on this side by its very nature, "" where it has; it is then left out quietly.
+
+        ``topic`` is its name on the side.
+        """
+        return ""
+
+    def side_name(self, hub_name: str) -> str:
+        """The side's spelling of a hub topic name."""
+        return hub_name
+
+    def hub_name(self, side_name: str) -> str:
+        """The legal hub topic name for one of the side's."""
+        return side_name
+
+    def is_heard(self, topic: str) -> bool:
+        """Whether somebody else on the side subscribes to a topic."""
+        return any(e.topic == topic and e.kind is Kind.SUBSCRIPTION for e in self.endpoints())
+
+    def went_on(self, seconds: float) -> None:  # noqa: B027  most have nothing to do
+        """The process stood still for so long, maybe until the network took it for dead, and runs again."""
+
+    def details(self) -> dict[str, Any]:
+        """What a side has besides to tell in its status document."""
+        return {}
+
+    def warnings(self) -> list[str]:
+        """What is wrong on the side and not with one route alone, for people; for example incompatible QoS."""
+        return []

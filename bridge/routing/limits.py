@@ -1,0 +1,103 @@
+"""Priority classes of routes, and their limits: queue depths, rates and sizes."""
+
+from __future__ import annotations
+
+import re
+import time
+from enum import Enum
+
+from bridge.hub.wire.qos import Durability, Qos, Reliability
+
+COMMAND_TYPES = frozenset({"geometry_msgs/msg/Twist", "geometry_msgs/msg/TwistStamped"})
+"""Types that command a velocity."""
+
+_COMMAND_NAME = re.compile(r"(^|[/_])(cmd|command)", re.IGNORECASE)
+
+
+class Priority(Enum):
+    """The class of a route.
+
+    STATE is kept until delivered; COMMAND is newest only, never latched or delivered late; STREAM drops its oldest.
+    """
+
+    STATE = "state"
+    COMMAND = "command"
+    STREAM = "stream"
+
+
+def default_priority(topic: str, type_name: str, *, latched: bool) -> Priority:
+    """The class of a topic that no rule names: velocity commands by type and name, latched topics as state."""
+    if type_name in COMMAND_TYPES and _COMMAND_NAME.search(topic):
+        return Priority.COMMAND
+    return Priority.STATE if latched else Priority.STREAM
+
+
+_ARREARS = 0.1
+"""Seconds of silence that are made up for: sources jitter, and come in batches where a machine is busy."""
+
+
+class RateLimit:
+    """Lets at most ``rate`` messages a second through; the others are to be dropped.
+
+    The mean of a source that jitters is met: what a short silence left over is let through afterwards, but never two
+    messages within half a period.
+    """
+
+    __slots__ = ("_due", "_gap", "_least", "_period")
+
+    def __init__(self, rate: float) -> None:
+        self._period = 1.0 / rate
+        self._least = self._period - max(self._period / 2, _ARREARS)
+        self._due = 0.0
+        self._gap = 0.0
+
+    def passes(self) -> bool:
+        """Whether a message that arrives now may pass."""
+        now = time.monotonic()
+        if now < self._due or now < self._gap:
+            return False
+        self._due = max(self._due + self._period, now + self._least)
+        self._gap = now + self._period / 2
+        return True
+
+
+QUEUE_DEPTH = {Priority.COMMAND: 1, Priority.STATE: 1000, Priority.STREAM: 1000}
+"""Messages that wait for a side at most, where no rule says otherwise."""
+
+STREAM_DEPTH = 1000
+"""History of the bridge's own endpoints on a stream at least, so that a burst finds room."""
+
+BULK_DEPTH = 50
+"""The same for types that carry bytes without end, as images, clouds and maps do."""
+
+BULK = 64 * 1024
+"""Bytes from which a message is carried by other threads than small ones, so that it delays none of them."""
+
+QUEUE_BYTES = 64 * 1024 * 1024
+"""Bytes that wait in one route's queue at most, but for the newest message."""
+
+MAX_PENDING = 64
+"""Messages that wait at most for their publisher to be known; the same room of bytes."""
+
+_BYTES = re.compile(r"^[ \t]*(?:u?int8|byte|char|octet)\[\][ \t]", re.MULTILINE)
+
+
+def stream_depth(definition: str) -> int:
+    """History of the bridge's own endpoints on a stream of a type, given by its full definition."""
+    return BULK_DEPTH if _BYTES.search(definition) else STREAM_DEPTH
+
+
+def combined_qos(qualities: list[Qos]) -> Qos:
+    """The QoS of a subscription to several publishers: best effort if any of them is, latched if any is."""
+    best_effort = any(q.reliability is Reliability.BEST_EFFORT for q in qualities)
+    latched = [q for q in qualities if q.latched]
+    return Qos(
+        Reliability.BEST_EFFORT if best_effort else Reliability.RELIABLE,
+        Durability.TRANSIENT_LOCAL if latched else Durability.VOLATILE,
+        depth=max(sum(max(q.depth, 1) for q in latched), *(q.depth for q in qualities), 10),
+    )
+
+
+def qos_text(qos: Qos) -> str:
+    """QoS for people, as ``reliable transient_local 1``."""
+    return f"{qos.reliability.name.lower()} {qos.durability.name.lower()} {qos.depth}"

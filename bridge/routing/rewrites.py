@@ -1,0 +1,147 @@
+"""Messages whose contents the bridge itself changes: static transforms, and start poses of a localiser.
+
+ROS 1 latches one message per publisher and tf2's Python broadcaster keeps none of its earlier ones. So the static
+transforms of a topic are kept here, by child frame, and sent whole as one message. Such a topic is known by its type
+and by being latched.
+
+amcl takes a covariance of zeros at its word: its particles all stand on one point, and it never finds out by how much
+it is wrong (real amcl 1.17.3, started so, had a variance of 1e-12). Programs that fill in the pose alone send just
+that, so they get the covariance that rviz sends. Only what leaves the hub is filled in: Midspan's own localiser, which
+listens there, has a setting for such starts.
+"""
+
+from __future__ import annotations
+
+import math
+import struct
+from dataclasses import replace
+from typing import NamedTuple
+
+from bridge.messages.transcode.conversion import Conversion
+
+TF_TYPE = "tf2_msgs/msg/TFMessage"
+MAX_FRAMES = 100_000
+
+
+_ENCAPSULATION = {b"\0\0": ">", b"\0\1": "<"}
+"""CDR's first two bytes, and the order of its numbers in Python's words."""
+
+_LITTLE = b"\0\1\0\0"
+
+
+class StaticTransforms:
+    """The static transforms of one topic, by child frame; a frame's newest transform wins."""
+
+    def __init__(self) -> None:
+        self._by_child: dict[bytes, _Transform] = {}
+
+    def __len__(self) -> int:
+        return len(self._by_child)
+
+    def merge(self, cdr: bytes) -> bytes:
+        """Merge one TFMessage (CDR), and return the whole set as one.
+
+        Raises:
+            ValueError: the bytes are not a TFMessage, or there are more than `MAX_FRAMES` frames.
+        """
+        try:
+            found = _transforms(cdr)
+        except (ValueError, struct.error) as err:
+            raise ValueError(f"not a {TF_TYPE}: {err}") from err
+        self._by_child.update((transform.child, transform) for transform in found)
+        if len(self._by_child) > MAX_FRAMES:
+            raise ValueError(f"more than {MAX_FRAMES} static frames")
+        parts = bytearray(struct.pack("<I", len(self._by_child)))
+        for transform in self._by_child.values():
+            transform.write(parts)
+        return _LITTLE + parts
+
+
+class _Transform(NamedTuple):
+    """One geometry_msgs/TransformStamped: its stamp (s, ns), its frames with their final zero, its seven numbers."""
+
+    stamp: tuple[int, int]
+    frame: bytes
+    child: bytes
+    numbers: tuple[float, ...]
+
+    def write(self, parts: bytearray) -> None:
+        """Append it, little-endian; each part begins at a multiple of the size of its numbers."""
+        parts += bytes(-len(parts) % 4) + struct.pack("<iI", *self.stamp)
+        for text in (self.frame, self.child):
+            parts += bytes(-len(parts) % 4) + struct.pack("<I", len(text)) + text
+        parts += bytes(-len(parts) % 8) + struct.pack("<7d", *self.numbers)
+
+
+def _transforms(cdr: bytes) -> list[_Transform]:
+    """The transforms of a TFMessage; raises `ValueError` or `struct.error` where the bytes are none."""
+    order = _ENCAPSULATION.get(cdr[:2])
+    if order is None:
+        raise ValueError("its bytes do not begin as CDR does")
+    data, at = memoryview(cdr)[len(_LITTLE) :], 4
+    (count,) = struct.unpack_from(f"{order}I", data)
+
+    def text() -> bytes:
+        nonlocal at
+        at += -at % 4
+        (length,) = struct.unpack_from(f"{order}I", data, at)
+        at += 4 + length
+        if at > len(data):
+            raise ValueError("a frame's name is longer than the message")
+        found = bytes(data[at - length : at])
+        if found[-1:] != b"\0":
+            raise ValueError("a frame's name has no closing NUL")
+        str(found, "utf-8")  # raises UnicodeDecodeError, which is a ValueError
+        return found
+
+    found = []
+    for _ in range(count):
+        at += -at % 4
+        seconds, nanoseconds = struct.unpack_from(f"{order}iI", data, at)
+        at += 8
+        frame, child = text(), text()
+        at += -at % 8
+        found.append(_Transform((seconds, nanoseconds), frame, child, struct.unpack_from(f"{order}7d", data, at)))
+        at += 56
+    if len(data) - at > 3:  # what fills up to a multiple of four is no part of it
+        raise ValueError(f"{len(data) - at} bytes are left over")
+    return found
+
+
+POSE_TYPE = "geometry_msgs/msg/PoseWithCovarianceStamped"
+TOPIC = "initialpose"
+"""Last part of the topic's name, as amcl, Nav2 and rviz have it."""
+
+SPREAD = (0.5, math.radians(15.0))
+"""Standard deviations in x and y (m) and in yaw (rad), rviz's own (rviz 1.14, initial_pose_tool.cpp)."""
+
+_ROWS = 36
+_NONE = struct.pack(f"<{_ROWS}d", *[0.0] * _ROWS)
+_GIVEN = struct.pack(
+    f"<{_ROWS}d", *(SPREAD[0] ** 2 if n in (0, 7) else SPREAD[1] ** 2 if n == _ROWS - 1 else 0.0 for n in range(_ROWS))
+)
+_AFTER_FRAME = 7 * 8
+"""Bytes of the pose, between the header and the covariance."""
+
+
+def with_spread(conversion: Conversion, hub_topic: str) -> Conversion:
+    """A conversion from the hub; for starts of a localiser, one that fills in a missing spread."""
+    if conversion.source.name != POSE_TYPE or hub_topic.rpartition("/")[2] != TOPIC:
+        return conversion
+    then = conversion.convert
+    return replace(conversion, convert=filled_in if then is None else lambda cdr: then(filled_in(cdr)))
+
+
+def filled_in(cdr: bytes) -> bytes:
+    """The same message (CDR, little-endian); with `SPREAD` where its covariance is all zeros."""
+    begin = _covariance(cdr)
+    end = begin + len(_NONE)
+    return cdr[:begin] + _GIVEN + cdr[end:] if begin and cdr[begin:end] == _NONE else cdr
+
+
+def _covariance(cdr: bytes) -> int:
+    """The offset of the covariance; 0 if the message is too short, which its converter reports."""
+    if len(cdr) < 16:
+        return 0
+    frame = int.from_bytes(cdr[12:16], "little")  # behind the encapsulation (4) and the stamp (8)
+    return 4 + (12 + frame + 7) // 8 * 8 + _AFTER_FRAME  # aligned from behind the encapsulation

@@ -1,0 +1,122 @@
+"""Servers on the hub, offered on the side."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Final
+
+from bridge.hub.endpoints.services import HubClient
+from bridge.hub.graph import HubEndpoint
+from bridge.routing.decision import OWN_NETWORK, RouteDecision, RouteKey, hub_groups
+from bridge.routing.edge import Endpoint, Kind, MadeBy
+from bridge.routing.election import Outcome
+from bridge.routing.gates import ExitGate, may_carry, may_leave
+from bridge.routing.route import RouteSet
+from bridge.routing.services.route import ServiceRoute
+
+_SERVICE: Final = "service"
+
+
+class HubToSideService(ServiceRoute):
+    """A server of the hub, called from the side. It is offered there while the server can be called."""
+
+    direction = "out"
+
+    def open(self) -> None:
+        """Open the missing ends."""
+        conversion, context = self.conversion, self._context
+        self.request, self.reply = conversion.request_to_hub, conversion.response_to_side
+        if self._far is None:
+            hub = conversion.hub
+            self._far = context.hub.client(self.hub_topic, hub.name, self.key.type_id, context.wake)
+        if self._near is None and isinstance(self._far, HubClient) and self._far.ready:
+            self._near = context.edge.serve(self.side_topic, conversion.side, self.call)
+
+
+class HubToSideServices(RouteSet[RouteKey, HubToSideService]):
+    """Follows the hub's servers."""
+
+    direction = "out"
+    kind = _SERVICE
+
+    def found(self, endpoints: Sequence[Endpoint]) -> set[tuple[str, str]]:  # noqa: ARG002 - the hub's graph counts
+        """Name and type of each service of the hub that may leave it to this side."""
+        servers = self._context.hub.graph.servers()
+        return {(e.topic, e.type_name) for e in servers if may_leave(e, self._context.edge)}
+
+    def leave(self) -> None:
+        """Close the routes of servers that are gone, before an action's topics are: its last words are to go out."""
+        there = {(e.topic, e.type_name, e.type_hash) for e in self._context.hub.graph.servers()}
+        for key in [k for k in self._routes if (k.topic, k.type_name, k.type_id) not in there]:
+            self._routes.pop(key).close()
+
+    def follow(
+        self, gate: ExitGate, endpoints: Sequence[Endpoint], decisions: list[RouteDecision], outcome: Outcome
+    ) -> None:
+        """Bring the routes in line with both graphs, the rules and the election, after `leave`; one decision each.
+
+        Args:
+            gate: the rules.
+            endpoints: the side's graph: a name that is served there is not served there by us.
+            decisions: what was decided.
+            outcome: of the election.
+        """
+        groups = hub_groups(self._context.hub.graph.servers())
+        natives = {e.topic: e for e in endpoints if e.kind is Kind.SERVER and e.made_by is not MadeBy.MIDSPAN}
+        taken = {route.side_topic: key for key, route in self._routes.items()}
+        for key, servers in groups.items():
+            decision = self._judge(key, servers, gate, outcome)
+            decisions.append(decision)
+            if decision.kind == "bridged":
+                self._refuse_second(key, decision, natives, taken)
+            if decision.kind == "bridged":
+                self._keep(key, servers, decision)
+                taken[decision.topic] = key
+            elif key in self._routes:
+                self._routes.pop(key).close(f"{key.topic} is no longer bridged")
+
+    def _judge(self, key: RouteKey, servers: list[HubEndpoint], gate: ExitGate, outcome: Outcome) -> RouteDecision:
+        """The decision of the loop guard, the election and the rules on one service."""
+        edge, name, type_name = self._context.edge, key.topic, key.type_name
+        foreign = [e for e in servers if may_leave(e, edge)]
+        carried = [e for e in foreign if may_carry(e, outcome)]
+        if not foreign:
+            return RouteDecision.unrouted("out", name, type_name, OWN_NETWORK, _SERVICE)
+        if not carried:
+            carrier = outcome.carriers.get(foreign[0].zid, "")
+            return RouteDecision.carried_by(carrier, name, type_name, _SERVICE)
+        policies = [gate.decide(_SERVICE, e.origin, name, type_name) for e in carried]
+        policy = next((d for d in policies if d.allowed), policies[0])
+        side_name = policy.name if policy.name != name else edge.side_name(name)
+        placeless = edge.why_not(side_name, type_name) if policy.allowed else ""
+        if placeless:
+            return RouteDecision.unrouted("out", side_name, type_name, placeless, _SERVICE, name)
+        return RouteDecision("out", side_name, name, type_name, policy, of=_SERVICE)
+
+    def _refuse_second(
+        self, key: RouteKey, decision: RouteDecision, natives: dict[str, Endpoint], taken: dict[str, RouteKey]
+    ) -> None:
+        """Refuse a second server of one name: a call goes to one server alone."""
+        name, holder = decision.topic, taken.get(decision.topic, key)
+        cure = "give one of them another name by a rule with 'rename'"
+        if name in natives:
+            decision.refuse(f"{natives[name].node} serves {name} there already", cure)
+        elif holder.topic != key.topic:
+            decision.refuse(f"{holder.topic} is already offered under the name {name}", cure)
+        elif holder != key:
+            decision.refuse(f"{name} is already offered with the type {holder.type_name}", cure)
+
+    def _keep(self, key: RouteKey, servers: list[HubEndpoint], decision: RouteDecision) -> None:
+        route = self._routes.get(key)
+        if route is not None and route.policy != decision.policy:
+            self._routes.pop(key).close(f"{key.topic} is bridged under other rules now; call again")
+            route = None
+        if route is None:
+            conversion = decision.convert(lambda: self._context.edge.service_from_hub(key.type_name, key.type_id))
+            if conversion is None:
+                self._context.types.ask(key.type_name, key.type_id)
+                return
+            names = (key.topic, decision.topic)
+            route = self._routes[key] = HubToSideService(key, names, conversion, decision.policy, self._context)
+        route.servers = len(servers)
+        route.attempt(route.open, decision)

@@ -1,0 +1,175 @@
+"""Servers of the side, offered on the hub."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable, Sequence
+from typing import Final
+
+from bridge.hub.endpoints.calls import Abandon, CallError, Done
+from bridge.messages.actions import CANCEL_GOAL, GET_RESULT, part_name, split
+from bridge.messages.values import refusal
+from bridge.routing.decision import RouteDecision, RouteKey, native_groups
+from bridge.routing.edge import Endpoint, Kind, MadeBy
+from bridge.routing.gates import EntryGate
+from bridge.routing.route import RouteSet
+from bridge.routing.rules import RoutePolicy
+from bridge.routing.services.route import ServiceRoute
+
+_log = logging.getLogger(__name__)
+
+_SERVICE: Final = "service"
+
+PLANNERS = "/planner/"
+"""What the names of planners' actions on the hub begin with: the gateway alone gives goals there."""
+
+_HEADER = b"\x00\x01\x00\x00"
+_UUID = slice(4, 20)
+"""A goal's id in a ``GetResult`` request (CDR behind its header); ``CancelGoal`` has it there too, and then a stamp."""
+
+
+class SideToHubService(ServiceRoute):
+    """A server of the side, called from the hub.
+
+    A client of rmw_zenoh hears no errors. That of an action gets the reply that says no, where there is one: the goal
+    is refused, or has been aborted.
+    """
+
+    direction = "in"
+    _refusal: Callable[[], bytes] | None = None
+    orphaned: Callable[[bytes], None] | None = None
+    """Called with the request of a call whose caller left before its reply; on a thread of zenoh."""
+
+    def open(self) -> None:
+        """Open the missing ends."""
+        conversion, context = self.conversion, self._context
+        self.request, self.reply = conversion.request_to_side, conversion.response_to_hub
+        if self._far is None:
+            self._far = context.edge.caller(self.side_topic, conversion.side)
+        if self._near is None:
+            hub = conversion.hub
+            if context.registry is not None:
+                self._refusal = refusal(context.registry, hub.name, hub.type_id)
+            self._near = context.hub.server(self.hub_topic, hub.name, hub.type_id, self.call)
+
+    def call(self, request: bytes, done: Done) -> Abandon:
+        """A caller on the hub asks."""
+        refuse = self._refusal
+        if refuse is None:
+            return self._call(request, done)
+        return self._call(request, lambda result: done(refuse() if isinstance(result, CallError) else result))
+
+    def _call(self, request: bytes, done: Done) -> Abandon:
+        orphaned = self.orphaned
+        if orphaned is None:
+            return super().call(request, done)
+        over = False
+
+        def ended(result: bytes | CallError) -> None:
+            nonlocal over
+            over = True
+            done(result)
+
+        leave = super().call(request, ended)
+
+        def left() -> None:
+            leave()
+            if not over:
+                orphaned(request)
+
+        return left
+
+
+class SideToHubServices(RouteSet[RouteKey, SideToHubService]):
+    """Follows the side's servers."""
+
+    direction = "in"
+    kind = _SERVICE
+
+    def found(self, endpoints: Sequence[Endpoint]) -> set[tuple[str, str]]:
+        """Name and type of each service that is served on the side."""
+        return {(e.topic, e.type) for e in endpoints if e.kind is Kind.SERVER}
+
+    def leave(self, endpoints: Sequence[Endpoint]) -> None:
+        """Close the routes of servers that are gone, before an action's topics are: its last words are to go out."""
+        servers = [e for e in endpoints if e.kind is Kind.SERVER and e.made_by is MadeBy.NATIVE]
+        there = {(e.topic, e.type, e.type_id) for e in servers}
+        for key in [k for k in self._routes if (k.topic, k.type_name, k.type_id) not in there]:
+            self._routes.pop(key).close()
+
+    def follow(self, gate: EntryGate, endpoints: Sequence[Endpoint], decisions: list[RouteDecision]) -> None:
+        """Bring the routes in line with the side's graph and the rules, after `leave`; one decision each."""
+        wanted = native_groups(endpoints, Kind.SERVER, decisions)
+        taken = {route.hub_topic: key for key, route in self._routes.items()}
+        for key, servers in wanted.items():
+            self._follow(key, servers, gate, taken, decisions)
+
+    def _follow(
+        self,
+        key: RouteKey,
+        servers: list[Endpoint],
+        gate: EntryGate,
+        taken: dict[str, RouteKey],
+        decisions: list[RouteDecision],
+    ) -> None:
+        policy = gate.decide(_SERVICE, key.topic, key.type_name)
+        hub_name = self._context.edge.hub_name(policy.name)
+        decision = RouteDecision("in", key.topic, hub_name, key.type_name, policy, of=_SERVICE)
+        decisions.append(decision)
+        route = self._routes.get(key)
+        trouble = self._trouble(key, hub_name, taken) if policy.allowed else ""
+        if route is not None and (not policy.allowed or trouble or route.policy != policy):
+            self._routes.pop(key).close(f"{key.topic} is no longer bridged")
+            taken.pop(hub_name, None)
+            route = None
+        if trouble:
+            decision.refuse(trouble, "give one of them another name by a rule with 'rename'")
+        if not policy.allowed or trouble:
+            return
+        if route is None:
+            route = self._make(key, hub_name, servers[0], policy, decision)
+            if route is None:
+                return
+            taken[hub_name] = key
+        route.servers = len(servers)
+        route.attempt(route.open, decision)
+
+    def _trouble(self, key: RouteKey, hub_name: str, taken: dict[str, RouteKey]) -> str:
+        """Why the hub has no place for a service, "" where it has: a call goes to one server."""
+        holder = taken.get(hub_name, key)
+        if holder.topic != key.topic:
+            return f"{holder.topic} is already offered under the name {hub_name}"
+        if holder != key:
+            return f"{holder.topic} is already offered with the type {holder.type_name}"
+        open_here = key in self._routes and self._routes[key].offered
+        for other in self._context.hub.graph.servers(hub_name):
+            # of two bridges that began in the same moment, the same one gives way for both
+            if not other.own and not (open_here and other.origin and self._context.hub.zid < other.zid):
+                return f"{other.node} serves {hub_name} on the hub already"
+        return ""
+
+    def _make(
+        self, key: RouteKey, hub_name: str, server: Endpoint, policy: RoutePolicy, decision: RouteDecision
+    ) -> SideToHubService | None:
+        conversion = decision.convert(lambda: self._context.edge.service_to_hub(server))
+        if conversion is None:
+            return None
+        self._context.types.offer(conversion.hub)
+        route = SideToHubService(key, (hub_name, key.topic), conversion, policy, self._context)
+        action, part = split(hub_name)
+        if part == GET_RESULT and action.startswith(PLANNERS):
+            route.orphaned = lambda request: self._cancel(action, request)
+        self._routes[key] = route
+        return route
+
+    def _cancel(self, action: str, request: bytes) -> None:
+        """Cancel a planner's goal whose result no one awaits: the gateway left, or is cut off.
+
+        Nobody else knows that goal, so nobody could stop the robot. Clients of other actions may leave their goals.
+        """
+        name = part_name(action, CANCEL_GOAL)
+        route = next((route for route in self.routes() if route.hub_topic == name), None)
+        if route is None or len(request) < _UUID.stop:
+            return
+        _log.warning("who gave %s a goal has gone: the goal is cancelled", action)
+        route.call(_HEADER + request[_UUID] + bytes(8), lambda _reply: None)

@@ -1,0 +1,340 @@
+"""Routes of topics from the side to the hub, and the set of them."""
+
+from __future__ import annotations
+
+import logging
+import threading
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any, NamedTuple
+
+from bridge.clock import CLOCK_TOPIC, CLOCK_TYPE
+from bridge.concurrency import BoundedQueue
+from bridge.hub.endpoints.publisher import HubPublisher
+from bridge.hub.errors import HubError
+from bridge.hub.wire.keys import topic_key
+from bridge.hub.wire.qos import LATCHED, Durability, Qos, Reliability
+from bridge.messages.errors import MessageError
+from bridge.messages.transcode.conversion import Conversion
+from bridge.routing.backlog import Backlog
+from bridge.routing.decision import RouteDecision, RouteKey, native_groups
+from bridge.routing.edge import EdgeSubscription, Endpoint, Kind
+from bridge.routing.gates import TAPS, EntryGate
+from bridge.routing.limits import BULK, MAX_PENDING, QUEUE_BYTES, QUEUE_DEPTH, Priority, combined_qos, stream_depth
+from bridge.routing.rewrites import TF_TYPE, StaticTransforms
+from bridge.routing.route import EngineContext, RouteSet, TopicRoute
+from bridge.routing.rules import RoutePolicy
+from bridge.routing.stall import AgeGate
+
+_log = logging.getLogger(__name__)
+
+PENDING_SECONDS = 5.0
+"""How long a message of a publisher that is not known to the route waits for it."""
+
+
+@dataclass(slots=True)
+class _Source:
+    endpoint: Endpoint
+    publisher: HubPublisher
+    latched: bool
+    age: AgeGate
+
+
+class _Message(NamedTuple):
+    payload: bytes
+    known: _Source
+    source: str
+    time_ns: int | None
+
+
+class SideToHubRoute(TopicRoute):
+    """One topic and type of the side, published on the hub.
+
+    Each latched publisher of the side has a hub publisher of its own, so that its last message goes when it goes; the
+    others share one. Static transforms are merged and kept by one publisher for the life of the route; transforms that
+    are not latched pass beside them as they are.
+    """
+
+    direction = "in"
+
+    def __init__(
+        self, key: RouteKey, hub_topic: str, conversion: Conversion, policy: RoutePolicy, context: EngineContext
+    ) -> None:
+        super().__init__(key, (hub_topic, key.topic), conversion, policy, context)
+        # a session does not hear on the hub what it says itself
+        self._tells_time = (hub_topic, self.hub_type) == (CLOCK_TOPIC, CLOCK_TYPE) and context.edge.clock.simulated
+        self._sources: dict[str, _Source] = {}
+        self._shared: HubPublisher | None = None
+        self._static_publisher: HubPublisher | None = None
+        self._static_lock = threading.Lock()
+        self._followed: Sequence[Endpoint] | None = None
+        self._pending = Backlog[tuple[bytes, int | None]](MAX_PENDING, QUEUE_BYTES, self.crowded_out)
+        self._subscription: EdgeSubscription | None = None
+        self._hold, self._lease = context.hold, context.lease
+        depth = policy.depth or QUEUE_DEPTH[self._priority]
+        name = f"midspan-in{self.side_topic}"
+        self._large = BoundedQueue(name, depth, QUEUE_BYTES, self._carry_large, self.crowded_out)
+
+    def update(self, endpoints: Sequence[Endpoint]) -> None:
+        """Follow the side's publishers of this topic; called by the engine's loop alone."""
+        if endpoints == self._followed:
+            self._flush_pending()
+            return
+        self._followed = None  # until all of it is done
+        current = {e.id: e for e in endpoints}
+        for gone in [s for s in self._sources if s not in current]:
+            self._remove(gone)
+        for endpoint in endpoints:
+            known = self._sources.get(endpoint.id)
+            if known is None or known.endpoint.qos != endpoint.qos:
+                if known is not None:
+                    self._remove(endpoint.id)
+                self._add(endpoint)
+        if endpoints:
+            self._qos = combined_qos([e.qos for e in endpoints])
+            self._subscribe()
+        self._followed = endpoints
+        self._flush_pending()
+
+    def _add(self, endpoint: Endpoint) -> None:
+        latched = self.latches(endpoint.qos)
+        self._priority = self.priority_of(latched=latched or any(s.latched for s in self._sources.values()))
+        if latched and self.hub_type == TF_TYPE:
+            publisher = self._for_static()
+        elif latched:
+            publisher = self._publisher(endpoint.qos)
+        else:
+            if self._shared is None:
+                self._shared = self._publisher(endpoint.qos)
+            publisher = self._shared
+        self._sources[endpoint.id] = _Source(endpoint, publisher, latched, AgeGate())
+
+    def _for_static(self) -> HubPublisher:
+        if self._static_publisher is None:
+            self._static = StaticTransforms()
+            self._static_publisher = self._publisher(LATCHED)
+        return self._static_publisher
+
+    def _publisher(self, qos: Qos) -> HubPublisher:
+        qos = self.policy.override(qos)
+        if self._priority is Priority.COMMAND:
+            qos = Qos(qos.reliability, Durability.VOLATILE, depth=1)
+        target = self.conversion.target
+        return self._context.hub.publisher(
+            self.hub_topic, target.name, target.type_id, qos, priority=self._priority.value
+        )
+
+    def _remove(self, source: str) -> None:
+        known = self._sources.pop(source)
+        self._pending.take(lambda waiting: waiting.source == source)
+        if known.publisher is self._static_publisher:
+            return
+        if known.publisher is not self._shared:
+            known.publisher.close()
+        elif not any(s.publisher is self._shared for s in self._sources.values()):
+            self._shared.close()
+            self._shared = None
+
+    def _subscribe(self) -> None:
+        """Subscribe once, asking for the most; the edge gets from each publisher what that one offers.
+
+        Subscribing again when a publisher comes with another QoS would bring the latched messages a second time.
+        """
+        if self._subscription is not None:
+            return
+        command = self._priority is Priority.COMMAND
+        wish = Qos(
+            Reliability.RELIABLE,
+            Durability.VOLATILE if command else Durability.TRANSIENT_LOCAL,
+            depth=1 if command else stream_depth(self.conversion.target.definition),
+        )
+        wish = self.policy.override(wish)
+        self._subscription = self._context.edge.subscribe(self.key.topic, self.conversion.source, wish, self._deliver)
+
+    def _flush_pending(self) -> None:
+        if self._lease.over:
+            return
+        before = time.monotonic() - PENDING_SECONDS
+        for waiting in self._pending.take(lambda w: w.source in self._sources or w.since < before):
+            if waiting.source in self._sources:
+                payload, time_ns = waiting.message
+                self._deliver(payload, str(waiting.source), time_ns)
+            else:
+                self.counters.dropped("unknown")
+
+    def _deliver(self, payload: bytes, source: str, time_ns: int | None) -> None:
+        known = self._sources.get(source)
+        counters = self.counters
+        if self._lease.over:
+            if known is not None and known.latched:  # it comes only once, and the route may go on
+                depth = min(max(known.endpoint.qos.depth, 1), MAX_PENDING)
+                counters.dropped("standby", self._pending.keep(source, (payload, time_ns), len(payload), depth))
+            else:
+                counters.dropped("standby")
+            return
+        if self._hold is not None and self._hold.held and self.hub_topic in self._hold.topics:
+            counters.dropped("held")
+            return
+        if known is None:
+            # On the graph for the edge, not yet for us: the newest waits until the engine comes back with `update`.
+            if self._priority is Priority.COMMAND:
+                counters.dropped("unknown")  # a command is never kept for later
+            else:
+                counters.dropped("unknown", self._pending.keep(source, (payload, time_ns), len(payload), depth=1))
+            self._context.wake()
+            return
+        if self._priority is Priority.COMMAND and self._stale(known, time_ns):
+            counters.dropped("stale")
+            return
+        if known.latched and len(self._pending):
+            self._flush_pending()  # what it said before goes first
+        if self._limit is not None and self.over_rate(latched=known.latched):
+            return
+        if self.too_large(len(payload)):
+            return
+        if len(payload) > BULK or self._large.busy:
+            self._large.put(_Message(payload, known, source, time_ns), len(payload))
+        else:
+            self._carry(payload, known, time_ns)
+
+    def _carry_large(self, message: _Message) -> None:
+        payload, known, source, time_ns = message
+        if self._sources.get(source) is known:
+            self._carry(payload, known, time_ns)
+        else:
+            self.counters.dropped("unknown")  # gone while it waited
+
+    def _carry(self, payload: bytes, known: _Source, time_ns: int | None) -> None:
+        try:
+            convert = self.conversion.convert
+            data = payload if convert is None else convert(payload)
+            if self.too_large(len(data)):
+                return
+            if self._static is not None and known.latched:
+                with self._static_lock:
+                    known.publisher.put(self._static.merge(data), time_ns)
+            else:
+                known.publisher.put(data, time_ns)
+        except (MessageError, HubError, ValueError) as err:
+            self.bad(str(err))
+            return
+        self.counters.crossed(len(data))
+        if self._tells_time:
+            self._context.edge.clock.hear(data)
+
+    def _stale(self, known: _Source, time_ns: int | None) -> bool:
+        timeout = self.policy.timeout
+        return self._context.stall_detector.stood_still(timeout) or (
+            time_ns is not None and known.age.age(time_ns) > timeout
+        )
+
+    def close(self, why: str = "") -> None:  # noqa: ARG002 - nobody waits for an answer
+        """Give back everything on both networks."""
+        if self._subscription is not None:
+            self._subscription.close()
+            self._subscription = None
+        self._large.close()
+        for source in list(self._sources):
+            self._remove(source)
+        for publisher in (self._shared, self._static_publisher):
+            if publisher is not None:
+                publisher.close()
+        self._shared = self._static_publisher = None
+
+    def status(self) -> dict[str, Any]:
+        """The route as it stands in the status document."""
+        if self._subscription is not None:
+            self.counters.drops["lost"] = self._subscription.lost
+        return self.describe(len(self._sources))
+
+
+_MAX_TAPS = 100
+_TAP_ANSWER = 2.0
+
+
+class SideToHubTopics(RouteSet[RouteKey, SideToHubRoute]):
+    """Follows the side's publishers; any thread may call `tap`."""
+
+    direction = "in"
+
+    def __init__(self, context: EngineContext) -> None:
+        super().__init__(context)
+        self._taps: dict[str, float] = {}
+
+    def found(self, endpoints: Sequence[Endpoint]) -> set[tuple[str, str]]:
+        """Name and type of each topic that is published on the side."""
+        return {(e.topic, e.type) for e in endpoints if e.kind is Kind.PUBLISHER}
+
+    def follow(self, gate: EntryGate, endpoints: Sequence[Endpoint], decisions: list[RouteDecision]) -> None:
+        """Bring the routes in line with the side's graph and the rules; one decision for each topic."""
+        wanted = native_groups(endpoints, Kind.PUBLISHER, decisions)
+        # What is gone makes room first: a side may have one type per topic, and the hub one topic per name.
+        for key in [k for k in self._routes if k not in wanted]:
+            route = self._routes[key]
+            if route.static and route.policy == gate.decide("topic", key.topic, key.type_name):
+                route.update([])
+            else:
+                self._routes.pop(key).close()
+        taken = {route.hub_topic: key for key, route in self._routes.items()}
+        for key, publishers in wanted.items():
+            self._follow(key, publishers, gate, taken, decisions)
+
+    def _follow(
+        self,
+        key: RouteKey,
+        endpoints: list[Endpoint],
+        gate: EntryGate,
+        taken: dict[str, RouteKey],
+        decisions: list[RouteDecision],
+    ) -> None:
+        policy = gate.decide("topic", key.topic, key.type_name)
+        hub_topic = self._context.edge.hub_name(policy.name)
+        decision = RouteDecision("in", key.topic, hub_topic, key.type_name, policy)
+        decisions.append(decision)
+        if not policy.allowed and time.monotonic() < self._taps.get(key.topic, 0.0):
+            hub_topic = f"{TAPS}{self._context.edge.side}{self._context.edge.hub_name(key.topic)}"
+            policy = replace(policy, allowed=True, name=hub_topic)
+        route = self._routes.get(key)
+        if route is not None and (not policy.allowed or route.policy != policy):
+            self._routes.pop(key).close()
+            route = None
+        if not policy.allowed:
+            return
+        holder = taken.get(hub_topic, key)
+        if holder.topic != key.topic:
+            decision.refuse(
+                f"{holder.topic} already crosses under the name {hub_topic}", "rename one of them by a rule"
+            )
+            return
+        if route is None:
+            conversion = decision.convert(lambda: self._context.edge.to_hub(endpoints[0]))
+            if conversion is None:
+                return
+            self._context.types.offer(conversion.target)
+            route = self._routes[key] = SideToHubRoute(key, hub_topic, conversion, policy, self._context)
+            taken[hub_topic] = key
+        route.attempt(lambda: route.update(endpoints), decision)
+
+    def tap(self, topic: str, seconds: float) -> dict[str, str]:
+        """Show a topic that does not cross on the hub for so many seconds, under a name that no side takes up.
+
+        Returns the hub topic, type, hash and zenoh key; {} where the side has no such topic. Ask again to go on.
+        """
+        if len(self._taps) > _MAX_TAPS:
+            self._taps = {t: until for t, until in self._taps.items() if until > time.monotonic()}
+        if len(self._taps) > _MAX_TAPS or not any(
+            e.topic == topic and e.kind is Kind.PUBLISHER for e in self._context.edge.endpoints()
+        ):
+            return {}
+        self._taps[topic] = time.monotonic() + min(seconds, 60.0)
+        self._context.wake()
+        deadline = time.monotonic() + _TAP_ANSWER
+        while time.monotonic() < deadline:
+            route = next((r for r in self.routes() if r.side_topic == topic), None)
+            if route is not None:
+                target = route.conversion.target
+                key = topic_key(self._context.hub.domain, route.hub_topic, target.name, target.type_id)
+                return {"topic": route.hub_topic, "type": target.name, "hash": target.type_id, "key": key}
+            time.sleep(0.02)
+        return {}

@@ -1,0 +1,113 @@
+"""The state folder: where it is, the names of what is kept in it, and files that are written whole or not at all."""
+
+from __future__ import annotations
+
+import contextlib
+import logging
+import os
+from collections.abc import Mapping
+from pathlib import Path
+
+from bridge.config.model import Config
+
+
+def state_folder(config: Config, environ: Mapping[str, str] = os.environ) -> Path:
+    """Where the daemon and its workers keep their state; see ``state`` in the configuration."""
+    if config.state is not None:
+        return config.state
+    if environ.get("STATE_DIRECTORY"):  # systemd's StateDirectory=; several are separated by colons
+        return Path(environ["STATE_DIRECTORY"].split(":")[0])
+    home = environ.get("XDG_STATE_HOME") or Path(environ.get("HOME") or Path.home()) / ".local" / "state"
+    return Path(home) / "midspan"
+
+
+def worker_folder(config: Config, environ: Mapping[str, str] = os.environ) -> Path:
+    """Where the workers of this daemon keep what they must know again; several daemons may share a state folder."""
+    return state_folder(config, environ) / config.name
+
+
+# sockaddr_un's sun_path has 108 bytes with its ending zero on Linux, 104 on macOS
+_MAX_SOCKET_PATH = 103
+
+
+def with_state(config: Config, environ: Mapping[str, str] = os.environ) -> Config:
+    """The configuration with its state folder filled in and made, for its owner only.
+
+    Raises `RuntimeError`: the folder cannot be made or written to.
+    """
+    folder = state_folder(config, environ).absolute()
+    try:
+        folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+        if not os.access(folder, os.W_OK | os.X_OK):
+            raise PermissionError(13, "not writable for this user")
+        # without users' numbers, as on Windows, the folder has the rights of the one that it lies in
+        if hasattr(os, "geteuid") and folder.stat().st_uid == os.geteuid():
+            folder.chmod(0o700)
+    except OSError as err:
+        msg = f"state folder {folder}: {err.strerror}; set 'state' in the configuration to a folder that can be used"
+        raise RuntimeError(msg) from err
+    return config.model_copy(update={"state": folder})
+
+
+def daemon_lock(config: Config) -> Path:
+    """The lock of the daemon of this name."""
+    return _in_state(config, f"{config.name}.daemon.lock")
+
+
+def worker_lock(config: Config, worker: str) -> Path:
+    """The lock of one of its workers."""
+    return _in_state(config, f"{config.name}.{worker}.lock")
+
+
+def worker_output(config: Config, worker: str) -> Path:
+    """Where the stderr of a worker goes that outlives its daemon."""
+    return _in_state(config, f"{config.name}.{worker}.stderr")
+
+
+def control_socket(config: Config, worker: str) -> Path:
+    """The control socket of a worker that outlives its daemon.
+
+    Raises `RuntimeError`: the path is longer than a socket's can be.
+    """
+    return _socket_in_state(config, f"{config.name}.{worker}.sock")
+
+
+def daemon_socket(config: Config) -> Path:
+    """The socket on which the daemon tells of itself; raises like `control_socket`."""
+    return _socket_in_state(config, f"{config.name}.daemon.sock")
+
+
+def _socket_in_state(config: Config, name: str) -> Path:
+    path = _in_state(config, name)
+    if len(os.fsencode(path)) > _MAX_SOCKET_PATH:
+        msg = f"{path} is too long for a socket's name; set 'state' in the configuration to a shorter folder"
+        raise RuntimeError(msg)
+    return path
+
+
+def _in_state(config: Config, name: str) -> Path:
+    if config.state is None:
+        msg = "the configuration's state folder is not filled in"
+        raise ValueError(msg)
+    return config.state / name
+
+
+_log = logging.getLogger(__name__)
+
+
+def keep(file: Path, text: str, loss: str) -> bool:
+    """Write a file in the state folder whole or not at all; whether it was written.
+
+    ``loss`` says in the log what a failure means.
+    """
+    making = file.with_name(f".{file.name}.{os.getpid()}")
+    try:
+        file.parent.mkdir(parents=True, exist_ok=True)
+        making.write_text(text, encoding="utf-8")
+        making.replace(file)
+    except OSError as err:
+        _log.warning("cannot write %s: %s; %s", file, err.strerror, loss)
+        with contextlib.suppress(OSError):
+            making.unlink()
+        return False
+    return True

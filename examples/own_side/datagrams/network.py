@@ -1,0 +1,187 @@
+"""The network: every program sends datagrams of JSON to one multicast group, and all hear all of them.
+
+``{"hello": ID, "node": NAME, "by": "", "ends": {ID: [KIND, TOPIC, TYPE, LATCHED]}, "record": ""}`` twice a second, and
+at once when it changes; ``{"bye": ID}``; ``{"from": ENDPOINT, "topic": TOPIC, "message": {...}}``. What was published
+latched is sent again to each new subscription of its topic, to that program alone.
+"""
+
+from __future__ import annotations
+
+import itertools
+import json
+import os
+import select
+import socket
+import struct
+import threading
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any
+
+BEAT = 0.5
+SILENT = 3.0
+"""Seconds after which a program that is not heard any more has died."""
+LARGEST = 60_000
+"""Bytes of a datagram."""
+
+
+@dataclass
+class End:
+    """A publisher (``kind`` is "pub") or a subscription ("sub")."""
+
+    id: str
+    kind: str
+    topic: str
+    type: str
+    latched: bool
+    take: Callable[[bytes, str], None] | None = None
+    kept: dict[str, bytes] = field(default_factory=dict)
+
+
+@dataclass
+class Program:
+    """Another program on the network, as it said of itself last."""
+
+    id: str
+    address: tuple[str, int]
+    heard: float
+    node: str = ""
+    by: str = ""
+    record: str = ""
+    ends: dict[str, End] = field(default_factory=dict)
+
+
+class Node:
+    """A program's end of the network.
+
+    Args:
+        group: ``address:port`` of the multicast group.
+        interface: address of the network interface, the loopback's for one machine.
+        name: of the node, for people.
+        by: "" for a native program; what a bridge says of itself.
+        changed: called when programs, their endpoints or their records changed.
+    """
+
+    def __init__(
+        self, group: str, interface: str, name: str, by: str = "", changed: Callable[[], None] = lambda: None
+    ) -> None:
+        self.id, self.name, self.by, self.record = os.urandom(6).hex(), name, by, ""
+        self.programs: dict[str, Program] = {}
+        address, _, port = group.partition(":")
+        self._group, self._changed = (address, int(port)), changed
+        self._ends: dict[str, End] = {}
+        self._numbers = itertools.count(1)
+        self._lock = threading.RLock()
+        self._closed = False
+        self._own = self._socket(("", 0))
+        self._own.setsockopt(socket.IPPROTO_IP, socket.IP_MULTICAST_IF, socket.inet_aton(interface))
+        self._all = self._socket(self._group)
+        member = struct.pack("4s4s", socket.inet_aton(address), socket.inet_aton(interface))
+        self._all.setsockopt(socket.IPPROTO_IP, socket.IP_ADD_MEMBERSHIP, member)
+        self._threads = [threading.Thread(target=run, daemon=True) for run in (self._listen, self._beat)]
+        for thread in self._threads:
+            thread.start()
+
+    @staticmethod
+    def _socket(place: tuple[str, int]) -> socket.socket:
+        sock = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        sock.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        sock.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 1 << 22)
+        sock.bind(place)
+        return sock
+
+    def open(
+        self, kind: str, topic: str, type_: str, *, latched: bool, take: Callable[[bytes, str], None] | None = None
+    ) -> End:
+        """Open a publisher, or a subscription that calls ``take(message, publisher)``."""
+        end = End(f"{self.id}.{next(self._numbers)}", kind, topic, type_, latched, take)
+        with self._lock:
+            self._ends[end.id] = end
+        self.hello()
+        return end
+
+    def close_end(self, end: End) -> None:
+        """Close a publisher or a subscription."""
+        with self._lock:
+            self._ends.pop(end.id, None)
+        self.hello()
+
+    def publish(self, end: End, message: bytes, source: str = "") -> None:
+        """Send JSON to all; keep it where the publisher is latched. Raises `ValueError` where it fits no datagram."""
+        data = b'{"from":"%s","topic":%s,"message":%s}' % (end.id.encode(), json.dumps(end.topic).encode(), message)
+        if len(data) > LARGEST:
+            msg = f"a message of {len(message)} bytes on {end.topic}: a datagram takes up to {LARGEST}"
+            raise ValueError(msg)
+        with self._lock:
+            if end.latched:
+                end.kept[source] = data
+            self._send(data)
+
+    def hello(self) -> None:
+        """Say who this is, and what it publishes and hears."""
+        with self._lock:
+            ends = {end.id: [end.kind, end.topic, end.type, end.latched] for end in self._ends.values()}
+            said = {"hello": self.id, "node": self.name, "by": self.by, "record": self.record, "ends": ends}
+            self._send(json.dumps(said).encode())
+
+    def close(self) -> None:
+        """Say goodbye."""
+        with self._lock:
+            self._send(json.dumps({"bye": self.id}).encode())
+            self._closed = True
+        for thread in self._threads:
+            if thread is not threading.current_thread():
+                thread.join(2 * BEAT)
+        self._own.close()
+        self._all.close()
+
+    def _send(self, data: bytes, to: tuple[str, int] | None = None) -> None:
+        if not self._closed:
+            self._own.sendto(data, to or self._group)
+
+    def _beat(self) -> None:
+        while not self._closed:
+            self.hello()
+            time.sleep(BEAT)
+            silent = [p.id for p in list(self.programs.values()) if time.monotonic() - p.heard > SILENT]
+            for dead in silent:
+                self.programs.pop(dead, None)
+                self._changed()
+
+    def _listen(self) -> None:
+        while not self._closed:
+            for sock in select.select([self._own, self._all], [], [], BEAT)[0]:
+                data, address = sock.recvfrom(65536)
+                try:
+                    self._take(json.loads(data), address)
+                except (ValueError, TypeError, KeyError, AttributeError, RecursionError):
+                    continue  # anybody may send junk, which ends nothing
+
+    def _take(self, said: dict[str, Any], address: tuple[str, int]) -> None:
+        if "from" in said:
+            self._message(said)
+        elif "hello" in said and said["hello"] != self.id:
+            self._hello(said, address)
+        elif "bye" in said and self.programs.pop(said["bye"], None):
+            self._changed()
+
+    def _message(self, said: dict[str, Any]) -> None:
+        with self._lock:
+            takers = [e.take for e in self._ends.values() if e.topic == said["topic"] and e.take]
+        for take in takers:
+            take(json.dumps(said["message"]).encode(), said["from"])
+
+    def _hello(self, said: dict[str, Any], address: tuple[str, int]) -> None:
+        before = self.programs.get(said["hello"])
+        now = Program(said["hello"], address, time.monotonic(), said["node"], said["by"], said["record"])
+        now.ends = {id_: End(id_, str(k), str(t), str(ty), bool(la)) for id_, (k, t, ty, la) in said["ends"].items()}
+        self.programs[now.id] = now
+        known = {} if before is None else before.ends
+        with self._lock:
+            for new in (end for id_, end in now.ends.items() if end.kind == "sub" and end.latched and id_ not in known):
+                for own in (e for e in self._ends.values() if e.kind == "pub" and e.topic == new.topic):
+                    for data in own.kept.values():
+                        self._send(data, address)
+        if before is None or (before.ends, before.record) != (now.ends, now.record):
+            self._changed()

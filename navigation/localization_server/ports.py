@@ -1,0 +1,108 @@
+"""The topics and YARP ports on which LocalizationServer publishes where the robot is."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+from bridge.hub.wire.qos import LATCHED, Qos
+from bridge.modules.host import Host
+from bridge.tf.stamped import TF, TF_TYPE, Stamped, write
+from navigation.frames import RobotFrames
+from navigation.localization_server.estimate import (
+    POSE_COVARIANCE,
+    POSES,
+    Floats,
+    LocalizationStatus,
+    PoseEstimate,
+    particles_cdr,
+    spatial,
+)
+from navigation.messages import STRING, pose_message
+from navigation.pose import Pose
+from navigation.yarp import location_of
+from yarp_compat.dev.basecontrol import OdometryData
+from yarp_compat.dev.locations import Map2DLocation
+from yarp_compat.os.data.stamp import Stamp
+
+POSE, STATUS = "/localization/pose", "/localization/status"
+REASON, PARTICLES = "/localization/reason", "/localization/particles"
+_NOWHERE = OdometryData(*[math.nan] * 9)
+
+
+class PosePublisher:
+    """Publishes the pose for all sides. On the module's thread.
+
+    Args:
+        ports: what YARP ports begin with.
+        tf: whether the odometry's frame on the map is published.
+        ahead: seconds for which that is said to hold.
+    """
+
+    def __init__(self, host: Host, frames: RobotFrames, ports: Sequence[str], *, tf: bool, ahead: float) -> None:
+        self._clock, self._frames, self._ahead_ns = host.clock, frames, round(ahead * 1e9)
+        node = host.node
+        self._pose = node.publisher(POSE, POSE_COVARIANCE, Qos(depth=1))
+        self._status = node.publisher(STATUS, STRING, LATCHED, priority="state")
+        self._reason = node.publisher(REASON, STRING, LATCHED, priority="state")
+        self._particles = node.publisher(PARTICLES, POSES, LATCHED)
+        self._tf = node.publisher(TF, TF_TYPE, Qos(depth=100)) if tf else None
+        self._streams = [host.yarp.output(f"{port}/streaming:o") for port in ports]
+        self._odometries = [host.yarp.output(f"{port}/odometry:o") for port in ports]
+        self._stamp = Stamp()
+        self._last: tuple[LocalizationStatus, str] | None = None
+
+    def tell(self, found: PoseEstimate, correction: Pose | None, odometry: OdometryData | None, map_name: str) -> None:
+        """Publish where the robot is now.
+
+        Args:
+            found: where it is.
+            correction: the odometry's frame on the map, to be published.
+            odometry: how fast it is.
+            map_name: of the map in use.
+        """
+        self._tell_status(found)
+        now = self._clock.now_ns()
+        seconds, nanoseconds = divmod(now, 1_000_000_000)
+        pose = found.pose
+        if pose is not None and found.status is not LocalizationStatus.ERROR:
+            self._pose.publish({
+                "header": {
+                    "stamp": {"sec": seconds, "nanosec": nanoseconds},
+                    "frame_id": self._frames.map_frame,
+                },
+                "pose": {"pose": pose_message(pose), "covariance": spatial(found.covariance)},
+            })  # fmt: skip
+        if self._tf is not None and correction is not None:
+            turned = (0.0, 0.0, math.sin(correction.theta / 2.0), math.cos(correction.theta / 2.0))
+            names = self._frames.map_frame, self._frames.odom_frame
+            self._tf.publish_cdr(
+                write([Stamped(*names, now + self._ahead_ns, (correction.x, correction.y, 0.0), turned)])
+            )
+        self._write(found, odometry, map_name, now)
+
+    def _tell_status(self, found: PoseEstimate) -> None:
+        said = found.status, found.reason
+        if self._last is None or said[0] is not self._last[0]:
+            self._status.publish({"data": found.status.value})
+        if said != self._last:
+            self._reason.publish({"data": found.reason})
+        self._last = said
+
+    def _write(self, found: PoseEstimate, odometry: OdometryData | None, map_name: str, now: int) -> None:
+        """YARP's streams: without a pose that can be relied on their numbers are none, as upstream has it."""
+        if not any(port.heard for port in (*self._streams, *self._odometries)):
+            return
+        sure = found.status is LocalizationStatus.OK and found.pose is not None
+        self._stamp.update(now / 1e9)
+        envelope = self._stamp.to_text()
+        nowhere = Map2DLocation(map_name, math.nan, math.nan, math.nan)
+        here = location_of(map_name, found.pose) if sure and found.pose is not None else nowhere
+        for port in self._streams:
+            port.write(here, envelope)
+        for port in self._odometries:
+            port.write(odometry if sure and odometry is not None else _NOWHERE, envelope)
+
+    def tell_particles(self, cloud: Floats) -> None:
+        """Publish where it may be."""
+        self._particles.publish_cdr(particles_cdr(self._clock.stamp(), self._frames.map_frame, cloud))

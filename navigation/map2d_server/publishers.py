@@ -1,0 +1,313 @@
+"""What is published of maps and places, latched: the current map, every map, masks for Nav2's filters, markers."""
+
+from __future__ import annotations
+
+import hashlib
+import math
+import re
+from collections.abc import Callable, Sequence
+from collections.abc import Set as AbstractSet
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bridge.hub.wire.qos import LATCHED
+from bridge.modules.endpoints import Publisher
+from bridge.modules.host import Node
+from bridge.stores.kinds import AREA, BEHAVIOUR, CURRENT, LOCATION, MAP, OBJECT, PATH
+from bridge.stores.store import Store
+from navigation.maps.grid import data_of, info_of, message_of, to_cdr, to_grid, turned
+from navigation.maps.masks import keepout_mask, speed_mask
+from navigation.messages import GRID, Message, pose_message
+from navigation.pose import Pose
+from yarp_compat.dev.locations import Map2DArea, Map2DLocation, Map2DObject, Map2DPath
+from yarp_compat.dev.mapgrid import MapGrid2D
+
+
+class Head:
+    """What headers say.
+
+    Args:
+        frame: the frame of all maps.
+        now_ns: says the time in nanoseconds.
+
+    Attributes:
+        frame: the frame of all maps.
+    """
+
+    def __init__(self, frame: str, now_ns: Callable[[], int]) -> None:
+        self.frame, self.now_ns = frame, now_ns
+
+    def header(self) -> Message:
+        """``std_msgs/msg/Header`` of now."""
+        seconds, nanoseconds = divmod(self.now_ns(), 1_000_000_000)
+        return {"stamp": {"sec": seconds, "nanosec": nanoseconds}, "frame_id": self.frame}
+
+
+def colour(red: float, green: float, blue: float) -> Message:
+    """``std_msgs/msg/ColorRGBA``."""
+    return {"r": red, "g": green, "b": blue, "a": 1.0}
+
+
+def points(corners: Sequence[tuple[float, float]], z: float = 0.02) -> list[Message]:
+    """``geometry_msgs/msg/Point`` of each corner."""
+    return [{"x": x, "y": y, "z": z} for x, y in corners]
+
+
+KEEP_OUT, KEEP_OUT_INFO = "/keepout_filter_mask", "/keepout_costmap_filter_info"
+SPEED, SPEED_INFO = "/speed_filter_mask", "/speed_costmap_filter_info"
+INFO = "nav2_msgs/msg/CostmapFilterInfo"
+
+_KEEP_OUT_FILTER = 0
+"""``CostmapFilterInfo.type`` of KeepoutFilter; 1 and 2 are SpeedFilter's, in percent and metres per second."""
+
+
+def masks_of(grid: MapGrid2D, store: Store, head: Head) -> dict[str, tuple[str, Message]]:
+    """What to publish: type and message by topic.
+
+    Args:
+        grid: the current map, turned to yaw 0.
+        store: where areas are.
+        head: of the messages.
+    """
+    here = {name: area for name, area in store.all(AREA).items() if area.map_id == grid.name and area.points}
+    areas = [(area, store.behaviour(name)) for name, area in here.items()]
+    mask = keepout_mask(grid, [area for area, behaviour in areas if behaviour.keep_out])
+    limits = [(area, behaviour.max_speed) for area, behaviour in areas if behaviour.max_speed is not None]
+    speed = speed_mask(grid, limits)
+
+    def on_cells(values: NDArray[np.int8]) -> tuple[str, Message]:
+        return GRID, message_of(data_of(values), grid, head.frame, head.now_ns())
+
+    def info(kind: int, mask_topic: str, base: float, multiplier: float) -> tuple[str, Message]:
+        return INFO, {
+            "header": head.header(),
+            "type": kind,
+            "filter_mask_topic": mask_topic,
+            "base": base,
+            "multiplier": multiplier,
+        }
+
+    return {
+        KEEP_OUT: on_cells(mask),
+        KEEP_OUT_INFO: info(_KEEP_OUT_FILTER, KEEP_OUT, 0.0, 1.0),
+        SPEED: on_cells(speed.values),
+        SPEED_INFO: info(speed.type, SPEED, speed.base, speed.multiplier),
+    }
+
+
+MARKERS = "/map_locations"
+MARKERS_TYPE = "visualization_msgs/msg/MarkerArray"
+
+_ARROW, _CUBE, _LINES, _TEXT = 0, 1, 4, 9
+_DELETE_ALL = 3
+_TEXT_HEIGHT = 0.2
+_GREEN, _BLUE, _ORANGE, _GREY = (
+    colour(0.1, 0.7, 0.2),
+    colour(0.1, 0.4, 0.9),
+    colour(1.0, 0.6, 0.0),
+    colour(0.5, 0.5, 0.5),
+)
+
+
+def markers_of(store: Store, map_name: str, head: Head) -> Message:
+    """All places on a map. Markers that were shown before go: the first of the list deletes all."""
+    made = _Markers(head)
+    for name, location in store.all(LOCATION).items():
+        if location.map_id == map_name:
+            made.add_location(name, location)
+    for name, thing in store.all(OBJECT).items():
+        if thing.map_id == map_name:
+            made.add_object(name, thing)
+    for name, area in store.all(AREA).items():
+        if area.map_id == map_name and area.points:
+            made.add_area(name, area)
+    for name, path in store.all(PATH).items():
+        made.add_path(name, path, map_name)
+    return {"markers": made.markers}
+
+
+class _Markers:
+    """Makes the markers of places; a place's marker and text have its name as namespace."""
+
+    def __init__(self, head: Head) -> None:
+        self._header = head.header()
+        self.markers: list[Message] = [{"header": self._header, "action": _DELETE_ALL}]
+
+    def add_location(self, name: str, location: Map2DLocation) -> None:
+        shape = {"x": 0.4, "y": 0.08, "z": 0.08}
+        place = pose_message(Pose(location.x, location.y, math.radians(location.theta)))
+        self._add("location", name, _ARROW, pose=place, scale=shape, color=_GREEN)
+        self._text("location", name, location.x, location.y)
+
+    def add_object(self, name: str, thing: Map2DObject) -> None:
+        shape = {"x": 0.15, "y": 0.15, "z": 0.15}
+        place = pose_message(Pose(thing.x, thing.y, 0.0), thing.z)
+        self._add("object", name, _CUBE, pose=place, scale=shape, color=_ORANGE)
+        self._text("object", name, thing.x, thing.y)
+
+    def add_area(self, name: str, area: Map2DArea) -> None:
+        corners = [(corner.x, corner.y) for corner in (*area.points, area.points[0])]
+        self._line("area", name, corners, _BLUE)
+        count = len(area.points)
+        self._text("area", name, sum(p.x for p in area.points) / count, sum(p.y for p in area.points) / count)
+
+    def add_path(self, name: str, path: Map2DPath, map_name: str) -> None:
+        way = [(point.x, point.y) for point in path.waypoints if point.map_id == map_name]
+        if len(way) > 1:
+            self._line("path", name, way, _GREY)
+            self._text("path", name, *way[0])
+
+    def _line(self, kind: str, name: str, corners: list[tuple[float, float]], color: Message) -> None:
+        width = {"x": 0.04, "y": 0.0, "z": 0.0}
+        place = pose_message(Pose(0.0, 0.0, 0.0))
+        self._add(kind, name, _LINES, pose=place, scale=width, color=color, points=points(corners))
+
+    def _text(self, kind: str, name: str, x: float, y: float) -> None:
+        shape = {"x": 0.0, "y": 0.0, "z": _TEXT_HEIGHT}
+        place = pose_message(Pose(x, y, 0.0), 0.2)
+        self._add(f"{kind} name", name, _TEXT, pose=place, scale=shape, color=colour(1, 1, 1), text=name)
+
+    def _add(self, kind: str, name: str, form: int, **fields: object) -> None:
+        number = len(self.markers)
+        self.markers.append({"header": self._header, "ns": f"{kind} {name}", "id": number, "type": form, **fields})
+
+
+Keys = AbstractSet[tuple[str, str]]
+"""Kinds and names of what changed."""
+
+MAP_TOPIC, METADATA_TOPIC = "/map", "/map_metadata"
+_FORBIDDEN = re.compile(r"[^A-Za-z0-9_]")
+
+
+class CurrentMap:
+    """The current map on ``/map`` and ``/map_metadata``."""
+
+    def __init__(self, node: Node, store: Store, head: Head, default: str) -> None:
+        self._node, self._store, self._head, self._default = node, store, head, default
+        self._ends: tuple[Publisher, Publisher] | None = None
+        self._silent = False
+        self.name = ""  # its name, "" where none was chosen
+        self.grid: MapGrid2D | None = None  # the map itself, turned to yaw 0; None where there is none
+
+    def choose(self) -> str:
+        """The name of the map that is current: the one that was chosen, or the rule's where it is there."""
+        return self._store.current_map() or (self._default if self._default in self._store.names(MAP) else "")
+
+    def update(self, changed: Keys) -> bool:
+        """Publish the map if it is another now; whether it is."""
+        name = self.choose()
+        if name == self.name and not changed & {(MAP.name, name), (CURRENT.name, "map")}:
+            return False
+        self.name = name
+        found = self._store.get(MAP, name) if name else None
+        self.grid = None if found is None else turned(found)
+        self._publish()
+        return True
+
+    def hush(self, silent: bool) -> None:
+        """Publish nothing, since somebody else publishes the map; or publish again."""
+        if silent != self._silent:
+            self._silent = silent
+            self._publish()
+
+    def message(self) -> Message | None:
+        """The map as ``OccupancyGrid``, if any."""
+        return None if self.grid is None else self.message_of(self.grid)
+
+    def message_of(self, grid: MapGrid2D) -> Message:
+        """Any map as ``OccupancyGrid``."""
+        return to_grid(grid, self._head.frame, self._head.now_ns())
+
+    def _publish(self) -> None:
+        if self.grid is None or self._silent:
+            for end in self._ends or ():
+                self._node.release(end)
+            self._ends = None
+            return
+        if self._ends is None:
+            self._ends = (
+                self._node.publisher(MAP_TOPIC, GRID, LATCHED, priority="state"),
+                self._node.publisher(METADATA_TOPIC, "nav_msgs/msg/MapMetaData", LATCHED, priority="state"),
+            )
+        now = self._head.now_ns()
+        self._ends[0].publish_cdr(bytes(to_cdr(self.grid, self._head.frame, now)))
+        self._ends[1].publish(info_of(self.grid, now))
+
+
+class AllMaps:
+    """Every map of the store on ``/maps/<name>``."""
+
+    def __init__(self, node: Node, store: Store, head: Head) -> None:
+        self._node, self._store, self._head = node, store, head
+        self._ends: dict[str, Publisher] = {}
+
+    def update(self, changed: Keys) -> None:
+        """Publish the maps that changed; the topics of those that are gone go."""
+        for kind, name in sorted(changed):
+            if kind == MAP.name:
+                self._show(name)
+
+    @property
+    def topics(self) -> dict[str, str]:
+        """Each map's topic."""
+        return {name: end.topic for name, end in self._ends.items()}
+
+    def _show(self, name: str) -> None:
+        found = self._store.get(MAP, name)
+        end = self._ends.get(name)
+        if found is None:
+            if end is not None:
+                self._node.release(self._ends.pop(name))
+            return
+        if end is None:
+            topic = topic_of(name, set(self.topics.values()))
+            end = self._ends[name] = self._node.publisher(topic, GRID, LATCHED, priority="state")
+        end.publish_cdr(bytes(to_cdr(turned(found), self._head.frame, self._head.now_ns())))
+
+
+class Masks:
+    """What planners are to keep out of, and where they are to be slow, for the filters of Nav2's costmaps."""
+
+    def __init__(self, node: Node, store: Store, head: Head) -> None:
+        self._node, self._store, self._head = node, store, head
+        self._ends: dict[str, Publisher] = {}
+
+    def update(self, current: CurrentMap, changed: Keys, *, anew: bool) -> None:
+        """Publish the masks of the current map if it, or an area, is another now."""
+        if not (anew or any(kind in (AREA.name, BEHAVIOUR.name) for kind, _ in changed)):
+            return
+        messages = {} if current.grid is None else masks_of(current.grid, self._store, self._head)
+        for topic in self._ends.keys() - messages.keys():
+            self._node.release(self._ends.pop(topic))
+        for topic, (type_name, message) in messages.items():
+            if topic not in self._ends:
+                self._ends[topic] = self._node.publisher(topic, type_name, LATCHED, priority="state")
+            self._ends[topic].publish(message)
+
+
+class Markers:
+    """Places on the current map, for rviz."""
+
+    _KINDS = frozenset(kind.name for kind in (LOCATION, OBJECT, AREA, PATH))
+
+    def __init__(self, node: Node, store: Store, head: Head) -> None:
+        self._store, self._head = store, head
+        self._end = node.publisher(MARKERS, MARKERS_TYPE, LATCHED, priority="state")
+
+    def update(self, current: CurrentMap, changed: Keys, *, anew: bool) -> None:
+        """Publish them if some changed, or the map did."""
+        if anew or any(kind in self._KINDS for kind, _ in changed):
+            self._end.publish(markers_of(self._store, current.name, self._head))
+
+
+def topic_of(name: str, taken: AbstractSet[str] = frozenset()) -> str:
+    """The topic of a map: ``/maps/`` and its name, with ``_`` for what no topic can have.
+
+    Args:
+        name: the map's.
+        taken: topics of other maps; where one is the same, eight digits of the name's SHA-256 follow.
+    """
+    part = _FORBIDDEN.sub("_", name)[:200]
+    topic = f"/maps/{'n' if part[0].isdigit() else ''}{part}"
+    return f"{topic}_{hashlib.sha256(name.encode()).hexdigest()[:8]}" if topic in taken else topic

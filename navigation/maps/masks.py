@@ -1,0 +1,173 @@
+"""Masks on a map's cells: polygons, what planners keep out of, and how fast they may go."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from yarp_compat.dev.locations import Map2DArea
+from yarp_compat.dev.mapflag import MapFlag, flags_of, looked_up
+from yarp_compat.dev.mapgrid import MapGrid2D
+from yarp_compat.dev.mapinfo import MapGrid2DInfo
+from yarp_compat.sig.vec2d import Vec2D
+
+Part = tuple[slice, slice]
+
+
+def cells_of(info: MapGrid2DInfo, points: Sequence[Vec2D]) -> tuple[Part, NDArray[np.bool_]]:
+    """The cells that a polygon touches: those whose middle is inside, and those that its border crosses.
+
+    So even a polygon that is thinner than a cell leaves no gap.
+
+    Args:
+        info: the map.
+        points: the corners, metres; fewer than three are no polygon.
+
+    Returns:
+        the part of the map (rows and columns) that it reaches over, and which cells of that part.
+    """
+    corners = info.in_cells(np.array([(point.x, point.y) for point in points], float).reshape(-1, 2))
+    low = np.clip(np.floor(np.min(corners, axis=0, initial=np.inf)), 0, None) if len(corners) > 2 else np.zeros(2)
+    high = np.max(corners, axis=0, initial=-np.inf) if len(corners) > 2 else np.full(2, -1.0)
+    high = np.minimum(np.floor(high) + 1, (info.m_width, info.m_height))
+    if not (np.isfinite(corners).all() and (low < high).all()):
+        return (slice(0, 0), slice(0, 0)), np.zeros((0, 0), np.bool_)
+    (left, top), (right, bottom) = low.astype(int), high.astype(int)
+    shifted = corners - low
+    inside = _inside(shifted, bottom - top, right - left)
+    for start, end in zip(shifted, np.roll(shifted, -1, axis=0), strict=True):
+        _draw(inside, start, end)
+    return (slice(top, bottom), slice(left, right)), inside
+
+
+def _inside(corners: NDArray[np.float64], height: int, width: int) -> NDArray[np.bool_]:
+    """The cells whose middle has an odd number of borders to its left."""
+    odd = np.zeros((height, width + 1), np.bool_)
+    for (x, y), (to_x, to_y) in zip(corners, np.roll(corners, -1, axis=0), strict=True):
+        first, last = (int(np.clip(np.ceil(v - 0.5), 0, height)) for v in sorted((y, to_y)))
+        rows = np.arange(first, last)
+        if len(rows):
+            crossing = x + (rows + 0.5 - y) * ((to_x - x) / (to_y - y))
+            odd[rows, np.clip(np.ceil(crossing - 0.5), 0, width).astype(int)] ^= True
+    inside: NDArray[np.bool_] = np.logical_xor.accumulate(odd, axis=1)[:, :width]
+    return np.ascontiguousarray(inside)
+
+
+def _draw(cells: NDArray[np.bool_], start: NDArray[np.float64], end: NDArray[np.float64]) -> None:
+    """Mark the cells that a line crosses, by places on it a quarter of a cell apart."""
+    size = np.array(cells.shape[::-1], float)
+    way = end - start
+    with np.errstate(divide="ignore", invalid="ignore"):
+        bounds = np.sort(np.stack(((0 - start) / way, (size - start) / way)), axis=0)
+    # where it runs along an axis, the other axis says nothing
+    enter = max(0.0, *np.where(way != 0, bounds[0], -np.inf))
+    leave = min(1.0, *np.where(way != 0, bounds[1], np.inf))
+    if not enter <= leave:
+        return
+    count = int(np.ceil(np.abs(way).max() * (leave - enter) * 4)) + 2
+    places = start + np.linspace(enter, leave, count)[:, None] * way
+    columns, rows = np.floor(places).astype(int).T
+    fits = (columns >= 0) & (columns < cells.shape[1]) & (rows >= 0) & (rows < cells.shape[0])
+    cells[rows[fits], columns[fits]] = True
+
+
+KEEP_OUT = 100
+"""What planners must not enter."""
+
+TEMPORARY_OBSTACLE = 90
+"""What a temporary obstacle weighs: 35 of a costmap's 254 less than a wall."""
+
+ENLARGED_OBSTACLE = 60
+"""What the room about an obstacle weighs, which the costmap's own inflation covers too."""
+
+_WEIGHTS = {
+    MapFlag.KEEP_OUT: KEEP_OUT,
+    MapFlag.TEMPORARY_OBSTACLE: TEMPORARY_OBSTACLE,
+    MapFlag.ENLARGED_OBSTACLE: ENLARGED_OBSTACLE,
+}
+
+
+def _by_flag() -> NDArray[np.uint8]:
+    table = np.zeros(256, np.uint8)
+    table[list(_WEIGHTS)] = list(_WEIGHTS.values())
+    return table
+
+
+_TABLE = _by_flag()
+
+
+def keepout_mask(grid: MapGrid2D, areas: Iterable[Map2DArea] = ()) -> NDArray[np.int8]:
+    """The mask of a map's flags.
+
+    Args:
+        grid: the map.
+        areas: polygons to be kept out of; those on other maps do not matter.
+
+    Returns:
+        of shape (height, width), rows from the top one down: 100, the two weights, or 0.
+    """
+    mask = looked_up(grid.flags, _TABLE).view(np.int8)
+    for area in areas:
+        if area.map_id == grid.name:
+            part, inside = cells_of(grid, area.points)
+            mask[part][inside] = KEEP_OUT
+    return mask
+
+
+def flags_from(occupancy: NDArray[np.uint8], mask: NDArray[np.int8]) -> NDArray[np.uint8]:
+    """The flags that a map and its mask say, both of shape (height, width) with the rows in the same order.
+
+    Args:
+        occupancy: 0 to 100 or 255.
+        mask: of :func:`keepout_mask`; weights that are none of its own leave what the map says.
+    """
+    flags = flags_of(occupancy)
+    for flag, weight in _WEIGHTS.items():
+        flags[mask == weight] = flag
+    return flags
+
+
+ABSOLUTE = 2
+"""CostmapFilterInfo's type of limits in metres per second."""
+
+
+@dataclass(frozen=True, eq=False)
+class SpeedMask:
+    """A mask, and what its values mean."""
+
+    # of shape (height, width), rows from the top one down: 1 to 100, or 0 where there is no limit
+    values: NDArray[np.int8]
+    base: float  #: metres per second
+    multiplier: float  #: metres per second for each 1 of a value
+    type: int = ABSOLUTE  #: CostmapFilterInfo's
+
+
+def speed_mask(info: MapGrid2DInfo, limits: Sequence[tuple[Map2DArea, float]]) -> SpeedMask:
+    """The mask of areas that have a limit each; where they overlap, the lowest holds.
+
+    The lowest and the highest limit of all are exact; one between may come out lower by up to a 99th of their
+    difference, never higher.
+
+    Args:
+        info: the map.
+        limits: areas, and metres per second above 0; areas on other maps do not matter.
+
+    Raises:
+        ValueError: a limit is not above 0, which would mean none.
+    """
+    here = [(area, limit) for area, limit in limits if area.map_id == info.name]
+    for area, limit in here:
+        if not (math.isfinite(limit) and limit > 0):
+            raise ValueError(f"{limit} m/s is no limit of an area ({area.description!r}): it must be above 0")
+    values = np.zeros((info.m_height, info.m_width), np.int8)
+    low, high = min((limit for _, limit in here), default=1.0), max((limit for _, limit in here), default=1.0)
+    multiplier = high / 100 if low == high else (high - low) / 99
+    base = 0.0 if low == high else low - multiplier
+    for area, limit in sorted(here, key=lambda pair: -pair[1]):
+        part, inside = cells_of(info, area.points)
+        values[part][inside] = min(max(math.floor((limit - base) / multiplier + 1e-6), 1), 100)
+    return SpeedMask(values, base, multiplier)

@@ -1,0 +1,210 @@
+"""The base of the modules that drive to goals: their action on the hub, their topics and their YARP device."""
+
+# ruff: noqa: N802, D102 - YARP's names, and `yarp_compat.dev.inavigation2d` says what each does
+
+from __future__ import annotations
+
+import math
+import time
+from abc import abstractmethod
+from collections.abc import Callable, Collection, Iterable
+from typing import Any
+
+from bridge.hub.wire.qos import LATCHED
+from bridge.modules.action_server import Goal
+from bridge.modules.host import Host
+from bridge.modules.module import Module
+from navigation.constraints import Constraints
+from navigation.frames import FramesError, Localized, RobotFrames
+from navigation.goals import CUT_OFF, GONE, Clients, CurrentGoal, FarClients, MapPlace, goal_of, result
+from navigation.messages import NAVIGATE, Message, duration, pose_message
+from navigation.pose import Pose
+from navigation.status import NO_GOAL, STATUS, Compiled, Fault, PlanError, PlannerStatus, State, status_message
+from navigation.yarp import Calls, NavigationDevice, location_of
+from yarp_compat.dev.locations import Map2DLocation
+from yarp_compat.dev.mapgrid import MapGrid2D
+
+_FEEDBACK = 0.2  # seconds between two messages of feedback
+
+
+class PlannerModule(Module):
+    """A module that drives to one goal at a time, on the module's thread.
+
+    Attributes:
+        compiled: whether its kernels are; it drives nowhere where they are not.
+    """
+
+    def _open(self, host: Host, frames: RobotFrames) -> None:
+        """Take up what all planners need of their host."""
+        self._host, self._frames = host, frames
+        self.compiled, self._localized = Compiled(), Localized(host)
+        self._goal = CurrentGoal(host.loop, self.stop_driving)
+        self._began, self._fed = 0.0, -math.inf
+
+    def _serve(self, brake: Callable[[bytes], None] | None = None) -> None:
+        """Serve the action, and give up the goals of clients that are cut off."""
+        host, action = self._host, f"/planner/{self.name}/navigate_to_pose"
+        server = host.node.action_server(action, NAVIGATE, self._take, self._goal.cancel, brake=brake)
+        Clients(host, server, lambda: self._give_up(GONE))
+        FarClients(host, server, lambda goal: self._give_up(CUT_OFF) if goal is self._goal.goal else None)
+
+    @property
+    @abstractmethod
+    def target(self) -> MapPlace | None:
+        """The place that it drives to."""
+
+    @property
+    @abstractmethod
+    def progress(self) -> PlannerStatus:
+        """The state of the goal at hand."""
+
+    @abstractmethod
+    def map_name(self) -> str:
+        """The map that the robot is on; empty where that is unknown."""
+
+    @abstractmethod
+    def drive(self, *places: MapPlace, constraints: Constraints | None = None, goal: Goal | None = None) -> None:
+        """Drive to places one after the other, instead of the goal at hand; raises `PlanError` with a reason."""
+
+    @abstractmethod
+    def stop_driving(self, reason: str) -> None:
+        """Give up the goal and stand still."""
+
+    @abstractmethod
+    def pause(self, seconds: float) -> None:
+        """Stand still for some seconds and then go on; raises `PlanError` where there is no goal."""
+
+    @abstractmethod
+    def resume(self) -> None:
+        """Go on; raises `PlanError` where nothing is paused."""
+
+    @abstractmethod
+    def local_map(self) -> MapGrid2D | None:
+        """The map of what the laser sees, if any."""
+
+    @abstractmethod
+    def _remaining(self, pose: Pose, passed: float) -> tuple[float, float, int]:
+        """Metres to the goal, the expected speed in m/s, and the number of recoveries, after so many seconds."""
+
+    def _map_names(self) -> Collection[str]:
+        """The names of maps that a goal's frame may have."""
+        return ()
+
+    def now(self) -> float:
+        """The planner's time in seconds: the simulated clock where there is one, else a monotonic one."""
+        clock = self._host.clock
+        return clock.now_ns() / 1e9 if clock.simulated else time.monotonic()
+
+    def pose(self) -> Pose:
+        """The robot's pose on the map; raises `FramesError` with why it is not known."""
+        self._localized.check()
+        return self._frames.pose()
+
+    def _pose_now(self) -> Pose | None:
+        try:
+            return self.pose()
+        except FramesError:
+            return None
+
+    def halt(self) -> dict[str, Any]:
+        """Give up the goal, whoever sent it."""
+        self.stop_driving("halted")
+        return {"halted": True}
+
+    def _give_up(self, why: str, fault: Fault = Fault.NO_NAVIGATOR) -> None:
+        """Stand still although nobody cancelled the goal."""
+        self._goal.end(PlannerStatus(State.ABORTED, why, fault))
+        self.stop_driving(why)
+
+    def _take(self, goal: Goal) -> bool:
+        """Accept a goal of the action; one that is refused is aborted, since a rejection cannot say why."""
+        try:
+            place, wanted = goal_of(goal.goal, self._frames, self._map_names)
+            self.drive(place, constraints=wanted, goal=goal)
+        except PlanError as err:
+            goal.abort(result(err.fault, str(err)))
+        return True
+
+    def _feed(self, pose: Pose | None) -> None:
+        """Send feedback to the goal's client."""
+        now, goal = self.now(), self._goal.goal
+        if goal is None or pose is None or 0.0 <= now - self._fed < _FEEDBACK:
+            return
+        self._fed, passed = now, max(now - self._began, 0.0)
+        left, speed, recoveries = self._remaining(pose, passed)
+        header = {"stamp": self._host.clock.stamp(), "frame_id": self._frames.map_frame}
+        goal.feedback({
+            "current_pose": {"header": header, "pose": pose_message(pose)},
+            "navigation_time": duration(passed),
+            "estimated_time_remaining": duration(left / speed),
+            "number_of_recoveries": recoveries,
+            "distance_remaining": left,
+        })  # fmt: skip
+
+    def status(self) -> dict[str, Any]:
+        """The goal and its state."""
+        state, reason, fault = self.progress
+        return {"planner": {"state": state.value, "reason": reason, "fault": int(fault)}, "notes": list(self._notes)}
+
+    _notes: Iterable[str] = ()
+
+
+class PlannerTopics:
+    """The topics of a planner that all of them have: status and path. On the module's thread."""
+
+    def __init__(self, host: Host, name: str, frame: str) -> None:
+        self._host, self._frame, self._prefix = host, frame, f"/planner/{name}"
+        self._status = host.node.publisher(f"{self._prefix}/status", STATUS, LATCHED, priority="state")
+        self._path = host.node.publisher(f"{self._prefix}/path", "nav_msgs/msg/Path", LATCHED, priority="state")
+        self._last: tuple[PlannerStatus, bytes] | None = None
+
+    def _publish_status(self, status: PlannerStatus, target: Pose | None, goal_id: bytes = NO_GOAL) -> None:
+        self._last = status, goal_id
+        goal = None if target is None else {"header": self._header(), "pose": pose_message(target)}
+        self._status.publish(status_message(self._host.clock.stamp(), status, goal_id=goal_id, goal=goal))
+
+    def _publish_path(self, poses: Iterable[Pose]) -> None:
+        header = self._header()
+        stamped = [{"header": header, "pose": pose_message(each)} for each in poses]
+        self._path.publish({"header": header, "poses": stamped})
+
+    def _header(self) -> Message:
+        return {"stamp": self._host.clock.stamp(), "frame_id": self._frame}
+
+
+class PlannerDevice(NavigationDevice):
+    """The YARP device of a planner; methods run on the threads of connections."""
+
+    def __init__(self, module: PlannerModule, calls: Calls) -> None:
+        super().__init__(calls)
+        self._module = module
+
+    def gotoTargetByAbsoluteLocation(self, loc: Map2DLocation) -> None:
+        self._accept(lambda: self._module.drive(place_of(loc)))
+
+    def stopNavigation(self) -> None:
+        self._do(lambda: self._module.stop_driving("stopped"))
+
+    def suspendNavigation(self, seconds: float) -> None:
+        self._do(lambda: self._module.pause(seconds))
+
+    def resumeNavigation(self) -> None:
+        self._move(self._module.resume)
+
+    def getNavigationStatus(self) -> str:
+        return self._module.progress.state.value
+
+    def _go_to(self, pose: Pose) -> None:
+        self._module.drive(MapPlace("", pose))
+
+    def _robot(self) -> Pose:
+        return self._module.pose()
+
+    def _target(self) -> Map2DLocation | None:
+        target = self._module.target
+        return None if target is None else location_of(target.map_name, target.pose)
+
+
+def place_of(loc: Map2DLocation) -> MapPlace:
+    """A YARP location as a place."""
+    return MapPlace(loc.map_id, Pose(loc.x, loc.y, math.radians(loc.theta)))

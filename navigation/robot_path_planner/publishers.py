@@ -1,0 +1,188 @@
+"""The topics and YARP ports on which the planner publishes, and its map as a picture that goals are clicked on."""
+
+from __future__ import annotations
+
+import io
+import math
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bridge.hub.wire.qos import LATCHED
+from bridge.modules.host import Host
+from navigation.messages import Message, pose_message
+from navigation.planner_module import PlannerTopics
+from navigation.pose import Pose
+from navigation.robot_path_planner.ground import Ground
+from navigation.robot_path_planner.planner import PathPlanner
+from navigation.status import NO_GOAL, PlannerStatus
+from yarp_compat.dev.mapflag import COLOURS, MapFlag, picture_of_flags
+from yarp_compat.sig.image import ImageRgb
+
+_SPHERES, _LINES, _ARROW, _DELETE_ALL = 7, 4, 0, 3
+_BLUE, _PINK = {"r": 0.0, "g": 0.25, "b": 0.9, "a": 1.0}, {"r": 0.8, "g": 0.0, "b": 0.5, "a": 1.0}
+_SAID_AGAIN = 5.0  # seconds after which YARP's status port says the same again, as upstream's does
+_REASON_AGAIN = 1.0
+
+
+class PathPlannerTopics(PlannerTopics):
+    """Publishes what has changed. On the module's thread.
+
+    Args:
+        frame: the map's.
+        prefix: begins the YARP ports; empty for none.
+    """
+
+    def __init__(self, host: Host, frame: str, prefix: str) -> None:
+        super().__init__(host, "robot_path_planner", frame)
+        markers = "visualization_msgs/msg/MarkerArray"
+        self._markers = host.node.publisher(f"{self._prefix}/markers", markers, LATCHED, priority="state")
+        self._words = host.yarp.output(f"{prefix}/plannerStatus:o") if prefix else None
+        self._image = host.yarp.output(f"{prefix}/map:o") if prefix else None
+        self._way: object = None
+        self._said = self._published = -math.inf
+
+    def tell(self, now: float, planner: PathPlanner, goal_id: bytes = NO_GOAL) -> None:
+        """Publish the status and the way, where they have changed."""
+        status, target = planner.status, planner.target
+        if self._is_news(now, status, goal_id):
+            self._published = now
+            self._publish_status(status, target.pose if target else None, goal_id)
+            self._said = -math.inf
+        if self._words is not None and now - self._said >= _SAID_AGAIN:
+            self._said = now
+            self._words.write([f"navigation_status_{status.state.value}"])
+        if planner.waypoints is not self._way:
+            self._way = planner.waypoints
+            self._tell_way(planner)
+
+    def _is_news(self, now: float, status: PlannerStatus, goal_id: bytes) -> bool:
+        """Whether to publish a status; one with another reason only, as with seconds that pass, once a second."""
+        if self._last is None or (status, goal_id) == self._last:
+            return self._last is None
+        before, goal_before = self._last
+        same = (status.state, status.fault, goal_id) == (before.state, before.fault, goal_before)
+        return not same or not 0 <= now - self._published < _REASON_AGAIN
+
+    def show(self, planner: PathPlanner, pose: Pose | None) -> None:
+        """Send a picture to whoever sees."""
+        if self._image is None or not self._image.heard:
+            return
+        pixels = draw(planner, pose)
+        if pixels is not None:
+            self._image.write(ImageRgb.of(pixels))
+
+    def _tell_way(self, planner: PathPlanner) -> None:
+        header = self._header()
+        poses = [each.pose for each in planner.waypoints]
+        self._publish_path(poses)
+        markers: list[Message] = [{"header": header, "action": _DELETE_ALL}]
+        if poses:
+            points = [{"x": each.x, "y": each.y, "z": 0.05} for each in poses]
+            still = {"header": header, "pose": pose_message(Pose(0.0, 0.0, 0.0)), "color": _BLUE, "points": points}
+            dots = {"x": 0.1, "y": 0.1, "z": 0.1}
+            markers += [
+                {**still, "ns": "way", "id": 1, "type": _LINES, "scale": {"x": 0.03, "y": 0.0, "z": 0.0}},
+                {**still, "ns": "waypoints", "id": 2, "type": _SPHERES, "scale": dots},
+                {"header": header, "ns": "goal", "id": 3, "type": _ARROW, "pose": pose_message(poses[-1]),
+                 "scale": {"x": 0.5, "y": 0.08, "z": 0.08}, "color": _PINK},
+            ]  # fmt: skip
+        self._markers.publish({"markers": markers})
+
+
+_ROBOT, _NOSE, _GOAL, _WAY, _POINT = (0, 120, 0), (255, 255, 255), (200, 0, 120), (0, 60, 220), (0, 160, 255)
+_TIGHT = (255, 236, 190)  # free cells in which the robot does not fit
+
+Pixels = NDArray[np.uint8]
+
+
+def draw(planner: PathPlanner, pose: Pose | None, scale: int = 1) -> Pixels | None:
+    """The map from above, (height, width, 3) bytes, so many pixels a cell; None where there is no map.
+
+    With one pixel a cell, a pixel's column and row are the cell's: so clicks on it are goals.
+    """
+    ground = planner.ground
+    if ground is None:
+        return None
+    flags = ground.grid.flags
+    pixels = picture_of_flags(flags)
+    pixels[ground.kept] = COLOURS[MapFlag.KEEP_OUT]
+    pixels[(flags == MapFlag.FREE) & (ground.weights == 0) & ~ground.kept & ~ground.solid] = _TIGHT
+    clutter = planner.clutter
+    if clutter is not None and len(clutter.cells):
+        rows, columns = clutter.cells.T
+        pixels[rows, columns] = COLOURS[MapFlag.TEMPORARY_OBSTACLE]
+    from PIL import Image, ImageDraw  # most planners are never looked at
+
+    image = Image.fromarray(pixels)
+    if scale > 1:
+        image = image.resize((image.width * scale, image.height * scale), Image.Resampling.NEAREST)
+    canvas = ImageDraw.Draw(image)
+
+    def at(x: float, y: float) -> tuple[float, float]:
+        column, row = ground.grid.in_cells((x, y))
+        return float(column) * scale, float(row) * scale
+
+    way = [each.pose for each in planner.waypoints]
+    line = [at(each.x, each.y) for each in ([pose, *way] if pose is not None else way)]
+    if len(line) > 1:
+        canvas.line(line, fill=_WAY, width=max(1, scale))
+    for each in way:
+        _disc(canvas, at(each.x, each.y), max(1.0, scale), _POINT)
+    size = ground.radius / ground.grid.resolution * scale
+    target = planner.target
+    if target is not None and target.map_name == ground.name:
+        _arrow(canvas, at(target.pose.x, target.pose.y), target.pose.theta, size, _GOAL)
+    if pose is not None:
+        _arrow(canvas, at(pose.x, pose.y), pose.theta, size, _ROBOT)
+    return np.asarray(image)
+
+
+def png(planner: PathPlanner, pose: Pose | None) -> bytes | None:
+    """The same as a PNG file of 600 pixels or more; None where there is no map."""
+    if planner.ground is None:
+        return None
+    rows, columns = planner.ground.weights.shape
+    pixels = draw(planner, pose, max(1, math.ceil(600 / max(rows, columns))))
+    if pixels is None:
+        return None
+    from PIL import Image
+
+    file = io.BytesIO()
+    Image.fromarray(pixels).save(file, format="PNG")
+    return file.getvalue()
+
+
+def _disc(canvas: Any, place: tuple[float, float], radius: float, colour: tuple[int, int, int]) -> None:
+    x, y = place
+    canvas.ellipse((x - radius, y - radius, x + radius, y + radius), fill=colour)
+
+
+def _arrow(canvas: Any, place: tuple[float, float], theta: float, size: float, colour: tuple[int, int, int]) -> None:
+    """A disc with a line where it heads."""
+    _disc(canvas, place, size, colour)
+    if math.isfinite(theta):
+        end = place[0] + size * math.cos(theta), place[1] - size * math.sin(theta)
+        canvas.line((place, end), fill=_NOSE, width=1)
+
+
+def goal_of_click(ground: Ground | None, values: Sequence[Any]) -> Pose:
+    """The goal of a click or drag on the picture of the map; raises `ValueError` if it is none, or there is no map.
+
+    Args:
+        ground: the map; None where there is none.
+        values: ``x y``, or ``x0 y0 x1 y1`` where the robot is to head on from the first pixel to the second; with 0, 0
+            the upper left one.
+    """
+    if ground is None:
+        raise ValueError("there is no map to click on")
+    numbers = [float(value) for value in values if isinstance(value, (int, float)) and not isinstance(value, bool)]
+    if len(numbers) != len(values) or len(numbers) not in (2, 4) or not all(map(math.isfinite, numbers)):
+        raise ValueError(f"a click is x y, a drag x0 y0 x1 y1: {list(values)!r:.100} is neither")
+    x, y = (float(each) for each in ground.grid.centers_of(numbers[:2]))
+    if len(numbers) == 2 or numbers[:2] == numbers[2:]:
+        return Pose(x, y, math.nan)
+    to_x, to_y = (float(each) for each in ground.grid.centers_of(numbers[2:]))
+    return Pose(x, y, math.atan2(to_y - y, to_x - x))

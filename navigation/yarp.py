@@ -1,0 +1,159 @@
+"""What the modules share of their YARP side: calls of clients, and connections to a robot's ports."""
+
+# ruff: noqa: N802, D102 - YARP's names, and `yarp_compat.dev.inavigation2d` says what each does
+
+from __future__ import annotations
+
+import logging
+import math
+import threading
+import time
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, TypeVar
+
+from bridge.modules.loop import ANSWER_SECONDS, EventLoop
+from navigation.pose import Pose
+from yarp_compat.dev.locations import Map2DLocation
+from yarp_compat.dev.returnvalue import CallFailed, ReturnCode
+from yarp_compat.naming import connections
+from yarp_compat.ports.naming import Naming
+from yarp_compat.wire.errors import WireError
+
+T = TypeVar("T")
+
+
+class Calls:
+    """Runs calls of YARP clients on a module's thread, and turns refusals into the call's failure.
+
+    Args:
+        refusals: errors by which the module refuses what cannot be done now.
+    """
+
+    def __init__(self, loop: EventLoop, *refusals: type[Exception]) -> None:
+        self._loop, self._refusals = loop, refusals
+
+    def do(self, action: Callable[[], T]) -> T:
+        """Run something, even after its client has given up, as a stop must be."""
+        return self._done(action, ANSWER_SECONDS, late=True)
+
+    def move(self, action: Callable[[], T], seconds: float = ANSWER_SECONDS) -> T:
+        """Run what moves the robot, but never after its client got a time-out."""
+        return self._done(action, seconds, late=False)
+
+    def _done(self, action: Callable[[], T], seconds: float, *, late: bool) -> T:
+        try:
+            found: T = self._loop.call(action, seconds, late=late)
+        except self._refusals as err:
+            raise CallFailed(ReturnCode.METHOD_FAILED, str(err)) from None
+        except TimeoutError as err:
+            raise CallFailed(ReturnCode.NOT_READY, str(err)) from None
+        return found
+
+
+class Commands:
+    """The commands of an RPC port, by the first word of a Bottle. Called on the module's thread.
+
+    Args:
+        lines: the answer to ``help``.
+        known: each answers the values behind its word; raises `ValueError` with why it cannot.
+    """
+
+    def __init__(self, lines: Sequence[str], known: Mapping[str, Callable[[list[Any]], str]]) -> None:
+        self._lines, self._known = lines, known
+
+    def answer(self, values: list[Any]) -> list[Any]:
+        """The answer to a Bottle; raises `ValueError` with why it is no such command, or cannot be done."""
+        word, *rest = (str(values[0]) if values else "", *values[1:])
+        if word in ("help", "[help]"):
+            return ["[many]", *self._lines]
+        if word not in self._known:
+            raise ValueError(f"unknown command '{word}'; 'help' lists all")
+        return [self._known[word](rest)]
+
+
+class NavigationDevice(ABC):
+    """The targets of YARP's ``INavigation2D``, for the modules that serve it. Called on threads of connections.
+
+    Args:
+        calls: runs what a client asks for on the module's thread.
+    """
+
+    def __init__(self, calls: Calls) -> None:
+        self._do, self._move = calls.do, calls.move
+
+    @abstractmethod
+    def _robot(self) -> Pose:
+        """The robot's pose on the map; what it raises is the call's failure."""
+
+    @abstractmethod
+    def _target(self) -> Map2DLocation | None:
+        """The current target."""
+
+    @abstractmethod
+    def _go_to(self, pose: Pose) -> None:
+        """Drive to a pose on the map at hand."""
+
+    def gotoTargetByRelativeLocation(self, x: float, y: float, theta: float) -> None:
+        def go() -> None:
+            goal = self._robot() @ Pose(x, y, 0.0 if math.isnan(theta) else math.radians(theta))
+            self._go_to(goal._replace(theta=math.nan) if math.isnan(theta) else goal)
+
+        self._accept(go)
+
+    def _accept(self, action: Callable[[], None]) -> None:
+        """Take a goal, but never after its client got a time-out."""
+        self._move(action)
+
+    def getAbsoluteLocationOfCurrentTarget(self) -> Map2DLocation | None:
+        return self._do(self._target)
+
+    def getRelativeLocationOfCurrentTarget(self) -> tuple[float, float, float] | None:
+        def relative() -> tuple[float, float, float] | None:
+            target = self._target()
+            if target is None:
+                return None
+            seen = self._robot().inverse @ Pose(target.x, target.y, math.radians(target.theta))
+            return seen.x, seen.y, math.degrees(seen.theta)
+
+        return self._do(relative)
+
+
+def location_of(map_name: str, pose: Pose) -> Map2DLocation:
+    """A pose on a map as a YARP location."""
+    return Map2DLocation(map_name, float(pose.x), float(pose.y), math.degrees(pose.theta))
+
+
+_AGAIN = 2.0
+_END_SECONDS = 0.4  # a module has one second to stop; a connection attempt to an absent machine takes longer
+
+_log = logging.getLogger(__name__)
+
+
+class PortConnection:
+    """Connects a port of the robot's to ours, again after it was away. On a thread of its own."""
+
+    def __init__(self, naming: Naming, source: str, target: str) -> None:
+        self._naming, self._source, self._target = naming, source, target
+        self.trouble = f"{source} is not connected yet"
+        self._end = threading.Event()
+        self._thread = threading.Thread(target=self._run, name="midspan-connect", daemon=True)
+        self._thread.start()
+
+    def close(self) -> None:
+        """Stop connecting; an attempt under way ends by itself."""
+        self._end.set()
+        self._thread.join(_END_SECONDS)
+
+    def _run(self) -> None:
+        begun = time.monotonic()
+        while not self._end.is_set():
+            try:
+                if not connections.carrier_between(self._naming, self._source, self._target, timeout=_AGAIN):
+                    connections.connect(self._naming, self._source, self._target, timeout=_AGAIN)
+                self.trouble = ""
+            except (OSError, WireError) as err:
+                if str(err) != self.trouble and time.monotonic() - begun > _AGAIN:
+                    _log.info("%s is not connected to %s: %s", self._source, self._target, err)
+                self.trouble = str(err) or type(err).__name__
+            self._end.wait(_AGAIN)

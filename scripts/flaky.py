@@ -1,0 +1,122 @@
+"""Runs the tests again and again, each time in another order, and tells which ever failed.
+
+    python scripts/flaky.py 5                           `make test`, five times
+    python scripts/flaky.py 20 tests/hub -k latched     some of them: arguments of pytest
+    python scripts/flaky.py 5 --target test-all         another target
+    python scripts/flaky.py 3 --busy 4                  beside four processes that compute
+    python scripts/flaky.py 1 --one-core                everything on one core
+
+What a run printed is kept in .cache/flaky. The order of run 3 again: ``make test ARGS='--randomly-seed=3'``.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import re
+import shlex
+import subprocess
+import sys
+import time
+from collections import defaultdict
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[1]
+
+_FAILED = re.compile(r"^(?:FAILED|ERROR) (.+?)(?: - .*)?$|^(LEFT BEHIND: .*)$", re.MULTILINE)
+"""Lines of pytest's summary (``-ra``), and one of tests/conftest.py."""
+
+_COMPUTE = "import os\nparent = os.getppid()\nwhile os.getppid() == parent: sum(range(100_000))"
+"""A process that computes until its parent is gone, however that ended."""
+
+
+@dataclass(frozen=True)
+class Run:
+    """One run of the tests.
+
+    Attributes:
+        seed: of its order, which is also its number.
+        seconds: that it took.
+        failed: what it says that failed, once each.
+        last: its last line.
+    """
+
+    seed: int
+    seconds: float
+    failed: tuple[str, ...]
+    last: str
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run them; 1 where anything ever failed."""
+    args, pytest = _parser().parse_known_args(arguments)
+    if args.one_core:
+        os.sched_setaffinity(0, {min(os.sched_getaffinity(0))})
+    args.logs.mkdir(parents=True, exist_ok=True)
+    runs = []
+    with busy(args.busy):
+        for seed in range(args.seed, args.seed + args.runs):
+            run = run_once(args.target, pytest, seed, args.logs / f"run-{seed}.log")
+            print(f"run {seed}: {run.seconds:.0f} s, {len(run.failed) or 'nothing'} failed: {run.last}", flush=True)
+            runs.append(run)
+    red = [run for run in runs if run.failed]
+    print(f"\n{len(red)} of {len(runs)} runs failed")
+    for name, seeds in ever_failed(red):
+        print(f"{len(seeds):>4} of {len(runs)}  {name}  (run {', '.join(map(str, seeds))})")
+    return 1 if red else 0
+
+
+def run_once(target: str, pytest: Sequence[str], seed: int, log: Path) -> Run:
+    """Run the tests once, in the order of a seed; what they print goes to a file."""
+    arguments = shlex.join([*pytest, f"--randomly-seed={seed}"]).replace("$", "$$")
+    began = time.monotonic()
+    with log.open("wb") as file:
+        command = ["make", "-C", str(ROOT), "--no-print-directory", target, f"ARGS={arguments}"]
+        code = subprocess.run(command, stdout=file, stderr=subprocess.STDOUT, check=False).returncode
+    text = log.read_text(errors="replace")
+    failed = dict.fromkeys(test or left for test, left in _FAILED.findall(text))
+    if code and not failed:
+        failed = {f"no test: it ended with exit code {code}, see {log}": None}
+    lines = [line.strip("= ") for line in text.splitlines() if line.strip("= ")]
+    return Run(seed, time.monotonic() - began, tuple(failed), lines[-1] if lines else "")
+
+
+def ever_failed(runs: Sequence[Run]) -> list[tuple[str, list[int]]]:
+    """What failed, the most frequent first, each with the seeds of its runs."""
+    seeds: dict[str, list[int]] = defaultdict(list)
+    for run in runs:
+        for name in run.failed:
+            seeds[name].append(run.seed)
+    return sorted(seeds.items(), key=lambda item: -len(item[1]))
+
+
+@contextmanager
+def busy(count: int) -> Iterator[list[subprocess.Popen[bytes]]]:
+    """So many processes that compute all the time."""
+    processes = [subprocess.Popen([sys.executable, "-c", _COMPUTE]) for _ in range(count)]
+    try:
+        yield processes
+    finally:
+        for process in processes:
+            process.kill()
+            process.wait()
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog="scripts/flaky.py", description="Run the tests again and again; other arguments are pytest's."
+    )
+    parser.add_argument("runs", type=int, help="how often")
+    parser.add_argument("--target", default="test", choices=("test", "test-fast", "test-all"), help="of make")
+    parser.add_argument("--seed", type=int, default=1, help="of the first run's order (1); each other has the next")
+    parser.add_argument("--busy", type=int, default=0, metavar="N", help="beside N processes that compute")
+    parser.add_argument("--one-core", action="store_true", help="with everything on one core")
+    parser.add_argument("--logs", type=Path, default=ROOT / ".cache" / "flaky", help="where output is kept")
+    return parser
+
+
+if __name__ == "__main__":
+    sys.exit(main())

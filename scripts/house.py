@@ -1,0 +1,239 @@
+"""Measures the house: files, lines, import circles, classes that share a name, the longest way of a message.
+
+    python scripts/house.py            prints the figures
+    python scripts/house.py --check    also prints what must not be, and fails if there is any: circles, large files,
+                                       tests that assert nothing
+
+Of the tests it counts how often they reach into an object's privates, and finds those that assert nothing themselves
+and call no helper that is named for it.
+
+Counted: the files of the product (`bridge`, `yarp_compat`, `navigation`, `sim`). An import counts wherever it stands,
+in a function or under ``TYPE_CHECKING`` too: a circle that is only hidden is a circle.
+"""
+
+from __future__ import annotations
+
+import argparse
+import ast
+import functools
+import re
+import statistics
+import sys
+from collections import defaultdict
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[1]
+PRODUCT = ("bridge", "yarp_compat", "navigation", "sim")
+SMALL, LARGE = 60, 500
+KNOWN_LARGE = {"bridge.tf.history"}
+"""A kernel of one class: across files Cython would make real calls of its inlined functions."""
+
+_NAMEDTUPLE = {"_replace", "_asdict", "_fields", "_make", "_field_defaults"}
+_ASSERTS = re.compile(r"(^|_)(assert|expect|until|check|raises|fail|warns)(_|$)")
+
+Graph = Mapping[str, set[str]]
+
+
+@dataclass(frozen=True)
+class File:
+    """One module: its dotted name, its lines, and its syntax tree."""
+
+    name: str
+    path: Path
+    lines: int
+    tree: ast.Module
+
+
+@functools.cache
+def read(root: Path) -> dict[str, File]:
+    """The product's modules by dotted name; a package has its folder's."""
+    found = {}
+    for path in sorted(path for part in PRODUCT for path in (root / part).rglob("*.py")):
+        text = path.read_text(encoding="utf-8")
+        name = ".".join(path.relative_to(root).with_suffix("").parts).removesuffix(".__init__")
+        found[name] = File(name, path, text.count("\n"), ast.parse(text))
+    return found
+
+
+def imports(files: Mapping[str, File]) -> Graph:
+    """Which module imports which. ``from package import name`` is an import of the module that defines the name."""
+    return {name: {to for to in _imports(file, files) if to != name} for name, file in files.items()}
+
+
+def _imports(file: File, files: Mapping[str, File]) -> Iterable[str]:
+    for node in ast.walk(file.tree):
+        if isinstance(node, ast.Import):
+            yield from (alias.name for alias in node.names if alias.name in files)
+        elif isinstance(node, ast.ImportFrom) and node.module in files:
+            yield from (_defines(str(node.module), alias.name, files) for alias in node.names)
+
+
+def _defines(module: str, name: str, files: Mapping[str, File]) -> str:
+    """Follow a name through what packages hand on."""
+    if f"{module}.{name}" in files:
+        return f"{module}.{name}"
+    if files[module].path.name != "__init__.py":
+        return module
+    for node in files[module].tree.body:
+        if isinstance(node, ast.ImportFrom) and node.module in files:
+            for alias in node.names:
+                if (alias.asname or alias.name) == name:
+                    return _defines(str(node.module), alias.name, files)
+    return module
+
+
+def circles(graph: Graph) -> list[list[str]]:
+    """The groups of nodes that reach each other (Tarjan's strongly connected components of two and more)."""
+    index: dict[str, int] = {}
+    low: dict[str, int] = {}
+    stack: list[str] = []
+    found: list[list[str]] = []
+
+    def visit(node: str) -> None:
+        index[node] = low[node] = len(index)
+        stack.append(node)
+        for to in graph.get(node, ()):
+            if to not in index:
+                visit(to)
+                low[node] = min(low[node], low[to])
+            elif to in stack:
+                low[node] = min(low[node], index[to])
+        if low[node] == index[node]:
+            group = stack[stack.index(node) :]
+            del stack[stack.index(node) :]
+            if len(group) > 1:
+                found.append(sorted(group))
+
+    sys.setrecursionlimit(max(sys.getrecursionlimit(), 10_000))
+    for node in graph:
+        if node not in index:
+            visit(node)
+    return sorted(found)
+
+
+def packages(files: Mapping[str, File], graph: Graph) -> Graph:
+    """The same among packages of the second level (``bridge.hub``); a file beside them stands for itself."""
+
+    def package(name: str) -> str:
+        short = ".".join(name.split(".")[:2])
+        return short if files[short].path.name == "__init__.py" else name
+
+    found = defaultdict[str, set[str]](set)
+    for name, others in graph.items():
+        found[package(name)] |= {package(to) for to in others} - {package(name)}
+    return found
+
+
+def package_circles(files: Mapping[str, File], graph: Graph) -> list[list[str]]:
+    """Circles that go through a package; those of files alone are told as such."""
+    return [
+        group
+        for group in circles(packages(files, graph))
+        if any(len(n.split(".")) == 2 and files[n].path.name == "__init__.py" for n in group)
+    ]
+
+
+def shared_classes(files: Mapping[str, File]) -> dict[str, list[str]]:
+    """Public classes at the top of several files, by their name."""
+    found = defaultdict[str, list[str]](list)
+    for name, file in files.items():
+        for node in file.tree.body:
+            if isinstance(node, ast.ClassDef) and not node.name.startswith("_"):
+                found[node.name].append(name)
+    return {name: places for name, places in sorted(found.items()) if len(places) > 1}
+
+
+def private_accesses(root: Path) -> int:
+    """How often tests name an attribute or a module's name that begins with an underscore, of others than ``self``."""
+    return sum(_is_private(node) for _, tree in _tests(root) for node in ast.walk(tree))
+
+
+def _is_private(node: ast.AST) -> bool:
+    if isinstance(node, ast.ImportFrom):
+        return any(re.match("_[^_]", alias.name) for alias in node.names)
+    if not isinstance(node, ast.Attribute) or not re.match("_[^_]", node.attr) or node.attr in _NAMEDTUPLE:
+        return False
+    return ast.unparse(node.value) not in ("self", "cls", "super()")
+
+
+def assertless(root: Path) -> list[str]:
+    """Tests that cannot fail by what they look at: they assert nothing, and call nothing that says that it does."""
+    return [
+        f"{path.relative_to(root)}:{test.lineno} {test.name}"
+        for path, tree in _tests(root)
+        for test in [*tree.body, *(node for part in tree.body if isinstance(part, ast.ClassDef) for node in part.body)]
+        if isinstance(test, ast.FunctionDef) and test.name.startswith("test_") and not any(map(_tells, ast.walk(test)))
+    ]
+
+
+def _tells(node: ast.AST) -> bool:
+    if isinstance(node, ast.Call):
+        called = node.func
+        name = called.attr if isinstance(called, ast.Attribute) else called.id if isinstance(called, ast.Name) else ""
+        return _ASSERTS.search(name) is not None
+    return isinstance(node, ast.Assert)
+
+
+@functools.cache
+def _tests(root: Path) -> list[tuple[Path, ast.Module]]:
+    return [(path, ast.parse(path.read_text(encoding="utf-8"))) for path in sorted((root / "tests").rglob("*.py"))]
+
+
+def ways(root: Path) -> dict[str, int]:
+    """The ways that ARCHITECTURE.md follows, each with its number of files."""
+    found = dict[str, int]()
+    page = root / "ARCHITECTURE.md"
+    for title, text in re.findall(r"^## (The way of [^\n]*)\n((?:(?!^## ).*\n?)*)", page.read_text(), re.MULTILINE):
+        found[title] = len(set(re.findall(r"^\| *\d+ *\| *`([\w/]+\.py)`", text, re.MULTILINE)))
+    return found
+
+
+def report(files: Mapping[str, File]) -> None:
+    """Print the figures."""
+    graph = imports(files)
+    lines = [file.lines for file in files.values()]
+    shared = shared_classes(files)
+    print(f"product files            {len(lines)}")
+    print(f"product lines            {sum(lines)}")
+    print(f"median lines             {statistics.median(lines):.0f}")
+    print(f"files under {SMALL} lines     {sum(count < SMALL for count in lines)}")
+    print(f"files over {LARGE} lines     {sum(count > LARGE for count in lines)}")
+    print(f"circles among files      {len(circles(graph))}")
+    print(f"circles among packages   {len(package_circles(files, graph))}")
+    print(f"classes that share names {len(shared)}")
+    for name, places in sorted(shared.items(), key=lambda item: -len(item[1]))[:20]:
+        print(f"    {name}: {', '.join(places)}")
+    for title, count in ways(ROOT).items():
+        print(f"{title}: {count} files")
+    print(f"tests: private accesses  {private_accesses(ROOT)}")
+    print(f"tests: that assert nothing {len(assertless(ROOT))}")
+
+
+def wrong(files: Mapping[str, File]) -> list[str]:
+    """Everything that must not be."""
+    graph = imports(files)
+    found = [f"circle among files: {' '.join(group)}" for group in circles(graph)]
+    found += [f"circle among packages: {' '.join(group)}" for group in package_circles(files, graph)]
+    large = (file for file in files.values() if file.lines > LARGE and file.name not in KNOWN_LARGE)
+    found += [f"{file.path}: {file.lines} lines, at most {LARGE}" for file in large]
+    return found
+
+
+def main() -> int:
+    """Print the figures and, where asked, what must not be."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n", maxsplit=1)[0])
+    parser.add_argument("--check", action="store_true", help="fail for circles, large files, idle tests")
+    check = parser.parse_args().check
+    files = read(ROOT)
+    report(files)
+    if not check:
+        return 0
+    found = wrong(files) + [f"{test} asserts nothing" for test in assertless(ROOT)]
+    print("\n".join(found), end="\n" if found else "")
+    return 1 if found else 0
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

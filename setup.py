@@ -1,0 +1,111 @@
+"""Compiles the kernels (`bridge.kernels`), into the tree or into a wheel; the rest stands in pyproject.toml.
+
+Only what is missing or stale is compiled in the tree. Where there is no compiler a kernel is left out and runs as
+Python; set-up and ``midspan doctor`` tell.
+"""
+
+from __future__ import annotations
+
+import importlib.util
+import json
+import subprocess
+import sys
+from pathlib import Path
+from types import ModuleType
+
+from Cython import __version__ as cython_version
+from Cython.Build import cythonize
+from setuptools import Extension, setup
+from setuptools.command.build_ext import build_ext
+
+HERE = Path(__file__).resolve().parent
+GENERATED = Path("build/kernels")
+ABI3 = {"py_limited_api": True, "define_macros": [("Py_LIMITED_API", "0x030b0000")]}
+"""One build serves every Python from 3.11 on."""
+
+
+def _load_kernels() -> ModuleType:
+    """`bridge.kernels`, without the package around it."""
+    spec = importlib.util.spec_from_file_location("kernels", HERE / "bridge/kernels.py")
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[spec.name] = module
+    spec.loader.exec_module(module)
+    return module
+
+
+kernels = _load_kernels()
+SHARED_C = GENERATED / (kernels.SHARED.rpartition(".")[2] + ".c")  # its name is the module's
+
+
+def _extension(module: str) -> Extension:
+    flags = kernels.SHARED_FLAGS if module == kernels.SHARED else kernels.FLAGS
+    source = str(SHARED_C if module == kernels.SHARED else kernels.source(module).relative_to(HERE))
+    return Extension(module, [source], extra_compile_args=list(flags), optional=True, **ABI3)
+
+
+class BuildKernels(build_ext):
+    """Compiles what is not compiled yet, and writes down of what it was."""
+
+    def run(self) -> None:
+        """Generate C, compile it, and record it."""
+        in_tree = bool(self.inplace or getattr(self, "editable_mode", False))
+        if in_tree:
+            state = kernels.state()
+            wanted = {*state.missing, *state.stale}
+            self.extensions = [one for one in self.extensions if one.name in wanted]
+        if self.extensions:
+            self.force = True
+            self._generate()
+            super().run()
+        self._record(kernels.ROOT if in_tree else Path(self.build_lib).absolute())
+
+    def _generate(self) -> None:
+        GENERATED.mkdir(parents=True, exist_ok=True)
+        if any(one.name == kernels.SHARED for one in self.extensions):
+            command = [sys.executable, "-m", "cython", "-3", f"--generate-shared={SHARED_C}"]
+            subprocess.run(command, cwd=HERE, check=True)
+        python = [one for one in self.extensions if one.name in kernels.KERNELS]
+        rest = [one for one in self.extensions if one.name not in kernels.KERNELS]
+        self.extensions = rest + cythonize(
+            python,
+            nthreads=min(2, len(python)),
+            build_dir=str(GENERATED),
+            force=True,
+            quiet=True,
+            show_all_warnings=False,
+            language_level=3,
+            shared_utility_qualified_name=kernels.SHARED,
+        )
+        for one in self.extensions:  # cythonize makes new ones
+            one._needs_stub = False
+
+    def build_extension(self, ext: Extension) -> None:
+        """Compile one, and say so."""
+        sys.stderr.write(f"compiling {ext.name}\n")
+        super().build_extension(ext)
+
+    def _record(self, root: Path) -> None:
+        """Only what is there is written down."""
+        modules = (*kernels.KERNELS, *kernels.C_MODULES, kernels.SHARED)
+        known = dict(kernels.record()) if root == kernels.ROOT else {}
+        names = {one.name for one in self.extensions}
+        for module in modules:
+            built = root / self.get_ext_filename(module)
+            if not built.is_file():
+                known.pop(module, None)
+            elif module in names:
+                known[module] = kernels.digest(module, cython_version)
+        known["cython"] = cython_version
+        file = root / "bridge" / kernels.RECORD
+        if json.dumps(known) != json.dumps(dict(kernels.record())) or root != kernels.ROOT:
+            file.parent.mkdir(parents=True, exist_ok=True)
+            file.write_text(json.dumps(known, indent=1, sort_keys=True) + "\n", encoding="utf-8")
+
+
+setup(
+    ext_modules=[_extension(module) for module in (kernels.SHARED, *kernels.C_MODULES, *kernels.KERNELS)],
+    cmdclass={"build_ext": BuildKernels},
+    options={"build_ext": {"parallel": 2}, "bdist_wheel": {"py_limited_api": "cp311"}},
+)

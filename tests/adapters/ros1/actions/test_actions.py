@@ -1,0 +1,326 @@
+"""Actions of real actionlib servers for the hub, beside native clients."""
+
+import signal
+import struct
+import time
+
+import pytest
+
+from bridge.adapters.ros1.actions import states, wire
+from bridge.adapters.ros1.actions.states import Ros1State
+from bridge.adapters.ros1.actions.wire import ZERO
+from bridge.adapters.ros1.graph.probe import HOLD_SECONDS
+from bridge.messages.actions import CancelCode, GoalState
+from tests.adapters.ros1.hub_actions import PARTS, SECONDS, TYPES, HubClient, new_uuid, peer_on
+from tests.adapters.ros1.parts import edge_on
+from tests.support.ros1 import RosMaster, needs_ros1
+from tests.support.wait import until
+
+pytestmark = needs_ros1
+
+MOVE_BASE = "move_base_msgs/action/MoveBase"
+
+
+@pytest.fixture(scope="module")
+def servers(master):
+    """A program whose servers have a name for each test."""
+    with peer_on(master, "servers") as peer:
+        yield peer
+
+
+@pytest.fixture(scope="module")
+def clients(master):
+    """A program whose clients have a name for each test."""
+    with peer_on(master, "clients") as peer:
+        yield peer
+
+
+def test_an_actionlib_server_is_shown_as_a_ros_2_action(master, edge):
+    with peer_on(master, "shown_server") as peer, peer_on(master, "shown_client") as client:
+        peer.ask("server", name="/shown")
+        client.ask("client", name="/shown")
+        parts = {
+            f"/shown/_action/{p}": ("server" if p in PARTS else "publisher", TYPES[p], p == "status") for p in TYPES
+        }
+
+        def found() -> dict[str, tuple[str, str, bool]]:
+            there = [e for e in edge.endpoints() if e["topic"].startswith("/shown/")]
+            return {e["topic"]: (e["kind"], e["type"], e["latched"]) for e in there}
+
+        # topics first, as they come one by one, and an action once all are there
+        until(lambda: found() == parts, "it is shown as an action", SECONDS)
+    with peer_on(master, "alone_client") as client:
+        client.ask("client", name="/alone")
+        edge.endpoint(topic="/rosout", node="/alone_client", made_by="native")
+        mine = lambda: [e for e in edge.endpoints() if e["topic"].startswith("/alone/")]  # noqa: E731
+        until(lambda: not mine(), "neither do a client's topics cross", SECONDS)
+
+
+def test_goals_end_in_the_state_that_the_server_gives(master, edge, servers):
+    peer = servers
+    server = peer.ask("server", name="/end")["id"]
+    hub = HubClient(edge, "/end")
+    ends = {10: GoalState.SUCCEEDED, 11: GoalState.ABORTED, 13: GoalState.CANCELED}
+    for number, state in ends.items():
+        goal, sent = hub.send(number)
+        assert hub.accepted(sent)
+        assert hub.result(hub.ask(goal)) == (state, number)
+        assert hub.result(hub.ask(goal)) == (state, number)
+        assert hub.feedback(goal) == [number]
+        hub.until_state(goal, state)
+    _, sent = hub.send(12)
+    assert hub.accepted(sent) is False
+    goal, sent = hub.send(14)
+    assert hub.accepted(sent)
+    asked = hub.ask(goal)
+    hub.until_state(goal, GoalState.EXECUTING)
+    assert not hub.answered(asked)
+    seen = peer.ask("goals", id=server, count=5)["goals"]
+    assert seen[-1] == [states.text_of(goal), 14]
+    peer.ask("finish", id=server, goal=states.text_of(goal))
+    assert hub.result(asked) == (GoalState.SUCCEEDED, 14)
+    assert hub.result(hub.ask(new_uuid()))[0] is GoalState.UNKNOWN
+    hub.close()
+    again = HubClient(edge, "/end")
+    assert again.result(again.ask(goal)) == (GoalState.SUCCEEDED, 14), "results outlast the callers"
+    again.close()
+    until(lambda: "/end/goal" not in master.state()["publishers"], "our topics are given back", SECONDS)
+
+
+def test_cancel(master, edge, servers):
+    peer = servers
+    peer.ask("server", name="/cancel")
+    hub = HubClient(edge, "/cancel")
+    goals = []
+    for number in (24, 34, 44):
+        goal, sent = hub.send(number)
+        assert hub.accepted(sent)
+        goals.append(goal)
+    asked = [hub.ask(g) for g in goals]
+    assert hub.cancel(goals[0]) == (CancelCode.NONE, {goals[0]})
+    assert hub.result(asked[0]) == (GoalState.CANCELED, 24)
+    assert hub.cancel(goals[0])[0] is CancelCode.GOAL_TERMINATED
+    assert hub.cancel(new_uuid())[0] is CancelCode.UNKNOWN_GOAL_ID
+    assert not hub.answered(asked[1])
+    assert hub.cancel() == (CancelCode.NONE, {goals[1], goals[2]})
+    assert [hub.result(a)[0] for a in asked[1:]] == [GoalState.CANCELED] * 2
+    stubborn, sent = hub.send(1_000_004)
+    assert hub.accepted(sent)
+    assert hub.cancel(stubborn) == (CancelCode.NONE, {stubborn}), "the server's library says so, not its user"
+    hub.until_state(stubborn, GoalState.CANCELING)
+    hub.close()
+
+
+def test_cancel_before_a_time(master, edge, servers):
+    peer = servers
+    peer.ask("server", name="/before")
+    hub = HubClient(edge, "/before")
+    old, sent = hub.send(24)
+    stamp = wire.RosTime(*struct.unpack("<II", hub.reply(sent)[1:]))
+    assert stamp > ZERO
+    new, sent = hub.send(34)
+    assert hub.accepted(sent)
+    assert hub.cancel(stamp=stamp) == (CancelCode.NONE, {old})
+    hub.until_state(old, GoalState.CANCELED)
+    assert hub.states()[new] is GoalState.EXECUTING
+    later, sent = hub.send(44)
+    assert hub.accepted(sent), "our goals have no stamp that a cancel request could be after"
+    hub.until_state(later, GoalState.EXECUTING)
+    hub.close()
+
+
+def test_a_new_goal_pre_empts_and_a_simple_server_tells(master, edge, servers):
+    peer = servers
+    server = peer.ask("server", name="/simple", simple=True)["id"]
+    hub = HubClient(edge, "/simple")
+    first, sent = hub.send(1)
+    assert hub.accepted(sent)
+    asked = hub.ask(first)
+    hub.until_state(first, GoalState.EXECUTING)
+    second, sent = hub.send(2)
+    assert hub.accepted(sent)
+    assert hub.result(asked)[0] is GoalState.CANCELED
+    hub.until_state(second, GoalState.EXECUTING)
+    peer.ask("finish", id=server)
+    assert hub.result(hub.ask(second))[0] is GoalState.SUCCEEDED
+    hub.close()
+
+
+def test_goals_of_native_clients_are_seen_followed_and_cancelled(master, edge, servers, clients):
+    server, peer = servers, clients
+    server.ask("server", name="/other")
+    client = peer.ask("client", name="/other")["id"]
+    assert peer.ask("wait_for_server", id=client)["there"]
+    hub = HubClient(edge, "/other")
+    peer.ask("send", id=client, numbers=[54])
+    (outcome,) = peer.ask("outcomes", id=client, numbers=[54], state="ACTIVE")["outcomes"]
+    goal = states.uuid_of("/other", outcome["id"])
+    hub.until_state(goal, GoalState.EXECUTING)
+    asked = hub.ask(goal)
+    assert hub.cancel(goal) == (CancelCode.NONE, {goal})
+    assert hub.result(asked) == (GoalState.CANCELED, 54)
+    (outcome,) = peer.ask("outcomes", id=client, numbers=[54])["outcomes"]
+    assert (outcome["state"], outcome["done"]) == (Ros1State.PREEMPTED, 1)
+    hub.close()
+
+
+@pytest.mark.parametrize("how", ["killed", "restarted", "stopped"])
+def test_a_server_that_goes_ends_its_goals(master, edge, how):
+    name = f"/{how}"
+    with peer_on(master, f"{how}_server") as peer:
+        server = peer.ask("server", name=name)["id"]
+        hub = HubClient(edge, name)
+        goal, sent = hub.send(14)
+        assert hub.accepted(sent)
+        asked = hub.ask(goal)
+        hub.until_state(goal, GoalState.EXECUTING)
+        if how == "stopped":
+            peer.ask("stop_server", id=server)
+        else:
+            peer.signal(signal.SIGKILL)
+        if how == "restarted":
+            with peer_on(master, f"{how}_server") as other:
+                other.ask("server", name=name)
+                assert hub.result(asked) == (GoalState.ABORTED, 0)
+
+                def taken() -> bytes | None:
+                    new, sent = hub.send(10)
+                    return new if hub.accepted(sent) else None
+
+                new = until(taken, "the new server takes goals", SECONDS)
+                assert hub.result(hub.ask(new)) == (GoalState.SUCCEEDED, 10)
+                assert hub.result(hub.ask(goal)) == (GoalState.ABORTED, 0)
+        else:
+            assert hub.result(asked) == (GoalState.ABORTED, 0)
+            assert hub.accepted(hub.send(10)[1]) is False
+        hub.until_state(goal, GoalState.ABORTED)
+        hub.close()
+
+
+def test_a_server_that_comes_back_is_found_by_what_it_does(tmp_path):
+    """Nothing but its connecting to us tells that it is there: no look at the master comes by itself."""
+    with RosMaster() as master, edge_on(master, tmp_path) as edge:
+        with peer_on(master, "returns") as peer:
+            peer.ask("server", name="/returns")
+            hub = HubClient(edge, "/returns")
+            peer.signal(signal.SIGKILL)
+        parts = {"topic": "/returns/_action/send_goal", "made_by": "native"}
+        until(lambda: not edge.endpoints(**parts), "its death is known", SECONDS)
+        hub.close()
+        edge.ask("look_no_more")
+        with peer_on(master, "returns") as peer:
+            peer.ask("server", name="/returns")
+            until(lambda: edge.endpoints(**parts), "it is found", SECONDS)
+            again = HubClient(edge, "/returns")
+            goal, sent = again.send(10)
+            assert again.accepted(sent)
+            assert again.result(again.ask(goal)) == (GoalState.SUCCEEDED, 10)
+            again.close()
+
+
+def test_a_result_that_was_lost_has_the_state_of_the_list(master, edge, servers, clients):
+    """The goal ended while nobody of ours listened: results are not latched."""
+    peer, native = servers, clients
+    server = peer.ask("server", name="/lost")["id"]
+    client = native.ask("client", name="/lost")["id"]
+    assert native.ask("wait_for_server", id=client)["there"]
+    time.sleep(HOLD_SECONDS + 1.5)  # until then the connection by which the server was asked takes the result
+    goal = new_uuid()
+    native.ask("raw_goal", id=client, number=14, goal=states.text_of(goal))
+    peer.ask("goals", id=server)
+    peer.ask("finish", id=server, goal=states.text_of(goal), outcome="abort")
+    hub = HubClient(edge, "/lost")
+    hub.until_state(goal, GoalState.ABORTED)
+    assert hub.result(hub.ask(goal)) == (GoalState.ABORTED, 0)
+    hub.close()
+
+
+@pytest.mark.thorough
+def test_master_dies_in_a_goal(tmp_path):
+    with RosMaster() as master, edge_on(master, tmp_path) as edge, peer_on(master, "master_server") as peer:
+        server = peer.ask("server", name="/orphan")["id"]
+        hub = HubClient(edge, "/orphan")
+        goal, sent = hub.send(14)
+        assert hub.accepted(sent)
+        asked = hub.ask(goal)
+        hub.until_state(goal, GoalState.EXECUTING)
+        master.stop()
+        assert hub.result(asked) == (GoalState.ABORTED, 0)
+        hub.close()
+        assert peer.ask("goals", id=server)["goals"] == [[states.text_of(goal), 14]]
+
+
+def move_base_goal(frame):
+    """A MoveBaseGoal: its PoseStamped alone."""
+    text = frame.encode()
+    return struct.pack("<IIII", 0, 0, 0, len(text)) + text + struct.pack("<7d", 0, 0, 0, 0, 0, 0, 1)
+
+
+def test_goals_in_frames_that_are_not_there_are_rejected(master, edge, servers):
+    peer = servers
+    with master.peer("frames_tf") as tf:
+        server = peer.ask("server", name="/frames", type="move_base_msgs/MoveBase")["id"]
+        static = tf.advertise("/robot/tf_static", "tf2_msgs/TFMessage", latched=True)
+        tf.publish(static, {"transforms": [{"header": {"frame_id": "map"}, "child_frame_id": "/odom"}]})
+        hub = HubClient(edge, "/frames", MOVE_BASE)
+
+        def accepted(frame: str) -> bool:
+            return hub.accepted(hub.begin("send_goal", new_uuid() + move_base_goal(frame)))
+
+        # as long as no transform has come, nobody knows which frames there are
+        until(lambda: not accepted("mpa"), "the transforms are heard")
+        for frame, good in (("map", True), ("/map", True), ("odom", True), ("mpa", False), ("", False)):
+            assert accepted(frame) is good, frame
+        wanted = ["map", "map", "odom"]
+
+        def seen() -> list[str]:
+            goals = peer.ask("goals", id=server, count=3)["goals"]
+            frames = [goal[1]["target_pose"]["header"]["frame_id"] for goal in goals]
+            return [frame for frame in frames if frame != "mpa"]
+
+        until(lambda: seen() == wanted, "the server has the good goals")
+        warnings = [w for w in edge.ask("status")["warnings"] if w.startswith("/frames")]
+        assert "'mpa' of target_pose.header.frame_id" in warnings[0]
+        assert hub.reply(hub.begin("send_goal", new_uuid() + b"short")).startswith("error: ")
+        hub.close()
+
+
+@pytest.mark.thorough
+def test_a_thousand_goals_at_once_end_as_their_server_says(master, edge, servers):
+    """Refused, ended at once, and all others held until every one of them has been accepted."""
+    count = 1000
+    numbers = [100 * n + (n % 5 if n % 2 else 4) for n in range(count)]
+    peer = servers
+    server = peer.ask("server", name="/many")["id"]
+    hub = HubClient(edge, "/many")
+    goals = {n: new_uuid() for n in numbers}
+    for number, goal in goals.items():
+        hub.send(number, goal)
+    replies = hub.replies("send_goal", count)
+    refused = {n for n, reply in zip(numbers, replies, strict=True) if not wire.read_goal_response(reply)}
+    assert refused == {n for n in numbers if n % 10 == 2}
+    rest = [n for n in numbers if n not in refused]
+    hub.number = 0
+    for number in rest:
+        hub.ask(goals[number])
+    peer.ask("finish_all", id=server)
+    ended = [wire.read_result_response(reply) for reply in hub.replies("get_result", len(rest))]
+    wanted = [{0: 4, 1: 6, 3: 5}.get(n % 10) or (4, 6, 5)[n // 100 % 3] for n in rest]
+    assert [GoalState(state) for state, _, _ in ended] == [GoalState(w) for w in wanted]
+    hub.close()
+
+
+def test_a_dead_worker_leaves_goals_that_the_next_one_follows(tmp_path):
+    with RosMaster() as master, peer_on(master, "kept_server") as peer:
+        server = peer.ask("server", name="/kept")["id"]
+        with edge_on(master, tmp_path) as first:
+            hub = HubClient(first, "/kept")
+            goal, sent = hub.send(14)
+            assert hub.accepted(sent)
+            first.signal(signal.SIGKILL)
+        with edge_on(master, tmp_path) as second:
+            hub = HubClient(second, "/kept")
+            hub.until_state(goal, GoalState.EXECUTING)
+            asked = hub.ask(goal)
+            peer.ask("finish", id=server, goal=states.text_of(goal))
+            assert hub.result(asked) == (GoalState.SUCCEEDED, 14)

@@ -1,0 +1,172 @@
+"""Our side as an actionlib client: pure, against a model of an actionlib server whose topics come in any order."""
+
+import pytest
+
+from bridge.adapters.ros1.actions import goal as goal_module
+from bridge.adapters.ros1.actions import states, wire
+from bridge.adapters.ros1.actions.client import CONNECT_SECONDS
+from bridge.adapters.ros1.actions.states import Ros1State
+from bridge.adapters.ros1.actions.wire import ZERO, GoalId, GoalInfo, RosTime
+from bridge.hub.endpoints.calls import CallError
+from bridge.messages.actions import CancelCode, GoalState
+from tests.adapters.ros1.actions.client_world import ANY, EMPTY, World, accepted, cancelled, name, result, status, uuid
+
+
+@pytest.fixture
+def world():
+    return World()
+
+
+def test_a_goal_goes_with_a_stamp_of_zero_and_a_name_of_its_own(world):
+    world.send(1, b"one")
+    world.send(2, b"two")
+    assert world.goals == [(GoalId(ZERO, name(1)), b"one"), (GoalId(ZERO, name(2)), b"two")]
+    assert name(1) != name(2)
+
+
+@pytest.mark.parametrize("state", [Ros1State.PENDING, Ros1State.ACTIVE, Ros1State.PREEMPTING, Ros1State.SUCCEEDED])
+def test_a_goal_is_accepted_with_the_servers_stamp_once_its_state_shows_that(world, state):
+    answers = world.send(1)
+    world.says()
+    assert not answers
+    world.says((1, state))
+    assert answers == [wire.goal_response(RosTime(5, 0), accepted=True)]
+
+
+@pytest.mark.parametrize("state", [Ros1State.REJECTED, Ros1State.RECALLED])
+@pytest.mark.parametrize("by_result", [True, False])
+def test_a_goal_that_the_server_refuses_is_rejected(world, state, by_result):
+    answers = world.send(1)
+    if by_result:
+        world.ends(1, state)
+    world.says((1, state))
+    assert accepted(answers) is False
+    assert result(world.ask(1)) == (GoalState.UNKNOWN, EMPTY)
+    assert all(uuid(1) not in states for states in world.states)
+
+
+def test_a_goal_that_is_refused_after_it_was_pending_is_aborted(world):
+    answers, asked = world.send(1), world.ask(1)
+    world.says((1, Ros1State.PENDING))
+    world.ends(1, Ros1State.REJECTED, b"why")
+    assert accepted(answers)
+    assert result(asked) == (GoalState.ABORTED, b"why")
+
+
+def test_a_uuid_is_good_for_one_goal(world):
+    world.send(1)
+    assert accepted(world.send(1)) is False
+    assert len(world.goals) == 1
+    answers = []
+    world.client.send_goal(ANY, answers.append)
+    assert accepted(answers) is False
+
+
+def test_too_many_goals_are_rejected(world, monkeypatch):
+    monkeypatch.setattr(goal_module, "MAX_OPEN", 3)
+    for number in range(3):
+        assert not world.send(number)
+    assert accepted(world.send(3)) is False
+
+
+def test_malformed_calls_get_an_error(world):
+    for call in (world.client.send_goal, world.client.get_result, world.client.cancel):
+        answers = []
+        call(b"short", answers.append)
+        assert isinstance(answers[0], CallError)
+
+
+def test_a_new_goal_pre_empts_the_old_one(world):
+    first, second = world.send(1), world.send(2)
+    asked = world.ask(1)
+    world.says((1, Ros1State.ACTIVE), (2, Ros1State.PENDING))
+    world.ends(1, Ros1State.PREEMPTED, text="another goal was received")
+    world.says((1, Ros1State.PREEMPTED), (2, Ros1State.ACTIVE))
+    assert accepted(first)
+    assert accepted(second)
+    assert result(asked)[0] is GoalState.CANCELED
+    assert world.states[-1] == {uuid(1): GoalState.CANCELED, uuid(2): GoalState.EXECUTING}
+
+
+def test_a_server_that_dies_ends_all_goals_once(world):
+    waiting, running, over = world.send(1), world.send(2), world.send(3)
+    world.says((2, Ros1State.ACTIVE), (3, Ros1State.SUCCEEDED))
+    asked = [world.ask(n) for n in (1, 2, 3)]
+    stop = world.stop(2)
+    world.client.lost("the server is gone")
+    assert (accepted(waiting), accepted(running), accepted(over)) == (False, True, True)
+    assert [result(a) for a in asked] == [
+        (GoalState.UNKNOWN, EMPTY), (GoalState.ABORTED, EMPTY), (GoalState.SUCCEEDED, EMPTY)
+    ]  # fmt: skip
+    assert cancelled(stop) == (CancelCode.GOAL_TERMINATED, set())
+    assert accepted(world.send(4)) is False, "none is kept for a server that is away"
+    world.ends(2, Ros1State.SUCCEEDED, b"late")
+    world.says((2, Ros1State.SUCCEEDED))
+    world.passes(10.0)
+    assert result(world.ask(2)) == (GoalState.ABORTED, EMPTY)
+    world.client.found()
+    world.client.connected()
+    assert not world.send(5)
+    assert len(world.goals) == 4
+
+
+def test_a_server_that_forgot_a_goal_ends_it(world):
+    world.send(1), world.send(2)
+    asked = world.ask(1)
+    world.says((1, Ros1State.ACTIVE))
+    world.says()
+    assert result(asked) == (GoalState.ABORTED, EMPTY)
+    world.passes(5.0)
+    assert not world.ask(2), "it was never in the list: it may not have arrived yet"
+
+
+def test_goals_wait_for_the_connections_and_not_for_ever(world):
+    world.client.disconnected()
+    answers = world.send(1)
+    late = []
+    abandon = world.client.send_goal(uuid(2) + b"left", late.append)
+    abandon()
+    world.client.connected()
+    assert world.goals == [(GoalId(ZERO, name(1)), b"body")]
+    world.client.disconnected()
+    waiting = world.send(3)
+    world.passes(CONNECT_SECONDS + 0.1)
+    assert accepted(waiting) is False
+    world.client.connected()
+    assert len(world.goals) == 1
+    assert (answers, late) == ([], [])
+
+
+def test_closing_cancels_what_callers_sent_and_ends_it(world):
+    world.send(1)
+    asked, native = world.ask(1), states.uuid_of("/act", "/rviz-1")
+    world.says((1, Ros1State.ACTIVE), ("/rviz-1", Ros1State.ACTIVE))
+    world.client.close("the bridge stops")
+    assert world.cancels == [GoalId(ZERO, name(1))]
+    assert result(asked) == (GoalState.ABORTED, EMPTY)
+    assert world.states[-1] == {uuid(1): GoalState.ABORTED, native: GoalState.ABORTED}
+
+
+def test_goals_of_native_clients_appear_and_can_be_followed_and_cancelled(world):
+    native = states.uuid_of("/act", "/rviz-1")
+    world.says(("/rviz-1", Ros1State.ACTIVE))
+    assert world.states[-1] == {native: GoalState.EXECUTING}
+    asked, answers = [], []
+    world.client.get_result(native, asked.append)
+    world.client.cancel(wire.cancel_request(GoalInfo(native, ZERO)), answers.append)
+    assert world.cancels == [GoalId(ZERO, "/rviz-1")]
+    world.client.result(status("/rviz-1", Ros1State.PREEMPTED), b"stopped")
+    assert result(asked) == (GoalState.CANCELED, b"stopped")
+    assert wire.read_cancel_response(answers[0])[1] == [GoalInfo(native, RosTime(5, 0))]
+    world.says(("/rviz-1", Ros1State.ACTIVE))
+    assert world.states[-1] == {native: GoalState.CANCELED}, "an old list that comes late"
+    world.says(("/rviz-1", Ros1State.ACTIVE, RosTime(9, 0)))
+    assert world.states[-1] == {native: GoalState.EXECUTING}, "a client that uses the id again"
+
+
+def test_a_goal_of_a_dead_worker_is_taken_up_by_its_id_alone(world):
+    world.says((1, Ros1State.ACTIVE))
+    asked = world.ask(1)
+    world.ends(1, Ros1State.SUCCEEDED, b"there")
+    assert result(asked) == (GoalState.SUCCEEDED, b"there")
+    assert accepted(world.send(1)) is False

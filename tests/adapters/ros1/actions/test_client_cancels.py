@@ -1,0 +1,80 @@
+"""Cancel requests that go to an actionlib server."""
+
+import pytest
+
+from bridge.adapters.ros1.actions.client import CONNECT_SECONDS
+from bridge.adapters.ros1.actions.states import Ros1State
+from bridge.adapters.ros1.actions.wire import ZERO, GoalId, RosTime
+from bridge.messages.actions import CancelCode
+from tests.adapters.ros1.actions.client_world import World, cancelled, name
+
+
+@pytest.fixture
+def world():
+    return World()
+
+
+def test_cancel_one(world):
+    world.send(1), world.send(2)
+    world.says((1, Ros1State.ACTIVE), (2, Ros1State.ACTIVE))
+    answers = world.stop(1)
+    assert world.cancels == [GoalId(ZERO, name(1))]
+    world.says((1, Ros1State.ACTIVE), (2, Ros1State.ACTIVE))
+    assert not answers
+    world.says((1, Ros1State.PREEMPTING), (2, Ros1State.ACTIVE))
+    assert cancelled(answers) == (CancelCode.NONE, {1})
+
+
+def test_cancel_what_has_just_ended(world):
+    world.send(1)
+    world.says((1, Ros1State.ACTIVE))
+    answers = world.stop(1)
+    world.ends(1, Ros1State.SUCCEEDED)
+    assert cancelled(answers) == (CancelCode.GOAL_TERMINATED, set())
+    assert cancelled(world.stop(1)) == (CancelCode.GOAL_TERMINATED, set())
+    assert cancelled(world.stop(7)) == (CancelCode.UNKNOWN_GOAL_ID, set())
+
+
+def test_cancel_all(world):
+    for number in range(4):
+        world.send(number)
+    world.says((0, Ros1State.PENDING), (1, Ros1State.ACTIVE), (2, Ros1State.ACTIVE))
+    world.ends(2, Ros1State.SUCCEEDED)
+    answers = world.stop()
+    assert world.cancels == [GoalId(ZERO, "")]
+    world.says((0, Ros1State.RECALLING), (1, Ros1State.PREEMPTED), (3, Ros1State.RECALLED))
+    assert cancelled(answers) == (CancelCode.NONE, {0, 1})
+    assert cancelled(World().stop()) == (CancelCode.NONE, set())
+
+
+def test_cancel_before_a_time(world):
+    for number in (1, 2, 3):
+        world.send(number)
+    world.says(*((n, Ros1State.ACTIVE, RosTime(n, 0)) for n in (1, 2, 3)))
+    answers = world.stop(stamp=RosTime(2, 0))
+    assert world.cancels == [GoalId(RosTime(2, 0), "")]
+    world.says(*((n, Ros1State.PREEMPTING if n < 3 else Ros1State.ACTIVE, RosTime(n, 0)) for n in (1, 2, 3)))
+    assert cancelled(answers) == (CancelCode.NONE, {1, 2})
+    both = world.stop(3, RosTime(1, 0))
+    world.says((3, Ros1State.PREEMPTING))
+    assert cancelled(both)[1] >= {3}
+
+
+def test_a_cancel_request_waits_for_the_connections_and_not_for_ever(world):
+    world.send(1)
+    world.says((1, Ros1State.ACTIVE))
+    world.client.disconnected()
+    early = world.stop(1)
+    assert (early, world.cancels) == ([], [])
+    world.client.connected()
+    assert world.cancels == [GoalId(ZERO, name(1))]
+    world.client.disconnected()
+    late = world.stop()
+    world.passes(CONNECT_SECONDS + 0.1)
+    assert cancelled(late) == (CancelCode.REJECTED, set())
+    last = world.stop()
+    world.client.lost("the server is gone")
+    assert cancelled(last) == (CancelCode.REJECTED, set())
+    assert cancelled(early) == (CancelCode.GOAL_TERMINATED, set())
+    assert cancelled(world.stop()) == (CancelCode.REJECTED, set()), "none is kept for a server that is away"
+    assert len(world.cancels) == 1

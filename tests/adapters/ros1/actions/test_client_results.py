@@ -1,0 +1,121 @@
+"""What becomes of the results of goals that go to an actionlib server."""
+
+import pytest
+
+from bridge.adapters.ros1.actions import goal as goal_module
+from bridge.adapters.ros1.actions.client import RESULT_SECONDS
+from bridge.adapters.ros1.actions.states import Ros1State
+from bridge.messages.actions import GoalState
+from tests.adapters.ros1.actions.client_world import EMPTY, World, accepted, reason, result, status, uuid
+
+
+@pytest.fixture
+def world():
+    return World()
+
+
+@pytest.mark.parametrize("by_result", [True, False])
+@pytest.mark.parametrize(
+    ("state", "why"), [(Ros1State.ABORTED, "no way"), (Ros1State.PREEMPTED, "no way"), (Ros1State.SUCCEEDED, "")]
+)
+def test_what_the_server_says_of_a_goals_end_goes_with_its_result(world, state, why, by_result):
+    """Also where the result was lost; of one that was reached there is no error to tell of."""
+    world.send(1)
+    before = world.ask(1)
+    if by_result:
+        world.ends(1, state, text="no way")
+    else:
+        world.client.statuses([status(1, state, text="no way")])
+        world.passes(RESULT_SECONDS + 0.1)
+    assert [reason(before), reason(world.ask(1))] == [why, why]
+
+
+def test_goals_that_this_bridge_aborts_say_why(world):
+    gone, forgotten = world.send(1), world.send(2)
+    world.says((1, Ros1State.ACTIVE), (2, Ros1State.ACTIVE))
+    world.says((1, Ros1State.ACTIVE))
+    world.client.lost("its action server /move_base is gone")
+    assert accepted(gone)
+    assert accepted(forgotten)
+    assert reason(world.ask(1)) == "its action server /move_base is gone"
+    assert reason(world.ask(2)) == "the server no longer knows it"
+
+
+def test_a_result_that_comes_before_any_status_accepts_and_ends(world):
+    answers, asked = world.send(1), world.ask(1)
+    world.ends(1, Ros1State.SUCCEEDED, b"done")
+    assert accepted(answers)
+    assert result(asked) == (GoalState.SUCCEEDED, b"done")
+
+
+def test_a_feedback_accepts_and_is_passed_on(world):
+    answers = world.send(1)
+    world.client.feedback(status(1, Ros1State.ACTIVE), b"half")
+    assert accepted(answers)
+    assert world.feedbacks == [(uuid(1), b"half")]
+    world.ends(1, Ros1State.SUCCEEDED)
+    world.client.feedback(status(1, Ros1State.ACTIVE), b"overtaken")
+    assert world.feedbacks[1:] == [(uuid(1), b"overtaken")]
+    assert world.states[-1] == {uuid(1): GoalState.SUCCEEDED}
+
+
+def test_a_result_is_given_to_all_who_ask_before_and_after(world):
+    world.send(1)
+    before = [world.ask(1), world.ask(1)]
+    world.says((1, Ros1State.ACTIVE))
+    world.ends(1, Ros1State.PREEMPTED, b"half way")
+    world.passes(3000.0)
+    for answers in [*before, world.ask(1)]:
+        assert result(answers) == (GoalState.CANCELED, b"half way")
+
+
+def test_results_are_kept_for_an_hour_and_within_bounds(world, monkeypatch):
+    world.send(1)
+    world.ends(1, Ros1State.SUCCEEDED)
+    world.passes(goal_module.KEEP_SECONDS - 1.0)
+    assert result(world.ask(1))[0] is GoalState.SUCCEEDED
+    world.passes(2.0)
+    assert result(world.ask(1))[0] is GoalState.UNKNOWN
+    monkeypatch.setattr(goal_module, "MAX_ENDED", 5)
+    for number in range(10, 20):
+        world.send(number)
+        world.ends(number, Ros1State.SUCCEEDED)
+    world.passes(0.1)
+    assert world.client.kept == 5
+    assert result(world.ask(19))[0] is GoalState.SUCCEEDED
+    monkeypatch.setattr(goal_module, "MAX_ENDED_BYTES", 1000)
+    world.send(30)
+    world.ends(30, Ros1State.SUCCEEDED, bytes(999))
+    world.send(31)
+    world.ends(31, Ros1State.SUCCEEDED, bytes(900))
+    world.passes(0.1)
+    assert world.client.kept == 1
+
+
+def test_a_lost_result_is_empty_and_has_the_state_of_the_list(world):
+    world.send(1)
+    asked = world.ask(1)
+    world.says((1, Ros1State.SUCCEEDED))
+    world.passes(RESULT_SECONDS - 0.1)
+    assert not asked
+    world.passes(0.2)
+    assert result(asked) == (GoalState.SUCCEEDED, EMPTY)
+    world.ends(1, Ros1State.SUCCEEDED, b"late")
+    assert result(world.ask(1)) == (GoalState.SUCCEEDED, EMPTY), "it has been told otherwise"
+
+
+def test_a_late_result_counts_where_nobody_has_asked(world):
+    world.send(1)
+    world.says((1, Ros1State.SUCCEEDED))
+    world.passes(RESULT_SECONDS + 0.1)
+    world.ends(1, Ros1State.SUCCEEDED, b"late")
+    assert result(world.ask(1)) == (GoalState.SUCCEEDED, b"late")
+    world.ends(1, Ros1State.ABORTED, b"again")
+    assert result(world.ask(1)) == (GoalState.SUCCEEDED, b"late")
+
+
+def test_the_first_result_counts(world):
+    world.send(1)
+    world.ends(1, Ros1State.SUCCEEDED, b"first")
+    world.ends(1, Ros1State.ABORTED, b"second")
+    assert result(world.ask(1)) == (GoalState.SUCCEEDED, b"first")

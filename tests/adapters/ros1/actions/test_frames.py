@@ -1,0 +1,173 @@
+"""The frames that goals name."""
+
+import struct
+from types import SimpleNamespace
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from bridge.adapters.ros1.actions import frames as frames_module
+from bridge.adapters.ros1.actions.frames import FrameGuard, KnownFrames, empty, frames_in, names_frames, without_slashes
+from bridge.adapters.ros1.graph.state import MasterState
+from bridge.messages.definitions.schema import World
+from bridge.messages.definitions.text import closure, parse_full
+from bridge.messages.errors import ConversionError
+
+LINE = "=" * 80
+HEADER = f"{LINE}\nMSG: std_msgs/Header\nuint32 seq\ntime stamp\nstring frame_id\n"
+POSE = f"""{LINE}
+MSG: geometry_msgs/PoseStamped
+Header header
+float64[3] at
+"""
+GOAL = f"""string name
+geometry_msgs/PoseStamped target
+geometry_msgs/PoseStamped[] via
+float64[] weights
+string[2] words
+Nothing[] nothings
+std_msgs/Header other
+{POSE}{HEADER}{LINE}
+MSG: test_msgs/Nothing
+uint8 CONSTANT=3
+"""
+
+
+def schema(text, name="test_msgs/Goal"):
+    found = parse_full(text, name, World.ROS1)
+    return closure(found[name], found)
+
+
+SCHEMA = schema(GOAL)
+
+
+def string(data):
+    return struct.pack("<I", len(data)) + data
+
+
+def header(frame):
+    return struct.pack("<III", 1, 2, 3) + string(frame)
+
+
+def goal(target=b"map", via=(), other=b""):
+    poses = b"".join(header(frame) + bytes(24) for frame in via)
+    return b"".join((
+        string(b"name"), header(target), bytes(24), struct.pack("<I", len(via)), poses,
+        struct.pack("<I", 2), bytes(16), string(b"one"), string(b""), struct.pack("<I", 1 << 30), header(other),
+    ))  # fmt: skip
+
+
+def test_all_headers_are_found():
+    found = frames_in(SCHEMA, goal(b"map", [b"odom", b"/base"], b"x"))
+    assert [(f.frame, f.where, f.pose) for f in found] == [
+        (b"map", "target.header.frame_id", True), (b"odom", "via.header.frame_id", True),
+        (b"/base", "via.header.frame_id", True), (b"x", "other.frame_id", False),
+    ]  # fmt: skip
+    assert names_frames(SCHEMA)
+    assert not names_frames(schema("int32 order\n", "actionlib_tutorials/FibonacciGoal"))
+
+
+@given(st.lists(st.sampled_from([b"", b"map", b"/map", b"//odom", b"/"]), min_size=2, max_size=6))
+def test_slashes_go_and_the_rest_stays(names):
+    target, other, *via = names
+    data = goal(target, via, other)
+    stripped = without_slashes(data, frames_in(SCHEMA, data))
+    assert stripped == goal(target.lstrip(b"/"), [v.lstrip(b"/") for v in via], other.lstrip(b"/"))
+
+
+@given(st.integers(0, 200))
+def test_a_message_that_is_cut_short_is_refused(length):
+    data = goal(b"map", [b"odom"])
+    with pytest.raises(ConversionError):
+        frames_in(SCHEMA, data[: min(length, len(data) - 1)])
+    with pytest.raises(ConversionError):
+        frames_in(SCHEMA, data + b"x")
+
+
+def test_an_empty_message():
+    assert [f.frame for f in frames_in(SCHEMA, empty(SCHEMA))] == [b"", b""]
+    assert len(empty(SCHEMA)) == 4 + 16 + 24 + 4 + 4 + 8 + 4 + 16
+    assert empty(schema("", "move_base_msgs/MoveBaseResult")) == b""
+    assert empty(schema("time t\nduration[2] d\nbool b\nstring s\n")) == bytes(8 + 16 + 1 + 4)
+
+
+def transforms(*pairs: tuple):
+    parts = [header(parent) + string(child) + bytes(56) for parent, child in pairs]
+    return struct.pack("<I", len(parts)) + b"".join(parts)
+
+
+def test_frames_that_transforms_name():
+    frames = KnownFrames()
+    wrong = frames_in(SCHEMA, goal(b"mpa"))
+    assert not frames
+    frames.learn(transforms((b"map", b"odom"), (b"/odom", b"/base")))
+    frames.learn(b"\xff\xff\xff\xff nonsense")
+    assert frames
+    assert "'mpa' of target.header.frame_id" in frames.trouble(wrong)
+    for name in (b"map", b"odom", b"base"):
+        assert frames.trouble(frames_in(SCHEMA, goal(name))) == ""
+    assert frames.trouble(frames_in(SCHEMA, goal(b""))) == "target.header.frame_id is empty"
+    assert frames.trouble(frames_in(SCHEMA, goal(b"map", [], b""))) == "", "a header that nobody uses"
+
+
+class TopicSubscription:
+    def close(self):
+        """Nothing to close."""
+
+
+class Side:
+    """A guard, the network that it hears, and its clock."""
+
+    def __init__(self, monkeypatch, *, check=True) -> None:
+        self.now, self.heard = 100.0, {}
+        monkeypatch.setattr(frames_module, "time", SimpleNamespace(monotonic=lambda: self.now))
+
+        def subscribe(topic, _type, deliver, suffix) -> TopicSubscription:
+            assert suffix, "a route of the topic has a connection of its own"
+            self.heard[topic] = deliver
+            return TopicSubscription()
+
+        self.guard = FrameGuard(SimpleNamespace(subscribe=subscribe, check_frames=check))
+        types = {"/tf": "tf2_msgs/TFMessage", "/old": "tf/tfMessage", "/other": "std_msgs/String"}
+        self.guard.seen(MasterState("run", "net", types=types))
+
+    def check(self, frame):
+        return self.guard.check(SCHEMA, goal(frame))[1]
+
+
+def test_a_guard_waits_until_it_knows(monkeypatch):
+    side = Side(monkeypatch)
+    assert side.heard == {}, "nobody sends goals"
+    side.guard.open("me")
+    assert set(side.heard) == {"/tf", "/old"}
+    assert side.check(b"map") is None
+    side.now += 5.0
+    assert side.check(b"map") is None
+    side.heard["/tf"](transforms((b"map", b"odom")), "", None)
+    assert (side.check(b"map"), side.check(b"mpa")) == ("", None)
+    side.now += frames_module.KNOW_SECONDS + 0.1
+    assert side.check(b"map") == ""
+    assert "mpa" in side.check(b"mpa")
+    side.guard.report("/act", "why")
+    assert side.guard.warnings() == ["/act: a goal was rejected: why"]
+    side.now += 100.0
+    assert side.guard.warnings() == []
+
+
+def test_a_side_without_transforms_lets_all_frames_through(monkeypatch):
+    side = Side(monkeypatch)
+    side.guard.open("me")
+    side.now += frames_module.SILENT_SECONDS + 0.1
+    assert side.check(b"mpa") == ""
+    bare = Side(monkeypatch)
+    bare.guard.open("me")
+    bare.guard.seen(MasterState("run", "net"))
+    assert bare.check(b"mpa") == "", "there are no topics with transforms"
+
+
+def test_frames_are_left_alone_where_that_is_wanted(monkeypatch):
+    side = Side(monkeypatch, check=False)
+    side.guard.open("me")
+    assert side.heard == {}
+    assert side.guard.check(SCHEMA, goal(b"/mpa")) == (goal(b"/mpa"), "")

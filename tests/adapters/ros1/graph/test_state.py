@@ -1,0 +1,143 @@
+"""Looks at a master's state."""
+
+import contextlib
+from collections.abc import Callable
+from typing import Any
+
+import pytest
+
+from bridge.adapters.ros1.graph.state import MasterReader, Registration
+from bridge.adapters.ros1_peers import Ros1Error, XmlRpcClient
+from tests.adapters.ros1.servers import node
+
+
+class Master:
+    """A master's API with a state that a test sets."""
+
+    def __init__(self) -> None:
+        self.nodes = {"/a": "http://a:1/"}
+        self.publishers = [["/topic", ["/a"]]]
+        self.run_id: list[Any] = [1, "", "run"]
+        self.presence: list[Any] = [-1, "not set", 0]
+        self.services = {"/serve": ("/a", "rosrpc://a:2")}
+        self.lookups: list[str] = []
+        self.at_end: Callable[[], None] = lambda: None
+
+    def uri(self, _caller: str) -> list[Any]:
+        """The last question of a look that knows of no nodes yet."""
+        self.at_end()
+        return [1, "", "http://master:11311/"]
+
+    def lookup(self, _caller: str, name: str) -> list[Any]:
+        return [1, "", self.nodes[name]] if name in self.nodes else [-1, "unknown node", ""]
+
+    def lookup_service(self, _caller: str, name: str) -> list[Any]:
+        self.lookups.append(name)
+        return [1, "", self.services[name][1]] if name in self.services else [-1, "no provider", ""]
+
+    def state(self, _caller: str) -> list[Any]:
+        services = [[name, [node]] for name, (node, _) in self.services.items()]
+        return [1, "", [self.publishers, [["/topic", ["/b"]]], services]]
+
+    def methods(self) -> dict[str, Any]:
+        return {
+            "getSystemState": self.state,
+            "getTopicTypes": lambda _: [1, "", [["/topic", "std_msgs/String"]]],
+            "getParam": lambda _, key: self.run_id if key == "/run_id" else self.presence,
+            "getPid": lambda _: [1, "", 42],
+            "getUri": self.uri,
+            "lookupNode": self.lookup,
+            "lookupService": self.lookup_service,
+        }
+
+
+@pytest.fixture
+def master():
+    return Master()
+
+
+@pytest.fixture
+def looker(master):
+    with node(**master.methods()) as uri:
+        client = XmlRpcClient(uri, 5.0)
+        with contextlib.closing(client):
+            yield MasterReader(client, "/me")
+
+
+def test_a_look(master, looker):
+    look = looker.look()
+    assert (look.network, look.run) == ("run", "run#42")
+    assert look.publishers == {Registration("/a", "/topic", "http://a:1/")}
+    assert look.subscribers == {Registration("/b", "/topic", "")}
+    assert look.servers == {Registration("/a", "/serve", "rosrpc://a:2")}
+    assert look.types == {"/topic": "std_msgs/String"}
+    assert look.presence == {}
+    assert looker.look() is look
+    master.presence = [1, "", {"midspan": {"pid": 1}, "odd": 3}]
+    assert looker.look().presence == {"midspan": {"pid": 1}}
+
+
+def test_a_master_without_a_run_id(master, looker):
+    master.run_id = [-1, "not set", 0]
+    assert looker.look().network == "http://master:11311/#42"
+
+
+def test_a_node_that_comes_during_the_look(master, looker):
+    def arrive() -> None:
+        master.nodes["/late"] = "http://late:1/"
+        master.publishers = [["/topic", ["/a", "/late"]]]
+
+    master.at_end = arrive
+    looker.look()
+    assert Registration("/late", "/topic", "http://late:1/") in looker.look().publishers
+
+
+def test_a_node_that_moved(master, looker):
+    looker.look()
+    master.nodes["/a"] = "http://a:2/"
+    assert looker.look().publishers == {Registration("/a", "/topic", "http://a:2/")}
+
+
+def test_a_services_address_is_asked_for_once(master, looker):
+    first = looker.look()
+    master.services["/more"] = ("/b", "rosrpc://b:3")
+    assert looker.look().servers == {*first.servers, Registration("/b", "/more", "rosrpc://b:3")}
+    assert master.lookups == ["/serve", "/more"]
+    del master.services["/more"]
+    assert looker.look().servers == first.servers
+    master.services["/more"] = ("/b", "rosrpc://b:4")
+    assert Registration("/b", "/more", "rosrpc://b:4") in looker.look().servers, "one that comes back may be elsewhere"
+
+
+def test_a_service_in_doubt_is_looked_up_again(master, looker):
+    first = looker.look()
+    looker.doubt("/serve")
+    assert looker.look() is first, "it is where it was"
+    master.services["/serve"] = ("/a", "rosrpc://a:7")
+    assert looker.look() is first, "a new address alone does not show in a master's state"
+    looker.doubt("/serve")
+    assert looker.look().servers == {Registration("/a", "/serve", "rosrpc://a:7")}
+
+
+def test_a_service_that_went_during_the_look(master, looker):
+    master.services["/gone"] = ("/c", 5)
+    assert Registration("/c", "/gone", "") in looker.look().servers
+
+
+@pytest.mark.parametrize(("topics", "least", "most"), [(1, 0.5, 0.5), (1500, 0.51, 1.99), (5000, 2.0, 2.0)])
+def test_a_master_with_much_to_tell_is_looked_at_less_often(master, looker, topics, least, most):
+    master.publishers = [[f"/a_topic_of_many/{number}", ["/a"]] for number in range(topics)]
+    looker.look()
+    assert least <= looker.pause(0.5) <= most
+    assert looker.pause(5.0) == 5.0
+
+
+def test_a_master_that_is_away_is_looked_for_as_often_as_ever(master):
+    master.publishers = [[f"/a_topic_of_many/{number}", ["/a"]] for number in range(5000)]
+    with node(**master.methods()) as uri:
+        client = XmlRpcClient(uri, 5.0)
+        looker = MasterReader(client, "/me")
+        looker.look()
+    with contextlib.closing(client), pytest.raises(Ros1Error):
+        looker.look()
+    assert looker.pause(0.5) == 0.5

@@ -1,0 +1,439 @@
+"""Calling ROS 1 servers, the good beside the slow, the odd and the dying."""
+
+from __future__ import annotations
+
+import contextlib
+import socket
+import struct
+import threading
+from collections.abc import Callable, Iterator
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+
+from bridge.adapters.ros1.epoll_loop import EpollLoop
+from bridge.adapters.ros1.graph.state import Registration
+from bridge.adapters.ros1.handshake import decode, encode
+from bridge.adapters.ros1.peer_pool import PeerPool
+from bridge.adapters.ros1.services.caller import MAX_CALLS, Ros1Caller
+from bridge.hub.endpoints.calls import CallError
+from bridge.messages.transcode.conversion import SideType
+from tests.adapters.ros1.servers import tcp_server, until_closed
+from tests.support.descriptors import no_descriptors
+from tests.support.ports import free_port
+from tests.support.wait import until
+
+TYPE = SideType("pkg/Serve", "5e7e", "")
+HEADER = {"type": TYPE.name, "md5sum": TYPE.type_id}
+LIMIT = 1_000_000
+
+
+def framed(body: bytes, ok: int = 1) -> bytes:
+    return struct.pack("<BI", ok, len(body)) + body
+
+
+def exactly(sock: socket.socket, count: int) -> bytes:
+    data = b""
+    while len(data) < count:
+        part = sock.recv(count - len(data))
+        if not part:
+            raise ConnectionResetError
+        data += part
+    return data
+
+
+def request_of(sock: socket.socket) -> bytes:
+    return exactly(sock, struct.unpack("<I", exactly(sock, 4))[0])
+
+
+class Server:
+    """A server on loopback; ``serve(sock, header)`` has each connection after the headers."""
+
+    def __init__(self, serve: Callable[[socket.socket, dict[str, str]], None]) -> None:
+        self.connections: list[dict[str, str]] = []
+        self._serve = serve
+
+    def __call__(self, sock: socket.socket) -> None:
+        header = decode(request_of(sock))
+        self.connections.append(header)
+        sock.sendall(encode(HEADER))
+        self._serve(sock, header)
+
+
+def echo(sock: socket.socket, _header: Any) -> None:
+    while True:
+        sock.sendall(framed(request_of(sock)[::-1]))
+
+
+class Ends:
+    """How calls ended."""
+
+    def __init__(self) -> None:
+        self.all: list[bytes | CallError] = []
+        self._ready = threading.Condition()
+
+    def __call__(self, result: bytes | CallError) -> None:
+        with self._ready:
+            self.all.append(result)
+            self._ready.notify_all()
+
+    def wait(self, count: int = 1) -> list[bytes | CallError]:
+        with self._ready:
+            assert self._ready.wait_for(lambda: len(self.all) >= count, 40), f"{len(self.all)} of {count}"
+            return list(self.all)
+
+    def error(self) -> str:
+        (end,) = self.wait()
+        assert isinstance(end, CallError), end
+        return str(end)
+
+
+class Bench:
+    """A caller with what it needs."""
+
+    def __init__(self) -> None:
+        self.loop, self.pool, self.doubts = EpollLoop("test-calls"), PeerPool(), []
+        context: Any = SimpleNamespace(loop=self.loop, pool=self.pool, node=lambda: "/me", limit=LIMIT)
+        self.caller = Ros1Caller(context, "/serve", TYPE, self.doubted, lambda _caller: None)
+
+    def doubted(self, link: Registration, trouble: str) -> None:
+        self.doubts.append((link, trouble))
+
+    def toward(self, address: tuple[str, int]) -> None:
+        self.link = Registration("/server", "/serve", f"rosrpc://{address[0]}:{address[1]}")
+        self.caller.follow(self.link)
+
+    def look(self) -> None:
+        """What the edge does at each look at the master."""
+        if self.caller.restless:
+            self.caller.follow(self.link)
+
+    def call(self, request: bytes = b"abc") -> Ends:
+        ends = Ends()
+        self.caller.call(request, ends)
+        return ends
+
+    def warm(self) -> None:
+        until(lambda: self.look() or self.caller.load.idle, "a connection is kept open")
+
+
+@pytest.fixture
+def bench() -> Iterator[Bench]:
+    made = Bench()
+    yield made
+    made.caller.close()
+    made.loop.stop()
+    made.pool.stop()
+
+
+def test_calls_one_after_the_other_share_a_connection(bench):
+    server = Server(echo)
+    with tcp_server(server) as address:
+        bench.toward(address)
+        bench.warm()
+        for n in range(50):
+            assert bench.call(f"call {n}".encode()).wait() == [f"call {n}".encode()[::-1]]
+            until(lambda: bench.caller.load.idle, "it is free again", every=0.001)
+        (header,) = server.connections
+        assert header == {
+            "callerid": "/me", "service": "/serve", "md5sum": "5e7e", "persistent": "1", "tcp_nodelay": "1"
+        }  # fmt: skip
+
+
+@pytest.mark.parametrize("size", [0, 1, 65_531, 65_536, 65_537, LIMIT])
+def test_every_size_both_ways(bench, size):
+    body = bytes(range(256)) * (size // 256) + bytes(size % 256)
+    with tcp_server(Server(echo)) as address:
+        bench.toward(address)
+        assert bench.call(body).wait() == [body[::-1]]
+        assert bench.call(body).wait() == [body[::-1]], "the connection is in order behind it"
+
+
+def test_a_slow_call_blocks_no_other(bench):
+    go_on = threading.Event()
+
+    def serve(sock, _header) -> None:
+        while True:
+            request = request_of(sock)
+            if request == b"slow":
+                go_on.wait(20)
+            sock.sendall(framed(request))
+
+    server = Server(serve)
+    with tcp_server(server) as address:
+        bench.toward(address)
+        slow = [bench.call(b"slow") for _ in range(30)]
+        for _ in range(20):
+            assert bench.call(b"quick").wait() == [b"quick"]
+        assert not any(ends.all for ends in slow)
+        go_on.set()
+        assert all(ends.wait() == [b"slow"] for ends in slow)
+        assert len(server.connections) < 60, "connections are used again"
+        until(lambda: bench.caller.load.connections <= 8, "few are kept when there is nothing to do")
+
+
+def test_a_reply_in_pieces(bench):
+    def serve(sock, _header) -> None:
+        request_of(sock)
+        for byte in framed(b"in pieces"):
+            sock.sendall(bytes([byte]))
+        until_closed(sock)
+
+    with tcp_server(Server(serve)) as address:
+        bench.toward(address)
+        assert bench.call().wait() == [b"in pieces"]
+
+
+def test_the_servers_error_is_the_callers(bench):
+    def serve(sock, _header) -> None:
+        while True:
+            sock.sendall(framed({b"a": "no path: Überall".encode(), b"b": b"\xff\xfe", b"c": b""}[request_of(sock)], 0))
+
+    with tcp_server(Server(serve)) as address:
+        bench.toward(address)
+        assert bench.call(b"a").error() == "no path: Überall"
+        assert bench.call(b"b").error() == "��"
+        assert "no reason" in bench.call(b"c").error()
+
+
+def test_no_server(bench):
+    assert bench.call().error() == "/serve has no server on ROS 1 now"
+    bench.toward(("127.0.0.1", free_port()))
+    assert "cannot be called" in bench.call().error()
+    assert "refused" in until(lambda: bench.doubts, "it is doubted")[0][1]
+
+
+def test_a_server_that_refuses(bench):
+    def refuse(sock) -> None:
+        sock.recv(65536)
+        sock.sendall(encode({"error": "md5sums do not match"}))
+
+    with tcp_server(refuse) as address:
+        bench.toward(address)
+        assert "md5sums do not match" in bench.call().error()
+        until(lambda: bench.doubts, "it is asked anew")
+
+
+def test_a_server_that_dies_in_a_call(bench):
+    taken = threading.Event()
+
+    def serve(sock, _header) -> None:
+        request_of(sock)
+        taken.set()
+        sock.close()
+
+    with tcp_server(Server(serve)) as address:
+        bench.toward(address)
+        bench.warm()
+        assert bench.call().error() == "the server /server closed the connection before it answered"
+        assert taken.is_set()
+
+
+def test_a_server_that_dies_in_its_reply(bench):
+    def serve(sock, _header) -> None:
+        size = int(request_of(sock))
+        sock.sendall(framed(bytes(size))[:-1])
+
+    with tcp_server(Server(serve)) as address:
+        bench.toward(address)
+        for size in (10, 500_000):
+            assert "closed the connection before" in bench.call(str(size).encode()).error()
+
+
+def test_the_death_of_a_server_is_known_without_a_call(bench):
+    with tcp_server(Server(echo)) as address:
+        bench.toward(address)
+        bench.warm()
+        assert not bench.doubts
+    link, trouble = until(lambda: bench.look() or bench.doubts, "it is doubted")[0]
+    assert (link.node, link.uri) == ("/server", f"rosrpc://{address[0]}:{address[1]}")
+    assert "refused" in trouble
+
+
+def test_nothing_is_sent_twice(bench):
+    # a server whose connection dies with the call in it: whether it did what was asked nobody knows
+    requests = []
+
+    def serve(sock, _header) -> None:
+        requests.append(request_of(sock))
+
+    with tcp_server(Server(serve)) as address:
+        bench.toward(address)
+        for _ in range(20):
+            bench.call().error()
+    assert len(requests) == 20
+
+
+def test_a_server_that_moved(bench):
+    def new(sock, _header) -> None:
+        request_of(sock)
+        sock.sendall(framed(b"new"))
+        until_closed(sock)
+
+    with tcp_server(Server(echo)) as first:
+        bench.toward(first)
+        bench.warm()
+        with tcp_server(Server(new)) as second:
+            bench.toward(second)
+            assert bench.call().wait() == [b"new"]
+        bench.caller.follow(None)
+        assert "no server" in bench.call().error()
+
+
+def test_too_large_a_reply(bench):
+    def serve(sock, _header) -> None:
+        while True:
+            size = int(request_of(sock))
+            with contextlib.suppress(OSError):
+                sock.sendall(struct.pack("<BI", 1, size) + bytes(min(size, 2 * LIMIT)))
+
+    with tcp_server(Server(serve)) as address:
+        bench.toward(address)
+        for size in (LIMIT + 1, 2**32 - 1):
+            assert bench.call(str(size).encode()).error() == (
+                f"the server /server announced a reply of {size} bytes, limits.message allows {LIMIT}"
+            )
+        assert bench.call(b"4").wait() == [bytes(4)]
+
+
+def test_one_that_talks_without_being_asked(bench):
+    def serve(sock, _header) -> None:
+        request_of(sock)
+        sock.sendall(framed(b"right") + framed(b"wrong"))
+        until_closed(sock)
+
+    server = Server(serve)
+    with tcp_server(server) as address:
+        bench.toward(address)
+        for _ in range(10):
+            assert bench.call().wait() == [b"right"], "an answer that nobody asked for answers no later call"
+        bench.warm()
+        assert bench.call().wait() == [b"right"]
+
+
+def test_the_caller_left(bench):
+    arrived, answer = threading.Event(), threading.Event()
+    gone = []
+
+    def serve(sock, _header) -> None:
+        request = request_of(sock)
+        if request == b"long":
+            arrived.set()
+            gone.append(sock.recv(1))
+            answer.wait(20)
+        sock.sendall(framed(b"late"))
+        until_closed(sock)
+
+    with tcp_server(Server(serve)) as address:
+        bench.toward(address)
+        ends = Ends()
+        abandon = bench.caller.call(b"long", ends)
+        assert arrived.wait(20)
+        abandon()
+        until(lambda: gone == [b""], "the server sees that the caller has left")
+        answer.set()
+        abandon()
+        assert bench.call(b"next").wait() == [b"late"]
+        assert ends.all == [], "nobody waits for it"
+        assert bench.caller.load.calls == 0
+
+
+def test_one_that_left_before_the_connection_stood(bench):
+    go_on = threading.Event()
+    requests = []
+
+    def late(sock) -> None:
+        go_on.wait(20)
+        Server(lambda s, _: requests.append(request_of(s)))(sock)
+
+    with tcp_server(late) as address:
+        bench.toward(address)
+        ends = Ends()
+        bench.caller.call(b"first", ends)()
+        go_on.set()
+        bench.warm()
+        assert "closed the connection" in bench.call(b"second").error()
+        assert (requests, ends.all) == ([b"second"], [])
+
+
+def test_too_many_calls(bench):
+    with tcp_server(Server(lambda sock, _: until_closed(sock))) as address:
+        bench.toward(address)
+        under_way = [bench.caller.call(b"", ends := Ends()) for _ in range(MAX_CALLS)]
+        assert "busy: 1000 calls" in bench.call().error()
+        for abandon in under_way:
+            abandon()
+        assert not ends.all
+        until(lambda: bench.caller.load.connections == 0 or bench.caller.load.idle, "their connections go")
+
+
+def test_closing_ends_what_is_under_way(bench):
+    arrived = threading.Event()
+
+    def serve(sock, _header) -> None:
+        request_of(sock)
+        arrived.set()
+        until_closed(sock)
+
+    with tcp_server(Server(serve)) as address:
+        bench.toward(address)
+        ends = bench.call()
+        assert arrived.wait(20)
+        bench.caller.close()
+        bench.caller.close()
+        assert ends.error() == "/serve no longer crosses"
+        assert bench.call().error() == "/serve no longer crosses"
+        until(lambda: bench.caller.load.connections == 0, "all connections are closed")
+
+
+def test_a_large_request_to_one_that_does_not_read(bench):
+    # the first fills the socket; neither its sender nor the next caller waits
+    blocked = threading.Event()
+
+    def serve(sock, _header) -> None:
+        blocked.wait(20)
+        until_closed(sock)
+
+    with tcp_server(Server(serve)) as address:
+        bench.toward(address)
+        bench.warm()
+        stuck = bench.call(bytes(50 * LIMIT))
+        bench.caller.close()
+        assert stuck.error() == "/serve no longer crosses"
+        blocked.set()
+
+
+def test_an_answer_before_the_request_is_read(bench):
+    def serve(sock, _header) -> None:
+        sock.recv(4)
+        sock.sendall(framed(b"no thanks", 0))
+        until_closed(sock)
+
+    with tcp_server(Server(serve)) as address:
+        bench.toward(address)
+        assert bench.call(bytes(20 * LIMIT)).error() == "no thanks"
+
+
+def test_without_descriptors(bench):
+    go_on = threading.Event()
+
+    def serve(sock, _header) -> None:
+        while True:
+            request = request_of(sock)
+            if request == b"slow":
+                go_on.wait(20)
+            sock.sendall(framed(request))
+
+    with tcp_server(Server(serve)) as address:
+        bench.toward(address)
+        bench.warm()
+        with no_descriptors():
+            assert bench.call().wait() == [b"abc"], "the open connection is enough"
+            until(lambda: bench.caller.load.idle, "it is free again", every=0.001)
+            slow = bench.call(b"slow")
+            assert "no file descriptor" in bench.call().error()
+        assert not bench.doubts, "that says nothing of the server"
+        go_on.set()
+        assert slow.wait() == [b"slow"]
+        assert bench.call().wait() == [b"abc"]

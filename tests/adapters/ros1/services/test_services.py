@@ -1,0 +1,369 @@
+"""Services between the ROS 1 edge and real rospy programs."""
+
+from __future__ import annotations
+
+import base64
+import signal
+import socket
+import struct
+import subprocess
+import time
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from tests.adapters.ros1.parts import AT_ONCE, edge_on
+from tests.adapters.ros1.servers import tcp_server, until_closed
+from tests.support.ros1 import RosMaster, needs_ros1
+from tests.support.wait import until
+
+pytestmark = needs_ros1
+
+SET_BOOL = "std_srvs/SetBool"
+SET_BOOL_MD5 = "09fb03525b03e7ea1fd3992bafd87e16"
+ON = base64.b64encode(b"\1").decode()
+SECONDS = 30.0
+
+
+def reply(success: bool, message: str) -> str:
+    """A std_srvs/SetBool response in ROS 1's bytes."""
+    return base64.b64encode(struct.pack("<BI", success, len(message.encode())) + message.encode()).decode()
+
+
+def server_of(edge, name):
+    """The endpoint of a server, once its type is known."""
+
+    def known() -> Any:
+        return next((e for e in edge.endpoints(kind="server", topic=name) if e["made_by"] != "unknown"), None)
+
+    return until(known, f"the server of {name} is known", SECONDS)
+
+
+def caller_of(edge, name, type_=SET_BOOL):
+    server_of(edge, name)
+    return edge.ask("caller", service=name, type=type_)["id"]
+
+
+def call(edge, caller, number=0, request=ON):
+    assert edge.ask("begin", id=caller, request=request, number=number)["seconds"] < AT_ONCE, "it never blocks"
+
+
+def ends(edge, caller, count=1):
+    return edge.ask("results", id=caller, count=count, seconds=SECONDS)["results"]
+
+
+def requests_at(edge, served, count):
+    def come() -> Any:
+        found = edge.ask("calls", id=served)["requests"]
+        return found if len(found) >= count else None
+
+    return until(come, f"{count} calls have come", SECONDS)
+
+
+def registered(master, name, node="/midspan"):
+    until(lambda: master.state()["services"].get(name) == [node], f"{name} is registered", SECONDS)
+
+
+def give_back(master, edge, served, name):
+    edge.drop(served)
+    until(lambda: "/midspan" not in master.state()["services"].get(name, []), f"{name} is unregistered", SECONDS)
+
+
+# -- servers on ROS 1 --------------------------------------------------------------------------------------------------
+
+
+def test_the_servers_of_the_graph(master, edge):
+    with master.peer("seen") as peer:
+        service = peer.ask("serve", service="/seen/set", type=SET_BOOL)["id"]
+        found = server_of(edge, "/seen/set")
+        assert (found["type"], found["type_id"], found["node"]) == (SET_BOOL, SET_BOOL_MD5, "/seen")
+        assert found["made_by"] == "native"
+        # roscore's rosout is a roscpp program
+        assert server_of(edge, "/rosout/get_loggers")["type"] == "roscpp/GetLoggers"
+        peer.drop(service)
+        until(lambda: not edge.endpoints(topic="/seen/set"), "it goes with its server", SECONDS)
+
+
+def test_calling_a_server(master, edge):
+    with master.peer("good") as peer:
+        service = peer.ask("serve", service="/good/set", type=SET_BOOL, reply={"success": True, "message": "ön"})["id"]
+        failing = {"service": "/good/fail", "type": SET_BOOL, "error": "no such motor"}
+        peer.ask("serve", **failing)
+        caller, failed = caller_of(edge, "/good/set"), caller_of(edge, "/good/fail")
+        for number in range(20):
+            call(edge, caller, number)
+            assert ends(edge, caller, number + 1)[str(number)] == [reply(True, "ön")]
+        assert peer.ask("requests", id=service, count=20)["requests"] == [{"data": True}] * 20
+        for number in range(2):
+            call(edge, failed, number)
+            (end,) = ends(edge, failed, number + 1)[str(number)]
+            assert end.startswith("error: ")
+            assert "no such motor" in end
+
+
+def test_calling_a_roscpp_server(edge):
+    # its get_loggers is no good for that: the rosout of Debian 12 dies of the first call, whoever calls
+    caller = caller_of(edge, "/rosout/set_logger_level", "roscpp/SetLoggerLevel")
+    request = b"".join(struct.pack("<I", len(word)) + word for word in (b"ros.rosout", b"info"))
+    for number in range(3):
+        call(edge, caller, number, base64.b64encode(request).decode())
+        assert ends(edge, caller, number + 1)[str(number)] == [""]
+
+
+def test_a_slow_call_blocks_no_other(master, edge):
+    with master.peer("slow") as peer:
+        service = peer.ask("serve", service="/slow", type=SET_BOOL, held=True)["id"]
+        quick = peer.ask("serve", service="/quick", type=SET_BOOL)["id"]
+        caller, other = caller_of(edge, "/slow"), caller_of(edge, "/quick")
+        for number in range(20):
+            call(edge, caller, number)
+        assert len(peer.ask("requests", id=service, count=20, seconds=SECONDS)["requests"]) == 20, (
+            "all are at the server"
+        )
+        call(edge, other)
+        assert ends(edge, other) == {"0": [reply(False, "")]}
+        assert peer.ask("requests", id=quick)["requests"] == [{"data": True}]
+        assert ends(edge, caller, 0) == {}
+        peer.ask("release", id=service)
+        assert list(ends(edge, caller, 20).values()) == [[reply(False, "")]] * 20
+
+
+def test_a_server_that_is_killed_in_a_call(master, edge):
+    with master.peer("killed") as peer:
+        service = peer.ask("serve", service="/killed", type=SET_BOOL, held=True)["id"]
+        caller = caller_of(edge, "/killed")
+        for number in range(5):
+            call(edge, caller, number)
+        peer.ask("requests", id=service, count=5, seconds=SECONDS)
+        peer.signal(signal.SIGKILL)
+        for end in ends(edge, caller, 5).values():
+            assert end == ["error: the server /killed closed the connection before it answered"]
+    until(lambda: edge.endpoints(topic="/killed", made_by="unknown"), "the dead one counts no more", SECONDS)
+    call(edge, caller, 9)
+    assert ends(edge, caller, 6)["9"] == ["error: /killed has no server on ROS 1 now"]
+    with master.peer("killed") as peer:
+        peer.ask("serve", service="/killed", type=SET_BOOL, reply={"message": "again"})
+        server_of(edge, "/killed")
+
+        def answered() -> bool:
+            number = int(time.monotonic() * 1e6)
+            call(edge, caller, number)
+            until(lambda: str(number) in ends(edge, caller, 0), "it ends", SECONDS)
+            return ends(edge, caller, 0)[str(number)] == [reply(False, "again")]
+
+        until(answered, "the same caller reaches the new server", SECONDS)
+
+
+def test_the_death_of_a_server_is_seen_while_nobody_calls(master, edge):
+    with master.peer("mortal") as peer:
+        peer.ask("serve", service="/mortal", type=SET_BOOL)
+        caller_of(edge, "/mortal")
+        peer.signal(signal.SIGKILL)
+        until(lambda: edge.endpoints(topic="/mortal", made_by="unknown"), "it counts no more", SECONDS)
+    told = "/mortal: its server /mortal does not announce its type: cannot connect"
+    until(lambda: any(w.startswith(told) for w in edge.ask("status")["warnings"]), "a person is told", SECONDS)
+
+
+def test_an_abandoned_call_is_nobodys(master, edge):
+    with master.peer("patient") as peer:
+        service = peer.ask("serve", service="/patient", type=SET_BOOL, held=True)["id"]
+        caller = caller_of(edge, "/patient")
+        call(edge, caller)
+        peer.ask("requests", id=service)
+        edge.ask("abandon", id=caller)
+        call(edge, caller, 1)
+        peer.ask("requests", id=service, count=2)
+        peer.ask("release", id=service)
+        assert ends(edge, caller) == {"1": [reply(False, "")]}
+
+
+# -- our servers, and clients on ROS 1 ---------------------------------------------------------------------------------
+
+
+def test_clients_are_served(master, edge):
+    served = edge.ask("serve", service="/ours/set", type=SET_BOOL)["id"]
+    registered(master, "/ours/set")
+    with master.peer("client") as peer:
+        peer.ask("await_service", service="/ours/set", seconds=SECONDS)
+        for number in range(6):
+            asked = peer.ask("call", service="/ours/set", type=SET_BOOL, request={"data": True}, persistent=number > 2)
+            assert requests_at(edge, served, number + 1)[number] == ON
+            if number % 3 == 1:
+                edge.ask("answer", id=served, number=number, error="the hub says: nö")
+                end = peer.ask("result", id=asked["id"])
+                assert end["reply"] is None
+                assert "responded with an error: b'the hub says: n" in end["error"]
+            else:
+                edge.ask("answer", id=served, number=number, reply=reply(True, f"{number}"))
+                end = peer.ask("result", id=asked["id"])
+                assert (end["reply"], end["error"]) == ({"success": True, "message": f"{number}"}, "")
+        wrong = peer.ask("call", service="/ours/set", type="std_srvs/Empty")["id"]
+        assert (
+            "md5 sums differ: /client asks for d41d8cd98f00b204e9800998ecf8427e"
+            in peer.ask("result", id=wrong)["error"]
+        )
+    give_back(master, edge, served, "/ours/set")
+
+
+def test_rosservice(master, edge):
+    served = edge.ask("serve", service="/tool/set", type=SET_BOOL)["id"]
+    registered(master, "/tool/set")
+
+    def tool(*args: str) -> subprocess.Popen[str]:
+        command = ["/usr/bin/rosservice", *args]
+        if not Path(command[0]).exists():
+            command = ["/usr/bin/python3", "-c", "import rosservice; rosservice.rosservicemain()", *args]
+        return subprocess.Popen(command, env=master.env, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
+
+    with tool("info", "/tool/set") as info, tool("call", "/tool/set", "data: true") as asked:
+        requests_at(edge, served, 1)
+        edge.ask("answer", id=served, reply=reply(True, "from the hub"))
+        assert "Node: /midspan" in (told := info.communicate(timeout=SECONDS)[0]), told
+        assert f"Type: {SET_BOOL}" in told
+        assert 'message: "from the hub"' in (told := asked.communicate(timeout=SECONDS)[0]), told
+    give_back(master, edge, served, "/tool/set")
+
+
+def test_many_clients_with_calls_of_any_length(master, edge):
+    served = edge.ask("serve", service="/many", type=SET_BOOL)["id"]
+    registered(master, "/many")
+    with master.peer("many_a") as first, master.peer("many_b") as second:
+        asked = [
+            (peer, peer.ask("call", service="/many", type=SET_BOOL)["id"])
+            for _ in range(25)
+            for peer in (first, second)
+        ]
+        requests_at(edge, served, 50)
+        edge.ask("answer", id=served, number=49, reply=reply(True, ""))
+        done = until(
+            lambda: [i for p, i in asked if p.ask("result", id=i, seconds=0)["done"]], "one has ended", SECONDS
+        )
+        assert len(done) == 1
+        for number in range(49):
+            edge.ask("answer", id=served, number=number, reply=reply(True, ""))
+        assert all(p.ask("result", id=i, seconds=SECONDS)["reply"]["success"] for p, i in asked)
+    give_back(master, edge, served, "/many")
+
+
+@pytest.mark.thorough
+def test_a_client_that_is_killed(master, edge):
+    served = edge.ask("serve", service="/left", type=SET_BOOL)["id"]
+    registered(master, "/left")
+    with master.peer("leaver") as peer:
+        for number in range(4):
+            peer.ask("call", service="/left", type=SET_BOOL, persistent=number == 3)
+        requests_at(edge, served, 4)
+        peer.signal(signal.SIGKILL)
+        until(lambda: edge.ask("calls", id=served)["abandoned"] == [0, 1, 2, 3], "its calls are abandoned", SECONDS)
+    for number in range(4):
+        edge.ask("answer", id=served, number=number, reply=reply(True, "late"))
+    with master.peer("next") as peer:
+        asked = peer.ask("call", service="/left", type=SET_BOOL)["id"]
+        requests_at(edge, served, 5)
+        edge.ask("answer", id=served, number=4, reply=reply(True, "in time"))
+        assert peer.ask("result", id=asked)["reply"]["message"] == "in time"
+    give_back(master, edge, served, "/left")
+
+
+# -- the master --------------------------------------------------------------------------------------------------------
+
+
+def test_a_native_server_keeps_its_name(master, edge):
+    with master.peer("owner") as peer:
+        native = peer.ask("serve", service="/owned", type=SET_BOOL)["id"]
+        server_of(edge, "/owned")
+        served = edge.ask("serve", service="/owned", type=SET_BOOL)["id"]
+        warning = "/owned: /owner serves it on ROS 1 itself, so the hub's is not offered there"
+        until(lambda: warning in edge.ask("status")["warnings"], "a person is told", SECONDS)
+        peer.drop(native)
+        registered(master, "/owned")
+        peer.ask("serve", service="/owned", type=SET_BOOL)
+        registered(master, "/owned", "/owner")
+        until(lambda: warning in edge.ask("status")["warnings"], "a person is told", SECONDS)
+        peer.signal(signal.SIGKILL)
+    registered(master, "/owned")
+    give_back(master, edge, served, "/owned")
+
+
+def test_what_another_midspan_serves_is_marked(master, edge, tmp_path):
+    served = edge.ask("serve", service="/marked", type=SET_BOOL)["id"]
+    registered(master, "/marked")
+    with edge_on(master, tmp_path, "other") as other:
+        assert until(lambda: other.endpoints(topic="/marked"), "it is seen", SECONDS)[0]["made_by"] == "midspan"
+        caller = other.ask("caller", service="/marked", type=SET_BOOL)["id"]
+        call(other, caller)
+        assert ends(other, caller) == {"0": ["error: /marked has no server on ROS 1 now"]}
+    assert edge.endpoints(topic="/marked") == [], "our own are not shown"
+    give_back(master, edge, served, "/marked")
+
+
+@pytest.mark.thorough
+def test_a_restarted_master_has_our_services_again(tmp_path):
+    with RosMaster() as master, edge_on(master, tmp_path) as edge:
+        served = edge.ask("serve", service="/again", type=SET_BOOL)["id"]
+        registered(master, "/again")
+        master.stop()
+        until(lambda: edge.ask("network")["network"] is None, "the loss is noticed", SECONDS)
+        master.start()
+        registered(master, "/again")
+        with master.peer("after") as peer:
+            asked = peer.ask("call", service="/again", type=SET_BOOL)["id"]
+            requests_at(edge, served, 1)
+            edge.ask("answer", id=served, reply=reply(True, "after"))
+            assert peer.ask("result", id=asked)["reply"]["message"] == "after"
+
+
+def test_a_clean_stop_ends_calls_and_leaves_nothing(master, tmp_path):
+    with master.peer("stays") as peer:
+        peer.ask("serve", service="/stays", type=SET_BOOL, held=True)
+        before = master.state()
+        with edge_on(master, tmp_path, "stopping", node="stopping") as edge:
+            served = edge.ask("serve", service="/stopped", type=SET_BOOL)["id"]
+            registered(master, "/stopped", "/stopping")
+            asked = peer.ask("call", service="/stopped", type=SET_BOOL)["id"]
+            requests_at(edge, served, 1)
+            caller = caller_of(edge, "/stays")
+            call(edge, caller)
+            assert edge.ask("stop")["seconds"] < AT_ONCE, "the promise of Edge.stop"
+            assert "/stopped is no longer served" in peer.ask("result", id=asked)["error"]
+            assert edge.ask("calls", id=served)["abandoned"] == [0]
+            assert ends(edge, caller) == {"0": ["error: /stays no longer crosses"]}
+            assert master.state() == before
+            until(lambda: edge.ask("status")["threads"] < 10, "the threads end", SECONDS)
+
+
+def test_what_a_killed_one_served_is_removed(master, tmp_path):
+    before = master.state()
+    edge = edge_on(master, tmp_path, "mine", node="mine_a")
+    edge.ask("serve", service="/left/behind", type=SET_BOOL)
+    registered(master, "/left/behind", "/mine_a")
+    edge.signal(signal.SIGKILL)
+    edge.stop()
+    assert "/left/behind" in master.state()["services"], "the master does not notice"
+    with edge_on(master, tmp_path, "mine", node="mine_b") as again:
+        assert "/left/behind" not in master.state()["services"]
+        again.ask("stop")
+    assert master.state() == before
+
+
+def test_servers_that_misbehave(master, edge):
+    def silent(sock) -> None:
+        until_closed(sock)
+
+    with tcp_server(silent) as (host, port), socket.socket() as deaf:
+        deaf.bind(("127.0.0.1", 0))  # nobody listens there, and nobody else may meanwhile
+        dead = deaf.getsockname()[1]
+        for name, address in (("/odd/silent", f"rosrpc://{host}:{port}"), ("/odd/dead", f"rosrpc://127.0.0.1:{dead}")):
+            master.call("registerService", name, address, "http://127.0.0.1:1/")
+        with master.peer("beside") as peer:
+            peer.ask("serve", service="/beside", type=SET_BOOL)
+            server_of(edge, "/beside")
+
+            def told() -> set[str]:
+                return {w.split(":")[0] for w in edge.ask("status")["warnings"]}
+
+            until(lambda: {"/odd/silent", "/odd/dead"} <= told(), "their troubles are told", SECONDS)
+            assert {e["made_by"] for e in edge.endpoints(node="/test")} == {"unknown"}
+        for name, address in (("/odd/silent", f"rosrpc://{host}:{port}"), ("/odd/dead", f"rosrpc://127.0.0.1:{dead}")):
+            master.call("unregisterService", name, address)

@@ -1,0 +1,184 @@
+"""Many connections read by one thread."""
+
+from __future__ import annotations
+
+import os
+import socket
+import struct
+import threading
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import pytest
+
+from bridge.adapters.ros1.epoll_loop import EpollLoop
+from bridge.adapters.ros1.topics.connection import PublisherConnection
+from bridge.adapters.ros1_peers import DeadlineSocket
+from tests.support.wait import until
+
+
+def frame(payload: bytes) -> bytes:
+    return struct.pack("<I", len(payload)) + payload
+
+
+class Crowd:
+    """Publishers, and readers of one intake at their other ends."""
+
+    def __init__(self) -> None:
+        self.loop = EpollLoop()
+        self.heard: list[tuple[int, bytes]] = []
+        self.threads: set[str] = set()
+        self.ended: list[tuple[int, str]] = []
+        self.publishers: list[socket.socket] = []
+        self.readers: list[PublisherConnection] = []
+
+    def thread(self) -> threading.Thread:
+        return next(t for t in threading.enumerate() if t.name == "midspan-ros1-intake")
+
+    def add(self, deliver: Callable[[bytes], None] | None = None, *, start: bool = True) -> socket.socket:
+        number, (ours, theirs) = len(self.readers), pair()
+
+        def hear(payload: bytes) -> None:
+            self.threads.add(threading.current_thread().name)
+            self.heard.append((number, payload))
+
+        reader = PublisherConnection(
+            DeadlineSocket(fileno=ours.detach()),
+            f"/t{number}",
+            "http://x/",
+            deliver or hear,
+            lambda trouble: self.ended.append((number, trouble)),
+            lambda *_: None,
+            loop=self.loop,
+        )
+        self.publishers.append(theirs)
+        self.readers.append(reader)
+        if start:
+            reader.start()
+        return theirs
+
+
+def pair() -> tuple[socket.socket, socket.socket]:
+    with socket.create_server(("127.0.0.1", 0)) as listener:
+        one = socket.create_connection(listener.getsockname())
+        return one, listener.accept()[0]
+
+
+@pytest.fixture
+def crowd() -> Iterator[Crowd]:
+    made = Crowd()
+    yield made
+    for reader in made.readers:
+        reader.close()
+    made.loop.stop()
+    for publisher in made.publishers:
+        publisher.close()
+    until(lambda: all(reader.fileno() == -1 for reader in made.readers), "all sockets are closed", 20)
+
+
+def test_one_thread_reads_all(crowd: Crowd) -> None:
+    for _ in range(50):
+        crowd.add()
+    for turn in range(20):
+        for number, publisher in enumerate(crowd.publishers):
+            publisher.sendall(frame(bytes([number, turn])))
+    until(lambda: len(crowd.heard) == 1000, "all have come", 20)
+    assert crowd.threads == {"midspan-ros1-intake"}
+    for number in range(50):
+        assert [p for n, p in crowd.heard if n == number] == [bytes([number, turn]) for turn in range(20)]
+
+
+def test_a_connection_with_a_large_message_is_read_on_its_own(crowd: Crowd) -> None:
+    """What its publisher has begun to send holds up nobody."""
+    large, small = crowd.add(), crowd.add()
+    large.sendall(frame(b"before") + frame(b"x" * 100_000)[:70_000])
+    until(lambda: crowd.heard == [(0, b"before")], "the small one", 20)
+    small.sendall(frame(b"beside"))
+    until(lambda: crowd.heard[1:] == [(1, b"beside")], "that of the other connection", 20)
+    large.sendall(frame(b"x" * 100_000)[70_000:] + frame(b"after"))
+    until(lambda: [p for _, p in crowd.heard[2:]] == [b"x" * 100_000, b"after"], "the rest", 20)
+    assert crowd.threads == {"midspan-ros1-intake", "midspan-ros1-in/t0"}
+
+
+def test_one_that_ends_or_fails_harms_no_other(crowd: Crowd) -> None:
+    def fails(_: bytes) -> None:
+        msg = "on purpose"
+        raise RuntimeError(msg)
+
+    ending, failing, staying = crowd.add(), crowd.add(fails), crowd.add()
+    ending.close()
+    failing.sendall(frame(b"x"))
+    until(lambda: len(crowd.ended) == 2, "both to be told", 20)
+    assert dict(crowd.ended) == {0: "the publisher closed the connection", 1: "RuntimeError: on purpose"}
+    staying.sendall(frame(b"on"))
+    until(lambda: crowd.heard == [(2, b"on")], "the third", 20)
+
+
+def test_without_a_thread_for_a_large_message_the_connection_ends(
+    crowd: Crowd, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It is made again later; see `Subscription`."""
+
+    def none_left(_: threading.Thread) -> None:
+        msg = "can't start new thread"
+        raise RuntimeError(msg)
+
+    publisher = crowd.add()
+    monkeypatch.setattr(threading.Thread, "start", none_left)
+    publisher.sendall(frame(b"x" * 100_000))
+    until(lambda: crowd.ended == [(0, "can't start new thread")], "its end is told", 20)
+
+
+def test_it_stops_while_messages_come(crowd: Crowd, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Its thread sees that it is to end before it is woken up for that."""
+    publisher, write = crowd.add(), os.eventfd_write
+    thread = crowd.thread()
+
+    def slow(descriptor: int, value: int) -> None:
+        publisher.sendall(frame(b"x"))
+        thread.join(0.2)
+        write(descriptor, value)
+
+    monkeypatch.setattr(os, "eventfd_write", slow)
+    crowd.loop.stop()
+    assert not thread.is_alive()
+
+
+def test_one_that_is_closed_as_it_starts_harms_no_other(crowd: Crowd, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Its closing stands still between its look whether it is read and the socket's end."""
+    closing, dropping = threading.Event(), threading.Event()
+
+    class Slow(socket.socket):
+        def close(self) -> None:
+            closing.set()
+            dropping.wait(0.3)
+            super().close()
+
+    staying, number = crowd.add(), len(crowd.readers)
+    crowd.add(start=False)
+    reader, remove = crowd.readers[number], crowd.loop.remove
+    reader._sock = Slow(fileno=reader._sock.detach())
+    closer = threading.Thread(target=reader.close)
+
+    def late(*given: Any) -> None:
+        dropping.set()
+        closer.join()
+        remove(*given)
+
+    monkeypatch.setattr(crowd.loop, "remove", late)
+    closer.start()
+    assert closing.wait(20)
+    reader.start()
+    closer.join()
+    staying.sendall(frame(b"on"))
+    until(lambda: crowd.heard == [(0, b"on")], "the other one", 20)
+
+
+def test_what_comes_after_the_end_is_not_read(crowd: Crowd) -> None:
+    crowd.add()
+    crowd.loop.stop()
+    crowd.loop.stop()
+    late = crowd.add()
+    assert [reader.done for reader in crowd.readers] == [True, True]
+    assert late.recv(1) == b"", "it is closed"
+    assert not crowd.ended

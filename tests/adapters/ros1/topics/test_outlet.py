@@ -1,0 +1,131 @@
+"""One subscriber's connection: slow ones cost their own messages and nobody's time."""
+
+import socket
+import struct
+import threading
+
+import pytest
+
+from bridge.adapters.ros1.topics import outlet
+from bridge.adapters.ros1.topics.outlet import SubscriberConnection
+from tests.support.wait import until
+
+
+class Pair:
+    """An outlet, and the subscriber's end."""
+
+    def __init__(self) -> None:
+        with socket.create_server(("127.0.0.1", 0)) as listener:
+            self.subscriber = socket.create_connection(listener.getsockname())
+            self.socket, _ = listener.accept()
+        self.outlet = SubscriberConnection(self.socket, "test-out")
+
+    def read(self, count: int) -> bytes:
+        data = b""
+        while len(data) < count:
+            part = self.subscriber.recv(count - len(data))
+            assert part, "the connection was closed"
+            data += part
+        return data
+
+    def message(self) -> bytes:
+        (length,) = struct.unpack("<I", self.read(4))
+        return self.read(length)
+
+    def close(self) -> None:
+        self.outlet.close()
+        for sock in (self.socket, self.subscriber):
+            sock.close()
+        for thread in self.threads():
+            thread.join(40)
+
+    def threads(self) -> list[threading.Thread]:
+        """The outlet's own."""
+        return [thread for thread in threading.enumerate() if thread.name == "test-out"]
+
+
+@pytest.fixture
+def pair():
+    made = Pair()
+    yield made
+    made.close()
+
+
+def test_a_quick_subscriber_costs_no_thread(pair):
+    for n in range(100):
+        assert pair.outlet.send(b"%d" % n, "a", 1)
+        assert pair.message() == b"%d" % n
+    assert pair.threads() == []
+    assert pair.outlet.dropped == 0
+
+
+def test_large_messages_arrive_whole(pair):
+    sent = [bytes([n]) * 3_000_000 for n in range(6)]
+    received = []
+    reading = threading.Thread(target=lambda: received.extend(pair.message() for _ in sent))
+    reading.start()
+    for message in sent:
+        assert pair.outlet.send(message, "a", 10)
+    reading.join(20)
+    assert received == sent
+
+
+def test_a_subscriber_that_stands_still_loses_its_oldest(pair):
+    big = 1_000_000
+    for n in range(50):
+        assert pair.outlet.send(bytes([n]) * big, "a", 3), "the sender is never held up"
+    pair.outlet.send(b"other", "b", 3)
+    total = 51 - pair.outlet.dropped
+    assert 0 < pair.outlet.dropped < 50
+    numbers, others = [], []
+    for _ in range(total):
+        message = pair.message()
+        if message == b"other":
+            others.append(message)
+        else:
+            assert len(set(message)) == 1
+            assert len(message) == big
+            numbers.append(message[0])
+    assert numbers == sorted(numbers)
+    assert numbers[-3:] == [47, 48, 49], "the newest stay"
+    assert others == [b"other"], "a source's messages make room for its own only"
+
+
+def test_a_broken_connection_is_told(pair):
+    pair.subscriber.close()
+    until(lambda: not pair.outlet.send(b"x" * 1000, "a", 1), "the broken connection is noticed")
+
+
+def test_closing_ends_the_thread_of_a_stuck_one(pair):
+    for _ in range(20):
+        pair.outlet.send(b"x" * 1_000_000, "a", 2)
+    (thread,) = pair.threads()
+    pair.outlet.close()
+    pair.socket.shutdown(socket.SHUT_RDWR)
+    thread.join(40)
+    assert not thread.is_alive()
+    assert not pair.outlet.send(b"x", "a", 2)
+
+
+def test_what_waits_is_bounded_in_bytes(pair, monkeypatch):
+    monkeypatch.setattr("bridge.adapters.ros1.topics.outlet.MAX_WAITING", 10_000_000)
+    big = 4_000_000
+    for n in range(20):
+        assert pair.outlet.send(bytes([n]) * big, "a", 1000)
+    pair.outlet.send(b"other", "b", 1000)
+    assert pair.outlet.waiting <= 3
+    received = [pair.message()[:1]]
+    while received[-1] != b"o":
+        received.append(pair.message()[:1])
+    assert received[-2] == bytes([19])
+    assert len(received) + pair.outlet.dropped == 21
+
+
+def test_sources_without_number_are_bounded_too(pair, monkeypatch):
+    monkeypatch.setattr(outlet, "MAX_MESSAGES", 10)
+    for n in range(200):
+        pair.outlet.send(bytes([n]) * 1_000_000, f"goal {n}", 1)
+    assert pair.outlet.waiting == 10
+    assert pair.outlet.dropped >= 100
+    received = [pair.message()[0] for _ in range(200 - pair.outlet.dropped)]
+    assert received[-10:] == list(range(190, 200))

@@ -1,0 +1,160 @@
+"""Messages off a TCPROS connection."""
+
+import contextlib
+import socket
+import struct
+import subprocess
+import sys
+import threading
+
+import pytest
+
+from bridge.adapters.ros1.epoll_loop import EpollLoop
+from bridge.adapters.ros1.topics import connection as module
+from bridge.adapters.ros1.topics.connection import PublisherConnection
+from bridge.adapters.ros1_peers import DeadlineSocket
+from tests.support.wait import until
+
+
+class Connection:
+    """A publisher's end, and a reader at the other one."""
+
+    def __init__(self, loop, limit=module.MAX_MESSAGE) -> None:
+        listener = socket.create_server(("127.0.0.1", 0))
+        with listener:
+            ours = socket.create_connection(listener.getsockname())
+            self.publisher, _ = listener.accept()
+        self.messages: list[bytes] = []
+        self.refusals: list[tuple[str, str]] = []
+        self.trouble = ""
+        self.over = threading.Event()
+        self.reader = PublisherConnection(
+            DeadlineSocket(fileno=ours.detach()),
+            "/t",
+            "http://x/",
+            self.messages.append,
+            self.ended,
+            self.refused,
+            limit=limit,
+            loop=loop,
+        )
+        self.reader.start()
+
+    def refused(self, reason: str, why: str) -> None:
+        self.refusals.append((reason, why))
+
+    def ended(self, trouble: str) -> None:
+        self.trouble = trouble
+        self.over.set()
+
+    def finish(self) -> list[bytes]:
+        """All messages, once the publisher has gone."""
+        self.publisher.close()
+        assert self.over.wait(40)
+        return self.messages
+
+    def until_closed(self) -> None:
+        until(lambda: self.reader.fileno() == -1, "its socket is closed", 40)
+
+
+@pytest.fixture
+def limit():
+    """Bytes of a message, where a test has another limit."""
+    return module.MAX_MESSAGE
+
+
+@pytest.fixture(params=[False, True], ids=["alone", "intake"])
+def connection(request, limit):
+    loop = EpollLoop() if request.param else None
+    made = Connection(loop, limit)
+    yield made
+    made.reader.close()
+    made.publisher.close()
+    made.until_closed()
+    if loop is not None:
+        loop.stop()
+
+
+def frame(payload):
+    return struct.pack("<I", len(payload)) + payload
+
+
+SIZES = [
+    [0, 1, 4, 100],
+    [5] * 20000,
+    [40_000, 3, 40_000, 0, 70_000, 70_000],
+    [1_000_000, 1_000_000, 10, 6_000_000, 1],
+    [32 * 1024, 32 * 1024 + 1, 64 * 1024 - 4, 64 * 1024],
+]
+
+
+@pytest.mark.parametrize("sizes", SIZES)
+@pytest.mark.parametrize("piece", [1_000_000_000, 1449, 65537])
+def test_whole_messages_in_order(connection, sizes, piece):
+    expected = [bytes([n % 251]) * size for n, size in enumerate(sizes)]
+    stream = b"".join(frame(m) for m in expected)
+    for at in range(0, len(stream), piece):
+        connection.publisher.sendall(stream[at : at + piece])
+    assert connection.finish() == expected
+    assert connection.reader.stat_num_msg == len(expected)
+    assert connection.reader.stat_bytes == len(stream)
+    assert "closed" in connection.trouble
+
+
+def test_byte_by_byte(connection):
+    connection.publisher.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+    for byte in frame(b"abc") + frame(b"") + frame(b"d"):
+        connection.publisher.sendall(bytes([byte]))
+    assert connection.finish() == [b"abc", b"", b"d"]
+
+
+def test_a_message_cut_short_is_not_delivered(connection):
+    connection.publisher.sendall(frame(b"whole") + frame(b"x" * 100_000)[:-1])
+    assert connection.finish() == [b"whole"]
+
+
+def test_a_message_that_is_too_long_ends_the_connection(connection, monkeypatch):
+    monkeypatch.setattr(module, "MAX_MESSAGE", 1000)
+    connection.publisher.sendall(frame(b"a" * 1000) + struct.pack("<I", 1001))
+    assert connection.over.wait(40)
+    assert connection.messages == [b"a" * 1000]
+    assert "1001 bytes" in connection.trouble
+    assert connection.refusals == [("bad", connection.trouble)]
+
+
+@pytest.mark.parametrize("limit", [1000])
+@pytest.mark.parametrize("size", [1001, 70_000, 3_000_000])
+def test_a_message_over_the_limit_is_passed_over(connection, size, limit):
+    connection.publisher.sendall(frame(b"before") + frame(b"x" * size) + frame(b"a" * 1000) * 2)
+    assert connection.finish() == [b"before", b"a" * 1000, b"a" * 1000]
+    assert connection.refusals == [("large", f"message of {size} bytes, limits.message allows 1000")]
+
+
+def test_an_announced_length_alone_takes_no_memory():
+    """The publisher says that 500 MB come, and then nothing."""
+    code = (
+        "import resource, socket, struct\n"
+        "from bridge.adapters.ros1_peers import DeadlineSocket\n"
+        "from bridge.adapters.ros1.topics.connection import PublisherConnection\n"
+        "with socket.create_server(('127.0.0.1', 0)) as listener:\n"
+        "    ours = socket.create_connection(listener.getsockname())\n"
+        "    publisher, _ = listener.accept()\n"
+        "reader = PublisherConnection(DeadlineSocket(fileno=ours.detach()), '/t', 'http://x/', print, print, print)\n"
+        "pages = int(open('/proc/self/statm').read().split()[0])\n"
+        "resource.setrlimit(resource.RLIMIT_AS, (pages * 4096 + (64 << 20), resource.RLIM_INFINITY))\n"
+        "publisher.sendall(struct.pack('<I', 500 << 20) + b'x')\n"
+        "publisher.close()\n"
+        "reader._read()\n"
+        "print('read')\n"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False, timeout=60)
+    assert done.stdout == "read\n", done.stderr
+
+
+def test_nothing_is_told_after_close(connection):
+    connection.reader.close()
+    with contextlib.suppress(OSError):
+        connection.publisher.sendall(frame(b"late"))
+    connection.until_closed()
+    assert not connection.over.is_set()
+    assert connection.messages == []

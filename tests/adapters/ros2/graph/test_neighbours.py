@@ -1,0 +1,138 @@
+"""Who can share memory with us, told from the GUID prefix and the process table."""
+
+from __future__ import annotations
+
+import os
+import threading
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+
+from bridge.adapters.ros2.graph import neighbours
+from bridge.adapters.ros2.graph.origins import is_marked, new_prefix
+from bridge.concurrency import DelayedCalls
+
+HOST = b"\x01\x0f\x12\x34"
+OWN = new_prefix(HOST)
+
+
+def prefix(pid: int, host: bytes = HOST) -> bytes:
+    return host + (pid & 0xFFFF).to_bytes(2, "little") + b"\xab\xcd" + bytes(4)
+
+
+class Table:
+    """A process table of our own making."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        (folder / "sys/kernel").mkdir(parents=True)
+        (folder / "sys/kernel/pid_max").write_text("4194304\n")
+
+    def add(self, pid: int, library: str = "/x/libfastrtps.so.2.14", root: str = "/") -> None:
+        (self.folder / str(pid)).mkdir()
+        (self.folder / str(pid) / "maps").write_text(f"7f00-7f01 r-xp 00000000 08:01 1 {library}\n")
+        (self.folder / str(pid) / "root").symlink_to(root)
+
+    def bind(self, *ports: int) -> None:
+        (self.folder / "net").mkdir(exist_ok=True)
+        lines = [f"{n}: 00000000:{port:04X} 00000000:0000 07 00000000:00000000" for n, port in enumerate(ports)]
+        (self.folder / "net/udp").write_text("\n".join(["  sl  local_address rem_address   st", *lines, ""]))
+
+
+@pytest.fixture
+def table(tmp_path: Path) -> Table:
+    return Table(tmp_path / "proc")
+
+
+@pytest.fixture
+def strangers(table: Table, monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[..., bool]]:
+    """Whether a stranger is found among some participants that stay."""
+    monkeypatch.setattr(neighbours, "CONFIRM_SECONDS", 0.01)
+    watches: list[neighbours.MemoryNeighbours] = []
+    later = DelayedCalls("test-neighbours")
+
+    def found(*participants: bytes, then: tuple[bytes, ...] | None = None, seconds: float = 40.0) -> bool:
+        told = threading.Event()
+        watch = neighbours.MemoryNeighbours(OWN, 3, told.set, later, table.folder)
+        watches.append(watch)
+        if then is not None:  # its end must come before a second look, however slow this machine is
+            monkeypatch.setattr(neighbours, "CONFIRM_SECONDS", seconds / 2)
+        watch.follow(participants)
+        watch.follow(participants if then is None else then)
+        return told.wait(seconds)
+
+    yield found
+    for watch in watches:
+        watch.close()
+    later.close()
+
+
+def test_who_can_share_our_memory(table: Table, strangers: Callable[..., bool]) -> None:
+    table.add(70000)
+    assert not strangers(prefix(70000), OWN, seconds=0.3)
+
+
+def test_no_process_of_ours_is_a_stranger(strangers: Callable[..., bool]) -> None:
+    assert strangers(prefix(4711))
+
+
+def test_process_of_another_user_is_a_stranger(
+    table: Table, strangers: Callable[..., bool], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    table.add(4711)
+    mine = os.geteuid()
+    monkeypatch.setattr(os, "geteuid", lambda: mine + 1)
+    assert strangers(prefix(4711))
+
+
+def test_process_without_fast_dds_is_none_of_the_participants(table: Table, strangers: Callable[..., bool]) -> None:
+    table.add(1, library="/sbin/init")
+    assert strangers(prefix(1))
+
+
+def test_process_with_a_shm_folder_of_its_own_is_a_stranger(
+    table: Table, strangers: Callable[..., bool], tmp_path: Path
+) -> None:
+    (tmp_path / "container/dev/shm").mkdir(parents=True)
+    table.add(4711, root=str(tmp_path / "container"))
+    assert strangers(prefix(4711))
+
+
+def test_program_that_has_just_ended_is_no_stranger(strangers: Callable[..., bool]) -> None:
+    assert not strangers(prefix(4711), then=(), seconds=2.0)
+
+
+def test_one_killed_as_it_came_is_no_stranger_until_its_lease_is_over(
+    table: Table, strangers: Callable[..., bool], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Of three participants of this host, two have a port of domain 3; the third has no process."""
+    table.add(70000)
+    table.bind(7400 + 3 * 250 + 10, 7400 + 3 * 250 + 12, 7400 + 3 * 250 + 13, 53, 7410)
+    there = (OWN, prefix(70000), prefix(4711))
+    assert not strangers(*there, seconds=0.3)
+    table.bind(8160, 8162, 8164)
+    assert strangers(*there), "it lives, in a container"
+    table.bind(8160, 8162)
+    monkeypatch.setattr(neighbours, "LEASE_SECONDS", 0.1)
+    assert strangers(*there), "it stays"
+
+
+def test_other_hosts_and_other_midspans_do_not_count(strangers: Callable[..., bool]) -> None:
+    assert not strangers(prefix(1, b"\x01\x0f\x99\x99"), new_prefix(HOST), OWN, seconds=0.3)
+
+
+def test_note_holds_until_the_next_boot(tmp_path: Path) -> None:
+    assert not neighbours.noted(tmp_path)
+    neighbours.note(tmp_path / "deeper")
+    assert neighbours.noted(tmp_path / "deeper")
+    (tmp_path / "deeper" / "udp-alone").write_text("another boot")
+    assert not neighbours.noted(tmp_path / "deeper")
+
+
+def test_mark() -> None:
+    assert is_marked(OWN)
+    assert OWN.startswith(HOST)
+    assert is_marked(OWN + bytes(4))
+    assert not is_marked(prefix(1))
+    assert new_prefix(HOST) != OWN

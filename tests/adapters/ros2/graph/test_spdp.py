@@ -1,0 +1,148 @@
+"""Our own words in DDS discovery, read back by the RTPS specification, and who gets them."""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import socket
+import struct
+from collections.abc import Iterator
+
+import pytest
+
+from bridge.adapters.ros2.graph import spdp
+
+PREFIX = bytes.fromhex("010f4d5350414e0102030405")
+GUID = PREFIX + bytes.fromhex("000001c1")
+DOMAIN = 230
+GROUP_PORT = 7400 + 250 * DOMAIN  # DDSI-RTPS 2.5, 9.6.2.3: PB + DG * domain + d0
+
+
+def parameters(data: bytes) -> tuple[dict[int, bytes], bytes]:
+    """A little-endian parameter list (9.4.2.11), and what follows its sentinel."""
+    found: dict[int, bytes] = {}
+    while True:
+        pid, length = struct.unpack_from("<HH", data)
+        if pid == 1:  # PID_SENTINEL; its length is ignored
+            return found, data[4:]
+        assert length % 4 == 0, "parameters are multiples of four bytes"
+        assert len(data) >= 4 + length
+        found[pid], data = data[4 : 4 + length], data[4 + length :]
+
+
+def data(said: bytes, flags: int) -> tuple[int, bytes]:
+    """The sequence number of a message's one DATA submessage, and what follows it."""
+    # 9.4.4: the header
+    protocol, major, minor, vendor, prefix = struct.unpack_from("4sBB2s12s", said)
+    assert (protocol, major) == (b"RTPS", 2)
+    assert minor >= 1
+    assert (vendor, prefix) == (PREFIX[:2], PREFIX)
+    # 9.4.5.1: the header of its one submessage
+    kind, seen, length = struct.unpack_from("<BBH", said, 20)
+    assert kind == 0x15, "DATA"
+    assert seen == flags
+    body = said[24:]
+    assert len(body) == length
+    # 9.4.5.4: DATA; entity ids of 9.3.1.5
+    extra, to_qos = struct.unpack_from("<HH", body)
+    assert extra == 0
+    assert body[4:8] == bytes.fromhex("000100c7"), "SPDPbuiltinParticipantReader"
+    assert body[8:12] == bytes.fromhex("000100c2"), "SPDPbuiltinParticipantWriter"
+    high, low = struct.unpack_from("<iI", body, 12)
+    return (high << 32) + low, body[4 + to_qos :]
+
+
+def test_farewell_is_what_a_leaving_participant_says() -> None:
+    number, rest = data(spdp.farewell(PREFIX), 0b1011)  # little endian (E), inline QoS (Q), no data (D) but a key (K)
+    assert number > 1_000_000, "newer than all that the dead one said"
+    inline, rest = parameters(rest)
+    assert inline[0x0070] == GUID, "PID_KEY_HASH"
+    assert inline[0x0071] == b"\0\0\0\x03", "PID_STATUS_INFO: disposed and unregistered (9.6.4.9), big endian"
+    # 9.4.2.12, 10.2: the key as a parameter list
+    assert rest[:4] == b"\0\x03\0\0", "PL_CDR_LE"
+    key, rest = parameters(rest[4:])
+    assert key == {0x0050: GUID}, "PID_PARTICIPANT_GUID"
+    assert rest == b""
+
+
+def test_hello_tells_where_the_other_one_is() -> None:
+    number, rest = data(spdp.hello(PREFIX, DOMAIN, 40), 0b0101)  # little endian, data
+    assert number == 1
+    assert rest[:4] == b"\0\x03\0\0", "PL_CDR_LE"
+    told, rest = parameters(rest[4:])
+    assert rest == b""
+    assert told[0x0050] == GUID
+    assert told[0x0016][:2] == PREFIX[:2], "PID_VENDORID"
+    # 9.3.2: kind, port, 16 bytes of address
+    unicast = struct.pack("<iI12s4s", 1, GROUP_PORT + 10 + 2 * 40, b"", bytes((127, 0, 0, 1)))
+    group = struct.pack("<iI12s4s", 1, GROUP_PORT, b"", bytes((239, 255, 0, 1)))
+    assert (told[0x0032], told[0x0033]) == (unicast, group), "PID_METATRAFFIC_UNICAST_ and _MULTICAST_LOCATOR"
+    assert struct.unpack("<I", told[0x0058]) == (0b11,), "nothing but SPDP's own endpoints: nobody matches anything"
+
+
+@contextlib.contextmanager
+def listening(address: str, port: int, interface: str = "") -> Iterator[socket.socket]:
+    """A socket as a participant has, in the SPDP group of an interface where one is named."""
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sock:
+        sock.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        sock.bind((address, port))
+        if interface:
+            group = struct.pack("@4s4si", socket.inet_aton("239.255.0.1"), b"", socket.if_nametoindex(interface))
+            sock.setsockopt(socket.IPPROTO_IP, socket.IP_ADD_MEMBERSHIP, group)
+        sock.settimeout(5.0)
+        yield sock
+
+
+@pytest.mark.parametrize("participant", [0, spdp.PARTICIPANTS - 1])
+def test_everybody_on_this_machine_hears_it(participant: int) -> None:
+    unicast = GROUP_PORT + 10 + 2 * participant  # PB + DG * domain + d1 + PG * participant
+    with listening("239.255.0.1", GROUP_PORT, "lo") as group, listening("127.0.0.1", unicast) as one:
+        spdp.say([spdp.farewell(PREFIX)], DOMAIN, localhost_only=True)
+        assert group.recv(1000) == one.recv(1000) == spdp.farewell(PREFIX)
+
+
+class Network:
+    """Interfaces lo, eth0 and one without an address; remembers what is sent out of which."""
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch, refuse: str = "") -> None:
+        self.names = {1: "lo", 4: "eth0", 7: "down0"}
+        self.sent: list[tuple[str, str, int]] = []
+        self._refuse = refuse
+        self._chosen = ""
+        monkeypatch.setattr(socket, "if_nameindex", lambda: list(self.names.items()))
+        monkeypatch.setattr(socket, "socket", lambda *_: contextlib.nullcontext(self))
+
+    def setsockopt(self, level: int, option: int, value: bytes) -> None:
+        assert (level, option) == (socket.IPPROTO_IP, socket.IP_MULTICAST_IF)
+        name = self.names[struct.unpack("@4s4si", value)[2]]
+        if name == "down0":
+            raise OSError(errno.EADDRNOTAVAIL, "no address")
+        self._chosen = name
+
+    def sendto(self, _message: bytes, address: tuple[str, int]) -> None:
+        self.sent.append((self._chosen, *address))
+        if address[0] == self._refuse:
+            raise OSError(errno.ECONNREFUSED, "nobody there")
+
+
+def groups(network: Network) -> list[str]:
+    return [name for name, address, port in network.sent if (address, port) == ("239.255.0.1", GROUP_PORT)]
+
+
+@pytest.mark.parametrize(("localhost_only", "told"), [(True, ["lo"]), (False, ["lo", "eth0"])])
+def test_each_interface_in_reach_and_none_beyond(
+    monkeypatch: pytest.MonkeyPatch, localhost_only: bool, told: list[str]
+) -> None:
+    network = Network(monkeypatch)
+    spdp.say([spdp.farewell(PREFIX)], DOMAIN, localhost_only=localhost_only)
+    assert groups(network) == told
+    assert {address for _, address, _ in network.sent} == {"239.255.0.1", "127.0.0.1"}, "unicast stays on this machine"
+
+
+@pytest.mark.parametrize("refuse", ["239.255.0.1", "127.0.0.1"])
+def test_a_refusal_stops_nothing_else(monkeypatch: pytest.MonkeyPatch, refuse: str) -> None:
+    network = Network(monkeypatch, refuse)
+    spdp.say([b"one", b"two"], DOMAIN, localhost_only=False)
+    assert sorted(set(groups(network))) == ["eth0", "lo"]
+    unicast = {port for _, address, port in network.sent if address == "127.0.0.1"}
+    assert unicast == {GROUP_PORT + 10 + 2 * number for number in range(spdp.PARTICIPANTS)}

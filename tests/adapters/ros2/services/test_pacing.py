@@ -1,0 +1,54 @@
+"""How many requests lie before a server, and which processes are gone."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import time
+
+import pytest
+
+from bridge.adapters.ros2.graph import neighbours
+from bridge.adapters.ros2.graph.neighbours import ProcessWatch
+from bridge.adapters.ros2.services.pacing import PATIENCE, ROOM, SentRequests
+
+
+def test_requests_wait_for_replies(monkeypatch: pytest.MonkeyPatch) -> None:
+    now = [100.0]
+    monkeypatch.setattr(time, "monotonic", lambda: now[0])
+    requests = SentRequests()
+    for number in range(1, ROOM + 1):
+        assert requests.wait() == 0
+        requests.sent(number)
+    assert requests.wait() == pytest.approx(PATIENCE)
+    now[0] += PATIENCE / 2
+    requests.answered(3)  # so 1 and 2 were taken before it
+    assert requests.wait() == 0
+    for number in (ROOM + 1, ROOM + 2, ROOM + 3):
+        requests.sent(number)
+    now[0] += PATIENCE / 2
+    requests.answered(1)  # says nothing of those that lie there
+    assert requests.wait() == pytest.approx(PATIENCE / 2)
+    now[0] += PATIENCE / 2 + 0.001
+    assert requests.wait() == 0
+
+
+def test_process_that_ended_is_gone(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(neighbours, "shares_memory", lambda process: process.exists())
+    own = b"\x01\x0f\x00\x01" + os.urandom(8)
+    program = subprocess.Popen([sys.executable, "-S", "-c", "input()"], stdin=subprocess.PIPE)
+    prefix = own[:4] + (program.pid & 0xFFFF).to_bytes(2, "little") + bytes(6)
+    elsewhere = b"\x01\x0f\x00\x02" + prefix[4:]
+    try:
+        watched = ProcessWatch(own)
+        assert not watched.is_gone(prefix)
+        assert not watched.is_gone(elsewhere)
+        program.kill()
+        os.waitid(os.P_PID, program.pid, os.WEXITED | os.WNOWAIT)
+        assert watched.is_gone(prefix)  # though nobody has asked for its end yet
+    finally:
+        program.communicate()
+    assert watched.is_gone(prefix)
+    assert not watched.is_gone(elsewhere)
+    assert not ProcessWatch(own).is_gone(prefix)  # never seen alive: DDS is to say

@@ -1,0 +1,68 @@
+"""A subscription beside a graph that changes."""
+
+from __future__ import annotations
+
+import threading
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any, Self
+
+from bridge.adapters.ros2.edge import Ros2Edge
+from bridge.adapters.ros2.graph.graph import GraphSnapshot
+from bridge.config.model import Config
+from bridge.hub.wire.qos import Qos, Reliability
+from bridge.messages.registry import Registry
+from bridge.messages.transcode.conversion import SideType
+from bridge.routing.edge import Endpoint, Kind, MadeBy
+
+TYPE = "std_msgs/msg/String"
+RELIABLE, BEST_EFFORT = Qos(), Qos(Reliability.BEST_EFFORT)
+
+
+def publisher(gid: bytes, qos: Qos) -> Endpoint:
+    return Endpoint(gid.hex(), Kind.PUBLISHER, "/t", TYPE, qos, MadeBy.NATIVE, "/n", "")
+
+
+class Ros2Graph:
+    """Publishers of one topic."""
+
+    def __init__(self) -> None:
+        self.there = {b"1" * 16: publisher(b"1" * 16, RELIABLE)}
+
+    def publishers(self, _topic: str) -> dict[bytes, Endpoint]:
+        return self.there
+
+
+class Handle:
+    """A DDS reader."""
+
+    pointer = 1
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        pass
+
+
+def test_a_publisher_that_comes_as_it_is_made_is_heard(tmp_path: Path) -> None:
+    """The change is told while DDS makes the first reader: nobody tells it again."""
+    graph, edge, asked = Ros2Graph(), Ros2Edge(Config(), Registry(), tmp_path), set[Reliability]()
+
+    def make_reader(_kind: object, _topic: str, qos: Qos) -> Handle:
+        asked.add(qos.reliability)
+        if len(graph.there) > 1:
+            return Handle()
+        graph.there = {**graph.there, b"2" * 16: publisher(b"2" * 16, BEST_EFFORT)}
+        change = threading.Thread(target=edge._changed, args=(GraphSnapshot(publishers={"/t": graph.there}),))
+        change.start()
+        change.join()
+        return Handle()
+
+    participant = SimpleNamespace(make_reader=make_reader)
+    loop = SimpleNamespace(add=lambda _: None, remove=lambda _: None)
+    context: Any = SimpleNamespace(participant=participant, loop=loop, graph=graph)
+    types: Any = SimpleNamespace(message_class=lambda *_: SimpleNamespace(type_name=TYPE))
+    edge._context, edge._types = context, types
+    edge.subscribe("/t", SideType(TYPE, "", ""), RELIABLE, lambda *_: None)
+    assert asked == {Reliability.RELIABLE, Reliability.BEST_EFFORT}

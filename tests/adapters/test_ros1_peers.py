@@ -1,0 +1,126 @@
+"""XML-RPC with deadlines and limits."""
+
+import contextlib
+import socket
+
+import pytest
+
+from bridge.adapters import ros1_peers
+from bridge.adapters.ros1_peers import RefusedError, Ros1ProtocolError, UnreachableError
+from tests.adapters.ros1.servers import node, tcp_server, until_closed
+from tests.support.ports import free_port
+
+
+def test_values_and_refusals():
+    with node(one=lambda _caller: [1, "", 7], no=lambda _caller: [-1, "not set", 0]) as uri:
+        client = ros1_peers.XmlRpcClient(uri, 2.0)
+        with contextlib.closing(client):
+            assert client.call("one", "/me") == 7
+            with pytest.raises(RefusedError, match="not set"):
+                client.call("no", "/me")
+            with pytest.raises(RefusedError, match="nothing"):
+                client.call("nothing", "/me")
+            assert client.calls([("one", ("/me",)), ("no", ("/me",)), ("nothing", ("/me",))]) == [7, None, None]
+
+
+def test_no_part_of_a_request_waits_for_an_acknowledgement():
+    """http.client sends the head and the body apart."""
+    with node(one=lambda _caller: [1, "", 7]) as uri:
+        client = ros1_peers.XmlRpcClient(uri, 2.0)
+        with contextlib.closing(client):
+            client.call("one", "/me")
+            assert client._http.sock.getsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY)
+
+
+def test_an_unchanged_answer_is_the_same_object():
+    values = [1, 1, 2]
+    with node(value=lambda _caller: [1, "", values.pop(0)]) as uri:
+        client = ros1_peers.XmlRpcClient(uri, 2.0)
+        with contextlib.closing(client):
+            first, second, third = (client.calls([("value", ("/me",))]) for _ in range(3))
+    assert first is second
+    assert (first, third) == ([1], [2])
+
+
+def test_a_server_that_went_is_noticed():
+    with node(one=lambda _caller: [1, "", 1]) as uri:
+        client = ros1_peers.XmlRpcClient(uri, 2.0)
+        assert client.call("one", "/me") == 1
+    with contextlib.closing(client), pytest.raises(UnreachableError):
+        client.call("one", "/me")
+
+
+def trickle(sock):
+    sock.recv(65536)
+    sock.sendall(b"HTTP/1.1 200 OK\r\nContent-Length: 100000\r\n\r\n")
+    sock.settimeout(0.05)
+    while True:
+        with contextlib.suppress(TimeoutError):
+            if not sock.recv(1):
+                return
+        sock.sendall(b" ")
+
+
+def answer(text):
+    def serve(sock) -> None:
+        sock.recv(65536)
+        sock.sendall(text)
+
+    return serve
+
+
+def ok(body):
+    return answer(b"HTTP/1.1 200 OK\r\nContent-Length: %d\r\n\r\n%b" % (len(body), body))
+
+
+@pytest.mark.parametrize(
+    ("serve", "error"),
+    [
+        (until_closed, UnreachableError),
+        (trickle, UnreachableError),
+        (answer(b"SSH-2.0-OpenSSH\r\n"), Ros1ProtocolError),
+        (answer(b"HTTP/1.1 500 Oops\r\nContent-Length: 0\r\n\r\n"), Ros1ProtocolError),
+        (ok(b"<html>"), Ros1ProtocolError),
+        (ok(b"<?xml version='1.0'?><methodResponse></methodResponse>"), Ros1ProtocolError),
+    ],
+)
+def test_servers_that_misbehave(serve, error):
+    with tcp_server(serve) as (host, port), pytest.raises(error):
+        ros1_peers.ask(f"http://{host}:{port}/", 0.5, "getPid", "/me")
+
+
+def test_long_answers_are_refused(monkeypatch):
+    monkeypatch.setattr(ros1_peers, "MAX_NODE_ANSWER", 1000)
+    with node(big=lambda _caller: [1, "", "x" * 2000]) as uri, pytest.raises(Ros1ProtocolError, match="longer than"):
+        ros1_peers.ask(uri, 2.0, "big", "/me")
+
+
+@pytest.mark.parametrize("length", [5, 95_000_000, 2**64])
+def test_answers_that_are_shorter_than_they_claim_are_refused(length):
+    def serve(sock) -> None:
+        sock.recv(65536)
+        sock.sendall(b"HTTP/1.1 200 OK\r\nContent-Length: %d\r\n\r\n<a>" % length)
+
+    with tcp_server(serve) as (host, port), pytest.raises((Ros1ProtocolError, UnreachableError), match="answer"):
+        ros1_peers.ask(f"http://{host}:{port}/", 2.0, "getPid", "/me")
+
+
+@pytest.mark.parametrize("body", [b"<bigdecimal></bigdecimal>", b"<a", b"<value><array><data>" * 1000, b"\xff\xfe"])
+def test_answers_that_are_no_xmlrpc_are_refused(body):
+    def serve(sock) -> None:
+        sock.recv(65536)
+        sock.sendall(b"HTTP/1.1 200 OK\r\nContent-Length: %d\r\n\r\n" % len(body) + body)
+
+    with tcp_server(serve) as (host, port), pytest.raises(Ros1ProtocolError, match="something else than XML-RPC"):
+        ros1_peers.ask(f"http://{host}:{port}/", 2.0, "getPid", "/me")
+
+
+@pytest.mark.parametrize("uri", ["", "rosrpc://a:1", "http://", "http://a:b/", "ftp://a/", "p://[", "http://a\0b:1/"])
+def test_addresses_that_are_none(uri):
+    with pytest.raises(Ros1ProtocolError, match="not a ROS 1 address"):
+        ros1_peers.XmlRpcClient(uri, 1.0)
+
+
+def test_nobody_there():
+    with pytest.raises(UnreachableError):
+        ros1_peers.ask(f"http://127.0.0.1:{free_port()}/", 1.0, "getPid", "/me")

@@ -1,0 +1,75 @@
+"""Our tokens of the ros2dds dialect, as a bridge on the network reads them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+
+import pytest
+
+from bridge.adapters.zenoh.ros2dds_graph import TokenAnnouncer
+from bridge.hub.wire.qos import Qos
+from bridge.messages.registry import Registry
+from bridge.routing.edge import Kind
+from tests.adapters.zenoh.conftest import Place
+from tests.support.wait import until
+from tests.support.zenoh_actions import ACTION
+from tests.support.zenoh_programs import Ros2ddsBridge, open_session
+
+SERVICES = {"send_goal": f"{ACTION}_SendGoal", "cancel_goal": "action_msgs/srv/CancelGoal"}
+RESULT = {"get_result": f"{ACTION}_GetResult"}
+TOPICS = {"feedback": f"{ACTION}_FeedbackMessage", "status": "action_msgs/msg/GoalStatusArray"}
+END = "the/end"
+"""A topic that is announced last: tokens of one session come in their order."""
+
+
+class Told:
+    """What one announcer says, and what a bridge knows once it has heard that."""
+
+    def __init__(self, announcer: TokenAnnouncer, bridge: Ros2ddsBridge) -> None:
+        self.announcer, self.bridge, self.registry = announcer, bridge, Registry()
+        self.withdraw: dict[str, Callable[[], None]] = {}
+
+    def tell(self, kind: Kind, parts: dict[str, str]) -> None:
+        for part, type_ in parts.items():
+            known = self.registry.ros2(type_) if part in TOPICS else self.registry.service_ros2(type_)
+            self.withdraw[part] = self.announcer.announce(kind, f"lookup/_action/{part}", known, Qos())
+
+    def tokens(self, letters: str) -> int:
+        """How many of them a bridge knows."""
+        end = self.announcer.announce(Kind.PUBLISHER, END, self.registry.ros2("std_msgs/msg/Empty"), Qos())
+        until(lambda: self.bridge.tokens(f"/{END}"), "all has been heard")
+        found = len(self.bridge.tokens("/lookup", letters))
+        end()
+        until(lambda: not self.bridge.tokens(f"/{END}"), "the last one goes")
+        return found
+
+
+@pytest.fixture
+def told(place: Place) -> Iterator[Told]:
+    with open_session(place.router.endpoint) as session:
+        announcer = TokenAnnouncer(session)
+        yield Told(announcer, place.ros2dds())
+        announcer.close()
+
+
+def test_the_server_of_an_action_is_told_once_it_is_whole(told: Told) -> None:
+    told.tell(Kind.SERVER, SERVICES | RESULT)
+    assert told.tokens("AS") == 0, "who sends a goal now hears no feedback"
+    told.tell(Kind.PUBLISHER, TOPICS)
+    assert told.tokens("AS") == 1
+    for part in ("feedback", "status", "send_goal"):
+        told.withdraw[part]()
+    assert told.tokens("AS") == 1, "results are still to be had"
+    told.withdraw["cancel_goal"]()
+    told.withdraw["get_result"]()
+    assert told.tokens("AS") == 0
+    assert not [t for t in told.bridge.all_tokens() if "_action" in t], "no part has a token of its own"
+
+
+def test_its_client_is_told_with_its_goals_or_results(told: Told) -> None:
+    told.tell(Kind.SUBSCRIPTION, TOPICS)
+    assert told.tokens("AC") == 0
+    told.tell(Kind.CLIENT, RESULT)
+    assert told.tokens("AC") == 1
+    told.withdraw["get_result"]()
+    assert told.tokens("AC") == 0

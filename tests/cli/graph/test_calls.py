@@ -1,0 +1,169 @@
+"""``midspan service`` and ``midspan action`` on a real hub, with servers that are nodes of it."""
+
+from __future__ import annotations
+
+import os
+import signal
+import threading
+from collections.abc import Iterator
+from typing import Any
+
+import pytest
+
+from bridge.clock import SYSTEM
+from bridge.hub.session import Hub
+from bridge.messages.registry import Registry
+from bridge.modules.action_server import Goal
+from bridge.modules.host import Node
+from bridge.modules.loop import EventLoop
+from tests.cli.conftest import Midspan
+from tests.cli.workers import FakeWorker
+from tests.support.hub import HubNetwork
+from tests.support.wait import until
+
+BOOL, LOOKUP = "std_srvs/srv/SetBool", "tf2_msgs/action/LookupTransform"
+
+
+class Robot:
+    """A node with a service and an action."""
+
+    def __init__(self, network: HubNetwork, registry: Registry) -> None:
+        self.loop = EventLoop("robot")
+        self.node = Node(Hub.open(network.settings("robot")), registry, self.loop, SYSTEM)
+        self.goals: list[Goal] = []
+        self.loop.start()
+        self.node.server("/lamp", BOOL, self.switch)
+        self.node.action_server("/lookup", LOOKUP, self.take, self.cancel)
+
+    def switch(self, request: dict[str, Any], answer: Any) -> None:
+        if request["data"]:
+            answer({"success": True, "message": "on"})
+
+    def take(self, goal: Goal) -> bool:
+        self.goals.append(goal)
+        if goal.goal["target_frame"] == "quick":
+            for _ in range(3):
+                goal.feedback({})
+            goal.succeed({"transform": {"child_frame_id": "here"}})
+        return bool(goal.goal["target_frame"] != "no")
+
+    def cancel(self, goal: Goal) -> bool:
+        self.loop.post(goal.canceled)
+        return True
+
+    def close(self) -> None:
+        self.node.close()
+        self.loop.close()
+        self.node.hub.close()
+
+
+@pytest.fixture
+def robot(network: HubNetwork, registry: Registry) -> Iterator[Robot]:
+    made = Robot(network, registry)
+    yield made
+    made.close()
+
+
+@pytest.fixture
+def decided(network: HubNetwork, closing: list[Any]) -> None:
+    """A worker that decided of a service and of the parts of an action."""
+    words = {"daemon": "robot1", "worker": "ros1", "direction": "in", "cure": "", "kind": "service"}
+    private = {"topic": "/node/get_loggers", "hub_topic": "", "type": "roscpp/GetLoggers", "decision": "private"}
+    action = {"topic": "/far/_action/send_goal", "hub_topic": "/far/_action/send_goal", "decision": "refused"}
+    type_name = "my_msgs/action/Far_SendGoal"
+    answer = [{**words, **private, "why": "a logger"}, {**words, **action, "type": type_name, "why": "unknown"}]
+    topic = {**words, "kind": "topic", "topic": "/scan", "hub_topic": "/scan", "type": "a/msg/B", "decision": "bridged"}
+    closing.append(FakeWorker(network, "ros1", explain=[*answer, {**topic, "why": ""}]))
+
+
+def test_services_are_listed_without_the_parts_of_actions(midspan: Midspan, robot: Robot, decided: None) -> None:
+    assert midspan("service", "list").out.split() == ["/lamp", "/node/get_loggers"]
+    lamp, logger = midspan("service", "list", "--json").json()
+    assert (lamp["service"], lamp["types"], lamp["servers"], lamp["state"]) == ("/lamp", [BOOL], 1, "hub")
+    assert (logger["state"], logger["types"], logger["from"]) == ("private", ["roscpp/srv/GetLoggers"], ["ros1"])
+    assert "SetBool" in midspan("service", "list", "-v").out
+    assert "/node/get_loggers" not in midspan("topic", "list").out
+
+
+def test_actions_are_listed_whole(midspan: Midspan, robot: Robot, decided: None) -> None:
+    assert midspan("action", "list").out.split() == ["/far", "/lookup"]
+    far, lookup = midspan("action", "list", "--json").json()
+    assert (far["types"], far["state"]) == (["my_msgs/action/Far"], "refused")
+    assert (lookup["types"], lookup["servers"], lookup["state"]) == ([LOOKUP], 1, "hub")
+    shown = midspan("action", "info", "lookup").out
+    assert LOOKUP in shown
+    assert "/robot" in shown
+    assert "refused: unknown" in midspan("action", "info", "/far").out
+    missing = midspan("action", "info", "/lokup")
+    assert missing.code == 1
+    assert "/lookup" in missing.err
+
+
+def test_a_call_prints_the_reply(midspan: Midspan, robot: Robot) -> None:
+    outcome = midspan("service", "call", "/lamp", "{data: true}")
+    assert (outcome.code, outcome.out) == (0, "success: true\nmessage: 'on'\n")
+    outcome = midspan("service", "call", "lamp", "std_srvs/SetBool", '{"data": true}', "--json")
+    assert outcome.json() == {"success": True, "message": "on"}
+    assert midspan("service", "info", "/lamp", "--json").json()["servers"][0]["node"] == "/robot"
+
+
+@pytest.mark.parametrize(
+    ("words", "told"),
+    [
+        (["/lamp", "{dta: true}"], "dta"),
+        (["/lamp", "std_srvs/Trigger"], "is std_srvs/srv/SetBool on the hub"),
+        (["/lamp", "{data: true}", "std_srvs/SetBool"], "is no type"),
+        (["/lamp", "{data: false}", "--timeout", "0.2"], "has not answered in 0.2 s"),
+        (["/nowhere"], "nobody serves /nowhere"),
+        (["/lamp", "[1]"], "must be a map"),
+    ],
+)
+def test_what_goes_wrong_is_told(
+    midspan: Midspan, robot: Robot, monkeypatch: pytest.MonkeyPatch, words: list[str], told: str
+) -> None:
+    monkeypatch.setattr("bridge.cli.graph.caller.WAIT_SECONDS", 1.0)
+    outcome = midspan("service", "call", *words)
+    assert outcome.code == 1
+    assert told in outcome.err
+
+
+def test_a_goal_shows_feedback_and_its_end(midspan: Midspan, robot: Robot) -> None:
+    outcome = midspan("action", "send", "/lookup", "{target_frame: quick}", "--json")
+    *_, end = outcome.lines()
+    assert outcome.code == 0
+    assert end["status"] == "succeeded"
+    assert end["result"]["transform"]["child_frame_id"] == "here"
+    outcome = midspan("action", "send", "/lookup", LOOKUP, "{target_frame: quick}", "--no-feedback")
+    assert outcome.out.startswith("succeeded\n")
+    outcome = midspan("action", "send", "/lookup", "{target_frame: no}")
+    assert outcome.code == 1
+    assert "rejected" in outcome.err
+
+
+def test_a_goal_is_cancelled_after_its_time_and_by_ctrl_c(midspan: Midspan, robot: Robot) -> None:
+    outcome = midspan("action", "send", "/lookup", "{target_frame: slow}", "--timeout", "0.3")
+    assert (outcome.code, outcome.out.split()[0]) == (1, "canceled")
+    assert "0.3 s are over" in outcome.err
+
+    def interrupt() -> None:
+        until(lambda: len(robot.goals) == 2, "the goal is there")
+        os.kill(os.getpid(), signal.SIGINT)
+
+    thread = threading.Thread(target=interrupt)
+    thread.start()
+    outcome = midspan("action", "send", "/lookup", "{target_frame: slow}")
+    thread.join()
+    assert (outcome.code, outcome.out.split()[0]) == (1, "canceled")
+
+
+def test_a_server_that_leaves_ends_the_goal(midspan: Midspan, robot: Robot) -> None:
+    def leave() -> None:
+        until(lambda: robot.goals, "the goal is there")
+        robot.node.close()
+
+    thread = threading.Thread(target=leave)
+    thread.start()
+    outcome = midspan("action", "send", "/lookup", "{target_frame: slow}")
+    thread.join()
+    assert outcome.code == 1
+    assert "left" in outcome.err or "no server" in outcome.err  # it may leave before its result is asked for

@@ -1,0 +1,232 @@
+"""``midspan topic`` on a real hub with a real engine: what crosses, and what stays on its side."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Any
+
+import pytest
+
+from bridge.hub.session import Hub
+from bridge.hub.wire.qos import Qos
+from bridge.messages.json import from_json, to_json
+from bridge.messages.registry import Registry
+from bridge.routing.edge import MadeBy
+from tests.cli.conftest import Midspan
+from tests.cli.workers import LATCHED, EngineWorker, FakeWorker
+from tests.support.fake import Writer
+from tests.support.hub import HubNetwork
+from tests.support.wait import until
+
+STRING = "std_msgs/msg/String"
+SCAN = "sensor_msgs/msg/LaserScan"
+
+
+@pytest.fixture
+def worker(network: HubNetwork, registry: Registry, closing: list[Any]) -> EngineWorker:
+    made = EngineWorker(network, registry, rules=[{"topic": "/secret", "deny": True}])
+    closing.append(made)
+    return made
+
+
+@contextmanager
+def talking(worker: EngineWorker, writer: Writer, cdr: bytes) -> Iterator[None]:
+    """A native program of the side that publishes over and over."""
+    stop = threading.Event()
+
+    def talk() -> None:
+        while not stop.wait(0.02):
+            worker.side.write(writer, cdr)
+
+    thread = threading.Thread(target=talk)
+    thread.start()
+    try:
+        yield
+    finally:
+        stop.set()
+        thread.join()
+
+
+def bridged(worker: EngineWorker, count: int) -> None:
+    until(lambda: len(worker.engine.routes()) == count, "the routes are there")
+
+
+def test_list_has_what_crosses_and_what_stays(midspan: Midspan, worker: EngineWorker) -> None:
+    for topic in ("/chatter", "/secret", "/rosout"):
+        worker.advertise(topic, STRING)
+    bridged(worker, 1)
+    names = ["/chatter", "/rosout", "/secret"]
+    until(lambda: midspan("topic", "list").out.split() == names, "it has decided of all")
+    entries = {entry["topic"]: entry for entry in midspan("topic", "list", "--json").json()}
+    assert {name: entry["state"] for name, entry in entries.items()} == {
+        "/chatter": "hub",
+        "/rosout": "private",
+        "/secret": "denied",
+    }
+    assert entries["/chatter"]["from"] == ["ros1"]
+    words = midspan("topic", "list", "-v").out
+    assert [line.split()[0] for line in words.splitlines() if STRING in line] == ["/chatter", "/rosout", "/secret"]
+
+
+def test_info(midspan: Midspan, worker: EngineWorker, network: HubNetwork, closing: list[Any]) -> None:
+    worker.advertise("/chatter", STRING, latched=True)
+    bridged(worker, 1)
+    listener = FakeWorker(network, "listener")
+    closing.append(listener)
+    listener.hear("/chatter", STRING, Qos(depth=7))
+    words = midspan("topic", "info", "chatter").out
+    document = midspan("topic", "info", "/chatter", "--json").json()
+    for text in (
+        "publishers on the hub: 1",
+        "/midspan_ros1 (for ROS 1, daemon robot1)",
+        "/midspan_listener (zenoh",
+        "volatile 7",
+    ):
+        assert text in words
+    assert [e["side"] for e in document["publishers"]] == ["ros1"]
+    assert document["publishers"][0]["qos"].startswith("reliable transient_local")
+    unknown = midspan("topic", "info", "/chater")
+    assert (unknown.code, "/chatter" in unknown.err) == (1, True)
+
+
+def test_echo_shows_what_is_latched_at_once(midspan: Midspan, worker: EngineWorker, registry: Registry) -> None:
+    cdr = from_json(registry, SCAN, {"header": {"frame_id": "laser"}, "ranges": [1.5] * 100})
+    worker.side.write(worker.advertise("/scan", SCAN, latched=True), cdr)
+    bridged(worker, 1)
+    words = midspan("topic", "echo", "/scan", "--count", "1", "--timeout", "10").out
+    assert "frame_id: laser" in words
+    assert "ranges: [1.5, 1.5" in words
+    assert "(100 in all)" in words
+    assert words.endswith("---\n")
+    full = midspan("topic", "echo", "/scan", "--count", "1", "--timeout", "10", "--full").out
+    assert full.count("1.5") == 100
+    (line,) = midspan("topic", "echo", "/scan", "--count", "1", "--timeout", "10", "--json").lines()
+    assert (line["type"], line["side"], len(line["message"]["ranges"])) == (SCAN, "ros1", 100)
+    raw = midspan("topic", "echo", "/scan", "--count", "1", "--timeout", "10", "--raw").out
+    assert bytes.fromhex(raw.strip()) == cdr
+
+
+@pytest.mark.parametrize("topic", ["/rosout", "/secret"])
+def test_echo_of_what_does_not_cross(midspan: Midspan, worker: EngineWorker, registry: Registry, topic: str) -> None:
+    writer = worker.advertise(topic, STRING)
+    until(lambda: len(worker.engine.decisions()) == 1, "the topic is decided")
+    with talking(worker, writer, from_json(registry, STRING, {"data": "hidden"})):
+        done = midspan("topic", "echo", topic, "--count", "2", "--timeout", "10")
+    assert (done.code, done.out.count("data: hidden")) == (0, 2), done
+    assert midspan("topic", "list").out.split() == [topic]
+
+
+def test_echo_of_a_side_alone(midspan: Midspan, worker: EngineWorker, network: HubNetwork, registry: Registry) -> None:
+    writer = worker.advertise("/chatter", STRING)
+    bridged(worker, 1)
+    type_hash = registry.ros2(STRING).type_id
+    with Hub.open(network.settings("native")) as hub:
+        publisher = hub.publisher("/chatter", STRING, type_hash, LATCHED)
+        publisher.put(from_json(registry, STRING, {"data": "from the hub"}))
+        with talking(worker, writer, from_json(registry, STRING, {"data": "from the side"})):
+            sides = {}
+            for side in ("ros1", "zenoh"):
+                args = ("topic", "echo", "/chatter", "--side", side, "--count", "1", "--timeout", "10", "--json")
+                sides[side] = midspan(*args).lines()[0]["message"]["data"]
+    assert sides == {"ros1": "from the side", "zenoh": "from the hub"}
+
+
+def test_echo_without_the_topic(midspan: Midspan, worker: EngineWorker) -> None:
+    worker.advertise("/chatter", STRING)
+    bridged(worker, 1)
+    done = midspan("topic", "echo", "/chattr")
+    assert (done.code, "Did you mean /chatter?" in done.err) == (1, True), done
+    done = midspan("topic", "echo", "/chatter", "--timeout", "0.3")
+    assert (done.code, "no message of /chatter for 0.3 s" in done.err) == (1, True), done
+
+
+def test_echo_asks_the_workers_for_an_unknown_type(midspan: Midspan, network: HubNetwork, closing: list[Any]) -> None:
+    name = "odd_msgs/msg/Odd"
+    known = Registry()
+    known.learn_ros2(name, "float64 weight\nstring label\n")
+    odd = known.ros2(name)
+    told = {"name": name, "hash": odd.type_id, "definition": odd.definition}
+    teller = FakeWorker(network, "ros1", type=lambda params: told if params["name"] == name else {})
+    closing.append(teller)
+    teller.publish("/odd", name, odd.type_id, from_json(known, name, {"weight": 2.5, "label": "x"}))
+    (line,) = midspan("topic", "echo", "/odd", "--count", "1", "--timeout", "10", "--json").lines()
+    assert line["message"] == {"weight": 2.5, "label": "x"}
+
+    teller.publish("/other", name, "RIHS01_" + "5" * 64, b"\0\1\0\0")
+    done = midspan("topic", "echo", "/other", "--count", "1", "--timeout", "10")
+    assert (done.code, name in done.err) == (1, True), done
+
+
+def test_echo_goes_on_after_a_bad_message(midspan: Midspan, network: HubNetwork, closing: list[Any]) -> None:
+    maker = FakeWorker(network, "native")
+    closing.append(maker)
+    type_hash = Registry().ros2(STRING).type_id
+    maker.publish("/bad", STRING, type_hash, b"\0\1\0\0\xff\xff")
+    done = midspan("topic", "echo", "/bad", "--count", "1", "--timeout", "10")
+    assert (done.code, done.out.startswith("# ")) == (0, True), done
+
+
+def test_hz(midspan: Midspan, worker: EngineWorker, registry: Registry) -> None:
+    writer = worker.advertise("/chatter", STRING)
+    bridged(worker, 1)
+    with talking(worker, writer, from_json(registry, STRING, {"data": "x"})):
+        line = midspan("topic", "hz", "/chatter", "--count", "20", "--json").lines()[-1]
+        words = midspan("topic", "hz", "/chatter", "--count", "5").out
+    assert line["messages"] == line["window"] == 20
+    assert 0 < line["rate"] < 60
+    assert line["least"] <= line["most"]
+    assert "msg/s" in words
+    silent = midspan("topic", "hz", "/chatter", "--duration", "0.2")
+    assert (silent.code, "no message of /chatter came" in silent.err) == (1, True), silent
+
+
+def test_pub_reaches_the_side(midspan: Midspan, worker: EngineWorker, registry: Registry) -> None:
+    heard: list[bytes] = []
+    worker.side.read_from("/cmd", STRING, Qos(), MadeBy.NATIVE, "/robot", lambda cdr, _source, _time: heard.append(cdr))
+    done = midspan("topic", "pub", "/cmd", "std_msgs/String", "{data: go}", "--once", "--settle", "0.5")
+    assert done.code == 0, done
+    until(lambda: heard, "the message arrives")
+    assert [to_json(registry, STRING, cdr) for cdr in heard] == [{"data": "go"}]
+
+
+def test_pub_counts_and_latches(midspan: Midspan, network: HubNetwork, closing: list[Any], registry: Registry) -> None:
+    listener = FakeWorker(network, "native")
+    closing.append(listener)
+    heard = listener.hear("/count", STRING, Qos())
+    args = ("--rate", "100", "--count", "3", "--settle", "0")
+    assert midspan("topic", "pub", "/count", "std_msgs/msg/String", '{"data": "x"}', *args).code == 0
+    assert [to_json(registry, STRING, sample.data())["data"] for sample in heard] == ["x"] * 3
+
+    latched = listener.hear("/latched", STRING, LATCHED)
+    midspan("topic", "pub", "/latched", STRING, "--latch", "--count", "1", "--settle", "0")
+    assert len(latched) == 1
+    until(lambda: not listener.hub.graph.publishers("/latched"), "its publisher is gone")
+
+
+@pytest.mark.parametrize(
+    ("type_name", "message", "words"),
+    [
+        ("geometry_msgs/Twist", "{linaer: {x: 1}}", "linear"),
+        ("geometry_msgs/Twist", "{linear: {x: fast}}", "linear"),
+        ("geometry_msgs/Twist", "[1, 2]", "map of fields"),
+        ("geometry_msgs/Twist", "{linear: ", "neither YAML nor JSON"),
+        ("geometry_msgs/Twits", "{}", "geometry_msgs/msg/Twist"),
+        ("Twist", "{}", "std_msgs/String"),
+        ("no_such_msgs/Thing", "{}", "no_such_msgs"),
+    ],
+)
+def test_pub_says_what_is_wrong(midspan: Midspan, type_name: str, message: str, words: str) -> None:
+    done = midspan("topic", "pub", "/cmd_vel", type_name, message, "--once")
+    assert (done.code, words in done.err) == (1, True), done
+
+
+def test_pub_warns_where_it_does_not_reach(midspan: Midspan, worker: EngineWorker, network: HubNetwork) -> None:
+    del worker
+    with Hub.open(network.settings("native")) as hub:
+        other = hub.publisher("/secret", "std_msgs/msg/Bool", "RIHS01_" + "1" * 64, Qos())
+        done = midspan("topic", "pub", "/secret", STRING, "--once", "--settle", "0.5")
+        other.close()
+    assert "it does not reach ROS 1: denied: rule 1 denies it" in done.err
+    assert "/secret is std_msgs/msg/Bool elsewhere" in done.err

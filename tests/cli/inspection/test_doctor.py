@@ -1,0 +1,106 @@
+"""``midspan doctor`` with and without a daemon."""
+
+from __future__ import annotations
+
+import re
+import time
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from bridge.doctor.checks import CHECKS
+from tests.cli.conftest import Midspan
+from tests.cli.workers import FakeWorker, config_file, status
+from tests.support.hub import HubNetwork
+from tests.support.ports import free_port
+
+NO_ROS: dict[str, Any] = {"ros1": {"enabled": False}, "ros2": {"enabled": False}}
+
+
+def found(done: Any) -> dict[str, list[str]]:
+    """Results by check."""
+    by_check: dict[str, list[str]] = {}
+    for entry in done.json():
+        by_check.setdefault(entry["check"], []).append(entry["result"])
+    return by_check
+
+
+def test_without_a_daemon(tmp_path: Path, network: HubNetwork, capsys: pytest.CaptureFixture[str]) -> None:
+    nobody = {"hub": {"listen": f"tcp/127.0.0.1:{free_port()}"}}
+    midspan = Midspan(config_file(tmp_path, network, **NO_ROS, **nobody), capsys)
+    done = midspan("doctor", "--json")
+    results = found(done)
+    assert list(results) == [check.id for check in CHECKS]
+    assert results["daemon"] == ["warn"]
+    assert results["router-port"] == ["ok"]
+    assert results["ros1-master"] == results["clock"] == ["skip"]
+    assert done.code == (1 if any("fail" in words for words in results.values()) else 0)
+
+
+def test_with_a_daemon(
+    tmp_path: Path, network: HubNetwork, closing: list[FakeWorker], capsys: pytest.CaptureFixture[str]
+) -> None:
+    midspan = Midspan(config_file(tmp_path, network, **NO_ROS), capsys)
+    refused = {"direction": "in", "topic": "/odd", "type": "x/Odd", "reason": "no definition", "cure": "install x"}
+    document = status("ros1", daemon="robot2", refused=[refused], pid=0)
+    ahead = {"status": document, "time": lambda _params: {"time_ns": time.time_ns() + 3_000_000_000}}
+    closing.append(FakeWorker(network, "ros1", daemon="robot2", **ahead))
+    for name, digit in (("one", "1"), ("two", "2")):
+        worker = FakeWorker(network, name)
+        closing.append(worker)
+        worker.publish("/map", "nav_msgs/msg/OccupancyGrid", f"RIHS01_{digit * 64}", b"")
+    done = midspan("doctor", "--json")
+    results = found(done)
+    assert done.code == 1
+    for check, result in (("daemon", "ok"), ("types", "fail"), ("type-hash", "fail"), ("clock", "fail")):
+        assert results[check] == [result], done.out
+    words = midspan("doctor", "--only", "clock", "--only", "types").out
+    measured = re.search(r"FAIL  clock: robot2's clock is ([\d.]+) ms", words)
+    assert measured, words
+    assert float(measured[1]) == pytest.approx(3000, abs=500)  # as exact as the answer was quick
+    for text in ("ahead of", "chrony", "FAIL  types: /odd", "cure: install x"):
+        assert text in words
+    assert "router-port" not in words
+
+
+def test_a_worker_that_does_not_answer_stands_there_by_the_daemons_word(
+    tmp_path: Path,
+    network: HubNetwork,
+    closing: list[FakeWorker],
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    workers = [
+        {"worker": "ros1", "phase": "running", "text": "", "pid": 1, "restarts": 0, "since": 3.0},
+        {"worker": "modules", "phase": "starting", "text": "importing numpy", "pid": 2, "restarts": 0, "since": 4.0},
+    ]
+    said = {"daemon": "robot1", "workers": workers}
+    monkeypatch.setattr("bridge.cli.inspection.status.ask_daemon", lambda _config: said)
+    closing.append(FakeWorker(network, "ros1", status=status("ros1", pid=0)))
+    midspan = Midspan(config_file(tmp_path, network, **NO_ROS), capsys)
+    assert midspan("doctor", "--only", "daemon").out.splitlines()[:3] == [
+        "OK    daemon: robot1/ros1 is running",
+        "WARN  daemon: robot1/modules is starting: importing numpy (4.0 s)",
+        "      cure: wait",
+    ]
+    nobody = config_file(tmp_path, network, **NO_ROS, hub={"listen": f"tcp/127.0.0.1:{free_port()}"})
+    told = Midspan(nobody, capsys)("doctor", "--only", "daemon").out
+    assert "no zenoh router answers" in told
+    assert "robot1/modules is starting" in told
+    assert "midspan run" not in told
+
+
+def test_a_broken_configuration(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    file = tmp_path / "midspan.yaml"
+    file.write_text(f"hub:\n  listen: tcp/127.0.0.1:{free_port()}\n  domian: 3\n")
+    done = Midspan(file, capsys)("doctor", "--only", "config")
+    assert done.code == 1
+    assert f"{file}:3:3" in done.out
+    assert "did you mean 'domain'" in done.out
+
+
+def test_one_that_does_not_exist(midspan: Midspan) -> None:
+    done = midspan("doctor", "--only", "astrology")
+    assert (done.code, "no check astrology" in done.err) == (1, True)
+    assert [line.split()[0] for line in midspan("doctor", "--list").out.splitlines()] == [c.id for c in CHECKS]

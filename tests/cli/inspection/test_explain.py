@@ -1,0 +1,182 @@
+"""``midspan explain`` on a real hub, with prepared answers and with a real engine."""
+
+from __future__ import annotations
+
+import threading
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from bridge.hub.graph.tokens import Origin
+from bridge.hub.session import Hub
+from bridge.hub.wire.qos import Durability, Qos
+from bridge.messages.registry import Registry
+from tests.cli.conftest import Midspan
+from tests.cli.workers import EngineWorker, FakeWorker, config_file, route, status
+from tests.support.hub import HubNetwork
+from tests.support.wait import until
+
+STRING = "std_msgs/msg/String"
+RULES = [{"topic": "/secret", "deny": True}, {"topic": "/old", "rename": "/new"}]
+
+
+def engine(network: HubNetwork, registry: Registry, closing: list[Any]) -> EngineWorker:
+    """An engine with one topic of each fate."""
+    worker = EngineWorker(network, registry, rules=RULES)
+    closing.append(worker)
+    for topic in ("/secret", "/old", "/rosout", "/fine"):
+        worker.advertise(topic, STRING)
+    worker.advertise("/odd", "odd_msgs/msg/Odd")
+    until(lambda: len(worker.engine.decisions()) == 5 and len(worker.engine.routes()) == 2, "all is decided")
+    return worker
+
+
+def test_each_fate_is_said_with_its_cure(
+    midspan: Midspan, network: HubNetwork, registry: Registry, closing: list[Any]
+) -> None:
+    engine(network, registry, closing)
+    fates = {
+        "/fine": ("bridged", "ROS 1 -> hub: /fine (std_msgs/msg/String) crosses: everything crosses by default"),
+        "/old": ("bridged", "/old (std_msgs/msg/String) crosses as /new: rule 2 allows it"),
+        "/new": ("bridged", "/old (std_msgs/msg/String) crosses as /new: rule 2 allows it"),
+        "/secret": ("denied", "does not cross: rule 1 denies it"),
+        "/rosout": ("private", "private to its side: ROS 1's own log"),
+        "/odd": ("refused", "/odd (odd_msgs/msg/Odd) cannot cross: "),
+    }
+    for topic, (decision, words) in fates.items():
+        done = midspan("explain", topic)
+        assert (done.code, words in done.out) == (0, True), done
+        document = midspan("explain", topic, "--json").json()
+        assert [d["decision"] for d in document["decisions"]] == [decision], topic
+        assert bool(document["decisions"][0]["cure"]) == (decision != "bridged"), topic
+        assert len(document["hub"]) == (1 if decision == "bridged" else 0), topic
+
+
+def test_a_topic_of_another_name_on_the_hub_is_followed_there(
+    midspan: Midspan, network: HubNetwork, registry: Registry, closing: list[Any]
+) -> None:
+    engine(network, registry, closing)
+    told = {"decision": "bridged", "direction": "out", "topic": "/new", "hub_topic": "/new", "type": STRING, "why": "x"}
+    closing.append(FakeWorker(network, "ros2", explain=[told], status=status("ros2")))
+    decisions = midspan("explain", "/old", "--json").json()["decisions"]
+    assert [(d["direction"], d["hub_topic"]) for d in decisions] == [("in", "/new"), ("out", "/new")]
+
+
+def test_an_unknown_topic_has_its_nearest_names(
+    midspan: Midspan, network: HubNetwork, registry: Registry, closing: list[Any]
+) -> None:
+    engine(network, registry, closing)
+    done = midspan("explain", "secert")
+    assert done.code == 1
+    assert "no topic /secert" in done.err
+    assert "/secret" in done.err
+
+
+def test_a_name_that_nobody_has_yet_is_explained_by_the_rules(
+    network: HubNetwork, closing: list[Any], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    rules = [
+        {"topic": "**", "rate": 5},  # names nothing
+        {"topic": "/camera/**", "to": "yarp", "deny": True},
+        {"kind": "topic", "topic": "/old", "from": "ros1", "rename": "/new"},
+        {"regex": "/lidar/[0-9]", "type": "sensor_msgs/msg/*"},
+    ]
+    sections = {"navigation": {"planner": "move_base"}, "routing": {"rules": rules}}
+    midspan = Midspan(config_file(tmp_path, network, **sections), capsys)
+    closing.append(FakeWorker(network, "ros1", status=status("ros1"), explain=[]))
+    for name, words in {
+        "/move_base": "the section navigation (planner move_base): an action of ROS 1 with this name crosses as"
+        " /planner/move_base/navigate_to_pose.",
+        "/planner/move_base/navigate_to_pose": "an action of ROS 1 /move_base gets this name",
+        "/camera/left": "rule 2: a topic, service or action with this name does not cross to YARP.",
+        "/old": "rule 3: a topic of ROS 1 with this name crosses as /new.",
+        "/new": "rule 3: a topic of ROS 1 /old gets this name.",
+        "/lidar/3": "rule 4: a topic, service or action (sensor_msgs/msg/*) with this name crosses.",
+    }.items():
+        done = midspan("explain", name)
+        assert (done.code, f"nobody has the name {name} now" in done.out, words in done.out) == (0, True, True), done
+        planner = "the planner move_base is not there: nobody serves its action /move_base on ROS 1" in done.out
+        assert planner == ("move_base" in name), done
+    assert midspan("explain", "/nobody").code == 1
+
+
+def test_the_flow_of_a_route_is_told(midspan: Midspan, network: HubNetwork, closing: list[Any]) -> None:
+    decision = {
+        "direction": "out",
+        "topic": "/scan",
+        "hub_topic": "/scan",
+        "type": "sensor_msgs/msg/LaserScan",
+        "decision": "bridged",
+        "why": "w",
+    }
+    odd = "/scan: /viewer does not hear us: volatile is offered, transient local is asked for"
+    document = status("ros2", routes=[route("/scan", "out", error="too short")], warnings=[odd, "/other: x"])
+    closing.append(FakeWorker(network, "ros2", status=document, explain=[decision]))
+    closing.append(FakeWorker(network, "ros1", status=status("ros1", state="waiting", network=None), explain=[]))
+    words = midspan("explain", "/scan").out
+    assert "hub -> ROS 2: /scan (sensor_msgs/msg/LaserScan) crosses: w." in words
+    for text in (
+        "100 messages, 9.8 msg/s",
+        "last error: too short",
+        "ROS 1 (daemon robot1) is away",
+        f"Note: ROS 2: {odd}",
+    ):
+        assert text in words
+    assert "/other" not in words
+
+
+def test_what_the_hub_shows_of_a_mismatch(midspan: Midspan, network: HubNetwork, closing: list[Any]) -> None:
+    del closing
+    with Hub.open(network.settings("one")) as one, Hub.open(network.settings("two")) as two:
+        latched = Qos(durability=Durability.TRANSIENT_LOCAL)
+        first = one.publisher("/map", "nav_msgs/msg/OccupancyGrid", "RIHS01_" + "1" * 64, Qos())
+        second = two.subscription("/map", "nav_msgs/msg/OccupancyGrid", "RIHS01_" + "2" * 64, latched, lambda _s: None)
+        done = midspan("explain", "/map")
+        first.close()
+        second.close()
+    assert done.code == 0
+    for text in ("1 publisher, 1 subscription", "definitions of nav_msgs/msg/OccupancyGrid differ", "transient local"):
+        assert text in done.out
+    assert "no worker answers" in done.out
+
+
+def test_all_is_asked_at_once(midspan: Midspan, network: HubNetwork, closing: list[Any]) -> None:
+    """Each question waits for the slowest worker: one after another they took longer than a person waits."""
+    name, asked = "/navigation2D_nws_yarp/rpc", threading.Event()
+    decision = {"decision": "denied", "direction": "in", "topic": name, "hub_topic": name, "type": STRING, "why": "w"}
+    module = status("gateway", side=None, module=True, ports=[{"port": name, "peers": []}])
+
+    def tell(_params: dict[str, Any]) -> dict[str, Any]:
+        asked.set()
+        return module
+
+    closing.append(FakeWorker(network, "yarp", explain=lambda _params: [decision] if asked.wait(10) else []))
+    closing.append(FakeWorker(network, "gateway", status=tell))
+    asked.clear()
+    done = midspan("explain", name)
+    assert f"YARP port {name} answers calls: nobody is connected." in done.out
+    assert f"{name} ({STRING}) does not cross: w." in done.out
+    assert done.code == 0
+
+
+def test_a_worker_that_hangs_is_named(midspan: Midspan, network: HubNetwork, closing: list[Any]) -> None:
+    goes_on = threading.Event()
+    guess = {"port": "/nav/rpc", "carrier": "tcp", "generation": "3.12", "generation_why": "a guess"}
+    port = {"port": "/navigation2D_nws_yarp/rpc", "peers": [{**guess, "generation_cure": "say its release"}]}
+    module = status("gateway", side=None, module=True, ports=[port])
+    closing.append(FakeWorker(network, "gateway", status=module))
+    closing.append(hanging := FakeWorker(network, "yarp", status=lambda _params: goes_on.wait(30)))
+    hanging.hub.set_origin(Origin("yarp", "net", "robot1"))
+    try:
+        done = midspan("explain", "/navigation2D_nws_yarp/rpc")
+        assert done.code == 0
+        assert "    /nav/rpc over tcp: its calls are answered as YARP 3.12 does (a guess)" in done.out
+        assert "        cure: say its release" in done.out
+        assert "On the hub" not in done.out, "it is a port's name"
+        assert "YARP (daemon robot1) did not answer within 2 s, so what it knows is missing" in done.out
+        done = midspan("explain", "/nowhere")
+        assert done.code == 1
+        assert "YARP (daemon robot1) did not answer within 2 s" in done.err
+    finally:
+        goes_on.set()

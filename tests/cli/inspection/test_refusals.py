@@ -1,0 +1,104 @@
+"""What a machine's door refuses, as status and explain tell it on a real hub."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+
+from bridge.config.rules import ALWAYS
+from bridge.hub.wire.qos import Qos
+from tests.cli.conftest import Midspan
+from tests.cli.workers import FakeWorker, route, status
+from tests.support.hub import HubNetwork
+
+SET_BOOL, GET_PLAN = "std_srvs/srv/SetBool", "nav_msgs/srv/GetPlan"
+TWIST, LASER = "geometry_msgs/msg/Twist", "sensor_msgs/msg/LaserScan"
+HASH = "RIHS01_" + "1" * 64
+COMMANDS = {name: [part] for name, part in ALWAYS.items()}
+
+
+def router(daemon: str, **more: Any) -> dict[str, Any]:
+    return status("router", daemon=daemon, side="router", listen="tcp/127.0.0.1:1", sessions=1, **more)
+
+
+class Fleet:
+    """A robot whose door does not trust the operator, whose worker publishes commands and a scan."""
+
+    def __init__(self, network: HubNetwork, closing: list[Any], name: str = "operator1") -> None:
+        self.worker = FakeWorker(network, "ros1", daemon="operator1", explain=[], status=lambda _: self.document)
+        zid = self.worker.hub.zid
+        self.document = status("ros1", daemon="operator1", zid=zid, routes=[route("/cmd_vel", messages=153)])
+        for topic, type_name in (("/cmd_vel", TWIST), ("/scan", LASER)):
+            self.worker.kept.append(self.worker.hub.publisher(topic, type_name, HASH, Qos()))
+        self.machine = {"name": name, "zid": "d1", "address": "tls/10.0.0.2:1", "trusted": False}
+        robot = router("robot1", door="d2", machines=[self.machine], commands=COMMANDS)
+        operator = router("operator1", door="d1", members=[zid, "d1"], machines=[])
+        closing += [
+            self.worker,
+            FakeWorker(network, "router", daemon="robot1", status=lambda _: robot),
+            FakeWorker(network, "router", daemon="operator1", status=operator),
+        ]
+
+
+def test_refused_commands_are_told_with_their_number_and_the_cure(
+    midspan: Midspan, network: HubNetwork, closing: list[Any]
+) -> None:
+    Fleet(network, closing)
+    told = "robot1 refuses the commands of operator1 on /cmd_vel (/midspan_ros1); 153 messages so far"
+    cure = "cure: where that is not meant, name 'operator1' in hub.open.trusted of robot1 and reload"
+    for words in (midspan("explain", "/cmd_vel").out, midspan("status").out):
+        assert told in " ".join(words.split())
+        assert cure in " ".join(words.split())
+    assert "refuses" not in midspan("explain", "/scan").out
+    assert "/scan" not in midspan("status").out.partition("direction")[0]
+    (document,) = [d for d in midspan("status", "--json").json() if d.get("refused_commands")]
+    assert document["daemon"] == "robot1"
+    (refusal,) = document["refused_commands"]
+    assert (refusal["topic"], refusal["machine"], refusal["messages"]) == ("/cmd_vel", "operator1", 153)
+
+
+def test_refused_calls_are_told_where_there_is_something_to_refuse(
+    midspan: Midspan, network: HubNetwork, closing: list[Any]
+) -> None:
+    fleet = Fleet(network, closing)
+    robot = FakeWorker(network, "ros1")
+    closing.append(robot)
+    calls = {"/lamp": 2, "/plan": 3, "/quiet": 0, "/gone": 4}
+    fleet.document["routes"] += [route(name, "out", kind="service", calls=count) for name, count in calls.items()]
+    types = {name: GET_PLAN if name == "/plan" else SET_BOOL for name in calls}
+    for name, type_name in types.items():
+        fleet.worker.kept.append(fleet.worker.hub.client(name, type_name, HASH))
+        if name != "/gone":
+            robot.kept.append(robot.hub.server(name, type_name, HASH, lambda _request, _done: lambda: None))
+    words = " ".join(midspan("status").out.split())
+    assert "robot1 refuses the calls of operator1 to /lamp (/midspan_ros1); 2 calls so far" in words
+    assert words.count("refuses the calls") == 1  # a question is answered, and what nobody calls is not told
+    assert "2 calls so far. cure: where that is not meant, name" in " ".join(midspan("explain", "/lamp").out.split())
+
+
+def test_commands_of_a_trusted_machine_are_not(midspan: Midspan, network: HubNetwork, closing: list[Any]) -> None:
+    Fleet(network, closing).machine["trusted"] = True
+    assert "refuses" not in midspan("explain", "/cmd_vel").out + midspan("status").out
+
+
+def test_a_program_that_comes_in_by_itself_is_not_counted(
+    midspan: Midspan, network: HubNetwork, closing: list[Any]
+) -> None:
+    fleet = Fleet(network, closing, name="")
+    fleet.machine["zid"] = fleet.worker.hub.zid
+    fleet.document = status("ros1", daemon="operator1", zid="other")
+    words = " ".join(midspan("explain", "/cmd_vel").out.split())
+    assert "robot1 refuses the commands of a machine without a certificate on /cmd_vel (/midspan_ros1). cure:" in words
+    assert "give it a certificate (midspan keys)" in words
+
+
+@pytest.mark.parametrize("table", [None, "rubbish", {"no type": 5}, {TWIST: None}, {LASER: ["$*#", "**"]}])
+def test_a_router_that_does_not_tell_its_commands_has_the_usual_ones(
+    midspan: Midspan, network: HubNetwork, closing: list[Any], table: Any
+) -> None:
+    fleet = Fleet(network, closing)
+    robot = router("robot2", door="d3", machines=[fleet.machine], commands=table)
+    closing.append(FakeWorker(network, "router", daemon="robot2", status=robot))
+    assert "robot2 refuses the commands of operator1 on /cmd_vel" in " ".join(midspan("status").out.split())
+    assert "robot2 refuses the commands of operator1 on /scan" not in midspan("status").out

@@ -1,0 +1,229 @@
+"""``midspan map`` and ``midspan location`` on a store of the hub."""
+
+from __future__ import annotations
+
+import json
+import re
+import threading
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from bridge.cli.maps import drawing, location
+from bridge.cli.maps.drawing import AREA_COLOUR, draw
+from bridge.messages.registry import Registry
+from bridge.stores.kinds import AREA, BEHAVIOUR, LINK, LOCATION, MAP, PATH
+from bridge.stores.store import Store
+from bridge.tf.stamped import TF, TF_TYPE, Stamped, write
+from tests.cli.conftest import Midspan
+from tests.cli.test_docs import examples
+from tests.cli.workers import EngineWorker
+from tests.stores.parts import Shared
+from tests.support.hub import HubNetwork
+from yarp_compat.dev.extras import AreaBehaviour, MapLink
+from yarp_compat.dev.locations import Map2DArea, Map2DLocation, Map2DPath
+from yarp_compat.dev.mapgrid import MapFlag, MapGrid2D
+from yarp_compat.dev.places import Places
+from yarp_compat.sig.vec2d import Vec2D
+
+AREA_EXAMPLE = Map2DArea("house", [Vec2D(1.0, 1.0), Vec2D(2.0, 1.0), Vec2D(2.0, 2.0)], "zone")
+
+
+def house(origin: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> MapGrid2D:
+    """Walls around a room of 4 by 3 metres."""
+    flags = np.full((30, 40), MapFlag.FREE, np.uint8)
+    flags[[0, -1], :] = flags[:, [0, -1]] = MapFlag.WALL
+    return MapGrid2D.of(flags, name="house", resolution=0.1, origin=origin)
+
+
+@pytest.fixture
+def store(network: HubNetwork, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Store]:
+    """A daemon's store; the commands run in a folder with a map's files."""
+    monkeypatch.chdir(tmp_path)
+    house().save("house.yaml")
+    with Shared(tmp_path, "robot1", network.endpoint, domain=network.domain) as shared:
+        yield shared.store
+
+
+@pytest.fixture
+def moving(network: HubNetwork, registry: Registry, closing: list[Any]) -> Iterator[EngineWorker]:
+    """A side that tells where the base is."""
+    worker = EngineWorker(network, registry)
+    closing.append(worker)
+    stop = threading.Event()
+    writer = worker.advertise(TF, TF_TYPE)
+
+    def talk() -> None:
+        while not stop.wait(0.05):
+            at = time.time_ns()
+            half = np.sqrt(0.5)
+            told = [
+                Stamped("map", "odom", at, (1.0, 0.0, 0.0), (0.0, 0.0, half, half)),
+                Stamped("odom", "base_link", at, (0.5, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0)),
+            ]
+            worker.side.write(writer, write(told))
+
+    thread = threading.Thread(target=talk)
+    thread.start()
+    yield worker
+    stop.set()
+    thread.join()
+
+
+@pytest.mark.usefixtures("moving")
+def test_the_examples_work(midspan: Midspan, store: Store) -> None:
+    ran = [words for words in examples("operate/cli.md") if words[0] in ("map", "location")]
+    assert len(ran) > 12
+    for words in ran:
+        done = midspan(*words)
+        assert done.code == 0, (words, done)
+        assert done.out, words
+    grid = store.get(MAP, "house")
+    assert grid is not None
+    assert {MapFlag.KEEP_OUT, MapFlag.WALL, MapFlag.ENLARGED_OBSTACLE} <= set(map(MapFlag, np.unique(grid.flags)))
+    assert store.current_map() == "house"
+    assert store.names(LOCATION) == ["dock"]
+    dock = store.get(LOCATION, "dock")
+    assert dock is not None
+    assert (dock.map_id, round(dock.x, 6), round(dock.y, 6), round(dock.theta, 6)) == ("house", 1.0, 0.5, 90.0)
+    assert MapGrid2D.load("house.map") == grid
+    with Image.open("house.png") as picture:
+        assert picture.size == (16 * 40, 16 * 30)
+    assert set(Places.load("locations.ini").locations) == {"dock", "kitchen"}
+    names = {each["properties"]["name"] for each in json.loads(Path("house.geojson").read_text())["features"]}
+    assert names == {"dock", "kitchen"}
+
+
+def test_all_kinds_are_listed_and_removed(midspan: Midspan, store: Store) -> None:
+    store.put(LOCATION, "a", Map2DLocation("house", 1.0, 2.0, 45.0))
+    store.put(LOCATION, "b", Map2DLocation("attic", 1.0, 2.0, 45.0))
+    store.put(AREA, "zone", AREA_EXAMPLE)
+    store.put(BEHAVIOUR, "zone", AreaBehaviour(max_speed=0.2, on_obstacle="wait", keep_out=True))
+    store.put(PATH, "round", Map2DPath([Map2DLocation("house"), Map2DLocation("attic")]))
+    store.put(LINK, "lift", MapLink("a", "b", 12.0))
+    rows = midspan("location", "list", "--json").json()
+    assert [(row["kind"], row["name"], row["maps"]) for row in rows] == [
+        ("location", "a", ["house"]),
+        ("location", "b", ["attic"]),
+        ("area", "zone", ["house"]),
+        ("path", "round", ["attic", "house"]),
+        ("link", "lift", ["house", "attic"]),
+    ]
+    assert rows[2]["behaviour"] == {"max_speed": 0.2, "on_obstacle": "wait", "keep_out": True}
+    text = midspan("location", "list").out
+    assert re.search(r"area +zone +house +3 corners +up to 0.2 m/s, obstacle: wait, keep out +zone", text)
+    assert re.search(r"link +lift +house, attic +a to b, cost 12", text)
+    assert [row["name"] for row in midspan("location", "list", "--json", "--map", "attic").json()] == [
+        "b",
+        "round",
+        "lift",
+    ]
+    assert midspan("location", "remove", "zone", "--kind", "area").code == 0
+    assert (store.names(AREA), store.names(BEHAVIOUR)) == ([], [])
+    done = midspan("location", "remove", "aa")
+    assert (done.code, done.err) == (1, "midspan: there is no location 'aa'; there is a\n")
+
+
+@pytest.mark.parametrize(
+    ("words", "why"),
+    [
+        (["map", "show"], "no map is in use"),
+        (["map", "show", "hose"], "there is no map 'hose'; there is none at all"),
+        (["map", "use", "house"], "there is no map 'house'"),
+        (["map", "import", "nowhere.yaml"], "nowhere.yaml"),
+        (["map", "import", "house.yaml", "house.yaml"], "in the files twice"),
+        (["map", "import", "house.yaml", "--name", "a/b"], "has /"),
+        (["map", "import", "--use", "locations.ini"], "the files have none"),
+        (["map", "export", "house.txt"], "no map is in use"),
+        (["map", "edit-flags"], "say what to change"),
+        (["map", "edit-flags", "--flag", "wall"], "go together"),
+        (["location", "add", "a"], "or --here"),
+        (["location", "add", "a", "1", "2", "--here"], "or --here"),
+        (["location", "add", "a/b", "1", "2"], "has /"),
+        (["location", "add", "a", "1", "2"], "no map is in use"),
+        (["location", "export", "x.txt"], "give it .ini"),
+    ],
+    ids=lambda each: "_".join(each) if isinstance(each, list) else "",
+)
+def test_what_cannot_be_is_told(midspan: Midspan, store: Store, words: list[str], why: str) -> None:
+    Path("locations.ini").write_text("Version:\n4\nLocations:\n")
+    done = midspan(*words)
+    assert done.code == 1
+    assert why in done.err
+    assert "Traceback" not in done.err
+    assert not store.replica.versions()
+
+
+def test_nothing_is_overwritten_unasked(midspan: Midspan, store: Store) -> None:
+    store.put(MAP, "house", house((1.0, 1.0, 0.0)))
+    store.put(LOCATION, "a", Map2DLocation("house"))
+    store.use_map("house")
+    before = store.replica.versions()
+    done = midspan("map", "import", "house.yaml")
+    assert done.code == 1
+    assert "map 'house' is stored already" in done.err
+    assert midspan("location", "add", "a", "1", "1").code == 1
+    assert midspan("map", "edit-flags", "--flag", "wall", "--points", "90,90", "91,90", "91,91").code == 1
+    assert midspan("map", "edit-flags", "--flag", "wall", "--area", "zone").code == 1
+    assert store.replica.versions() == before
+    assert midspan("map", "import", "house.yaml", "--replace").code == 0
+    assert store.get(MAP, "house") == house()
+
+
+def test_without_a_store_the_cure_is_told(midspan: Midspan) -> None:
+    done = midspan("map", "list")
+    assert done.code == 1
+    assert "store.enabled" in done.err
+
+
+@pytest.mark.usefixtures("moving")
+def test_where_the_robot_is_not_known_nothing_is_stored(
+    midspan: Midspan, store: Store, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(location, "PATIENCE", 0.2)
+    done = midspan("location", "add", "a", "--here", "--map", "house", "--base-frame", "nobody")
+    assert done.code == 1
+    assert "nobody" in done.err
+    assert store.names(LOCATION) == []
+
+
+@pytest.mark.parametrize("theta", [0.0, 90.0])
+def test_the_picture_shows_flags_locations_and_areas(theta: float) -> None:
+    grid = house((0.0, 0.0, theta))
+    grid.flags[5, 5] = MapFlag.KEEP_OUT
+    place = grid.toLocation(Vec2D(*grid.centers_of((20, 15))))
+    corners = [Vec2D(*grid.centers_of(cell)) for cell in ((25, 20), (35, 20), (35, 25))]
+    image = draw(grid, {"here": place}, {"zone": Map2DArea("house", corners)}, 10)
+    assert image.size == (400, 300)
+    assert image.getpixel((2, 2)) == (0, 0, 0)
+    assert image.getpixel((55, 55)) == (255, 0, 0)
+    assert image.getpixel((300, 205)) == AREA_COLOUR
+    assert image.getpixel((205 + 30, 155 + 30)) == (254, 254, 254)
+    pixels = np.asarray(image)[150:165, 200:215]
+    assert (pixels == (0, 110, 0)).all(axis=2).any()
+
+
+def test_the_terminal_shows_thin_walls_and_marks() -> None:
+    grid = house()
+    grid.flags[14:16, :] = MapFlag.WALL
+    areas = {"zone": Map2DArea("house", [Vec2D(1.0, 0.4), Vec2D(2.0, 0.4), Vec2D(2.0, 1.2)])}
+    locations = {"a": Map2DLocation("house", 1.05, 2.55, 0.0), "b\x1b[2J": Map2DLocation("house", 99.0, 99.0, 0.0)}
+    plain = [line.plain for line in drawing.lines(grid, locations, areas, 20, coloured=False)]
+    assert plain[0] == "#" * 20
+    assert plain[3] == "#" * 20
+    assert plain[1].strip("# ") == "→a"
+    assert "·" in plain[5]
+    assert plain[-4:] == [
+        "' ' free, '#' wall",
+        "a a: 1.05, 2.55 m, 0 degrees",
+        "b b?[2J: 99, 99 m, 0 degrees",
+        "· zone: area of 3 corners",
+    ]
+    coloured = drawing.lines(grid, locations, areas, 20, coloured=True)
+    assert coloured[0].plain == "▀" * 20
+    assert "rgb(0,0,0)" in str(coloured[0].spans[0].style)

@@ -1,0 +1,147 @@
+"""``midspan halt`` on a real hub: listeners hear zero, goals are cancelled, a base is asked."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+import yaml
+
+from bridge.clock import SYSTEM
+from bridge.hub.errors import HubError
+from bridge.hub.session import Hub
+from bridge.hub.wire.qos import Qos
+from bridge.messages.actions import GoalState
+from bridge.messages.json import from_json, to_json
+from bridge.messages.registry import Registry
+from bridge.modules.action_server import Goal
+from bridge.modules.host import Node
+from bridge.modules.loop import EventLoop
+from tests.cli.conftest import Midspan, config_file
+from tests.cli.workers import FakeWorker
+from tests.support.faults import FaultProxy
+from tests.support.hub import HubNetwork
+from tests.support.wait import until
+
+LOOKUP = "tf2_msgs/action/LookupTransform"
+TWIST = "geometry_msgs/msg/Twist"
+
+
+class Robot:
+    """A node that drives by ``/cmd_vel`` and pursues goals, and a client with two of them."""
+
+    def __init__(self, network: HubNetwork, registry: Registry) -> None:
+        self.loop = EventLoop("robot")
+        self.node, far = (
+            Node(Hub.open(network.settings(name)), registry, self.loop, SYSTEM) for name in ("robot", "client")
+        )
+        self._nodes = (self.node, far)
+        self.heard: list[dict[str, Any]] = []
+        self.obeys = True
+        self.loop.start()
+        self.node.subscription("/cmd_vel", TWIST, self.heard.append)
+        server = self.node.action_server("/lookup", LOOKUP, lambda _goal: True, self.cancel)
+        client = far.action_client("/lookup", LOOKUP)
+        until(lambda: client.ready, "the action is there")
+        self.sent = [client.send({}, lambda *_: None) for _ in range(2)]
+        until(lambda: len(server.active) == 2, "both goals are pursued")
+
+    def cancel(self, goal: Goal) -> bool:
+        if self.obeys:
+            self.loop.post(goal.canceled)
+        return self.obeys
+
+    def close(self) -> None:
+        for node in self._nodes:
+            node.close()
+        self.loop.close()
+        for node in self._nodes:
+            node.hub.close()
+
+
+@pytest.fixture
+def robot(network: HubNetwork, registry: Registry) -> Iterator[Robot]:
+    made = Robot(network, registry)
+    yield made
+    made.close()
+
+
+def test_everything_stands_still(midspan: Midspan, network: HubNetwork, robot: Robot, closing: list[Any]) -> None:
+    asked: list[Any] = []
+    closing.append(FakeWorker(network, "base_control", halt=lambda params: asked.append(params) or {"halted": True}))
+    done = midspan("halt", "--seconds", "1")
+    assert done.code == 0, done
+    assert done.out.splitlines() == [
+        "/cmd_vel: zero velocity, 1 listener on the hub",
+        "base_control of robot1: stands still",
+        "/lookup: 2 goals cancelled",
+    ]
+    assert asked == [{}]
+    until(lambda: [goal.status for goal in robot.sent] == [GoalState.CANCELED] * 2, "both goals were cancelled")
+    assert len(robot.heard) > 3
+    assert all(message["linear"]["x"] == message["angular"]["z"] == 0.0 for message in robot.heard)
+
+
+def test_what_does_not_obey_is_told(midspan: Midspan, network: HubNetwork, robot: Robot, closing: list[Any]) -> None:
+    def fails(_params: dict[str, Any]) -> None:
+        raise RuntimeError
+
+    robot.obeys = False
+    closing.append(FakeWorker(network, "base_control", halt=fails))
+    done = midspan("halt", "--seconds", "0.5", "--json")
+    assert done.code == 1
+    assert done.json() == {
+        "topics": {"/cmd_vel": 1},
+        "goals": {"/lookup": 0},
+        "bases": {"base_control of robot1": False},
+        "errors": {"base_control of robot1": "RuntimeError"},
+    }
+
+
+def test_nothing_to_halt(midspan: Midspan) -> None:
+    done = midspan("halt", "--seconds", "0.1")
+    assert (done.code, "nothing to halt" in done.err) == (1, True)
+
+
+def test_publishers_of_velocities_are_reason_enough(midspan: Midspan, network: HubNetwork, registry: Registry) -> None:
+    hub = Hub.open(network.settings("planner"))
+    type_id = registry.ros2(TWIST).type_id
+    publisher = hub.publisher("/far/cmd_vel", TWIST, type_id, Qos())
+    heard: list[Any] = []
+    subscription = hub.subscription("/far/cmd_vel", TWIST, type_id, Qos(), heard.append)
+    publisher.put(from_json(registry, TWIST, {"linear": {"x": 1.0}}))
+    assert midspan("halt", "--seconds", "0.3").code == 0
+    until(lambda: any(to_json(registry, TWIST, s.data())["linear"]["x"] == 0.0 for s in heard), "zero is heard")
+    subscription.close()
+    hub.close()
+
+
+def test_over_a_slow_network_nothing_is_missed(midspan: Midspan, network: HubNetwork, registry: Registry) -> None:
+    heard: list[Any] = []
+    with Hub.open(network.settings("robot")) as hub, FaultProxy(network.port) as slow:
+        hub.subscription("/cmd_vel", TWIST, registry.ros2(TWIST).type_id, Qos(), heard.append)
+        until(lambda: midspan("topic", "list").out.split() == ["/cmd_vel"], "the router knows it")
+        slow.delay = 0.15
+        done = midspan("halt", "--seconds", "0.5", "--router", f"tcp/127.0.0.1:{slow.port}")
+        assert (done.code, done.out) == (0, "/cmd_vel: zero velocity, 1 listener on the hub\n"), done
+        until(lambda: heard, "zero is heard")
+
+
+def test_what_may_still_be_moving_is_not_said_to_stand(
+    midspan: Midspan, network: HubNetwork, closing: list[Any], tmp_path: Path
+) -> None:
+    def halt(_params: object) -> object:
+        raise HubError("it may still be moving: the planner move_base is not there")
+
+    file = config_file(tmp_path, network)
+    file.write_text(json.dumps(yaml.safe_load(file.read_text()) | {"navigation": {"planner": "move_base"}}))
+    done = midspan("halt", "--seconds", "0.2")
+    assert done.code == 1
+    assert "neither the gateway nor the planner move_base is on the hub" in done.err
+    closing.append(FakeWorker(network, "gateway", halt=halt))
+    done = midspan("halt", "--seconds", "0.2")
+    assert done.code == 1
+    assert "gateway of robot1: it may still be moving: the planner move_base is not there" in done.out

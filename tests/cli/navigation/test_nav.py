@@ -1,0 +1,306 @@
+"""``midspan goto`` and ``midspan nav`` over a gateway whose planner the test plays."""
+
+from __future__ import annotations
+
+import base64
+import json
+import math
+import os
+import signal
+import threading
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from bridge.cli.client import connect
+from bridge.cli.navigation.gateway import STATUS, STATUS_TOPIC, gateway_status, no_answer
+from bridge.cli.navigation.goto import GoalProgress
+from bridge.config.model import Config
+from bridge.hub.wire.qos import Durability, Qos
+from bridge.stores.kinds import AREA, LOCATION, MAP
+from navigation.status import State
+from tests.cli.conftest import Midspan, Outcome
+from tests.cli.workers import FakeWorker
+from tests.navigation.gateway.rig import Asked, Planner, Program, Rig, pose
+from tests.support.hub import HubNetwork
+from tests.support.wait import until
+from yarp_compat.dev.locations import Map2DArea, Map2DLocation
+from yarp_compat.dev.mapgrid import MapGrid2D
+from yarp_compat.sig.vec2d import Vec2D
+
+KEPT = Qos(durability=Durability.TRANSIENT_LOCAL, depth=1)
+
+
+@pytest.fixture(scope="module")
+def running(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Rig]:
+    with Rig(tmp_path_factory.mktemp("nav")) as made:
+        store = made.worker.store
+        store.put(MAP, "flat", MapGrid2D.of(np.zeros((80, 100), np.uint8), name="flat", resolution=0.1))
+        store.use_map("flat")
+        store.put(LOCATION, "kitchen", Map2DLocation("flat", 2.5, 1.0, 90.0, ""))
+        corners = [Vec2D(4.0, 4.0), Vec2D(6.0, 4.0), Vec2D(6.0, 6.0), Vec2D(4.0, 6.0)]
+        store.put(AREA, "the hall", Map2DArea("flat", corners, ""))
+        yield made
+
+
+@pytest.fixture
+def rig(running: Rig) -> Rig:
+    running.fresh()
+    return running
+
+
+@pytest.fixture
+def midspan(rig: Rig, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> Midspan:
+    file = tmp_path / "midspan.yaml"
+    file.write_text(json.dumps({"name": "here", "hub": {"listen": rig.hubs.endpoint}, "navigation": rig.section}))
+    return Midspan(file, capsys)
+
+
+def beside(midspan: Midspan, words: list[str], script: Callable[[], None]) -> Outcome:
+    """Run ``goto`` while the planner's part is played."""
+    failed: list[BaseException] = []
+
+    def play() -> None:
+        try:
+            script()
+        except BaseException as err:
+            failed.append(err)
+
+    playing = threading.Thread(target=play)
+    playing.start()
+    outcome = midspan("goto", "--timeout", "40", *words)
+    playing.join()
+    assert not failed, (failed, outcome)
+    return outcome
+
+
+def where(goal: Any) -> tuple[float, float, float]:
+    place = goal.goal["pose"]["pose"]
+    turn = place["orientation"]
+    theta = math.degrees(2.0 * math.atan2(turn["z"], turn["w"]))
+    return place["position"]["x"], place["position"]["y"], pytest.approx(theta, abs=1e-6)
+
+
+def test_progress_tells_each_change_with_its_reason(capsys: pytest.CaptureFixture[str]) -> None:
+    mine, other = (base64.b64encode(bytes([number] * 16)).decode() for number in (1, 2))
+    progress = GoalProgress(bytes([1] * 16), as_json=False)
+    progress.look()
+    for goal, state, reason in (
+        (mine, "moving", ""),
+        (other, "aborted", "not ours"),
+        (mine, "waiting_obstacle", "a chair stands in the way"),
+        (mine, "waiting_obstacle", "a chair stands in the way"),
+        (mine, "moving", ""),
+    ):
+        progress.take({"goal_id": goal, "state": state, "reason": reason})
+    progress.feedback({"distance_remaining": 3.25})
+    progress.look()
+    progress.look()
+    told = ["moving, 3.2 m to go", "waiting obstacle: a chair stands in the way, 3.2 m to go", "moving, 3.2 m to go"]
+    assert capsys.readouterr().out.splitlines() == told
+
+
+def test_to_a_place_with_progress(rig: Rig, midspan: Midspan) -> None:
+    def drive() -> None:
+        goal = rig.planner.until(1)
+        assert where(goal) == (2.5, 1.0, 90.0)
+        rig.planner.tell(goal, State.WAITING, "a chair stands in the way")
+        rig.state(State.WAITING)
+        rig.planner.reach(goal)
+
+    outcome = beside(midspan, ["kitchen"], drive)
+    assert outcome.code == 0, outcome
+    lines = outcome.out.splitlines()
+    assert (lines[0], lines[-1]) == ("to 2.50, 1.00 m, 90 degrees in map", "arrived")
+
+
+def test_to_a_pose_and_an_end_that_is_none(rig: Rig, midspan: Midspan) -> None:
+    def refuse() -> None:
+        goal = rig.planner.until(1)
+        assert where(goal) == (-1.5, 2.0, -90.0)
+        rig.planner.give_up(goal, "no way leads there")
+
+    outcome = beside(midspan, ["--json", "-1.5", "2.0", "-90"], refuse)
+    assert outcome.code == 1
+    assert outcome.lines()[-1] == {"status": "aborted", "reason": "no way leads there", "code": 9006}
+
+
+def test_in_any_heading(rig: Rig, midspan: Midspan) -> None:
+    def take() -> None:
+        goal = rig.planner.until(1)
+        assert "heading" in goal.goal["behavior_tree"]
+        rig.planner.reach(goal)
+
+    outcome = beside(midspan, ["1", "2"], take)
+    assert (outcome.code, outcome.out.splitlines()[0]) == (0, "to 1.00, 2.00 m in map, in any heading")
+
+
+def test_ctrl_c_cancels_and_so_does_the_time_out(rig: Rig, midspan: Midspan) -> None:
+    def interrupt() -> None:
+        rig.planner.until(1)
+        os.kill(os.getpid(), signal.SIGINT)
+
+    outcome = beside(midspan, ["the hall"], interrupt)
+    assert outcome.code == 130
+    assert "Ctrl-C: the goal is being cancelled" in outcome.err
+    outcome = beside(midspan, ["--timeout", "0.5", "kitchen"], lambda: None)
+    assert outcome.code == 1
+    assert "0.5 s are over" in outcome.err
+    until(lambda: not rig.gateway.driving, "nothing drives")
+
+
+@pytest.mark.parametrize(
+    ("words", "why"),
+    [(["moon"], "no location or area 'moon'"), (["1", "north"], "X Y [DEGREES]"), (["1", "nan"], "X Y [DEGREES]")],
+)
+def test_nowhere(midspan: Midspan, words: list[str], why: str) -> None:
+    outcome = midspan("goto", *words)
+    assert outcome.code == 1
+    assert why in outcome.err
+
+
+def test_status_pause_resume_and_stop(rig: Rig, midspan: Midspan) -> None:
+    assert midspan("nav", "pause").err == "midspan: there is no goal to pause\n"
+    assert midspan("nav", "resume").code == 1
+    assert midspan("nav", "status", "--json").json()["planner"] == "robot_goto"
+    rig.ask("go_to", name="kitchen")
+    rig.planner.until(1)
+    rig.state(State.MOVING)
+    outcome = midspan("nav", "status")
+    assert outcome.out.startswith("moving"), outcome
+    assert "goal     2.50, 1.00 m, 90 degrees in map" in outcome.out
+    assert "planner  robot_goto" in outcome.out
+    assert midspan("nav", "pause").out == "paused\n"
+    rig.state(State.PAUSED)
+    assert midspan("nav", "status", "--json").json()["state"] == "paused"
+    assert midspan("nav", "resume").out == "resumed\n"
+    rig.planner.until(2)
+    assert midspan("nav", "stop").code == 0
+    until(lambda: not rig.gateway.driving, "nothing drives")
+
+
+def test_status_says_that_the_planner_is_not_there(rig: Rig, midspan: Midspan) -> None:
+    assert "waits" not in midspan("nav", "status").out
+    assert rig.ask("choose_planner", name="robot_path_planner")["success"]
+    try:
+        told = midspan("nav", "status")
+        assert (
+            "planner  robot_path_planner\n         the planner robot_path_planner is not there: its module" in told.out
+        )
+        assert "cure: modules.robot_path_planner.enabled: true" in told.out
+        assert "its module does not run" in midspan("nav", "status", "--json").json()["waits"]
+    finally:
+        rig.ask("choose_planner", name="robot_goto")
+    assert midspan("nav", "status", "--json").json()["waits"] == ""
+
+
+def test_the_path_is_told_and_drawn(rig: Rig, midspan: Midspan, tmp_path: Path) -> None:
+    node = rig.planner.node
+    out = node.publisher("/planner/robot_goto/path", "nav_msgs/msg/Path", KEPT, priority="state")
+    frames = node.publisher("/tf", "tf2_msgs/msg/TFMessage", Qos())
+    stop = threading.Event()
+
+    def stand() -> None:
+        transform = {"translation": {"x": 1.0, "y": 1.0}, "rotation": {"w": 1.0}}
+        while not stop.wait(0.05):
+            header = {"stamp": node.clock.stamp(), "frame_id": "map"}
+            frames.publish({"transforms": [{"header": header, "child_frame_id": "base_link", "transform": transform}]})
+
+    standing = threading.Thread(target=stand)
+    standing.start()
+    try:
+        rig.ask("go_to", name="kitchen")
+        goal = rig.planner.until(1)
+        rig.state(State.MOVING)
+        out.publish({"header": {"frame_id": "map"}, "poses": [pose(2.5, 4.0), pose(2.5, 1.0, math.pi / 2)]})
+        told = until(lambda: midspan("nav", "path", "--json").json(), "the path is told")
+        assert told[1] == {"frame": "map", "x": 2.5, "y": 1.0, "theta_deg": pytest.approx(90.0)}
+        assert midspan("nav", "path").out.splitlines()[0].split()[:3] == ["1", "2.50", "4.00"]
+        shown = midspan("nav", "show", "--width", "100").out
+        assert {"o", "a", "b"} <= set(shown)
+        assert "goal: 2.5, 1 m, 90 degrees" in shown
+        assert "robot: 1, 1 m, 0 degrees" in shown
+        picture = tmp_path / "way.png"
+        assert midspan("nav", "show", "--png", str(picture)).code == 0
+        with Image.open(picture) as image:
+            pixels = set(map(tuple, np.asarray(image.convert("RGB")).reshape(-1, 3).tolist()))
+        assert {(200, 0, 120), (0, 110, 0)} <= pixels
+        rig.planner.reach(goal)
+    finally:
+        stop.set()
+        standing.join()
+        node.release(out)
+        node.release(frames)
+
+
+def test_no_gateway(
+    network: HubNetwork, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("bridge.cli.graph.caller.WAIT_SECONDS", 0.2)
+    file = tmp_path / "other.yaml"
+    file.write_text(json.dumps({"name": "there", "hub": network.config()}))
+    outcome = Midspan(file, capsys)("nav", "stop")
+    assert outcome.code == 1
+    assert "no gateway runs" in outcome.err
+
+
+@pytest.mark.parametrize(
+    ("phase", "words"),
+    [
+        ("running", "the gateway's worker runs, and the gateway does not answer: the machine is busy"),
+        ("starting", "the gateway is not up: its worker 'modules' is starting: importing numpy"),
+        ("", "no gateway runs: name a planner"),
+    ],
+)
+def test_the_daemons_word_tells_a_late_gateway_from_none(
+    network: HubNetwork,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+    phase: str,
+    words: str,
+) -> None:
+    said = {"workers": [{"worker": "modules", "phase": phase, "text": "importing numpy"}]} if phase else None
+    monkeypatch.setattr("bridge.cli.navigation.gateway.ask_daemon", lambda _config: said)
+    monkeypatch.setattr("bridge.cli.navigation.gateway.PATIENCE", 0.1)
+    file = tmp_path / "late.yaml"
+    file.write_text(json.dumps({"hub": network.config(), "navigation": {"planner": "robot_goto"}}))
+    outcome = Midspan(file, capsys)("nav", "status")
+    assert (outcome.code, words in outcome.err) == (1, True), outcome
+
+
+def test_a_gateway_that_takes_long_to_answer(network: HubNetwork, closing: list[Any]) -> None:
+    late = threading.Event()
+    with connect(Config.model_validate({"hub": network.config()})) as client:
+        assert no_answer(client).startswith("no gateway runs")
+        worker = FakeWorker(network, "gateway", status=lambda _params: {"late": not late.wait(2.5)})
+        closing.append(worker)
+        assert gateway_status(client)["late"]  # after 2 s a busy machine was told that there is none
+        worker.publish(STATUS_TOPIC, STATUS, f"RIHS01_{'1' * 64}", b"")
+        until(lambda: no_answer(client).startswith("the gateway's worker runs"), "it is seen on the hub")
+
+
+def test_a_stop_reaches_the_planner_where_no_gateway_is(network: HubNetwork, tmp_path: Path, capsys: Any) -> None:
+    """As while its worker is killed and has not come back."""
+    file = tmp_path / "midspan.yaml"
+    file.write_text(json.dumps({"hub": network.config(), "navigation": {"planner": "move_base"}}))
+    midspan = Midspan(file, capsys)
+    outcome = midspan("nav", "stop")
+    assert outcome.code == 1
+    assert "Nor is the planner move_base on the hub: the robot may still be moving" in outcome.err
+    planner, client = Planner(network.settings("planner"), "move_base"), Program(network.settings("client"))
+    try:
+        asked = Asked(client, pose(5.0), "/planner/move_base/navigate_to_pose")
+        goal = planner.until(1)
+        outcome = midspan("nav", "stop")
+        assert (outcome.code, outcome.err) == (0, "")
+        assert "the gateway is not there; move_base itself was asked: 1 goal cancelled" in outcome.out
+        assert asked.end()[0] == "CANCELED"
+        assert not goal.active
+    finally:
+        for program in (planner, client):
+            program.close()

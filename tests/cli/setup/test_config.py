@@ -1,0 +1,53 @@
+"""``midspan config``."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+from bridge.cli.main import main
+from bridge.config import generate
+from bridge.config.load import loads
+from bridge.config.model import Config
+
+
+def test_check_of_a_good_file(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    file = tmp_path / "good.yaml"
+    file.write_text("log: {level: debug}\n")
+    assert main(["config", "check", str(file)]) == 0
+    assert capsys.readouterr().out == f"{file}: no problem\n"
+    assert main(["config", "check", str(file), "--json"]) == 0
+    assert json.loads(capsys.readouterr().out) == {"file": str(file), "problems": []}
+
+
+def test_check_of_a_bad_file(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    file = tmp_path / "bad.yaml"
+    file.write_text("log:\n  levl: debug\n  level: x\n")
+    assert main(["config", "check", str(file)]) == 1
+    said = capsys.readouterr().err.splitlines()
+    assert said[0] == f"{file}:2:3: log.levl: unknown key 'levl'; did you mean 'level'?"
+    assert len(said) == 2
+    assert main(["config", "check", str(file), "--json"]) == 1
+    problem = json.loads(capsys.readouterr().out)["problems"][0]
+    assert (problem["line"], problem["column"], problem["key"]) == (2, 3, "log.levl")
+
+
+def test_check_uses_the_file_that_would_be_used(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    file = tmp_path / "some.yaml"
+    file.write_text("")
+    monkeypatch.setenv("MIDSPAN_CONFIG", str(file))
+    assert main(["config", "check"]) == 0
+    assert str(file) in capsys.readouterr().out
+
+
+def test_example_schema_and_reference(capsys: pytest.CaptureFixture[str]) -> None:
+    main(["config", "example"])
+    assert loads(capsys.readouterr().out) == Config()
+    main(["config", "schema"])
+    assert capsys.readouterr().out == generate.schema()
+    main(["config", "reference"])
+    assert capsys.readouterr().out == generate.reference()

@@ -1,0 +1,167 @@
+"""``midspan keys``: certificates that TLS takes, kept from other users, never overwritten unasked."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from bridge.cli.main import main
+from bridge.doctor.check import Result
+from bridge.doctor.checks import hub as hub_checks
+from bridge.hub.security.certificates import Authority, CertificateError, read_certificate, signed_by
+from tests.doctor.parts import around, every, hub, only, results
+
+
+def run(folder: Path, *words: str) -> int:
+    return main(["keys", *words, "--folder", str(folder)])
+
+
+def test_make_and_show(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    folder = tmp_path / "keys"
+    assert run(folder, "make", "robot1", "10.1.2.3", "robot1.lab") == 0
+    said = capsys.readouterr().out
+    assert "made the authority" in said
+    assert f"{folder}/ca.pem {folder}/robot1.pem {folder}/robot1.key" in said
+    assert "trusted: []" in said
+    assert run(folder, "make", "operator1", "--days", "10") == 0
+    assert "made the authority" not in capsys.readouterr().out
+    assert {file.name: file.stat().st_mode & 0o777 for file in folder.iterdir()} == dict.fromkeys(
+        [f"{name}.{end}" for name in ("ca", "robot1", "operator1") for end in ("pem", "key")], 0o600
+    )
+    assert folder.stat().st_mode & 0o777 == 0o700
+    assert run(folder, "show", "--json") == 0
+    found = {each["name"]: each for each in json.loads(capsys.readouterr().out)}
+    assert found["robot1"]["names"] == ["robot1", "robot1.local", "10.1.2.3", "robot1.lab"]
+    assert found["robot1"]["days_left"] in (729, 730)
+    assert found["operator1"]["days_left"] in (9, 10)
+    assert [each["authority"] for each in found.values()] == [True, False, False]
+    assert run(folder, "show") == 0
+    assert "(authority)" in capsys.readouterr().out
+
+
+def test_openssl_agrees(tmp_path: Path) -> None:
+    """A second opinion on the chain, on both ends' purposes and on the names."""
+    authority = Authority(tmp_path)
+    authority.make()
+    authority.issue("robot1", ["10.1.2.3"])
+    for more in (["-purpose", "sslserver", "-verify_ip", "10.1.2.3"], ["-purpose", "sslclient"], ["-x509_strict"]):
+        command = ["openssl", "verify", "-CAfile", "ca.pem", *more, "robot1.pem"]
+        done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
+        assert done.returncode == 0, done.stderr
+    command = ["openssl", "verify", "-CAfile", "ca.pem", "-verify_ip", "10.9.9.9", "robot1.pem"]
+    assert subprocess.run(command, cwd=tmp_path, capture_output=True, check=False).returncode != 0
+
+
+def test_nothing_is_overwritten_unasked(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run(tmp_path, "make", "robot1") == 0
+    before = (tmp_path / "robot1.pem").read_bytes(), (tmp_path / "ca.pem").read_bytes()
+    assert run(tmp_path, "make", "robot1") == 1
+    assert "--replace" in capsys.readouterr().err
+    assert (tmp_path / "robot1.pem").read_bytes() == before[0]
+    assert run(tmp_path, "make", "robot1", "--replace") == 0
+    assert (tmp_path / "robot1.pem").read_bytes() != before[0]
+    assert (tmp_path / "ca.pem").read_bytes() == before[1]
+    assert signed_by(tmp_path / "robot1.pem", tmp_path / "ca.pem")
+    with pytest.raises(CertificateError, match="authority in"):
+        Authority(tmp_path).make()
+
+
+@pytest.mark.parametrize("name", ["ca", "../evil", "", "a b", "-x", "x" * 64])
+def test_names_that_are_none(tmp_path: Path, name: str) -> None:
+    Authority(tmp_path).make()
+    with pytest.raises(CertificateError, match="not a machine's name"):
+        Authority(tmp_path).issue(name)
+
+
+@pytest.mark.parametrize("address", ["tls/robot1:7448", "10.1.2.3:7448", "a..b", "*", "10.0.0.0/8", "räuber"])
+def test_addresses_that_are_none(tmp_path: Path, address: str) -> None:
+    Authority(tmp_path).make()
+    with pytest.raises(CertificateError, match="neither a host name nor an IP address"):
+        Authority(tmp_path).issue("robot1", [address])
+    assert not (tmp_path / "robot1.pem").exists()
+
+
+def test_a_certificate_ends_with_its_authority(tmp_path: Path) -> None:
+    made = Authority(tmp_path).make(days=3)
+    assert Authority(tmp_path).issue("robot1", days=1000).until == made.until
+
+
+def test_an_authority_that_cannot_sign(tmp_path: Path) -> None:
+    with pytest.raises(CertificateError, match="No such file"):
+        Authority(tmp_path).issue("robot1")
+    Authority(tmp_path).make()
+    Authority(tmp_path / "other").make()
+    (tmp_path / "ca.key").write_bytes((tmp_path / "other" / "ca.key").read_bytes())
+    with pytest.raises(CertificateError, match=r"not the key of ca\.pem"):
+        Authority(tmp_path).issue("robot1")
+    (tmp_path / "ca.key").write_text("rubbish")
+    with pytest.raises(CertificateError, match="cannot be used"):
+        Authority(tmp_path).issue("robot1")
+    with pytest.raises(CertificateError, match="is not a certificate"):
+        read_certificate(tmp_path / "ca.key")
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    Authority(tmp_path).make()
+    Authority(tmp_path).issue("robot1")
+    return tmp_path
+
+
+def looked_at(folder: Path, **more: str) -> list[tuple[Result, str]]:
+    door = {"listen": ["tls/0.0.0.0:7448"], "keys": str(folder), **more}
+    findings = every(hub_checks.look_at_keys(around({"hub": {"open": door}})))
+    return [(finding.result, finding.seen) for finding in findings]
+
+
+def test_doctor_is_content(folder: Path) -> None:
+    ((result, seen),) = looked_at(folder)
+    assert result is Result.OK
+    assert "robot1" in seen
+    assert results(hub_checks.look_at_keys(around({}))) == [Result.SKIP]
+
+
+def test_doctor_finds_what_is_wrong_with_the_files(folder: Path) -> None:
+    (folder / "robot1.key").chmod(0o644)
+    assert [result for result, _ in looked_at(folder)] == [Result.WARN]
+    (folder / "robot1.key").chmod(0o600)
+    Authority(folder / "other").make()
+    ((result, seen),) = looked_at(folder, ca=str(folder / "other" / "ca.pem"))
+    assert (result, "was not signed by" in seen) == (Result.FAIL, True)
+    Authority(folder).issue("robot2")
+    assert "names it 'robot2'" in looked_at(folder, certificate=str(folder / "robot2.pem"))[0][1]
+    (folder / "robot1.pem").unlink()
+    ((result, seen),) = looked_at(folder)
+    assert (result, "there is no" in seen) == (Result.FAIL, True)
+
+
+def test_doctor_tells_who_takes_no_commands(folder: Path) -> None:
+    def router(daemon: str, name: str, *, trusted: bool) -> dict[str, Any]:
+        return {"daemon": daemon, "worker": "router", "machines": [{"name": name, "trusted": trusted}]}
+
+    view = hub(
+        router("a", "robot1", trusted=True), router("b", "robot1", trusted=False), router("c", "other", trusted=False)
+    )
+    place = around({"hub": {"open": {"connect": ["tls/b:7448"], "keys": str(folder)}}}, hub=view)
+    finding = only(hub_checks.look_at_keys(place))
+    assert finding.result is Result.WARN
+    assert finding.seen.startswith("b takes no commands")
+
+
+@pytest.mark.parametrize(("days", "expected"), [(31, Result.OK), (20, Result.WARN)])
+def test_doctor_warns_before_the_end(folder: Path, days: int, expected: Result) -> None:
+    Authority(folder).issue("robot1", days=days, replace=True)
+    assert [result for result, _ in looked_at(folder)] == [expected]
+    assert read_certificate(folder / "robot1.pem").until > datetime.now(UTC) + timedelta(days=days - 1)
+
+
+def test_an_expired_one_is_told(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    Authority(folder).issue("robot1", days=-1, replace=True)
+    assert looked_at(folder)[0][0] is Result.FAIL
+    assert run(folder, "show") == 1
+    assert "expired" in capsys.readouterr().out

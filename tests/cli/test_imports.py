@@ -1,0 +1,56 @@
+"""What the command line and the workers load: no more than what they use."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+
+import pytest
+
+_TELL = "; import sys; print(' '.join(sys.modules))"
+
+
+def loaded(code: str) -> set[str]:
+    """The modules that an interpreter has after running some code."""
+    told = subprocess.run([sys.executable, "-P", "-c", code + _TELL], capture_output=True, text=True, check=True)
+    return set(told.stdout.splitlines()[-1].split())
+
+
+def test_help_loads_none_of_the_libraries() -> None:
+    code = (
+        "from contextlib import suppress; from bridge.cli.main import main\n"
+        "with suppress(SystemExit): main(['--help'])\n0"
+    )
+    assert not loaded(code) & {"pydantic", "zenoh", "numpy", "rich", "yaml", "ruamel.yaml", "bridge.cli.client"}
+
+
+@pytest.mark.parametrize("verb", ["status", "topic", "service", "nav", "goto", "explain", "action", "top"])
+def test_a_verb_that_asks_the_daemon_loads_no_types_before_it_needs_them(verb: str) -> None:
+    found = loaded(f"from bridge.cli.main import build_parser; build_parser([{verb!r}])")
+    assert not found & {"numpy", "PIL", "ruamel.yaml", "bridge.messages.registry", "sqlite3"}
+
+
+_WORKERS = {
+    "router": "bridge.hub.router",
+    "ros1": "bridge.adapters.worker, bridge.adapters.ros1.environment",
+    "ros2": "bridge.adapters.worker, bridge.adapters.ros2.environment",
+    "yarp": "bridge.adapters.worker, bridge.adapters.yarp.edge",
+    "zenoh": "bridge.adapters.worker, bridge.adapters.zenoh.dialects",
+    "modules": "bridge.modules.worker",
+    "sim": "sim.simulator",
+}
+
+
+@pytest.mark.parametrize("worker", _WORKERS)
+def test_a_worker_loads_neither_the_command_lines_libraries_nor_another_sides(worker: str) -> None:
+    others = {"rospy", "rclpy", "dartpy", "rich", "PIL", "cryptography", "yaml", "bridge.config.load"}
+    if worker != "sim":
+        others |= {"yaml", "rosbags"}  # mapping rules of one's own, static transforms, types that no package has
+    if worker in ("modules", "sim"):
+        others |= {"bridge.routing.engine", "bridge.adapters.worker"}
+    if worker == "sim":
+        others -= {"dartpy", "yaml"}  # what it simulates with, and its plans' files
+    if worker == "router":
+        others |= {"numpy", "bridge.messages.registry"}
+    found = loaded(f"import bridge.cli.daemon.run, bridge.daemon.process, {_WORKERS[worker]}") & others
+    assert not found

@@ -1,0 +1,1 @@
+"""Tests of `bridge.cli.yarp_network`."""

@@ -1,0 +1,288 @@
+"""``midspan yarp``: every verb against a name server and ports of this process."""
+
+from __future__ import annotations
+
+import io
+import json
+import os
+import signal
+import sys
+import threading
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+
+from bridge.cli.main import main
+from tests.cli.conftest import Outcome
+from tests.support.ports import free_port
+from tests.support.process import Process
+from tests.support.wait import until
+from yarp_compat.naming.client import NameClient
+from yarp_compat.naming.server import NameServer
+from yarp_compat.ports.message import PortMessage
+from yarp_compat.ports.port import PortCore
+from yarp_compat.wire.binary import decode, encode
+from yarp_compat.wire.profile import Profile
+
+Yarp = Callable[..., Outcome]
+
+
+def low_port() -> int:
+    """A free port that leaves room for ports above it."""
+    while (port := free_port()) > 60000:
+        pass
+    return port
+
+
+@pytest.fixture(name="server")
+def fixture_server(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[NameServer]:
+    """A name server that yarp.conf names."""
+    monkeypatch.setenv("YARP_CONFIG_HOME", str(tmp_path))
+    monkeypatch.delenv("YARP_NAMESPACE", raising=False)
+    with NameServer(port=low_port(), gc_seconds=0) as server:
+        (tmp_path / "yarp.conf").write_text(f"127.0.0.1 {server.address.port} yarp\n")
+        yield server
+
+
+@pytest.fixture(name="yarp")
+def fixture_yarp(capsys: pytest.CaptureFixture[str]) -> Yarp:
+    """The command."""
+
+    def run(*words: str) -> Outcome:
+        capsys.readouterr()
+        code = main(["yarp", *words])
+        said = capsys.readouterr()
+        return Outcome(code, said.out, said.err)
+
+    return run
+
+
+class Owner:
+    """A port that keeps what it gets, and answers with it behind ``got``."""
+
+    def __init__(self, name: str, server: NameServer) -> None:
+        self.came: list[list[object]] = []
+        self.bytes: list[bytes] = []
+        self.port = PortCore(name, on_message=self._take, naming=NameClient(server.address))
+        self.port.open()
+
+    def _take(self, message: PortMessage) -> None:
+        values = decode(message.payload)
+        self.bytes.append(bytes(message.payload))
+        self.came.append(values)
+        message.reply(encode(["got", *values], Profile.YARP3))
+
+
+@pytest.fixture(name="owners")
+def fixture_owners(server: NameServer) -> Iterator[Callable[[str], Owner]]:
+    """Opens ports, and closes them after the test."""
+    opened: list[Owner] = []
+
+    def make(name: str) -> Owner:
+        opened.append(Owner(name, server))
+        return opened[-1]
+
+    yield make
+    for owner in opened:
+        owner.port.close()
+
+
+def test_where(yarp: Yarp, server: NameServer, tmp_path: Path) -> None:
+    """Address, file, and whether it answers; exit code 1 and the cure where it does not."""
+    done = yarp("where")
+    assert (done.code, done.out.splitlines()[0]) == (0, f"/root at 127.0.0.1 port {server.address.port}, answers")
+    assert str(tmp_path / "yarp.conf") in done.out
+    port = free_port()
+    said = yarp("where", "--json", "--server", f"127.0.0.1:{port}")
+    assert said.code == 1
+    assert said.json() == {"host": "127.0.0.1", "port": port, "name": "/root", "file": None, "reachable": False}
+    assert "Start it" in said.err
+
+
+def test_without_any_name_server(yarp: Yarp, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """One line that names the file which is missing."""
+    monkeypatch.setenv("YARP_CONFIG_HOME", str(tmp_path / "none"))
+    done = yarp("list")
+    assert done.code == 1
+    assert str(tmp_path / "none" / "yarp.conf") in done.err
+    assert done.err.startswith("midspan: ")
+    assert done.err.count("\n") == 1
+
+
+def test_names(yarp: Yarp, server: NameServer, owners: Callable[[str], Owner]) -> None:
+    """list, name, exists, ping."""
+    one, _ = owners("/a/b"), owners("/c")
+    assert [line.split()[0] for line in yarp("list").out.splitlines()] == ["/a/b", "/c", "/root"]
+    assert yarp("list", "/a", "--json").json() == [
+        {"name": "/a/b", "host": "127.0.0.1", "port": one.port.contact.port, "carrier": "tcp"}
+    ]
+    assert yarp("name", "set", "/c", "key", "'two words'", "5").code == 0
+    assert yarp("name", "bot", "get", "/c", "key").out == '"\'two" 5 "words\'"\n'
+    assert yarp("name", "set", "/c", "key", '"two words"').out == "port /c property key = two words\n"
+    assert yarp("name", "query", "/c").out == f"{server.registry.find('/c').registration}\n"  # type: ignore[union-attr]
+    assert yarp("name", "unsubscribe", "/a", "/b").out == "[ok]\n"
+    assert (yarp("exists", "/c").code, yarp("exists", "/d").code) == (0, 1)
+    assert "not there" in yarp("exists", "/d").err
+    assert "This is /c at tcp://127.0.0.1" in yarp("ping", "/c").out
+    done = yarp("ping", "/a")
+    assert (done.code, done.err) == (1, "midspan: there is no port /a at the name server; did you mean /a/b?\n")
+
+
+def test_connecting(yarp: Yarp, owners: Callable[[str], Owner]) -> None:
+    """Connect, look, disconnect; by another carrier; what is not there."""
+    writer, _ = owners("/w"), owners("/r")
+    assert yarp("exists", "/w", "/r").code == 1
+    assert yarp("connect", "/w", "/r").out == "Added connection from /w to tcp://r\n"
+    assert yarp("exists", "/w", "/r").out == "/w is connected to /r by tcp\n"
+    assert yarp("connect", "/w", "/r", "fast_tcp").out == "Added connection from /w to fast_tcp://r\n"
+    assert [r.carrier for r in writer.port.outputs()] == ["fast_tcp"]
+    assert yarp("disconnect", "/w", "/r").out == "Removed connection from /w to /r\n"
+    for words, problem in (
+        (("disconnect", "/w", "/r"), "there is no connection from /w to /r"),
+        (("connect", "/w", "/rr"), "did you mean /r"),
+        (("connect", "/w", "/r", "smoke"), "could not connect to /r"),
+        (("connect", "w", "/r"), "no port w"),
+    ):
+        done = yarp(*words)
+        assert done.code == 1
+        assert problem in done.err
+
+
+def test_persistent_connections(yarp: Yarp, owners: Callable[[str], Owner]) -> None:
+    """Asked for before the ports are there."""
+    owners("/w")
+    assert yarp("connect", "--persist-from", "/w", "/r", "fast_tcp").code == 0
+    assert yarp("connect").out == "/w -> fast_tcp://r [from]\n"
+    owners("/r")
+    until(lambda: yarp("exists", "/w", "/r").code == 0, "connected")
+    assert yarp("disconnect", "--persist", "/w", "/r").code == 0
+    assert yarp("connect", "/w").out == ""
+
+
+def test_clean(yarp: Yarp, server: NameServer, owners: Callable[[str], Owner]) -> None:
+    """Those that are dead, and only those."""
+    owners("/live")
+    NameClient(server.address).register("/dead", "127.0.0.1", free_port())
+    done = yarp("clean", "--timeout", "1")
+    assert "/dead does not answer" in done.out
+    assert [line.split()[0] for line in yarp("list").out.splitlines()] == ["/live", "/root"]
+    assert yarp("clean").out == "all registered ports answer\n"
+
+
+def test_writing(yarp: Yarp, owners: Callable[[str], Owner], monkeypatch: pytest.MonkeyPatch) -> None:
+    """From --message and from the standard input, to one and to several."""
+    one, two = owners("/one"), owners("/two")
+    two.port.profile = Profile.YARP4
+    assert yarp("write", "/w", "/one", "fast_tcp://two", "-m", "set speed 0.5", "-m", '(a b) "c d"').code == 0
+    assert one.came == [["set", "speed", 0.5], [["a", "b"], "c d"]]
+    until(lambda: two.came == one.came, "both have them")
+    assert one.bytes[0] == encode(["set", "speed", 0.5], Profile.YARP3)
+    assert two.bytes[0] == encode(["set", "speed", 0.5], Profile.YARP4)
+    monkeypatch.setattr(sys, "stdin", io.StringIO("1 2\n\n3\n"))
+    assert yarp("write", "...", "/one", "--yarp4").code == 0
+    assert one.came[2:] == [[1, 2], [3]]
+    done = yarp("write", "/one", "-m", "x")
+    assert done.code == 1
+    assert "/one is in use" in done.err
+    assert "Do not know how to connect" in yarp("write", "...", "/none", "-m", "x").err
+    assert "nobody is connected" in yarp("write", "/w", "-m", "x").err
+
+
+def test_reading(yarp: Yarp, server: NameServer, owners: Callable[[str], Owner]) -> None:
+    """What another port writes, with its envelope, as text and as JSON, in either dialect."""
+    source = owners("/source")
+    stop = threading.Event()
+
+    def write() -> None:
+        while not stop.wait(0.01):
+            source.port.write(encode(["hi there", 1.5], Profile.YARP4), "7 12.5")
+
+    thread = threading.Thread(target=write)
+    thread.start()
+    try:
+        done = yarp("read", "/in", "/source", "--count", "2", "--envelope")
+        assert (done.code, done.out) == (0, '[7 12.5] "hi there" 1.5\n' * 2)
+        done = yarp("read", "...", "/source", "--carrier", "fast_tcp", "--count", "1", "--json")
+        assert done.json() == {"from": "/source", "envelope": "7 12.5", "text": '"hi there" 1.5'}
+        assert yarp("read", "/in", "/none", "--count", "1").code == 1
+        assert yarp("read", "/source", "--count", "1").code == 1
+    finally:
+        stop.set()
+        thread.join()
+    assert NameClient(server.address).query("/in") is None
+
+
+def test_an_end_by_a_signal(server: NameServer) -> None:
+    """A reader that is told to end gives its name back."""
+    names = NameClient(server.address)
+    reader = Process([sys.executable, "-m", "bridge.cli.main", "yarp", "read", "/in"], os.environ)
+    try:
+        until(lambda: "is open" in reader.output(), "it reads", seconds=30.0)
+        assert names.query("/in") is not None
+        reader.signal(signal.SIGTERM)
+        assert reader.popen.wait(10.0) == 0, reader.output()
+        assert names.query("/in") is None
+    finally:
+        reader.stop()
+
+
+def test_asking(yarp: Yarp, owners: Callable[[str], Owner], monkeypatch: pytest.MonkeyPatch) -> None:
+    """A port's owner, and the port itself."""
+    owners("/p")
+    assert yarp("rpc", "/p", "-m", "get 1.5 (a b)").out == "got get 1.5 (a b)\n"
+    monkeypatch.setattr(sys, "stdin", io.StringIO("one\ntwo\n"))
+    assert yarp("rpc", "/p").out == "got one\ngot two\n"
+    assert yarp("rpc", "/p", "--admin", "-m", "[ver]").out == "[ver] 1 2 3\n"
+    assert yarp("rpc", "/none", "-m", "x").code == 1
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ("list", "--server", "nowhere"),
+        ("list", "--server", "h:0"),
+        ("list", "--timeout", "x"),
+        ("connect", "--persist", "--persist-to"),
+        (),
+    ],
+)
+def test_wrong_usage(words: tuple[str, ...]) -> None:
+    """Exit code 2."""
+    with pytest.raises(SystemExit) as ended:
+        main(["yarp", *words])
+    assert ended.value.code == 2
+
+
+def test_impatience(yarp: Yarp) -> None:
+    """A time limit is more than nothing."""
+    for seconds in ("0", "-1", "nan", "inf"):
+        assert "--timeout takes seconds" in yarp("list", "--timeout", seconds).err
+
+
+def test_a_server_of_its_own(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """It writes yarp.conf, serves, ends at SIGTERM, and remembers."""
+    monkeypatch.setenv("YARP_CONFIG_HOME", str(tmp_path))
+    monkeypatch.delenv("YARP_NAMESPACE", raising=False)
+    port = low_port()
+    args = [sys.executable, "-m", "bridge.cli.main", "yarp", "server", "--write", "--port", str(port)]
+    names = NameClient()
+    for turn in range(2):
+        server = Process(args, os.environ)
+        try:
+            until(lambda server=server: "to be browsed at" in server.output(), "it serves", seconds=30.0)
+            assert (tmp_path / "yarp.conf").read_text() == f"127.0.0.1 {port} yarp\n"
+            if turn == 0:
+                names.register("/p")
+            assert names.query("/p") is not None
+            server.signal(signal.SIGTERM)
+            assert server.popen.wait(10.0) == 0, server.output()
+        finally:
+            server.stop()
+    assert json.loads((tmp_path / "yarp.names.json").read_text())["ports"][0][0] == "/p"
+
+
+def test_a_server_that_cannot_be(yarp: Yarp, server: NameServer) -> None:
+    """Its place is taken; its number is none."""
+    assert "Is another one running there" in yarp("server").err
+    assert "--port takes a number" in yarp("server", "--port", "70000").err

@@ -1,0 +1,186 @@
+"""Workers that come up: who works is let be, who stands still is ended, and one core has one at a time."""
+
+from __future__ import annotations
+
+import os
+import signal
+import time
+from typing import Any
+
+import pytest
+
+from bridge.config.model import Config
+from bridge.daemon.loop import SelectorLoop
+from bridge.daemon.query import Phase, ask_daemon
+from bridge.daemon.slot import Slot, Timing
+from bridge.daemon.supervisor import Supervisor
+from bridge.daemon.workers import worker_kinds
+from bridge.progress import Busy
+from tests.daemon.daemon import Daemon, alive
+from tests.support.wait import until
+
+pytestmark = pytest.mark.thorough
+
+MANY = 8
+
+
+def told(daemon: Daemon, worker: str) -> dict[str, Any]:
+    """What the daemon says of a worker."""
+    said = ask_daemon(Config(name="test", state=daemon.folder / "state"))
+    return {} if said is None else next(one for one in said["workers"] if one["worker"] == worker)
+
+
+def test_one_that_computes_as_it_comes_up_is_let_be(daemon: Daemon) -> None:
+    daemon.order("ros1", "compute-at-start")
+    process = daemon.quick(MANY, start=1.5)
+    until(lambda: told(daemon, "ros1").get("text") == "computing on purpose", "it computes")
+    begun = told(daemon, "ros1")["since"]
+    until(lambda: told(daemon, "ros1")["since"] > begun + 3, "it computes for longer than it may stand still")
+    assert told(daemon, "ros1")["phase"] == "starting"
+    status = daemon.midspan("status", "--config", str(daemon.file))
+    assert status.popen.wait(40) == 0
+    assert "ros1     starting computing on purpose (" in status.output()
+    daemon.order("ros1")
+    daemon.expect_output(process, "ros1 is up")
+    assert len(daemon.pids("ros1")) == 1
+
+
+def test_one_that_stands_still_as_it_comes_up_is_ended_and_the_next_may_for_longer(daemon: Daemon) -> None:
+    daemon.order("ros1", "hang-at-start")
+    process = daemon.quick(MANY, start=1.0)
+    daemon.expect_output(process, "ros1 stood still for 1 s at its start (starting); the next one may for 2 s")
+    assert "fakes.py" in process.output()  # where it hangs
+    daemon.expect_output(process, "ros1 stood still for 2 s at its start (starting); the next one may for 4 s")
+    daemon.order("ros1")
+    daemon.expect_output(process, "ros1 is up")
+
+
+def test_a_worker_that_computes_instead_of_saying_how_it_is_is_let_be(daemon: Daemon) -> None:
+    process = daemon.quick(MANY, heartbeat=2.0)
+    first = daemon.wait_started("ros1")
+    daemon.expect_output(process, "ros1 is up")
+    daemon.order("ros1", "compute")
+    until(lambda: daemon.events("ros1", "computes"), "it begins")
+    begun = time.monotonic()
+    until(lambda: time.monotonic() > begun + 4, "it computes for longer than it may stand still")
+    daemon.order("ros1")
+    until(lambda: daemon.events("ros1", "told"), f"it says how it is:\n{process.output()}")
+    assert daemon.pids("ros1") == [first], process.output()
+
+
+class _Line:
+    """A link to a process that there is not."""
+
+    pid, owner = 0, "daemon"
+
+    def poll(self) -> None:
+        pass
+
+    def detach(self) -> None:
+        pass
+
+
+@pytest.mark.parametrize(("seconds", "phase"), [(499.0, Phase.UP), (501.0, Phase.PAUSED)])
+def test_a_loop_without_an_end_is_ended(seconds: float, phase: Phase, caplog: pytest.LogCaptureFixture) -> None:
+    loop = SelectorLoop()
+    slot = Slot(loop, worker_kinds({})["ros1"], Timing(heartbeat=50.0))
+    slot._link, slot.phase = _Line(), Phase.UP  # type: ignore[assignment]
+    for used in (0.0, seconds):
+        slot.on_report(Busy("telling how it is", used, 0))
+        slot.tick()
+    assert slot.phase is phase
+    assert ("ros1 is in a loop without an end: telling how it is has computed for 501 s" in caplog.text) is (
+        phase is Phase.PAUSED
+    )
+    loop.close()
+
+
+def test_on_one_core_one_comes_up_after_the_other(daemon: Daemon) -> None:
+    daemon.order("ros1", "compute-at-start")
+    process = daemon.quick(1)
+    until(lambda: told(daemon, "ros2").get("text") == "ros1 comes up first", "the second waits for its turn")
+    assert told(daemon, "ros2")["phase"] == "queued"
+    assert not daemon.pids("ros2")
+    assert "router is up" in process.output().partition("ros1 started")[0]
+    daemon.order("ros1")
+    daemon.expect_output(process, "ros2 is up")
+    assert "ros1 is up" in process.output().partition("ros2 started")[0]
+
+
+def test_a_restarted_one_waits_for_its_turn_too(daemon: Daemon) -> None:
+    process = daemon.quick(1)
+    daemon.expect_output(process, "ready: ")
+    daemon.order("ros2", "compute-at-start")
+    os.kill(daemon.wait_started("ros2"), signal.SIGKILL)
+    daemon.wait_started("ros2", 2)
+    os.kill(daemon.wait_started("ros1"), signal.SIGKILL)
+    until(lambda: told(daemon, "ros1").get("text") == "ros2 comes up first", "it waits for its turn")
+    daemon.order("ros2")
+    assert alive(daemon.wait_started("ros1", 2))
+
+
+def test_one_that_stands_still_keeps_no_other_waiting(daemon: Daemon) -> None:
+    daemon.order("ros1", "hang-at-start")
+    process = daemon.quick(1, patience=0.5)
+    daemon.expect_output(process, "ros2 is up")
+    assert told(daemon, "ros1")["phase"] == "starting"
+
+
+def test_several_come_up_at_once_on_several_cores(daemon: Daemon) -> None:
+    daemon.order("ros1", "compute-at-start")
+    daemon.order("ros2", "compute-at-start")
+    daemon.quick(3)
+    daemon.wait_started("ros1")
+    daemon.wait_started("ros2")
+    assert {told(daemon, worker)["phase"] for worker in ("ros1", "ros2")} == {"starting"}
+
+
+def test_only_one_that_runs_is_called_up(daemon: Daemon) -> None:
+    daemon.order("ros1", "wait")
+    process = daemon.start()
+    daemon.expect_output(process, "ros1 has started and waits: ros1 fine")
+    daemon.wait_ready(process)
+    assert "ros1 is up" not in process.output()
+    daemon.order("ros1")
+    daemon.expect_output(process, "ros1 is up (ros1 fine)")
+    assert process.output().count("ros1 has started") == 1
+
+
+class _Slow:
+    """A slot whose process is killed in time, and gone a moment after the last look at its group."""
+
+    name, pid, is_service, phase = "slow", 1, False, Phase.STOPPING
+
+    def __init__(self, clock: list[float]) -> None:
+        self._clock = clock
+        self.idle = False
+        self.kind = type("Kind", (), {"outlives": False})
+
+    def stop(self, why: str, seconds: float) -> None:
+        pass
+
+    def kill(self) -> None:
+        pass
+
+    def tick(self) -> None:
+        self.idle = self._clock[0] > 3.4
+
+    def let_go(self) -> None:
+        raise AssertionError
+
+
+def test_one_that_ended_late_is_not_said_to_survive_its_kill(
+    daemon: Daemon, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    clock = [0.0]
+
+    def step(seconds: float) -> None:
+        clock[0] += seconds
+
+    supervisor = Supervisor(daemon.file, environ=daemon.env)
+    monkeypatch.setattr("bridge.daemon.supervisor.time", type("Time", (), {"monotonic": lambda: clock[0]}))
+    monkeypatch.setattr(supervisor, "slots", [_Slow(clock)])
+    monkeypatch.setattr(supervisor._loop, "step", step)
+    supervisor._end()
+    assert "even when killed" not in caplog.text
+    supervisor._loop.close()

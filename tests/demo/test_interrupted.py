@@ -1,0 +1,163 @@
+"""Ctrl-C ends the demo within 3 s at any moment, and nothing of it is left."""
+
+from __future__ import annotations
+
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import psutil
+import pytest
+
+from bridge.demo import leftovers as left
+from bridge.demo.shutdown import SECONDS, Shutdown
+from tests.demo.test_demo import leftovers, processes_of, start
+from tests.support.missing import COMPILER, DART, ROS1, ROS2, needs
+from tests.support.wait import until
+
+MEMORY = Path("/dev/shm")
+
+pytestmark = [
+    pytest.mark.thorough,
+    pytest.mark.alone,
+    *(needs(reason) for reason in (ROS1, ROS2, DART, COMPILER)),
+]
+
+
+@pytest.fixture
+def folder() -> Iterator[Path]:
+    """For the demo's temporary files; pytest's own would be too deep for it."""
+    with tempfile.TemporaryDirectory(prefix="midspan-t-") as name:
+        yield Path(name)
+
+
+def runs(folder: Path, *parts: str) -> bool:
+    """Whether each of these is in the command of a process of the demo."""
+    return all(any(part in line for line in processes_of(folder)) for part in parts)
+
+
+def memory(folder: Path) -> set[Path]:
+    """Files in shared memory that processes of the demo use, but those of LTTng, which are the user's for ever."""
+    runs_in = [found for found in folder.iterdir() if found.name.startswith("midspan-demo-")]
+    used = {file for run in runs_in for pid in left.marked(run) for file in left._used_by(pid)}
+    return {file for file in used if not file.name.startswith("lttng-")}
+
+
+def assert_ends(demo: subprocess.Popen[str], folder: Path, number: signal.Signals = signal.SIGINT) -> None:
+    """Send the signal, and see that the demo ends in time with nothing left."""
+    used = memory(folder)
+    began = time.monotonic()
+    demo.send_signal(number)
+    output, _ = demo.communicate(timeout=60)
+    took = time.monotonic() - began
+    assert took < SECONDS, output
+    assert demo.returncode not in (0, None)
+    assert "Traceback" not in (output or "")
+    assert leftovers(folder) == []
+    assert left.remove_unused(used) == []
+
+
+MOMENTS = {
+    "it sets up its folder": lambda folder, _words: any(folder.glob("midspan-demo-*")),
+    "roscore starts": lambda folder, _words: runs(folder, "roscore"),
+    "the daemon starts": lambda folder, _words: runs(folder, "bridge.cli.main"),
+    "workers start": lambda folder, _words: runs(folder, "worker ros2", "worker modules"),
+    "a client starts": lambda folder, _words: runs(folder, "goto_location_yarp"),
+    "the robot drives": lambda _folder, words: "status_moving" in words.read_text(),
+}
+
+
+@pytest.mark.parametrize("moment", MOMENTS)
+def test_ctrl_c_ends_it_in_time_and_leaves_nothing(folder: Path, moment: str) -> None:
+    words = folder / "words.txt"
+    with words.open("w") as out:
+        demo = start(folder, "--stay", what="rooms", out=out)
+        try:
+            reached = MOMENTS[moment]
+            until(lambda: demo.poll() is not None or reached(folder, words), moment, 120.0)
+            assert demo.poll() is None, words.read_text()
+            assert_ends(demo, folder)
+        finally:
+            demo.kill()
+    assert "Traceback" not in words.read_text()
+
+
+@pytest.mark.parametrize("seconds", [0.5, 1.5, 2.5, 4.0])
+def test_ctrl_c_at_any_second_of_the_start(folder: Path, seconds: float) -> None:
+    demo = start(folder, "--stay")
+    try:
+        time.sleep(seconds)
+        assert_ends(demo, folder)
+    finally:
+        demo.kill()
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP])
+def test_other_ways_to_end_it_are_the_same(folder: Path, number: signal.Signals) -> None:
+    demo = start(folder, "--stay")
+    try:
+        until(lambda: runs(folder, "bridge.demo.topics_demo.robot"), "the robot runs", 120.0)
+        assert_ends(demo, folder, number)
+    finally:
+        demo.kill()
+
+
+STUCK = """
+import signal, sys, time
+from bridge.demo.shutdown import Shutdown
+with Shutdown() as ending:
+    ending.guard(lambda: print("erased", flush=True))
+    ending.calm()
+    print("stuck", flush=True)
+    time.sleep(600)
+"""
+
+
+def test_what_hangs_is_left_in_time(tmp_path: Path) -> None:
+    """As Python where it waits for a library's thread."""
+    command = [sys.executable, "-c", STUCK]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as stuck:
+        assert stuck.stdout is not None
+        assert stuck.stdout.readline() == "stuck\n"
+        began = time.monotonic()
+        for _ in range(3):  # an impatient hand
+            stuck.send_signal(signal.SIGINT)
+        assert stuck.wait(60) == 130
+        assert time.monotonic() - began < SECONDS
+        assert stuck.stdout.read() == "erased\n"
+
+
+def test_a_signal_waits_for_what_must_be_whole_and_comes_once() -> None:
+    code = """
+import os, signal
+from bridge.demo.shutdown import Shutdown
+with Shutdown() as ending:
+    try:
+        with ending.held():
+            os.kill(os.getpid(), signal.SIGINT)
+            print("whole", flush=True)
+        print("never", flush=True)
+    except KeyboardInterrupt:
+        print("raised", flush=True)
+    ending.calm()
+    os.kill(os.getpid(), signal.SIGINT)
+    ending.look()
+    print("undone", flush=True)
+ending.leave(3)
+"""
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60, check=False)
+    assert (done.stdout.split(), done.returncode) == (["whole", "raised", "undone"], 3), done.stderr
+
+
+def test_without_a_signal_handlers_are_as_they_were() -> None:
+    before = signal.getsignal(signal.SIGINT), signal.getsignal(signal.SIGTERM)
+    threads = psutil.Process().num_threads()
+    with Shutdown() as ending:
+        assert not ending.asked
+        assert signal.getsignal(signal.SIGINT) not in before
+    assert (signal.getsignal(signal.SIGINT), signal.getsignal(signal.SIGTERM)) == before
+    until(lambda: psutil.Process().num_threads() <= threads, "its thread ends", 20.0)

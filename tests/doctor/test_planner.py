@@ -1,0 +1,77 @@
+"""Why a planner is not there."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+
+from bridge.config.sections.navigation import NavigationSection
+from bridge.doctor.check import Result
+from bridge.doctor.checks import hub as hub_checks
+from bridge.doctor.hub_problems import absence
+from bridge.hub.graph import HubEndpoint
+from bridge.hub.graph.tokens import EndpointKind
+from bridge.hub.wire.qos import Qos
+from tests.doctor.parts import around, hub, only
+
+MOVE_BASE = "/planner/move_base/navigate_to_pose"
+ROS1 = {"worker": "ros1", "side": "ros1", "state": "running", "refused": []}
+GATEWAY = {"worker": "gateway", "module": True, "state": "waiting", "text": "the planner p is not there"}
+
+
+def server(action: str) -> HubEndpoint:
+    """A part of an action on the hub."""
+    return HubEndpoint(
+        "ab", "n", "/", EndpointKind.SERVER, f"{action}/_action/send_goal", "a/action/A_SendGoal", "h", Qos(),
+        bytes(16), origin=None, pending=False, own=False,
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("planner", "documents", "why", "cure"),
+    [
+        ("move_base", [ROS1], "nobody serves its action /move_base on ROS 1", "start move_base there"),
+        ("move_base", [], "no worker of the ROS 1 side answers", "ros1-master"),
+        ("move_base", [{**ROS1, "state": "waiting"}], "its side, ROS 1, is away", "ros1-master"),
+        ("nav2", [ROS1, {"side": "ros2", "state": "running"}], "/navigate_to_pose on ROS 2", "start nav2 there"),
+        ("robot_goto", [ROS1], "its module does not run", "modules.robot_goto.enabled: true"),
+    ],
+)
+def test_each_reason_has_its_cure(planner: str, documents: list[dict[str, Any]], why: str, cure: str) -> None:
+    found = absence(NavigationSection(planner=planner), planner, [], documents)
+    assert found is not None
+    assert found.text.startswith(f"the planner {planner} is not there: ")
+    assert why in found.text
+    assert cure in found.cure
+
+
+def test_one_whose_action_is_refused() -> None:
+    entry = {"direction": "in", "topic": "/move_base/goal", "reason": "no definition", "cure": "install it"}
+    found = absence(NavigationSection(planner="move_base"), "move_base", [], [{**ROS1, "refused": [entry]}])
+    assert found is not None
+    assert ("cannot cross: no definition" in found.text, found.cure) == (True, "install it")
+
+
+def test_one_that_is_there_or_is_not_known() -> None:
+    section = NavigationSection(planner="move_base")
+    assert absence(section, "move_base", [server(MOVE_BASE)], [ROS1]) is None
+    assert absence(section, "another", [], [ROS1]) is None
+
+
+def test_the_doctor_says_it_of_its_own_gateway() -> None:
+    config = {"navigation": {"planner": "move_base"}}
+    view = hub({**GATEWAY, "planner": "move_base"})
+    mine = only(hub_checks.look_at_workers(around(config, hub=view)))
+    assert (mine.result, "start" in mine.cure or "ros1-master" in mine.cure) == (Result.WARN, True)
+    assert "robot1/gateway waits: the planner move_base is not there: no worker of the ROS 1 side" in mine.seen
+    there = hub({**GATEWAY, "planner": "move_base"}, endpoints=[server(MOVE_BASE)])
+    for other in (hub({**GATEWAY, "daemon": "robot2", "planner": "move_base"}), there):
+        finding = only(hub_checks.look_at_workers(around(config, hub=other)))
+        assert (finding.seen.partition(" ")[2], finding.cure) == ("waits: the planner p is not there", "")
+
+
+def test_a_module_says_itself_what_it_waits_for() -> None:
+    view = hub({"worker": "robot_goto", "module": True, "state": "waiting", "text": "no scan comes"})
+    finding = only(hub_checks.look_at_workers(around(hub=view)))
+    assert (finding.result, finding.seen) == (Result.WARN, "robot1/robot_goto waits: no scan comes")

@@ -1,0 +1,281 @@
+"""Latched publishers: what they said last, for each of them, goes to whoever comes late."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections import Counter
+from dataclasses import replace
+
+import pytest
+import zenoh
+
+from bridge.hub.endpoints.latched import HEARTBEAT
+from bridge.hub.session import Hub
+from bridge.hub.wire.keys import pack_attachment, topic_key
+from bridge.hub.wire.qos import History, Qos
+from tests.hub.parts import BEST_EFFORT_LATCHED, HASH, LATCHED, STREAM, TYPE, Heard, matched, see_each_other, talk
+from tests.support.hub import HubNetwork
+from tests.support.wait import until
+
+EACH_LATCHED = pytest.mark.parametrize("qos", [LATCHED, BEST_EFFORT_LATCHED], ids=["reliable", "best effort"])
+
+
+@EACH_LATCHED
+def test_three_publishers_of_one_session_and_late_joiners(network: HubNetwork, qos: Qos):
+    with Hub.open(network.settings("a")) as a, Hub.open(network.settings("b")) as b:
+        see_each_other(a, b)
+        publishers = [talk(a, "/map", qos, "old", name) for name in ("one", "two", "three")]
+        for joiner in (Heard(b, "/map", qos), Heard(b, "/map", qos, type_hash="*")):
+            joiner.expect("one", "two", "three")
+            assert {s.gid for s in joiner.samples} == {p.gid for p in publishers}
+            assert {s.zid for s in joiner.samples} == {a.zid}
+            assert joiner.subscription.lost == 0
+        with Hub.open(network.settings("c")) as c:
+            Heard(c, "/map", qos).expect("one", "two", "three")
+
+
+@EACH_LATCHED
+def test_three_publishers_of_several_sessions(network: HubNetwork, qos: Qos):
+    with (
+        Hub.open(network.settings("a")) as a,
+        Hub.open(network.settings("b")) as b,
+        Hub.open(network.settings("c")) as c,
+    ):
+        see_each_other(a, b, c)
+        first = Heard(c, "/map", qos)
+        talks = [talk(a, "/map", qos, "one"), talk(a, "/map", qos, "two"), talk(b, "/map", qos, "three")]
+        first.expect("one", "two", "three")
+        Heard(c, "/map", qos).expect("one", "two", "three")
+        assert len({p.gid for p in talks}) == 3
+
+
+@EACH_LATCHED
+def test_a_publisher_that_leaves_takes_its_message_along(network: HubNetwork, qos: Qos):
+    with Hub.open(network.settings("a")) as a, Hub.open(network.settings("b")) as b:
+        see_each_other(a, b)
+        publishers = [talk(a, "/map", qos, name) for name in ("one", "two", "three")]
+        Heard(b, "/map", qos).expect("one", "two", "three")
+        publishers[1].close()
+        until(lambda: len(b.graph.publishers("/map")) == 2, "it left")
+        Heard(b, "/map", qos).expect("one", "three")
+
+
+def test_a_session_that_leaves_takes_its_messages_along(network: HubNetwork):
+    with Hub.open(network.settings("a")) as a, Hub.open(network.settings("b")) as b:
+        talk(a, "/map", LATCHED, "stays")
+        with Hub.open(network.settings("c")) as c:
+            gone = talk(c, "/map", LATCHED, "goes")
+            Heard(b, "/map", LATCHED).expect("stays", "goes")
+            assert gone.gid != bytes(16)
+        until(lambda: len(b.graph.publishers("/map")) == 1, "it left")
+        Heard(b, "/map", LATCHED).expect("stays")
+
+
+def test_publishers_that_come_after_the_subscription(network: HubNetwork):
+    with Hub.open(network.settings("b")) as b:
+        early = Heard(b, "/map", LATCHED)
+        with Hub.open(network.settings("a")) as a:
+            kept = [talk(a, "/map", LATCHED, name) for name in ("one", "two")]
+            early.expect("one", "two")
+            kept[0].put(b"three")
+            early.expect("one", "two", "three")
+            Heard(b, "/map", LATCHED).expect("two", "three")
+
+
+def test_history_and_live_without_a_gap_or_a_double(network: HubNetwork):
+    """A subscription joins while its publisher goes on; what it hears is one unbroken run to the end."""
+    with Hub.open(network.settings("a")) as a, Hub.open(network.settings("b")) as b:
+        see_each_other(a, b)
+        deep = replace(LATCHED, depth=200)
+        publisher = talk(a, "/map", deep, *(str(n) for n in range(100)))
+        joiners = []
+        for number in range(100, 200):
+            publisher.put(str(number).encode())
+            if number % 20 == 0:
+                joiners.append(Heard(b, "/map", deep))
+        for joiner in joiners:
+            until(lambda joiner=joiner: joiner.samples and joiner.texts()[-1] == "199", "the last is heard")
+            assert joiner.texts() == [str(n) for n in range(200)]
+            assert joiner.subscription.lost == 0
+
+
+@pytest.mark.parametrize(("published", "asked", "expected"), [(3, 10, 3), (10, 2, 2), (10, 10, 5)])
+def test_depth(network: HubNetwork, published: int, asked: int, expected: int):
+    with Hub.open(network.settings("a")) as a, Hub.open(network.settings("b")) as b:
+        see_each_other(a, b)
+        texts = [str(n) for n in range(5)]
+        kept = talk(a, "/map", replace(LATCHED, depth=published), *texts)
+        heard = Heard(b, "/map", replace(LATCHED, depth=asked))
+        heard.expect(*texts[-expected:])
+        assert heard.texts() == texts[-expected:]
+        assert kept.matched()
+
+
+def test_keep_all_keeps_many(network: HubNetwork):
+    with Hub.open(network.settings("a")) as a, Hub.open(network.settings("b")) as b:
+        see_each_other(a, b)
+        every = Qos(LATCHED.reliability, LATCHED.durability, History.KEEP_ALL, depth=1)
+        texts = [str(n) for n in range(300)]
+        publisher = talk(a, "/map", every, *texts)
+        heard = Heard(b, "/map", every)
+        heard.expect(*texts)
+        assert heard.texts() == texts
+        assert publisher.matched()
+
+
+def test_own_latched_messages_are_not_heard(network: HubNetwork):
+    """Zenoh's locality does not hold for caches; the hub's does."""
+    with Hub.open(network.settings("a")) as a, Hub.open(network.settings("b")) as b:
+        see_each_other(a, b)
+        own = talk(a, "/map", LATCHED, "own")
+        talk(b, "/map", LATCHED, "other")
+        heard = Heard(a, "/map", LATCHED)
+        heard.expect("other")
+        own.put(b"more")
+        Heard(b, "/map", LATCHED).expect("more")
+        talk(b, "/map", LATCHED, "last")
+        heard.expect("other", "last")
+
+
+def test_volatile_subscriptions_hear_latched_publishers_from_now_on(network: HubNetwork):
+    with Hub.open(network.settings("a")) as a, Hub.open(network.settings("b")) as b:
+        see_each_other(a, b)
+        publisher = talk(a, "/map", LATCHED, "past")
+        heard = Heard(b, "/map", STREAM)
+        matched(publisher)
+        publisher.put(b"now")
+        heard.expect("now")
+        assert heard.samples[0].zid == a.zid
+
+
+def test_latched_subscriptions_hear_volatile_publishers(network: HubNetwork):
+    with Hub.open(network.settings("a")) as a, Hub.open(network.settings("b")) as b:
+        see_each_other(a, b)
+        publisher = talk(a, "/map", STREAM, "past")
+        heard = Heard(b, "/map", LATCHED)
+        matched(publisher)
+        publisher.put(b"one")
+        publisher.put(b"two")
+        heard.expect("one", "two")
+
+
+def test_a_big_latched_message(network: HubNetwork):
+    with Hub.open(network.settings("a")) as a, Hub.open(network.settings("b")) as b:
+        see_each_other(a, b)
+        payload = "x" * 5_000_000
+        publisher = talk(a, "/map", LATCHED, payload)
+        for _ in range(3):
+            Heard(b, "/map", LATCHED).expect(payload)
+        assert publisher.matched()
+
+
+def test_what_a_link_drops_is_recovered():
+    """The router lets no live sample of /map through; only what is asked of the publishers comes."""
+    deny = {"id": "deny", "permission": "deny", "messages": ["put"], "flows": ["egress"], "key_exprs": ["*/map/**"]}
+    access = {
+        "enabled": True,
+        "default_permission": "allow",
+        "rules": [deny],
+        "subjects": [{"id": "all"}],
+        "policies": [{"rules": ["deny"], "subjects": ["all"]}],
+    }
+    with (
+        HubNetwork(zenoh={"mode": "client"}, router_zenoh={"access_control": access}) as network,
+        Hub.open(network.settings("a")) as a,
+        Hub.open(network.settings("b")) as b,
+    ):
+        see_each_other(a, b)
+        deep, shallow = Heard(b, "/map", replace(LATCHED, depth=10)), Heard(b, "/map", LATCHED)
+        volatile = Heard(b, "/map", STREAM)
+        publisher = talk(a, "/map", replace(LATCHED, depth=10))
+        matched(publisher)
+        for text in ("one", "two", "three"):
+            publisher.put(text.encode())
+        deep.expect("one", "two", "three")
+        assert deep.texts() == ["one", "two", "three"]
+        until(lambda: shallow.texts()[-1:] == ["three"], "the newest is recovered")
+        publisher.put(b"four")
+        deep.expect("one", "two", "three", "four")
+        assert deep.subscription.lost == 0
+        assert volatile.texts() == []
+
+
+def test_a_gap_is_filled_from_the_cache(network: HubNetwork):
+    """A live sample with a number ahead: those between are asked for, and come in order before it."""
+    with Hub.open(network.settings("a")) as a, Hub.open(network.settings("b")) as b:
+        see_each_other(a, b)
+        heard = Heard(b, "/map", replace(LATCHED, depth=10))
+        publisher = talk(a, "/map", replace(LATCHED, depth=10), "one")
+        heard.expect("one")
+        source = heard.subscription._sources[publisher.gid]
+        heard.samples.clear()
+        # as if the first had never come
+        with heard.subscription._lock:
+            source.sequence = 0
+        publisher.put(b"two")
+        heard.expect("one", "two")
+        assert heard.texts() == ["one", "two"]
+        assert heard.subscription.lost == 0
+
+
+def test_an_answer_on_another_key_is_left_out(network: HubNetwork) -> None:
+    """Whoever may write any one key could otherwise put words on the topics of latched subscriptions."""
+    key = topic_key(network.domain, "/goal", TYPE, HASH)
+    other = topic_key(network.domain, "/harmless", TYPE, HASH)
+    with Hub.open(network.settings("a")) as a, network.program() as forger:
+        heard = Heard(a, "/goal", LATCHED)
+
+        def answer(query: zenoh.Query) -> None:
+            with query:
+                query.reply(other, b"forged", attachment=pack_attachment(1, 1, bytes(16)))
+                query.reply(key, b"kept", attachment=pack_attachment(1, 1, bytes(15) + b"x"))
+
+        place = f"{key}/@adv/pub/{forger.zid()}/7/_"
+        forger.declare_queryable(place, answer)
+        token = forger.liveliness().declare_token(place)
+        heard.expect("kept")
+        token.undeclare()
+
+
+def test_a_peer_that_does_not_read_keeps_no_latched_publisher_from_leaving(network: HubNetwork):
+    """A heartbeat waits for that peer; zenoh's own would have every publisher wait that leaves meanwhile."""
+    queue = {"congestion_control": {"block": {"wait_before_close": 60_000_000}}}
+    patient = {"transport": {"link": {"tx": {"queue": queue}}}}
+    blocking = Qos(history=History.KEEP_ALL)
+    go_on, sent = threading.Event(), Counter[str]()
+
+    def push() -> None:
+        while not go_on.is_set():
+            stream.put(bytes(1 << 20))
+            sent["MB"] += 1
+
+    with (
+        Hub.open(replace(network.settings("a"), zenoh=patient, shared_memory=False)) as a,
+        Hub.open(replace(network.settings("b"), shared_memory=False)) as b,
+    ):
+        see_each_other(a, b)
+        b.subscription("/stream", TYPE, HASH, blocking, lambda _: go_on.wait(30.0) and None)
+        stream, leaving = talk(a, "/stream", blocking), talk(a, "/map", LATCHED, "said", priority="state")
+        pushing = threading.Thread(target=push)
+        try:
+            Heard(b, "/map", LATCHED).expect("said")
+            matched(stream)
+            pushing.start()
+            until(lambda: sent["MB"] > 0, "b has something to read")
+            leaving.put(b"more")
+            looks = [-1]
+
+            def stands() -> bool:
+                """Whether nothing could be sent for three heartbeats, by looks: time goes on while we stand still."""
+                looks[:] = [*looks, sent["MB"]] if looks[-1] == sent["MB"] else [sent["MB"]]
+                return len(looks) * 0.02 > 3 * HEARTBEAT
+
+            until(stands, "the link is congested, and the heartbeat under way")
+            full, before = sent["MB"], time.monotonic()
+            leaving.close()
+            assert time.monotonic() - before < 8.0
+            assert sent["MB"] == full, "the link is not congested: this shows nothing"
+        finally:
+            go_on.set()
+            pushing.join(10.0)

@@ -1,0 +1,128 @@
+"""zenoh-ros2-sdk, an independent program in a process of its own, on the same hub: both ways."""
+
+from __future__ import annotations
+
+import itertools
+import time
+from collections.abc import Iterator
+from typing import Any
+
+import pytest
+
+from bridge.hub.endpoints.subscription import HubSample
+from bridge.hub.session import Hub
+from bridge.hub.wire.qos import Durability, Qos, Reliability
+from tests.hub.parts import LATCHED, STREAM, matched
+from tests.support.hub import HubNetwork
+from tests.support.peer import Peer
+from tests.support.wait import until
+
+STRING = "std_msgs/msg/String"
+STRING_HASH = "RIHS01_df668c740482bbd48fb39d76a70dfd4bd59db1288021743503259e948f6b1a18"
+
+
+def cdr(text: str) -> bytes:
+    """A std_msgs/String in CDR."""
+    data = text.encode() + b"\0"
+    return b"\0\1\0\0" + len(data).to_bytes(4, "little") + data
+
+
+@pytest.fixture
+def sdk(network: HubNetwork) -> Iterator[Peer]:
+    with network.sdk_peer() as peer:
+        yield peer
+
+
+@pytest.fixture
+def hub(network: HubNetwork) -> Iterator[Hub]:
+    with Hub.open(network.settings("midspan_test", namespace="/robot")) as hub:
+        yield hub
+
+
+def test_it_sees_our_endpoints(hub: Hub, sdk: Peer):
+    hub.publisher(
+        "/robot/chatter", STRING, STRING_HASH, Qos(Reliability.BEST_EFFORT, Durability.TRANSIENT_LOCAL, depth=3)
+    )
+    hub.subscription("/robot/chatter", STRING, STRING_HASH, STREAM, lambda _sample: None)
+
+    def seen_by_sdk() -> dict[str, Any] | None:  # each time it asks the network anew, and takes what came in time
+        info: dict[str, Any] | None = sdk.ask("topic_info", topic="/robot/chatter")["info"]
+        return info if info and len(info["publishers"]) == len(info["subscribers"]) == 1 else None
+
+    info = until(seen_by_sdk, "it sees both")
+    assert info["topic_types"] == [STRING]
+    for seen, qos in ((info["publishers"], "2:1:,3:,:,:,,"), (info["subscribers"], "::,10:,:,:,,")):
+        (endpoint,) = seen
+        assert (endpoint["node_name"].strip("/"), endpoint["node_namespace"]) == ("midspan_test", "/robot")
+        assert (endpoint["topic_type"], endpoint["type_hash"], endpoint["qos"]) == (STRING, STRING_HASH, qos)
+
+
+def test_we_see_its_endpoints(hub: Hub, sdk: Peer):
+    publisher = sdk.advertise("/chatter", "std_msgs/String", latched=True, depth=5)
+    sdk.subscribe("/map", "nav_msgs/OccupancyGrid", best_effort=True)
+    until(lambda: len(hub.graph.endpoints()) == 2, "seen")
+    (talker,), (listener,) = hub.graph.publishers(), hub.graph.subscriptions()
+    assert (talker.topic, talker.type_name, talker.type_hash) == ("/chatter", STRING, STRING_HASH)
+    assert (talker.node, talker.namespace, talker.origin, talker.pending) == ("sdk_talker", "/", None, False)
+    assert talker.qos == Qos(durability=Durability.TRANSIENT_LOCAL, depth=5)
+    assert (listener.topic, listener.type_name, listener.node) == ("/map", "nav_msgs/msg/OccupancyGrid", "sdk_listener")
+    assert listener.qos.reliability is Reliability.BEST_EFFORT
+    sdk.drop(publisher)
+    until(lambda: not hub.graph.publishers(), "its end is seen")
+
+
+def test_it_hears_us(hub: Hub, sdk: Peer):
+    listener = sdk.subscribe("/chatter", "std_msgs/String")
+    publisher = hub.publisher("/chatter", STRING, STRING_HASH, STREAM)
+    matched(publisher)
+    for number in range(5):
+        publisher.put(cdr(f"hello {number} ä"))
+    messages = sdk.wait(listener, 5)
+    assert [m["data"] for m in messages] == [f"hello {n} ä" for n in range(5)]
+
+
+def test_we_hear_it(hub: Hub, sdk: Peer):
+    heard: list[HubSample] = []
+    hub.subscription("/chatter", STRING, STRING_HASH, STREAM, heard.append)
+    talker = sdk.advertise("/chatter", "std_msgs/String")
+    until(lambda: hub.graph.publishers("/chatter"), "seen")
+    before = time.time_ns()
+    # the SDK cannot tell when it is matched: it says the first word until it is heard
+    until(lambda: sdk.publish(talker, {"data": "first"}) or heard, "the first word is heard")
+    sdk.publish(talker, {"data": "second"})
+    until(lambda: heard[-1].data() == cdr("second"), "the second is heard")
+    assert {sample.data() for sample in heard} == {cdr("first"), cdr("second")}
+    assert [b.sequence - a.sequence for a, b in itertools.pairwise(heard)] == [1] * (len(heard) - 1)
+    assert before <= heard[0].source_time_ns <= time.time_ns()
+    assert len({sample.gid for sample in heard}) == 1
+    assert {sample.zid for sample in heard} == {""}
+
+
+def test_it_gets_what_our_latched_publishers_keep(hub: Hub, sdk: Peer, network: HubNetwork):
+    """One per session: the SDK's query lets zenoh keep but the newest reply of each session for one key."""
+    with Hub.open(network.settings("other")) as other:
+        for session, text in ((hub, "one"), (other, "two")):
+            publisher = session.publisher("/map", STRING, STRING_HASH, LATCHED)
+            publisher.put(cdr("old"))
+            publisher.put(cdr(text))
+        until(lambda: len(sdk.graph()["publishers"].get("/map", ())) == 2, "it sees both")
+
+        def asked() -> list[str]:
+            """What a new listener gets. It asks once, and whom zenoh's router has told it of by then."""
+            listener = sdk.subscribe("/map", "std_msgs/String", latched=True)
+            return sorted(m["data"] for m in sdk.wait(listener, 2, 2.0))
+
+        first = until(asked, "the caches are known to it")
+        assert set(first) <= {"one", "two"}, "the newest alone"
+        until(lambda: asked() == ["one", "two"], "both answer")
+
+
+def test_another_hash_is_not_heard_but_by_those_who_take_any(hub: Hub, sdk: Peer):
+    same: list[HubSample] = []
+    every: list[HubSample] = []
+    hub.subscription("/chatter", STRING, STRING_HASH, STREAM, same.append)
+    hub.subscription("/chatter", STRING, "*", STREAM, every.append)
+    talker = sdk.advertise("/chatter", "std_msgs/String", hash="RIHS01_" + "0" * 63 + "1")
+    until(lambda: sdk.publish(talker, {"data": "x"}) or every, "heard")
+    assert same == []
+    assert hub.graph.publishers("/chatter")[0].type_hash.endswith("1")

@@ -1,0 +1,314 @@
+"""Servers and clients on the hub: one reply or one clear error to each call."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable
+from typing import Any
+
+import pytest
+import zenoh
+
+from bridge.hub.endpoints import calls as queries
+from bridge.hub.endpoints.calls import Abandon, CallError, Done
+from bridge.hub.endpoints.services import HubClient, abandon_key
+from bridge.hub.session import Hub
+from bridge.hub.wire.keys import pack_attachment, topic_key, unpack_attachment
+from tests.hub.parts import see_each_other
+from tests.support.hub import HubNetwork
+from tests.support.wait import until
+
+SERVICE, HASH = "std_srvs/srv/SetBool", "RIHS01_" + "5e" * 32
+
+
+class Called:
+    """The end of one call."""
+
+    def __init__(self) -> None:
+        self.ends: list[bytes | CallError] = []
+        self._ended = threading.Event()
+
+    def done(self, result: bytes | CallError) -> None:
+        self.ends.append(result)
+        self._ended.set()
+
+    def wait(self, seconds: float = 40.0) -> bytes | str:
+        """The reply, or the error's text."""
+        assert self._ended.wait(seconds), "the call ends"
+        (result,) = self.ends
+        return str(result) if isinstance(result, CallError) else result
+
+
+class Serving:
+    """A server that answers what a test says: at once by ``answer``, or later by `held`."""
+
+    def __init__(
+        self,
+        hub: Hub,
+        name: str = "/do",
+        answer: Callable[[bytes], bytes | None] = lambda _: None,
+        type_name: str = SERVICE,
+    ) -> None:
+        self.held: list[tuple[bytes, Done]] = []
+        self.abandoned: list[bytes] = []
+        self._answer = answer
+        self.server = hub.server(name, type_name, HASH, self._call)
+
+    def _call(self, request: bytes, done: Done) -> Abandon:
+        reply = self._answer(request)
+        if reply is None:
+            self.held.append((request, done))
+        else:
+            done(reply)
+        return lambda: self.abandoned.append(request)
+
+
+def client(hub: Hub, name: str = "/do") -> HubClient:
+    made = hub.client(name, SERVICE, HASH)
+    until(lambda: made.ready, "the client sees its server")
+    return made
+
+
+def call(caller: HubClient, request: bytes = b"go") -> tuple[Called, Abandon]:
+    called = Called()
+    return called, caller.call(request, called.done)
+
+
+def test_a_call_is_answered_once(network: HubNetwork) -> None:
+    with Hub.open(network.settings("a")) as a, Hub.open(network.settings("b")) as b:
+        Serving(a, answer=lambda request: b"re " + request)
+        caller = client(b)
+        assert [call(caller, text)[0].wait() for text in (b"one", b"", b"x" * 1_000_000)] == [
+            b"re one",
+            b"re ",
+            b"re " + b"x" * 1_000_000,
+        ]
+
+
+def test_servers_and_clients_are_on_the_graph(network: HubNetwork) -> None:
+    with Hub.open(network.settings("a")) as a, Hub.open(network.settings("b")) as b:
+        server = Serving(a).server
+        caller = client(b)
+        until(lambda: b.graph.servers("/do") and a.graph.clients("/do"), "seen")
+        (seen,), (asking,) = b.graph.servers("/do"), a.graph.clients("/do")
+        assert (seen.gid, asking.gid) == (server.gid, caller.gid)
+        assert (seen.type_name, seen.type_hash, seen.node) == (SERVICE, HASH, "a")
+        server.close()
+        caller.close()
+        until(lambda: not b.graph.servers() and not a.graph.clients(), "gone")
+
+
+def test_a_slow_call_delays_no_other(network: HubNetwork) -> None:
+    with Hub.open(network.settings("a")) as a, Hub.open(network.settings("b")) as b:
+        serving = Serving(a, answer=lambda request: None if request == b"slow" else b"quick")
+        caller = client(b)
+        slow, _ = call(caller, b"slow")
+        assert [call(caller)[0].wait() for _ in range(20)] == [b"quick"] * 20
+        assert slow.ends == []
+        serving.held[0][1](b"at last")
+        assert slow.wait() == b"at last"
+
+
+def test_many_calls_at_once_end_each_with_its_own_reply(network: HubNetwork) -> None:
+    with Hub.open(network.settings("a")) as a, Hub.open(network.settings("b")) as b:
+        serving = Serving(a)
+        caller = client(b)
+        calls = [call(caller, b"%d" % n)[0] for n in range(1000)]
+        until(lambda: len(serving.held) == 1000, "all asked")
+        for request, done in reversed(serving.held):
+            done(request)
+        assert [called.wait() for called in calls] == [b"%d" % n for n in range(1000)]
+
+
+def test_an_error_of_the_server_has_its_text(network: HubNetwork) -> None:
+    with Hub.open(network.settings("a")) as a, Hub.open(network.settings("b")) as b:
+        serving = Serving(a)
+        called, _ = call(client(b))
+        until(lambda: serving.held, "asked")
+        serving.held[0][1](CallError("the map is ünknown"))
+        assert called.wait() == "the map is ünknown"
+
+
+def test_the_second_end_of_a_call_is_passed_over(network: HubNetwork) -> None:
+    with Hub.open(network.settings("a")) as a, Hub.open(network.settings("b")) as b:
+        serving = Serving(a)
+        caller = client(b)
+        called, abandon = call(caller)
+        until(lambda: serving.held, "asked")
+        for result in (b"first", b"second", CallError("third")):
+            serving.held[0][1](result)
+        assert called.wait() == b"first"
+        abandon()
+        abandon()
+        assert call(caller, b"other")[0].ends == called.ends[1:] == []
+        assert serving.abandoned == []
+
+
+def test_without_a_server_a_call_ends_at_once(network: HubNetwork) -> None:
+    with Hub.open(network.settings("a")) as a:
+        called, abandon = call(a.client("/do", SERVICE, HASH))
+        assert called.wait(0) == "no server of /do is on the hub"
+        abandon()
+
+
+def test_a_server_that_closes_ends_its_calls(network: HubNetwork) -> None:
+    with Hub.open(network.settings("a")) as a, Hub.open(network.settings("b")) as b:
+        serving = Serving(a)
+        caller = client(b)
+        called, _ = call(caller)
+        until(lambda: serving.held, "asked")
+        serving.server.close()
+        assert called.wait() == "the server of /do left before it answered"
+        assert serving.abandoned == [b"go"]
+        serving.held[0][1](b"too late")
+        until(lambda: not caller.ready, "seen")
+        assert call(caller)[0].wait(0) == "no server of /do is on the hub"
+        assert len(called.ends) == 1
+
+
+@pytest.mark.parametrize("mode", ["peer", "client"])
+def test_a_server_that_dies_ends_its_calls_and_its_successor_is_called(network: HubNetwork, mode: str) -> None:
+    with Hub.open(network.settings("b", zenoh={"mode": mode})) as b:
+        caller = b.client("/do", SERVICE, HASH)
+        for _ in range(2):
+            with network.hub_peer("server") as peer:
+                peer.ask("serve", name="/do", type=SERVICE, hash=HASH, hold=True)
+                until(lambda: caller.ready, "the server is seen")
+                called, _ = call(caller)
+                until(lambda peer=peer: peer.ask("requests")["count"], "it was asked")
+                peer.signal(9)
+                assert str(called.wait()).startswith("the server of /do left before it answered")
+            until(lambda: not caller.ready, "its end is seen")
+
+
+def test_who_abandons_a_call_hears_no_more_of_it_and_the_server_does(network: HubNetwork) -> None:
+    with Hub.open(network.settings("a")) as a, Hub.open(network.settings("b")) as b:
+        serving = Serving(a)
+        caller = client(b)
+        called, abandon = call(caller, b"dull")
+        kept, _ = call(caller, b"kept")
+        until(lambda: len(serving.held) == 2, "asked")
+        abandon()
+        until(lambda: serving.abandoned, "the server knows")
+        for _, done in serving.held:
+            done(b"reply")
+        assert kept.wait() == b"reply"
+        assert (called.ends, serving.abandoned) == ([], [b"dull"])
+
+
+def test_a_caller_that_dies_abandons_its_calls(network: HubNetwork) -> None:
+    with Hub.open(network.settings("a")) as a:
+        serving = Serving(a)
+        with network.hub_peer("caller") as peer:
+            peer.ask("call", name="/do", type=SERVICE, hash=HASH)
+            until(lambda: serving.held and a.graph.clients("/do"), "asked by one who is known")
+            peer.signal(9)
+            until(lambda: serving.abandoned, "the server knows")
+        serving.held[0][1](b"too late")
+
+
+def test_sizes_are_limited(network: HubNetwork) -> None:
+    with Hub.open(network.settings("a", max_payload=1000)) as a, Hub.open(network.settings("b")) as b:
+        Serving(a, answer=lambda request: request * 600)
+        Serving(b, "/back", answer=lambda _request: bytes(1001))
+        caller, back = client(b), client(a, "/back")
+        assert call(caller, bytes(1001))[0].wait() == "the request has 1001 bytes, limits.message allows 1000"
+        assert call(caller, b"go")[0].wait() == "the reply has 1200 bytes, limits.message allows 1000"
+        assert call(back, b"go")[0].wait() == "the reply has 1001 bytes, limits.message allows 1000"
+        assert call(back, bytes(1001))[0].wait(0) == "the request has 1001 bytes, limits.message allows 1000"
+        assert call(caller, b"a")[0].wait() == b"a" * 600
+
+
+def test_own_calls_and_other_types_are_not_served(network: HubNetwork) -> None:
+    with Hub.open(network.settings("a")) as a, Hub.open(network.settings("b")) as b:
+        serving = Serving(a)
+        other = b.client("/do", SERVICE, "RIHS01_" + "00" * 32)
+        client(b)
+        own = a.client("/do", SERVICE, HASH)
+        assert [call(each)[0].wait(0) for each in (own, other)] == ["no server of /do is on the hub"] * 2
+        assert serving.held == []
+
+
+def test_a_client_or_session_that_closes_ends_its_calls(network: HubNetwork) -> None:
+    with Hub.open(network.settings("a")) as a:
+        serving = Serving(a)
+        b = Hub.open(network.settings("b"))
+        one, two = client(b), client(b)
+        first, _ = call(one, b"one")
+        second, _ = call(two, b"two")
+        until(lambda: len(serving.held) == 2, "asked")
+        one.close()
+        one.close()
+        assert first.wait(0) == "the call of /do was ended: its client was closed"
+        b.close()
+        assert second.wait(0) == "the call of /do was ended: its client was closed"
+        assert call(one)[0].wait(0) == "no server of /do is on the hub"
+        until(lambda: sorted(serving.abandoned) == [b"one", b"two"], "the server knows")
+
+
+def test_what_a_plain_zenoh_program_and_a_malformed_request_get(network: HubNetwork) -> None:
+    with Hub.open(network.settings("a")) as a, Hub.open(network.settings("b")) as b, network.program() as program:
+        Serving(a, answer=lambda request: b"re " + request)
+        client(b)
+        key = topic_key(a.domain, "/do", SERVICE, HASH)
+
+        def ask(**more: Any) -> tuple[bytes, bytes | None]:
+            (reply,) = program.get(key, **more)
+            if reply.ok is None:
+                return reply.err.payload.to_bytes(), None
+            attached = reply.ok.attachment
+            return reply.ok.payload.to_bytes(), attached and attached.to_bytes()
+
+        assert ask() == (b"re ", None)
+        assert ask(payload=b"go") == (b"re go", None)
+        text, attached = ask(payload=b"go", attachment=pack_attachment(7, 1, b"g" * 16))
+        number, time_ns, gid = unpack_attachment(attached)
+        assert (text, number, gid) == (b"re go", 7, b"g" * 16)
+        assert time_ns > 1
+        for bad in (b"", b"short", bytes(33), bytes(200)):
+            assert ask(payload=b"go", attachment=bad)[0].startswith(b"attachment with" if len(bad) == 33 else b"attach")
+        program.put(abandon_key(key), b"junk")
+        program.put(abandon_key(key), pack_attachment(99, 1, bytes(16)))
+        assert ask(payload=b"on") == (b"re on", None)
+
+
+def test_a_congested_or_strange_server_ends_a_call_without_a_reply(
+    network: HubNetwork, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(queries, "_AT_ONCE", 40.0)  # however slow the machine is
+    with network.program() as program, Hub.open(network.settings("b")) as b:
+        key = topic_key(b.domain, "/do", SERVICE, HASH)
+
+        def strange(query: zenoh.Query) -> None:
+            with query:
+                if query.payload.to_bytes() == b"empty error":
+                    query.reply_err(b"")
+
+        program.declare_queryable(key, zenoh.handlers.Callback(strange, indirect=False), complete=True)
+        caller = client(b)
+        assert str(call(caller, b"none")[0].wait()).startswith("the server of /do left before it answered; or a door")
+        assert call(caller, b"empty error")[0].wait() == "the server answered with an error"
+
+
+def test_servers_that_share_a_name_answer_once(network: HubNetwork) -> None:
+    with (
+        Hub.open(network.settings("a")) as a,
+        Hub.open(network.settings("b")) as b,
+        Hub.open(network.settings("c")) as c,
+    ):
+        asked: list[tuple[str, bytes]] = []
+        Serving(a, answer=lambda request: asked.append(("a", request)) or b"re " + request)
+        Serving(b, answer=lambda request: asked.append(("b", request)) or b"re " + request)
+        see_each_other(a, b, c)
+        caller = client(c)
+
+        def both() -> bool:
+            called, _ = call(caller)
+            assert called.wait() == b"re go"
+            return {who for who, _ in asked} == {"a", "b"}
+
+        until(both, "both were asked")
+        called, _ = call(caller, b"last")
+        assert called.wait() == b"re last"
+        until(lambda: {("a", b"last"), ("b", b"last")} <= set(asked), "both were asked again")
+        assert len(called.ends) == 1

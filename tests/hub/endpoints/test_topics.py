@@ -1,0 +1,345 @@
+"""Publishers and subscriptions that keep nothing."""
+
+from __future__ import annotations
+
+import threading
+import time
+from dataclasses import replace
+
+import pytest
+import zenoh
+
+from bridge import resources
+from bridge.hub.endpoints.publisher import LARGE
+from bridge.hub.endpoints.subscription import HubSample
+from bridge.hub.errors import HubClosedError, HubError, HubWireError
+from bridge.hub.session import Hub
+from bridge.hub.wire.keys import pack_attachment, topic_key
+from bridge.hub.wire.qos import History
+from tests.hub.parts import HASH, LATCHED, STREAM, TYPE, Heard, matched, talk
+from tests.support.hub import HubNetwork
+from tests.support.wait import until
+
+
+def test_samples_arrive_in_order_with_what_they_carry(network: HubNetwork):
+    with Hub.open(network.settings("a")) as a, Hub.open(network.settings("b")) as b:
+        heard = Heard(b, "/chatter")
+        publisher = talk(a, "/chatter")
+        matched(publisher)
+        for number in range(100):
+            publisher.put(b"%d" % number, source_time_ns=1000 + number)
+        until(lambda: len(heard.samples) == 100, "all heard")
+        assert heard.texts() == [str(n) for n in range(100)]
+        assert [s.sequence for s in heard.samples] == list(range(1, 101))
+        assert [s.source_time_ns for s in heard.samples] == list(range(1000, 1100))
+        assert {s.gid for s in heard.samples} == {publisher.gid}
+        assert {s.zid for s in heard.samples} == {a.zid}
+        assert heard.subscription.lost == 0
+
+
+def test_source_time_is_now_unless_given(network: HubNetwork):
+    with Hub.open(network.settings("a")) as a, Hub.open(network.settings("b")) as b:
+        heard = Heard(b, "/chatter")
+        publisher = talk(a, "/chatter")
+        matched(publisher)
+        before = time.time_ns()
+        publisher.put(b"x")
+        heard.expect("x")
+        assert before <= heard.samples[0].source_time_ns <= time.time_ns()
+
+
+def test_own_samples_are_not_heard(network: HubNetwork):
+    with Hub.open(network.settings("a")) as a, Hub.open(network.settings("b")) as b:
+        own, other = Heard(a, "/chatter"), Heard(b, "/chatter")
+        publisher = talk(a, "/chatter")
+        matched(publisher)
+        publisher.put(b"x")
+        other.expect("x")
+        assert own.samples == []
+
+
+def test_any_hash(network: HubNetwork):
+    with Hub.open(network.settings("a")) as a, Hub.open(network.settings("b")) as b:
+        every, same = Heard(b, "/chatter", type_hash="*"), Heard(b, "/chatter")
+        other = a.publisher("/chatter", TYPE, "RIHS01_" + "00" * 32, STREAM)
+        matched(other)
+        other.put(b"other")
+        talk(a, "/chatter", STREAM, "same")
+        every.expect("other", "same")
+        same.expect("same")
+
+
+def test_topics_types_and_domains_are_apart(network: HubNetwork):
+    with (
+        Hub.open(network.settings("a")) as a,
+        Hub.open(network.settings("b")) as b,
+        Hub.open(network.settings("c", domain=0)) as c,
+    ):
+        heard = [Heard(b, "/one"), Heard(b, "/one/two"), Heard(c, "/one")]
+        publisher = talk(a, "/one")
+        a.publisher("/one", "std_msgs/msg/Bool", HASH, STREAM).put(b"bool")
+        matched(publisher)
+        publisher.put(b"x")
+        heard[0].expect("x")
+        assert [h.texts() for h in heard] == [["x"], [], []]
+
+
+def test_matched_tells_whether_anybody_listens(network: HubNetwork):
+    with Hub.open(network.settings("a")) as a, Hub.open(network.settings("b")) as b:
+        publisher = talk(a, "/chatter")
+        assert not publisher.matched()
+        heard = Heard(b, "/chatter")
+        matched(publisher)
+        heard.subscription.close()
+        until(lambda: not publisher.matched(), "nobody listens")
+
+
+def test_what_nobody_gets_is_numbered_without_being_encoded(network: HubNetwork):
+    with Hub.open(network.settings("a")) as a, Hub.open(network.settings("b")) as b:
+        publisher, kept = talk(a, "/chatter"), talk(a, "/kept", LATCHED)
+        assert [publisher.pass_over(), publisher.pass_over()] == [True, True]
+        assert not kept.pass_over()
+        heard = Heard(b, "/chatter")
+        matched(publisher)
+        assert not publisher.pass_over()
+        publisher.put(b"x")
+        heard.expect("x")
+        assert [sample.sequence for sample in heard.samples] == [3]
+        heard.subscription.close()
+        until(lambda: not publisher.matched(), "nobody listens any more")
+        assert publisher.pass_over()
+        publisher.close()
+        with pytest.raises(HubClosedError, match="/chatter is closed"):
+            publisher.pass_over()
+
+
+def test_a_big_message(network: HubNetwork):
+    with Hub.open(network.settings("a")) as a, Hub.open(network.settings("b")) as b:
+        heard = Heard(b, "/image")
+        publisher = talk(a, "/image")
+        matched(publisher)
+        payload = bytes(range(256)) * 40_000
+        # it may be dropped on a busy machine
+        until(lambda: publisher.put(payload) or heard.samples, "heard", every=0.2)
+        assert heard.samples[0].data() == payload
+
+
+def test_both_ends_give_back_the_memory_of_a_large_message(network: HubNetwork, monkeypatch: pytest.MonkeyPatch):
+    """`LARGE_MESSAGES` is asked at each heartbeat of a worker; see tests/test_resources.py."""
+    passed: list[int] = []
+    monkeypatch.setattr(resources.LARGE_MESSAGES, "passed", passed.append)
+    with Hub.open(network.settings("a")) as a, Hub.open(network.settings("b")) as b:
+        heard = Heard(b, "/large")
+        publisher = talk(a, "/large")
+        matched(publisher)
+        publisher.put(b"small")
+        publisher.put(bytes(resources.LARGE))
+        until(lambda: len(heard.samples) == 2, "both came")
+    assert sorted(passed) == [5, 5, resources.LARGE, resources.LARGE]
+
+
+class Busy:
+    """A program that reads nothing for a while, as one does on a machine where others compute."""
+
+    def __init__(self, hub: Hub) -> None:
+        self.begun, self.goes_on, self.heard = threading.Event(), threading.Event(), list[int]()
+        self.subscription = hub.subscription("/large", TYPE, HASH, STREAM, self._take)
+
+    def _take(self, sample: HubSample) -> None:  # on zenoh's thread that reads the link
+        self.heard.append(len(sample.payload))
+        self.begun.set()
+        self.goes_on.wait(10)
+
+
+def test_what_is_too_large_for_the_shared_memory_waits_for_a_busy_program(network: HubNetwork):
+    """50 MB and more were lost: all of it had to be in the link's queue within 0.2 s."""
+    with Hub.open(network.settings("a")) as a, Hub.open(network.settings("b")) as b:
+        busy, other = Busy(b), Heard(b, "/small")
+        publisher, small = talk(a, "/large"), talk(a, "/small")
+        matched(publisher)
+        matched(small)
+        publisher.put(b"first")
+        assert busy.begun.wait(20)
+        sending = threading.Thread(target=publisher.put, args=[bytes(LARGE + 1)])
+        sending.start()
+        time.sleep(0.3)  # it fills the link meanwhile, of which nothing tells
+        small.put(b"meanwhile")
+        assert sending.is_alive()  # and the small one did not wait for it
+        busy.goes_on.set()
+        sending.join()
+        publisher.put(b"last")
+        other.expect("meanwhile")
+        until(lambda: len(busy.heard) == 3, "all came")
+        assert busy.heard == [5, LARGE + 1, 4]
+        assert busy.subscription.lost == 0
+
+
+def test_where_messages_were_lost_is_told(network: HubNetwork):
+    """To a program that is busy for longer than a large message may wait."""
+    drop = {"congestion_control": {"drop": {"max_wait_before_drop_fragments": 1000}}}
+    hurried = {"transport": {"link": {"tx": {"queue": drop}}}}
+    with Hub.open(replace(network.settings("a"), zenoh=hurried)) as a, Hub.open(network.settings("b")) as b:
+        busy = Busy(b)
+        publisher = talk(a, "/large")
+        matched(publisher)
+        publisher.put(b"first")
+        assert busy.begun.wait(20)
+        publisher.put(bytes(LARGE + 1))
+        busy.goes_on.set()
+
+        def seen() -> bool:  # when a later one comes
+            publisher.put(b"next")
+            return busy.subscription.lost > 0
+
+        until(seen, "the gap is seen")
+        assert busy.heard[1] == 4
+        assert "busy for too long" in (told := busy.subscription.losses())
+        assert " from a;" in told
+        assert "max_wait_before_drop_fragments" in told
+
+
+def test_messages_have_a_size_limit(network: HubNetwork):
+    with Hub.open(network.settings("a", max_payload=1000)) as a, Hub.open(network.settings("b")) as b:
+        to_a, to_b = Heard(a, "/to_a"), Heard(b, "/to_b")
+        from_a, from_b = talk(a, "/to_b"), talk(b, "/to_a")
+        matched(from_a)
+        matched(from_b)
+        with pytest.raises(HubError, match="1001 bytes on /to_b"):
+            from_a.put(bytes(1001))
+        from_a.put(b"fits")
+        to_b.expect("fits")
+        from_b.put(bytes(2000))
+        from_b.put(b"fits")
+        to_a.expect("fits")
+        assert to_a.subscription.refused == 1
+
+
+def test_samples_of_others_without_a_fitting_attachment_are_refused(network: HubNetwork):
+    with (
+        Hub.open(network.settings("a")) as a,
+        Hub.open(network.settings("b")) as b,
+        network.program() as program,
+    ):
+        heard = Heard(b, "/chatter")
+        good = talk(a, "/chatter")
+        matched(good)
+        raw = program.declare_publisher(topic_key(a.domain, "/chatter", TYPE, HASH))
+        until(lambda: raw.matching_status.matching, "matched")  # type: ignore[attr-defined]
+        for attached in (None, b"", b"short", bytes(33), bytes(200)):
+            raw.put(b"bad", attachment=attached)
+        raw.delete()
+        raw.put(b"foreign", attachment=pack_attachment(0, 5, bytes(16)))
+        good.put(b"good")
+        heard.expect("foreign", "good")
+        assert heard.subscription.refused == 5
+        assert {sample.data(): sample.zid for sample in heard.samples} == {b"foreign": "", b"good": a.zid}
+
+
+def test_lost_samples_are_seen_from_gaps(network: HubNetwork):
+    with network.program() as program, Hub.open(network.settings("b")) as b:
+        heard = Heard(b, "/chatter")
+        raw = program.declare_publisher(topic_key(b.domain, "/chatter", TYPE, HASH))
+        until(lambda: raw.matching_status.matching, "matched")  # type: ignore[attr-defined]
+        one, two = b"1" * 16, b"2" * 16
+        for gid, sequence in ((one, 1), (one, 2), (two, 7), (one, 5), (two, 8), (one, 6), (two, 10)):
+            raw.put(b"x", attachment=pack_attachment(sequence, 1000 + sequence, gid))
+        until(lambda: len(heard.samples) == 7, "all heard")
+        assert heard.subscription.lost == 2 + 1
+        assert "3 from an unknown node" in heard.subscription.losses()
+
+
+def test_a_sample_that_comes_twice_is_delivered_once(network: HubNetwork):
+    with network.program() as program, Hub.open(network.settings("b")) as b:
+        heard = Heard(b, "/chatter")
+        raw = program.declare_publisher(topic_key(b.domain, "/chatter", TYPE, HASH))
+        until(lambda: raw.matching_status.matching, "matched")  # type: ignore[attr-defined]
+        for sequence in (1, 2, 2, 1, 3):
+            raw.put(b"%d" % sequence, attachment=pack_attachment(sequence, 1000 + sequence, b"1" * 16))
+        heard.expect("1", "2", "3")
+
+
+def test_a_publisher_used_by_many_threads_numbers_without_gaps(network: HubNetwork):
+    with Hub.open(network.settings("a")) as a, Hub.open(network.settings("b")) as b:
+        heard = Heard(b, "/chatter")
+        publisher = talk(a, "/chatter", replace(STREAM, history=History.KEEP_ALL))
+        matched(publisher)
+        threads = [threading.Thread(target=lambda: [publisher.put(b"x") for _ in range(200)]) for _ in range(4)]
+        for thread in threads:
+            thread.start()
+        for thread in threads:
+            thread.join()
+        until(lambda: len(heard.samples) == 800, "all heard")
+        assert [s.sequence for s in heard.samples] == list(range(1, 801))
+
+
+@pytest.mark.parametrize(
+    ("priority", "expected"),
+    [
+        ("command", zenoh.Priority.INTERACTIVE_HIGH),
+        ("state", zenoh.Priority.DATA_HIGH),
+        ("stream", zenoh.Priority.DATA),
+    ],
+)
+def test_priority_on_the_wire(network: HubNetwork, priority: str, expected: zenoh.Priority):
+    with (
+        Hub.open(network.settings("a")) as a,
+        network.program() as program,
+    ):
+        heard: list[zenoh.Sample] = []
+        key = topic_key(a.domain, "/chatter", TYPE, HASH)
+        raw = program.declare_subscriber(key, heard.append)
+        publisher = talk(a, "/chatter", priority=priority)
+        matched(publisher)
+        publisher.put(b"x")
+        until(lambda: heard, "heard")
+        raw.undeclare()
+        assert (heard[0].priority, heard[0].express) == (expected, priority == "command")
+        assert heard[0].congestion_control == zenoh.CongestionControl.DROP
+
+
+def test_bad_names_are_refused(network: HubNetwork):
+    with Hub.open(network.settings("a")) as a:
+        with pytest.raises(HubWireError):
+            a.publisher("/bad topic", TYPE, HASH, STREAM)
+        with pytest.raises(HubWireError):
+            a.publisher("/chatter", TYPE, "*", STREAM)
+        with pytest.raises(HubWireError):
+            a.subscription("/chatter", "String", HASH, STREAM, lambda _sample: None)
+        assert a.graph.endpoints() == []
+
+
+def test_nothing_is_left_after_close(network: HubNetwork):
+    before = set(threading.enumerate())
+    hub = Hub.open(network.settings("a"))
+    publisher, heard = talk(hub, "/chatter"), Heard(hub, "/chatter")
+    hub.serve("status", lambda _params: {})
+    hub.close()
+    hub.close()
+    publisher.close()
+    heard.subscription.close()
+    until(lambda: set(threading.enumerate()) <= before, "its threads have ended")
+    for use in (
+        lambda: publisher.put(b"x"),
+        lambda: hub.publisher("/x", TYPE, HASH, STREAM),
+        lambda: hub.set_origin(None),
+        lambda: hub.ask("status", {}),
+        lambda: hub.serve("status", lambda _params: {}),
+    ):
+        with pytest.raises(HubClosedError):
+            use()
+
+
+def test_closed_endpoints_are_quiet(network: HubNetwork):
+    with Hub.open(network.settings("a")) as a, Hub.open(network.settings("b")) as b:
+        first, second = Heard(b, "/chatter"), Heard(b, "/chatter")
+        publisher = talk(a, "/chatter")
+        matched(publisher)
+        first.subscription.close()
+        first.subscription.close()
+        publisher.put(b"x")
+        second.expect("x")
+        assert first.samples == []
+        publisher.close()
+        with pytest.raises(HubClosedError):
+            publisher.put(b"y")
+        until(lambda: not b.graph.publishers("/chatter"), "gone from the graph")

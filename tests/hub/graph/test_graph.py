@@ -1,0 +1,194 @@
+"""The graph: who is on the hub, and where they come from."""
+
+from __future__ import annotations
+
+import itertools
+import logging
+import signal
+
+import pytest
+
+from bridge.hub.graph import HubEndpoint
+from bridge.hub.graph.tokens import BRIDGE_ENCLAVE, EndpointKind, NodeToken, Origin, node_key
+from bridge.hub.session import Hub
+from tests.hub.parts import HASH, LATCHED, STREAM, TYPE, Heard, talk
+from tests.support.hub import HubNetwork
+from tests.support.wait import until
+
+
+def _settled(hub: Hub) -> list[HubEndpoint]:
+    return [endpoint for endpoint in hub.graph.publishers() if endpoint.origin is not None]
+
+
+ROBOT = Origin("ros1", "http://robot:11311/ run 7", "robot/1")
+
+
+def test_nodes_and_endpoints_come_and_go(network: HubNetwork):
+    with Hub.open(network.settings("early")) as early:
+        with Hub.open(network.settings("a", namespace="/robot/arm")) as a:
+            publisher = talk(a, "/map", LATCHED)
+            heard = Heard(a, "/chatter")
+            with Hub.open(network.settings("late")) as late:
+                for hub in (early, late, a):
+                    until(lambda hub=hub: len(hub.graph.endpoints()) == 2, "both endpoints seen")
+                    (node,) = (n for n in hub.graph.nodes() if n.node == "a")
+                    assert (node.zid, node.namespace, node.own) == (a.zid, "/robot/arm", hub is a)
+                    (seen,) = hub.graph.publishers("/map")
+                    assert (seen.zid, seen.node, seen.namespace, seen.kind) == (
+                        a.zid,
+                        "a",
+                        "/robot/arm",
+                        EndpointKind.PUBLISHER,
+                    )
+                    assert (seen.topic, seen.type_name, seen.type_hash, seen.qos) == ("/map", TYPE, HASH, LATCHED)
+                    assert (seen.gid, seen.origin, seen.pending, seen.own) == (publisher.gid, None, False, hub is a)
+                    assert hub.graph.zid_of(publisher.gid) == a.zid
+                    (subscription,) = hub.graph.subscriptions()
+                    assert subscription.topic == "/chatter"
+                    assert hub.graph.publishers("/chatter") == hub.graph.subscriptions("/none") == []
+                publisher.close()
+                until(lambda: not late.graph.publishers(), "the publisher is gone")
+                heard.subscription.close()
+                until(lambda: not late.graph.endpoints(), "the subscription is gone")
+        until(lambda: [n.node for n in early.graph.nodes()] == ["early"], "the node is gone")
+
+
+def test_watch(network: HubNetwork):
+    with Hub.open(network.settings("a")) as a, Hub.open(network.settings("b")) as b:
+        until(lambda: len(a.graph.nodes()) == 2, "both nodes seen")
+        calls: list[int] = []
+        stop = a.graph.watch(lambda: calls.append(1))
+        publisher = talk(b, "/chatter")
+        until(lambda: len(calls) == 1, "told of the publisher")
+        publisher.close()
+        until(lambda: len(calls) == 2, "told of its end")
+        stop()
+        stop()
+        talk(b, "/map")
+        until(lambda: a.graph.publishers("/map"), "seen")
+        assert len(calls) == 2
+
+
+def test_origins(network: HubNetwork):
+    with Hub.open(network.settings("a")) as a, Hub.open(network.settings("b")) as b:
+        until(lambda: len(b.graph.nodes()) == 2, "both nodes seen")
+        a.set_origin(ROBOT)
+        talk(a, "/map", LATCHED)
+        until(lambda: b.graph.publishers("/map"), "seen")
+        assert b.graph.publishers("/map")[0].origin == ROBOT
+        assert b.graph.origins() == {a.zid: ROBOT}
+        assert b.graph.origin_of(a.zid) == ROBOT
+        assert {n.node: n.origin for n in b.graph.nodes()} == {"a": ROBOT, "b": None}
+        other = Origin("ros1", "another run", "robot1")
+        a.set_origin(other)
+        a.set_origin(other)
+        until(lambda: b.graph.publishers("/map")[0].origin == other, "the new origin is known")
+        assert b.graph.origins() == {a.zid: other}
+
+
+def test_an_endpoint_of_a_bridge_is_pending_while_its_origin_is_unknown(network: HubNetwork):
+    with Hub.open(network.settings("a")) as a, Hub.open(network.settings("b")) as b:
+        a.set_origin(ROBOT)
+        talk(a, "/map", LATCHED)
+        until(lambda: b.graph.publishers("/map"), "seen")
+        a.set_origin(None)
+        until(lambda: b.graph.publishers("/map")[0].pending, "the origin is not known any more")
+        assert b.graph.publishers("/map")[0].origin is None
+        native = talk(a, "/chatter")
+        until(lambda: b.graph.publishers("/chatter"), "seen")
+        assert not b.graph.publishers("/chatter")[0].pending
+        assert native.gid
+
+
+def test_an_endpoint_of_a_bridge_is_never_taken_for_native(network: HubNetwork):
+    """Zenoh hands tokens over in any order when sessions join; the mark in the endpoint's own token holds meanwhile."""
+    with Hub.open(network.settings("watcher")) as watcher:
+        mistaken: list[HubEndpoint] = []
+
+        def look() -> None:
+            mistaken.extend(e for e in watcher.graph.publishers() if e.origin is None and not e.pending)
+
+        watcher.graph.watch(look)
+        for number in range(10):
+            with Hub.open(network.settings("bridge")) as bridge:
+                bridge.set_origin(Origin("ros1", f"run {number}", "robot"))
+                for topic in range(10):
+                    talk(bridge, f"/t{topic}", LATCHED if topic % 2 else STREAM)
+                with Hub.open(network.settings("late")) as late:
+                    for hub in (watcher, late):
+                        until(lambda hub=hub: len(_settled(hub)) == 10, "all are seen with their origin")
+            until(lambda: not watcher.graph.publishers(), "all are gone")
+        assert mistaken == []
+
+
+def test_a_killed_node_vanishes(network: HubNetwork):
+    with Hub.open(network.settings("a")) as a, network.hub_peer("victim") as victim:
+        victim.ask("origin", side="ros1", network="n", daemon="d")
+        victim.ask("put", id=victim.ask("publisher", topic="/map", latched=True)["id"], text="x")
+        Heard(a, "/map", LATCHED).expect("x")
+        victim.signal(signal.SIGKILL)
+        until(lambda: len(a.graph.nodes()) == 1, "the node is gone")
+        until(lambda: not a.graph.publishers("/map") and not a.graph.origins(), "so is the rest")
+
+
+def test_a_node_that_stands_still_vanishes_and_comes_back(network: HubNetwork):
+    """No socket closes: the lease tells."""
+    with Hub.open(network.settings("a")) as a, network.hub_peer("victim") as victim:
+        publisher = victim.ask("publisher", topic="/map", latched=True)["id"]
+        until(lambda: a.graph.publishers("/map"), "seen")
+        victim.signal(signal.SIGSTOP)
+        until(lambda: not a.graph.publishers("/map"), "gone by its lease")
+        victim.signal(signal.SIGCONT)
+        until(lambda: a.graph.publishers("/map"), "seen again")
+        victim.ask("put", id=publisher, text="back")
+        Heard(a, "/map", LATCHED).expect("back")
+
+
+def test_malformed_tokens_are_left_out(network: HubNetwork, caplog: pytest.LogCaptureFixture):
+    with Hub.open(network.settings("a")) as a, Hub.open(network.settings("b")) as b, network.program() as program:
+        space = f"@ros2_lv/{a.domain}"
+        bad = [
+            f"{space}/x",
+            f"{space}/z/0/1/MP/%/%/n",
+            f"{space}/z/0/1/XX/%/%/n",
+            f"{space}/z/0/1/MP/%/%/n/%t/no_type/{HASH}/::,7:,:,:,,",
+            f"{space}/z/0/1/MP/%/%/n/%t/a::msg::dds_::B_/{HASH}/nonsense",
+            f"@midspan/{a.domain}/origin/z",
+            f"@midspan/{a.domain}/origin/z/a/b/c/d/e",
+        ]
+        with caplog.at_level(logging.WARNING):
+            tokens = [program.liveliness().declare_token(key) for key in bad]
+            good = talk(b, "/chatter")
+            until(lambda: a.graph.publishers("/chatter"), "the good one is seen")
+            until(lambda: a.graph.refused == len(bad), "the bad ones are counted")
+        assert len([r for r in caplog.records if r.name == "bridge.hub.graph.view"]) <= 2
+        assert [e.gid for e in a.graph.endpoints()] == [good.gid]
+        for token in tokens:
+            token.undeclare()
+        good.close()
+        until(lambda: not a.graph.endpoints(), "gone")
+
+
+def test_tokens_are_bounded(network: HubNetwork):
+    with Hub.open(network.settings("a", max_tokens=20)) as a, network.program() as program:
+        liveliness = program.liveliness()
+        ids = itertools.count()
+        owner = [NodeToken(a.domain, f"z{next(ids)}", "0", "/", "n", BRIDGE_ENCLAVE) for _ in range(40)]
+        tokens = [liveliness.declare_token(node_key(token)) for token in owner]
+        until(lambda: a.graph.refused >= 20, "the rest is refused")
+        assert len(a.graph.nodes()) == 20
+        for token in tokens:
+            token.undeclare()
+        until(lambda: len(a.graph.nodes()) <= 2, "gone")
+
+
+def test_other_domains_are_not_seen(network: HubNetwork):
+    with Hub.open(network.settings("a")) as a, Hub.open(network.settings("b", domain=0)) as b:
+        b.set_origin(ROBOT)
+        talk(b, "/chatter")
+        until(lambda: b.graph.publishers(), "seen in its own")
+        with Hub.open(network.settings("c")) as c:
+            until(lambda: len(a.graph.nodes()) == 2, "both seen")
+            assert {n.zid for n in a.graph.nodes()} == {a.zid, c.zid}
+        assert a.graph.endpoints() == []
+        assert a.graph.origins() == {}

@@ -1,0 +1,155 @@
+"""Liveliness tokens: written, read, and refused."""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from bridge.hub.errors import HubWireError
+from bridge.hub.graph.tokens import (
+    UNKNOWN_HASH,
+    EndpointKind,
+    EndpointToken,
+    NodeToken,
+    Origin,
+    OriginToken,
+    endpoint_key,
+    gid_of,
+    node_key,
+    origin_key,
+    parse_origin,
+    parse_token,
+)
+from bridge.hub.wire.qos import Qos
+
+HASH = "RIHS01_df668c740482bbd48fb39d76a70dfd4bd59db1288021743503259e948f6b1a18"
+TALKER = (
+    "@ros2_lv/0/8b20917502ee955ac4476e0266340d5c/0/10/MP/%/%/talker/%chatter"
+    f"/std_msgs::msg::dds_::String_/{HASH}/::,7:,:,:,,"
+)
+LISTENER = "@ros2_lv/0/aac3178e146ba6f1fc6e6a4085e77f21/0/0/NN/%/%/listener"
+
+
+def test_demo_talker_of_rmw_zenoh():
+    """A token as rmw_zenoh_cpp's demo talker declares it."""
+    token = parse_token(TALKER)
+    owner = NodeToken(0, "8b20917502ee955ac4476e0266340d5c", "0", "/", "talker")
+    assert token == EndpointToken(
+        owner, "10", EndpointKind.PUBLISHER, "/chatter", "std_msgs/msg/String", HASH, Qos(depth=7)
+    )
+    assert endpoint_key(token) == TALKER
+    assert node_key(parse_token(LISTENER)) == LISTENER  # type: ignore[arg-type]
+
+
+def test_gid():
+    """Stock XXH3-128 of the key, low half first."""
+    assert gid_of(LISTENER).hex() == "5bd72f4daf53c0bb00c7394e7fc19547"
+    assert gid_of(TALKER).hex() == "eb85fa883b7846dc448a4501890ad062"
+
+
+@pytest.mark.parametrize("kind", EndpointKind)
+def test_endpoint_there_and_back(kind: EndpointKind):
+    owner = NodeToken(42, "abc1", "3", "/a/b", "node_1", "/enclave/x")
+    token = EndpointToken(owner, "77", kind, "/very/deep/name", "a_msgs/srv/B", HASH, Qos(depth=1))
+    assert parse_token(endpoint_key(token)) == token
+    assert parse_token(node_key(owner)) == replace(owner)
+
+
+def test_subscription_to_any_hash_has_a_token():
+    owner = NodeToken(0, "abc1", "0", "/", "n")
+    token = EndpointToken(owner, "1", EndpointKind.SUBSCRIPTION, "/t", "a/msg/B", "*", Qos())
+    assert UNKNOWN_HASH in endpoint_key(token)
+
+
+WORDS = st.text(st.characters(codec="utf-8"), max_size=30)
+
+
+@given(WORDS, WORDS, WORDS)
+def test_origin_there_and_back(side: str, network: str, daemon: str):
+    token = OriginToken(5, "abc", Origin(side, network, daemon))
+    key = origin_key(token)
+    assert parse_origin(key) == token
+    assert not set("*$?#") & set(key)
+    assert "//" not in key
+
+
+BAD_TOKENS = [
+    "",
+    "@ros2_lv",
+    "ros2_lv/0/a/0/0/NN/%/%/n",
+    "@ros2_lv/x/a/0/0/NN/%/%/n",
+    "@ros2_lv/0/a/0/0/NN/%/%",
+    "@ros2_lv/0/a/0/0/XX/%/%/n",
+    "@ros2_lv/0/a/0/1/MP/%/%/n",
+    "@ros2_lv/0//0/0/NN/%/%/n",
+    TALKER + "/more",
+    TALKER.replace("::,7:", "::,7"),
+    TALKER.replace("std_msgs::msg", "std_msgs"),
+    TALKER.replace("/MP/", "/ZZ/"),
+    TALKER.replace("talker", "t" * 5000),
+]
+
+
+@pytest.mark.parametrize("key", BAD_TOKENS)
+def test_malformed_token(key: str):
+    with pytest.raises(HubWireError):
+        parse_token(key)
+
+
+@pytest.mark.parametrize(
+    "key", ["", "@midspan/0/origin/a/b/c", "@midspan/0/other/a/b/c/d", "@midspan/x/origin/a/b/c/d"]
+)
+def test_malformed_origin(key: str):
+    with pytest.raises(HubWireError):
+        parse_origin(key)
+
+
+PARTS = st.lists(
+    st.sampled_from(
+        [
+            "@ros2_lv",
+            "@midspan",
+            "origin",
+            "0",
+            "7",
+            "MP",
+            "NN",
+            "%",
+            "%a%b",
+            HASH,
+            "a::msg::dds_::B_",
+            "::,:,:,:,,",
+            "",
+            "x",
+        ]
+    )
+    | st.text(max_size=8),
+    max_size=16,
+)
+
+
+@given(PARTS)
+def test_token_of_any_text(parts: list[str]):
+    for parse in (parse_token, parse_origin):
+        assert_refused_or_kept(parse, "/".join(parts))
+
+
+def assert_refused_or_kept(parse: Callable[[str], Any], key: str) -> None:
+    """What is read of any token, and may be written, is written as it was read."""
+    with contextlib.suppress(HubWireError):
+        token = parse(key)
+        write: Any = {NodeToken: node_key, EndpointToken: endpoint_key, OriginToken: origin_key}[type(token)]
+        assert parse(write(token)) == token
+
+
+@given(st.integers(0, 12), st.text(max_size=20))
+def test_token_with_one_part_changed(index: int, text: str):
+    parts = TALKER.split("/")
+    parts[index] = text
+    assert_refused_or_kept(parse_token, "/".join(parts))

@@ -1,0 +1,162 @@
+"""Which keys a machine that is not trusted may write: none of a command's, and all others."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+import zenoh
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from bridge.config.rules import ALWAYS, EVERY, commands, untyped
+from bridge.config.sections.hub import OpenSection
+from bridge.config.sections.routing import RoutingSection
+from bridge.hub.security.access import access_control, harmless_keys, not_beginning
+from bridge.hub.wire.keys import dds_type_name, topic_key
+from bridge.routing.limits import COMMAND_TYPES
+
+HASH = "RIHS01_" + "5e" * 32
+GRIPPER = "control_msgs/msg/GripperCommand"
+RULES = RoutingSection.model_validate(
+    {
+        "rules": [
+            {"topic": "/gripper/set", "type": GRIPPER, "priority": "command"},
+            {"topic": "/arm_*/move*", "type": "std_msgs/msg/Float64", "priority": "command"},
+            {"regex": "/x.*", "type": "std_msgs/msg/Int8", "priority": "command"},
+            {"topic": "/a/**", "type": "std_msgs/msg/Int16", "priority": "command", "rename": "/b/**"},
+            {"topic": "/old", "type": "std_msgs/msg/Int32", "priority": "command", "rename": "/ns/new"},
+            {"topic": "/image", "type": "sensor_msgs/msg/Image", "priority": "stream"},
+        ]
+    }
+)
+KEYS = [zenoh.KeyExpr(each) for each in harmless_keys(commands(RULES))]
+
+
+def allowed(topic: str, type_name: str) -> bool:
+    key = zenoh.KeyExpr(topic_key(0, topic, type_name, HASH))
+    return any(each.includes(key) for each in KEYS)
+
+
+def test_what_commands() -> None:
+    found = commands(RULES)
+    assert set(ALWAYS) >= COMMAND_TYPES
+    assert {name: set(parts) for name, parts in found.items() if name not in ALWAYS} == {
+        GRIPPER: {"set"},
+        "std_msgs/msg/Float64": {"move*"},
+        "std_msgs/msg/Int8": {EVERY},
+        "std_msgs/msg/Int16": {EVERY},
+        "std_msgs/msg/Int32": {"old", "new"},
+    }
+
+
+def test_nothing_that_is_allowed_meets_a_command() -> None:
+    """Not even a key with wildcards can be in both."""
+    goals = ["*/**/$*Goal_/*"]
+    others = [
+        f"*/{'*/**' if part == EVERY else '**/' + part.replace('*', '$*')}/{dds_type_name(name)}/*"
+        for name, parts in commands(RULES).items()
+        for part in parts
+    ]
+    for command in map(zenoh.KeyExpr, goals + others):
+        assert not [each for each in KEYS if each.intersects(command)], command
+
+
+@pytest.mark.parametrize(
+    ("topic", "type_name", "may"),
+    [
+        ("/cmd_vel", "geometry_msgs/msg/Twist", False),
+        ("/speed", "geometry_msgs/msg/TwistWithCovariance", True),
+        ("/pose", "geometry_msgs/msg/PoseStamped", True),
+        ("/goa", "geometry_msgs/msg/PoseStamped", True),
+        ("/goals", "geometry_msgs/msg/PoseStamped", False),
+        ("/goal/pose", "geometry_msgs/msg/PoseStamped", True),
+        ("/gripper/set", GRIPPER, False),
+        ("/gripper/setting", GRIPPER, True),
+        ("/gripper/se", GRIPPER, True),
+        ("/arm_1/moves", "std_msgs/msg/Float64", False),
+        ("/arm_1/mov", "std_msgs/msg/Float64", True),
+        ("/deep/in/a/tree/angle", "std_msgs/msg/Float64", True),
+        ("/any", "std_msgs/msg/Int8", False),
+        ("/any", "std_msgs/msg/UInt8", True),
+        ("/image", "sensor_msgs/msg/Image", True),
+    ],
+)
+def test_examples(topic: str, type_name: str, may: bool) -> None:
+    assert allowed(topic, type_name) is may
+
+
+WORD = st.from_regex(r"[A-Za-z][A-Za-z0-9_]{0,20}", fullmatch=True)
+
+
+@settings(max_examples=200, deadline=None)
+@given(WORD, WORD, WORD)
+def test_every_other_type_is_allowed(topic: str, package: str, name: str) -> None:
+    type_name = f"{package}/msg/{name}"
+    ends = ("Goal", *(f":{each.rpartition('/')[2]}" for each in commands(RULES)))
+    assert allowed(f"/{topic}", type_name) is not f":{name}".endswith(ends)
+
+
+@given(
+    st.sets(st.sampled_from(["go", "goal", "goa*", "x", "stop", "st*"])),
+    st.sampled_from(["g", "go", "goa", "goal", "goals", "x", "xx", "s", "sto", "u"]),
+)
+def test_all_but_some_words(words: set[str], word: str) -> None:
+    taken = any(word.startswith(each[:-1]) if each.endswith("*") else word == each for each in words)
+    found = [each for each in not_beginning("", words) if zenoh.KeyExpr(each).includes(zenoh.KeyExpr(word))]
+    assert bool(found) is not taken
+
+
+def test_a_command_rule_must_say_its_type() -> None:
+    rules: list[dict[str, Any]] = [
+        {"topic": "/drive", "priority": "command"},
+        {"topic": "/drive", "priority": "command", "type": "geometry_msgs/msg/Twist*"},
+        {"topic": "/drive", "priority": "command", "type": "geometry_msgs/msg/Twist"},
+        {"topic": "/scan"},
+    ]
+    assert [rule.index for rule in untyped(RoutingSection.model_validate({"rules": rules}))] == [0, 1]
+
+
+def test_without_tls_nobody_is_trusted_by_name() -> None:
+    door = OpenSection(listen=("tcp/0.0.0.0:7448",), insecure=True)
+    rules = access_control(door, RoutingSection(), ["lo"])
+    assert rules["subjects"] == [{"id": "here", "interfaces": ["lo"]}, {"id": "others"}]
+    assert [policy["subjects"] for policy in rules["policies"]] == [["here"], ["others"]]
+    everybody = access_control(door.model_copy(update={"trusted": ("*",)}), RoutingSection(), ["lo"])
+    assert everybody["policies"][0]["subjects"] == ["here", "others"]
+
+
+@pytest.mark.parametrize(
+    ("message", "key", "may"),
+    [
+        ("query", "midspan/store/0/location/kitchen", True),
+        ("query", "midspan/store/**", True),
+        ("query", "midspan/store/0/@sync/digest/a1", True),
+        ("query", "midspan/store/0/@sync/fetch/a1/**", True),
+        ("query", "midspan/store/0/@sync/write/a1", False),
+        ("query", "midspan/store/0/@sync/**", False),
+        ("put", "midspan/store/0/location/kitchen", False),
+        ("put", "midspan/store/0/location/*", False),
+        ("put", "midspan/store/**", False),
+        ("delete", "midspan/store/0/location/kitchen", False),
+        ("reply", "midspan/store/0/location/kitchen", False),
+        ("reply", "midspan/store/0/@sync/fetch/a1/location/kitchen", False),
+        ("liveliness_token", "midspan/store/0/@sync/alive/a1/robot", True),
+    ],
+)
+def test_who_is_not_trusted_reads_the_store_and_cannot_change_it(message: str, key: str, may: bool) -> None:
+    door = OpenSection.model_validate({"listen": ["tls/0.0.0.0:7448"], "trusted": ["base"]})
+    rules = access_control(door, RoutingSection(), ["lo"])
+    names = {rule["id"]: rule for rule in rules["rules"]}
+    for subject, expected in (("others", may), ("trusted", True)):
+        mine = [
+            names[name] for policy in rules["policies"] if subject in policy["subjects"] for name in policy["rules"]
+        ]
+        passed = [
+            rule["id"]
+            for rule in mine
+            if "ingress" in rule["flows"]
+            and message in rule["messages"]
+            and any(zenoh.KeyExpr(each).includes(zenoh.KeyExpr(key)) for each in rule["key_exprs"])
+        ]
+        assert bool(passed) is expected, (subject, passed)

@@ -1,0 +1,341 @@
+"""The door to other machines: what a trusted one, a guest and a stranger can do through it."""
+
+from __future__ import annotations
+
+import socket
+import ssl
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+import zenoh
+
+from bridge.config.model import Config
+from bridge.hub.errors import HubError
+from bridge.hub.router import RouterWorker
+from bridge.hub.security.certificates import Authority
+from bridge.hub.session import Hub
+from bridge.hub.wire.keys import pack_attachment, topic_key
+from tests.hub.machines import FLOAT, Machines, make_keys
+from tests.hub.parts import HASH, LATCHED, TYPE, Heard, matched, see_each_other, talk
+from tests.support.ports import free_port
+from tests.support.wait import until
+
+TWIST, POSE = "geometry_msgs/msg/Twist", "geometry_msgs/msg/PoseStamped"
+GOAL = f"0/go/_action/send_goal/nav2_msgs::action::dds_::NavigateToPose_SendGoal_/{HASH}"
+CANCEL = f"0/go/_action/cancel_goal/action_msgs::srv::dds_::CancelGoal_/{HASH}"
+RESULT = f"0/go/_action/get_result/nav2_msgs::action::dds_::NavigateToPose_GetResult_/{HASH}"
+SAID = pack_attachment(1, 1, bytes(16))
+
+
+def key(topic: str, type_name: str) -> str:
+    return topic_key(0, topic, type_name, HASH)
+
+
+CMD_VEL, ARM_DRIVE = key("/cmd_vel", TWIST), key("/arm/drive", FLOAT)
+ACTIONLIB_GOAL = key("/move_base/goal", "move_base_msgs/msg/MoveBaseActionGoal")
+ACTIONLIB_CANCEL = key("/move_base/cancel", "actionlib_msgs/msg/GoalID")
+COMMANDS = [
+    CMD_VEL,
+    key("/robot/drive", "geometry_msgs/msg/TwistStamped"),
+    ARM_DRIVE,
+    ACTIONLIB_GOAL,
+    ACTIONLIB_CANCEL,
+    key("/move_base_simple/goal", POSE),
+    key("/goal_pose", POSE),
+]
+FORGED = [
+    "**",
+    "0/**",
+    "0/cmd_vel/**",
+    "0/*/*/*",
+    f"0/cmd_vel/*/{HASH}",
+    f"0/cmd_vel/$*Twist_/{HASH}",
+    f"0/cmd_vel/geometry_msgs$*/{HASH}",
+    "0/cmd_vel/geometry_msgs::msg::dds_::Twist_/*",
+    "*/*/geometry_msgs::msg::dds_::Twist_/*",
+    f"0/**/{FLOAT.replace('/', '::').replace('msg::', 'msg::dds_::')}_/{HASH}",
+    f"0/goal_pos$*/geometry_msgs::msg::dds_::PoseStamped_/{HASH}",
+    f"0/**/geometry_msgs::msg::dds_::PoseStamped_/{HASH}",
+]
+HARMLESS = [
+    key("/scan", "sensor_msgs/msg/LaserScan"),
+    key("/odom", "nav_msgs/msg/Odometry"),
+    key("/tf", "tf2_msgs/msg/TFMessage"),
+    key("/robot/pose", POSE),
+    key("/amcl_pose", "geometry_msgs/msg/PoseWithCovarianceStamped"),
+    key("/speed", "geometry_msgs/msg/TwistWithCovarianceStamped"),
+    key("/arm/angle", FLOAT),
+    key("/move_base/status", "actionlib_msgs/msg/GoalStatusArray"),
+    key("/own/kind", "a_package_of_ours/msg/Thing2"),
+]
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return make_keys(tmp_path_factory.mktemp("keys"))
+
+
+@pytest.fixture(scope="module")
+def running(folder: Path) -> Iterator[Machines]:
+    machines = Machines(folder)
+    with machines.network:
+        machines.network.start_router()
+        yield machines
+
+
+@pytest.fixture
+def machines(running: Machines) -> Iterator[Machines]:
+    yield running
+    running.close()
+
+
+class Ear:
+    """Everything that a program of the robot's own machine hears, by any means."""
+
+    def __init__(self, session: zenoh.Session) -> None:
+        self.heard: list[tuple[str, str]] = []
+        self._open = [
+            session.declare_subscriber("**", self._on_sample),
+            session.declare_queryable("0/**", self._on_query, complete=True),
+        ]
+
+    def _on_sample(self, sample: zenoh.Sample) -> None:
+        self.heard.append((str(sample.key_expr), sample.payload.to_string()))
+
+    def _on_query(self, query: zenoh.Query) -> None:
+        with query:
+            self.heard.append((str(query.key_expr), "asked"))
+            query.reply(query.key_expr, b"done")
+
+
+def everything_said(
+    machines: Machines, name: str, say: Callable[[zenoh.Session], None], mode: str = "client"
+) -> list[tuple[str, str]]:
+    """What the robot hears of what a machine says, up to a harmless last word."""
+    ear = Ear(machines.session(None))
+    mouth = machines.session(name, mode)
+    last = key("/last", TYPE)
+    until(lambda: mouth.put(last, b"hello") or ear.heard, "the machine is heard")
+    say(mouth)
+    mouth.put(last, b"end")
+    until(lambda: (last, "end") in ear.heard, "the last word")
+    return [heard for heard in ear.heard if heard[0] != last]
+
+
+def put_each(keys: list[str]) -> Callable[[zenoh.Session], None]:
+    def say(mouth: zenoh.Session) -> None:
+        for each in keys:
+            mouth.put(each, b"go", attachment=SAID)
+            mouth.delete(each)
+
+    return say
+
+
+def test_a_trusted_machine_commands(machines: Machines) -> None:
+    heard = everything_said(machines, "friend", put_each(COMMANDS + HARMLESS))
+    assert [each for each in heard if each[1]] == [(each, "go") for each in COMMANDS + HARMLESS]
+
+
+@pytest.mark.parametrize("mode", ["client", "peer", "router"])
+def test_a_guest_says_everything_but_commands(machines: Machines, mode: str) -> None:
+    heard = everything_said(machines, "guest", put_each(COMMANDS + FORGED + HARMLESS), mode)
+    assert heard == [(each, "go") for each in HARMLESS]
+
+
+def test_a_guest_cannot_borrow_a_name(machines: Machines) -> None:
+    """What a sample says of its sender, and whose tokens are declared, changes nothing."""
+    friend = machines.session("friend")
+
+    def say(mouth: zenoh.Session) -> None:
+        source = friend.declare_publisher(CMD_VEL)
+        token = f"@ros2_lv/0/{friend.zid()}/0/9/MP/%/%/boss/%cmd_vel/geometry_msgs::msg::dds_::Twist_/{HASH}/::,:,:,:,,"
+        tokens = [mouth.liveliness().declare_token(each) for each in (token, f"{CMD_VEL}/@adv/pub/{friend.zid()}/7/_")]
+        mouth.put(CMD_VEL, b"go", attachment=SAID, source_info=zenoh.SourceInfo(source.id, 5))
+        publisher = mouth.declare_publisher(CMD_VEL)
+        publisher.put(b"go", attachment=SAID)
+        advanced = zenoh.ext.declare_advanced_publisher(
+            mouth, CMD_VEL, cache=zenoh.ext.CacheConfig(3), publisher_detection=True
+        )
+        advanced.put(b"go")
+        mouth.put(f"{CMD_VEL}/@adv/pub/{friend.zid()}/7/_", b"go")
+        for each in tokens:
+            each.undeclare()
+
+    assert everything_said(machines, "guest", say) == []
+
+
+@pytest.mark.parametrize(("name", "works"), [("friend", True), ("guest", False)])
+def test_goals_and_cancels(machines: Machines, name: str, works: bool) -> None:
+    asked: list[str] = []
+
+    def ask(mouth: zenoh.Session) -> None:
+        services = [GOAL, CANCEL, key("/stop", "std_srvs/srv/SetBool"), "0/go/_action/**", "0/**"]
+        for each in [*services, RESULT, key("/map_server/map", "nav_msgs/srv/GetMap")]:
+            found = mouth.get(each, target=zenoh.QueryTarget.ALL, timeout=10.0)
+            asked.extend(str(reply.ok.key_expr) for reply in found if reply.ok)
+
+    heard = [each for each, _ in everything_said(machines, name, ask)]
+    assert asked == heard
+    assert {GOAL, CANCEL} & set(heard) == ({GOAL, CANCEL} if works else set())
+    assert {RESULT, key("/map_server/map", "nav_msgs/srv/GetMap")} <= set(heard)
+    assert (len(heard) == 2) is not works
+
+
+def test_a_guest_cannot_answer_with_commands(machines: Machines) -> None:
+    """Who keeps latched samples is asked for them beside their key; only a trusted machine is asked for commands."""
+    local = machines.session(None)
+    guest = machines.session("guest")
+    state, goal = key("/state", TYPE), key("/goal_pose", POSE)
+
+    def answer(query: zenoh.Query) -> None:
+        with query:
+            for each in (goal, "0/**", ACTIONLIB_GOAL, state):
+                query.reply(each, b"go")
+
+    for each in (state, goal):
+        guest.declare_queryable(f"{each}/@adv/pub/{guest.zid()}/7/_/**", answer)
+    guest.declare_queryable("**/@adv/**", answer)
+    guest.declare_queryable("0/goal_pose/**/@adv/**", answer)
+
+    def ask(key: str) -> list[str]:
+        replies = local.get(
+            f"{key}/@adv/pub/**",
+            target=zenoh.QueryTarget.ALL,
+            consolidation=zenoh.ConsolidationMode.NONE,
+            accept_replies=zenoh.ReplyKeyExpr.ANY,
+            timeout=10.0,
+        )
+        return [str(reply.ok.key_expr) for reply in replies if reply.ok]
+
+    assert set(until(lambda: ask(state), "the guest answers")) == {state}
+    assert ask(goal) == []
+
+
+def test_others_cannot_join(machines: Machines) -> None:
+    for name in ("stranger", ""):
+        with pytest.raises(HubError, match="cannot join the hub"):
+            machines.hub(name)
+
+
+def test_state_crosses_both_ways_for_guests(machines: Machines) -> None:
+    robot = Hub.open(machines.network.settings("robot"))
+    with robot, machines.hub("guest") as guest:
+        see_each_other(robot, guest)
+        talk(robot, "/map", LATCHED, "of the robot")
+        talk(guest, "/plan", LATCHED, "of the guest")
+        Heard(guest, "/map", LATCHED).expect("of the robot")
+        Heard(robot, "/plan", LATCHED).expect("of the guest")
+        heard, stream = Heard(robot, "/chat"), talk(guest, "/chat")
+        matched(stream)
+        stream.put(b"hello")
+        heard.expect("hello")
+        assert robot.ask("nothing", {}, timeout=0.5) == []
+
+
+def test_the_router_tells_who_is_connected(machines: Machines) -> None:
+    robot = Hub.open(machines.network.settings("robot"))
+    with robot, machines.hub("guest"), machines.hub("friend"):
+
+        def connected() -> list[tuple[str, bool]]:
+            answers = robot.ask("status", {}, worker="router")
+            return [(machine["name"], machine["trusted"]) for a in answers for machine in a.value["machines"]]
+
+        until(lambda: connected() == [("friend", True), ("guest", False)], "both are told")
+
+
+def test_a_reload_changes_whom_to_trust(folder: Path) -> None:
+    machines = Machines(folder)
+    config = Config.model_validate({"name": "test", "hub": machines.network.config(open=machines.network.door)})
+    router = RouterWorker()
+    router.start(config)
+    try:
+        assert [name for name, _ in everything_said(machines, "friend", put_each([CMD_VEL])) if name] == [CMD_VEL] * 2
+        door = config.hub.open.model_copy(update={"trusted": ("guest",)})
+        changed = config.model_copy(update={"hub": config.hub.model_copy(update={"open": door})})
+        local = machines.session(None)
+        assert router.reload(changed)
+        assert [str(zid) for zid in local.info.routers_zid()], "this machine's programs are not cut off"
+        assert everything_said(machines, "friend", put_each([CMD_VEL])) == []
+        assert (ARM_DRIVE, "go") in everything_said(machines, "guest", put_each([ARM_DRIVE]))
+    finally:
+        machines.close()
+        router.stop()
+
+
+def shown(machines: Machines) -> bytes:
+    """The certificate that the robot's door shows."""
+    context = ssl.create_default_context(cafile=machines.folder / "ca.pem")
+    context.load_cert_chain(machines.folder / "friend.pem", machines.folder / "friend.key")
+    address = ("127.0.0.1", machines.port)
+    with (
+        socket.create_connection(address, 5.0) as plain,
+        context.wrap_socket(plain, server_hostname="127.0.0.1") as tls,
+    ):
+        return tls.getpeercert(binary_form=True) or b""
+
+
+def test_new_certificates_are_taken_up_once_they_fit(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    authority = Authority(tmp_path)
+    authority.make()
+    for name in ("test", "friend"):
+        authority.issue(name, ["127.0.0.1"])
+    machines = Machines(tmp_path)
+    router = RouterWorker()
+    router.start(Config.model_validate({"name": "test", "hub": machines.network.config(open=machines.network.door)}))
+    try:
+        first, local = shown(machines), machines.session(None)
+        for _ in range(3):
+            router.health()
+        assert shown(machines) == first
+
+        renewed = Authority(tmp_path).issue("test", ["127.0.0.1"], replace=True)
+        whole = renewed.file.read_bytes()
+        renewed.file.write_bytes((tmp_path / "friend.pem").read_bytes())
+        for _ in range(3):
+            router.health()
+        assert shown(machines) == first
+        assert caplog.text.count("the new certificates cannot be used, and the old ones stay") == 1
+
+        renewed.file.write_bytes(whole)
+        router.health()
+        assert shown(machines) == first, "it may still be being copied"
+        router.health()
+        assert shown(machines) == ssl.PEM_cert_to_DER_cert(whole.decode()) != first
+        assert [str(zid) for zid in local.info.routers_zid()], "this machine's programs are not cut off"
+        assert everything_said(machines, "friend", put_each([CMD_VEL])) == [(CMD_VEL, "go"), (CMD_VEL, "")]
+    finally:
+        machines.close()
+        router.stop()
+
+
+def test_a_door_that_cannot_be_opened_keeps_the_hub_running(folder: Path, tmp_path: Path) -> None:
+    machines = Machines(folder)
+    hub = machines.network.config(open={**machines.network.door, "keys": str(tmp_path)})
+    config = Config.model_validate({"name": "test", "hub": hub})
+    router = RouterWorker()
+    router.start(config)
+    try:
+        with Hub.open(machines.network.settings("robot")) as robot:
+            until(robot.graph.nodes, "the session")
+            health = router.health()
+            assert health.state == "running"
+            assert f"closed to other machines: there is no {tmp_path / 'ca.pem'}" in health.text
+            assert "midspan keys make" in health.text
+    finally:
+        router.stop()
+
+
+@pytest.mark.parametrize(
+    ("over", "place"),
+    [
+        ({"listen": {"endpoints": ["tcp/0.0.0.0:0"]}}, "tcp/0.0.0.0:0"),
+        ({"connect": {"endpoints": ["tls/robot1:7448"]}}, "tls/robot1:7448"),
+        ({"connect": {"endpoints": {"router": ["tcp/10.9.9.9:7447"]}}}, "tcp/10.9.9.9:7447"),
+    ],
+)
+def test_the_router_of_this_machine_stays_closed(over: dict[str, Any], place: str) -> None:
+    config = Config.model_validate({"hub": {"listen": f"tcp/127.0.0.1:{free_port()}", "router_zenoh": over}})
+    with pytest.raises(RuntimeError, match=f"hub.router_zenoh: .*{place}.*hub.open"):
+        RouterWorker().start(config)

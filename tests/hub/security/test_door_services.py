@@ -1,0 +1,98 @@
+"""What the door lets machines call and answer, with services that are really served."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import pytest
+
+from bridge.hub.endpoints import calls
+from bridge.hub.endpoints.services import abandon_key
+from bridge.hub.session import Hub
+from bridge.hub.wire.keys import pack_attachment, topic_key
+from tests.hub.endpoints.test_services import Called, Serving
+from tests.hub.machines import Machines, make_keys
+from tests.hub.parts import HASH, Heard, matched, talk
+from tests.support.wait import until
+
+COMMANDS = {
+    "/go/_action/send_goal": "nav2_msgs/action/NavigateToPose_SendGoal",
+    "/go/_action/cancel_goal": "action_msgs/srv/CancelGoal",
+    "/stop": "std_srvs/srv/SetBool",
+}
+QUESTIONS = {
+    "/go/_action/get_result": "nav2_msgs/action/NavigateToPose_GetResult",
+    "/map": "nav_msgs/srv/GetMap",
+}
+
+
+@pytest.fixture(scope="module")
+def machines(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Machines]:
+    machines = Machines(make_keys(tmp_path_factory.mktemp("keys")))
+    with machines.network:
+        machines.network.start_router()
+        yield machines
+
+
+def called(server: Hub, caller: Hub, name: str, type_name: str) -> tuple[bytes | str, bool]:
+    """What a call ends with, and whether the server was asked."""
+    asked: list[bytes] = []
+    serving = Serving(server, name, lambda request: asked.append(request) or b"yes", type_name)
+    client = caller.client(name, type_name, HASH)
+    until(lambda: client.ready, "the server is seen")
+    end = Called()
+    client.call(b"go", end.done)
+    result = end.wait()
+    client.close()
+    serving.server.close()
+    return result, bool(asked)
+
+
+@pytest.mark.parametrize(("name", "commands"), [("friend", True), ("guest", False)])
+def test_a_machine_calls(machines: Machines, name: str, commands: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(calls, "_AT_ONCE", 40.0)  # however slow the machine is
+    with Hub.open(machines.network.settings("robot")) as robot, machines.hub(name) as other:
+        for service, type_name in QUESTIONS.items():
+            assert called(robot, other, service, type_name) == (b"yes", True)
+        for service, type_name in COMMANDS.items():
+            result, asked = called(robot, other, service, type_name)
+            assert asked is commands
+            refused = (
+                f"the server of {service} left before it answered;"
+                " or a door between the machines refuses this call (hub.open.trusted)"
+            )
+            assert result == (b"yes" if commands else refused)
+
+
+@pytest.mark.parametrize("name", ["friend", "guest"])
+def test_a_machine_answers(machines: Machines, name: str) -> None:
+    """Also whether it takes a goal: what it serves is its own."""
+    with Hub.open(machines.network.settings("robot")) as robot, machines.hub(name) as other:
+        for service, type_name in {**QUESTIONS, **COMMANDS}.items():
+            assert called(other, robot, service, type_name) == (b"yes", True)
+
+
+@pytest.mark.parametrize(("name", "works"), [("friend", True), ("guest", False)])
+def test_only_a_trusted_machine_could_abandon_the_calls_of_others(machines: Machines, name: str, works: bool) -> None:
+    """What abandons a call is said beside the service's own key."""
+    service, type_name = "/stop", COMMANDS["/stop"]
+    with (
+        Hub.open(machines.network.settings("robot")) as robot,
+        Hub.open(machines.network.settings("local")) as local,
+        machines.hub(name) as other,
+    ):
+        serving = Serving(robot, service, type_name=type_name)
+        client = local.client(service, type_name, HASH)
+        until(lambda: client.ready, "the server is seen")
+        end = Called()
+        client.call(b"go", end.done)
+        until(lambda: serving.held, "asked")
+        last, heard = talk(other, "/last"), Heard(robot, "/last")
+        matched(last)
+        key = abandon_key(topic_key(other.domain, service, type_name, HASH))
+        abandon = pack_attachment(1, 1, client.gid)
+        other._session.put(key, abandon)
+        until(lambda: last.put(b"end") or heard.samples, "the last word is heard")
+        # what is said before the way to who hears it is known is lost
+        until(lambda: not works or other._session.put(key, abandon) or serving.abandoned, "abandoned")
+        assert bool(serving.abandoned) == works

@@ -1,0 +1,173 @@
+"""TLS, access control and other shapes of network, all by zenoh configuration alone."""
+
+from __future__ import annotations
+
+import subprocess
+from pathlib import Path
+
+import pytest
+
+from bridge.hub.errors import HubError
+from bridge.hub.router import probe_router
+from bridge.hub.session import Hub
+from tests.hub.parts import LATCHED, Heard, matched, see_each_other, talk
+from tests.support.hub import HubNetwork
+from tests.support.wait import until
+
+
+def openssl(folder: Path, *args: str) -> None:
+    subprocess.run(["openssl", *args], cwd=folder, check=True, capture_output=True)
+
+
+@pytest.fixture(scope="module")
+def certificates(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """An authority, and certificates signed by it for the router and two robots."""
+    folder = tmp_path_factory.mktemp("tls")
+    for name in ("authority", "stranger"):
+        key = ("-newkey", "ec", "-pkeyopt", "ec_paramgen_curve:prime256v1", "-nodes", "-keyout", f"{name}.key")
+        openssl(folder, "req", "-x509", *key, "-out", f"{name}.pem", "-subj", f"/CN={name}", "-days", "2")
+    for name in ("router", "robot1", "robot2"):
+        key = ("-newkey", "ec", "-pkeyopt", "ec_paramgen_curve:prime256v1", "-nodes", "-keyout", f"{name}.key")
+        openssl(folder, "req", *key, "-out", f"{name}.csr", "-subj", f"/CN={name}")
+        (folder / "names").write_text("subjectAltName=IP:127.0.0.1,DNS:localhost\n")
+        signer = ("-CA", "authority.pem", "-CAkey", "authority.key", "-CAcreateserial", "-extfile", "names")
+        openssl(folder, "x509", "-req", "-in", f"{name}.csr", "-out", f"{name}.pem", "-days", "2", *signer)
+    return folder
+
+
+def tls(folder: Path, name: str, authority: str = "authority") -> dict[str, object]:
+    """A participant's ``transport/link/tls``, mutual authentication and all."""
+    certificate, key = str(folder / f"{name}.pem"), str(folder / f"{name}.key")
+    return {
+        "root_ca_certificate": str(folder / f"{authority}.pem"),
+        "listen_certificate": certificate,
+        "listen_private_key": key,
+        "connect_certificate": certificate,
+        "connect_private_key": key,
+        "enable_mtls": True,
+    }
+
+
+def session_config(folder: Path, name: str) -> dict[str, object]:
+    return {"mode": "client", "transport": {"link": {"tls": tls(folder, name)}}}
+
+
+def test_tls(certificates: Path):
+    router = {"transport": {"link": {"protocols": ["tls"], "tls": tls(certificates, "router")}}}
+    robot1, robot2 = session_config(certificates, "robot1"), session_config(certificates, "robot2")
+    stranger = {**session_config(certificates, "stranger"), "connect": {"timeout_ms": 500}}
+    with HubNetwork(protocol="tls", zenoh=robot1, router_zenoh=router) as network:
+        with Hub.open(network.settings("a")) as a, Hub.open(network.settings("b", zenoh=robot2)) as b:
+            see_each_other(a, b)
+            heard = Heard(b, "/map", LATCHED)
+            talk(a, "/map", LATCHED, "secret")
+            heard.expect("secret")
+            assert [link.dst.split("/")[0] for link in a._session.info.links()] == ["tls"]
+        # workers of the router's own machine stay peers: TLS to the router, a direct link on loopback
+        settings = [network.settings(node, zenoh={**robot1, "mode": "peer"}) for node in ("c", "d")]
+        with Hub.open(settings[0]) as c, Hub.open(settings[1]) as d:
+            see_each_other(c, d)
+            until(
+                lambda: {x.dst.split("/")[0] for x in c._session.info.links()} == {"tls", "tcp"}, "both kinds of link"
+            )
+        # signed by nobody that the router trusts
+        with pytest.raises(HubError, match="cannot join the hub"):
+            Hub.open(network.settings("c", zenoh=stranger))
+        found = probe_router(network.endpoint, robot1)
+        assert found is not None
+        assert found.daemon == "test"
+        assert probe_router(network.endpoint, stranger, seconds=0.5) is None
+
+
+def allow(name: str, keys: list[str], messages: list[str], *flows: str) -> dict[str, object]:
+    """An access rule; without flows for both ways."""
+    rule = {"id": name, "permission": "allow", "messages": messages, "key_exprs": keys}
+    return {**rule, "flows": list(flows)} if flows else rule
+
+
+def test_access_control(certificates: Path):
+    """robot2 may listen to everything on the hub, late joining too, and may publish nothing but /status."""
+    tokens = ["liveliness_token", "liveliness_query", "declare_liveliness_subscriber"]
+    every = ["put", "delete", "declare_subscriber", "query", "reply", "declare_queryable", *tokens]
+    graph = ["@ros2_lv/**", "@midspan/**", "**/@adv/**"]
+    access = {
+        "enabled": True,
+        "default_permission": "deny",
+        "rules": [
+            allow("all", ["**", *graph], every),
+            allow("graph", graph, tokens),
+            allow("subscriptions", ["**"], ["declare_subscriber"]),
+            allow("hear", ["**"], ["put"], "egress"),
+            allow("say", ["*/status/**"], ["put"], "ingress"),
+            allow("ask", ["**/@adv/**"], ["query"], "ingress"),
+            allow("told", ["**", "**/@adv/**"], ["reply", "declare_queryable"], "egress"),
+        ],
+        "subjects": [{"id": name, "cert_common_names": [name]} for name in ("robot1", "robot2")],
+        "policies": [
+            {"rules": ["all"], "subjects": ["robot1"]},
+            {"rules": ["graph", "subscriptions", "hear", "say", "ask", "told"], "subjects": ["robot2"]},
+        ],
+    }
+    router = {"transport": {"link": {"tls": tls(certificates, "router")}}, "access_control": access}
+    with (
+        HubNetwork(protocol="tls", router_zenoh=router) as network,
+        Hub.open(network.settings("a", zenoh=session_config(certificates, "robot1"))) as a,
+        Hub.open(network.settings("b", zenoh=session_config(certificates, "robot2"))) as b,
+    ):
+        see_each_other(a, b)
+        talk(a, "/map", LATCHED, "kept")
+        Heard(b, "/map", LATCHED).expect("kept")
+        forbidden = talk(b, "/map", LATCHED, "forged")
+        status, command, back = Heard(a, "/status"), Heard(a, "/cmd_vel"), Heard(b, "/odom")
+        odom = talk(a, "/odom")
+        allowed, denied = talk(b, "/status"), talk(b, "/cmd_vel")
+        matched(odom)
+        matched(allowed)
+        matched(denied)
+        denied.put(b"forbidden")
+        allowed.put(b"fine")
+        odom.put(b"moved")
+        status.expect("fine")
+        back.expect("moved")
+        denied.put(b"forbidden")
+        allowed.put(b"again")
+        status.expect("fine", "again")
+        assert command.samples == []
+        own = Heard(a, "/map", LATCHED)
+        until(lambda: a.graph.zid_of(forbidden.gid), "the forger is seen")
+        assert own.samples == []
+
+
+def test_two_machines_join_by_their_routers():
+    """Each machine's sessions know their own router alone; data and state cross all the same."""
+    with (
+        HubNetwork() as one,
+        HubNetwork(router_zenoh={"connect": {"endpoints": [one.endpoint]}}) as two,
+        Hub.open(one.settings("a")) as a,
+        Hub.open(two.settings("b")) as b,
+    ):
+        see_each_other(a, b)
+        heard, stream = Heard(b, "/map", LATCHED), Heard(b, "/odom")
+        talk(a, "/map", LATCHED, "state")
+        heard.expect("state")
+        publisher = talk(a, "/odom")
+        matched(publisher)
+        publisher.put(b"x")
+        stream.expect("x")
+        assert stream.samples[0].zid == a.zid
+        assert b.neighbours() == set(), "all goes by the router"
+        one.stop_router()
+        until(lambda: not b.graph.publishers(), "the other machine is gone")
+        one.start_router()
+        see_each_other(a, b)
+        Heard(b, "/map", LATCHED).expect("state")
+
+
+def test_without_a_router():
+    """Two peers, one of which listens where the other connects."""
+    network = HubNetwork(run=False)
+    listens = network.settings("a", router=None, zenoh={"listen": {"endpoints": [network.endpoint]}})
+    with Hub.open(listens) as a, Hub.open(network.settings("b")) as b:
+        see_each_other(a, b)
+        talk(a, "/map", LATCHED, "x")
+        Heard(b, "/map", LATCHED).expect("x")

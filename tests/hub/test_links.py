@@ -1,0 +1,81 @@
+"""Two sessions whose direct link alone is cut are linked again; those that end are not missed."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import socket
+import threading
+from collections.abc import Iterator
+from typing import Any
+
+import psutil
+import pytest
+
+from bridge.hub import links
+from bridge.hub.session import Hub
+from tests.support.quick_hub import QuickHub
+from tests.support.wait import until
+
+
+@pytest.fixture
+def hubs() -> Iterator[QuickHub]:
+    with QuickHub() as network:
+        yield network
+
+
+def cut(port: int) -> None:
+    """Cut the links between peers: connections of this process where neither end is the router's port."""
+    mine = psutil.Process().net_connections("tcp")
+    listening = {c.laddr.port for c in mine if c.status == psutil.CONN_LISTEN} - {port}
+    between = [c for c in mine if c.status == psutil.CONN_ESTABLISHED and c.laddr.port in listening]
+    assert between
+    for connection in between:
+        with contextlib.closing(socket.socket(fileno=os.dup(connection.fd))) as end:
+            end.shutdown(socket.SHUT_RDWR)
+
+
+def test_a_link_that_alone_was_cut_is_made_again(hubs: QuickHub) -> None:
+    with Hub.open(hubs.settings("one")) as one, Hub.open(hubs.settings("two", "two")) as two:
+        until(lambda: two.zid in one.neighbours() and one.zid in two.neighbours(), "they are linked")
+        heard: list[bytes] = []
+        hubs.also_say(5)  # a liar is not believed
+        two.serve("say", lambda params: heard.append(params["word"]))
+        cut(int(hubs.endpoint.rpartition(":")[2]))
+        until(lambda: two.zid not in one.neighbours() or one.mesh.mended + two.mesh.mended, "the link is lost")
+        until(lambda: two.zid in one.neighbours() and one.zid in two.neighbours(), "they are linked again")
+        until(lambda: one.mesh.mended + two.mesh.mended, "who mended it knows")
+        until(lambda: one.ask("say", {"word": "again"}, worker="two") and heard, "they hear each other")
+
+
+def test_who_left_is_not_missed(hubs: QuickHub, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(links, "_REMEMBERED_SECONDS", 1.0)
+    with Hub.open(hubs.settings("one")) as one:
+        with Hub.open(hubs.settings("two", "two")) as two:
+            until(lambda: two.zid in one.neighbours(), "they are linked")
+        until(lambda: two.zid not in one.neighbours(), "the link's end is known")
+        until(lambda: not one.mesh.lost, "nobody is looked for any more")
+        assert not one.mesh.mended
+
+
+class LateThread(threading.Thread):
+    """Comes to run when it is joined."""
+
+    def start(self) -> None:
+        """Not yet."""
+
+    def join(self, timeout: float | None = None) -> None:
+        super().start()
+        super().join(timeout)
+
+
+def test_a_session_may_be_closed_before_its_thread_watches(hubs: QuickHub, monkeypatch: pytest.MonkeyPatch) -> None:
+    threads: list[LateThread] = []
+
+    def thread(**given: Any) -> LateThread:
+        threads.append(LateThread(**given))
+        return threads[-1]
+
+    monkeypatch.setattr(links, "Thread", thread)
+    Hub.open(hubs.settings("one")).close()
+    assert [one.is_alive() for one in threads] == [False]

@@ -1,0 +1,85 @@
+"""What dead zenoh sessions leave in shared memory."""
+
+from __future__ import annotations
+
+import fcntl
+import os
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from bridge.hub import shared_memory
+from bridge.hub.zenoh_config import POOL
+from tests.support.hub import HubNetwork
+from tests.support.wait import until
+
+
+def pool(folder: Path, name: str, age: float = 60.0, size: int = 0) -> Path:
+    path = folder / name
+    path.touch()
+    os.truncate(path, size)
+    os.utime(path, (time.time() - age,) * 2)
+    return path
+
+
+def test_only_files_of_dead_sessions_are_removed(tmp_path: Path) -> None:
+    dead, held = pool(tmp_path, "1.zenoh"), pool(tmp_path, "2.zenoh")
+    young, other = pool(tmp_path, "3.zenoh", 0), pool(tmp_path, "x.zenoh")
+    with held.open() as lock:
+        fcntl.flock(lock, fcntl.LOCK_SH)
+        assert shared_memory.clean(tmp_path) == 1
+    assert [path.exists() for path in (dead, held, young, other)] == [False, True, True, True]
+    assert shared_memory.clean(tmp_path / "none") == 0
+
+
+@pytest.mark.parametrize(
+    ("holders", "orphans"),
+    [
+        ([], 0),
+        ([[1]], 0),
+        ([[1], [2]], 0),
+        ([[1, 2], [2, 1]], 0),
+        ([[1], [1]], 1),
+        ([[1, 2], [2], [1], [1]], 2),
+        ([[1], [1], [2, 3]], 1),
+        ([[], [1]], 0),
+    ],
+)
+def test_more_pools_than_living_holders_are_orphans(tmp_path: Path, holders: list[list[int]], orphans: int) -> None:
+    lines = []
+    for number, pids in enumerate(holders):
+        inode = pool(tmp_path, f"{number}.zenoh", size=POOL).stat().st_ino
+        lines += [f"{len(lines) + 1}: FLOCK  ADVISORY  READ {pid} 00:1b:{inode} 0 EOF" for pid in pids]
+    small = pool(tmp_path, "99.zenoh", size=4096).stat().st_ino
+    (tmp_path / "locks").write_text("\n".join([*lines, f"9: FLOCK  ADVISORY  READ 9 00:1b:{small} 0 EOF"]))
+    assert shared_memory.orphans(tmp_path, tmp_path) == orphans
+    assert shared_memory.orphans(tmp_path, tmp_path / "none") == 0
+
+
+@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="looks into /proc and /dev/shm")
+def test_a_killed_sender_leaves_an_orphan_with_its_listener() -> None:
+    """The very reason for `pools.orphans`: should a later zenoh let go of the dead's memory, it is needed no more."""
+    with HubNetwork() as network, network.hub_peer("listener") as listener:
+        heard = listener.ask("subscription", topic="/image")["id"]
+        before = shared_memory.orphans()
+        for number in range(1, 4):
+            with network.hub_peer("sender") as sender:
+                publisher = sender.ask("publisher", topic="/image", latched=False)["id"]
+
+                def holds(sender=sender, publisher=publisher, number=number) -> bool:
+                    sender.ask("put", id=publisher, text="x" * 1_000_000)
+                    listener.ask("wait", id=heard, count=1, seconds=0.1)
+                    maps = Path(f"/proc/{listener.pid}/maps").read_text().splitlines()
+                    return sum(".zenoh" in line and pool_size(line) == POOL for line in maps) >= number
+
+                until(holds, "the listener has the sender's pool")
+                sender.stop(0)
+        assert shared_memory.orphans() >= before + 2
+
+
+def pool_size(line: str) -> int:
+    """Bytes of a mapping, by its line in /proc/<pid>/maps."""
+    first, last = line.split()[0].split("-")
+    return int(last, 16) - int(first, 16)

@@ -1,0 +1,269 @@
+"""Each documented configuration, fresh, with the middlewares and programs that it names: `midspan doctor` is all OK.
+
+Where a program that it names is not started yet, doctor says which one, and nothing fails. One roscore and one ROS
+domain serve the whole file; what doctor says of the machine (compiler, shared memory, clock) is no configuration's.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import re
+import tempfile
+from collections.abc import Callable, Iterable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+import yaml
+
+from bridge.cli.main import main
+from bridge.config.load import load
+from bridge.daemon.query import Phase, ask_daemon
+from bridge.doctor.checks import CHECKS
+from tests.cli.conftest import Midspan
+from tests.docs.test_documents import configurations
+from tests.interop.deployment import MIDSPAN
+from tests.support.ports import free_port
+from tests.support.process import Process
+from tests.support.ros1 import ROS1_PYTHON, RosMaster, needs_ros1
+from tests.support.ros2 import SHORT_LEASE, ros2_domain, ros2_environment, ros2_python
+from tests.support.wait import until
+from yarp_compat.naming.client import NameClient
+from yarp_compat.naming.config import Address
+from yarp_compat.naming.server import NameServer
+from yarp_compat.pythonic import Reader, Writer
+
+pytestmark = [needs_ros1, pytest.mark.long]
+ROOT = Path(__file__).parents[2]
+CONFIGS, SUPPORT = ROOT / "configs", ROOT / "tests" / "support"
+APARTMENT = str(CONFIGS / "apartment" / "apartment.yaml")
+OF_THE_MACHINE = {"kernels", "wheels", "compiler", "clock", "shm-users", "shm-size", "shm-litter", "descriptors"}
+OFTEN = ("daemon", "types", "type-hash")
+"""Checks of what changes while a deployment comes up."""
+
+WHOLE = frozenset(check.id for check in CHECKS) - OF_THE_MACHINE
+MOST = WHOLE - {"two-bridges"}
+"""Without the check that looks around for 5 s, for the same as in the other deployments."""
+
+NO_WORKER = {Phase.OFF.value, Phase.UNAVAILABLE.value}
+OF_MODULES = "modules"
+SECONDS = 60.0
+
+Config = dict[str, Any]
+
+
+class Fresh:
+    """A daemon that was never started before, with ports, folders and names of its own, and the shell of its user."""
+
+    def __init__(self, config: Config, folder: Path, master: RosMaster, midspan: Callable[..., Any]) -> None:
+        self.stack = contextlib.ExitStack()
+        self._master, self._midspan = master, midspan
+        address = Address("127.0.0.1", free_port())
+        self.names = NameClient(address)
+        own = {"master": master.uri, "domain": ros2_domain(), "address": f"{address.host}:{address.port}"}
+        config = {
+            key: {k: own.get(k, v) for k, v in value.items()} if key in ("ros1", "ros2", "yarp") else value
+            for key, value in config.items()
+            if value is not None
+        }
+        config |= {"state": str(folder / "state"), "store": in_configs(config.get("store", {}))}
+        config["hub"] = {**config.get("hub", {}), "listen": f"tcp/127.0.0.1:{free_port()}"}
+        self.file = folder / "midspan.yaml"
+        self.file.write_text(yaml.safe_dump(config))
+        (folder / "yarp.conf").write_text(f"{address.host} {address.port} yarp\n")  # as docs/sides/yarp.md says
+        self.shell = {
+            "ROS_MASTER_URI": master.uri,
+            "ROS_DOMAIN_ID": str(ros2_domain()),
+            "YARP_CONFIG_HOME": str(folder),
+        }
+        if config.get("yarp", {}).get("nameserver") == "site":
+            self.stack.enter_context(NameServer(port=address.port, gc_seconds=0))
+        self.stack.enter_context(Process([*MIDSPAN, "run", "--config", self.file], os.environ | self.shell))
+
+    def ros1(self, script: str, *words: str) -> None:
+        self.stack.enter_context(Process([ROS1_PYTHON, SUPPORT / script, *words], self._master.env))
+
+    def ros2(self, script: str, *words: str) -> None:
+        environment = {**ros2_environment(), **SHORT_LEASE}
+        self.stack.enter_context(Process([ros2_python(), SUPPORT / script, *words], environment))
+
+    def robot(self) -> None:
+        """The ports of a robot on YARP."""
+        for port in ("/cer/laser:o", "/baseControl/odometry:o"):
+            self.stack.enter_context(Writer(port, naming=self.names))
+        self.stack.enter_context(Reader("/baseControl/control:i", naming=self.names))
+
+    def is_up(self) -> bool:
+        """Whether everything that is to answer does."""
+        config = load(self.file)
+        said = ask_daemon(config)
+        if said is None:
+            return False
+        workers = {worker["worker"] for worker in said["workers"] if worker["phase"] not in NO_WORKER}
+        wanted = {f"{config.name}/{name}" for name in {*workers, *config.hosted} - {OF_MODULES}}
+        answered = {f["seen"].partition(" ")[0] for f in self.doctor("daemon")}
+        return all(any(who.startswith(name) for who in answered) for name in wanted)  # zenoh has one for each dialect
+
+    def doctor(self, *only: str) -> list[dict[str, str]]:
+        """What these checks find."""
+        words = [word for check in only for word in ("--only", check)]
+        found: list[dict[str, str]] = self._midspan(self, "doctor", "--json", *words).json()
+        return found
+
+    def amiss(self, *only: str) -> list[str]:
+        """What is not OK."""
+        return [
+            f"{f['result']} {f['seen']} ({f['cure']})" for f in self.doctor(*only) if f["result"] in ("warn", "fail")
+        ]
+
+    def until_all_is_well(self, checks: Iterable[str] = MOST) -> None:
+        self._until(lambda found: not found, checks)
+
+    def until_it_waits(self, *words: str) -> None:
+        """Until it is said that these are not there, and nothing else; none of it is a failure."""
+        self._until(lambda found: matches(found, words), MOST)
+
+    def _until(self, fits: Callable[[list[str]], bool], checks: Iterable[str]) -> None:
+        """Wait for what is amiss, first by what changes and then by all; a busy machine may answer a check too late."""
+        found: list[str] = []
+
+        def look(which: Iterable[str]) -> bool:
+            found[:] = self.amiss(*which)
+            return fits(found)
+
+        until(self.is_up, "all workers and modules answer", SECONDS, every=0.5)
+        for which in (OFTEN, checks):
+            with contextlib.suppress(AssertionError):
+                until(lambda which=which: look(which), "doctor finds what it should", SECONDS, every=0.5)  # type: ignore[misc]
+            assert fits(found), found
+
+
+def in_configs(store: Config) -> Config:
+    return {key: str(CONFIGS / value) if key in ("maps", "locations") else value for key, value in store.items()}
+
+
+def matches(found: list[str], words: tuple[str, ...]) -> bool:
+    """Whether each is a warning, and found and wanted are the same."""
+    return len(found) == len(words) and all(
+        any(line.startswith("warn ") and re.search(word, line) for line in found) for word in words
+    )
+
+
+def of_file(name: str) -> Config:
+    found = yaml.safe_load((CONFIGS / name).read_text())
+    assert isinstance(found, dict)
+    return found
+
+
+def of_pages() -> Config:
+    """The README's first configuration, with what the pages of the modules and the simulator add to it."""
+    blocks = [(page, yaml.safe_load(code)) for page, code in configurations()]
+    (made,) = (block for page, block in blocks if page == "README.md")
+    modules: Config = {}
+    for page, block in blocks:
+        if page in ("docs/sides/frames.md", "docs/navigation/maps.md"):
+            modules |= block.get("modules", {})
+        elif page == "docs/navigation/simulator.md" and "sim" in block:
+            made |= {"sim": block["sim"]}
+    assert set(modules) == {"transform_server", "map2d_server"}
+    assert "sim" in made
+    return {**made, "modules": modules}
+
+
+@pytest.fixture(scope="module")
+def master() -> Iterator[RosMaster]:
+    with RosMaster() as started:
+        yield started
+
+
+@pytest.fixture
+def fresh(
+    master: RosMaster, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> Iterator[Callable[[Config], Fresh]]:
+    """Starts a deployment; pytest's own folders would be too deep for its sockets."""
+
+    def midspan(of: Fresh, *words: str) -> Any:
+        for name, value in of.shell.items():
+            monkeypatch.setenv(name, value)
+        return Midspan(of.file, capsys)(*words)
+
+    with contextlib.ExitStack() as stack:
+
+        def begin(config: Config) -> Fresh:
+            folder = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="midspan-t-")))
+            made = Fresh(config, folder, master, midspan)
+            stack.callback(made.stack.close)
+            return made
+
+        yield begin
+
+
+Begin = Callable[[Config], Fresh]
+
+
+@pytest.mark.parametrize(
+    "name", ["default.yaml", "allow_list.yaml", "demo.yaml", "zenoh_dialects.yaml", "navigation.yaml"]
+)
+def test_what_needs_no_other_program(fresh: Begin, name: str) -> None:
+    fresh(of_file(name)).until_all_is_well()
+
+
+def test_what_the_pages_say_together(fresh: Begin) -> None:
+    fresh(of_pages()).until_all_is_well(WHOLE)
+
+
+def test_map_server_beside_map2d_server(fresh: Begin) -> None:
+    site = fresh(of_file("ros_map_server.yaml"))
+    site.until_it_waits(
+        "localization_server waits: no map has come from /map",
+        "robot_path_planner waits: no map has come",
+        "robot_goto waits: .*no map is there yet",
+    )
+    site.ros1("ros1_map_server.py", APARTMENT)
+    site.until_all_is_well()
+    told = [f["seen"] for f in site.doctor("types")]
+    until(lambda: any("/change_map, /static_map: the map server" in text for text in told), str(told), 0.0)
+
+
+def test_a_robot_on_yarp(fresh: Begin) -> None:
+    site = fresh(of_file("yarp_robot.yaml"))
+    site.robot()
+    site.until_all_is_well()
+
+
+def test_move_base_and_a_robot_on_yarp(fresh: Begin) -> None:
+    site = fresh(of_file("yarp_robot_move_base.yaml"))
+    site.until_it_waits(
+        "gateway waits: the planner move_base is not there: nobody serves its action /move_base on ROS 1 .start",
+        "/baseControl/control:i is not there",
+    )
+    site.robot()
+    site.ros1("ros1_map_server.py", APARTMENT)
+    site.ros1("ros1_amcl.py")
+    site.ros1("ros1_move_base.py", "2.0", "5.0")
+    site.until_all_is_well(WHOLE)
+
+
+def test_nav2(fresh: Begin) -> None:
+    site = fresh(of_file("nav2.yaml"))
+    site.until_it_waits(
+        "gateway waits: the planner nav2 is not there: nobody serves its action /navigate_to_pose on ROS 2"
+    )
+    site.ros2("ros2_nav2.py", "2.0", "5.0")
+    site.until_all_is_well()
+
+
+def test_a_robot_and_its_operator(fresh: Begin, tmp_path: Path) -> None:
+    keys, door = tmp_path / "keys", f"tls/127.0.0.1:{free_port()}"
+    for name in ("robot1", "operator1"):
+        assert main(["keys", "make", name, "127.0.0.1", "--folder", str(keys)]) == 0
+    robot, operator = of_file("robot.yaml"), of_file("operator.yaml")
+    robot["hub"]["open"] |= {"listen": [door], "keys": str(keys)}
+    operator["hub"]["open"] |= {"connect": [door], "keys": str(keys)}
+    alone = fresh(operator)
+    alone.until_all_is_well()
+    there = fresh(robot)
+    there.until_all_is_well()
+    until(lambda: "robot1/ros1" in str(alone.doctor("daemon")), "the operator sees the robot", SECONDS, every=0.5)
+    assert alone.amiss(*WHOLE) == []

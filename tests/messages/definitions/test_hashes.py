@@ -1,0 +1,58 @@
+"""md5 sums are genpy's and RIHS01 hashes are rosidl's, for every type that is installed."""
+
+from __future__ import annotations
+
+import json
+import re
+import sys
+from pathlib import Path
+
+import pytest
+
+from bridge.messages.definitions.schema import World
+from bridge.messages.definitions.sources import store_names
+from bridge.messages.registry import Registry
+from tests.messages.samples import GENPY, genpy_types
+
+SHARE = Path(sys.prefix) / "share"
+
+
+@pytest.mark.skipif(not (GENPY / "genpy").is_dir(), reason="ROS 1 is not installed")
+def test_md5_sums_are_those_of_genpy(registry: Registry):
+    names = genpy_types()
+    assert len(names) > 100
+    for name in names:
+        package, short = name.split("/")
+        text = (GENPY / package / "msg" / f"_{short}.py").read_text()
+        announced = re.search(r'_md5sum = "(\w+)"', text)
+        assert announced is not None
+        assert registry.ros1(name).type_id == announced.group(1), name
+
+
+def test_hashes_are_those_of_the_installed_packages(registry: Registry):
+    checked = 0
+    for path in SHARE.glob("*/*/*.json"):
+        for entry in json.loads(path.read_text()).get("type_hashes", []):
+            name = entry["type_name"]
+            assert registry.ros2(name).type_id == entry["hash_string"], name
+            checked += 1
+    assert checked > 500
+
+
+@pytest.mark.parametrize("world", list(World))
+def test_the_stores_agree_with_what_is_installed(registry: Registry, world: World):
+    """Rosbags' own definitions serve where a package is not installed; both must be the same type."""
+    bare = Registry(ros1_packages=Path("/nonexistent"))
+    for name in store_names("sensor_msgs", world):
+        if world is World.ROS1:
+            assert bare.ros1(name).type_id == registry.ros1(name).type_id, name
+        else:
+            assert bare.ros2(name).type_id == registry.ros2(name).type_id, name
+
+
+def test_octomap_from_a_folder_has_its_known_md5(registry: Registry):
+    """As octomap_msgs of Noetic announces it (index.ros.org, octomap_msgs 0.3.5)."""
+    conversion = registry.ros1_to_hub("octomap_msgs/Octomap")
+    assert conversion.source.type_id == "9a45536b45c5e409cd49f04bb2d9999f"
+    assert conversion.target.name == "octomap_msgs/msg/Octomap"
+    assert conversion.target.type_id == registry.ros2("octomap_msgs/msg/Octomap").type_id

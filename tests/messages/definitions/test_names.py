@@ -1,0 +1,49 @@
+"""Names of one world made legal in the other."""
+
+from __future__ import annotations
+
+import pytest
+
+from bridge.messages.definitions import names
+
+TYPES = [
+    ("my_msgs/Plain", "my_msgs/msg/Plain"),
+    ("my_msgs/my_type", "my_msgs/msg/MyType"),
+    ("tf/tfMessage", "tf/msg/TfMessage"),
+    ("My_Msgs/X_Y", "my_msgs/msg/XY"),
+]
+
+
+@pytest.mark.parametrize(("ros1", "ros2"), TYPES)
+def test_types(ros1: str, ros2: str):
+    assert names.legal_type(ros1) == ros2
+    assert ros2 in names.ros2_candidates(ros1)
+
+
+def test_fields_stay_distinct():
+    given = ["D", "d", "two__parts", "_lead", "trail_", "CamelCase", "ok"]
+    assert list(names.legal_fields(given).values()) == ["d", "d_2", "two_parts", "lead", "trail", "camelcase", "ok"]
+
+
+def test_constants_are_upper_case():
+    assert names.legal_constants(["debug", "WARN_1", "aB__c"]) == {
+        "debug": "DEBUG",
+        "WARN_1": "WARN_1",
+        "aB__c": "AB_C",
+    }
+
+
+def test_msgs_and_interfaces_are_tried_for_each_other():
+    assert "my_interfaces/msg/A" in names.ros2_candidates("my_msgs/A")
+    assert "my_msgs/A" in names.ros1_candidates("my_interfaces/msg/A")
+    assert names.ros1_candidates("my_msgs/srv/A_Request") == []
+
+
+@pytest.mark.parametrize("name", ["a/b/c", "../x/Y", "std_msgs", "std_msgs/", "std_msgs/String\n", "/etc/passwd"])
+def test_what_is_no_ros1_name(name: str):
+    assert not names.is_ros1_name(name)
+
+
+@pytest.mark.parametrize("name", ["a/B", "../msg/Y", "std_msgs/msg", "std_msgs/msg/../X", "std_msgs/foo/X"])
+def test_what_is_no_ros2_name(name: str):
+    assert not names.is_ros2_name(name)

@@ -1,0 +1,197 @@
+"""Callers of a module's RPC ports when its process is killed: told at once, and served again when it is back."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import signal
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from bridge.callers import Callers, callers_file
+from bridge.config.model import Config
+from bridge.modules.ports import Ports
+from bridge.state_file import worker_folder
+from tests.support.ports import free_port
+from tests.support.process import Process
+from tests.support.wait import until
+from tests.support.yarp_native import NativeClient
+from yarp_compat.naming import connections
+from yarp_compat.naming.client import NameClient
+from yarp_compat.naming.config import Address
+from yarp_compat.naming.server import NameServer
+from yarp_compat.ports import text_client
+from yarp_compat.ports.port import PortCore
+from yarp_compat.pythonic import Client
+from yarp_compat.wire import binary
+from yarp_compat.wire.profile import Profile
+from yarp_compat.wire.values import Vocab
+
+HELLO = binary.encode(["hello"], Profile.YARP3)
+SAID = binary.encode(["said", "hello"], Profile.YARP3)
+
+
+@pytest.fixture
+def config(tmp_path: Path) -> Iterator[Config]:
+    port = free_port()
+    yarp = {"address": f"127.0.0.1:{port}", "namespace": "/root", "ip": "127.0.0.1"}
+    with NameServer(port=port, gc_seconds=0):
+        yield Config.model_validate({"name": "here", "state": tmp_path, "yarp": yarp})
+
+
+@pytest.fixture
+def names(config: Config) -> NameClient:
+    assert config.yarp.place is not None
+    return NameClient(Address(*config.yarp.place), namespace="/root")
+
+
+class Modules:
+    """A process with a module's port, which can be killed."""
+
+    def __init__(self, config: Config) -> None:
+        self._args = [
+            sys.executable,
+            "-m",
+            "tests.modules.test_callers",
+            config.model_dump_json(include={"name", "state", "yarp"}),
+        ]
+        self._process: Process | None = None
+
+    def start(self) -> None:
+        self._process = Process(self._args, os.environ)
+
+    def kill(self) -> None:
+        assert self._process is not None
+        self._process.signal(signal.SIGKILL)
+        self._process.stop()
+
+
+@pytest.fixture
+def modules(config: Config) -> Iterator[Modules]:
+    made = Modules(config)
+    made.start()
+    yield made
+    made.kill()
+
+
+def _kept(config: Config) -> list[str]:
+    file = callers_file(worker_folder(config), "echo")
+    return sorted(json.loads(file.read_text()).get("/echo/rpc", {})) if file.exists() else []
+
+
+def test_a_native_client_is_served_again_when_the_module_is_back(
+    config: Config, names: NameClient, modules: Modules
+) -> None:
+    client = NativeClient("/native/rpc", names)
+    try:
+        until(lambda: client.connect("/echo/rpc"), "the port is there")
+        until(lambda: _kept(config), "its caller is kept")
+        for _ in range(2):
+            assert client.call(HELLO) == SAID
+            modules.kill()
+            assert client.call(HELLO) is None  # at once, and no success
+            modules.start()
+            until(lambda: client.call(HELLO) == SAID, "it is served again")
+    finally:
+        client.close()
+    until(lambda: not _kept(config), "one that leaves is kept no more")
+
+
+def test_one_that_did_not_call_meanwhile_is_served_too(config: Config, names: NameClient, modules: Modules) -> None:
+    client = NativeClient("/native/rpc", names)  # which still lists the connection that ended
+    try:
+        until(lambda: client.connect("/echo/rpc"), "the port is there")
+        until(lambda: _kept(config), "its caller is kept")
+        modules.kill()
+        assert connections.is_connected(names, "/native/rpc", "/echo/rpc")
+        modules.start()
+        until(lambda: "/native/rpc" in _inputs(names), "it was asked back")
+        until(lambda: client.call(HELLO) == SAID, "it is served again")
+    finally:
+        client.close()
+
+
+def test_yarp_compats_own_client_is_served_again(config: Config, names: NameClient, modules: Modules) -> None:
+    until(lambda: connections.exists(names, "/echo/rpc"), "the port is there")
+    with Client("/echo/rpc", naming=names) as client:
+        assert client.ask(["hello"], timeout=40) == ["said", "hello"]
+        until(lambda: _kept(config), "its caller is kept")
+        modules.kill()
+        with pytest.raises(OSError, match="closed"):
+            client.ask(["hello"], timeout=40)
+        modules.start()
+
+        def served() -> bool:
+            with contextlib.suppress(OSError):
+                return client.ask(["hello"], timeout=40) == ["said", "hello"]
+            return False
+
+        until(served, "it is served again")
+
+
+def test_who_took_a_dead_clients_name_is_not_connected(config: Config, names: NameClient, modules: Modules) -> None:
+    client = NativeClient("/native/rpc", names)
+    until(lambda: client.connect("/echo/rpc"), "the port is there")
+    until(lambda: _kept(config), "its caller is kept")
+    modules.kill()
+    client.close()
+    other = PortCore("/native/rpc", naming=names, rpc=True)
+    other.open()
+    try:
+        modules.start()
+        until(lambda: connections.exists(names, "/echo/rpc"), "the port is back")
+        until(lambda: not _kept(config), "its former caller is given up")
+        assert not other.connections.outputs
+    finally:
+        other.close()
+
+
+def test_ports_that_are_closed_in_good_order_know_their_callers_again(config: Config, names: NameClient) -> None:
+    client = NativeClient("/native/rpc", names)
+    try:
+        for _ in range(2):
+            ports = _open(config)
+            until(lambda: client.call(HELLO) == SAID or not _kept(config), "it is asked back")
+            if not _kept(config):
+                until(lambda: client.connect("/echo/rpc"), "the port is there")
+            until(lambda: _kept(config) == ["/native/rpc"], "its caller is kept")
+            ports.close()
+            assert client.call(HELLO) is None
+            assert _kept(config) == ["/native/rpc"]
+    finally:
+        client.close()
+
+
+def test_a_file_that_is_none_is_left_aside(config: Config, names: NameClient) -> None:
+    file = callers_file(worker_folder(config), "echo")
+    file.parent.mkdir(parents=True)
+    file.write_text('{"/echo/rpc": {"/native/rpc": ["127.0.0.1"')
+    callers = Callers(names, file)
+    core = PortCore("/echo/rpc", naming=names, rpc=True)
+    callers.watch(core)
+    assert not callers.turn()
+
+
+def _inputs(names: NameClient) -> list[str]:
+    """Who is connected to the port."""
+    contact = names.query("/echo/rpc")
+    assert contact is not None
+    try:
+        return [str(name) for name in text_client.admin(contact, [Vocab("list"), Vocab("in")])]
+    except OSError:
+        return []
+
+
+def _open(config: Config) -> Ports:
+    ports = Ports(config, "echo")
+    ports.respond("/echo/rpc", lambda values: ["said", *values])
+    return ports
+
+
+if __name__ == "__main__":
+    _open(Config.model_validate_json(sys.argv[1]))
+    signal.pause()

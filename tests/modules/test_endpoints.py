@@ -1,0 +1,107 @@
+"""A module's publisher makes only what somebody gets; what is heard at once does not wait for the module."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Iterator
+from typing import Any
+
+import pytest
+
+from bridge.clock import RunClock
+from bridge.hub.session import Hub
+from bridge.hub.wire.qos import Durability, Qos
+from bridge.messages.registry import Registry
+from bridge.modules.host import Node
+from bridge.modules.loop import EventLoop
+from tests.contract.hubside import HubSide
+from tests.support.quick_hub import QuickHub
+from tests.support.wait import until
+
+STRING = "std_msgs/msg/String"
+
+
+@pytest.fixture
+def hubs() -> Iterator[QuickHub]:
+    made = QuickHub()
+    yield made
+    made.stop_router()
+
+
+@pytest.fixture
+def node(hubs: QuickHub) -> Iterator[Node]:
+    loop = EventLoop("test")
+    hub = Hub.open(hubs.settings("near"))
+    loop.start()
+    made = Node(hub, Registry(), loop, RunClock())
+    yield made
+    made.close()
+    loop.close()
+    hub.close()
+
+
+@pytest.fixture
+def far(hubs: QuickHub) -> Iterator[HubSide]:
+    made = HubSide(Hub.open(hubs.settings("far")), Registry())
+    yield made
+    made.hub.close()
+
+
+def test_a_message_is_made_where_somebody_gets_it(node: Node, far: HubSide) -> None:
+    publisher = node.publisher("/said", STRING)
+    made: list[str] = []
+
+    def make(text: str) -> bytes:
+        made.append(text)
+        return publisher.encoded({"data": text})
+
+    publisher.offer(lambda: make("nobody"))
+    assert not made
+    assert (publisher.counters.messages, publisher.counters.bytes) == (1, 0)
+    heard = far.subscribe("/said", "std_msgs/String")
+
+    def arrived() -> list[dict[str, Any]]:
+        publisher.offer(lambda: make("you"))
+        return far.wait(heard, 1, 0.2)
+
+    assert until(arrived, "it is heard")[0] == {"data": "you"}
+    assert set(made) == {"you"}
+    assert publisher.counters.bytes > 0
+
+
+def test_a_latched_message_is_made_for_those_who_come_later(node: Node) -> None:
+    made: list[bytes] = []
+    publisher = node.publisher("/kept", STRING, Qos(durability=Durability.TRANSIENT_LOCAL, depth=1))
+
+    def make() -> bytes:
+        made.append(publisher.encoded({"data": "kept"}))
+        return made[0]
+
+    publisher.offer(make)
+    assert len(made) == 1
+
+
+def test_what_is_heard_at_once_does_not_wait_for_the_module(node: Node, far: HubSide) -> None:
+    held, release = threading.Event(), threading.Event()
+    at_once: list[int] = []
+    later: list[int] = []
+    node.subscription_cdr("/heard", STRING, lambda _: at_once.append(threading.get_ident()), at_once=True)
+    node.subscription_cdr("/heard", STRING, lambda _: later.append(threading.get_ident()))
+
+    def hold() -> None:
+        held.set()
+        release.wait(30.0)
+
+    node.loop.post(hold)
+    assert held.wait(10.0)
+    out = far.advertise("/heard", "std_msgs/String")
+
+    def heard() -> bool:
+        far.publish(out, {"data": "x"})
+        return bool(at_once)
+
+    until(heard, "it is heard while the module is busy")
+    assert not later
+    release.set()
+    until(lambda: later, "the module hears it, too")
+    assert not set(at_once) & set(later)

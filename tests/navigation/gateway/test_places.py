@@ -1,0 +1,34 @@
+"""Where a place is as a goal, before and after a map is in use."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+from typing import Any, cast
+
+import pytest
+
+from navigation.gateway.drive import StoredPlaces
+from yarp_compat.dev.locations import Map2DLocation
+
+
+def places(current: str, *, waits: bool) -> StoredPlaces:
+    store = SimpleNamespace(current_map=lambda: current, names=lambda _kind: ["house", "shed"])
+    return StoredPlaces(cast("Any", SimpleNamespace(store=store)), "map", lambda: waits)
+
+
+@pytest.mark.parametrize(
+    ("current", "waits", "frame"),
+    [
+        ("house", True, "map"),
+        ("shed", True, "house"),
+        ("", True, "house"),  # another map may come into use first: there it is somewhere else
+        ("", False, "map"),
+    ],
+)
+def test_a_place_is_on_its_map_whichever_comes_into_use(current: str, waits: bool, frame: str) -> None:
+    place = Map2DLocation("house", 1.0, 2.0, 90.0)
+    assert places(current, waits=waits).target(place).frame == frame
+
+
+def test_a_map_that_the_store_does_not_know_is_the_one_that_comes() -> None:
+    assert places("", waits=True).target(Map2DLocation("elsewhere", 1.0, 2.0, 0.0)).frame == "map"

@@ -1,0 +1,64 @@
+"""The store's maps, areas and links, as the planner takes them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from bridge.stores.kinds import AREA, BEHAVIOUR, LINK, LOCATION, MAP
+from bridge.stores.replica import Replica
+from bridge.stores.store import Store
+from navigation.goals import MapPlace
+from navigation.pose import Pose
+from navigation.robot_path_planner.atlas import StoreAtlas, leg
+from tests.navigation.robot_path_planner.floors import SETTINGS, floor
+from tests.navigation.robot_path_planner.test_way import area
+from yarp_compat.dev.extras import AreaBehaviour, MapLink
+from yarp_compat.dev.locations import Map2DLocation
+
+
+@pytest.fixture
+def store(tmp_path: Path) -> Iterator[Store]:
+    """Two floors."""
+    made = Store(Replica(tmp_path / "store.sqlite", "one"))
+    for name in ("floor", "up"):
+        made.put(MAP, name, floor(name=name))
+    yield made
+    made.replica.close()
+
+
+def test_a_link_that_is_stored_leads_to_another_map_at_once(store: Store, caplog: pytest.LogCaptureFixture) -> None:
+    atlas = StoreAtlas(store, SETTINGS)
+    ground = atlas.ground("floor")
+    assert ground is not None
+    assert not atlas.links()
+    store.put(LINK, "lift", MapLink("lift 0", "lift 1", 2.0))
+    store.put(LOCATION, "lift 0", Map2DLocation("floor", 4.0, 4.0, 90.0))
+    assert not atlas.links()
+    assert "link lift: there is no location lift 1" in caplog.text
+    store.put(LOCATION, "lift 1", Map2DLocation("up", 1.0, 4.0, 0.0))
+    (link,) = atlas.links()
+    assert (link.name, link.cost, link.first.pose.theta) == ("lift", 2.0, pytest.approx(1.5708, abs=1e-4))
+    part = leg(atlas, ground, Pose(1.0, 1.0, 0.0), MapPlace("up", Pose(2.0, 2.0, 0.0)))
+    assert (part.end, part.onto) == (link.first, link.second)
+
+
+def test_areas_keep_robots_out_once_what_was_made_is_forgotten(store: Store) -> None:
+    atlas = StoreAtlas(store, SETTINGS)
+    before = atlas.ground("floor")
+    assert before is not None
+    assert atlas.ground("floor") is before
+    store.put(AREA, "lab", area(1.0, 1.0, 2.0, 2.0))
+    store.put(BEHAVIOUR, "lab", AreaBehaviour(keep_out=True))
+    atlas.forget()
+    ground, other = atlas.ground("floor"), atlas.ground("up")
+    assert ground is not None
+    assert other is not None
+    cell = ground.cell(1.5, 1.5)
+    assert cell is not None
+    assert ground.kept[cell]
+    assert not before.kept[cell]
+    assert not other.kept.any()
+    assert atlas.ground("roof") is None

@@ -1,0 +1,195 @@
+"""A server of INavigation2D as the local navigator."""
+
+# ruff: noqa: N802 - YARP's names
+
+from __future__ import annotations
+
+import math
+import threading
+from collections.abc import Iterator
+
+import pytest
+
+from navigation.constraints import Constraints
+from navigation.pose import Pose
+from navigation.robot_path_planner import navigators
+from navigation.robot_path_planner.navigators import YarpNavigator
+from navigation.status import State
+from tests.support.ports import free_port
+from tests.support.wait import until
+from yarp_compat.dev.locations import Map2DLocation
+from yarp_compat.dev.navigation2d_server import Navigation2DServer
+from yarp_compat.dev.returnvalue import CallFailed, ReturnCode
+from yarp_compat.dev.server import Server
+from yarp_compat.naming.client import NameClient
+from yarp_compat.naming.config import Address
+from yarp_compat.naming.server import NameServer
+from yarp_compat.ports.port import PortCore
+from yarp_compat.wire.generation import Generation, Generations
+
+
+class Goto:
+    """A robotGoto that drives as the test says."""
+
+    def __init__(self) -> None:
+        self.state, self.refuses, self.late = "idle", False, False
+        self.asked = 0
+        self.goals: list[Map2DLocation] = []
+        self.answers = threading.Event()
+        self.answers.set()
+
+    def gotoTargetByAbsoluteLocation(self, loc: Map2DLocation) -> None:
+        self.answers.wait(20)
+        if self.refuses:
+            raise CallFailed(ReturnCode.METHOD_FAILED, "no")
+        self.goals.append(loc)
+        if not self.late:
+            self.state = "moving"
+
+    def stopNavigation(self) -> None:
+        self.state = "idle"
+
+    def getNavigationStatus(self) -> str:
+        self.asked += 1
+        return self.state
+
+
+class Network:
+    """A name server, and a port with a robotGoto."""
+
+    def __init__(self) -> None:
+        port = free_port()
+        self.server = NameServer(port=port, gc_seconds=0)
+        self.server.open()
+        self.names = NameClient(Address("127.0.0.1", port), namespace="/root")
+        self.goto = Goto()
+        self.port = self.opened()
+        self.navigator = YarpNavigator("/robotGoto", lambda: "floor", self.names)
+
+    def opened(self) -> PortCore:
+        answers = Server(Navigation2DServer(self.goto), Generations(Generation.YARP_4))
+        port = PortCore("/robotGoto/rpc", on_message=answers, on_event=answers.on_event, naming=self.names,
+                        is_output=False, rpc=True)  # fmt: skip
+        port.open()
+        return port
+
+    def until_becomes(self, state: State) -> None:
+        until(lambda: self.navigator.state is state, f"it is {state}", 20)
+
+    def close(self) -> None:
+        self.navigator.close()
+        self.port.close()
+        self.server.close()
+
+
+@pytest.fixture
+def network() -> Iterator[Network]:
+    made = Network()
+    try:
+        yield made
+    finally:
+        made.close()
+
+
+def test_goals_and_their_end_cross(network: Network) -> None:
+    network.until_becomes(State.IDLE)
+    network.goto.answers.clear()
+    network.navigator.send(Pose(1.0, 2.0, math.pi / 2), Constraints(heading=False, through=True))
+    assert network.navigator.state is State.PREPARING
+    network.goto.answers.set()
+    network.until_becomes(State.MOVING)
+    network.goto.state = "waiting_obstacle"
+    network.until_becomes(State.WAITING)
+    network.goto.state = "goal_reached"
+    network.until_becomes(State.REACHED)
+    network.goto.state = "idle"  # as robotGoto does some time after it has arrived
+    network.goto.answers.clear()
+    network.navigator.send(Pose(3.0, 4.0, math.pi / 2), Constraints())
+    assert network.navigator.state is State.PREPARING
+    network.goto.answers.set()
+    network.until_becomes(State.MOVING)
+    first, second = network.goto.goals
+    assert (first.map_id, first.x, first.y) == ("floor", 1.0, 2.0)
+    assert math.isnan(first.theta), "any heading will do"
+    assert second.theta == pytest.approx(90.0)
+    network.navigator.cancel()
+    until(lambda: network.goto.state == "idle", "it stops", 20)
+    network.goto.refuses = True
+    network.navigator.send(Pose(1.0, 2.0, 0.0), Constraints())
+    network.until_becomes(State.FAILING)
+    asked = network.goto.asked
+    until(lambda: network.goto.asked > asked + 2, "it is asked on", 20)
+    assert (network.navigator.state, "refused" in network.navigator.reason) == (State.FAILING, True)
+
+
+@pytest.mark.parametrize("before", ["goal_reached", "idle", "aborted"])
+def test_how_the_goal_before_ended_is_not_believed_of_the_next(
+    network: Network, monkeypatch: pytest.MonkeyPatch, before: str
+) -> None:
+    """A server may take a goal, and tell for a moment more how the one before ended."""
+    monkeypatch.setattr(navigators, "GRACE", 60.0)
+    network.until_becomes(State.IDLE)
+    goto = network.goto
+    goto.state, goto.late = before, True
+    network.until_becomes(State(before))
+    network.navigator.send(Pose(1.0, 2.0, 0.0), Constraints())
+    until(lambda: len(goto.goals) == 1, "the goal is taken", 20)
+    asked = goto.asked
+    until(lambda: goto.asked > asked + 2, "it is asked on", 20)
+    assert network.navigator.state is State.PREPARING
+    goto.state = "moving"
+    network.until_becomes(State.MOVING)
+    goto.state = before
+    network.until_becomes(State(before))
+
+
+def test_a_server_that_never_moves_is_believed_after_a_while(network: Network, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(navigators, "GRACE", 0.05)
+    network.until_becomes(State.IDLE)
+    network.goto.late, network.goto.state = True, "goal_reached"
+    network.navigator.send(Pose(1.0, 2.0, 0.0), Constraints())
+    network.until_becomes(State.REACHED)
+
+
+def test_a_goal_that_was_sent_to_nobody_is_forgotten(network: Network) -> None:
+    network.until_becomes(State.IDLE)
+    network.port.close()
+    network.until_becomes(State.ERROR)
+    network.navigator.send(Pose(1.0, 2.0, 0.0), Constraints())
+    until(lambda: network.navigator._sent == network.navigator._number, "it is not sent later", 20)
+    network.port = network.opened()
+    until(lambda: network.navigator.state is not State.ERROR, "the server is found again", 20)
+
+
+def test_a_server_that_goes_is_told_and_found_again(network: Network) -> None:
+    network.until_becomes(State.IDLE)
+    network.port.close()
+    network.until_becomes(State.ERROR)
+    assert "/robotGoto/rpc" in network.navigator.reason
+    network.port = network.opened()
+    network.until_becomes(State.IDLE)
+
+
+def test_a_brake_is_of_the_goal_at_hand_alone(network: Network) -> None:
+    network.until_becomes(State.IDLE)
+    network.navigator.send(Pose(1.0, 2.0, 0.0), Constraints())
+    late = network.navigator.brake()
+    network.navigator.send(Pose(3.0, 4.0, 0.0), Constraints())
+    late()
+    network.until_becomes(State.MOVING)
+    assert network.goto.goals[-1].x == 3.0
+    network.navigator.brake()()
+    until(lambda: network.goto.state == "idle", "it stops", 20)
+
+
+def test_it_is_told_to_stop_until_it_hears(network: Network) -> None:
+    network.until_becomes(State.IDLE)
+    network.navigator.send(Pose(1.0, 2.0, 0.0), Constraints())
+    network.until_becomes(State.MOVING)
+    with network.navigator._lock:
+        network.port.close()
+        network.navigator.cancel()
+    network.until_becomes(State.ERROR)
+    assert network.goto.state == "moving", "it has not heard"
+    network.port = network.opened()
+    until(lambda: network.goto.state == "idle", "it stops", 20)

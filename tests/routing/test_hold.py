@@ -1,0 +1,111 @@
+"""Velocities of a planner that was stopped do not enter the hub, whatever the planner does."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from types import SimpleNamespace
+from typing import Any, cast
+
+import pytest
+
+from bridge.config.sections.navigation import HOLD, HOLD_TYPE, NavigationSection
+from bridge.config.sections.routing import RoutingSection
+from bridge.hub.session import Hub
+from bridge.hub.wire.qos import Durability, Qos
+from bridge.messages.json import from_json
+from bridge.messages.registry import Registry
+from bridge.routing.edge import MadeBy
+from bridge.routing.engine import Engine
+from bridge.routing.hold import Hold, held_topics
+from tests.support.fake import FakeEdge, FakeNetwork
+from tests.support.quick_hub import QuickHub
+from tests.support.wait import until
+
+TWIST = "geometry_msgs/msg/Twist"
+LATCHED = Qos(durability=Durability.TRANSIENT_LOCAL, depth=1)
+REGISTRY = Registry()
+
+
+@pytest.fixture
+def hubs() -> Iterator[QuickHub]:
+    with QuickHub() as made:
+        yield made
+
+
+class Gateway:
+    """What says whether velocities are held."""
+
+    def __init__(self, hubs: QuickHub) -> None:
+        self.hub = Hub.open(hubs.settings("gateway"))
+        self._out = self.hub.publisher(HOLD, HOLD_TYPE, REGISTRY.ros2(HOLD_TYPE).type_id, LATCHED, priority="state")
+
+    def say(self, held: bool) -> None:
+        self._out.put(from_json(REGISTRY, HOLD_TYPE, {"data": held}))
+
+
+def test_only_velocities_of_the_planners_side_are_held() -> None:
+    section = NavigationSection.model_validate({"planner": "move_base", "velocity": "/robot/cmd_vel"})
+    assert held_topics(section, "ros1") == {"/robot/cmd_vel"}
+    assert not held_topics(section, "ros2")
+    assert not held_topics(NavigationSection(planner="robot_goto"), "ros1")
+
+
+def test_what_a_gateway_says_counts_also_where_it_comes_before_the_graph_knows_it() -> None:
+    looks, hears, there = list[Callable[[], None]](), list[Callable[[Any], None]](), list[Any]()
+    graph = SimpleNamespace(watch=looks.append, publishers=lambda _topic: there)
+    hub = SimpleNamespace(graph=graph, subscription=lambda *given: hears.append(given[-1]))
+    hold = Hold(cast("Any", hub), {"/cmd_vel"})
+    (look,), (hear,) = looks, hears
+    assert not hold.held
+    for gid, held in ((b"first", True), (b"second", False)):
+        data = from_json(REGISTRY, HOLD_TYPE, {"data": held})
+        hear(SimpleNamespace(gid=gid, data=lambda data=data: data))
+    there.append(SimpleNamespace(gid=b"second"))
+    look()
+    assert not hold.held
+    there.append(SimpleNamespace(gid=b"first"))
+    look()
+    assert hold.held
+    there.pop()
+    look()
+    assert not hold.held
+
+
+def test_velocities_enter_the_hub_only_while_no_gateway_holds_them(hubs: QuickHub) -> None:
+    network, gateway = FakeNetwork(), Gateway(hubs)
+    far, hub = Hub.open(hubs.settings("far")), Hub.open(hubs.settings("midspan_fake"))
+    heard: list[Any] = []
+    far.subscription("/cmd_vel", TWIST, "*", Qos(depth=1), heard.append)
+    until(lambda: hub.graph.publishers(HOLD), "the gateway is seen")
+    hold = Hold(hub, {"/cmd_vel"})
+    assert hold.held, "one that has said nothing yet may want it"
+    engine = Engine(FakeEdge(network, REGISTRY), hub, RoutingSection(), "test", pytest.fail, REGISTRY, hold)
+    engine.start()
+    try:
+        drives = network.write_on("/cmd_vel", TWIST, Qos(depth=1), MadeBy.NATIVE, "/move_base")
+        looks = network.write_on("/scan_vel", TWIST, Qos(depth=1), MadeBy.NATIVE, "/move_base")
+        until(lambda: {"/cmd_vel", "/scan_vel"} <= {route.hub_topic for route in engine.routes()}, "both cross")
+        velocity = from_json(REGISTRY, TWIST, {"linear": {"x": 0.4}})
+
+        def drop() -> int:
+            network.write(drives, velocity)
+            network.write(looks, velocity)
+            return {row["topic"]: row for row in engine.status()["routes"]}["/cmd_vel"]["drops"].get("held", 0)
+
+        until(drop, "it is dropped before the gateway has said anything")
+        gateway.say(held=False)
+        until(lambda: drop() and heard, "it crosses")
+        gateway.say(held=True)
+        until(lambda: hold.held, "it is held")
+        before = drop()
+        heard.clear()
+        assert drop() == before + 1
+        assert not heard
+        gateway.hub.close()  # a gateway that is gone wants nothing; its goals are cancelled
+        until(lambda: not hold.held, "it is free again")
+        until(lambda: drop() and heard, "it crosses again")
+    finally:
+        engine.stop()
+        hold.close()
+        for session in (far, hub):
+            session.close()

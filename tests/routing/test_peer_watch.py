@@ -1,0 +1,121 @@
+"""One worker's watch over the others on its network, on a clock of the test's own."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+
+from bridge.routing import peer_watch
+from bridge.routing.edge import Sighting
+from bridge.routing.election import Claim, Record
+from bridge.routing.peer_watch import PeerWatch
+
+
+class World:
+    """A network with one other worker, "b", whose hub is ours; the hub's link to it may be lost."""
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        self.now, self.linked = 100.0, True
+        self.told: list[Record] = []
+        self.b_holds, self.b_lives = False, True
+        clock = SimpleNamespace(monotonic=lambda: self.now, time_ns=lambda: int(self.now * 1e9))
+        monkeypatch.setattr(peer_watch, "time", clock)
+        self.settled, self.asked = True, set[float]()
+        edge: Any = SimpleNamespace(
+            side="fake",
+            settled=self._settled,
+            sightings=self._sightings,
+            announce=lambda data: self._take(data),
+        )
+        members = lambda: {"b": frozenset("b")} if self.linked else {}  # noqa: E731
+        graph = SimpleNamespace(members=members, origins=members, publishers=list)
+        hub: Any = SimpleNamespace(zid="a", graph=graph, linked=lambda: True)
+        self.watch = PeerWatch(edge, hub, "A", lambda: None)
+
+    def _settled(self, since: float) -> bool:
+        self.asked.add(since)
+        return self.settled
+
+    def _take(self, data: bytes) -> None:
+        record = Record.decode(data)
+        assert record is not None
+        self.told.append(record)
+
+    def _sightings(self) -> list[Sighting]:
+        if not self.b_lives:
+            return []
+        acks = {"a": self.told[-1].seq} if self.told else {}
+        sessions = frozenset("ab") if self.linked else frozenset("b")
+        role = Claim(5 if self.b_holds else 10**18, held=self.b_holds, first=1)
+        record = Record("b", "B", len(self.told) + 1, acks, sessions, "", role, {})
+        return [Sighting("b", record.encode(), self.now)]
+
+    def run(self, seconds: float) -> None:
+        """Turn by turn."""
+        for _ in range(round(seconds / 0.1)):
+            self.now += 0.1
+            self.watch._turn()
+
+
+def test_who_stood_still_waits_for_its_hub_before_it_takes_another_for_a_strangers(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    world = World(monkeypatch)
+    world.run(2.0)
+    assert world.watch.outcome.active
+    world.now += 10.0
+    world.b_holds, world.linked = True, False
+    world.run(2.0)
+    assert not world.watch.outcome.active, "b may be on our hub: the link to it is not back yet"
+    world.linked = True
+    world.run(3.0)
+    assert world.watch.outcome.standing_by == "B"
+
+
+def test_after_a_short_standstill_the_hub_is_known(monkeypatch: pytest.MonkeyPatch) -> None:
+    world = World(monkeypatch)
+    world.run(2.0)
+    assert world.watch.outcome.active
+    world.now += 2.0
+    world.watch._turn()
+    assert not world.watch.outcome.active
+    world.run(0.3)
+    assert world.watch.outcome.active
+
+
+def test_who_was_alone_keeps_its_routes_until_it_is_known_who_is_there(monkeypatch: pytest.MonkeyPatch) -> None:
+    world = World(monkeypatch)
+    world.b_lives = False
+    world.run(2.0)
+    before = world.watch.outcome
+    assert before.active
+    world.now += 2.0
+    world.settled = False
+    world.asked.clear()
+    world.run(0.5)
+    assert len(world.asked) == 1, "it stood still once"
+    assert world.watch.lease.over, "nothing crosses before it is known who is there"
+    assert world.watch.outcome == replace(before, waiting=world.watch.outcome.waiting)
+    assert world.watch.outcome.waiting
+    world.settled = True
+    world.run(0.5)
+    assert not world.watch.lease.over
+    assert world.watch.outcome == before
+
+
+def test_who_was_alone_gives_its_routes_up_where_another_came(monkeypatch: pytest.MonkeyPatch) -> None:
+    world = World(monkeypatch)
+    world.b_lives = False
+    world.run(2.0)
+    before = world.watch.outcome
+    world.now += 4.0
+    world.settled, world.b_lives, world.b_holds = False, True, True
+    world.run(0.5)
+    assert not world.watch.outcome.active
+    world.settled, world.b_lives = True, False
+    world.run(2.0)
+    assert world.watch.outcome.active
+    assert world.watch.outcome.term > before.term, "its routes are made anew"

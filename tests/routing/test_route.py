@@ -1,0 +1,459 @@
+"""Routes of topics and their parts: classes, rate limits, ages, counters, static transforms, and what waits."""
+
+from __future__ import annotations
+
+import itertools
+import math
+import queue
+import time
+from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any, cast
+
+import pytest
+import zenoh
+from rosbags.typesys import Stores, get_typestore
+
+from bridge.hub.endpoints.subscription import HubSample
+from bridge.hub.graph import HubEndpoint
+from bridge.hub.graph.tokens import EndpointKind
+from bridge.hub.session import Hub
+from bridge.hub.wire.qos import Durability, Qos, Reliability
+from bridge.messages.registry import Registry
+from bridge.messages.transcode.conversion import Conversion, SideType
+from bridge.routing import hub_to_side, stall
+from bridge.routing.counters import Counters
+from bridge.routing.decision import RouteKey
+from bridge.routing.dispatcher import Dispatcher
+from bridge.routing.edge import Endpoint, Kind, MadeBy
+from bridge.routing.hub_to_side import HubToSideRoute
+from bridge.routing.limits import BULK_DEPTH, STREAM_DEPTH, Priority, RateLimit, default_priority, stream_depth
+from bridge.routing.peer_watch import Lease
+from bridge.routing.rewrites import TF_TYPE, StaticTransforms
+from bridge.routing.route import EngineContext
+from bridge.routing.rules import RoutePolicy
+from bridge.routing.side_to_hub import SideToHubRoute
+from bridge.routing.stall import StallDetector
+from tests.support.fake import FakeEdge, FakeNetwork
+from tests.support.hub import HubNetwork
+from tests.support.wait import until
+
+STORE = get_typestore(Stores.ROS2_JAZZY)
+
+
+@pytest.mark.parametrize(
+    ("topic", "type_name", "latched", "priority"),
+    [
+        ("/cmd_vel", "geometry_msgs/msg/Twist", False, Priority.COMMAND),
+        ("/robot/cmd_vel_nav", "geometry_msgs/msg/TwistStamped", True, Priority.COMMAND),
+        ("/odom_twist", "geometry_msgs/msg/Twist", False, Priority.STREAM),
+        ("/cmd_vel", "std_msgs/msg/String", False, Priority.STREAM),
+        ("/map", "nav_msgs/msg/OccupancyGrid", True, Priority.STATE),
+        ("/map", "nav_msgs/msg/OccupancyGrid", False, Priority.STREAM),
+    ],
+)
+def test_default_priority(topic: str, type_name: str, latched: bool, priority: Priority) -> None:
+    assert default_priority(topic, type_name, latched=latched) is priority
+
+
+class Clock:
+    """A clock that the test turns."""
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        self.now = 1000.0
+        monkeypatch.setattr(time, "monotonic", lambda: self.now)
+        monkeypatch.setattr(time, "time_ns", lambda: int(self.now * 1e9))
+        monkeypatch.setattr(time, "clock_gettime_ns", lambda _clock: int(self.now * 1e9))
+
+
+@pytest.mark.parametrize(("source_hz", "limit", "passed"), [(100, 10, 100), (10, 10, 100), (5, 10, 50), (30, 20, 200)])
+def test_rate_limit_meets_its_mean(monkeypatch: pytest.MonkeyPatch, source_hz: int, limit: int, passed: int) -> None:
+    clock = Clock(monkeypatch)
+    gate = RateLimit(limit)
+    got = 0
+    for n in range(10 * source_hz):
+        clock.now = 1000.0 + n / source_hz
+        got += gate.passes()
+    assert abs(got - passed) <= max(2, passed * 0.06)
+
+
+def test_rate_limit_meets_its_mean_though_messages_come_in_batches(monkeypatch: pytest.MonkeyPatch) -> None:
+    clock = Clock(monkeypatch)
+    gate = RateLimit(30)
+    passed = []
+    for n in range(1000):
+        # 100 Hz, and every half second the machine does something else for 70 ms.
+        late = max(0.0, 0.07 - (n % 50) / 100)
+        clock.now = 1000.0 + n / 100 + late
+        if gate.passes():
+            passed.append(clock.now)
+    assert len(passed) == pytest.approx(300, rel=0.02)
+    assert min(b - a for a, b in itertools.pairwise(passed)) >= 0.5 / 30
+
+
+def test_what_carries_bytes_without_end_has_a_short_history() -> None:
+    assert stream_depth("std_msgs/Header header\nuint8[] data\n") == BULK_DEPTH
+    for small in ("string data\n", "float32[] ranges\n", "uint8[16] uuid\nuint8 UINT8=2 # uint8[] x\n"):
+        assert stream_depth(small) == STREAM_DEPTH
+
+
+def test_age_is_waiting_time_whatever_the_clock_offset(monkeypatch: pytest.MonkeyPatch) -> None:
+    clock = Clock(monkeypatch)
+    gate = stall.AgeGate()
+    offset = -3600.0
+    ages(clock, gate, offset)
+    for _ in range(5):
+        clock.now += 0.1
+        assert gate.age(int((clock.now + offset - 0.001) * 1e9)) < 0.01
+    clock.now += 2.0
+    assert gate.age(int((clock.now + offset - 2.0) * 1e9)) == pytest.approx(2.0, abs=0.01)
+
+
+def ages(clock: Clock, gate: stall.AgeGate, offset: float, count: int = 20) -> list[float]:
+    """Ages of messages at 20 Hz that come at once from a source whose clock differs so much."""
+    found = []
+    for _ in range(count):
+        clock.now += 0.05
+        found.append(gate.age(int((clock.now + offset) * 1e9)))
+    return found
+
+
+@pytest.mark.parametrize("jump", [-3600.0, -1.0, 3600.0])
+def test_a_source_whose_clock_is_set_is_heard_again(monkeypatch: pytest.MonkeyPatch, jump: float) -> None:
+    clock, gate = Clock(monkeypatch), stall.AgeGate()
+    ages(clock, gate, 0.0)
+    after = ages(clock, gate, jump)
+    held = [a for a in after if a > 0.1]
+    assert len(held) <= stall.HOLD / 0.05 + 1
+    assert after[-1] < 0.01
+    assert gate.age(int((clock.now + jump - 2.0) * 1e9)) > 1.9, "what is old is old on the new scale too"
+
+
+def test_setting_this_machines_clock_makes_nothing_old(monkeypatch: pytest.MonkeyPatch) -> None:
+    clock, gate = Clock(monkeypatch), stall.AgeGate()
+    ages(clock, gate, 0.0)
+    monkeypatch.setattr(time, "time_ns", lambda: int((clock.now + 3600) * 1e9))
+    assert max(ages(clock, gate, 0.0)) < 0.01
+
+
+def test_what_piled_up_before_a_clock_was_set_back_stays_old(monkeypatch: pytest.MonkeyPatch) -> None:
+    clock, gate = Clock(monkeypatch), stall.AgeGate()
+    ages(clock, gate, 0.0)
+    clock.now += 3.0
+    backlog = [gate.age(int((clock.now - 3600.0 - 3.0 + n * 0.05) * 1e9)) for n in range(60)]
+    assert min(backlog) > stall.HOLD
+
+
+def test_what_piled_up_for_a_new_source_is_old(monkeypatch: pytest.MonkeyPatch) -> None:
+    clock, gate = Clock(monkeypatch), stall.AgeGate()
+    backlog = [gate.age(int((clock.now - 1.3 + n * 0.05) * 1e9)) for n in range(26)]
+    assert min(backlog) > stall.HOLD
+    assert ages(clock, gate, 0.0)[-1] < 0.01
+
+
+def test_a_single_message_of_a_new_source_is_fresh(monkeypatch: pytest.MonkeyPatch) -> None:
+    clock = Clock(monkeypatch)
+    assert stall.AgeGate().age(int((clock.now - 0.01) * 1e9)) == 0.0
+    assert stall.AgeGate().age(int((clock.now + 100.0) * 1e9)) == 0.0
+
+
+def test_a_message_that_was_overtaken_is_old(monkeypatch: pytest.MonkeyPatch) -> None:
+    clock, gate = Clock(monkeypatch), stall.AgeGate()
+    ages(clock, gate, 0.0)
+    assert gate.age(int((clock.now - 0.02) * 1e9)) > 1.0
+    assert max(ages(clock, gate, 0.0)) < 0.01
+
+
+def test_a_worker_that_stood_still_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
+    clock = Clock(monkeypatch)
+    stall_detector = stall.StallDetector()
+    for _ in range(5):
+        clock.now += 0.1
+        stall_detector.beat()
+        assert not stall_detector.stood_still(0.5)
+    clock.now += 3.0
+    assert stall_detector.stood_still(0.5)
+    stall_detector.beat()
+    assert stall_detector.stood_still(0.5), "what piled up is still being read"
+    for _ in range(6):
+        clock.now += 0.1
+        stall_detector.beat()
+    assert not stall_detector.stood_still(0.5)
+
+
+def test_the_pulse_tells_of_a_standstill_once_the_process_goes_on(monkeypatch: pytest.MonkeyPatch) -> None:
+    clock, told = Clock(monkeypatch), queue.SimpleQueue[float]()
+    stall_detector = stall.StallDetector(told.put)
+    stall_detector.start()
+    try:
+        clock.now += 20.0
+        assert told.get(timeout=40) == pytest.approx(20.0)
+        assert stall_detector.stood_still(0.5), "what piled up is still being read"
+    finally:
+        stall_detector.stop()
+
+
+def test_the_pulse_rests_where_nobody_asks_and_is_quick_again_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(stall, "_REST_SECONDS", 0.0)
+    stall_detector = stall.StallDetector()
+    quick = stall_detector.pause
+    stall_detector.start()
+    try:
+        until(lambda: stall_detector.pause > quick, "it rests")
+        assert stall_detector.pause < 0.3, "a wait that long counts as a standstill"
+        monkeypatch.setattr(stall, "_REST_SECONDS", 1000.0)
+        stall_detector.stood_still(0.5)
+        assert stall_detector.pause == quick
+    finally:
+        stall_detector.stop()
+
+
+def transforms(*children: str, x: float = 0.0) -> bytes:
+    types = STORE.types
+    time_ = types["builtin_interfaces/msg/Time"](1, 2)
+    one = types["geometry_msgs/msg/Transform"](
+        types["geometry_msgs/msg/Vector3"](x, 0.0, 0.0), types["geometry_msgs/msg/Quaternion"](0.0, 0.0, 0.0, 1.0)
+    )
+    header = types["std_msgs/msg/Header"](time_, "base")
+    stamped = [types["geometry_msgs/msg/TransformStamped"](header, child, one) for child in children]
+    return bytes(STORE.serialize_cdr(types[TF_TYPE](stamped), TF_TYPE))
+
+
+def test_static_transforms_merge_by_child_frame() -> None:
+    merged = StaticTransforms()
+    merged.merge(transforms("a", "b"))
+    whole: Any = STORE.deserialize_cdr(merged.merge(transforms("b", "c", x=5.0)), TF_TYPE)
+    assert {t.child_frame_id: t.transform.translation.x for t in whole.transforms} == {"a": 0.0, "b": 5.0, "c": 5.0}
+
+
+def test_static_transforms_of_another_byte_order_merge() -> None:
+    message: Any = STORE.deserialize_cdr(transforms("a", "bc", x=2.5), TF_TYPE)
+    swapped = bytes(STORE.serialize_cdr(message, TF_TYPE, little_endian=False))
+    assert StaticTransforms().merge(swapped) == transforms("a", "bc", x=2.5)
+
+
+@pytest.mark.parametrize(
+    "junk",
+    [
+        b"",
+        b"\x00\x01\x00\x00",
+        b"\x07\x07" + transforms("a")[2:],
+        transforms("a")[:-9],
+        transforms("a") + bytes(8),
+        transforms("a").replace(b"\x02\0\0\0a", b"\xff\xff\xff\xffa"),
+        transforms("a").replace(b"base", b"\xffase"),
+        transforms("a").replace(b"base\0", b"basee"),
+    ],
+)
+def test_static_transforms_refuse_junk(junk: bytes) -> None:
+    with pytest.raises(ValueError, match="TFMessage"):
+        StaticTransforms().merge(junk)
+
+
+def test_urgent_work_goes_first() -> None:
+    dispatcher = Dispatcher("test")
+    done: list[str] = []
+    dispatcher.submit(Priority.STREAM, lambda: done.append("stream"))
+    dispatcher.submit(Priority.STATE, lambda: done.append("state"))
+    dispatcher.submit(Priority.COMMAND, lambda: done.append("command"))
+    dispatcher.start()
+    try:
+        until(lambda: len(done) == 3, "all done")
+        assert done == ["command", "state", "stream"]
+    finally:
+        dispatcher.stop()
+
+
+STRING = "std_msgs/msg/String"
+GID = b"g" * 16
+
+
+def line(text: str) -> bytes:
+    return b"\0\1\0\0" + (len(text) + 1).to_bytes(4, "little") + text.encode() + b"\0"
+
+
+@pytest.mark.parametrize("latched", [True, False])
+@pytest.mark.parametrize("standby", [True, False])
+def test_what_comes_before_its_publisher_may_pass(latched: bool, standby: bool) -> None:
+    registry, network = Registry(), FakeNetwork()
+    type_ = registry.ros2(STRING)
+    durability = Durability.TRANSIENT_LOCAL if latched else Durability.VOLATILE
+    qos = Qos(Reliability.RELIABLE, durability, depth=1)
+    endpoint = HubEndpoint(
+        "z", "n", "/", EndpointKind.PUBLISHER, "/state", STRING, type_.type_id, qos, GID, None, pending=False, own=False
+    )
+    native = replace(endpoint, zid="y", gid=b"n" * 16)
+    with HubNetwork() as hubs, Hub.open(hubs.settings("waiting")) as hub:
+        idle, lease = Dispatcher("idle"), Lease()
+        lease.extend(-math.inf if standby else math.inf)
+        context = EngineContext(
+            hub, FakeEdge(network, registry), StallDetector(), lease, cast("Any", None), idle, idle, lambda: None
+        )
+        policy = RoutePolicy(allowed=True, why="", name="/state")
+        route = HubToSideRoute(
+            RouteKey("/state", STRING, type_.type_id), "/state", None, Conversion(type_, type_, None), policy, context
+        )
+        route.update(*([native, endpoint], []) if standby else ([native], [], [endpoint]))
+        for number, text in enumerate(("old", "new"), 1):
+            route._handle(HubSample(zenoh.ZBytes(line(text)), number, number, GID, "z"))
+        assert route.counters.messages == 0
+        lease.extend(math.inf)
+        route.update([native, endpoint], [])
+        assert route.counters.messages == (1 if latched else 0)
+        assert network.retained() == ([line("new")] if latched else [])
+        route.update([native, endpoint], [])
+        assert route.counters.messages == (1 if latched else 0), "given once"
+        route.close()
+
+
+@pytest.mark.parametrize("latched", [True, False])
+def test_state_that_the_side_tells_without_a_lease_crosses_with_the_next(latched: bool) -> None:
+    registry, topic = Registry(), "/state"
+    type_ = registry.ros2(STRING)
+    conversion, policy = Conversion(type_, type_, None), RoutePolicy(allowed=True, why="", name=topic)
+    qos = Qos(durability=Durability.TRANSIENT_LOCAL if latched else Durability.VOLATILE, depth=1)
+    publishers = [Endpoint("known", Kind.PUBLISHER, topic, STRING, qos, MadeBy.NATIVE)]
+    with HubNetwork() as hubs, Hub.open(hubs.settings("leased")) as hub:
+        idle, lease = Dispatcher("idle"), Lease()
+        lease.extend(math.inf)
+        context = EngineContext(
+            hub, FakeEdge(FakeNetwork(), registry), StallDetector(), lease, cast("Any", None), idle, idle, lambda: None
+        )
+        route = SideToHubRoute(RouteKey(topic, STRING, type_.type_id), topic, conversion, policy, context)
+        route.update(publishers)
+        lease.end()
+        for text in ("old", "new"):
+            route._deliver(line(text), "known", None)
+        route.update(publishers)
+        assert route.counters.messages == 0
+        lease.extend(math.inf)
+        route.update(publishers)
+        assert route.counters.messages == (1 if latched else 0), "the newest, once"
+        assert route.counters.drops["standby"] == (1 if latched else 2)
+        route.close()
+
+
+@pytest.mark.parametrize("count", [0, 200])
+def test_a_quick_stream_is_left_ten_seconds_after_its_last_listener(
+    monkeypatch: pytest.MonkeyPatch, count: int
+) -> None:
+    now = [100.0]
+    monkeypatch.setattr(hub_to_side, "time", SimpleNamespace(monotonic=lambda: now[0], time_ns=lambda: 1))
+    registry, network, topic = Registry(), FakeNetwork(), "/stream"
+    type_ = registry.ros2(STRING)
+    publisher = HubEndpoint(
+        "z", "n", "/", EndpointKind.PUBLISHER, topic, STRING, type_.type_id, Qos(), GID, None, pending=False, own=False
+    )
+    with HubNetwork() as hubs, Hub.open(hubs.settings("stream")) as hub:
+        idle, lease = Dispatcher("idle"), Lease()
+        lease.extend(math.inf)
+        context = EngineContext(
+            hub, FakeEdge(network, registry), StallDetector(), lease, cast("Any", None), idle, idle, lambda: None
+        )
+        policy = RoutePolicy(allowed=True, why="", name=topic)
+        key, conversion = RouteKey(topic, STRING, type_.type_id), Conversion(type_, type_, None)
+        route = HubToSideRoute(key, topic, None, conversion, policy, context)
+
+        def state_after(seconds: float) -> object:
+            now[0] += seconds
+            for number in range(count):
+                route._handle(HubSample(zenoh.ZBytes(line("x")), number + 1, 1, GID, "z"))
+            route.update([publisher], [])
+            return route.status()["state"]
+
+        listener = network.read_from(topic, STRING, Qos(), MadeBy.NATIVE, "/listener", lambda *_: None)
+        assert [state_after(0.1), state_after(30.0)] == ["active", "active"], "somebody listens"
+        network.remove(listener)
+        assert [state_after(30.0), state_after(9.0)] == ["active", "active"], "the listener left at the look before"
+        assert state_after(2.0) == ("unheard" if count else "active")
+        network.read_from(topic, STRING, Qos(), MadeBy.NATIVE, "/listener", lambda *_: None)
+        assert state_after(0.1) == "active"
+        route.close()
+
+
+TWIST = "geometry_msgs/msg/Twist"
+
+
+@pytest.mark.parametrize(("topic", "kept"), [("/cmd_vel", 0), ("/odom_twist", 1)])
+def test_only_what_is_no_command_waits_for_its_source(topic: str, kept: int) -> None:
+    registry, network = Registry(), FakeNetwork()
+    type_: SideType = registry.ros2(TWIST)
+    conversion, policy = Conversion(type_, type_, None), RoutePolicy(allowed=True, why="", name=topic)
+    key = RouteKey(topic, TWIST, type_.type_id)
+    with HubNetwork() as hubs, Hub.open(hubs.settings("commands")) as hub:
+        idle = Dispatcher("idle")
+        lease = Lease()
+        lease.extend(math.inf)
+        context = EngineContext(
+            hub, FakeEdge(network, registry), StallDetector(), lease, cast("Any", None), idle, idle, lambda: None
+        )
+        to_hub = SideToHubRoute(key, topic, conversion, policy, context)
+        to_hub.update([Endpoint("known", Kind.PUBLISHER, topic, TWIST, Qos(), MadeBy.NATIVE)])
+        to_hub._deliver(b"payload", "unknown", None)
+        assert (len(to_hub._pending), to_hub.counters.drops["unknown"]) == (kept, 1 - kept)
+        to_hub.close()
+        to_side = HubToSideRoute(key, topic, None, conversion, policy, context)
+        to_side.update([], [])
+        to_side._handle(HubSample(zenoh.ZBytes(b"payload"), 1, 1, b"g" * 16, "nobody"))
+        assert (len(to_side._pending), to_side.counters.drops["unknown"]) == (kept, 1 - kept)
+        to_side.close()
+
+
+@pytest.mark.parametrize(
+    ("priority", "latched", "thinned"),
+    [("", False, True), ("stream", False, True), ("", True, False), ("stream", True, False), ("state", False, False)],
+)
+def test_a_rate_means_the_same_in_both_directions(priority: str, latched: bool, thinned: bool) -> None:
+    registry, network = Registry(), FakeNetwork()
+    type_, topic = registry.ros2(STRING), "/state"
+    qos = Qos(durability=Durability.TRANSIENT_LOCAL if latched else Durability.VOLATILE, depth=10)
+    policy = RoutePolicy(allowed=True, why="", name=topic, rate=0.001, priority=priority)
+    key, conversion = RouteKey(topic, STRING, type_.type_id), Conversion(type_, type_, None)
+    volatile, latching = Qos(), Qos(durability=Durability.TRANSIENT_LOCAL, depth=1)
+    other = latching if not latched else volatile  # a publisher beside it changes nothing
+    with HubNetwork() as hubs, Hub.open(hubs.settings("rates")) as hub:
+        idle, lease = Dispatcher("idle"), Lease()
+        lease.extend(math.inf)
+        context = EngineContext(
+            hub, FakeEdge(network, registry), StallDetector(), lease, cast("Any", None), idle, idle, lambda: None
+        )
+        to_hub = SideToHubRoute(key, topic, conversion, policy, context)
+        to_hub.update([
+            Endpoint(name, Kind.PUBLISHER, topic, STRING, offered, MadeBy.NATIVE)
+            for name, offered in (("this", qos), ("other", other))
+        ])  # fmt: skip
+        for _ in range(3):
+            to_hub._deliver(line("here"), "this", None)
+        to_hub.close()
+        to_side = HubToSideRoute(key, topic, None, conversion, policy, context)
+        this = HubEndpoint(
+            "z",
+            "n",
+            "/",
+            EndpointKind.PUBLISHER,
+            topic,
+            STRING,
+            type_.type_id,
+            qos,
+            GID,
+            None,
+            pending=False,
+            own=False,
+        )
+        to_side.update([this, replace(this, gid=b"o" * 16, qos=other)], [])
+        for number in range(3):
+            to_side._received(HubSample(zenoh.ZBytes(line("here")), number, number, GID, "z"))
+        to_side.close()
+    for made in (to_hub, to_side):
+        assert (made.counters.messages, made.counters.drops["rate"]) == ((1, 2) if thinned else (3, 0))
+
+
+def test_what_never_came_is_told_with_its_place() -> None:
+    counters = Counters()
+    counters.missed(0, lambda: "nowhere")
+    assert counters.as_dict()["error"] == ""
+    counters.missed(3, lambda: "3 from yarp")
+    assert (counters.as_dict()["drops"]["lost"], counters.as_dict()["error"]) == (3, "3 from yarp")
+    counters.failed("something else")
+    counters.missed(3, lambda: "3 from yarp")  # no news
+    assert counters.as_dict()["error"] == "something else"

@@ -1,0 +1,131 @@
+"""What a machine may lack: tests that need it are not tried there, which is told once; in CI they fail."""
+
+from __future__ import annotations
+
+import functools
+import os
+import shutil
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from bridge.interfaces.definition import BuildError
+
+_MARK = "not on this machine: "
+ROS1 = f"{_MARK}ROS 1 (`make setup` installs it from apt on Debian 12 and Ubuntu 24.04, as root or with sudo)"
+ROS2 = f"{_MARK}ROS 2 (`make setup` installs its wheels on Linux with x86_64; elsewhere source /opt/ros/jazzy)"
+DART = f"{_MARK}DART (`make setup` installs dartpy where there is a wheel: Linux, Python up to 3.13)"
+COMPILER = f"{_MARK}a C compiler (apt install g++ python3-dev, then `make setup`)"
+
+_PACKAGES = {"rospy": ROS1, "rosgraph": ROS1, "genpy": ROS1, "rclpy": ROS2, "rosidl_parser": ROS2, "dartpy": DART}
+"""What a test that cannot import one of these lacks."""
+
+_not_read: dict[str, list[str]] = {}
+"""Files and folders that could not be imported, by what is missing."""
+
+
+def has_ros1() -> bool:
+    """Whether Debian's ROS 1 is here."""
+    return bool(shutil.which("roscore", path="/usr/bin")) and Path("/usr/lib/python3/dist-packages/rospy").is_dir()
+
+
+@functools.cache
+def lacking() -> frozenset[str]:
+    """What this machine lacks, as reasons."""
+    there = {
+        ROS1: has_ros1(),
+        ROS2: find_spec("rclpy") is not None,
+        DART: find_spec("dartpy") is not None,
+        COMPILER: shutil.which("g++") is not None,
+    }
+    return frozenset(reason for reason, found in there.items() if not found)
+
+
+def need(reason: str) -> None:
+    """Skip the test where this machine lacks something."""
+    if reason in lacking():
+        pytest.skip(reason)
+
+
+def needs(reason: str) -> pytest.MarkDecorator:
+    """The same as a marker."""
+    return pytest.mark.skipif(reason in lacking(), reason=reason)
+
+
+def cause(error: BaseException | None) -> str:
+    """The reason for which something could not be imported or built; empty where it is a mistake of ours."""
+    while error is not None:
+        if isinstance(error, ModuleNotFoundError) and error.name:
+            return _PACKAGES.get(error.name.partition(".")[0], "")
+        if isinstance(error, BuildError) and COMPILER in lacking():
+            return COMPILER
+        error = error.__cause__ or error.__context__ or getattr(error, "cause", None)
+    return ""
+
+
+def judge(report: pytest.TestReport | pytest.CollectReport, error: BaseException | None) -> str:
+    """Make such a failure a skip, and in CI a skip of this kind a failure; the reason, or empty."""
+    reason = cause(error) if report.failed else ""
+    if report.skipped and isinstance(report.longrepr, tuple):
+        told = str(report.longrepr[2]).removeprefix("Skipped: ")
+        reason = told if told.startswith(_MARK) else ""
+    if reason and os.environ.get("CI"):
+        report.outcome, report.longrepr = "failed", f"{reason}: in CI everything is tried"
+    elif reason:  # of one place, so pytest's list of skips has one line for all of them
+        report.outcome, report.longrepr = "skipped", (__file__, 1, f"Skipped: {reason}")
+    return reason
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_make_collect_report(collector: pytest.Collector) -> Iterator[None]:
+    """A file that imports what this machine lacks is skipped, and a folder whose conftest does."""
+    report: Any = yield
+    call = getattr(report, "call", None)
+    if reason := judge(report, call.excinfo.value if call and call.excinfo else None):
+        _not_read.setdefault(reason, []).append(collector.nodeid)
+    return report
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_makereport(call: pytest.CallInfo[None]) -> Iterator[None]:
+    """A test that lacks something of this machine is skipped; in CI it fails."""
+    report: Any = yield
+    judge(report, call.excinfo.value if call.excinfo else None)
+    return report
+
+
+def pytest_sessionfinish(session: pytest.Session) -> None:
+    """A process of pytest-xdist tells the one that leads."""
+    if hasattr(session.config, "workeroutput"):
+        session.config.workeroutput["not_read"] = _not_read
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_testnodedown(node: object, error: object) -> None:
+    """Each process has read all files."""
+    _not_read.update(getattr(node, "workeroutput", {}).get("not_read", {}))
+
+
+def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
+    """Tell what was not tried, by what is missing."""
+    skipped = [report for report in terminalreporter.getreports("skipped") if isinstance(report, pytest.TestReport)]
+    if lines := summary([str(report.longrepr[2]) for report in skipped if isinstance(report.longrepr, tuple)]):
+        terminalreporter.section("not on this machine")
+        for line in lines:
+            terminalreporter.write_line(line)
+
+
+def summary(skips: Sequence[str]) -> list[str]:
+    """Lines that tell what was not tried, of the reasons of all skipped tests."""
+    reasons = [reason.removeprefix("Skipped: ") for reason in skips]
+    tests = Counter(reason for reason in reasons if reason.startswith(_MARK))
+    lines = []
+    for reason in sorted({*tests, *_not_read}):
+        parts = [f"{tests[reason]} tests"] if tests[reason] else []
+        parts += [f"all in {', '.join(sorted(_not_read[reason]))}"] if reason in _not_read else []
+        lines.append(f"{reason.removeprefix(_MARK)}: {' and '.join(parts)} not tried")
+    return lines

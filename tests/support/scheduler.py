@@ -1,0 +1,51 @@
+"""Which process of pytest-xdist runs which file. What must run alone comes last, when all other processes are gone."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from xdist.scheduler import LoadFileScheduling
+
+from tests.support.tiers import alone
+
+_ALONE = "@alone"
+"""Stands behind the name of a file, whose tests of this marker are a part of their own."""
+
+
+class Scheduler(LoadFileScheduling):
+    """Gives files to the processes from both ends; the last process that works goes on with the tests to run alone.
+
+    Two processes at most take files from the front, where those are that start programs: there are two cores.
+    """
+
+    def _split_scope(self, nodeid: str) -> str:
+        file, _, test = nodeid.partition("::")
+        return file + (_ALONE if test.partition("[")[0] in alone(self.config.rootpath / file) else "")
+
+    def _assign_work_unit(self, node: Any) -> None:
+        waiting = [unit for unit in self.workqueue if not unit.endswith(_ALONE)]
+        if not waiting:
+            if len(self.assigned_work) > 1:
+                return  # others still work; `remove_node` looks again
+            waiting = list(self.workqueue)
+        unit = waiting[0 if node.gateway.id in self._from_the_front() else -1]
+        self.workqueue.move_to_end(unit, last=False)
+        super()._assign_work_unit(node)
+
+    def _from_the_front(self) -> set[str]:
+        return {"gw0", "gw1"} if self.numnodes > 2 else {"gw0"}
+
+    def _reschedule(self, node: Any) -> None:
+        if self.workqueue and all(unit.endswith(_ALONE) for unit in self.workqueue) and not node.shutting_down:
+            if any(other is not node and not other.shutting_down for other in self.nodes):
+                node.shutdown()  # after what it has to do
+                return
+            if len(self.assigned_work) > 1:
+                return
+        super()._reschedule(node)
+
+    def remove_node(self, node: Any) -> str | None:
+        crashed = super().remove_node(node)
+        for other in self.nodes:
+            self._reschedule(other)
+        return crashed

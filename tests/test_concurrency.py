@@ -1,0 +1,157 @@
+"""Executors, delayed calls and bounded queues."""
+
+from __future__ import annotations
+
+import threading
+
+import pytest
+
+from bridge.concurrency import BoundedQueue, DelayedCalls, InlineExecutor, WorkerPool
+from tests.support.wait import until
+
+
+def test_a_bounded_queue_keeps_the_order_and_drops_the_oldest() -> None:
+    go_on, taken, dropped = threading.Event(), list[int](), list[bool]()
+
+    def take(message: int) -> None:
+        assert go_on.wait(40)
+        taken.append(message)
+        if message == 8:
+            raise ValueError(message)
+
+    queue = BoundedQueue[int]("queue", 3, 100, take, lambda: dropped.append(True))
+    try:
+        assert not queue.busy
+        queue.put(0, 1)
+        until(lambda: queue.waiting == 0, "the first one is under way")
+        assert queue.busy
+        for number in range(1, 8):
+            queue.put(number, 1)
+        queue.put(8, 99)  # no room beside more than one other
+        go_on.set()
+        until(lambda: not queue.busy, "all are taken")
+        assert taken == [0, 7, 8]
+        assert len(dropped) == 6
+        queue.put(9, 1000)  # the newest always fits, and a failed one stops nothing
+        until(lambda: taken[-1] == 9, "it goes on")
+    finally:
+        queue.close()
+        queue.close()
+
+
+def test_closing_a_bounded_queue_drops_what_waits() -> None:
+    inside, go_on, taken = threading.Event(), threading.Event(), list[int]()
+
+    def take(message: int) -> None:
+        inside.set()
+        assert go_on.wait(40)
+        taken.append(message)
+
+    queue = BoundedQueue[int]("queue", 10, 100, take, lambda: None)
+    queue.put(1, 1)
+    assert inside.wait(40)
+    queue.put(2, 1)
+    closer = threading.Thread(target=queue.close)
+    closer.start()
+    until(lambda: queue.waiting == 0, "closing")
+    go_on.set()
+    closer.join(40)
+    queue.put(3, 1)
+    assert taken == [1]
+
+
+def test_a_bounded_queue_takes_what_is_offered_only_where_there_is_room() -> None:
+    inside, go_on, taken = threading.Event(), threading.Event(), list[int]()
+
+    def take(message: int) -> None:
+        inside.set()
+        assert go_on.wait(40)
+        taken.append(message)
+
+    queue = BoundedQueue[int]("queue", 2, 100, take, lambda: None)
+    try:
+        assert queue.offer(0, 1000)
+        assert inside.wait(40)
+        assert [queue.offer(number, size) for number, size in ((1, 60), (2, 60), (3, 40), (4, 0))] == [
+            True,
+            False,
+            True,
+            False,
+        ]
+        go_on.set()
+        until(lambda: not queue.busy, "all are taken")
+        assert taken == [0, 1, 3]
+    finally:
+        queue.close()
+    assert not queue.offer(5, 1)
+
+
+def test_jobs_are_done_a_few_at_a_time_and_tell_their_end() -> None:
+    pool, gate, begun = WorkerPool(2, "pool"), threading.Event(), threading.Semaphore(0)
+
+    def held(number: int) -> int:
+        begun.release()
+        assert gate.wait(20)
+        return number
+
+    futures = [pool.submit(lambda n=n: held(n)) for n in range(5)]
+    assert begun.acquire(timeout=20)
+    assert begun.acquire(timeout=20)
+    assert not begun.acquire(timeout=0.1), "more than two at once"
+    gate.set()
+    assert [future.result(20) for future in futures] == list(range(5))
+    failed = pool.submit(lambda: 1 // 0)
+    with pytest.raises(ZeroDivisionError):
+        failed.result(20)
+    assert pool.submit(lambda: "still there").result(20) == "still there"
+    pool.close(20)
+    assert not [t for t in threading.enumerate() if t.name.startswith("pool")]
+
+
+def test_a_job_that_hangs_holds_up_no_end() -> None:
+    pool, gate, begun = WorkerPool(1, "pool"), threading.Event(), threading.Event()
+    hanging = pool.submit(lambda: (begun.set(), gate.wait(20)))
+    assert begun.wait(20)
+    waiting = pool.submit(lambda: None)
+    pool.close(0.0)
+    assert not hanging.done()
+    gate.set()
+    assert hanging.result(20)
+    assert pool.submit(lambda: None).cancelled()
+    until(waiting.cancelled, "what had not begun is not begun")
+    until(lambda: not [t for t in threading.enumerate() if t.name.startswith("pool")], "its thread ends")
+
+
+def test_a_call_that_is_requested_once_is_made_once() -> None:
+    calls, made = DelayedCalls("delayed"), list[str]()
+
+    def once() -> None:
+        made.append("once")
+
+    try:
+        calls.after(0.3, lambda: made.append("last"))
+        calls.after(0.05, once, once=True)
+        calls.after(0.1, once, once=True)
+        calls.after(0.0, lambda: 1 // 0)  # stops nothing
+        until(lambda: "last" in made, "all are made")
+        assert made == ["once", "last"]
+        calls.after(0.0, once, once=True)
+        until(lambda: made[-1] == "once", "it may be requested again")
+        calls.after(0.05, lambda: made.append("never"))
+    finally:
+        calls.close()
+    calls.after(0.0, lambda: made.append("never"))
+    assert "never" not in made
+
+
+def test_a_job_that_submits_another_sees_it_run_after_itself() -> None:
+    executor, done = InlineExecutor(), list[str]()
+
+    def outer() -> None:
+        executor.submit(lambda: done.append("inner"))
+        done.append("outer")
+
+    executor.submit(outer)
+    executor.submit(lambda: 1 // 0)  # stops nothing
+    executor.submit(lambda: done.append("next"))
+    assert done == ["outer", "inner", "next"]

@@ -1,0 +1,79 @@
+"""What scripts/house.py finds: circles, and names of classes."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from scripts import house
+
+ROOT = Path(__file__).parents[1]
+
+
+def write(folder: Path, files: dict[str, str]) -> dict[str, house.File]:
+    for part in house.PRODUCT:
+        (folder / part).mkdir()
+        (folder / part / "__init__.py").write_text("")
+    for name, text in files.items():
+        (folder / name).parent.mkdir(exist_ok=True)
+        (folder / name).write_text(text)
+    return house.read(folder)
+
+
+def test_a_circle_that_is_hidden_in_a_function_is_found(tmp_path: Path) -> None:
+    files = write(
+        tmp_path,
+        {
+            "sim/a.py": "from sim.b import f\n",
+            "sim/b.py": "def f():\n    from sim import c\n    return c\n",
+            "sim/c.py": "import sim.a\n",
+            "sim/d.py": "from sim.a import f\n",
+        },
+    )
+    assert house.circles(house.imports(files)) == [["sim.a", "sim.b", "sim.c"]]
+
+
+def test_a_name_that_a_package_hands_on_is_its_files(tmp_path: Path) -> None:
+    files = write(
+        tmp_path,
+        {
+            "bridge/hub/__init__.py": "from bridge.hub.session import Hub\n",
+            "bridge/hub/session.py": "from bridge.routing import loop\nclass Hub: ...\n",
+            "bridge/routing/__init__.py": "",
+            "bridge/routing/loop.py": "from bridge.hub import Hub\n",
+        },
+    )
+    graph = house.imports(files)
+    assert graph["bridge.routing.loop"] == {"bridge.hub.session"}
+    assert house.circles(graph) == [["bridge.hub.session", "bridge.routing.loop"]]
+    assert house.package_circles(files, graph) == [["bridge.hub", "bridge.routing"]]
+
+
+def test_classes_of_one_name_are_found(tmp_path: Path) -> None:
+    files = write(tmp_path, {"sim/a.py": "class One: ...\n", "sim/b.py": "class One: ...\nclass _Two: ...\n"})
+    assert house.shared_classes(files) == {"One": ["sim.a", "sim.b"]}
+
+
+def test_what_tests_reach_into_and_what_asserts_nothing(tmp_path: Path) -> None:
+    (tmp_path / "tests").mkdir()
+    (tmp_path / "tests" / "test_a.py").write_text(
+        "from a import _b\n"
+        "def test_a():\n    assert self._a + one._b + super()._c + one._replace() + one.__dict__\n"
+        "def test_b():\n    one.until_seen()\n"
+        "def test_c():\n    wait(lambda: one.check)\n"
+        "def test_d():\n    with pytest.raises(ValueError):\n        one()\n"
+    )
+    assert house.private_accesses(tmp_path) == 2
+    assert house.assertless(tmp_path) == ["tests/test_a.py:6 test_c"]
+
+
+def test_each_test_asserts() -> None:
+    assert house.assertless(ROOT) == []
+
+
+def test_the_product_has_no_other_circle_and_no_larger_file() -> None:
+    assert house.wrong(house.read(ROOT)) == []
+
+
+def test_what_is_known_is_still_so() -> None:
+    files = house.read(ROOT)
+    assert all(files[name].lines > house.LARGE for name in house.KNOWN_LARGE)

@@ -1,0 +1,92 @@
+"""Kernels: what lies here is compiled, and a build that is missing, or of other sources, is told."""
+
+from __future__ import annotations
+
+import importlib.util
+import json
+import shutil
+from pathlib import Path
+
+import pytest
+
+from bridge import kernels
+from bridge.doctor.check import Result
+from bridge.doctor.checks import machine
+from tests.doctor.parts import around, only
+from tests.support.missing import COMPILER, needs
+
+
+@needs(COMPILER)
+def test_the_tests_run_on_kernels_that_are_compiled_of_what_lies_here() -> None:
+    assert kernels.state().ok, f"{kernels.state()}: run 'make setup'"
+
+
+@needs(COMPILER)
+def test_every_kernel_is_imported_compiled() -> None:
+    for module in (*kernels.KERNELS, *kernels.C_MODULES):
+        found = importlib.util.find_spec(module)
+        assert found is not None
+        assert found.origin == str(kernels.built(module))
+        assert kernels.source(module).is_file(), "a wheel has the source too, for machines that cannot compile"
+
+
+@pytest.fixture
+def tree(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A tree of one kernel that was built."""
+    monkeypatch.setattr(kernels, "ROOT", tmp_path)
+    monkeypatch.setattr(kernels, "KERNELS", ("bridge.one",))
+    monkeypatch.setattr(kernels, "C_MODULES", ())
+    folder = tmp_path / "bridge"
+    folder.mkdir()
+    (folder / "one.py").write_text("X = 1\n", encoding="utf-8")
+    for name in ("one", kernels.SHARED.rpartition(".")[2]):
+        (folder / f"{name}.abi3.so").write_bytes(b"compiled")
+    version = kernels.compiler_version()
+    known = {name: kernels.digest(name, version) for name in ("bridge.one", kernels.SHARED)}
+    (folder / kernels.RECORD).write_text(json.dumps({**known, "cython": version}), encoding="utf-8")
+    return folder
+
+
+def test_a_whole_build_is_well(tree: Path) -> None:
+    assert kernels.state().ok
+    assert only(machine.look_at_kernels(around())).result is Result.OK
+
+
+def test_a_build_of_other_sources_is_told(tree: Path) -> None:
+    (tree / "one.py").write_text("X = 2\n", encoding="utf-8")
+    assert kernels.state().stale == ("bridge.one",)
+    found = only(machine.look_at_kernels(around()))
+    assert found.result is Result.WARN
+    assert "make setup" in found.cure
+
+
+def test_a_build_with_other_flags_is_told(tree: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(kernels, "FLAGS", ("-O0",))
+    assert kernels.state().stale == ("bridge.one", kernels.SHARED)
+
+
+def test_a_build_by_another_cython_is_told(tree: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(kernels, "compiler_version", lambda: "3.99")
+    assert kernels.state().stale == ("bridge.one", kernels.SHARED)
+
+
+def test_a_machine_without_cython_believes_the_record(tree: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(kernels, "compiler_version", lambda: "")
+    assert kernels.state().ok
+
+
+@pytest.mark.parametrize("record", ["", "[]", "{", '{"bridge.one": 1}'])
+def test_a_record_that_says_nothing_means_a_stale_build(tree: Path, record: str) -> None:
+    (tree / kernels.RECORD).write_text(record, encoding="utf-8")
+    assert kernels.state().stale == ("bridge.one", kernels.SHARED)
+
+
+def test_what_is_not_compiled_is_told(tree: Path) -> None:
+    shutil.rmtree(tree)
+    tree.mkdir()
+    (tree / "one.py").write_text("X = 1\n", encoding="utf-8")
+    assert kernels.state().missing == ("bridge.one", kernels.SHARED)
+    found = only(machine.look_at_kernels(around()))
+    assert found.result is Result.FAIL
+    assert "nothing drives" in found.seen
+    assert "g++" in found.cure

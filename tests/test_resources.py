@@ -1,0 +1,20 @@
+"""Memory of large messages, given back when none passes any more."""
+
+from __future__ import annotations
+
+import pytest
+
+from bridge import resources
+
+
+def test_memory_is_given_back_once_large_messages_stop(monkeypatch: pytest.MonkeyPatch) -> None:
+    watched = resources.LargeMessages()
+    watched.passed(1000)
+    monkeypatch.setattr(resources, "_IDLE_SECONDS", 0.0)
+    assert not watched.look(), "small messages leave nothing to give back"
+    watched.passed(50_000_000)
+    monkeypatch.setattr(resources, "_IDLE_SECONDS", 1000.0)
+    assert not watched.look(), "the next one may come soon"
+    monkeypatch.setattr(resources, "_IDLE_SECONDS", 0.0)
+    assert watched.look()
+    assert not watched.look(), "once is enough"

@@ -1,0 +1,118 @@
+"""Which tests belong to which of `make test-fast`, `make test` and `make test-all`, and which run with no other."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from tests.support import tiers
+
+ROOT = Path(__file__).parents[1]
+
+CONFTEST = """
+from pathlib import Path
+from tests.support.scheduler import Scheduler
+
+def pytest_xdist_make_scheduler(config, log):
+    return Scheduler(config, log)
+
+def pytest_runtest_call(item):
+    with Path("told").open("a") as told:
+        told.write(f"begin {item.name}\\n")
+
+def pytest_runtest_teardown(item):
+    with Path("told").open("a") as told:
+        told.write(f"end {item.name}\\n")
+"""
+
+MEETS = """
+import time
+from pathlib import Path
+
+def test_{0}():
+    end = time.monotonic() + 40
+    while "begin test_{1}\\n" not in Path("told").read_text():
+        assert time.monotonic() < end, "the other one does not run at the same time"
+        time.sleep(0.01)
+
+def test_last_{0}(): ...  # which waits until it is known what comes next
+"""
+
+ALONE = """
+import pytest
+
+@pytest.mark.alone
+@pytest.mark.parametrize("number", range(3))
+def test_{0}_alone(number): ...
+"""
+
+
+@pytest.mark.parametrize("processes", ["2", "4"])
+def test_what_is_alone_runs_last_and_with_no_other(tmp_path: Path, processes: str) -> None:
+    """And the others do run two at a time."""
+    (tmp_path / "pytest.ini").write_text("[pytest]\nmarkers = alone")
+    (tmp_path / "conftest.py").write_text(CONFTEST)
+    for one, other in (("left", "right"), ("right", "left")):
+        (tmp_path / f"test_{one}.py").write_text(MEETS.format(one, other) + ALONE.format(one))
+    (tmp_path / "test_more.py").write_text(ALONE.format("more"))
+    run = subprocess.run(
+        [sys.executable, "-m", "pytest", "-q", "-p", "no:randomly", "--dist", "loadfile", "-n", processes],
+        cwd=tmp_path,
+        env={**os.environ, "PYTHONPATH": str(ROOT)},
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=100,
+    )
+    assert "13 passed" in run.stdout, run.stdout + run.stderr
+    lines = (tmp_path / "told").read_text().splitlines()
+    assert not [line for line in lines[:8] if "alone" in line]
+    alone = [line.split()[1] for line in lines[8:]]
+    assert alone[::2] == alone[1::2], "each ends before the next begins"
+    assert len(set(alone)) == 9
+
+
+def test_alone_is_told_of_functions_and_of_whole_files(tmp_path: Path) -> None:
+    some, every, none = tmp_path / "some.py", tmp_path / "every.py", tmp_path / "none.py"
+    some.write_text(ALONE.format("one") + "def test_two(): ...")
+    every.write_text("pytestmark = [pytest.mark.alone]\n\ndef test_one(): ...\n\ndef test_two(): ...")
+    none.write_text("def test_one(): ...")
+    assert tiers.alone(some) == {"test_one_alone"}
+    assert tiers.alone(every) == {"test_one", "test_two"}
+    assert not tiers.alone(none)
+
+
+def test_every_marker_alone_is_seen_by_the_scheduler(request: pytest.FixtureRequest) -> None:
+    marked = {item for item in request.session.items if item.get_closest_marker("alone")}
+    seen = {item for item in request.session.items if item.name.partition("[")[0] in tiers.alone(item.path)}
+    assert marked == seen
+
+
+@pytest.mark.parametrize("file", ["interop/test_topics.py", "adapters/yarp/test_ports.py", "hub/test_router.py"])
+def test_a_file_that_reaches_a_middleware_is_not_fast(file: str) -> None:
+    assert not tiers.is_fast(ROOT / "tests" / file)
+
+
+@pytest.mark.parametrize("file", ["messages/yarp/test_natural.py", "routing/test_rules.py", "test_layers.py"])
+def test_a_file_that_needs_none_is_fast(file: str) -> None:
+    assert tiers.is_fast(ROOT / "tests" / file)
+
+
+@pytest.mark.parametrize(
+    ("text", "modules"),
+    [
+        ("import os, zenoh\n", {"os", "zenoh"}),
+        ("def f():\n    import numpy as np  # here\n", {"numpy"}),
+        ("from a.b import c as d, e\n", {"a.b", "a.b.c", "a.b.e"}),
+        ("from a import (\n    b,\n    c,  # late\n)\n", {"a", "a.b", "a.c"}),
+        ("text = 'import nothing'\n", set()),
+    ],
+)
+def test_imports_are_found(tmp_path: Path, text: str, modules: set[str]) -> None:
+    file = tmp_path / "file.py"
+    file.write_text(text)
+    assert tiers.imports(file) == modules

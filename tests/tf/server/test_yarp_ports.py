@@ -1,0 +1,63 @@
+"""When the stream of transforms is sent, and in whose words."""
+
+from __future__ import annotations
+
+import time
+from typing import Any
+
+import pytest
+
+from bridge.tf.server.yarp_ports import FrameStream
+from yarp_compat.dev.frametransform import AllTransforms, FrameTransform
+from yarp_compat.wire.generation import Generation
+from yarp_compat.wire.profile import Profile
+
+FRAMES = [FrameTransform("map", "base", 1.5, 0, 1.0)]
+
+
+class Port:
+    """A port that keeps what is written."""
+
+    def __init__(self) -> None:
+        self.heard = True
+        self.written: list[Any] = []
+
+    def write(self, content: Any) -> None:
+        self.written.append(content)
+
+
+def stream(port: Port) -> FrameStream:
+    said = {Profile.YARP3: Generation.YARP_3_6, Profile.YARP4: Generation.YARP_4}
+    return FrameStream(port, lambda: FRAMES, said.__getitem__, 0.01)  # type: ignore[arg-type]
+
+
+def test_what_is_set_is_sent_at_once_and_nothing_twice(monkeypatch: pytest.MonkeyPatch) -> None:
+    port, now = Port(), [100.0]
+    monkeypatch.setattr(time, "monotonic", lambda: now[0])
+    made = stream(port)
+    sent = []
+    for later, action in (
+        (0, made.tick), (1, made.changed), (10, made.tick), (17, made.changed), (20, made.tick), (27, made.changed),
+        (30, made.tick), (40, made.tick), (50, made.tick),
+    ):  # fmt: skip
+        now[0] = 100.0 + later / 1000
+        before = len(port.written)
+        action()
+        sent += [later] if len(port.written) > before else []
+    assert sent == [0, 10, 17, 27, 40, 50]
+    port.heard = False
+    now[0] += 1
+    made.tick()
+    assert len(port.written) == 6, "nobody hears it"
+
+
+def test_each_dialect_has_the_outcome_as_its_release_reads_it() -> None:
+    port = Port()
+    stream(port).tick()
+    for profile, outcome in (
+        (Profile.YARP3, b"\x09\0\0\0ok\0\0"),
+        (Profile.YARP4, b"\0\1\0\0\1\0\0\0\x09\0\0\0ok\0\0"),
+    ):
+        payload = b"".join(port.written[0].to_wire(profile))
+        assert payload[8:].startswith(outcome)
+        assert AllTransforms.from_bytes(payload, profile).transforms_list == FRAMES

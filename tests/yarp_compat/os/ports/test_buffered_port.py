@@ -1,0 +1,255 @@
+"""`BufferedPort` and its kin."""
+
+from __future__ import annotations
+
+import socket
+import threading
+import time
+from concurrent.futures import ThreadPoolExecutor
+
+import pytest
+
+import yarp_compat as yarp
+from tests.support.wait import until
+from yarp_compat.os.ports import inbox
+
+pytestmark = pytest.mark.usefixtures("local")
+
+
+def connected(kind: str = "Bottle") -> tuple[yarp.BufferedPort, yarp.BufferedPort]:
+    reader, writer = (getattr(yarp, f"BufferedPort{kind}")() for _ in range(2))
+    assert reader.open("/r")
+    assert writer.open("/w")
+    assert yarp.Network.connect("/w", "/r")
+    return reader, writer
+
+
+def send(writer: yarp.BufferedPort, number: int, *, strict: bool = False) -> None:
+    bottle = writer.prepare()
+    bottle.clear()
+    bottle.addInt32(number)
+    writer.write(strict)
+
+
+def test_what_is_prepared_is_read() -> None:
+    reader, writer = connected()
+    send(writer, 10)
+    got = reader.read()
+    assert got.get(0).asInt32() == 10
+    assert reader.lastRead() is got
+    assert reader.read(False) is None
+
+
+def test_the_newest_is_read() -> None:
+    reader, writer = connected()
+    for number in range(20):
+        send(writer, number, strict=True)
+        until(lambda: reader.getPendingReads() == 1, "the message")
+    writer.waitForWrite()
+    assert reader.read().get(0).asInt32() == 19
+    assert reader.getPendingReads() == 0
+
+
+def test_a_strict_reader_gets_every_one() -> None:
+    reader, writer = connected()
+    reader.setStrict()
+    for number in range(200):
+        send(writer, number, strict=True)
+    assert [reader.read().get(0).asInt32() for _ in range(200)] == list(range(200))
+
+
+def test_what_waits_is_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(inbox, "LIMIT", 100)
+    reader, writer = connected()
+    reader.setStrict()
+    sent: list[int] = []
+
+    def write() -> None:
+        for number in range(100):
+            send(writer, number, strict=True)
+            sent.append(number)
+
+    with ThreadPoolExecutor(1) as pool:
+        done = pool.submit(write)
+        until(lambda: reader.getPendingReads() >= 8, "messages to wait")
+        time.sleep(0.05)
+        assert len(sent) < 20  # the writer waits for the reader
+        assert [reader.read().get(0).asInt32() for _ in range(100)] == list(range(100))
+        done.result(20)
+
+
+def test_a_prepared_object_is_used_again_and_can_be_given_back() -> None:
+    reader, writer = connected()
+    reader.setStrict()
+    first = writer.prepare()
+    first.addInt32(1)
+    assert writer.unprepare()
+    assert writer.prepare() is first
+    writer.write(True)
+    assert writer.prepare() is first
+    writer.write(True)
+    writer.write(True)  # nothing is prepared: nothing is sent
+    send(writer, 2, strict=True)
+    assert [reader.read().get(0).asInt32() for _ in range(3)] == [1, 1, 2]
+
+
+def test_callbacks_take_messages() -> None:
+    reader, writer = connected()
+    got: list[tuple[int, str]] = []
+
+    class Take(yarp.BottleCallback):
+        def onRead(self, bottle: yarp.Bottle, port: yarp.BufferedPort) -> None:
+            got.append((bottle.get(0).asInt32(), port.getName()))
+
+    reader.setStrict()
+    take = Take()
+    reader.useCallback(take)
+    for number in range(3):
+        send(writer, number, strict=True)
+    until(lambda: len(got) == 3, "the callback")
+    assert got == [(0, "/r"), (1, "/r"), (2, "/r")]
+    reader.disableCallback()
+    send(writer, 3)
+    assert reader.read().get(0).asInt32() == 3
+
+
+def test_a_port_can_be_its_own_callback() -> None:
+    got: list[int] = []
+
+    class Mine(yarp.BufferedPortBottle):
+        def onRead(self, bottle: yarp.Bottle) -> None:
+            got.append(bottle.get(0).asInt32())
+
+    mine = Mine()
+    mine.useCallback()  # before it is open
+    assert mine.open("/mine")
+    writer = yarp.BufferedPortBottle()
+    assert writer.open("/w")
+    assert writer.addOutput("/mine")
+    send(writer, 4)
+    until(lambda: got == [4], "the callback")
+
+
+def test_a_port_that_cannot_be_opened_calls_back_once_it_can() -> None:
+    """No thread is left of the times before."""
+    got: list[int] = []
+    reader, writer = yarp.BufferedPortBottle(), yarp.BufferedPortBottle()
+    reader.useCallback(lambda bottle: got.append(bottle.get(0).asInt32()))
+    before = set(threading.enumerate())
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        for _ in range(3):
+            assert not reader.open(yarp.Contact("/r", "tcp", "127.0.0.1", taken.getsockname()[1]))
+    assert set(threading.enumerate()) <= before
+    assert reader.open("/r")
+    assert writer.open("/w")
+    assert writer.addOutput("/r")
+    send(writer, 5)
+    until(lambda: got == [5], "the callback")
+
+
+def test_a_callback_may_fail_and_close(caplog: pytest.LogCaptureFixture) -> None:
+    reader, writer = connected()
+    reader.setStrict()
+    calls = []
+
+    def take(bottle: yarp.Bottle) -> None:
+        calls.append(bottle.get(0).asInt32())
+        if calls == [0]:
+            raise RuntimeError
+        reader.close()
+
+    reader.useCallback(take)
+    send(writer, 0, strict=True)
+    send(writer, 1, strict=True)
+    until(reader.isClosed, "the callback to close the port")
+    assert calls == [0, 1]
+    assert "a callback failed" in caplog.text
+
+
+def test_callbacks_hold_a_lock() -> None:
+    reader, writer = connected()
+    got: list[int] = []
+    assert not reader.lockCallback()
+    reader.setCallbackLock()
+    reader.useCallback(lambda bottle: got.append(bottle.get(0).asInt32()))
+    assert reader.lockCallback()
+    send(writer, 1)
+    time.sleep(0.05)
+    assert got == []
+    reader.unlockCallback()
+    until(lambda: got == [1], "the callback")
+    until(reader.tryLockCallback, "its end")
+    reader.unlockCallback()
+
+
+@pytest.mark.parametrize("end", ["interrupt", "close"])
+def test_waiting_ends(end: str) -> None:
+    reader, _ = connected()
+    results = []
+    thread = threading.Thread(target=lambda: results.append(reader.read()))
+    thread.start()
+    getattr(reader, end)()
+    thread.join(20)
+    assert results == [None]
+
+
+def test_messages_of_another_kind_are_skipped(caplog: pytest.LogCaptureFixture) -> None:
+    reader, writer = yarp.BufferedPortVector(), yarp.BufferedPortBottle()
+    assert reader.open("/r")
+    assert writer.open("/w")
+    assert writer.addOutput("/r")
+    reader.setStrict()
+    writer.prepare().fromString("no vector")
+    writer.writeStrict()
+    writer.prepare().fromString("1.0 2.0")
+    writer.writeStrict()
+    assert [reader.read().get(i) for i in range(1)] == [1.0]
+    assert "a message from /w is skipped" in caplog.text
+
+
+def test_envelopes_belong_to_messages() -> None:
+    reader, writer = connected()
+    reader.setStrict()
+    for number in range(3):
+        writer.setEnvelope(yarp.Stamp(number, 0.5 * number))
+        send(writer, number, strict=True)
+    stamp = yarp.Stamp()
+    for number in range(3):
+        assert reader.read().get(0).asInt32() == number
+        assert reader.getEnvelope(stamp)
+        assert (stamp.getCount(), stamp.getTime()) == (number, 0.5 * number)
+
+
+def test_a_replier_answers() -> None:
+    class Answer(yarp.PortReader):
+        def read(self, connection: yarp.ConnectionReader) -> bool:
+            question = yarp.Bottle()
+            question.read(connection)
+            return yarp.Bottle(["re", *question]).write(connection.getWriter())
+
+    reader, writer = connected()
+    answer = Answer()
+    reader.setReplier(answer)
+    client, got = yarp.RpcClient(), yarp.Bottle()
+    assert client.open("/c")
+    assert client.addOutput("/r")
+    assert client.write(yarp.Bottle("a"), got)
+    assert got.toString() == "re a"
+    send(writer, 5)
+    assert reader.read().get(0).asInt32() == 5
+
+
+@pytest.mark.parametrize("kind", ["Vector", "ImageRgb", "Matrix", "Sound", "Property", "ImageMono"])
+def test_the_kin(kind: str) -> None:
+    reader, writer = connected(kind)
+    data = writer.prepare()
+    if kind in ("Vector", "Matrix"):
+        data.resize(*((3,) if kind == "Vector" else (2, 2)))
+    elif kind.startswith("Image"):
+        data.resize(4, 3)
+        data.zero()
+    sent = data.to_bytes()
+    writer.write()
+    assert reader.read().to_bytes() == sent
+    assert type(reader).__name__ == f"BufferedPort{kind}"
+    assert issubclass(getattr(yarp, f"{kind}Callback"), yarp.TypedReaderCallback)

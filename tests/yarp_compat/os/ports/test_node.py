@@ -1,0 +1,151 @@
+"""Nodes, publishers and subscribers: names, types, connections, and what is said where no daemon is."""
+
+from __future__ import annotations
+
+import gc
+
+import pytest
+
+import yarp_compat as yarp
+from tests.support.wait import until
+from yarp_compat.naming.client import NameClient
+from yarp_compat.naming.server import NameServer
+from yarp_compat.ports import text_client
+from yarp_compat.pythonic import Server
+from yarp_compat.wire.values import Vocab
+
+String = yarp.rosmsg.std_msgs.String
+
+
+def names(server: NameServer) -> list[str]:
+    return [contact.name for contact in NameClient(server.address).list()]
+
+
+def test_topics_belong_to_the_newest_node(name_server: NameServer) -> None:
+    with yarp.Node("/talker") as node:
+        publisher, subscriber = yarp.Publisher(String), yarp.Subscriber(String)
+        assert publisher.topic("/chatter")
+        assert subscriber.topic("/chatter")
+        assert (publisher.getName(), subscriber.getName()) == ("/chatter+@/talker", "/chatter-@/talker")
+        with yarp.Node("/second"):
+            other = yarp.Publisher(String, "/else")
+            assert other.getName() == "/else+@/second"
+        assert not other.isOpen()  # it ended with its node
+        assert {"/talker", "/chatter+@/talker", "/chatter-@/talker"} <= set(names(name_server))
+        assert node.getName() == "/talker"
+    assert names(name_server) == ["/root"]
+
+
+def test_messages_cross_between_yarp_programs(name_server: NameServer) -> None:
+    publisher = yarp.Publisher("std_msgs/String", "/chatter@/talker")
+    subscriber = yarp.Subscriber("std_msgs/String", "/chatter@/listener")
+    until(subscriber.getInputCount, "the connection")
+    assert publisher.write(String(data="hello"))
+    assert subscriber.read().data == "hello"
+    publisher.prepare().data = "prepared"
+    publisher.write()
+    got = String()
+    assert subscriber.read(got)
+    assert got.data == "prepared"
+    later = yarp.Publisher(String, "/chatter@/third")
+    until(lambda: subscriber.getInputCount() == 2, "the third's connection")
+    assert later.getOutputCount() == 1
+
+
+def test_a_callback_takes_messages(name_server: NameServer) -> None:
+    got = []
+    subscriber = yarp.Subscriber(String)
+    subscriber.setStrict()
+    subscriber.useCallback(lambda message: got.append(message.data))
+    assert subscriber.topic("/chatter@/listener")
+    publisher = yarp.Publisher(String, "/chatter@/talker")
+    for text in ("a", "b"):
+        assert publisher.write(String(data=text))
+    until(lambda: got == ["a", "b"], "the messages")
+
+
+def test_the_type_is_told(name_server: NameServer) -> None:
+    publisher = yarp.Publisher(String, "/chatter@/talker")
+    naming = NameClient(name_server.address)
+    assert naming.get_property("/chatter+@/talker", "type") == ["std_msgs/String"]
+    answer = yarp.Bottle()
+    asked = yarp.Bottle("[prop] [get] /chatter+@/talker")
+    assert yarp.Network.write(publisher.getName(), asked, answer, True)
+    assert '(type "std_msgs/String")' in answer.toString()
+
+
+def test_ordinary_ports_are_topics_too(name_server: NameServer) -> None:
+    writer, reader = yarp.Port(), yarp.BufferedPortBottle()
+    writer.setWriteOnly()
+    assert writer.open("/count@/program~std_msgs/Int32")
+    assert writer.getName() == "/count+@/program"
+    assert NameClient(name_server.address).get_property("/count+@/program", "type") == ["std_msgs/Int32"]
+    assert reader.open("/count-@/other")
+    until(reader.getInputCount, "the connection")
+    assert writer.write(yarp.Bottle("5"))
+    assert reader.read().get(0).asInt32() == 5
+
+
+def test_services(name_server: NameServer) -> None:
+    class Add(yarp.PortReader):
+        def read(self, connection: yarp.ConnectionReader) -> bool:
+            numbers = yarp.Bottle()
+            return numbers.read(connection) and yarp.Bottle([sum(numbers)]).write(connection.getWriter())
+
+    server, client, reply = yarp.RpcServer(), yarp.RpcClient(), yarp.Bottle()
+    server.setReader(Add())
+    assert server.open("/add@/server")
+    assert client.open("/add@/client")
+    assert (server.getName(), client.getName()) == ("/add-1@/server", "/add+1@/client")
+    assert client.write(yarp.Bottle("22 20"), reply)
+    assert reply.get(0).asInt32() == 42
+
+
+def test_without_a_daemon_it_says_so(name_server: NameServer, caplog: pytest.LogCaptureFixture) -> None:
+    publisher = yarp.Publisher(String, "/chatter@/talker")
+    assert "no Midspan daemon" in caplog.text
+    assert "/chatter" in caplog.text
+    del publisher
+    gc.collect()
+
+
+def test_a_daemon_is_seen_and_tells_definitions(name_server: NameServer, caplog: pytest.LogCaptureFixture) -> None:
+    naming = NameClient(name_server.address)
+
+    def tell(values: list[object]) -> list[object]:
+        return (
+            ["ok", "int32 x\nOther o\n" + "=" * 80 + "\nMSG: odd/Other\nstring s"]
+            if values[1] == "odd/Type"
+            else ["fail", ""]
+        )
+
+    with Server("/midspan/daemon/r1", tell, naming=naming):
+        naming.set_property("/midspan/daemon/r1", "midspan_owner", "r1")
+        message = yarp.rosmsg.odd.Type(x=3)
+        assert message.o.s == ""
+        publisher = yarp.Publisher(type(message), "/odd@/talker")
+        assert publisher.getType() == "odd/Type"
+        with pytest.raises(yarp.rosmsg.DefinitionError, match="odd/Unknown"):
+            yarp.rosmsg.get("odd/Unknown")
+    assert "no Midspan daemon" not in caplog.text
+
+
+def test_latched_messages_reach_who_comes_later(name_server: NameServer) -> None:
+    publisher = yarp.Publisher(String, latched=True)
+    assert publisher.topic("/map@/server")
+    naming = NameClient(name_server.address)
+    assert naming.get_property("/map+@/server", "latched") == [True]
+    contact = naming.query("/map+@/server")
+    assert contact is not None
+    assert text_client.admin(contact, [Vocab("prop"), Vocab("get"), "latched"]) == [1]
+    assert publisher.write(String(data="old"))
+    publisher.prepare().data = "new"
+    publisher.write()
+    for node in ("/a", "/b"):
+        assert yarp.Subscriber(String, f"/map@{node}").read().data == "new"
+
+
+def test_no_node_and_no_direction(name_server: NameServer, caplog: pytest.LogCaptureFixture) -> None:
+    assert not yarp.Publisher(String).topic("/chatter")
+    assert "yarp.Node" in caplog.text
+    assert not yarp.Port().open("/chatter@/node")

@@ -1,0 +1,252 @@
+"""mcast, on loopback: against recorded bytes of YARP 4.0, and between our own ports."""
+
+from __future__ import annotations
+
+import gc
+import socket
+import struct
+import threading
+from collections.abc import Callable, Iterator
+
+import pytest
+
+from tests.support.ports import free_port
+from tests.support.wait import until
+from tests.support.yarp_name_server import RealNameServer
+from tests.yarp_compat.naming.test_server import low_port
+from yarp_compat.naming import connections
+from yarp_compat.naming.client import NameClient
+from yarp_compat.ports.datagrams import SendingGroup
+from yarp_compat.ports.message import PortMessage
+from yarp_compat.ports.naming import NoNameServerError
+from yarp_compat.ports.port import PortCore
+from yarp_compat.wire.binary import decode, encode
+from yarp_compat.wire.contact import ConnectionRoute
+from yarp_compat.wire.datagrams import Assembler, datagram, split
+from yarp_compat.wire.framing import QUIT, prefix
+from yarp_compat.wire.profile import Profile
+
+GROUP = "224.1.1.3"
+MESSAGE = (
+    "59 41 0a 00 00 00 52 50 02 01 ff ff ff ff ff ff ff ff 08 00 00 00 1b 00 00 00 00 00 00 00 00 00 00 00 7e 44 00 01"
+    "00 01 00 00 02 00 00 00 04 00 00 00 03 00 00 00 6d 73 67 01 00 00 00"
+)
+RECORDED = (  # of `yarp write` 4.0 by mcast: the introduction of /w, then two datagrams ("msg" 4), ("msg" 5)
+    "59 41 62 1e 00 00 52 50 03 00 00 00 2f 77 00 e0 01 01 03",
+    f"80 7f 13 23 00 00 00 00 {MESSAGE} 04 00 00 00",
+    f"e5 18 af 9b 00 00 00 00 {MESSAGE} 05 00 00 00",
+)
+
+
+@pytest.fixture(autouse=True)
+def _loopback_carries_groups() -> None:
+    """Some sandboxes' loopback does not."""
+    port = free_port()
+    with member(port) as reader, speaker(port) as writer:
+        try:
+            writer.send(b"x")
+            reader.settimeout(2)
+            reader.recv(1)
+        except OSError as err:
+            pytest.skip(f"multicast does not come through loopback here: {err}")
+
+
+def member(port: int) -> socket.socket:
+    sock = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+    sock.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+    sock.bind((GROUP, port))
+    own = struct.pack("4s4s", socket.inet_aton(GROUP), socket.inet_aton("127.0.0.1"))
+    sock.setsockopt(socket.IPPROTO_IP, socket.IP_ADD_MEMBERSHIP, own)
+    return sock
+
+
+def speaker(port: int, source: str = "127.0.0.1") -> socket.socket:
+    sock = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+    sock.setsockopt(socket.IPPROTO_IP, socket.IP_MULTICAST_IF, socket.inet_aton("127.0.0.1"))
+    sock.bind((source, 0))
+    sock.connect((GROUP, port))
+    return sock
+
+
+@pytest.fixture(name="server")
+def fixture_server() -> Iterator[RealNameServer]:
+    with RealNameServer(low_port()) as server:
+        yield server
+
+
+class Reader(list[object]):
+    """Keeps the values that came."""
+
+    def __call__(self, message: PortMessage) -> None:
+        self.append(decode(message.payload))
+
+
+@pytest.fixture(name="make")
+def fixture_make(server: RealNameServer) -> Iterator[Callable[..., PortCore]]:
+    ports: list[PortCore] = []
+
+    def make(name: str, on_message: Reader | None = None) -> PortCore:
+        port = PortCore(name, on_message=on_message, naming=NameClient(server.address))
+        port.open()
+        ports.append(port)
+        return port
+
+    yield make
+    for port in ports:
+        port.close()
+
+
+def told_of(port: PortCore, group_port: int) -> None:
+    """Say what a real writer says, and see that the reader closes the connection when it has joined."""
+    with socket.create_connection((port.contact.host, port.contact.port)) as caller:
+        caller.sendall(bytes.fromhex(RECORDED[0]) + struct.pack(">H", group_port))
+        caller.settimeout(10)
+        assert caller.recv(10) == b""
+
+
+def test_recorded_bytes_come_in(make: Callable[..., PortCore]) -> None:
+    """And the end of a stream (number -1), other machines' datagrams, and nonsense do not."""
+    got, number = Reader(), free_port()
+    port = make("/r", got)
+    told_of(port, number)
+    until(lambda: port.inputs() == [ConnectionRoute("/w", "/r", "mcast")], "the connection is listed")
+    with speaker(number) as writer, speaker(number, "127.0.0.2") as stranger:
+        stranger.send(bytes.fromhex(RECORDED[1]))
+        writer.send(b"nonsense")
+        writer.send(bytes.fromhex("76 68 8a e3 ff ff ff ff") + bytes(10))
+        for said in RECORDED[1:]:
+            writer.send(bytes.fromhex(said))
+        until(lambda: len(got) == 2, "two messages")
+    assert got == [["msg", 4], ["msg", 5]]
+    with socket.create_connection((port.contact.host, port.contact.port)) as sock:  # how a companion disconnects
+        sock.sendall(b"CONNECT admin\r\n~/w\r\nq\r\n")
+        until(lambda: not port.inputs(), "the connection is removed")
+
+
+def test_two_programs_of_one_machine_do_not_mix(make: Callable[..., PortCore]) -> None:
+    """A long message of one is whole, whatever another sends in between."""
+    got, number = Reader(), free_port()
+    told_of(make("/r", got), number)
+    payload = encode([b"x" * 150_000], Profile.YARP3)
+    with speaker(number) as one, speaker(number) as other:
+        for part in split([prefix(len(payload)), payload]):
+            one.send(part)
+            other.send(bytes.fromhex(RECORDED[1]))
+        until(lambda: [b"x" * 150_000] in got, "the long message")
+    assert got.count(["msg", 4]) >= 2
+
+
+def test_losses_of_many_sockets_of_one_program_stay_counted(make: Callable[..., PortCore]) -> None:
+    """A reader keeps datagrams of four at a time; who makes room is not forgotten in the figures."""
+    number = free_port()
+    port = make("/r", Reader())
+    told_of(port, number)
+    until(lambda: bool(port.connections.inputs), "the connection is there")
+    counters = port.connections.inputs[0].counters
+    for turn in range(1, 8):
+        with speaker(number) as writer:
+            writer.send(b"nonsense")
+            until(lambda turn=turn: counters.dropped["checksum"] == turn, f"{turn} counted")
+
+
+def test_a_group_that_cannot_be_announced_leaves_no_socket(
+    make: Callable[..., PortCore], server: RealNameServer, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    writer, made = make("/w"), list[SendingGroup]()
+    make("/r")
+
+    def refused(_name: str) -> None:
+        made.extend(one for one in gc.get_objects() if isinstance(one, SendingGroup))
+        raise NoNameServerError
+
+    monkeypatch.setattr(writer.naming, "announce", refused)
+    assert not writer.add_output("mcast://r")[0]
+    assert [group._sock.fileno() for group in made] == [-1]
+    assert "mcast" not in [contact[2] for contact in server.ports.values()]
+
+
+def test_our_output_says_what_a_real_one_says(make: Callable[..., PortCore], server: RealNameServer) -> None:
+    """The introduction, one datagram for all readers, and the group registered while there are some."""
+    writer, number = make("/w"), 0
+    with socket.create_server(("127.0.0.1", 0)) as acceptor:
+        server.answer(["register", "/r", "tcp", *acceptor.getsockname()])
+        heard: list[bytes] = []
+
+        def accept() -> None:
+            while b"mcast" not in b"".join(heard) and not any(h.startswith(b"YAb") for h in heard):
+                sock, _ = acceptor.accept()
+                sock.settimeout(2)
+                with sock:
+                    heard.append(sock.recv(100))
+
+        thread = threading.Thread(target=accept)
+        thread.start()
+        done, told = writer.add_output("mcast://r")
+        thread.join(20)
+    assert (done, told) == (True, "Added connection from /w to mcast://r")
+    (group,) = [name for name, contact in server.ports.items() if contact[2] == "mcast"]
+    number = server.ports[group][1]
+    assert heard[-1] == bytes.fromhex(RECORDED[0]) + struct.pack(">H", number)
+    assert server.properties["/w", "owns"] == [group]
+    with member(number) as reader:
+        reader.settimeout(10)
+        assert writer.write(encode(["msg", 4], Profile.YARP3)) == 1
+        assert reader.recv(1000) == bytes.fromhex(RECORDED[1])
+        assert writer.remove_output("/r")[0]
+        assert group not in server.ports
+        reader.settimeout(0.05)
+        with pytest.raises(TimeoutError):
+            reader.recv(1000)
+
+
+def test_yarp_connect_by_mcast_moves_messages(make: Callable[..., PortCore], server: RealNameServer) -> None:
+    """Two readers and a third by tcp: each gets each message once; a long one too; disconnected, no more."""
+    one, two, three = Reader(), Reader(), Reader()
+    writer = make("/w")
+    for name, got in (("/one", one), ("/two", two), ("/three", three)):
+        make(name, got)
+        connections.connect(writer.naming, "/w", name, "tcp" if name == "/three" else "mcast")
+    assert connections.carrier_between(writer.naming, "/w", "/one") == "mcast"
+    assert [contact[2] for contact in server.ports.values()].count("mcast") == 1
+    values: list[object] = [[0], [1], [b"y" * 200_000], [2]]
+    for value in values:
+        assert writer.write(encode(value, Profile.YARP3), wait=True, timeout=10) == 3  # type: ignore[arg-type]
+    for got in (one, two, three):
+        until(lambda got=got: len(got) == len(values), "all messages")
+        assert got == values
+    connections.disconnect(writer.naming, "/w", "/one")
+    writer.write(encode([3], Profile.YARP3))
+    until(lambda: [3] in two, "the other reader still gets them")
+    assert [3] not in one
+    connections.disconnect(writer.naming, "/w", "/two")
+    assert "mcast" not in [contact[2] for contact in server.ports.values()]
+    assert writer.outputs() == [ConnectionRoute("/w", "/three", "tcp")]
+
+
+def test_readers_of_two_generations_do_not_share_a_group(
+    make: Callable[..., PortCore], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    writer = make("/w")
+    make("/old")
+    make("/new").profile = Profile.YARP4
+    assert writer.add_output("mcast://old")[0]
+    done, told = writer.add_output("mcast://new")
+    assert not done
+    assert "YARP 3 and one of YARP 4" in told
+    assert len(writer.outputs()) == 1
+
+
+def test_a_closed_writer_gives_its_group_back(make: Callable[..., PortCore], server: RealNameServer) -> None:
+    got = Reader()
+    reader, writer = make("/r", got), make("/w")
+    assert writer.add_output("mcast://r")[0]
+    writer.close()
+    assert set(server.ports) == {"/r"}
+    until(lambda: not reader.inputs(), "the reader is told")
+
+
+def test_the_end_of_a_stream_is_no_message() -> None:
+    """A datagram of number -1, and a farewell in one."""
+    assembler = Assembler()
+    assert assembler.add(datagram(b"", -1)) is None
+    assert assembler.add(datagram(QUIT, 0)) == QUIT

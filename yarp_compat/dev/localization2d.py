@@ -1,0 +1,259 @@
+"""ILocalization2D: on the wire (`ILocalization2DMsgs.thrift`), for clients as YARP users know it, and for a localiser.
+
+with Localization2DClient("/localization2D_nws_yarp") as where:
+    print(where.position)
+    where.getCurrentPosition(location)         # as in C++: true where it succeeded
+
+A localiser's port answers by ``Server(Localization2DServer(device))``. Metres and degrees.
+"""
+
+# mypy: disable-error-code="empty-body"
+# ruff: noqa: D102 - the interface says what each does, and its names are YARP's
+
+from __future__ import annotations
+
+import math
+from enum import Enum
+from typing import Annotated, Any, Unpack
+
+import numpy as np
+
+from yarp_compat.dev.basecontrol import OdometryData
+from yarp_compat.dev.client import ClientOptions, ServiceClient
+from yarp_compat.dev.fields import Nested
+from yarp_compat.dev.locations import Map2DLocation
+from yarp_compat.dev.map2d_client import succeeded
+from yarp_compat.dev.returnvalue import (
+    OK,
+    CallFailed,
+    ReturnCode,
+    ReturnValue,
+    answered,
+    asked,
+    called,
+    fill,
+    outcome_of,
+)
+from yarp_compat.dev.server import DeviceCalls
+from yarp_compat.dev.service import Service, rpc
+from yarp_compat.sig.matrix import Matrix
+from yarp_compat.wire.elements import ElementReader, ElementWriter
+from yarp_compat.wire.errors import WireError
+
+SHAPE = (3, 3)
+
+
+class CovarianceCodec(Nested):
+    """A pose's covariance, a 3x3 matrix or array, zeros for None: a real client that gets an empty matrix hangs.
+
+    An empty one is read as such: servers of YARP 3.12 and 4.0 send it where all went well, having confused two cases.
+    """
+
+    def __init__(self) -> None:
+        super().__init__(Matrix)
+
+    def write(self, out: ElementWriter, value: Any, *, tagged: bool = True) -> None:
+        matrix = self.default() if value is None else value if isinstance(value, Matrix) else Matrix(np.asarray(value))
+        if not matrix.numpy().size:
+            matrix = self.default()
+        _sized(matrix)
+        super().write(out, matrix, tagged=tagged)
+
+    def read(self, source: ElementReader) -> Matrix:
+        matrix = Matrix()
+        matrix._read(source)
+        if matrix.numpy().size:
+            _sized(matrix)
+        return matrix
+
+    def default(self) -> Matrix:
+        return Matrix(*SHAPE)
+
+
+def _sized(matrix: Matrix) -> None:
+    if matrix.numpy().shape != SHAPE:
+        raise WireError(f"a pose's covariance is 3x3, not {matrix.rows()}x{matrix.cols()}")
+
+
+Covariance = Annotated[Matrix, CovarianceCodec()]
+
+
+class LocalizationStatusEnum(Enum):
+    """The state of a localisation."""
+
+    localization_status_not_yet_localized = "locn"
+    localization_status_localized_ok = "locy"
+    localization_status_error = "err"
+
+
+@rpc
+class ILocalization2DMsgs(Service):
+    """The methods of a localisation server's port, as YARP's service has them. Metres and degrees."""
+
+    def start_localization_service_RPC(self) -> ReturnValue:
+        """Begin to localise."""
+
+    def stop_localization_service_RPC(self) -> ReturnValue:
+        """Rest."""
+
+    def get_localization_status_RPC(self) -> tuple[ReturnValue, LocalizationStatusEnum]:
+        """The state of the localisation."""
+
+    def get_estimated_poses_RPC(self) -> tuple[ReturnValue, list[Map2DLocation]]:
+        """The robot's possible poses: the particles."""
+
+    def get_current_position1_RPC(self) -> tuple[ReturnValue, Map2DLocation]:
+        """The robot's pose."""
+
+    def get_current_position2_RPC(self) -> tuple[ReturnValue, Map2DLocation, Covariance]:
+        """The robot's pose, and the covariance of x, y and theta."""
+
+    def get_estimated_odometry_RPC(self) -> tuple[ReturnValue, OdometryData]:
+        """The robot's odometry."""
+
+    def set_initial_pose1_RPC(self, loc: Map2DLocation) -> ReturnValue:
+        """Set the robot's pose."""
+
+    def set_initial_pose2_RPC(self, loc: Map2DLocation, cov: Covariance) -> ReturnValue:
+        """Set the robot's pose, and the covariance of x, y and theta."""
+
+
+_UNSURE = LocalizationStatusEnum.localization_status_error
+_FAILED = ReturnValue(ReturnCode.METHOD_FAILED)
+
+
+class ILocalization2D:
+    """The interface under YARP's names (`yarp/dev/ILocalization2D.h`); outcomes: `yarp_compat.dev.returnvalue`."""
+
+    def __init__(self, localization: ILocalization2DMsgs) -> None:
+        self._localization = localization
+
+    startLocalizationService = outcome_of(ILocalization2DMsgs.start_localization_service_RPC, "_localization")
+    stopLocalizationService = outcome_of(ILocalization2DMsgs.stop_localization_service_RPC, "_localization")
+
+    def getLocalizationStatus(self, status: list[Any] | None = None) -> Any:
+        """The state of the localisation."""
+        return asked(self._localization.get_localization_status_RPC, into=status, default=_UNSURE)
+
+    def getEstimatedPoses(self, poses: list[Map2DLocation] | None = None) -> Any:
+        """The robot's possible poses: the particles. Servers of 3.12 and 4.0 never give any."""
+        return asked(self._localization.get_estimated_poses_RPC, into=poses, default=[])
+
+    def getCurrentPosition(self, loc: Map2DLocation | None = None, cov: Matrix | None = None) -> Any:
+        """The robot's pose; with its covariance where a matrix is given for that.
+
+        Servers of 3.12 and 4.0 confuse success and failure, and send neither where they know both: a failure here.
+        """
+        if cov is None:
+            return asked(self._localization.get_current_position1_RPC, into=loc, default=Map2DLocation())
+        outcome, *found = answered(self._localization.get_current_position2_RPC)
+        if not outcome:
+            return outcome
+        location, covariance = found
+        if not covariance.numpy().size:
+            return _FAILED
+        fill(Map2DLocation() if loc is None else loc, location)
+        fill(cov, covariance)
+        return outcome
+
+    def getEstimatedOdometry(self, odom: OdometryData | None = None) -> Any:
+        """The robot's odometry."""
+        return asked(self._localization.get_estimated_odometry_RPC, into=odom, default=OdometryData())
+
+    def setInitialPose(self, loc: Map2DLocation, cov: Matrix | None = None) -> ReturnValue:
+        """Set the robot's pose, and its covariance of 3x3."""
+        if cov is None:
+            return called(self._localization.set_initial_pose1_RPC, loc)
+        if cov.numpy().shape != (3, 3):
+            return _FAILED
+        return called(self._localization.set_initial_pose2_RPC, loc, cov)
+
+    @property
+    def position(self) -> Map2DLocation:
+        """The robot's place.
+
+        Raises:
+            CallFailed: the server does not know.
+            OSError: the server is away, or does not answer.
+        """
+        outcome, location = self._localization.get_current_position1_RPC()
+        succeeded(outcome)
+        return location
+
+
+class Localization2DClient(ServiceClient[ILocalization2DMsgs], ILocalization2D):
+    """A client of a localisation server, between ``with`` and its end.
+
+    Args:
+        server: begins the names of its ports.
+        name: begins the own port's name; empty lets the name server choose one.
+        options: as of `ClientOptions`.
+    """
+
+    def __init__(
+        self, server: str = "/localization2D_nws_yarp", name: str = "", **options: Unpack[ClientOptions]
+    ) -> None:
+        mine = name and f"{name}/localization/rpc"
+        ServiceClient.__init__(self, ILocalization2DMsgs, f"{server}/rpc", mine, **options)
+        ILocalization2D.__init__(self, self.remote)
+
+
+_STATUS = "localization_status_"
+_NOT_KNOWN = "it is not known where the robot is"
+
+
+class Localization2DServer(ILocalization2DMsgs):
+    """Answers with a device.
+
+    Args:
+        device: any object with the methods of YARP's ILocalization2D, or some of them; see `DeviceCalls`. They run on
+            the threads of the connections, several at a time. ``getLocalizationStatus`` returns a status or its name
+            (``localized_ok``); ``getCurrentPosition`` a location and its covariance (a 3x3 array or matrix, or None:
+            zeros are sent); ``setInitialPose`` gets a location and an array of 3x3, or None where none was sent.
+    """
+
+    def __init__(self, device: object) -> None:
+        super().__init__()
+        self._calls = DeviceCalls(device)
+
+    def start_localization_service_RPC(self) -> ReturnValue:
+        return self._calls.done("startLocalizationService")
+
+    def stop_localization_service_RPC(self) -> ReturnValue:
+        return self._calls.done("stopLocalizationService")
+
+    def get_localization_status_RPC(self) -> tuple[ReturnValue, LocalizationStatusEnum]:
+        status = self._calls.found("getLocalizationStatus", lacking="there is no status")
+        if isinstance(status, str):
+            status = LocalizationStatusEnum[_STATUS + status.removeprefix(_STATUS)]
+        return OK, status
+
+    def get_estimated_poses_RPC(self) -> tuple[ReturnValue, list[Map2DLocation]]:
+        return OK, self._calls.found("getEstimatedPoses", lacking="there are no particles")
+
+    def get_current_position1_RPC(self) -> tuple[ReturnValue, Map2DLocation]:
+        return OK, self._position()[0]
+
+    def get_current_position2_RPC(self) -> tuple[ReturnValue, Map2DLocation, Covariance]:
+        return OK, *self._position()
+
+    def get_estimated_odometry_RPC(self) -> tuple[ReturnValue, OdometryData]:
+        return OK, self._calls.found("getEstimatedOdometry", lacking="there is no odometry")
+
+    def set_initial_pose1_RPC(self, loc: Map2DLocation) -> ReturnValue:
+        return self._placed(loc, None)
+
+    def set_initial_pose2_RPC(self, loc: Map2DLocation, cov: Matrix) -> ReturnValue:
+        return self._placed(loc, cov.numpy() if cov.numpy().size else None)
+
+    def _position(self) -> tuple[Map2DLocation, Any]:
+        location, covariance = self._calls.found("getCurrentPosition", lacking=_NOT_KNOWN)
+        return location, covariance
+
+    def _placed(self, loc: Map2DLocation, covariance: Any) -> ReturnValue:
+        numbers = (loc.x, loc.y, loc.theta, *(() if covariance is None else covariance.ravel()))
+        if not all(map(math.isfinite, numbers)):
+            raise CallFailed(ReturnCode.METHOD_FAILED, "the pose or its covariance has numbers that are not finite")
+        if covariance is not None and covariance.diagonal().min() < 0.0:
+            raise CallFailed(ReturnCode.METHOD_FAILED, "the pose's covariance has variances below zero")
+        return self._calls.done("setInitialPose", loc, covariance)

@@ -1,0 +1,461 @@
+"""Bottle, Value and Property: values that contain each other, and are found by a key.
+
+A Bottle is a list of values with text and binary forms, YARP's everyday message (`yarp/os/Bottle.h`); a Value is one of
+its values with YARP's conversions (`yarp/os/Value.h`, `Storable.h`); a Property has values under keys (`Property.h`).
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from typing import Any, overload
+
+from yarp_compat.os.data.property_base import PropertyBase
+from yarp_compat.os.data.value_base import ValueBase, cloned, integer, plain_of, word_of
+from yarp_compat.wire import tags
+from yarp_compat.wire.binary import decode, decode_prefix, encode, encode_parts
+from yarp_compat.wire.elements import ElementReader, ElementWriter
+from yarp_compat.wire.framing import Buffer
+from yarp_compat.wire.generation import Generation
+from yarp_compat.wire.portable import Portable
+from yarp_compat.wire.profile import Profile
+from yarp_compat.wire.text import dict_of, from_text, plain_text, to_text
+from yarp_compat.wire.values import Float32, Group, Int8, Int16, Int64, entries_of, entry_values
+from yarp_compat.wire.values import Vocab64 as Word64
+
+_UNITS = {0: "mixed", tags.INT32: "int", tags.VOCAB32: "vocab", 10: "float", tags.STRING: "string", tags.BLOB: "blob"}
+
+
+class Searchable(ABC):
+    """Something with keys and values."""
+
+    @abstractmethod
+    def find(self, key: str) -> Value:
+        """The value after a key; a null value where the key is missing."""
+
+    @abstractmethod
+    def findGroup(self, key: str) -> Bottle:
+        """The list that begins with a key; a null Bottle where none does."""
+
+    @abstractmethod
+    def toString(self) -> str:
+        """The text form."""
+
+    @overload
+    def check(self, key: str, fallback: str = "", comment: str = "") -> bool: ...
+    @overload
+    def check(self, key: str, fallback: Value, comment: str = "") -> Value: ...
+    def check(self, key: str, fallback: Value | str = "", comment: str = "") -> bool | Value:  # noqa: ARG002
+        """Whether there is a key; with a fallback: its value, or the fallback. A comment is for the reader only."""
+        if not isinstance(fallback, str):
+            found = self.find(key)
+            return fallback if found.isNull() else found
+        return self._has(key)
+
+    def isNull(self) -> bool:
+        """Whether it stands for something missing."""
+        return False
+
+    def toString_c(self) -> str:
+        """The text form, by the name that YARP's bindings give it."""
+        return self.toString()
+
+    def _has(self, key: str) -> bool:
+        return not (self.findGroup(key).isNull() and self.find(key).isNull())
+
+    def __contains__(self, key: object) -> bool:
+        return isinstance(key, str) and self._has(key)
+
+    def __str__(self) -> str:
+        return self.toString()
+
+
+class _Comparable(Searchable):
+    def isEqual(self, other: Searchable) -> bool:
+        """Whether both have the same text form."""
+        return self.toString() == other.toString()
+
+    def notEqual(self, other: Searchable) -> bool:
+        """Whether the text forms differ."""
+        return not self.isEqual(other)
+
+
+class Value(ValueBase, _Comparable):
+    """A value: an int, a float, a string, a vocab, a blob, a list, a dict, or none (null).
+
+    Conversions never fail: what cannot be converted is 0, 0.0, False or an empty string. Without ``value`` it is an
+    empty list; with ``vocab`` it is the vocab of a word or a number.
+    """
+
+    def __init__(self, value: Any = (), vocab: bool = False) -> None:
+        if isinstance(value, bool):
+            value = int(value)  # as YARP's bindings take it; `True` in a list of values is true
+        self._value = word_of(value) if vocab else plain_of(value)
+
+    @classmethod
+    def of(cls, value: Any) -> Value:
+        """The value that stands for a plain one: the same list, not a copy. None is null."""
+        made = object.__new__(cls)
+        made._value = value
+        return made
+
+    @property
+    def plain(self) -> Any:
+        """The plain Python value; None where it is null."""
+        return self._value
+
+    def asList(self) -> Bottle | None:
+        """The list itself, as a Bottle that can be changed; None where it is something else."""
+        return Bottle.of(self._value) if isinstance(self._value, list) else None
+
+    def asDict(self) -> Property | None:
+        """The dict itself, as a Property that can be changed; None where it is something else."""
+        return Property.of(self._value) if isinstance(self._value, dict) else None
+
+    def asSearchable(self) -> Bottle | Property | None:
+        """The dict or list."""
+        return self.asDict() if isinstance(self._value, dict) else self.asList()
+
+    def find(self, key: str) -> Value:
+        """The value after a key in the list or dict."""
+        inner = self.asSearchable()
+        return NULL if inner is None else inner.find(key)
+
+    def findGroup(self, key: str) -> Bottle:
+        """The list that begins with a key in the list or dict."""
+        inner = self.asSearchable()
+        return Bottle.getNullBottle() if inner is None else inner.findGroup(key)
+
+    makeInt8 = staticmethod(lambda x: Value.of(Int8(integer(x, 8))))
+    makeInt16 = staticmethod(lambda x: Value.of(Int16(integer(x, 16))))
+    makeInt32 = staticmethod(lambda x: Value.of(integer(x, 32)))
+    makeInt64 = staticmethod(lambda x: Value.of(Int64(integer(x, 64))))
+    makeFloat32 = staticmethod(lambda x: Value.of(Float32(x)))
+    makeFloat64 = staticmethod(lambda x: Value.of(float(x)))
+    makeString = staticmethod(lambda text: Value.of(str(text)))
+    makeVocab32 = staticmethod(lambda *word: Value.of(word_of(*word)))
+    makeVocab64 = staticmethod(lambda word: Value.of(Word64(word)))
+    makeList = staticmethod(lambda text="": Value.of(from_text(text)))
+
+    @staticmethod
+    def makeBlob(data: bytes | bytearray | memoryview, length: int | None = None) -> Value:
+        """A blob of the first ``length`` bytes, or all."""
+        return Value.of(bytes(data[:length]))
+
+    @staticmethod
+    def makeValue(text: str) -> Value:
+        """The one value that a text says; a string where it says several, null where none."""
+        values = from_text(text)
+        return Value.of(text if len(values) > 1 else values[0] if values else None)
+
+    def fromString(self, text: str) -> None:
+        """Become the one value that a text says; a string where it says several."""
+        self._value = Value.makeValue(text)._value
+
+    def clone(self) -> Value:
+        """A copy, with lists of its own."""
+        return Value.of(cloned(self._value))
+
+    @staticmethod
+    def getNullValue() -> Value:
+        """The value that stands for a missing one."""
+        return NULL
+
+    makeInt, makeDouble, makeVocab = makeInt32, makeFloat64, makeVocab32  # YARP 2's names
+
+    def __eq__(self, other: object) -> bool:
+        return self.isEqual(other) if isinstance(other, Value) else bool(self._value == other)
+
+    def __repr__(self) -> str:
+        return f"Value({self._value!r})"
+
+
+NULL = Value.of(None)
+"""The value that stands for a missing one."""
+
+
+def _add(made: Callable[[Any], Any], doc: str) -> Callable[[Bottle, Any], None]:
+    def add(self: Bottle, value: Any) -> None:
+        self._edit().append(made(value))
+
+    add.__doc__ = doc
+    return add
+
+
+class Bottle(Portable, _Comparable):
+    """A list of values.
+
+    YARP's way: ``b.addString("x"); b.addFloat64(1.5); b.get(1).asFloat64()``. Python's: ``b = Bottle(["x", 1.5])``,
+    ``b[1]``, ``for value in b``, where values are plain ones (`yarp_compat.wire.values`). Made of the text form,
+    another Bottle, or plain values, which it copies.
+    """
+
+    def __init__(self, content: str | Bottle | Iterable[Any] = ()) -> None:
+        self._values: list[Any] = from_text(content) if isinstance(content, str) else [plain_of(v) for v in content]
+        self._null: bool = isinstance(content, Bottle) and content.isNull()
+        self._fixed: bool = False
+
+    @classmethod
+    def of(cls, values: list[Any]) -> Bottle:
+        """The Bottle of these plain values: the same list, not a copy."""
+        made = object.__new__(cls)
+        made._values, made._null, made._fixed = values, False, False
+        return made
+
+    @property
+    def plain(self) -> list[Any]:
+        """The list of plain values itself."""
+        return self._values
+
+    @staticmethod
+    def getNullBottle() -> Bottle:
+        """The Bottle that stands for a missing list; it cannot be changed."""
+        return _NULL
+
+    def isNull(self) -> bool:
+        """Whether it stands for a missing list."""
+        return self._null
+
+    addInt8 = _add(lambda x: Int8(integer(x, 8)), "Add an int of one byte.")
+    addInt16 = _add(lambda x: Int16(integer(x, 16)), "Add an int of two bytes.")
+    addInt32 = _add(lambda x: integer(x, 32), "Add an int of four bytes.")
+    addInt64 = _add(lambda x: Int64(integer(x, 64)), "Add an int of eight bytes.")
+    addFloat32 = _add(Float32, "Add a float of four bytes.")
+    addFloat64 = _add(float, "Add a float of eight bytes.")
+    addVocab64 = _add(Word64, "Add a vocab of eight bytes, which YARP 3 does not have.")
+    add = _add(plain_of, "Add a Value, or any plain value.")
+
+    def addString(self, text: str) -> None:
+        """Add a string."""
+        if not isinstance(text, str):
+            raise TypeError(f"{text!r} is no str")
+        self._edit().append(str(text))
+
+    def addVocab32(self, word: str | int, *rest: str) -> None:
+        """Add a vocab of four bytes, given by its word, its number, or its characters."""
+        self._edit().append(word_of(word, *rest))
+
+    def addList(self) -> Bottle:
+        """Add an empty list, and return it to be filled."""
+        inner: list[Any] = []
+        self._edit().append(inner)
+        return Bottle.of(inner)
+
+    def addDict(self) -> Property:
+        """Add an empty dict, and return it to be filled."""
+        inner: dict[str, Any] = {}
+        self._edit().append(inner)
+        return Property.of(inner)
+
+    def append(self, other: Bottle | Iterable[Any]) -> None:
+        """Add copies of all values of another Bottle."""
+        self._edit().extend([plain_of(value) for value in other])
+
+    def copy(self, other: Bottle, first: int = 0, len: int | None = None) -> None:  # noqa: A002 - YARP's name
+        """Become a copy of another Bottle, or of ``len`` values of it from ``first`` on."""
+        self._edit()
+        self._null = other._null
+        self._values[:] = [cloned(value) for value in other._values[first : None if len is None else first + len]]
+
+    def clear(self) -> None:
+        """Remove all values."""
+        self._edit().clear()
+
+    def pop(self) -> Value:
+        """Remove the last value and return it; null if it does not exist."""
+        return Value.of(self._edit().pop()) if self._values else NULL
+
+    def size(self) -> int:
+        """The number of values."""
+        return len(self._values)
+
+    def get(self, index: int) -> Value:
+        """The value at a place; null beyond the end."""
+        return Value.of(self._values[index]) if 0 <= index < len(self._values) else NULL
+
+    def find(self, key: str) -> Value:
+        """The value after a key: the second of the list that begins with it, or what follows it."""
+        at = self._index(key)
+        found = self._values[at] if at >= 0 else None
+        return Bottle.of(found).get(1) if isinstance(found, list) else self.get(at + 1) if at >= 0 else NULL
+
+    def findGroup(self, key: str) -> Bottle:
+        """The list that begins with a key; a null Bottle where none does."""
+        at = self._index(key)
+        found = self._values[at] if at >= 0 else None
+        return Bottle.of(found) if isinstance(found, list) else _NULL
+
+    def _index(self, key: str) -> int:
+        """The place of a key, or of the list that begins with it; -1 where it is not there."""
+        for at, value in enumerate(self._values):
+            if _text((value[0] if value else None) if isinstance(value, list) else value) == key:
+                return at
+        return -1
+
+    def tail(self) -> Bottle:
+        """All values but the first, in a Bottle of their own."""
+        made = Bottle(self._values[1:])
+        made._null = self._null
+        return made
+
+    def toString(self) -> str:
+        """The text form."""
+        return to_text(self._values)
+
+    def fromString(self, text: str) -> None:
+        """Become what a text says."""
+        self._edit()[:] = from_text(text)
+
+    def toBinary(self, profile: Profile = Profile.YARP3) -> bytes:
+        """The bytes that ports send."""
+        return encode(self._values, profile)
+
+    def fromBinary(self, data: Buffer, length: int | None = None, profile: Profile | None = None) -> None:
+        """Become what bytes say; raises `WireError` where they are no Bottle."""
+        self.from_wire(memoryview(data)[:length], profile)
+
+    def to_wire(self, profile: Profile = Profile.YARP3, generation: Generation | None = None) -> list[Buffer]:  # noqa: ARG002
+        """The bytes in pieces, large blobs uncopied."""
+        return encode_parts(self._values, profile)
+
+    def to_bytes(self, profile: Profile = Profile.YARP3, generation: Generation | None = None) -> bytes:  # noqa: ARG002
+        """The bytes in one piece."""
+        return encode(self._values, profile)
+
+    def from_wire(self, data: Buffer, profile: Profile | None = None) -> None:
+        """Become what a whole payload says; raises `WireError` where it is no Bottle, and stays as it was."""
+        self._edit()[:] = decode(data, profile)
+
+    def to_values(self) -> list[Any]:
+        """Copies of the plain values."""
+        return [cloned(value) for value in self._values]
+
+    def from_values(self, values: Iterable[Any]) -> None:
+        """Become these values."""
+        self._edit()[:] = [plain_of(value) for value in values]
+
+    to_text = toString
+
+    def from_text(self, line: str) -> None:
+        """Become what a text says."""
+        self.fromString(line)
+
+    def _write(self, out: ElementWriter) -> None:
+        for part in encode_parts(self._values, out.profile):
+            out.block(part)
+
+    def _read(self, source: ElementReader) -> None:
+        self._edit()[:], source.at = decode_prefix(source.data, source.profile, source.at)
+
+    def getSpecialization(self) -> int:
+        """The tag of all values, where they have the same (YARP 3's)."""
+        return int.from_bytes(encode(self._values, Profile.YARP3)[:4], "little") & tags.UNIT
+
+    @staticmethod
+    def describeBottleCode(code: int) -> str:
+        """The meaning of a tag, in words."""
+        unit = _UNITS.get(code & ~(tags.LIST | tags.DICT), "unknown")
+        return f"list of {unit}" if code & tags.LIST else f"dict of {unit}" if code & tags.DICT else unit
+
+    def setReadOnly(self, readOnly: bool) -> None:
+        """Refuse changes, or allow them again."""
+        self._fixed = readOnly
+
+    def hasChanged(self) -> None:
+        """Nothing to do: the bytes are made when they are needed."""
+
+    onCommencement = hasChanged
+
+    # names of YARP 2, which YARP 3 kept for a time
+    addInt, addDouble, addVocab = addInt32, addFloat64, addVocab32
+
+    def __len__(self) -> int:
+        return len(self._values)
+
+    def __iter__(self) -> Iterator[Any]:
+        return iter(self._values)
+
+    def __getitem__(self, index: int | slice) -> Any:
+        return self._values[index]
+
+    def __setitem__(self, index: int, value: Any) -> None:
+        self._edit()[index] = plain_of(value)
+
+    def __delitem__(self, index: int | slice) -> None:
+        del self._edit()[index]
+
+    def __eq__(self, other: object) -> bool:
+        return self._values == (other._values if isinstance(other, Bottle) else other)
+
+    def __bool__(self) -> bool:
+        return not self._null
+
+    def __repr__(self) -> str:
+        return f"Bottle({self.toString()!r})"
+
+    def _edit(self) -> list[Any]:
+        if self._fixed:
+            raise RuntimeError("this Bottle cannot be changed: it is read-only, or stands for one that was not found")
+        self._null = False
+        return self._values
+
+
+def _text(value: Any) -> str:
+    return value if type(value) is str else "" if value is None else plain_text(value)
+
+
+_NULL = Bottle()
+_NULL._null = _NULL._fixed = True
+
+
+class Property(PropertyBase, Searchable):
+    """Values under keys.
+
+    YARP's way: ``p.put("rate", 10); p.find("rate").asInt32()``. Python's: ``p["rate"]``, ``dict(p)``, where values are
+    plain ones, as in a dict of `yarp_compat.wire.values`. Made of the text form, another Property, or a mapping of
+    plain values, which it copies.
+    """
+
+    def __init__(self, content: str | Property | Mapping[str, Any] = "") -> None:
+        self._entries: dict[str, Any] = (
+            dict_of(from_text(content)) if isinstance(content, str) else plain_of(dict(content.items()))
+        )
+
+    @classmethod
+    def of(cls, entries: dict[str, Any]) -> Property:
+        """The Property of these plain values: the same dict, not a copy."""
+        made = object.__new__(cls)
+        made._entries = entries
+        return made
+
+    @property
+    def plain(self) -> dict[str, Any]:
+        """The dict of plain values itself."""
+        return self._entries
+
+    def addGroup(self, key: str) -> Property:
+        """Put an empty group under a key, and return it to be filled."""
+        group = Group()
+        self._entries[key] = group
+        return Property.of(group)
+
+    def find(self, key: str) -> Value:
+        """The value under a key; null if it does not exist."""
+        values = entry_values(self._entries.get(key, ()))
+        return Value.of(values[0]) if values else NULL
+
+    def findGroup(self, key: str) -> Bottle:
+        """A key and its values, in a Bottle of their own; a null Bottle where the key is missing."""
+        if key not in self._entries:
+            return Bottle.getNullBottle()
+        own = next(one for one in self._entries if one == key)  # which may stand for a number
+        return Bottle.of(*entries_of({own: self._entries[key]}))
+
+    def __eq__(self, other: object) -> bool:
+        return self.toString() == other.toString() if isinstance(other, Property) else self._entries == other
+
+    def __repr__(self) -> str:
+        return f"Property({self.toString()!r})"
+
+    def _has(self, key: str) -> bool:
+        return key in self._entries

@@ -1,0 +1,195 @@
+"""The base of `Property`: reads values from text, command lines, URLs and configuration files."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any, Self
+from urllib.parse import unquote_plus
+
+from yarp_compat.os import config_text
+from yarp_compat.os.config_text import Environment
+from yarp_compat.os.data.value_base import plain_of
+from yarp_compat.os.resource_places import find_in_context
+from yarp_compat.wire.binary import decode_prefix, encode_parts
+from yarp_compat.wire.elements import ElementReader, ElementWriter
+from yarp_compat.wire.portable import Portable
+from yarp_compat.wire.text import dict_of, from_text, to_text
+from yarp_compat.wire.values import entries_of, entry_values
+
+_WORD = re.compile(r'"([^"]*)"?|([^ "]+)')
+
+
+def take_options(words: Sequence[str], entries: dict[str, Any]) -> None:
+    """Put the options of a command line into a dict: ``--key value ...`` and ``--GROUP::key value ...``."""
+    options: list[list[Any]] = []
+    for word in words:
+        if word.startswith("--"):
+            options.append([word[2:]])
+        elif options:
+            options[-1].append(_value(word.replace("\\", "\\\\")))
+    for name, *values in options:
+        *groups, key = (part for part in name.split("::") if part) if "::" in name else [name]
+        if not groups:
+            entries.update(dict_of([[key, *values]]))
+            continue
+        path = [*groups, key]
+        tree = [path[0], *entry_values(entries.get(path[0], ()))]
+        _put(tree, path[1:], values)
+        entries.update(dict_of([tree]))
+
+
+def _put(tree: list[Any], path: list[str], values: list[Any]) -> None:
+    """Set a value in a group, below as many groups as the path has."""
+    for entry in tree[1:]:
+        if isinstance(entry, list) and entry and entry[0] == path[0]:
+            found = entry
+            break
+    else:
+        found = [path[0]]
+        tree.append(found)
+    if len(path) > 1:
+        _put(found, path[1:], values)
+    else:
+        found[1:] = values
+
+
+def _value(word: str) -> Any:
+    """The one value that a word is; with spaces or the like in it, a string."""
+    values = from_text(word)
+    return values[0] if len(values) == 1 else word
+
+
+def split_words(text: str) -> list[str]:
+    """The words of a command line; double quotes hold them together."""
+    return [quoted or word for quoted, word in _WORD.findall(text) if quoted or word]
+
+
+def query_of(url: str) -> dict[str, str]:
+    """The query of a URL: ``...?key=value&key=value``."""
+    found: dict[str, str] = {}
+    for part in url.rpartition("?")[2].split("&"):
+        key, _, value = part.partition("=")
+        if key and value:
+            found[unquote_plus(key)] = unquote_plus(value)
+    return found
+
+
+class PropertyBase(Portable):
+    """Holds plain values under keys, and reads and writes them."""
+
+    _entries: dict[str, Any]
+
+    def put(self, key: str, value: Any) -> None:
+        """Put a value under a key; a bool is an int, as YARP's bindings take it."""
+        made = plain_of(int(value) if isinstance(value, bool) else value)
+        self._entries[key] = () if made is None else made
+
+    def unput(self, key: str) -> None:
+        """Remove a key."""
+        self._entries.pop(key, None)
+
+    def clear(self) -> None:
+        """Remove all."""
+        self._entries.clear()
+
+    # where values come from
+
+    def toString(self) -> str:
+        """The text form, sorted by keys."""
+        return to_text(entries_of(self._entries))
+
+    def fromString(self, text: str, wipe: bool = True) -> None:
+        """Take what a text says: lists, each a key and its values. ``wipe``, here and below: first remove all."""
+        self._take(dict_of(from_text(text)), wipe)
+
+    def fromCommand(self, argv: Sequence[str], skipFirst: bool = True, wipe: bool = True) -> None:
+        """Take a command line, ``--key value ...`` and ``--GROUP::key value ...``, behind the program's name."""
+        if wipe:
+            self.clear()
+        take_options(list(argv)[1 if skipFirst else 0 :], self._entries)
+
+    def fromArguments(self, text: str, wipe: bool = True) -> None:
+        """Take a command line as one text; double quotes hold words together."""
+        self.fromCommand(split_words(text), skipFirst=False, wipe=wipe)
+
+    def fromQuery(self, url: str, wipe: bool = True) -> None:
+        """Take what a URL says behind its question mark."""
+        self._take(query_of(url), wipe)
+
+    def fromConfigFile(self, fname: str, env: Environment | bool | None = None, wipe: bool = True) -> bool:
+        """Take a configuration file, or all ``.ini`` files of a folder; False where none exists, and nothing changes.
+
+        Includes are looked for beside it, too. ``env`` has values for ``$NAMES`` in it that the environment does not
+        have; it may be left out: then ``wipe`` is next.
+        """
+        values, wipe = (None, env) if isinstance(env, bool) else (env, wipe)
+        return config_text.read_file(str(fname), self._entries, values, wipe, find_import=find_in_context)
+
+    def fromConfigDir(self, dirname: str, section: str = "", wipe: bool = True) -> bool:
+        """Take all ``.ini`` files of a folder; with a section, each as a group whose name is listed there."""
+        return config_text.read_folder(str(dirname), section, self._entries, wipe, find_import=find_in_context)
+
+    def fromConfig(self, txt: str, env: Environment | bool | None = None, wipe: bool = True) -> None:
+        """Take the text of a configuration file."""
+        values, wipe = (None, env) if isinstance(env, bool) else (env, wipe)
+        if wipe:
+            self.clear()
+        config_text.read(txt, self._entries, values, find_import=find_in_context)
+
+    # as a message: YARP sends and reads the text form's values, sorted by keys
+
+    def _write(self, out: ElementWriter) -> None:
+        for part in encode_parts(from_text(self.toString()), out.profile):
+            out.block(part)
+
+    def _read(self, source: ElementReader) -> None:
+        values, end = decode_prefix(source.data, source.profile, source.at)
+        self._take(dict_of(from_text(to_text(values))), wipe=True)
+        source.at = end
+
+    to_text = toString
+
+    def from_text(self, line: str) -> None:
+        """Become what a text says."""
+        self.fromString(line)
+
+    # Python's names
+
+    def __getitem__(self, key: str) -> Any:
+        return self._entries[key]
+
+    def __setitem__(self, key: str, value: Any) -> None:
+        self._entries[key] = plain_of(value)
+
+    def __delitem__(self, key: str) -> None:
+        del self._entries[key]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._entries)
+
+    def __len__(self) -> int:
+        return len(self._entries)
+
+    def __bool__(self) -> bool:
+        return True
+
+    def keys(self) -> Sequence[str]:
+        """The keys."""
+        return list(self._entries)
+
+    def items(self) -> Sequence[tuple[str, Any]]:
+        """Keys with their plain values."""
+        return list(self._entries.items())
+
+    def get(self, key: str, default: Any = None) -> Any:
+        """The plain value under a key, or a default."""
+        return self._entries.get(key, default)
+
+    def _take(self, entries: Mapping[str, Any], wipe: bool) -> None:
+        if wipe:
+            self.clear()
+        self._entries.update(entries)
+
+    def _become(self, other: Self) -> None:
+        self._take(dict(other._entries), wipe=True)

@@ -1,0 +1,88 @@
+"""Stamp: a count and a time, by which messages are put in order (`yarp/os/Stamp.h`)."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from typing import TYPE_CHECKING, ClassVar
+
+from yarp_compat.os.time import now
+from yarp_compat.wire.accessors import getter
+from yarp_compat.wire.errors import WireError
+from yarp_compat.wire.portable import Portable
+from yarp_compat.wire.tags import INT32
+
+if TYPE_CHECKING:
+    from yarp_compat.wire.elements import ElementReader, ElementWriter
+
+_LARGEST = 2**31 - 1
+_TEXT = re.compile(r"\s*([+-]?[0-9]{1,10})\s+([+-]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]+)?)")
+
+
+class Stamp(Portable):
+    """A sequence number, below 0 for an invalid stamp, and a time in seconds since 1970."""
+
+    TYPE: ClassVar[str] = "yarp/stamp"
+
+    def __init__(self, count: int = -1, time: float = 0.0) -> None:
+        self._count = count
+        self._time = time
+
+    getCount = getter("_count", int, "The sequence number.")
+    getTime = getter("_time", float, "The time in seconds.")
+
+    def isValid(self) -> bool:
+        """Whether there is a sequence number."""
+        return self._count >= 0
+
+    def getMaxCount(self) -> int:
+        """The number after which the next is 0."""
+        return _LARGEST
+
+    def update(self, time: float | None = None) -> None:
+        """Take the next number, and a time or the time now."""
+        self._count = self._count + 1 if -1 <= self._count < _LARGEST else 0
+        self._time = now() if time is None else time
+
+    def to_text(self) -> str:
+        """The envelope's text: ``5 123.5``, 15 digits for the time."""
+        return f"{self._count} {self._time:.15g}"
+
+    toString = to_text
+
+    def from_text(self, line: str) -> None:
+        """Become what an envelope says; raises `WireError`, and is invalid, where it is not an int and a number."""
+        found = _TEXT.match(line)
+        self._count, self._time = -1, 0.0
+        if found is None or not -_LARGEST <= int(found[1]) <= _LARGEST:
+            raise WireError(f"{line!r:.80} is no stamp, which is a count and a time")
+        self._count, self._time = int(found[1]), float(found[2])
+
+    def _write(self, out: ElementWriter) -> None:
+        out.begin(2)
+        out.integer(self._count)
+        out.float64(self._time)
+
+    def _read(self, source: ElementReader) -> None:
+        count = source.begin()
+        if count not in (2, 3):
+            raise WireError(f"a stamp has 2 elements, or 3 with a frame's name; there are {count}")
+        if source.next_tag() != INT32:
+            raise WireError("a stamp's count is no int32")
+        self._count, self._time = source.integer(), source.float64()
+        if count == 3:
+            source.string()
+        source.end()
+
+    def __iter__(self) -> Iterator[float]:
+        yield self._count
+        yield self._time
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, Stamp) and (self._count, self._time) == (other._count, other._time)
+
+    def __hash__(self) -> int:
+        return hash((self._count, self._time))
+
+    def __repr__(self) -> str:
+        return f"Stamp({self._count}, {self._time!r})"

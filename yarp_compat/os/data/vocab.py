@@ -1,0 +1,54 @@
+"""Vocabs: short words that are numbers. ``Vocab32.encode("set")`` is 7628147, as in `yarp/os/Vocab32.h`."""
+
+from __future__ import annotations
+
+from yarp_compat.os.data.value_base import code_of, cut
+from yarp_compat.wire.values import Vocab as Word
+from yarp_compat.wire.values import vocab32, vocab64
+
+
+class Vocab32:
+    """Words of up to four characters."""
+
+    @staticmethod
+    def encode(text: str) -> int:
+        """The number of a word; what is beyond four bytes does not count."""
+        return code_of(text, 4)
+
+    @staticmethod
+    def decode(code: int) -> str:
+        """The word of a number."""
+        return _word(vocab32(cut(code, 32)))
+
+
+class Vocab64:
+    """Words of up to eight characters (YARP 4)."""
+
+    @staticmethod
+    def encode(text: str) -> int:
+        """The number of a word; what is beyond eight bytes does not count."""
+        return code_of(text, 8)
+
+    @staticmethod
+    def decode(code: int) -> str:
+        """The word of a number."""
+        return _word(vocab64(code))
+
+    encode64 = encode
+    decode64 = decode
+
+
+Vocab = Vocab32
+
+
+def createVocab32(a: str, b: str = "\0", c: str = "\0", d: str = "\0") -> int:
+    """The number of a word given by its characters."""
+    return code_of(a + b + c + d, 4)
+
+
+encode = Vocab32.encode
+decode = Vocab32.decode
+
+
+def _word(value: Word | bool) -> str:
+    return ("1" if value else "") if isinstance(value, bool) else value.replace("\0", "")

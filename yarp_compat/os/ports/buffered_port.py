@@ -1,0 +1,263 @@
+"""``BufferedPort`` and its kin: reading and writing that wait for nobody, and callbacks on a thread of the port."""
+
+from __future__ import annotations
+
+import inspect
+import logging
+import threading
+from collections.abc import Callable
+from contextlib import AbstractContextManager
+from typing import Any, ClassVar
+
+from yarp_compat.os.ports.connection import PortReader, recognised
+from yarp_compat.os.ports.contact import Contact
+from yarp_compat.os.ports.contactable import Contactable
+from yarp_compat.os.ports.inbox import Inbox
+from yarp_compat.os.ports.port import answer
+from yarp_compat.ports.message import PortMessage
+from yarp_compat.ports.port import PortCore
+from yarp_compat.wire.errors import WireError
+
+log = logging.getLogger("yarp.os.BufferedPort")
+
+
+class TypedReaderCallback:
+    """Derive from it, or from ``BottleCallback`` and its kin, and give it to ``port.useCallback(callback)``."""
+
+    def onRead(self, datum: Any, reader: Any = None) -> None:
+        """Take one message; ``reader`` is the port. It may be defined with the first argument only."""
+        del datum, reader
+
+
+class CallbackThread:
+    """Calls a callback with what comes, until stopped.
+
+    Args:
+        name: for the thread's name.
+        take: waits for the next content; given a function that tells when to stop, it returns None then or at the end.
+        callback: an object with ``onRead``, or a function.
+        port: handed to callbacks that want it.
+        lock: held by each call.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        take: Callable[[Callable[[], bool]], Any],
+        callback: Any,
+        port: Any,
+        lock: AbstractContextManager[Any],
+    ) -> None:
+        self._take = take
+        self._lock = lock
+        self._call = _caller(getattr(callback, "onRead", callback), port)
+        self._stopped = threading.Event()
+        self._thread = threading.Thread(target=self._run, name=f"yarp callback {name}", daemon=True)
+        self._thread.start()
+
+    def _run(self) -> None:
+        while (content := self._take(self._stopped.is_set)) is not None:
+            try:
+                with self._lock:
+                    self._call(content)
+            except Exception:
+                log.exception("a callback failed; the port goes on with the next message")
+
+    def stop(self, wake: Callable[[], None]) -> None:
+        """Call it no more, and wait for a call that runs unless that is this one; ``wake`` has the taker look."""
+        self._stopped.set()
+        wake()
+        if threading.current_thread() is not self._thread:
+            self._thread.join()
+
+
+def _caller(function: Callable[..., Any], port: Any) -> Callable[[Any], Any]:
+    """The callback as a function of the content alone."""
+    try:
+        inspect.signature(function).bind(None, None)
+    except TypeError:
+        return function
+    return lambda content: function(content, port)
+
+
+class BufferedPort(Contactable, TypedReaderCallback):
+    """A port for one type of data, ``content``, that buffers what it reads and writes.
+
+    A reader gets the newest message, unless `setStrict`; a writer's message takes the place of one that a slow peer has
+    not taken yet, unless `writeStrict`. ``BufferedPortBottle`` and its kin have their content.
+    """
+
+    CONTENT: ClassVar[type[Any] | None] = None
+
+    def __init__(self, content: type[Any] | None = None) -> None:
+        super().__init__()
+        made = content or self.CONTENT
+        if made is None:
+            raise TypeError(
+                "BufferedPort needs the class of its data: BufferedPort(yarp.Bottle), or BufferedPortBottle()"
+            )
+        self._content: type[Any] = made
+        self._type = self._type or getattr(made, "TYPE", "")
+        self._gate = self._inbox = Inbox()
+        self._strict = False
+        self._replier: PortReader | None = None
+        self._callback: Any = None
+        self._thread: CallbackThread | None = None
+        self._last: Any = None
+        self._last_envelope = ""
+        self._prepared: Any = None
+        self._spare: Any = None
+
+    # -- writing ------------------------------------------------------------------------------------------------------
+
+    def prepare(self) -> Any:
+        """The object to fill and then to `write`. It may hold what was written before: clear it where that matters."""
+        self._prepared = self._spare if self._spare is not None else self._content()
+        self._spare = None
+        return self._prepared
+
+    def unprepare(self) -> bool:
+        """Give the prepared object back without writing it; False when there was none."""
+        self._spare, self._prepared = self._prepared or self._spare, None
+        return self._spare is not None
+
+    def write(self, forceStrict: bool = False) -> None:
+        """Send the prepared object; with ``forceStrict`` after what is still on its way, else instead of that."""
+        data, self._prepared = self._prepared, None
+        core = self._core
+        if data is None:
+            return
+        self._spare = data
+        if core is None or self._interrupted:
+            return
+        try:
+            if forceStrict:
+                core.wait_writes()
+            core.write(data.to_wire, self._envelope, strict=forceStrict)
+        except (WireError, OSError) as err:
+            log.error("port %s cannot write: %s", core.name, err)
+
+    def writeStrict(self) -> None:
+        """Send the prepared object after what is still on its way: none is lost."""
+        self.write(True)
+
+    def waitForWrite(self) -> None:
+        """Wait until all that was written has been sent."""
+        if self._core is not None:
+            self._core.wait_writes()
+
+    # -- reading ------------------------------------------------------------------------------------------------------
+
+    def read(self, shouldWait: bool = True) -> Any:
+        """The next message: the newest, or in strict mode the oldest not read yet; None without one.
+
+        ``shouldWait``: wait for one, until the port is interrupted or closed.
+        """
+        if self._core is None or self._interrupted:
+            return None
+        self._last = self._next(wait=shouldWait)
+        return self._last
+
+    def _next(self, *, wait: bool, stopped: Callable[[], bool] | None = None) -> Any:
+        """The next message that is of this port's type."""
+        while True:
+            message = self._inbox.take(wait=wait, stopped=stopped)
+            if message is None:
+                return None
+            content = self._content()
+            try:
+                content.from_wire(message.payload, recognised(message))
+            except WireError as err:
+                log.error("port %s: a message from %s is skipped: %s", self.getName(), message.peer.route.source, err)
+                continue
+            self._last_envelope = message.envelope
+            return content
+
+    def lastRead(self) -> Any:
+        """The message read last; None when there was none."""
+        return self._last
+
+    def acquire(self) -> Any:
+        """Take the message read last out of the port's hands, where it is not anyway: every read gives a new object."""
+        return self._last
+
+    def release(self, handle: Any) -> None:
+        """Give it back: nothing to do."""
+
+    def getPendingReads(self) -> int:
+        """The number of messages that wait to be read."""
+        return len(self._inbox)
+
+    def getEnvelope(self, envelope: Any) -> bool:
+        """Read the envelope of the message read last; False when it had none, or another kind."""
+        try:
+            envelope.from_text(self._last_envelope)
+        except WireError:
+            return False
+        return bool(self._last_envelope)
+
+    def setStrict(self, strict: bool = True) -> None:
+        """Whether every message is read, or the newest only."""
+        self._strict = self._inbox.strict = strict
+
+    def isClosed(self) -> bool:
+        """Whether the port is closed."""
+        return self._core is None
+
+    def setReplier(self, reader: PortReader) -> None:
+        """Have messages that want an answer taken by ``reader.read(connection)``."""
+        self._replier = reader
+
+    setReader = setReplier
+
+    # -- callbacks ----------------------------------------------------------------------------------------------------
+
+    def onRead(self, datum: Any, reader: Any = None) -> None:
+        """Take one message after ``useCallback()``: for classes derived from this one."""
+
+    def useCallback(self, callback: Any = None) -> None:
+        """Have each message taken by ``callback.onRead(message, port)``; by the port's own ``onRead`` without one."""
+        self.disableCallback()
+        self._callback = self if callback is None else callback
+        if self._core is not None:
+            self._start_callback()
+
+    def disableCallback(self) -> None:
+        """Call nobody any more: messages wait for `read`."""
+        self._callback = None
+        self._stop_callback()
+
+    def _stop_callback(self) -> None:
+        thread, self._thread = self._thread, None
+        if thread is not None:
+            thread.stop(self._inbox.wake)
+
+    def _start_callback(self) -> None:
+        def take(stopped: Callable[[], bool]) -> Any:
+            self._last = content = self._next(wait=True, stopped=stopped)
+            return content
+
+        self._thread = CallbackThread(self.getName(), take, self._callback, self, self._callback_lock)
+
+    # -- the port's life ----------------------------------------------------------------------------------------------
+
+    def _began(self) -> None:
+        self._gate = self._inbox = Inbox()
+        self._inbox.strict = self._strict
+        if self._callback is not None:
+            self._start_callback()
+
+    def _ending(self) -> None:
+        self._inbox.close()
+        self._stop_callback()
+
+    def _ended(self, core: PortCore) -> None:
+        super()._ended(core)
+        self._callback = None
+
+    def _take(self, message: PortMessage) -> None:
+        if message.wants_reply and self._replier is not None:
+            with self._callback_lock:
+                answer(self._replier, message, Contact(self.getName()))
+        else:
+            self._inbox.put(message)

@@ -1,0 +1,123 @@
+"""``Contact``: a port's name and address, with YARP's method names; ``ContactStyle``: how to connect."""
+
+from __future__ import annotations
+
+import socket
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Any, Self, TypeVar
+
+from yarp_compat.wire.accessors import getter, setter
+from yarp_compat.wire.contact import PortContact as Address
+
+T = TypeVar("T")
+
+
+def _sets(part: str, kind: Callable[..., T], doc: str) -> Callable[[Contact, T], None]:  # noqa: ARG001
+    def set_part(self: Contact, value: T) -> None:
+        self._address = replace(self._address, **{part: value})  # type: ignore[arg-type] # by its name
+
+    set_part.__doc__ = doc
+    return set_part
+
+
+class Contact:
+    """Where a port is: ``Contact(name)``, ``Contact(host, number)``, ``Contact(carrier, host, number)``, or all four.
+
+    What is not known is empty, or -1.
+    """
+
+    def __init__(self, *parts: Any) -> None:
+        self._timeout = -1.0
+        self._address: Address
+        if len(parts) == 1 and isinstance(parts[0], Contact):
+            self._address, self._timeout = parts[0]._address, parts[0]._timeout
+        elif len(parts) == 2 and isinstance(parts[1], int):
+            self._address = Address("", parts[0], parts[1], "tcp")
+        elif len(parts) == 3 and isinstance(parts[2], int):
+            self._address = Address("", parts[1], parts[2], parts[0])
+        else:
+            missing: tuple[Any, ...] = ("", "", "", -1)[len(parts) :]
+            name, carrier, host, number = parts + missing
+            self._address = Address(str(name), str(host), int(number), str(carrier))
+
+    @classmethod
+    def of(cls, address: Address | None) -> Self:
+        """The contact of an address; an invalid one of None."""
+        made = cls()
+        made._address = address or made._address
+        return made
+
+    @classmethod
+    def fromString(cls, text: str) -> Self:
+        """Read ``/name``, ``tcp://name``, ``tcp://host:10002/`` and their kin."""
+        return cls.of(Address.parse(text))
+
+    @property
+    def address(self) -> Address:
+        """The same for the rest of the library."""
+        return self._address
+
+    def getName(self) -> str:
+        """The port's name; without one, its address."""
+        return self._address.name or (self._address.uri if self._address.is_valid else "")
+
+    getRegName = getter("_address.name", str, "The port's name as registered; empty where it has none.")
+    setName = _sets("name", str, "Name it.")
+    getHost = getter("_address.host", str, "Its address or host name.")
+    setHost = _sets("host", str, "Set its address or host name.")
+    getPort = getter("_address.port", int, "Its port number, -1 where that is not known.")
+    setPort = _sets("port", int, "Set its port number.")
+    getCarrier = getter("_address.carrier", str, "The carrier, ``tcp`` and its kin.")
+    setCarrier = _sets("carrier", str, "Set the carrier.")
+
+    def setSocket(self, carrier: str, host: str, number: int) -> None:
+        """Set all but the name."""
+        self._address = Address(self._address.name, host, number, carrier)
+
+    def hasTimeout(self) -> bool:
+        """Whether a time limit was set."""
+        return self._timeout >= 0
+
+    getTimeout = getter("_timeout", float, "The time limit in seconds; negative for none.")
+    setTimeout = setter("_timeout", float, "Limit the time of what is done with the contact.")
+    isValid = getter("_address.is_valid", bool, "Whether the address is known.")
+
+    def toURI(self, includeCarrier: bool = True) -> str:
+        """The address, ``tcp://127.0.0.1:10002/``."""
+        uri = self._address.uri
+        return uri if includeCarrier or not self._address.carrier else uri.removeprefix(f"{self._address.carrier}:")
+
+    def toString(self) -> str:
+        """The name by its carrier, ``tcp://name``."""
+        return self._address.target if self._address.carrier else self.getName()
+
+    toString_c = toString
+    __str__ = toString
+
+    @staticmethod
+    def convertHostToIp(host: str) -> str:
+        """A host name's IPv4 address, or the name itself where it has none."""
+        try:
+            return socket.gethostbyname(host)
+        except OSError:
+            return host
+
+
+@dataclass
+class ContactStyle:
+    """How to make contact. Times in seconds, negative for the default."""
+
+    OPENENDED = 0
+    END_WITH_FROM_PORT = 1
+    END_WITH_TO_PORT = 2
+    NO_PERSISTENCE = 3
+
+    admin: bool = False
+    quiet: bool = False
+    verboseOnSuccess: bool = True
+    timeout: float = -1.0
+    carrier: str = ""
+    expectReply: bool = True
+    persistent: bool = False
+    persistenceType: int = END_WITH_TO_PORT

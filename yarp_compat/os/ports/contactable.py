@@ -1,0 +1,411 @@
+"""The base of all kinds of ports: names, connections, modes. The engine is `yarp_compat.ports.port.PortCore`."""
+
+from __future__ import annotations
+
+import contextlib
+import logging
+import os
+import threading
+import weakref
+from collections.abc import Callable
+from typing import Any, ClassVar, Protocol
+
+from yarp_compat.naming import connections
+from yarp_compat.os.ports.connection import PortReport, report
+from yarp_compat.os.ports.contact import Contact
+from yarp_compat.os.ports.inbox import Gate
+from yarp_compat.os.ports.nested import CLIENT, LATCHED, PUBLISHER, SERVER, SUBSCRIBER, NestedName
+from yarp_compat.os.runtime import RUNTIME, find_daemon
+from yarp_compat.ports.connections import ConnectionEvent
+from yarp_compat.ports.message import PortMessage
+from yarp_compat.ports.naming import NamingError
+from yarp_compat.ports.port import PortCore
+from yarp_compat.wire.accessors import getter, setter
+from yarp_compat.wire.contact import is_port_name, rooted
+from yarp_compat.wire.errors import WireError
+
+log = logging.getLogger("yarp.os.Port")
+_node_log = logging.getLogger("yarp.os.Node")
+
+_OPPOSITE = {PUBLISHER: SUBSCRIBER, SUBSCRIBER: PUBLISHER, CLIENT: SERVER, SERVER: CLIENT}
+
+_WORDS = {
+    (True, True): "Receiving input",
+    (False, True): "Sending output",
+    (True, False): "Removing input",
+    (False, False): "Removing output",
+}
+
+
+class _Node(Protocol):
+    def getName(self) -> str: ...
+    def add(self, port: Contactable) -> None: ...
+
+
+class Nodes:
+    """The program's ROS nodes, as long as it holds them."""
+
+    def __init__(self) -> None:
+        self._nodes: list[weakref.ref[_Node]] = []
+        self._lock = threading.Lock()
+
+    def add(self, node: _Node) -> None:
+        """This is the newest node."""
+        with self._lock:
+            self._nodes.append(weakref.ref(node, self._nodes.remove))
+
+    def discard(self, node: _Node) -> None:
+        """The node has closed."""
+        with self._lock:
+            self._nodes[:] = [known for known in self._nodes if known() is not node]
+
+    def active(self) -> str:
+        """The newest node's name; empty when there is none."""
+        with self._lock:
+            node = self._nodes[-1]() if self._nodes else None
+        return node.getName() if node is not None else ""
+
+    def named(self, name: str) -> list[_Node]:
+        """The nodes of this name."""
+        nodes = [known() for known in list(self._nodes)]
+        return [node for node in nodes if node is not None and node.getName() == name]
+
+
+NODES = Nodes()
+
+
+class Contactable:
+    """A port of any kind. Methods return False where YARP's do, and log why."""
+
+    _ANSWERS: ClassVar[bool] = False
+    """Whether those who write to it may get answers."""
+
+    _latched = False
+    """Whether later peers get the last message."""
+
+    def __init__(self) -> None:
+        self._core: PortCore | None = None
+        self._gate = Gate()  # of the kind of port, which threads wait at
+        self._reporter: PortReport | None = None
+        self._is_input: bool | None = None
+        self._is_output: bool | None = None
+        self._rpc = False
+        self._in_node = False
+        self._interrupted = False
+        self._envelope = ""
+        self._type = ""
+        self._callback_lock: Any = contextlib.nullcontext()
+        self._finalizer: weakref.finalize[..., Any] | None = None
+
+    # -- life ---------------------------------------------------------------------------------------------------------
+
+    def open(self, name: str | Contact, registerName: bool = True) -> bool:
+        """Register the port under a name and begin to take connections.
+
+        Args:
+            name: the name, ``/reader``; empty or ``...`` lets the name server choose; ``/topic@/node`` is an end of a
+                ROS topic. Or a contact, with the address to listen on.
+            registerName: tell the name server.
+
+        Returns:
+            False when the name cannot be used, no name server answers, or the address is taken.
+        """
+        if not RUNTIME.is_up:
+            log.error("YARP not initialized; call yarp.Network.init() before using ports")
+            return False
+        self.close()
+        contact = name if isinstance(name, Contact) else Contact(name)
+        full = self._full_name(contact.getRegName())
+        if full is None:
+            return False
+        return self._open(full, contact, register=registerName)
+
+    def _full_name(self, name: str) -> str | None:
+        """The name to register; None where it is not one."""
+        if name in ("", "..."):
+            return name
+        name = os.environ.get("YARP_PORT_PREFIX", "") + name
+        nested = NestedName.parse(name)
+        if self._in_node or (nested.is_nested and not nested.node):
+            node = NODES.active()
+            if not nested.is_nested:
+                nested = NestedName(f"/{nested.node.lstrip('/')}", node, type=nested.type)
+            nested = nested.with_node(node)
+        if not nested.is_nested:
+            if is_port_name(name):
+                return name
+            log.error("%r is no name for a port: YARP's names are like /robot/camera, without spaces", name)
+            return None
+        self._type = self._type or nested.type
+        nested = nested.with_role(self._role())
+        if nested.role and nested.node:
+            return nested.port
+        plain = nested.port
+        if not nested.node:
+            log.error("%r names no node: make a yarp.Node first, or write %s/node", name, plain)
+        else:
+            log.error(
+                "port %r is neither input nor output: call setWriteOnly() or setReadOnly(), or name it %s (publishes) "
+                "or %s (subscribes)", name, nested.with_role(PUBLISHER).port, nested.with_role(SUBSCRIBER).port,
+            )  # fmt: skip
+        return None
+
+    def _role(self) -> str:
+        if self._is_input is False:
+            return CLIENT if self._rpc else PUBLISHER
+        if self._is_output is False:
+            return SERVER if self._rpc else SUBSCRIBER
+        return ""
+
+    def _open(self, name: str, contact: Contact, *, register: bool) -> bool:
+        naming = RUNTIME.naming if register else RUNTIME.unregistered
+        core = PortCore(
+            name, on_message=_weakly(self._take), naming=naming, rpc=self._rpc, type_name=self._type,
+            host=contact.getHost() or None, number=max(contact.getPort(), 0), profile=RUNTIME.profile,
+            is_input=self._is_input is not False, is_output=self._is_output is not False, on_event=_weakly(self._tell),
+            replies=self._ANSWERS,
+        )  # fmt: skip
+        self._interrupted = False
+        self._core = core
+        self._began()
+        try:
+            core.open()
+        except (NamingError, OSError) as err:
+            log.error("Port %s failed to activate (%s)", name or "without a name", err)
+            self._core = None
+            self._ending()
+            return False
+        # A port that the program lets go of is closed, as in C++.
+        self._finalizer = weakref.finalize(self, core.close)
+        self._finalizer.atexit = False
+        RUNTIME.opened(self)
+        log.info("Port %s active at %s", core.name, core.contact.uri)
+        nested = NestedName.parse(core.name)
+        if nested.is_nested:
+            self._join_topic(nested)
+        return True
+
+    def _join_topic(self, name: NestedName) -> None:
+        """Tell the type of this end of a topic or service, count it to its node, connect it to YARP's other ends."""
+        for node in NODES.named(name.node):
+            node.add(self)
+        try:
+            if self._type:
+                RUNTIME.naming.set_property(name.port, "type", self._type)
+            if self._latched:
+                RUNTIME.naming.set_property(name.port, LATCHED, True)
+            for contact in RUNTIME.listed():
+                other = NestedName.parse(contact.name)
+                if other.topic == name.topic and other.role == _OPPOSITE[name.role]:
+                    _connect(name, other)
+            if RUNTIME.client is not None and find_daemon() is None:
+                _node_log.warning(
+                    "no Midspan daemon is on this YARP network: %s reaches YARP ports only,"
+                    " and ROS as soon as one starts",
+                    name.topic,
+                )
+        except NamingError as err:
+            _node_log.warning("%s: %s", name.port, err)
+
+    def close(self) -> None:
+        """End all connections and give the name back."""
+        core, self._core = self._core, None
+        if core is None:
+            return
+        RUNTIME.closed(self)
+        self._ending()
+        if self._finalizer is not None:
+            self._finalizer.detach()
+        core.close()
+        self._ended(core)
+
+    def interrupt(self) -> None:
+        """Release waiting threads; until `resume` the port reads and writes nothing."""
+        self._interrupted = True
+        if self._core is not None:
+            self._core.interrupt()
+        self._gate.interrupt()
+
+    def resume(self) -> None:
+        """Go on after `interrupt`."""
+        self._gate.resume()
+        self._interrupted = False
+        if self._core is not None:
+            self._core.resume()
+
+    def isOpen(self) -> bool:
+        """Whether the port is open."""
+        return self._core is not None and self._core.is_open
+
+    def getName(self) -> str:
+        """The port's name; empty while it is closed."""
+        return "" if self._core is None else self._core.name
+
+    def where(self) -> Contact:
+        """The port's name and address."""
+        return Contact.of(None if self._core is None else self._core.contact)
+
+    # -- what kind of port --------------------------------------------------------------------------------------------
+
+    def setReadOnly(self) -> None:
+        """Only read."""
+        self._is_input, self._is_output, self._rpc = True, False, False
+
+    def setWriteOnly(self) -> None:
+        """Only write."""
+        self._is_input, self._is_output, self._rpc = False, True, False
+
+    def setRpcServer(self) -> None:
+        """Only read, and answer."""
+        self._is_input, self._is_output, self._rpc = True, False, True
+
+    def setRpcClient(self) -> None:
+        """Only write, and read the answers."""
+        self._is_input, self._is_output, self._rpc = False, True, True
+
+    setInputMode = setter("_is_input", bool, "Whether the port reads.")
+    setOutputMode = setter("_is_output", bool, "Whether the port writes.")
+    setRpcMode = setter("_rpc", bool, "Whether messages have answers.")
+    includeNodeInName = setter("_in_node", bool, "Whether the name is a topic of the active node.")
+    promiseType = setter("_type", str, "Announce what is read or written, ``std_msgs/String``; before `open`.")
+    getType = getter("_type", str, "What is announced to be read or written.")
+
+    def acquireProperties(self, readOnly: bool = True) -> Any:
+        """The port's properties, for ``[prop] [get]``, as a dict to change in place."""
+        del readOnly
+        return {} if self._core is None else self._core.properties
+
+    def releaseProperties(self, properties: Any) -> None:
+        """Give properties back; nothing to do."""
+
+    # -- connections --------------------------------------------------------------------------------------------------
+
+    def addOutput(self, name: str | Contact, carrier: str = "") -> bool:
+        """Connect this port's output to another port."""
+        core = self._core
+        if core is None or self._interrupted or self._is_output is False:
+            log.error(
+                "%s cannot be connected: the port is %s", name, "closed" if core is None else "not an open output"
+            )
+            return False
+        target = name.toString() if isinstance(name, Contact) else name
+        if carrier:
+            target = f"{carrier}:/{target}"
+        done, said = core.add_output(target)
+        log.log(logging.INFO if done else logging.ERROR, "%s", said)
+        return done
+
+    def getInputCount(self) -> int:
+        """The number of input connections."""
+        return 0 if self._core is None else len(self._core.inputs())
+
+    def getOutputCount(self) -> int:
+        """The number of output connections."""
+        return 0 if self._core is None else len(self._core.outputs())
+
+    def getReport(self, reporter: PortReport) -> None:
+        """Tell a reporter of the port and its connections."""
+        if self._core is not None:
+            report(self._core, reporter)
+
+    def setReporter(self, reporter: PortReport) -> None:
+        """Tell a reporter of connections that come and go."""
+        self._reporter = reporter
+
+    def resetReporter(self) -> None:
+        """Report to nobody any more."""
+        self._reporter = None
+
+    # -- messages -----------------------------------------------------------------------------------------------------
+
+    def isWriting(self) -> bool:
+        """Whether a message is still on its way."""
+        return self._core is not None and self._core.is_writing
+
+    def setEnvelope(self, envelope: Any) -> bool:
+        """Send this (a Stamp, a Bottle) with every message from now on."""
+        try:
+            self._envelope = envelope.to_text()
+        except WireError as err:
+            log.error("port %s: %s", self.getName(), err)
+            return False
+        return True
+
+    def setAdminReader(self, reader: Any) -> None:
+        """Refuse by `NotImplementedError`: administrative commands are the port's own here."""
+        del reader
+        raise NotImplementedError(
+            "yarp_compat ports answer administrative commands themselves: setAdminReader is not there"
+        )
+
+    # -- a lock that callbacks hold -----------------------------------------------------------------------------------
+
+    def setCallbackLock(self, mutex: Any = None) -> bool:
+        """Have readers and callbacks hold a lock while they take a message: this one, or one of the port's."""
+        self._callback_lock = threading.RLock() if mutex is None else mutex
+        return True
+
+    def removeCallbackLock(self) -> bool:
+        """Remove that lock."""
+        self._callback_lock = contextlib.nullcontext()
+        return True
+
+    def lockCallback(self) -> bool:
+        """Wait until no callback runs, and let none run until `unlockCallback`; False where there is no lock."""
+        return self._has_lock and bool(self._callback_lock.acquire())
+
+    def tryLockCallback(self) -> bool:
+        """The same without waiting; False where a callback runs."""
+        return self._has_lock and bool(self._callback_lock.acquire(blocking=False))
+
+    def unlockCallback(self) -> None:
+        """Let callbacks run."""
+        if self._has_lock:
+            self._callback_lock.release()
+
+    @property
+    def _has_lock(self) -> bool:
+        return hasattr(self._callback_lock, "acquire")
+
+    # -- what comes from the engine -----------------------------------------------------------------------------------
+
+    def _take(self, message: PortMessage) -> None:
+        """Take a message, on its connection's thread."""
+        raise NotImplementedError
+
+    def _began(self) -> None:
+        """The port opens: make ready for messages."""
+
+    def _ending(self) -> None:
+        """The port closes: release waiting threads."""
+
+    def _ended(self, core: PortCore) -> None:
+        """The port has closed."""
+
+    def _tell(self, event: ConnectionEvent) -> None:
+        route = event.route
+        if rooted(route.source):  # commands from outside, ``admin``, are not worth a line
+            words = _WORDS[event.incoming, event.up]
+            log.info("%s from %s to %s using %s", words, route.source, route.target, route.carrier)
+        if self._reporter is not None and self._core is not None:
+            report(self._core, self._reporter, event)
+
+
+def _connect(one: NestedName, other: NestedName) -> None:
+    source, target = (one, other) if one.role in (PUBLISHER, CLIENT) else (other, one)
+    try:
+        connections.connect(RUNTIME.naming, source.port, target.port)
+    except NamingError as err:
+        _node_log.info("%s: %s", one.port, err)  # left behind by a program that died, as a rule
+
+
+def _weakly(method: Callable[[Any], None]) -> Callable[[Any], None]:
+    """A method that does not keep its object alive."""
+    weak = weakref.WeakMethod(method)
+
+    def call(argument: Any) -> None:
+        found = weak()
+        if found is not None:
+            found(argument)
+
+    return call

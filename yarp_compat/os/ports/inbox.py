@@ -1,0 +1,133 @@
+"""Passes messages from the threads of connections to the reader: one at a time, or through an inbox."""
+
+from __future__ import annotations
+
+import threading
+from collections import deque
+from collections.abc import Callable
+
+from yarp_compat.ports.message import PortMessage
+
+
+class Gate:
+    """The base of `Handoff` and `Inbox`: threads wait on ``_changed``."""
+
+    def __init__(self) -> None:
+        self._changed = threading.Condition()
+        self._closed = False
+        self._interrupted = False
+
+    @property
+    def is_closed(self) -> bool:
+        """Whether nothing will come any more."""
+        return self._closed
+
+    def wake(self) -> None:
+        """Wake waiting threads, which check whether to go on waiting."""
+        with self._changed:
+            self._changed.notify_all()
+
+    def interrupt(self) -> None:
+        """Release threads that wait for a message, until `resume`."""
+        with self._changed:
+            self._interrupted = True
+            self._changed.notify_all()
+
+    def resume(self) -> None:
+        """Let readers wait again."""
+        with self._changed:
+            self._interrupted = False
+
+    def close(self) -> None:
+        """Let everybody go, for good."""
+        with self._changed:
+            self._closed = True
+            self._changed.notify_all()
+
+
+class Handoff(Gate):
+    """A place for one message: the giver waits until it is taken, the taker until one is there."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._message: PortMessage | None = None
+
+    def give(self, message: PortMessage) -> bool:
+        """Wait until the message was taken; False when the place was closed first."""
+        with self._changed:
+            self._changed.wait_for(lambda: self._message is None or self._closed)
+            if self._closed:
+                return False
+            self._message = message
+            self._changed.notify_all()
+            self._changed.wait_for(lambda: self._message is not message or self._closed)
+            return self._message is not message
+
+    def take(self, *, will_reply: bool) -> PortMessage | None:
+        """Wait for a message; None when interrupted or closed. With ``will_reply`` its sender goes on waiting."""
+        with self._changed:
+            self._changed.wait_for(lambda: self._message is not None or self._closed or self._interrupted)
+            message = self._message
+            if message is None or self._closed or self._interrupted:
+                return None
+            if will_reply and message.wants_reply:
+                message.later()
+            self._message = None
+            self._changed.notify_all()
+            return message
+
+
+LIMIT = 64 << 20
+"""Bytes that wait in strict mode; whoever sends more, waits for the reader."""
+
+
+class Inbox(Gate):
+    """A queue of unread messages: the newest only, or in strict mode all of them."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.strict = False
+        self.dropped = 0
+        self._messages: deque[PortMessage] = deque()
+        self._bytes = 0
+
+    def __len__(self) -> int:
+        return len(self._messages)
+
+    def put(self, message: PortMessage) -> None:
+        """Keep a message: in strict mode behind the others, else in their place."""
+        with self._changed:
+            if self.strict:
+                self._changed.wait_for(lambda: self._bytes < LIMIT or self._closed)
+            else:
+                self.dropped += len(self._messages)
+                self._messages.clear()
+                self._bytes = 0
+            if not self._closed:
+                self._messages.append(message)
+                self._bytes += memoryview(message.payload).nbytes
+                self._changed.notify_all()
+
+    def take(self, *, wait: bool, stopped: Callable[[], bool] | None = None) -> PortMessage | None:
+        """The oldest message; None where nothing waits, or the inbox is closed. ``wait``: for one to come.
+
+        ``stopped`` tells that waiting should end, and is looked at after `wake`; by default when the inbox is
+        interrupted.
+        """
+        over = stopped or (lambda: self._interrupted)
+        with self._changed:
+            if wait:
+                self._changed.wait_for(lambda: self._messages or self._closed or over())
+            if self._closed or over() or not self._messages:
+                return None
+            message = self._messages.popleft()
+            self._bytes -= memoryview(message.payload).nbytes
+            self._changed.notify_all()
+            return message
+
+    def close(self) -> None:
+        """Let everybody go, for good."""
+        super().close()
+        with self._changed:
+            self._messages.clear()
+            self._bytes = 0

@@ -1,0 +1,172 @@
+"""ROS topics from YARP code: `Node`, `Publisher`, `Subscriber`, on ordinary ports named ``/topic+@/node``.
+
+No ROS library is needed: a Midspan daemon on the same YARP network sees such a port at the name server and joins it
+with the topic on ROS 1 or ROS 2. Publishers and subscribers of one topic that are both YARP ports are connected
+directly.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import logging
+import weakref
+from typing import Any, Self
+
+from yarp_compat.os.ports.buffered_port import BufferedPort
+from yarp_compat.os.ports.contactable import NODES, Contactable
+from yarp_compat.os.ports.nested import LATCHED
+from yarp_compat.os.ports.port import Port
+from yarp_compat.os.runtime import RUNTIME
+from yarp_compat.ports.connections import ConnectionEvent
+from yarp_compat.rosmsg import get as message_class
+from yarp_compat.wire.accessors import getter
+from yarp_compat.wire.errors import WireError
+
+log = logging.getLogger("yarp.os.Node")
+
+
+class Node:
+    """A ROS node: topics opened while it is the newest one are its own. Its end closes them."""
+
+    def __init__(self, name: str = "") -> None:
+        self._port = Port()
+        self._ports: weakref.WeakSet[Contactable] = weakref.WeakSet()
+        self._name = ""
+        if name:
+            self.prepare(name)
+
+    def prepare(self, name: str) -> None:
+        """Open the node's own port and make this the newest node."""
+        if self._name:
+            return
+        self._name = name
+        self._port.setReadOnly()
+        self._port.open(name)
+        self._port.acquireProperties()["node_like"] = 1
+        NODES.add(self)
+
+    getName = getter("_name", str, "The node's name.")
+
+    def add(self, port: Contactable) -> None:
+        """Count a port as this node's."""
+        self._ports.add(port)
+
+    def interrupt(self) -> None:
+        """Release threads that wait for one of the node's ports."""
+        for port in (self._port, *self._ports):
+            port.interrupt()
+
+    def close(self) -> None:
+        """Close the node's ports, and the node."""
+        NODES.discard(self)
+        for port in list(self._ports):
+            port.close()
+        self._port.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def __del__(self) -> None:
+        self.close()
+
+
+class Publisher(BufferedPort):
+    """Publishes messages of one type on a ROS topic.
+
+    Args:
+        content: the message class, ``yarp.rosmsg.std_msgs.String``, or its type's name.
+        topic: opened at once when given.
+        latched: whoever comes later gets the last message.
+
+    Example::
+
+        node = yarp.Node("/talker")
+        publisher = yarp.Publisher("std_msgs/String", "/chatter")
+        publisher.write(yarp.rosmsg.std_msgs.String(data="hello"))
+    """
+
+    def __init__(self, content: type[Any] | str, topic: str = "", *, latched: bool = False) -> None:
+        super().__init__(message_class(content) if isinstance(content, str) else content)
+        self.setWriteOnly()
+        self._wait = True
+        self._latched = latched
+        self._kept: bytes | None = None
+        if topic:
+            self.topic(topic)
+
+    def topic(self, name: str) -> bool:
+        """Publish on this topic, as the newest node (or the one behind ``@`` in the name)."""
+        self.includeNodeInName(True)
+        return self.open(name)
+
+    def enableBackgroundWrite(self, backgroundFlag: bool) -> None:
+        """Whether writing a message returns before the peers took it; a slow peer then gets the newest only."""
+        self._wait = not backgroundFlag
+
+    def write(self, forceStrict: Any = False) -> Any:
+        """Send a message and return whether all took it; or send the prepared one, as `BufferedPort.write`."""
+        if isinstance(forceStrict, bool):
+            self._keep(self._prepared)
+            super().write(forceStrict)
+            return None
+        self._keep(forceStrict)
+        core = self._core
+        if core is None or self._interrupted:
+            return False
+        try:
+            count = len(core.outputs())
+            reached = core.write(forceStrict.to_wire, self._envelope, strict=self._wait, wait=self._wait)
+        except (WireError, OSError) as err:
+            log.error("port %s cannot write: %s", core.name, err)
+            return False
+        return reached >= count or not self._wait
+
+    @property
+    def is_latched(self) -> bool:
+        """Whether later subscribers get the last message."""
+        return self._latched
+
+    def _keep(self, message: Any) -> None:
+        """Remember what was written last, for who comes later."""
+        if self._latched and message is not None:
+            with contextlib.suppress(WireError):  # writing it will say so
+                self._kept = b"".join(message.to_wire(RUNTIME.profile))
+
+    def _began(self) -> None:
+        super()._began()
+        if self._latched and self._core is not None:  # known before it listens, at the name server only later
+            self._core.properties[LATCHED] = 1
+
+    def _tell(self, event: ConnectionEvent) -> None:
+        super()._tell(event)
+        core, kept = self._core, self._kept
+        if kept is not None and core is not None and event.up and not event.incoming:
+            core.write(kept, strict=True, chosen=lambda output: output.route.target == event.route.target)
+
+
+class Subscriber(BufferedPort):
+    """Reads messages of one type from a ROS topic; arguments as of `Publisher`."""
+
+    def __init__(self, content: type[Any] | str, topic: str = "") -> None:
+        super().__init__(message_class(content) if isinstance(content, str) else content)
+        self.setReadOnly()
+        if topic:
+            self.topic(topic)
+
+    def topic(self, name: str) -> bool:
+        """Subscribe to this topic, as the newest node (or the one behind ``@`` in the name)."""
+        self.includeNodeInName(True)
+        return self.open(name)
+
+    def read(self, shouldWait: Any = True) -> Any:
+        """The next message or None, as `BufferedPort.read`; given a message, wait, fill it, return whether it was."""
+        if isinstance(shouldWait, bool):
+            return super().read(shouldWait)
+        found = super().read(True)
+        if found is None:
+            return False
+        shouldWait.from_wire(b"".join(found.to_wire()))
+        return True

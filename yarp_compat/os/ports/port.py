@@ -1,0 +1,223 @@
+"""``Port``: reads, writes, answers; ``RpcServer`` and ``RpcClient``: ports for questions and answers."""
+
+from __future__ import annotations
+
+import logging
+from typing import Any
+
+from yarp_compat.os.ports.connection import ConnectionReader, PortReader, profile_of, recognised
+from yarp_compat.os.ports.contact import Contact
+from yarp_compat.os.ports.contactable import Contactable
+from yarp_compat.os.ports.inbox import Handoff
+from yarp_compat.os.runtime import RUNTIME
+from yarp_compat.ports.message import PortMessage
+from yarp_compat.ports.port import PortCore
+from yarp_compat.wire.accessors import setter
+from yarp_compat.wire.errors import WireError
+
+log = logging.getLogger("yarp.os.Port")
+
+
+class Port(Contactable):
+    """A port that writes one message at a time, and reads each that comes.
+
+    Whoever writes to it waits until it reads. Reading and writing take any of YARP's data: Bottle, Vector, ImageRgb, a
+    ROS message...
+    """
+
+    _ANSWERS = True
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._gate = self._handoff = Handoff()
+        self._reader: PortReader | None = None
+        self._background = False
+        self._timeout: float | None = None
+        self._due: PortMessage | None = None
+
+    def asPort(self) -> Port:
+        """This port itself."""
+        return self
+
+    def setTimeout(self, timeout: float) -> bool:
+        """Wait for answers and acknowledgements at most so long, in seconds; negative: without a limit."""
+        self._timeout = timeout if timeout > 0 else None
+        return True
+
+    enableBackgroundWrite = setter(
+        "_background",
+        bool,
+        "Whether `write` returns before the peers took the message; a slow peer then gets the newest only.",
+    )
+
+    # -- writing ------------------------------------------------------------------------------------------------------
+
+    def write(self, data: Any, reply: Any = None, callback: Any = None) -> bool:
+        """Send a message; with a second argument, wait for the answer and read it into that.
+
+        False when a peer did not take it, or no answer came. Without any connection: True, but no answer.
+        """
+        del callback
+        core = self._core
+        if core is None or self._interrupted:
+            return False
+        try:
+            if reply is not None:
+                answer = core.request(data.to_wire, self._envelope, timeout=self._timeout)
+                reply.from_wire(answer)
+                return True
+            wait = not self._background
+            count = len(core.outputs())
+            reached = core.write(data.to_wire, self._envelope, strict=wait, wait=wait, timeout=self._timeout)
+        except (WireError, OSError) as err:
+            log.error("port %s cannot write: %s", core.name, err)
+            return False
+        return reached >= count or not wait
+
+    # -- reading ------------------------------------------------------------------------------------------------------
+
+    def read(self, data: Any, willReply: bool = False) -> bool:
+        """Wait for a message and read it into ``data``; ``willReply``: `reply` will be called before the next `read`.
+
+        False when the port was interrupted or closed, or the message was something else.
+        """
+        if self._due is not None:
+            self._due.give_up()  # a reply was promised and did not come
+            self._due = None
+        core = self._core
+        if core is None or self._interrupted:
+            return False
+        message = self._handoff.take(will_reply=willReply)
+        if message is None:
+            return False
+        self._envelope = message.envelope or self._envelope
+        try:
+            data.from_wire(message.payload, recognised(message))
+        except WireError as err:
+            log.error("port %s: a message from %s cannot be read: %s", core.name, message.peer.route.source, err)
+            message.give_up()
+            return False
+        self._due = message if willReply else None
+        return True
+
+    def reply(self, data: Any) -> bool:
+        """Answer the message read last with ``read(data, True)``."""
+        return self._reply(data)
+
+    def replyAndDrop(self, data: Any) -> bool:
+        """Answer, and end the connection."""
+        if self._due is not None:
+            self._due.drop()
+        return self._reply(data)
+
+    def _reply(self, data: Any) -> bool:
+        message, self._due = self._due, None
+        if message is None or not message.wants_reply:
+            return False
+        try:
+            message.reply(data.to_wire(profile_of(message, RUNTIME.profile)))
+        except WireError as err:
+            log.error("port %s cannot reply: %s", self.getName(), err)
+            message.give_up()
+            return False
+        return True
+
+    def getEnvelope(self, envelope: Any) -> bool:
+        """Read the envelope of the message read last; False when it had none, or another kind."""
+        try:
+            envelope.from_text(self._envelope)
+        except WireError:
+            return False
+        return bool(self._envelope)
+
+    def setReader(self, reader: PortReader) -> None:
+        """Have each message taken by ``reader.read(connection)`` as it comes, on its connection's thread."""
+        self._reader = reader
+
+    # -- what comes from the engine -----------------------------------------------------------------------------------
+
+    def _take(self, message: PortMessage) -> None:
+        """Take a message, on its connection's thread."""
+        core = self._core
+        if core is not None and self._reader is not None:
+            self._envelope = message.envelope or self._envelope
+            with self._callback_lock:
+                answer(self._reader, message, Contact.of(core.contact))
+        elif core is None or not self._handoff.give(message):
+            message.later()
+            message.retire()  # who asked hears of the port's end: an empty reply would be one
+
+    def _began(self) -> None:
+        self._gate = self._handoff = Handoff()
+
+    def _ending(self) -> None:
+        self._handoff.close()
+        if self._due is not None:
+            self._due.retire()
+            self._due = None
+
+    def _ended(self, core: PortCore) -> None:
+        if self._reader is not None:
+            tell_end(self._reader, Contact.of(core.contact))
+
+
+def answer(reader: PortReader, message: PortMessage, local: Contact) -> None:
+    """Have a reader take a message, and send what it wrote."""
+    connection = ConnectionReader(message, local, RUNTIME.profile)
+    reader.read(connection)
+    writer = connection.getWriter()
+    if writer is not None:
+        message.reply(writer.writer.buffers())
+
+
+def tell_end(reader: PortReader, local: Contact) -> None:
+    """Tell a reader, as YARP does, that its port is closed: by a connection that is not valid."""
+    try:
+        reader.read(ConnectionReader(None, local))
+    except Exception:
+        log.exception("the reader of %s failed on its end", local.getName())
+
+
+_rpc_log = logging.getLogger("yarp.os.Rpc")
+
+
+class RpcServer(Port):
+    """A port that answers: ``read(command, True)`` and then ``reply(answer)``, or a `PortReader`."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.setRpcServer()
+
+    def read(self, data: Any, willReply: bool = True) -> bool:
+        """Wait for a command; `reply` must follow."""
+        if not willReply:
+            _rpc_log.error("%s must reply, please use a regular Port if you do not want to", self.getName())
+            return False
+        return super().read(data, True)
+
+    def write(self, data: Any, reply: Any = None, callback: Any = None) -> bool:
+        """Refuse: a server does not ask."""
+        del data, reply, callback
+        _rpc_log.error("%s cannot write, please use a regular Port or RpcClient for that", self.getName())
+        return False
+
+
+class RpcClient(Port):
+    """A port that asks: ``write(command, answer)``. It has one connection."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.setRpcClient()
+
+    def read(self, data: Any, willReply: bool = False) -> bool:
+        """Refuse: a client is not asked."""
+        del data, willReply
+        _rpc_log.error("cannot read from RpcClient %s, please use a regular Port for that", self.getName())
+        return False
+
+    def reply(self, data: Any) -> bool:
+        """Refuse: a client has nothing to answer."""
+        del data
+        return False
+
+    replyAndDrop = reply

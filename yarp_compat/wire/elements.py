@@ -1,0 +1,341 @@
+"""Reads and writes a typed value element by element: the list headers, tags and blocks of YARP's own classes.
+
+The reader is as liberal as YARP's own, and as bounded as hostile bytes demand. Sources of the rules:
+`yarp/os/idl/WireReader.cpp`, `WireWriter.cpp`, `yarp/os/Bottle.h`, and captures of YARP 3.9.1, 3.12.3 and 4.0.
+"""
+
+from __future__ import annotations
+
+import struct
+from typing import Any
+
+from yarp_compat.wire.errors import Incomplete, WireError
+from yarp_compat.wire.framing import Buffer
+from yarp_compat.wire.generation import Generation
+from yarp_compat.wire.profile import Profile
+from yarp_compat.wire.tags import BLOB, DICT, INT8, INT16, INT32, INT64, LIST, MAX_DEPTH, STRING, VOCAB32, sizes
+
+_INT32 = struct.Struct("<i")
+_TWO_INT32 = struct.Struct("<ii")
+_INTEGERS = {
+    INT8: struct.Struct("<b"), INT16: struct.Struct("<h"), INT32: _INT32, INT64: struct.Struct("<q"), VOCAB32: _INT32,
+}  # fmt: skip
+_FLOAT32, _FLOAT64 = struct.Struct("<f"), struct.Struct("<d")
+_SIZES = {profile: sizes(profile) for profile in Profile}
+_TOP = -1
+"""Outside of any list: elements have tags, and there may be any number of them."""
+
+
+_REFERENCE = 4096
+"""Blocks from this many bytes on are passed on uncopied."""
+_TAGGED = {
+    INT8: struct.Struct("<ib"), INT16: struct.Struct("<ih"), INT32: struct.Struct("<ii"), INT64: struct.Struct("<iq"),
+}  # fmt: skip
+_TAGGED_FLOAT32, _TAGGED_FLOAT64 = struct.Struct("<if"), struct.Struct("<id")
+
+
+class ElementReader:
+    """A place in a payload.
+
+    Every method takes what comes next, and raises :class:`WireError` where that is something else and
+    :class:`Incomplete` where the bytes end before it does.
+
+    Args:
+        data: the payload.
+        profile: whose tags it has.
+        generation: how a call's outcome is written in it; by default as the newest release of the profile does.
+        at: where to begin.
+    """
+
+    __slots__ = ("_code", "_left", "_outer", "at", "data", "generation", "profile")
+
+    def __init__(self, data: Buffer, profile: Profile, generation: Generation | None = None, at: int = 0) -> None:
+        view = memoryview(data)
+        self.data = view if view.format == "B" and view.ndim == 1 else view.cast("B")
+        self.profile = profile
+        self.generation = Generation.newest(profile) if generation is None else generation
+        self.at = at
+        self._code, self._left = 0, _TOP
+        self._outer: list[tuple[int, int]] = []
+
+    @property
+    def reader(self) -> ElementReader:
+        """Itself: a connection to read from is one that has a reader."""
+        return self
+
+    @property
+    def left(self) -> int:
+        """Elements left in the list, or below 0 outside of any."""
+        return self._left
+
+    @property
+    def unit(self) -> int:
+        """The tag of all elements of the list, 0 where each has its own."""
+        return self._code
+
+    @property
+    def pending(self) -> int:
+        """Bytes left."""
+        return len(self.data) - self.at
+
+    def begin(self) -> int:
+        """Open a list, which is also the next element of the one around it; returns how many elements it has."""
+        if self._code:
+            raise WireError(f"a list cannot be in a list of tag {self._code} at byte {self.at}")
+        if len(self._outer) >= MAX_DEPTH:
+            raise WireError(f"more than {MAX_DEPTH} lists within lists at byte {self.at}")
+        at = self.at
+        code, count = self.raw(_TWO_INT32)
+        if not code & LIST or code & DICT:
+            raise WireError(f"expected a list at byte {at}, found tag {code}")
+        if count < 0:
+            raise WireError(f"a list of {count} elements at byte {at}")
+        if count > len(self.data) - self.at:
+            raise Incomplete(f"a list of {count} elements at byte {at}, but {self.pending} bytes are left")
+        self._count()
+        self._outer.append((self._code, self._left))
+        self._code, self._left = code & ~LIST, count
+        return int(count)
+
+    def end(self) -> None:
+        """Leave the list; raises `WireError` where elements are left in it."""
+        if self._left:
+            raise WireError(f"{self._left} elements too many in the list that ends before byte {self.at}")
+        self._code, self._left = self._outer.pop()
+
+    def leave(self) -> None:
+        """Leave the list whatever is left in it."""
+        self._code, self._left = self._outer.pop()
+
+    def finish(self) -> None:
+        """Check that nothing is left."""
+        if self.pending:
+            raise WireError(f"{self.pending} bytes after the end, at byte {self.at}")
+
+    def next_tag(self) -> int:
+        """The tag of what comes next, which is not taken."""
+        return self._code or int(self._look(_INT32, self.at)[0])
+
+    def integer(self) -> int:
+        """An integer of any size, or the number of a vocab."""
+        tag = self._tag()
+        layout = _INTEGERS.get(tag)
+        if layout is None:
+            raise self._wrong("an integer", tag)
+        return int(self.raw(layout)[0])
+
+    def float64(self) -> float:
+        """A number of any type."""
+        tag = self._tag()
+        if tag == self.profile.float64_tag:
+            return float(self.raw(_FLOAT64)[0])
+        if tag == self.profile.float32_tag:
+            return float(self.raw(_FLOAT32)[0])
+        layout = _INTEGERS.get(tag)
+        if layout is None or tag == VOCAB32:
+            raise self._wrong("a number", tag)
+        return float(self.raw(layout)[0])
+
+    def boolean(self) -> bool:
+        """A truth, told by an integer or a vocab: anything but 0 and ``[fail]``."""
+        tag = self._tag()
+        if tag not in (INT32, VOCAB32):
+            raise self._wrong("a truth", tag)
+        return bytes(self.block(4)) not in (b"\0\0\0\0", b"fail")
+
+    def word(self) -> str:
+        """A vocab or a string: whoever types a call by hand writes either."""
+        tag = self._tag()
+        if tag == VOCAB32:
+            return bytes(self.block(4)).rstrip(b"\0").decode("latin-1")
+        if tag == STRING:
+            return self._text()
+        raise self._wrong("a word", tag)
+
+    def blob(self) -> memoryview:
+        """Bytes with their count, uncopied."""
+        tag = self._tag()
+        if tag != BLOB:
+            raise self._wrong("a blob", tag)
+        return self.block(self._size("a blob"))
+
+    string = word
+
+    def raw(self, layout: struct.Struct) -> tuple[Any, ...]:
+        """Numbers in a fixed layout."""
+        found = self._look(layout, self.at)
+        self.at += layout.size
+        return found
+
+    def untagged(self, layout: struct.Struct) -> tuple[Any, ...]:
+        """An element in a fixed layout that has no tag, where it should have one."""
+        self._count()
+        return self.raw(layout)
+
+    def block(self, size: int) -> memoryview:
+        """Bytes as they are, uncopied."""
+        at, end = self.at, self.at + size
+        if end > len(self.data):
+            raise Incomplete(f"{size} bytes expected at byte {at}, but {self.pending} are left")
+        self.at = end
+        return self.data[at:end]
+
+    def numbers(self) -> tuple[int, int, memoryview | None]:
+        """A list of numbers, whose bytes are taken at once and uncopied where it says the type of all of them.
+
+        Returns the elements' tag, how many there are, and their bytes; None where the list must be read element by
+        element, for which it stands open then.
+        """
+        count = self.begin()
+        tag = self._code
+        size = _SIZES[self.profile].get(tag)
+        if size is None:
+            return tag, count, None
+        data = self.block(size * count)
+        self.leave()
+        return tag, count, data
+
+    def _tag(self) -> int:
+        if not self._left:
+            raise WireError(f"the list ends before byte {self.at}, where one more element was expected")
+        self._count()
+        return self._code or int(self.raw(_INT32)[0])
+
+    def _count(self) -> None:
+        if not self._left:
+            raise WireError(f"the list ends before byte {self.at}, where one more element was expected")
+        if self._left > 0:
+            self._left -= 1
+
+    def _size(self, what: str) -> int:
+        at = self.at
+        size = int(self.raw(_INT32)[0])
+        if size < 0:
+            raise WireError(f"{what} of {size} bytes at byte {at}")
+        return size
+
+    def _text(self) -> str:
+        return str(self.block(self._size("a string")), "utf-8", "surrogateescape")
+
+    def _look(self, layout: struct.Struct, at: int) -> tuple[Any, ...]:
+        try:
+            return layout.unpack_from(self.data, at)
+        except struct.error as error:
+            raise Incomplete(f"{layout.size} bytes expected at byte {at}, but {self.pending} are left") from error
+
+    def _wrong(self, what: str, tag: int) -> WireError:
+        return WireError(f"expected {what} before byte {self.at}, found tag {tag}")
+
+
+class ElementWriter:
+    """Collects the bytes of a payload; without a generation, outcomes are written as the profile's newest does."""
+
+    __slots__ = ("_done", "_tail", "generation", "profile")
+
+    def __init__(self, profile: Profile, generation: Generation | None = None) -> None:
+        self.profile = profile
+        self.generation = Generation.newest(profile) if generation is None else generation
+        self._done: list[Buffer] = []
+        self._tail = bytearray()
+
+    @property
+    def writer(self) -> ElementWriter:
+        """Itself: a connection to write to is one that has a writer."""
+        return self
+
+    def begin(self, count: int, tag: int = 0) -> None:
+        """Open a list of so many elements, with their tag where all have the same and so do not repeat it."""
+        self._tail += _TWO_INT32.pack(LIST | tag, count)
+
+    def integer(self, value: int, tag: int = INT32, *, tagged: bool = True) -> None:
+        """An integer of a tag's size; one that is unsigned keeps its bits.
+
+        Raises:
+            WireError: it is no integer or does not fit.
+        """
+        try:
+            size = _INTEGERS[tag].size
+            if value > 0 and value >> (8 * size - 1) == 1:
+                value -= 1 << 8 * size
+            self._tail += _TAGGED[tag].pack(tag, value) if tagged else _INTEGERS[tag].pack(value)
+        except (struct.error, TypeError) as error:
+            raise WireError(f"{value!r} is no integer of {8 * _INTEGERS[tag].size} bits") from error
+
+    def float64(self, value: float, *, tagged: bool = True) -> None:
+        """A float of eight bytes."""
+        try:
+            if tagged:
+                self._tail += _TAGGED_FLOAT64.pack(self.profile.float64_tag, value)
+            else:
+                self._tail += _FLOAT64.pack(value)
+        except (struct.error, OverflowError) as error:
+            raise WireError(f"{value!r} is no number") from error
+
+    def float32(self, value: float, *, tagged: bool = True) -> None:
+        """A float of four bytes."""
+        try:
+            if tagged:
+                self._tail += _TAGGED_FLOAT32.pack(self.profile.float32_tag, value)
+            else:
+                self._tail += _FLOAT32.pack(value)
+        except (struct.error, OverflowError) as error:
+            raise WireError(f"{value!r} is no float of four bytes") from error
+
+    def boolean(self, value: object, *, tagged: bool = True) -> None:
+        """A truth as generated code writes it: ``[ok]`` or ``[fail]``."""
+        self.vocab("ok" if value else "fail", tagged=tagged)
+
+    def vocab(self, word: str, *, tagged: bool = True) -> None:
+        """A word of up to four one-byte characters; raises `WireError` for any other."""
+        try:
+            encoded = word.encode("latin-1")
+        except (UnicodeEncodeError, AttributeError):
+            encoded = b"none!"
+        if len(encoded) > 4:
+            raise WireError(f"{word!r} is no vocab: it has up to four one-byte characters")
+        if tagged:
+            self._tail += b"\x09\0\0\0"
+        self._tail += encoded.ljust(4, b"\0")
+
+    def string(self, text: str, *, tagged: bool = True) -> None:
+        """A text in UTF-8; surrogate escapes become the bytes they stand for."""
+        try:
+            encoded = text.encode("utf-8", "surrogateescape")
+        except (UnicodeEncodeError, AttributeError) as error:
+            raise WireError(f"{text!r:.60} is no text that can be written") from error
+        if tagged:
+            self._tail += b"\x04\0\0\0"
+        self._tail += _INT32.pack(len(encoded))
+        self._tail += encoded
+
+    def blob(self, data: Buffer, *, tagged: bool = True) -> None:
+        """Bytes with their count."""
+        if tagged:
+            self._tail += b"\x0c\0\0\0"
+        self._tail += _INT32.pack(memoryview(data).nbytes)
+        self.block(data)
+
+    def raw(self, layout: struct.Struct, *values: Any) -> None:
+        """Numbers in a fixed layout, with the tags that they have; raises `WireError` where one does not fit."""
+        try:
+            self._tail += layout.pack(*values)
+        except struct.error as error:
+            raise WireError(f"{values} do not fit {layout.format!r}: {error}") from error
+
+    def block(self, data: Buffer) -> None:
+        """Bytes as they are; large ones are passed on uncopied, so they must stay as they are until they are sent."""
+        if memoryview(data).nbytes < _REFERENCE:
+            self._tail += data
+            return
+        if self._tail:
+            self._done.append(self._tail)
+            self._tail = bytearray()
+        self._done.append(data)
+
+    def buffers(self) -> list[Buffer]:
+        """The written bytes, in pieces."""
+        return [*self._done, self._tail] if self._tail or not self._done else list(self._done)
+
+    def payload(self) -> bytes:
+        """The written bytes, in one piece."""
+        return b"".join((*self._done, self._tail)) if self._done else bytes(self._tail)

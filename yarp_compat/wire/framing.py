@@ -1,0 +1,189 @@
+"""The frame of messages on a connection: the index, the command to the port, the payload, the acknowledgement.
+
+A message on tcp is ``YA 10 RP``, the number of blocks to the acceptor and back (1 byte each), 8 bytes of 0xff, an int32
+length for each block (back: 0), then the blocks, which belong together.
+
+Every message begins with a command: data, an administrative message, a request to connect, and so on. In binary: int32
+length of a text (with its NUL), ``~``, the key, 0, 1, and that text where there is one; a text's first character is
+then the key. As text: one line, whose first character is the key.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from yarp_compat.wire.carriers import frame, framed
+from yarp_compat.wire.errors import TooLargeError, WireError
+
+_HEAD = struct.Struct("<isBBB")
+
+LONGEST_TEXT = 4096
+"""Bytes of the longest envelope or command."""
+
+
+@dataclass(frozen=True, slots=True)
+class PortCommand:
+    """One word to a port.
+
+    Attributes:
+        key: its first character, which tells what it is: ``d``, ``D`` (data), ``a``, ``q``, ``*``, ``/``, ``!``,
+            ``~``, ``r``, ``?``, ``i``.
+        text: all of it, where it is longer than its key.
+    """
+
+    key: str
+    text: str = ""
+
+    @property
+    def envelope(self) -> str:
+        """The envelope of a message of data."""
+        return self.text[2:]
+
+
+def command_bytes(key: str, text: str = "") -> bytes:
+    """A command's bytes; ``text`` must begin with the key (``D 12 1795143618.02``)."""
+    if not text:
+        return _HEAD.pack(0, b"~", ord(key), 0, 1)
+    told = text.encode()
+    return _HEAD.pack(len(told) + 1, b"~", 0, 0, 1) + told + b"\0"
+
+
+def with_envelope(key: str, envelope: str) -> bytes:
+    """A command for data with an envelope; without one where that is empty."""
+    return command_bytes(key, f"{key} {envelope}") if envelope else command_bytes(key)
+
+
+def parse_command(
+    data: bytes | bytearray | memoryview, offset: int = 0, end: int | None = None
+) -> tuple[PortCommand, int]:
+    """Read a command in binary; returns it and where the data behind it begin.
+
+    Raises:
+        WireError: the bytes are none, or its text is too long or no text.
+    """
+    end = len(data) if end is None else end
+    if end - offset < _HEAD.size:
+        raise WireError(f"a port command takes 8 bytes and {end - offset} came")
+    length, mark, key, _, _ = _HEAD.unpack_from(data, offset)
+    if mark != b"~":
+        raise WireError(f"no port command: {bytes(data[offset : offset + 8])!r}")
+    offset += _HEAD.size
+    if key:
+        return PortCommand(chr(key)), offset
+    told = bytes(data[offset : min(end, offset + LONGEST_TEXT)])
+    stop = told.find(b"\0")
+    if stop < 0:
+        raise WireError(
+            f"a port command's text of {length} bytes has no end within its message, or within {LONGEST_TEXT} bytes"
+        )
+    text = _text(told[:stop])
+    return PortCommand(text[:1], text), offset + stop + 1
+
+
+def parse_command_line(line: bytes) -> PortCommand:
+    """Read a command in text."""
+    text = _text(line)
+    return PortCommand(text[:1], text)
+
+
+def _text(data: bytes) -> str:
+    try:
+        return data.decode()
+    except UnicodeDecodeError as error:
+        raise WireError(f"a port command is no text: {data[:60]!r}") from error
+
+
+HELP = (
+    "This is a YARP port.  Here are the commands it responds to:",
+    "*       Gives a description of this port",
+    "d       Signals the beginning of input for the port's owner",
+    'do      The same as "d" except replies should be suppressed ("data-only")',
+    "q       Disconnects",
+    "r       Reverse connection type to be a reader",
+    "/port   Requests to send output to /port",
+    "!/port  Requests to stop sending output to /port",
+    "~/port  Requests to stop receiving input from /port",
+    "a       Signals the beginning of an administrative message",
+    "?       Gives this help",
+)
+NOT_UNDERSTOOD = ("Port command not understood.", "Type d to send data to the port's owner.", "Type ? for help.")
+
+
+Buffer = bytes | bytearray | memoryview
+
+INDEX = frame(10)
+ACK = frame(0)
+DEFAULT_LIMIT = 64 << 20
+"""Bytes of the largest message that is taken unless another limit is given."""
+
+_FILL = b"\xff" * 8
+_START = INDEX + b"\x02\x01" + _FILL
+HEAD_SIZE = 18
+_TWO_BLOCKS = struct.Struct("<18sIIi")
+_QUIT = command_bytes("", "q")
+QUIT = INDEX + b"\x01\x01" + _FILL + struct.pack("<ii", len(_QUIT), 0) + _QUIT
+"""The message that ends a connection politely."""
+
+JOINED = 1 << 14
+"""Bytes up to which buffers are put together: cheaper than to hand the system several."""
+
+_DATA = {key: command_bytes(key) for key in "dDa"}
+
+
+def acknowledgement(slack: int) -> bytes:
+    """An acknowledgement with so many bytes behind it, which it tells its reader to pass over."""
+    return frame(slack) + bytes(slack)
+
+
+def size(payload: Buffer | Sequence[Buffer]) -> int:
+    """Bytes of a payload in one or several buffers."""
+    if isinstance(payload, (bytes, bytearray)):
+        return len(payload)
+    if isinstance(payload, memoryview):
+        return payload.nbytes
+    return sum(len(b) if isinstance(b, (bytes, bytearray)) else b.nbytes for b in payload)
+
+
+def prefix(length: int, key: str = "D", envelope: str = "") -> bytes:
+    """All that comes before a payload of ``length`` bytes."""
+    word = with_envelope(key, envelope) if envelope else _DATA.get(key) or command_bytes(key)
+    return _TWO_BLOCKS.pack(_START, len(word), length, 0) + word
+
+
+def words(text: str) -> bytes:
+    """A message that is only a command, such as ``q`` or ``/reader``."""
+    word = command_bytes("", text)
+    return INDEX + b"\x01\x01" + _FILL + struct.pack("<ii", len(word), 0) + word
+
+
+def index_size(head: Buffer, offset: int = 0) -> int:
+    """The size of the index whose first 18 bytes stand at ``offset``; raises `WireError` where none stands there."""
+    value = framed(head, offset)
+    if value != 10:
+        raise WireError(f"no message begins with {bytes(head[offset : offset + 8])!r}")
+    return HEAD_SIZE + 4 * (head[offset + 8] + head[offset + 9])
+
+
+def body_size(index: Buffer, offset: int = 0, limit: int = DEFAULT_LIMIT) -> int:
+    """The bytes behind a whole index; raises `WireError` for a negative length, or more than ``limit``."""
+    blocks = index[offset + 8]
+    lengths = struct.unpack_from(f"<{blocks}i", index, offset + HEAD_SIZE)
+    total: int = sum(lengths)
+    if lengths and min(lengths) < 0:
+        raise WireError(f"a message announces a block of {min(lengths)} bytes")
+    if total > limit:
+        raise TooLargeError(f"a message announces {total} bytes; at most {limit} are taken")
+    return total
+
+
+def parse(data: Buffer, limit: int = DEFAULT_LIMIT) -> tuple[PortCommand, Buffer]:
+    """Read exactly one whole message: its command and its payload; raises `WireError` for anything else."""
+    if len(data) < HEAD_SIZE or len(data) < (start := index_size(data)):
+        raise WireError(f"{len(data)} bytes hold no whole index")
+    total = body_size(data, 0, limit)
+    if len(data) != start + total:
+        raise WireError(f"a message announces {start + total} bytes and {len(data)} came")
+    word, body = parse_command(data, start, start + total)
+    return word, data[body:]
