@@ -54,7 +54,11 @@ BASIC = {
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """The other ones of these are `thorough`."""
     for item in items:
-        if item.path.parent == Path(__file__).parent and isinstance(item, pytest.Function):
+        if (
+            item.path.parent == Path(__file__).parent
+            and isinstance(item, pytest.Function)
+            and hasattr(item, "callspec")
+        ):
             side, turn = item.callspec.params.get("side"), zlib.crc32(item.originalname.encode()) % len(DEAR)
             if side in DEAR and side != DEAR[turn] and item.originalname not in BASIC:
                 item.add_marker(pytest.mark.thorough)

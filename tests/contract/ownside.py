@@ -24,6 +24,13 @@ sys.path.append(str(PACKAGE))
 from datagrams.network import End, Node  # noqa: E402
 
 
+def free_group() -> str:
+    """A network of its own."""
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as free:
+        free.bind(("127.0.0.1", 0))
+        return f"239.255.42.1:{free.getsockname()[1]}"
+
+
 class OwnPeer:
     """A native program on the network."""
 
@@ -102,9 +109,7 @@ class OwnSide(Side):
 
     def __init__(self, _hubs: HubNetwork) -> None:
         super().__init__()
-        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as free:
-            free.bind(("127.0.0.1", 0))
-            self._group = f"239.255.42.1:{free.getsockname()[1]}"
+        self._group = free_group()
         self._registry = Registry(folders=[CUSTOM_FOLDER])
 
     def peer(self) -> OwnPeer:

@@ -52,7 +52,6 @@ class Service:
 
     PROTOCOL: ClassVar[int] = 0
     """The protocol that clients of YARP 4 ask for."""
-    _calls_made: ClassVar[Mapping[str, Call]]
 
     def __init__(self, channel: Channel | None = None) -> None:
         self._channel = channel
@@ -60,9 +59,9 @@ class Service:
     @classmethod
     def calls(cls) -> Mapping[str, Call]:
         """All its methods by name."""
-        found = cls.__dict__.get("_calls_made")
+        found = _CALLS.get(cls)
         if found is None:
-            found = cls._calls_made = _calls(cls)
+            found = _CALLS[cls] = _calls(cls)
         return found
 
     def introduce(self) -> tuple[int, int, int, int] | None:
@@ -168,6 +167,10 @@ def version_end(data: Buffer) -> int:
     if size < VERSION.size:
         raise Incomplete(f"{size} bytes of a reply")
     return VERSION.size
+
+
+_CALLS: dict[type[Service], Mapping[str, Call]] = {}
+"""Kept here, not at the classes: of several threads that ask first, one would change what another goes through."""
 
 
 def _calls(kind: type[Service]) -> Mapping[str, Call]:

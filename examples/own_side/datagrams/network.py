@@ -2,7 +2,8 @@
 
 ``{"hello": ID, "node": NAME, "by": "", "ends": {ID: [KIND, TOPIC, TYPE, LATCHED]}, "record": ""}`` twice a second, and
 at once when it changes; ``{"bye": ID}``; ``{"from": ENDPOINT, "topic": TOPIC, "message": {...}}``. What was published
-latched is sent again to each new subscription of its topic, to that program alone.
+latched has ``"source"`` and ``"number"`` too, and is sent again to each new subscription of its topic, to that program
+alone. One that was open before its hello arrived hears it both ways, in either order: the numbers tell.
 """
 
 from __future__ import annotations
@@ -37,6 +38,8 @@ class End:
     latched: bool
     take: Callable[[bytes, str], None] | None = None
     kept: dict[str, bytes] = field(default_factory=dict)
+    heard: dict[tuple[str, str], int] = field(default_factory=dict)
+    """Of a subscription: the last number of each latched publisher and source."""
 
 
 @dataclass
@@ -109,11 +112,14 @@ class Node:
 
     def publish(self, end: End, message: bytes, source: str = "") -> None:
         """Send JSON to all; keep it where the publisher is latched. Raises `ValueError` where it fits no datagram."""
-        data = b'{"from":"%s","topic":%s,"message":%s}' % (end.id.encode(), json.dumps(end.topic).encode(), message)
-        if len(data) > LARGEST:
-            msg = f"a message of {len(message)} bytes on {end.topic}: a datagram takes up to {LARGEST}"
-            raise ValueError(msg)
         with self._lock:
+            head = {"from": end.id, "topic": end.topic}
+            if end.latched:
+                head |= {"source": source, "number": next(self._numbers)}
+            data = json.dumps(head)[:-1].encode() + b', "message": %b}' % message
+            if len(data) > LARGEST:
+                msg = f"a message of {len(message)} bytes on {end.topic}: a datagram takes up to {LARGEST}"
+                raise ValueError(msg)
             if end.latched:
                 end.kept[source] = data
             self._send(data)
@@ -146,8 +152,7 @@ class Node:
             time.sleep(BEAT)
             silent = [p.id for p in list(self.programs.values()) if time.monotonic() - p.heard > SILENT]
             for dead in silent:
-                self.programs.pop(dead, None)
-                self._changed()
+                self._gone(dead)
 
     def _listen(self) -> None:
         while not self._closed:
@@ -163,14 +168,32 @@ class Node:
             self._message(said)
         elif "hello" in said and said["hello"] != self.id:
             self._hello(said, address)
-        elif "bye" in said and self.programs.pop(said["bye"], None):
-            self._changed()
+        elif "bye" in said:
+            self._gone(said["bye"])
+
+    def _gone(self, program: str) -> None:
+        if self.programs.pop(program, None) is None:
+            return
+        with self._lock:
+            for end in self._ends.values():
+                end.heard = {of: number for of, number in end.heard.items() if not of[0].startswith(f"{program}.")}
+        self._changed()
 
     def _message(self, said: dict[str, Any]) -> None:
         with self._lock:
-            takers = [e.take for e in self._ends.values() if e.topic == said["topic"] and e.take]
+            ends = [e for e in self._ends.values() if e.topic == said["topic"] and e.take]
+            takers = [e.take for e in ends if self._is_new(e, said)]
         for take in takers:
             take(json.dumps(said["message"]).encode(), said["from"])
+
+    @staticmethod
+    def _is_new(end: End, said: dict[str, Any]) -> bool:
+        if "number" not in said:
+            return True
+        of, number = (str(said["from"]), str(said["source"])), int(said["number"])
+        new = number > end.heard.get(of, 0)
+        end.heard[of] = max(number, end.heard.get(of, 0))
+        return new
 
     def _hello(self, said: dict[str, Any], address: tuple[str, int]) -> None:
         before = self.programs.get(said["hello"])

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import logging
+import sys
+import threading
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from enum import Enum, IntEnum
@@ -467,3 +469,30 @@ def test_what_a_field_cannot_be_is_refused_by_its_name() -> None:
             Everything().from_values([*good[:place], wrong, *good[place + 1 :]])
     with pytest.raises(TypeError, match="no type"):
         field_of(complex)
+
+
+def test_threads_that_ask_first_at_once() -> None:
+    """A client is used by several threads; none finds the interface half read."""
+    wrong: list[BaseException] = []
+    switch = sys.getswitchinterval()
+    sys.setswitchinterval(1e-6)
+    try:
+        for _ in range(50):
+            kind = type("Fresh", (Service,), {name: of for name, of in vars(Places).items() if hasattr(of, "rpc")})
+            start = threading.Barrier(4)
+
+            def ask(kind: type[Service] = kind, start: threading.Barrier = start) -> None:
+                start.wait()
+                try:
+                    assert "store_location_RPC" in kind.calls()
+                except BaseException as err:
+                    wrong.append(err)
+
+            threads = [threading.Thread(target=ask) for _ in range(4)]
+            for thread in threads:
+                thread.start()
+            for thread in threads:
+                thread.join()
+    finally:
+        sys.setswitchinterval(switch)
+    assert not wrong

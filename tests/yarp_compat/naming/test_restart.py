@@ -111,7 +111,7 @@ def test_without_memory_ports_register_again() -> None:
                 lambda: set(names.get_property("/reader", "type")) == {"std_msgs/String", "two words"},
                 "what was set is set again",
             )
-            assert "fast_tcp" in names.get_property("/writer", "offers")
+            until(lambda: "fast_tcp" in names.get_property("/writer", "offers"), "and what a port says of itself")
             names.command(["subscribe", "/writer", "/reader"])
             pair.check()
             assert names.register("/other").port not in (pair.reader.contact.port, pair.writer.contact.port)
