@@ -1,0 +1,52 @@
+"""`scripts/unsteady.py`: what failed before runs once more; many, or one that fails again, are red."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+from scripts import unsteady
+
+
+def run(tmp_path: Path, *failed: str) -> subprocess.CompletedProcess[str]:
+    kept = tmp_path / "v" / "cache"
+    kept.mkdir(parents=True)
+    (kept / "lastfailed").write_text(json.dumps(dict.fromkeys(failed, True)))
+    command = [sys.executable, unsteady.__file__, "--kept", str(tmp_path)]
+    return subprocess.run(command, capture_output=True, text=True, check=False, timeout=100)
+
+
+def test_nothing_failed(tmp_path: Path) -> None:
+    assert run(tmp_path).returncode == 0
+    assert unsteady.main(["--kept", str(tmp_path / "none")]) == 0
+
+
+def test_one_that_passes_by_itself_is_named(tmp_path: Path) -> None:
+    test = tmp_path / "test_now.py"
+    test.write_text("def test_it():\n    assert True\n")
+    done = run(tmp_path, f"{test}::test_it")
+    assert done.returncode == 0, done.stdout
+    assert done.stdout.splitlines()[-2:] == [
+        "UNSTEADY, to be mended: 1 failed among the others and passed alone",
+        f"  {test}::test_it",
+    ]
+
+
+def test_one_that_fails_again_is_red(tmp_path: Path) -> None:
+    test = tmp_path / "test_now.py"
+    test.write_text("def test_it():\n    assert False\n\n\ndef test_other():\n    assert True\n")
+    done = run(tmp_path, f"{test}::test_it", f"{test}::test_other")
+    assert done.returncode == 1
+    assert "UNSTEADY" not in done.stdout
+
+
+def test_one_that_is_gone_is_red(tmp_path: Path) -> None:
+    assert run(tmp_path, f"{tmp_path}/test_gone.py::test_it").returncode == 1
+
+
+def test_many_are_red_at_once(tmp_path: Path) -> None:
+    done = run(tmp_path, *(f"tests/test_a.py::test_{n}" for n in range(unsteady.MOST + 1)))
+    assert done.returncode == 1
+    assert "6 tests failed" in done.stdout
