@@ -86,7 +86,7 @@ class ClientDrive:
     at: int = 0  #: which of the targets it is driving to
     sent: SentGoal | None = None  #: the goal that the planner has now, or had last
     sent_at: float = 0.0  #: when it was sent (monotonic)
-    taken: bool = False  #: whether a planner had taken a goal of it before that one
+    taken: bool = False  #: whether a planner may have taken a goal of it before that one
     # whether the planner has said itself that it drives to none of its goals; no bridge can say that
     let_go: bool = True
     paused: bool = False  #: whether it stands because it was told to
@@ -109,8 +109,8 @@ class ClientDrive:
 
     @property
     def begun(self) -> bool:
-        """Whether a planner has taken any of its goals."""
-        return self.taken or (self.sent is not None and self.sent.accepted is True)
+        """Whether a planner may have taken any of its goals; one may that went before it answered."""
+        return self.taken or (self.sent is not None and self.sent.accepted is not False)
 
     @property
     def below(self) -> SentGoal | None:

@@ -169,7 +169,11 @@ class Rig(Place):
             last = self.statuses[-1] if self.statuses else None
             return last if last and last["state"] == state.value and why in last["reason"] else None
 
-        found: dict[str, Any] = until(there, f"the state {state.value} {why}", SECONDS)
+        try:
+            found: dict[str, Any] = until(there, f"the state {state.value} {why}", SECONDS)
+        except AssertionError as err:
+            err.add_note(f"the last ones: {self.statuses[-3:]}")
+            raise
         return found
 
     def ask(self, service: str, **request: Any) -> dict[str, Any]:

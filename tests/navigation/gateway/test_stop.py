@@ -11,6 +11,7 @@ import pytest
 from bridge.config.sections.section import Section
 from bridge.hub.errors import HubError
 from bridge.messages.actions import GoalState
+from bridge.modules import clients
 from bridge.modules.action_server import Goal
 from bridge.modules.host import Host
 from navigation.gateway import stop
@@ -48,7 +49,9 @@ def rig(running: Rig, odometry: Odometry) -> Iterator[Rig]:
     yield running
     odometry.speed = 0.0
     running.planner.cancels = running.planner.cancel
-    running.fresh()
+    with pytest.MonkeyPatch.context() as patched:
+        patched.setattr(clients, "CANCEL_ALL_SECONDS", 0.0)  # what this stop means is not the next test's planner
+        running.fresh()
     running.planners.pop(PLANNER).close()
     until(lambda: not running.gateway.link.ready, "the planner has gone", 20)
 
@@ -231,6 +234,22 @@ def test_a_robot_that_drove_may_still_be_moving_also_after_the_goal_was_sent_aga
         slow = SlowPlanner(behind(rig, link), PLANNER)
         rig.planners[PLANNER] = rig.planner = slow
         assert slow.asked.wait(20), "the goal is not sent again"
+        link.freeze()
+        rig.state(State.MOVING, f"{PLANNER} is not there; it is waited for; it may still be moving")
+        slow.takes.set()
+        link.thaw()
+        link.cut()
+        until(lambda: rig.gateway.link.ready, "it is back", 30)
+
+
+def test_a_planner_that_goes_before_it_has_answered_may_have_taken_the_goal(rig: Rig) -> None:
+    rig.planners.pop(PLANNER).close()
+    with FaultProxy(rig.hubs.port) as link:
+        slow = SlowPlanner(behind(rig, link), PLANNER)
+        rig.planners[PLANNER] = rig.planner = slow
+        until(lambda: rig.gateway.link.ready, "it is there", 30)
+        Asked(rig.client, pose(5.0))
+        assert slow.asked.wait(20), "the goal is not sent"
         link.freeze()
         rig.state(State.MOVING, f"{PLANNER} is not there; it is waited for; it may still be moving")
         slow.takes.set()
