@@ -169,10 +169,11 @@ def test_what_is_latched_is_put_again_for_the_first_subscriber_and_for_another_b
     first = place.ros1()
     heard = first.subscribe("/state", STRING)
     assert first.wait(heard, 1) == [{"data": "kept"}]
-    second = place.ros1()
     # a beacon before its session knows of us is lost, and the plugin may then be silent for ever: neither the first
     # program, which hears all beacons and those of /state, nor its own session is who must know of it
     first.deafen()
+    list(first.session.liveliness().get("nothing"))  # once this is answered, the network knows it
+    second = place.ros1()
     remote = zenoh.Locality.REMOTE
     probe = second.session.declare_publisher(second.discovery("sub", "/other", STRING), allowed_destination=remote)
     until(lambda: probe.matching_status.matching, "its beacons will be heard")  # type: ignore[attr-defined]
