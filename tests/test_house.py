@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import pytest
+
 from scripts import house
 
 ROOT = Path(__file__).parents[1]
@@ -66,14 +68,21 @@ def test_what_tests_reach_into_and_what_asserts_nothing(tmp_path: Path) -> None:
     assert house.assertless(tmp_path) == ["tests/test_a.py:6 test_c"]
 
 
+@pytest.fixture(scope="module")
+def product() -> dict[str, house.File]:
+    return house.read(ROOT)
+
+
+@pytest.mark.thorough  # `make lint` says it too
 def test_each_test_asserts() -> None:
     assert house.assertless(ROOT) == []
 
 
-def test_the_product_has_no_other_circle_and_no_larger_file() -> None:
-    assert house.wrong(house.read(ROOT)) == []
+@pytest.mark.thorough  # `make lint` says it too
+def test_the_product_has_no_other_circle_and_no_larger_file(product: dict[str, house.File]) -> None:
+    assert house.wrong(product) == []
 
 
-def test_what_is_known_is_still_so() -> None:
-    files = house.read(ROOT)
-    assert all(files[name].lines > house.LARGE for name in house.KNOWN_LARGE)
+@pytest.mark.thorough
+def test_what_is_known_is_still_so(product: dict[str, house.File]) -> None:
+    assert all(product[name].lines > house.LARGE for name in house.KNOWN_LARGE)
