@@ -28,13 +28,13 @@ mix: setup ## clients of all four sides over three kinds of planners (JSON=FILE 
 	@$(BIN)/python -m tests.interop.mix_table $(if $(JSON),--json '$(JSON)')
 
 test: setup ## what tells whether Midspan works here, with the real middlewares (ARGS='tests/hub -k latched' for some)
-	@$(pytest) -n 4 -m 'not thorough and not long and not beside' $(ARGS)
+	@$(pytest) -n 6 -m 'not thorough and not long and not beside' $(ARGS)
 
 test-fast: setup ## what needs no middleware, for the edit loop
 	@$(pytest) -n 4 --fast -m 'not thorough and not long and not alone' $(ARGS)
 
 test-all: setup ## all there is; the last part is a first run in a bare clone, beside fuzzing
-	@$(pytest) -n $(if $(CI),4,3) -m 'not long$(if $(CI),, and not beside)' $(ARGS) || $(go_on)
+	@$(pytest) -n 6 -m 'not long$(if $(CI),, and not beside)' $(ARGS) || $(go_on)
 	@$(pytest) -n 2 -m '$(if $(CI),long,long or beside)' $(or $(ARGS),$(call marked,long)) || $(go_on)
 	@$(if $(CI),$(BIN)/python scripts/unsteady.py)
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import gc
 import os
 import signal
 import threading
@@ -17,7 +18,7 @@ import pytest
 from tests.support import missing, tiers
 
 _REAL = (
-    "demo", "interop", "contract", "benchmarks", "daemon", "adapters", "faults", "interfaces", "examples", "hub", "cli",
+    "demo", "interop", "daemon", "contract", "benchmarks", "adapters", "faults", "interfaces", "examples", "hub", "cli",
     "navigation",
 )  # fmt: skip
 """Folders with files that start many programs and take up to a minute: they come first."""
@@ -57,6 +58,11 @@ def _threads() -> dict[object, str]:
 def pytest_configure(config: pytest.Config) -> None:
     # as a plugin: pytest asks this file's hooks nothing of a folder whose own conftest cannot be imported
     config.pluginmanager.register(missing)
+
+
+def pytest_collection_finish() -> None:
+    """What is there by now stays: Python need not look through it again and again."""
+    gc.freeze()
 
 
 def pytest_sessionstart() -> None:

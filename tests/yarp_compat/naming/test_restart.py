@@ -151,7 +151,7 @@ def test_killed(tmp_path: Path, remembers: bool) -> None:
 
 
 def _written(file: Path) -> bool:
-    return bool(json.loads(file.read_text())["subscriptions"]["subscriptions"])
+    return file.exists() and bool(json.loads(file.read_text())["subscriptions"]["subscriptions"])
 
 
 def _answers(names: NameClient) -> bool:
