@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import hashlib
 import json
+import math
 import sys
 import tempfile
 import time
@@ -26,7 +27,7 @@ def main() -> int:
     if args.file is not None:
         return _look(chosen, args.file)
     begun = time.monotonic()
-    fuzzing = Fuzzing(shares(chosen, args.inputs), args.seed, args.jobs)
+    fuzzing = Fuzzing(shares(chosen, args.inputs), args.seed, args.jobs, args.seconds)
     fuzzing.run()
     seconds = time.monotonic() - begun
     total = bad = 0
@@ -80,6 +81,7 @@ def _arguments() -> argparse.Namespace:
         "--target", action="append", choices=list(TARGETS), metavar="NAME", help="one parser, again for more"
     )
     parser.add_argument("--inputs", type=int, default=1_000_000, help="how many in all (default a million)")
+    parser.add_argument("--seconds", type=float, default=math.inf, help="of processor time for each target at most")
     parser.add_argument("--seed", type=int, default=1, help="another seed makes other inputs (default 1)")
     parser.add_argument("--jobs", type=int, default=2, help="processes (default 2)")
     parser.add_argument("--file", type=Path, help="give the parser this one input and say what it does")

@@ -39,8 +39,9 @@ def main() -> None:
             signature, content = shrunk(subjects[name], base64.b64decode(work["content"]))
             answer = {"signature": signature, "content": base64.b64encode(content).decode()}
         else:
-            found = fuzz(subjects[name], work["inputs"], work["seed"], journal.write)
+            found, inputs = fuzz(subjects[name], work["inputs"], work["seed"], journal.write, work["limit"])
             answer = {
+                "inputs": inputs,
                 "seconds": time.monotonic() - begun,
                 "findings": [(f.signature, base64.b64encode(f.content).decode(), f.trouble) for f in found],
             }

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import gc
+import math
 import mmap
 import re
 import resource
@@ -14,7 +15,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from types import CodeType, FrameType
-from typing import Any
+from typing import Any, NamedTuple
 
 from tests.fuzz.machines import is_sanitized
 from tests.fuzz.mutate import Mutator
@@ -66,18 +67,30 @@ class Journal:
         return number, self._map[_HEAD.size : _HEAD.size + size]
 
 
-def fuzz(subject: Subject, inputs: int, seed: str, journal: Callable[[int, bytes], None]) -> list[Finding]:
-    """Give a parser so many inputs; what it did not take as it promises, one for each kind of failure."""
+class Fuzzed(NamedTuple):
+    """How many inputs were given, and what was not taken as promised: one for each kind of failure."""
+
+    findings: list[Finding]
+    inputs: int
+
+
+def fuzz(
+    subject: Subject, inputs: int, seed: str, journal: Callable[[int, bytes], None], seconds: float = math.inf
+) -> Fuzzed:
+    """Give a parser so many inputs, or fewer where these take more than so many seconds of processor time."""
     if not warm(subject):
-        return [Finding("no good seed", subject.seeds[0], "the target's seeds are all refused")]
+        return Fuzzed([Finding("no good seed", subject.seeds[0], "the target's seeds are all refused")], inputs)
     mutator = Mutator(subject.seeds, subject.words, subject.largest, seed)
     findings: dict[str, Finding] = {}
     seen: set[Any] = set()
+    end = time.process_time() + seconds
     try:
         for number in range(inputs):
             if number % _ROUND == 0:
                 gc.collect()
                 limit_memory()
+                if time.process_time() > end:
+                    return Fuzzed(list(findings.values()), number)
             content = mutator.next()
             journal(number, content)
             new, found = _give(subject, content, trace=number % _TRACE_EVERY == 0)
@@ -90,7 +103,7 @@ def fuzz(subject: Subject, inputs: int, seed: str, journal: Callable[[int, bytes
                 mutator.keep(content)
     finally:
         unlimit_memory()
-    return list(findings.values())
+    return Fuzzed(list(findings.values()), inputs)
 
 
 def _give(subject: Subject, content: bytes, *, trace: bool) -> tuple[set[Any], Finding | None]:

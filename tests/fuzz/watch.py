@@ -5,6 +5,7 @@ from __future__ import annotations
 import base64
 import contextlib
 import json
+import math
 import os
 import select
 import signal
@@ -115,10 +116,12 @@ class Fuzzing:
         targets: each with its number of inputs.
         seed: where the dice begin.
         jobs: how many processes.
+        limit: seconds of processor time for each target; one that is slow gets fewer inputs.
     """
 
-    def __init__(self, targets: dict[Target, int], seed: int, jobs: int) -> None:
+    def __init__(self, targets: dict[Target, int], seed: int, jobs: int, limit: float = math.inf) -> None:
         self.outcomes = {target.name: Outcome() for target in targets}
+        self._limits = {target.name: limit / max(inputs, 1) for target, inputs in targets.items()}
         self._seed, self._jobs = seed, jobs
         self._lock = threading.Lock()
         pieces = [(t.name, k, min(_PIECE, n - k)) for t, n in targets.items() for k in range(0, n, _PIECE)]
@@ -151,13 +154,14 @@ class Fuzzing:
         for life in range(_MOST_DEATHS):
             seed = f"{name} {self._seed} {begin}" + (f" {life}" if life else "")
             try:
-                answer = worker.ask({"do": "fuzz", "target": name, "inputs": inputs - done, "seed": seed})
+                answer = worker.ask({"do": "fuzz", "target": name, "inputs": inputs - done, "seed": seed,
+                                     "limit": self._limits[name] * (inputs - done)})  # fmt: skip
             except _DeadError as dead:
                 worker = _Worker()
                 found.append(Finding(dead.how, dead.content, f"the process ended: {dead.how}"))
                 done += 0 if dead.number == JOURNAL_IDLE else dead.number + 1
                 continue
-            done = inputs
+            done += answer["inputs"]
             outcome.seconds += answer["seconds"]
             found += [Finding(s, base64.b64decode(c), t) for s, c, t in answer["findings"]]
             break
