@@ -259,6 +259,7 @@ def test_what_a_plain_zenoh_program_and_a_malformed_request_get(network: HubNetw
             attached = reply.ok.attachment
             return reply.ok.payload.to_bytes(), attached and attached.to_bytes()
 
+        until(lambda: list(program.get(key)), "the program's router knows the server")
         assert ask() == (b"re ", None)
         assert ask(payload=b"go") == (b"re go", None)
         text, attached = ask(payload=b"go", attachment=pack_attachment(7, 1, b"g" * 16))

@@ -29,9 +29,9 @@ _log = logging.getLogger(__name__)
 
 _FIRST_WAIT = 0.2
 _LONGEST_WAIT = 5.0
-_SETTLE_SECONDS = 0.2
+_SETTLE_SECONDS = 0.5
 """How long a publisher that is new is left unread. The other sides are about to make their ends of the topic, and what
-came through before these know each other was lost; so it waits in the connection."""
+came through before these know each other was lost; so it waits in the connection. Ends of Fast DDS often need 0.2 s."""
 
 
 class _SubscribedTopic(_TopicImpl):  # type: ignore[misc]  # rospy has no types
