@@ -359,10 +359,11 @@ def test_poses_of_a_topic_and_of_a_port(place: Place, robot: Robot, monkeypatch:
         until(lambda: (writer.write(there), near(place, Pose(2.0, 3.0, math.pi / 2), 0.01)())[1], "a location", 20)
         numbers = [3.0, 2.0, -90.0]
         until(lambda: (writer.write(numbers), near(place, Pose(3.0, 2.0, -math.pi / 2), 0.01)())[1], "numbers", 20)
+        assert writer.write([5.0, 2.0, -90.0], strict=True) == 1
+        until(near(place, Pose(5.0, 2.0, -math.pi / 2), 0.01), "all has come that was written", 20)
         running, go_on, taken = place.worker.running("localization_server"), threading.Event(), list[Pose]()
         assert isinstance(running.module, LocalizationServer)
         monkeypatch.setattr(running.module.source, "take", taken.append)
-        running.host.loop.call(taken.clear)  # what was written before has been taken
         running.host.loop.post(lambda: go_on.wait(40))
         (port,) = (port for port in running.host.yarp.status() if port["port"] == "/localizationServer/pose:i")
         for x in (1.0, 2.0):
