@@ -1,4 +1,4 @@
-"""Runs what failed in `make test-all` once more, by itself; CI does so (CONTRIBUTING.md, "Unsteady tests").
+"""Runs what failed in a red `make test-all` once more, by itself; CI does so (CONTRIBUTING.md, "Unsteady tests").
 
 A test that fails again, or a run in which many failed, is red. One that passes by itself is unsteady: its traceback
 stands above, its name at the end. Each is a defect to mend, of the test or of Midspan.
@@ -27,9 +27,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--kept", type=Path, default=KEPT, help="pytest's cache_dir of the runs before")
     file = parser.parse_args(arguments).kept / "v" / "cache" / "lastfailed"
     failed = sorted(json.loads(file.read_text(encoding="utf-8"))) if file.is_file() else []
-    if not failed:
-        return 0
-    if len(failed) > MOST:
+    if not 0 < len(failed) <= MOST:  # none: the run failed for another reason
         print(f"{len(failed)} tests failed", *failed, sep="\n  ")
         return 1
     print(f"\n== once more, by themselves: {len(failed)}", flush=True)

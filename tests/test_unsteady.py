@@ -18,9 +18,9 @@ def run(tmp_path: Path, *failed: str) -> subprocess.CompletedProcess[str]:
     return subprocess.run(command, capture_output=True, text=True, check=False, timeout=100)
 
 
-def test_nothing_failed(tmp_path: Path) -> None:
-    assert run(tmp_path).returncode == 0
-    assert unsteady.main(["--kept", str(tmp_path / "none")]) == 0
+def test_a_run_that_failed_without_a_test_is_red(tmp_path: Path) -> None:
+    assert run(tmp_path).returncode == 1
+    assert unsteady.main(["--kept", str(tmp_path / "none")]) == 1
 
 
 def test_one_that_passes_by_itself_is_named(tmp_path: Path) -> None:

@@ -31,7 +31,7 @@ _FIRST_WAIT = 0.2
 _LONGEST_WAIT = 5.0
 _SETTLE_SECONDS = 0.5
 """How long a publisher that is new is left unread. The other sides are about to make their ends of the topic, and what
-came through before these know each other was lost; so it waits in the connection. Ends of Fast DDS often need 0.2 s."""
+came through before these know each other was lost; so it waits in the connection. Fast DDS often needs over 0.2 s."""
 
 
 class _SubscribedTopic(_TopicImpl):  # type: ignore[misc]  # rospy has no types
