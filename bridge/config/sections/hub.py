@@ -81,8 +81,7 @@ class HubSection(Section):
     @classmethod
     def _listens_on_this_machine(cls, value: str) -> str:
         if not is_loopback(value):
-            msg = f"{value!r} is open to other machines; listen on 127.0.0.1, and let others in by hub.open"
-            raise ValueError(msg)
+            raise ValueError(f"{value!r} is open to other machines; listen on 127.0.0.1, and let others in by hub.open")
         return value
 
     @model_validator(mode="after")

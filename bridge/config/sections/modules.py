@@ -70,6 +70,5 @@ class ModulesSection(Section):
         names = [module.name for module in self.own]
         taken = [name for name in names if names.count(name) > 1 or name in type(self).model_fields]
         if taken:
-            msg = f"two modules are called {taken[0]}"
-            raise ValueError(msg)
+            raise ValueError(f"two modules are called {taken[0]}")
         return self

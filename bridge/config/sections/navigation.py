@@ -52,15 +52,13 @@ class Planner(Section):
     @classmethod
     def _name_is_one(cls, value: str) -> str:
         if value in OURS:
-            msg = f"{value} is a planner of Midspan's; give yours another name"
-            raise ValueError(msg)
+            raise ValueError(f"{value} is a planner of Midspan's; give yours another name")
         return value
 
     @model_validator(mode="after")
     def _leaves_the_gateway_its_name(self) -> Planner:
         if self.side == "zenoh" and self.action == ACTION:
-            msg = f"{ACTION} is the gateway's on the hub; let the planner serve {planner_action(self.name)}"
-            raise ValueError(msg)
+            raise ValueError(f"{ACTION} is the gateway's on the hub; let the planner serve {planner_action(self.name)}")
         return self
 
     @property

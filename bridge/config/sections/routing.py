@@ -131,16 +131,14 @@ class Rule(Section):
             try:
                 re.compile(value)
             except re.error as err:
-                msg = f"not a regular expression: {err}"
-                raise ValueError(msg) from None
+                raise ValueError(f"not a regular expression: {err}") from None
         return value
 
     @field_validator("topic")
     @classmethod
     def _topic_is_absolute(cls, value: str | None) -> str | None:
         if value is not None and not value.startswith(("/", "**")):
-            msg = f"{value!r} matches no topic: write /{value}, or **/{value} for any namespace"
-            raise ValueError(msg)
+            raise ValueError(f"{value!r} matches no topic: write /{value}, or **/{value} for any namespace")
         return value
 
     @field_validator("type")
@@ -149,23 +147,19 @@ class Rule(Section):
         if value is not None and "**" not in value and value.count("/") == 1:
             middle = {"service": "srv", "action": "action"}.get(info.data.get("kind") or "", "msg")
             spelled = value.replace("/", f"/{middle}/")
-            msg = f"{value!r} matches no type: they are spelled as in ROS 2, {spelled}"
-            raise ValueError(msg)
+            raise ValueError(f"{value!r} matches no type: they are spelled as in ROS 2, {spelled}")
         return value
 
     @model_validator(mode="after")
     def _one_pattern(self) -> Rule:
         if self.topic is not None and self.regex is not None:
-            msg = "give either 'topic' (a glob) or 'regex', not both"
-            raise ValueError(msg)
+            raise ValueError("give either 'topic' (a glob) or 'regex', not both")
         if self.rename is not None:
             trouble = rename_trouble(self.rename, self.topic, self.regex, ros1=self.to in ("ros1", "zenoh_ros1"))
             if trouble:
-                msg = f"rename {self.rename!r} {trouble}"
-                raise ValueError(msg)
+                raise ValueError(f"rename {self.rename!r} {trouble}")
         if self.deny and (self.rename or self.rate or self.priority or self.depth or self.timeout):
-            msg = "a rule that denies has no rename, rate, priority, depth or timeout"
-            raise ValueError(msg)
+            raise ValueError("a rule that denies has no rename, rate, priority, depth or timeout")
         if self.kind in ("service", "action") and (
             self.rate or self.priority or self.depth or self.timeout or self.qos != QosOverride()
         ):

@@ -57,8 +57,7 @@ def matching(pattern: str | re.Pattern[str], mistake: str) -> AfterValidator:
 
     def check(value: str | float) -> str | float:
         if isinstance(value, str) and not re.fullmatch(pattern, value):
-            msg = f"{value!r} {mistake}"
-            raise ValueError(msg)
+            raise ValueError(f"{value!r} {mistake}")
         return value
 
     return AfterValidator(check)
@@ -68,8 +67,7 @@ def differ(values: Sequence[object], mistake: str) -> None:
     """Raise `ValueError` where a value comes twice; ``mistake`` precedes the first such value in the error."""
     for value in values:
         if values.count(value) > 1:
-            msg = f"{mistake} {value}"
-            raise ValueError(msg)
+            raise ValueError(f"{mistake} {value}")
 
 
 ROS2_NAME = re.compile(r"(?:/[A-Za-z_][A-Za-z0-9_]*)+")
@@ -103,8 +101,7 @@ NodeName = Annotated[
 def _master_uri(value: str) -> str:
     parts = urlsplit(value)
     if parts.scheme not in {"http", "https"} or not parts.hostname:
-        msg = f"{value!r} is not a master's URI; give for example http://robot:11311"
-        raise ValueError(msg)
+        raise ValueError(f"{value!r} is not a master's URI; give for example http://robot:11311")
     try:
         port = parts.port
     except ValueError:

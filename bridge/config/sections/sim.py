@@ -87,6 +87,5 @@ class SimSection(Section):
     @classmethod
     def _is_a_speed(cls, value: float | str) -> float | str:
         if isinstance(value, float) and not 0.01 <= value <= 1000:
-            msg = "a speed is 0.01 to 1000, `max` or `step`"
-            raise ValueError(msg)
+            raise ValueError("a speed is 0.01 to 1000, `max` or `step`")
         return value

@@ -51,8 +51,7 @@ def _release(value: str) -> str:
     try:
         Generation.of(value)
     except ValueError as err:
-        msg = f"{err}, in quotes"
-        raise ValueError(msg) from None
+        raise ValueError(f"{err}, in quotes") from None
     return value
 
 

@@ -50,8 +50,7 @@ class DialectKey(Section):
             msg = f"{value!r} is not a plain zenoh key: parts between slashes, without blanks and any of * $ ? # @"
             raise ValueError(msg)
         if value is not None and _HUB_KEY.fullmatch(value):
-            msg = f"{value!r} is a key of the hub itself: its programs speak ROS 2, not JSON"
-            raise ValueError(msg)
+            raise ValueError(f"{value!r} is a key of the hub itself: its programs speak ROS 2, not JSON")
         return value
 
     @model_validator(mode="after")
@@ -130,10 +129,8 @@ class ZenohSection(SideSection):
     @model_validator(mode="after")
     def _once_each(self) -> ZenohSection:
         if self.enabled is True and not self.dialects:
-            msg = "enabled is true, but no dialect is configured"
-            raise ValueError(msg)
+            raise ValueError("enabled is true, but no dialect is configured")
         networks = [(d.dialect, d.namespace, tuple(k.key for k in d.keys if k.key)) for d in self.dialects]
         if len(set(networks)) < len(networks):
-            msg = "a dialect is given twice"
-            raise ValueError(msg)
+            raise ValueError("a dialect is given twice")
         return self
