@@ -23,7 +23,7 @@ if not __package__:  # run as a file
     sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from benchmarks.rows import Row, add_json_option, need_peers, report
-from bridge.config.sections.mapper2d import Mapper2DSection
+from bridge.config.sections.maps import Mapper2DSection
 from bridge.config.sections.sim import SimSection
 from bridge.messages.scan import Turn
 from navigation.algorithms.astar import astar

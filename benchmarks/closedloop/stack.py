@@ -5,8 +5,7 @@ from __future__ import annotations
 from benchmarks.closedloop.robot import Robot
 from benchmarks.closedloop.worlds import World
 from bridge.config.sections.localization_server import LocaliserSection
-from bridge.config.sections.robot_goto import RobotGotoSection
-from bridge.config.sections.robot_path_planner import RobotPathPlannerSection
+from bridge.config.sections.planners import RobotGotoSection, RobotPathPlannerSection
 from navigation.constraints import Constraints
 from navigation.localization_server.estimate import LocalizationStatus
 from navigation.localization_server.localizer import Localizer

@@ -7,7 +7,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from bridge.config.sections.mapper2d import Mapper2DSection
+from bridge.config.sections.maps import Mapper2DSection
 from navigation.algorithms.occupancy import LEAST, MOST, OccupancyMap
 from navigation.maps.grid import turned
 from navigation.pose import Pose

@@ -7,7 +7,7 @@ from collections import deque
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
-from bridge.config.sections.mapper2d import Mapper2DSection
+from bridge.config.sections.maps import Mapper2DSection
 from bridge.config.sections.section import Section
 from bridge.hub.wire.qos import LATCHED, Qos
 from bridge.messages.scan import Turn

@@ -7,7 +7,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from typing import Any
 
-from bridge.config.sections.mapper2d import Mapper2DSection
+from bridge.config.sections.maps import Mapper2DSection
 from bridge.hub.wire.qos import Qos
 from bridge.modules.host import Host
 from bridge.tf.buffer import TransformBuffer

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from bridge.config.sections.mapper2d import Mapper2DSection
+from bridge.config.sections.maps import Mapper2DSection
 from navigation.ini import Ini, IniGroup, frame_name, port_name
 
 OTHERS = frozenset({"robot", "part", "local", "name"})

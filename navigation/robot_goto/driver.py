@@ -11,7 +11,7 @@ from collections import deque
 import numpy as np
 from numpy.typing import NDArray
 
-from bridge.config.sections.robot_goto import RobotGotoSection
+from bridge.config.sections.planners import RobotGotoSection
 from bridge.messages.scan import Turn
 from navigation.constraints import Constraints
 from navigation.pose import Pose, wrapped

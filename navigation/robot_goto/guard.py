@@ -8,7 +8,7 @@ from collections import deque
 import numpy as np
 from numpy.typing import NDArray
 
-from bridge.config.sections.robot_goto import RobotGotoSection
+from bridge.config.sections.planners import RobotGotoSection
 from navigation.algorithms.rolling_grid import UNKNOWN
 from navigation.algorithms.stopping import ahead, slowed
 from navigation.pose import Pose, wrapped

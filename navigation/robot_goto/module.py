@@ -9,7 +9,7 @@ import math
 from collections.abc import Callable
 from typing import Any
 
-from bridge.config.sections.robot_goto import RobotGotoSection
+from bridge.config.sections.planners import RobotGotoSection
 from bridge.config.sections.section import Section
 from bridge.hub.wire.qos import Qos
 from bridge.messages.scan import Turn

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from bridge.config.sections.robot_goto import LaserPose, RobotGotoSection
+from bridge.config.sections.planners import LaserPose, RobotGotoSection
 from navigation.ini import Ini, IniGroup, frame_name, port_name
 
 _TRAJECTORY = (

@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from bridge.config.sections.robot_goto import RobotGotoSection
+from bridge.config.sections.planners import RobotGotoSection
 from navigation.algorithms.distance_transform import distance_transform
 from navigation.algorithms.potential_field import Descent, descend
 from navigation.algorithms.rolling_grid import OCCUPIED, UNKNOWN

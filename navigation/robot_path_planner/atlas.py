@@ -9,7 +9,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from bridge.config.sections.robot_path_planner import RobotPathPlannerSection
+from bridge.config.sections.planners import RobotPathPlannerSection
 from bridge.stores.entry import StoreError
 from bridge.stores.kinds import AREA, LINK, LOCATION, MAP
 from bridge.stores.store import Store

@@ -10,7 +10,7 @@ from collections.abc import Collection
 from typing import Any
 
 from bridge.concurrency import SerialExecutor
-from bridge.config.sections.robot_path_planner import YARP, RobotPathPlannerSection
+from bridge.config.sections.planners import YARP, RobotPathPlannerSection
 from bridge.config.sections.section import Section
 from bridge.hub.wire.qos import LATCHED, Qos
 from bridge.modules.action_server import Goal

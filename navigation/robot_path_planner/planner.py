@@ -12,7 +12,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from bridge.config.sections.robot_path_planner import RobotPathPlannerSection
+from bridge.config.sections.planners import RobotPathPlannerSection
 from bridge.messages.scan import Turn
 from navigation.constraints import Constraints
 from navigation.goals import MapPlace

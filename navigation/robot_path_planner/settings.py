@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from bridge.config.sections.robot_path_planner import DrivenSection, RobotPathPlannerSection
+from bridge.config.sections.planners import DrivenSection, RobotPathPlannerSection
 from navigation.ini import Ini, IniGroup, frame_name, port_name
 
 MERGED = ("waypoint", "goal")

@@ -10,7 +10,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from bridge.config.sections.robot_path_planner import RobotPathPlannerSection
+from bridge.config.sections.planners import RobotPathPlannerSection
 from navigation.algorithms.astar import Cells, Weights, astar
 from navigation.algorithms.shortcut import sees, shortcut
 from navigation.constraints import Constraints

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from typing import Any
 
+from bridge.config.sections.modules import TransformServerSection
 from bridge.config.sections.section import Section
-from bridge.config.sections.transforms import TransformServerSection
 from bridge.hub.graph import HubGraph
 from bridge.hub.wire.qos import LATCHED, Durability, Qos
 from bridge.modules.host import Host

@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from bridge.config.sections.mapper2d import Mapper2DSection
+from bridge.config.sections.maps import Mapper2DSection
 from navigation.mapper2d.mapper import PAINTS, Mapper
 from navigation.pose import Pose
 from yarp_compat.dev.mapflag import UNKNOWN, MapFlag

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from bridge.config.sections.mapper2d import Mapper2DSection
+from bridge.config.sections.maps import Mapper2DSection
 from navigation.ini import laid_under
 from navigation.mapper2d.settings import read_file
 

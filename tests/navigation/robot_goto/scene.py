@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from bridge.config.sections.robot_goto import RobotGotoSection
+from bridge.config.sections.planners import RobotGotoSection
 from bridge.config.sections.sim import LaserSection, SimSection
 from navigation.constraints import Constraints
 from navigation.pose import Pose

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from bridge.config.sections.robot_goto import RobotGotoSection
+from bridge.config.sections.planners import RobotGotoSection
 from bridge.messages.scan import Turn
 from navigation.pose import Pose
 from navigation.robot_goto.guard import Guard

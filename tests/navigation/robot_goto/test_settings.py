@@ -5,7 +5,7 @@ from typing import Any
 
 import pytest
 
-from bridge.config.sections.robot_goto import RobotGotoSection
+from bridge.config.sections.planners import RobotGotoSection
 from navigation.ini import laid_under
 from navigation.robot_goto.driver import Driver
 from navigation.robot_goto.settings import read_file

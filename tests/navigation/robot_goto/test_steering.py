@@ -4,7 +4,7 @@ import math
 
 import pytest
 
-from bridge.config.sections.robot_goto import RobotGotoSection
+from bridge.config.sections.planners import RobotGotoSection
 from navigation.constraints import Constraints
 from navigation.robot_goto.steering import GoalLimits, beside, clipped, drive, people_speed
 

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from bridge.config.sections.robot_path_planner import RobotPathPlannerSection
+from bridge.config.sections.planners import RobotPathPlannerSection
 from bridge.messages.scan import Turn
 from navigation.constraints import Constraints
 from navigation.pose import Pose, wrapped

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 from pydantic import ValidationError
 
-from bridge.config.sections.robot_path_planner import RobotPathPlannerSection
+from bridge.config.sections.planners import RobotPathPlannerSection
 from navigation.constraints import Constraints
 from navigation.ini import laid_under
 from navigation.robot_path_planner.settings import MERGED, read_file

@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from bridge.config.sections.robot_path_planner import RobotPathPlannerSection, WaypointSection
+from bridge.config.sections.planners import RobotPathPlannerSection, WaypointSection
 from navigation.constraints import Constraints
 from navigation.goals import MapPlace
 from navigation.pose import Pose
