@@ -105,11 +105,7 @@ class OpenPort:
         self.close()
 
     def connect(self, target: str) -> Self:
-        """Connect the port's output to another port; ``udp://r`` says the carrier too.
-
-        Raises:
-            PortError: the other does not exist, or does not take the connection.
-        """
+        """Connect the output to another port; ``udp://r`` says the carrier too. Raises `PortError` where it cannot."""
         done, said = self.core.add_output(target)
         if not done:
             raise PortError(said)
@@ -216,12 +212,7 @@ class Client(OpenPort):
             return self.connect(self.server)
 
     def ask(self, content: Content, *, timeout: float | None = None) -> list[Any]:
-        """The values of the server's answer.
-
-        Raises:
-            TimeoutError: no answer came in so many seconds.
-            ConnectionError: the server is gone.
-        """
+        """The answer's values; raises `TimeoutError` after so many seconds, `ConnectionError` without the server."""
         return binary.decode(self.core.request(payload_of(content), timeout=timeout))
 
 

@@ -23,13 +23,7 @@ from yarp_compat.wire.errors import WireError
 
 @dataclass
 class OdometryData(Generated):
-    """A base's pose and velocity.
-
-    Attributes:
-        odom_x, odom_y, odom_theta: the pose: metres, metres, degrees.
-        base_vel_x, base_vel_y, base_vel_theta: the velocity in the base's frame: metres and degrees per second.
-        odom_vel_x, odom_vel_y, odom_vel_theta: the same in the odometry's frame.
-    """
+    """A base's pose, and its velocity in the base's own frame and in the odometry's: metres, degrees, seconds."""
 
     odom_x: float = 0.0
     odom_y: float = 0.0
@@ -77,15 +71,10 @@ class IOdometry2DMsgs(Service):
 class MobileBaseVelocityControl(ServiceClient[INavigation2DVelocityActionsMsgs]):
     """Drives a base, as YARP's ``mobileBaseVelocityControl_nwc_yarp`` does (`IMobileBaseVelocityControl`).
 
-    Example::
+    Arguments as of `ServiceClient`. Example::
 
         with MobileBaseVelocityControl("/baseControl/input/command/rpc:i") as base:
             base.drive(0.2, 0.0, 10.0)
-
-    Args:
-        server: its port.
-        name: the own port's name; empty lets the name server choose one.
-        options: as of `ClientOptions`.
     """
 
     def __init__(self, server: str, name: str = "", **options: Unpack[ClientOptions]) -> None:
@@ -105,12 +94,7 @@ class MobileBaseVelocityControl(ServiceClient[INavigation2DVelocityActionsMsgs])
             return UNREACHED, 0.0, 0.0, 0.0
 
     def drive(self, x: float, y: float, turn: float, seconds: float = DEFAULT_TIMEOUT) -> None:
-        """Drive: m/s, m/s, deg/s.
-
-        Raises:
-            CallFailed: the base refuses the command.
-            OSError: it is not there, or does not answer.
-        """
+        """Drive: m/s, m/s, deg/s; raises `CallFailed` where the base refuses, `OSError` where it does not answer."""
         outcome = self.remote.applyVelocityCommandRPC(x, y, turn, seconds)
         if not outcome:
             raise CallFailed(outcome.code, "the base refuses the command; its log says why")
@@ -119,10 +103,7 @@ class MobileBaseVelocityControl(ServiceClient[INavigation2DVelocityActionsMsgs])
 class Odometry2DClient(ServiceClient[IOdometry2DMsgs]):
     """Hears an odometry, and begins it anew, as YARP's ``odometry2D_nwc_yarp`` does (`IOdometry2D`).
 
-    Args:
-        server: begins the names of its ports: ``/baseControl/odometry`` or ``/cer/odometry``.
-        name: begins the names of the own ports; empty lets the name server choose names.
-        options: as of `ClientOptions`.
+    ``server`` begins the names of its ports (``/baseControl/odometry``), ``name`` the own ones; see `ServiceClient`.
     """
 
     def __init__(self, server: str, name: str = "", **options: Unpack[ClientOptions]) -> None:

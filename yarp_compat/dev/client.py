@@ -90,12 +90,7 @@ class Stream(Generic[T]):
         self._reader = Reader(name, strict=strict, naming=naming)
 
     def open(self) -> Self:
-        """Open the port and connect the source to it.
-
-        Raises:
-            NamingError: no name server answers.
-            PortError: no such port exists.
-        """
+        """Open the port and connect the source to it; raises `NamingError`, `PortError` where it does not exist."""
         self._reader.open()
         with closed_on_failure(self):
             connections.connect(self._reader.core.naming, self._source, self._reader.name)
@@ -106,11 +101,7 @@ class Stream(Generic[T]):
         self._reader.close()
 
     def read(self) -> tuple[T, float] | None:
-        """Wait for the next message: the data, and its time in seconds, 0 where it has none. None once this is closed.
-
-        Raises:
-            WireError: it is something else.
-        """
+        """The next data, and its time in seconds (0: none); None once closed. Raises `WireError` for other data."""
         return self._taken(self._reader.read())
 
     def read_now(self) -> tuple[T, float] | None:
@@ -139,9 +130,8 @@ class Stream(Generic[T]):
 class ClientOptions(TypedDict, total=False):
     """The way from a client to its server.
 
-    Attributes:
-        timeout: seconds to wait for a reply, `PATIENCE` by default; None: for ever.
-        naming: who knows the names; by default the name server of ``yarp.conf``.
+    ``timeout``: seconds to wait for a reply, `PATIENCE` by default, None for ever; ``naming``: by default of
+    ``yarp.conf``.
     """
 
     timeout: float | None
@@ -170,12 +160,7 @@ class ServiceClient(Client, Generic[S]):
         return self._channel.generation
 
     def open(self) -> Self:
-        """Open the port, connect it, and introduce it: so YARP 4's servers want it.
-
-        Raises:
-            NamingError: no name server answers.
-            PortError: no such server exists.
-        """
+        """Open the port, connect it, and introduce it, as YARP 4's servers want it; errors as of `Stream.open`."""
         super().open()
         with closed_on_failure(self):
             self.remote.introduce()

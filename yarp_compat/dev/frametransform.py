@@ -26,15 +26,9 @@ _TAIL = struct.Struct("<id ib" + " id" * 7)
 
 @dataclass
 class FrameTransform(Structure):
-    """The place of a frame in its parent's.
+    """The place of the frame ``dst_frame_id`` in its parent ``src_frame_id``: metres, a quaternion, seconds since 1970.
 
-    Attributes:
-        src_frame_id: the parent.
-        dst_frame_id: the child.
-        timestamp: seconds since 1970.
-        isStatic: 1 for one that does not expire, else 0.
-        tX, tY, tZ: metres.
-        qX, qY, qZ, qW: the rotation's quaternion.
+    One whose ``isStatic`` is 1, not 0, does not expire.
     """
 
     TYPE = "yarp/frameTransform"

@@ -114,15 +114,9 @@ class TransformClient(IFrameTransform):
     # -- the Python way: errors are exceptions ------------------------------------------------------------------------
 
     def pose(self, child: str, parent: str, *, timeout: float = 0.0) -> Pose:
-        """The pose of a frame in another, (4, 4).
+        """The pose (4, 4) of a frame in another, anywhere in the tree; waits up to ``timeout`` seconds for it.
 
-        Args:
-            child: the frame.
-            parent: the one in which it is wanted; anywhere in the tree.
-            timeout: seconds to wait until both are connected.
-
-        Raises:
-            TransformError: one is not known, or they are not connected.
+        Raises `TransformError` where one is not known, or they are not connected.
         """
         deadline = time.monotonic() + timeout
         while True:
@@ -140,12 +134,7 @@ class TransformClient(IFrameTransform):
         return moved
 
     def set(self, child: str, parent: str, pose: ArrayLike, *, static: bool = False) -> None:
-        """Set the pose of a frame in its parent, now or for ever.
-
-        Raises:
-            CallFailed: the server refuses it.
-            ValueError: the pose is not 4 by 4.
-        """
+        """Set a frame's pose (4, 4) in its parent, now or for ever; raises `CallFailed`, `ValueError` for a shape."""
         self.set_all({(child, parent): pose}, static=static)
 
     def set_all(self, poses: Mapping[tuple[str, str], ArrayLike], *, static: bool = False) -> None:
@@ -154,11 +143,7 @@ class TransformClient(IFrameTransform):
         _succeeded(self.send([transform_of(*names, pose, stamp, static=static) for names, pose in poses.items()]))
 
     def delete(self, child: str, parent: str) -> None:
-        """Delete what was set between two frames; ``*`` stands for any.
-
-        Raises:
-            CallFailed: there is nothing between them.
-        """
+        """Delete what was set between two frames (``*``: any); raises `CallFailed` where nothing is between them."""
         _succeeded(self.forget(child, parent))
 
     def __contains__(self, name: object) -> bool:
@@ -170,12 +155,7 @@ class TransformClient(IFrameTransform):
     # -- what `IFrameTransform` is made of ----------------------------------------------------------------------------
 
     def tree(self) -> FrameTree:
-        """All frames as they are known now.
-
-        Raises:
-            OSError: the server is away, where it is asked.
-            CallFailed: it failed.
-        """
+        """All frames as they are known now; of a server that is asked raises `OSError`, `CallFailed` where it fails."""
         if self._input is None:
             return FrameTree(self._fetched())
         if not self._input.connections.inputs:

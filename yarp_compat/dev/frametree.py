@@ -50,11 +50,7 @@ class FrameTree:
         return one == other or not {*self._way(one)}.isdisjoint(self._way(other))
 
     def pose(self, child: str, parent: str) -> Pose:
-        """The pose of a frame in another, which may be anywhere in the tree.
-
-        Raises:
-            TransformError: one of them is not known, or they are not connected.
-        """
+        """The pose of a frame in another, anywhere in the tree; raises `TransformError` where nothing connects them."""
         if child == parent:
             return np.eye(4)
         down, up = self._way(child), self._way(parent)

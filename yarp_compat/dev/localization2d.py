@@ -170,12 +170,7 @@ class ILocalization2D:
 
     @property
     def position(self) -> Map2DLocation:
-        """The robot's place.
-
-        Raises:
-            CallFailed: the server does not know.
-            OSError: the server is away, or does not answer.
-        """
+        """The robot's place; raises `CallFailed` where the server does not know, `OSError` where it does not answer."""
         outcome, location = self._localization.get_current_position1_RPC()
         succeeded(outcome)
         return location
@@ -184,10 +179,7 @@ class ILocalization2D:
 class Localization2DClient(ServiceClient[ILocalization2DMsgs], ILocalization2D):
     """A client of a localisation server, between ``with`` and its end.
 
-    Args:
-        server: begins the names of its ports.
-        name: begins the own port's name; empty lets the name server choose one.
-        options: as of `ClientOptions`.
+    ``server`` begins the names of its ports, ``name`` that of the own one; see `ServiceClient`.
     """
 
     def __init__(

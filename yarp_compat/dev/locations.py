@@ -93,10 +93,7 @@ class Map2DArea(Structure):
         return len(self.points) >= 3 and sum(border <= x for border in self._borders(y)) % 2 == 1
 
     def findAreaBounds(self) -> tuple[Map2DLocation, Map2DLocation] | None:
-        """The corners of least and of greatest x and y of its polygon; None where it is no area.
-
-        YARP finds 0 for the greatest where all are below.
-        """
+        """Its corners of least and greatest x and y; None where it is no area; YARP finds 0 where all are below."""
         if not self.isValid():
             return None
         xs, ys = [point.x for point in self.points], [point.y for point in self.points]
@@ -166,10 +163,7 @@ class Map2DPath(Structure):
         return len(self.waypoints)
 
     def getLength(self) -> float:
-        """Metres along it; the way from one map to another counts for nothing.
-
-        YARP adds up how far each pose is from its map's origin.
-        """
+        """Metres along it, without ways from map to map; YARP adds up how far poses are from their map's origin."""
         steps = zip(self.waypoints, self.waypoints[1:], strict=False)
         return sum(math.hypot(b.x - a.x, b.y - a.y) for a, b in steps if a.map_id == b.map_id)
 

@@ -200,13 +200,7 @@ class IMap2D:
 
 
 class Map2DClient(ServiceClient[IMap2DMsgs], IMap2D):
-    """A client of a map server, between ``with`` and its end; maps, objects, locations, areas and paths are mappings.
-
-    Args:
-        server: its port.
-        name: the own port's name; empty lets the name server choose one.
-        options: as of `ClientOptions`.
-    """
+    """A client of a map server, whose maps and places are mappings; arguments as of `ServiceClient`."""
 
     def __init__(self, server: str = "/map2D_nws_yarp/rpc", name: str = "", **options: Unpack[ClientOptions]) -> None:
         ServiceClient.__init__(self, IMap2DMsgs, server, name, **options)

@@ -31,12 +31,9 @@ class MapFileError(ValueError):
 
 
 def found(name: str | os.PathLike[str], beside: Path, jail: Path | None) -> Path:
-    """The file of a name, which may be absolute or relative to the folder ``beside``.
+    """The file of a name, absolute or relative to ``beside``; with a ``jail`` it must be in that folder.
 
-    Where a ``jail`` is given, the file must be in that folder, whatever links exist.
-
-    Raises:
-        MapFileError: it is outside of the jail, or no file.
+    Raises `MapFileError` where it is outside of the jail, whatever links exist, or no file.
     """
     if "\0" in os.fspath(name):
         raise MapFileError(f"{os.fspath(name)!r:.100} is no file's name")
@@ -53,11 +50,7 @@ def found(name: str | os.PathLike[str], beside: Path, jail: Path | None) -> Path
 
 
 def read_text(path: Path) -> str:
-    """A text file's content; bytes that are no UTF-8 stay as surrogate escapes.
-
-    Raises:
-        MapFileError: it cannot be read, or is too long.
-    """
+    """A text file's content, with surrogate escapes for other than UTF-8; raises `MapFileError`, also if too long."""
     try:
         with path.open("rb") as file:
             data = file.read(LONGEST_TEXT + 1)
@@ -125,13 +118,10 @@ _FORMATS = ("PPM", "PNG", "BMP")
 
 
 def read_image(path: Path) -> NDArray[Any]:
-    """An image's pixels, without copies of more than one.
+    """An image's pixels, copied once at most; raises `MapFileError` for no image, or, before it is read, one too large.
 
     Greys are of shape (height, width), in bytes or uint16, which reaches from 0 to 65,535 then; colours of (height,
     width, 3 or 4): red, green, blue and opacity in bytes.
-
-    Raises:
-        MapFileError: it is no such image, or too large, which is known before its pixels are read.
     """
     from PIL import Image
 

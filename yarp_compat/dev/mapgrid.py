@@ -299,25 +299,17 @@ class MapGrid2D(MapGrid2DInfo, Portable):
 
     @classmethod
     def load(cls, path: str | Path, jail: Path | None = None) -> Self:
-        """Read a map of YARP (``.map``) or of ROS (any other file, which is YAML).
+        """Read a map of YARP (``.map``) or of ROS (any other file, which is YAML); raises `MapFileError`.
 
-        Where a ``jail`` is given, all files must be in that folder; those that the file names stand beside it, or where
-        it says.
-
-        Raises:
-            MapFileError: a file does not exist or is wrong.
+        The files that it names stand beside it, or where it says; with a ``jail`` all must be in that folder.
         """
         found = load_yarp(path, jail) if Path(path).suffix.lower() == ".map" else load_ros(path, jail)
         return cls.of(found.flags, found.occupancy, name=found.name, resolution=found.resolution, origin=found.origin)
 
     def save(self, path: str | Path, **ros: Any) -> None:
-        """Write a map for YARP (``.map``), or for ROS (any other name, which should end with ``.yaml``).
+        """Write a map for YARP (``.map``), or for ROS (another name, best ``.yaml``); raises `MapFileError`.
 
-        Other files go beside it; those of YARP are named after the map. ``ros`` as of
-        :func:`yarp_compat.dev.rosmap.save_ros`.
-
-        Raises:
-            MapFileError: it cannot be written.
+        Other files go beside it, YARP's named after the map; ``ros`` as of `yarp_compat.dev.rosmap.save_ros`.
         """
         contents = MapContents(self._flags, self._occupancy, self.m_map_name, self.m_resolution, self.m_origin)
         if Path(path).suffix.lower() == ".map":

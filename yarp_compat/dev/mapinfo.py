@@ -74,14 +74,9 @@ class MapGrid2DOrigin:
 
 
 class MapContents(NamedTuple):
-    """A map as its files have it.
+    """A map as its files have it; ``resolution`` in metres per cell.
 
-    Attributes:
-        flags: a `MapFlag` for each cell, of shape (height, width), rows from the top one down.
-        occupancy: 0 to 100 or 255, of the same shape.
-        name: the map's.
-        resolution: metres per cell.
-        origin: the place of the lower left corner.
+    Flags (`MapFlag`) and occupancy (0 to 100, or 255) are of shape (height, width), rows from the top one down.
     """
 
     flags: NDArray[np.uint8]
@@ -158,18 +153,12 @@ class MapGrid2DInfo:
         return Vec2D(location.x, location.y)
 
     def cells_at(self, points: ArrayLike) -> NDArray[np.intp]:
-        """The columns and rows of the cells that hold places: x and y in metres, of shape (..., 2).
-
-        The result has the same shape, and is outside of the map where a place is.
-        """
+        """Columns and rows (..., 2) of the cells at places (x, y in metres: (..., 2)); off the map where these are."""
         found = self.in_cells(points)
         return np.stack((np.floor(found[..., 0]), np.ceil(found[..., 1]) - 1), -1).astype(np.intp)
 
     def in_cells(self, points: ArrayLike) -> NDArray[np.float64]:
-        """Places in cells to the right of and below the map's upper left corner, with fractions.
-
-        ``points`` are x and y in metres, of shape (..., 2).
-        """
+        """Places (x, y in metres: (..., 2)) in cells right of and below the upper left corner, with fractions."""
         places = np.asarray(points, float)
         ca, sa = self.m_origin.get_ca(), self.m_origin.get_sa()
         right = (places[..., 0] * ca - places[..., 1] * sa - self.m_origin.x) / self.m_resolution

@@ -238,33 +238,21 @@ class Navigation2DClient(INavigation2D):
     # -- the Python way: errors are exceptions ------------------------------------------------------------------------
 
     def go(self, place: str | Map2DLocation) -> None:
-        """Drive to a location, area or path by its name, or to a pose.
-
-        Raises:
-            CallFailed: no such place exists, or the planner refuses it.
-        """
+        """Drive to a location, area or path by its name, or to a pose; raises `CallFailed` where none or refused."""
         go = self.gotoTargetByLocationName if isinstance(place, str) else self.gotoTargetByAbsoluteLocation
         succeeded(go(place))  # type: ignore[arg-type] # each takes its own
 
     @property
     def status(self) -> NavigationStatusEnum:
-        """The planner's state.
-
-        Raises:
-            CallFailed: the planner does not say.
-            OSError: the planner is away, or does not answer.
-        """
+        """The planner's state; raises `CallFailed` where it does not say, `OSError` where it does not answer."""
         outcome, status = self._navigation.get_navigation_status_RPC()
         succeeded(outcome)
         return status
 
     def wait(self, timeout: float | None = None) -> NavigationStatusEnum:
-        """Wait until the robot has come to the end of what it was told, ``timeout`` seconds at most.
+        """Wait, ``timeout`` seconds at most, until the robot is no longer under way; returns the status then.
 
-        Returns the status then: goal_reached, aborted, failing, error or idle. Errors as of `status`, and:
-
-        Raises:
-            TimeoutError: it is still under way.
+        That is goal_reached, aborted, failing, error or idle. Raises `TimeoutError`, and as `status` does.
         """
         end = None if timeout is None else time.monotonic() + timeout
         while not (status := self.status).ended:

@@ -36,11 +36,7 @@ class Places(TextFile):
 
     @classmethod
     def from_text(cls, text: str, source: str = "the file") -> Self:
-        """The content of a file's text, of any version; errors call it ``source``.
-
-        Raises:
-            MapFileError: a line means nothing, or says a name for the second time.
-        """
+        """The content of a file's text, ``source`` to errors; raises `MapFileError` for a wrong or doubled line."""
         lines = iter(enumerate(text.split("\n"), 1))
         version = _version(lines, source)
         places = cls()
@@ -177,12 +173,9 @@ def _quoted(text: str) -> str:
 
 
 def map_files(path: str | Path, jail: Path | None = None) -> list[tuple[Path, bool]]:
-    """The maps' files that a collection names, and whether each is to be cropped.
+    """The maps' files that a collection names, and whether each is to be cropped; raises `MapFileError`.
 
     They stand beside the collection's file, or where it says; with a ``jail`` all must be in that folder.
-
-    Raises:
-        MapFileError: a file does not exist, or a line means nothing.
     """
     file = found(path, Path(), jail)
     files = []

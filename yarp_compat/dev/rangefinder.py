@@ -26,13 +26,9 @@ P = ParamSpec("P")
 
 @dataclass
 class LaserScan2D(Generated):
-    """One turn of a laser: what it measured, from the first angle to the last.
+    """One turn of a laser, in degrees and metres; ``scans`` are infinite where nothing was hit.
 
-    Attributes:
-        angle_min, angle_max: the first and the last ray's direction, degrees.
-        range_min, range_max: the nearest and the farthest that the laser sees, metres.
-        scans: distances, metres; infinite where nothing was hit.
-        status: the device's: 0 stands by, 1 in use, 2 error, 3 time-out.
+    ``status`` is the device's: 0 stands by, 1 in use, 2 error, 3 time-out.
     """
 
     angle_min: float = 0.0

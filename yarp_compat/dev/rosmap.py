@@ -72,13 +72,9 @@ class RosMapHeader:
 
 
 def load_ros(path: str | Path, jail: Path | None = None) -> MapContents:
-    """Read a map of ROS, from the YAML file; with a ``jail`` all files must be in that folder.
+    """Read a map of ROS from its YAML file, whose name it has; with a ``jail`` all files must be in that folder.
 
-    The flags are those that YARP gives such a map: free below 50, wall from there on, unknown. The map's name is by
-    default the file's.
-
-    Raises:
-        MapFileError: a file does not exist or is wrong.
+    The flags are those that YARP gives such a map: free below 50, wall from there on, unknown. Raises `MapFileError`.
     """
     file = found(path, Path(), jail)
     header = read_header(file)

@@ -328,14 +328,9 @@ class DeviceCalls:
 
 
 class ServiceServer(OpenPort):
-    """Answers clients of every release of YARP, each on the thread of its connection.
+    """Answers clients of every release of YARP with a ``service``, each on the thread of its connection.
 
-    Args:
-        name: the port's name.
-        service: the implementation.
-        generations: what peers are answered in; by default as they introduce themselves.
-        naming: knows the names; by default the name server of ``yarp.conf``.
-        options: more arguments of `PortCore`.
+    ``generations``: what peers are answered in, by default as they introduce themselves; more as of `OpenPort`.
     """
 
     def __init__(

@@ -81,16 +81,10 @@ class Service:
         return version
 
     def command(self, words: list[Any]) -> Sequence[Any] | None:  # noqa: ARG002 - most know none
-        """Answer a request that is none of the methods: commands in words, as modules had them before their services.
+        """Answer a request in words, as modules had them before their services; None where it is no command.
 
-        Args:
-            words: the request as a Bottle's values.
-
-        Returns:
-            the answer's values, the first of which may be a vocab as text (``[many]``); None where it is no command.
-
-        Raises:
-            ValueError: the command is known and something is wrong with it; says what.
+        ``words`` are a Bottle's values, and so is the answer, whose first may be a vocab as text (``[many]``). Raises
+        `ValueError`, which says what is wrong with a known command.
         """
         return None
 
@@ -197,15 +191,10 @@ class Reply:
 
 @dataclass(frozen=True, slots=True)
 class Call:
-    """A method.
+    """A method: its name, arguments, results, and its line in help (``prototype``).
 
-    Attributes:
-        name: its name.
-        arguments: their names and types.
-        results: the types of its results.
-        alone: it returns one value, not a structure of several.
-        prototype: its line in help.
-        since: the first generation that has it, where that is not the first of all.
+    ``alone``: it returns one value, not a structure of several; ``since``: the first generation that has it, if not all
+    have.
     """
 
     name: str
@@ -262,11 +251,7 @@ class Call:
         return found
 
     def reply(self, results: Sequence[Any], generation: Generation, profile: Profile | None = None) -> bytes:
-        """The reply with these results, with the tags of ``profile``, by default the generation's.
-
-        Raises:
-            WireError: a result is not of its type.
-        """
+        """The reply with these results, in a profile's tags or the generation's; raises `WireError` for other types."""
         out = ElementWriter(profile or generation.profile, generation)
         if not (self._itself and not (self.tells and generation is Generation.YARP_3_6)):
             out.begin(len(self.results))
@@ -280,9 +265,8 @@ class Call:
     def read_reply(self, data: Buffer, generation: Generation) -> Reply:
         """Take a reply apart, which ``data`` begins with; where the bytes tell another generation, that counts.
 
-        Raises:
-            WireError: it is none of this method's, such as ``[fail]`` of a server that does not know it; Incomplete: it
-                has not ended yet.
+        Raises `WireError` where it is none of this method's (``[fail]``: the server lacks it), `Incomplete` before its
+        end.
         """
         if self.tells:
             generation = _told(data, generation, alone=self.alone)

@@ -76,11 +76,7 @@ def load_yarp(path: str | Path, jail: Path | None = None) -> MapContents:
 
 
 def save_yarp(grid: MapContents, path: str | Path) -> None:
-    """Write a map for YARP: the ``.map`` file and, named after the map, three more beside it.
-
-    Raises:
-        MapFileError: the map's name cannot be a file's, or a file cannot be written.
-    """
+    """Write a map for YARP: the ``.map`` file and, named after the map, three beside it; raises `MapFileError`."""
     file = Path(path)
     name = file_name(grid.name)
     header = RosMapHeader(f"{name}_grid.pgm", grid.resolution, grid.origin.to_ros())

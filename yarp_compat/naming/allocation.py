@@ -103,11 +103,7 @@ class Allocator:
         }
 
     def restore(self, state: Mapping[str, Any]) -> None:
-        """Remember again what `state` said; numbers outside of the range are left out.
-
-        Raises:
-            KeyError, TypeError, ValueError: it is not what `state` gives.
-        """
+        """Remember what `state` gave, in range; raises `KeyError`, `TypeError` or `ValueError` for anything else."""
         numbers = {str(name): int(n) for name, n in state["numbers"].items() if self._first <= int(n) <= self._last}
         self._owner = {number: name for name, number in numbers.items()}
         self._number = {name: number for number, name in self._owner.items()}

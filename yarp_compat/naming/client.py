@@ -72,12 +72,7 @@ class NameClient:
 
     @property
     def address(self) -> Address:
-        """The configured address of the name server.
-
-        Raises:
-            NoNameServerError: no file says it.
-            NamingConfigError: the file cannot be used.
-        """
+        """The address; raises `NoNameServerError` where no file says it, `NamingConfigError` where one is wrong."""
         address = self._given or self._found or config.read(self._namespace)
         if address is None:
             raise NoNameServerError(

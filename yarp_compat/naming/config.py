@@ -57,11 +57,7 @@ def folder(environment: Mapping[str, str] | None = None, platform: str = sys.pla
 
 
 def namespaces(environment: Mapping[str, str] | None = None) -> list[str]:
-    """The networks to look in, the own one first: of ``YARP_NAMESPACE``, else of the file, else ``/root``.
-
-    Raises:
-        NamingConfigError: the file cannot be read.
-    """
+    """The networks, the own first: of ``YARP_NAMESPACE``, the file, or ``/root``; raises `NamingConfigError`."""
     env = os.environ if environment is None else environment
     text = env.get("YARP_NAMESPACE") or _read(Path(folder(env)) / NAMESPACE_FILE)
     names = [name.strip('"') for name in re.split(r"[\s,]+", text) if name.strip('"')]
@@ -88,11 +84,7 @@ def file(name: str | None = None, environment: Mapping[str, str] | None = None) 
 
 
 def read(name: str | None = None, environment: Mapping[str, str] | None = None) -> Address | None:
-    """The address of a network's name server; None where no file says it.
-
-    Raises:
-        NamingConfigError: the file cannot be read, or does not say it in a form that YARP knows.
-    """
+    """The address of a network's name server; None where no file says it. Raises `NamingConfigError` for a bad file."""
     path = file(name, environment)
     text = _read(path)
     if not text.strip():
@@ -158,11 +150,7 @@ def _write(path: Path, text: str) -> Path:
 
 
 def replace_file(path: Path, data: bytes) -> None:
-    """Write a file so that a crash at any moment leaves the old one or the new one.
-
-    Raises:
-        OSError: the folder cannot be written to.
-    """
+    """Write a file so that a crash leaves the old one or the new one; raises `OSError` where the folder refuses."""
     handle, temporary = tempfile.mkstemp(prefix=f".{path.name}.", dir=path.parent)
     try:
         with os.fdopen(handle, "wb") as stream:

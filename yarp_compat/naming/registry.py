@@ -214,11 +214,7 @@ class PortRegistry:
         }
 
     def restore(self, state: Mapping[str, Any]) -> None:
-        """Remember again what `state` said.
-
-        Raises:
-            KeyError, TypeError, ValueError: it is not what `state` gives.
-        """
+        """Remember what `state` gave; raises `KeyError`, `TypeError` or `ValueError` for anything else."""
         self._ports[self.server.name].properties.update(_properties(state.get("own", {})))
         for name, carrier, host, port, properties in state["ports"]:
             sane = is_name(name) and is_name(carrier) and is_name(host) and 0 <= int(port) <= 0xFFFF

@@ -165,11 +165,7 @@ class NameServer:
         )
 
     def open(self) -> Self:
-        """Remember what the last one knew, and serve.
-
-        Raises:
-            NamingError: the address is taken, or not one of this machine.
-        """
+        """Remember what the last one knew, and serve; raises `NamingError` where it cannot listen at its address."""
         self._recall()
         try:
             self._port.open()

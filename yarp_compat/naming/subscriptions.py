@@ -136,11 +136,7 @@ class Subscriptions:
         }
 
     def restore(self, state: Mapping[str, Any]) -> None:
-        """Remember again what `state` said.
-
-        Raises:
-            KeyError, TypeError, ValueError: it is not what `state` gives.
-        """
+        """Remember what `state` gave; raises `KeyError`, `TypeError` or `ValueError` for anything else."""
         for source, target, mode in state["subscriptions"]:
             one, two = PortContact.parse(str(source)), PortContact.parse(str(target))
             self._all[one.name, two.name] = PersistentConnection(one, two, str(mode))

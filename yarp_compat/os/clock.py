@@ -45,9 +45,7 @@ def read_time(values: list[object]) -> float | None:
 class NetworkClock:
     """Follows a clock's port; ``local`` names the own port, "" for ``/<host>/<program>/<process>/clock:i``.
 
-    Raises:
-        NamingError: the own port cannot be opened.
-        PortError: no name server can make the connection.
+    Raises `NamingError` where the own port cannot be opened, `PortError` where no name server makes the connection.
     """
 
     def __init__(self, source: str = DEFAULT, local: str = "") -> None:
@@ -124,12 +122,7 @@ class NetworkClock:
 
 
 def useNetworkClock(clock: str, localPortName: str = "") -> None:
-    """Use a network clock, now and whenever its port returns ("" for ``/clock``); ``localPortName`` names the own port.
-
-    Raises:
-        NamingError: no name server answers, or it refuses the port.
-        PortError: the connection cannot be asked for.
-    """
+    """Use a network clock ("" for ``/clock``), now and whenever its port returns; see `NetworkClock`."""
     time.use(NetworkClock(clock, localPortName))
 
 

@@ -61,13 +61,8 @@ def read_file(
 ) -> bool:
     """Take a file, or all files of a folder, into a dict of entries; False where none exists, and nothing changes.
 
-    Args:
-        name: of the file.
-        entries: takes what is read.
-        env: where variables are looked up.
-        wipe: remove first what is in ``entries``.
-        places: takes where each key stands, for messages to people.
-        find_import: finds what ``[import ...]`` names.
+    ``env`` knows variables; ``wipe`` first empties ``entries``; ``places`` takes where each key stands, for messages to
+    people; ``find_import`` finds what ``[import ...]`` names.
     """
     return _File(env, {} if places is None else places, find_import).read(name, entries, wipe)
 

@@ -76,11 +76,7 @@ class PortBase(ABC):
     _interrupted: bool
 
     def deliver(self, incoming: PortMessage) -> None:
-        """Give a message to the port's owner.
-
-        Raises:
-            ConnectionAbortedError: the port closes; nobody gets an empty reply or an acknowledgement for that.
-        """
+        """Give a message to the owner; raises `ConnectionAbortedError` where the port closes: nobody is answered."""
         if self._loop is None:
             raise ConnectionAbortedError(f"port {self.name} is closed")
         counters = self.counters

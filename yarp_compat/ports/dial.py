@@ -21,11 +21,7 @@ _JOINING = 1.0
 
 
 def dial(contact: PortContact, carrier: Carrier, sender: str, qualifiers: str = "") -> socket.socket:
-    """Connect to a port; returns the socket on which messages can be sent (for udp: datagrams).
-
-    Raises:
-        OSError: nobody answers there, or not as a port does.
-    """
+    """Connect to a port, for messages (by udp: datagrams) on the socket; raises `OSError` where no port answers."""
     end = time.monotonic() + PATIENCE
     sock = socket.create_connection((contact.host, contact.port), PATIENCE)
     with closed_on_failure(sock):
@@ -41,13 +37,10 @@ def dial(contact: PortContact, carrier: Carrier, sender: str, qualifiers: str = 
 
 
 def dial_group(contact: PortContact, sender: str, qualifiers: str, group: Callable[[str], Group]) -> None:
-    """Tell a port which multicast group messages will be sent to, and wait until it listens.
+    """Tell a port which multicast group messages will be sent to, and wait until it listens; raises `OSError`.
 
     It answers nothing; that it closes the connection says that it has joined the group, or is about to. ``group`` makes
     the group for the address of this machine from which the port is reached.
-
-    Raises:
-        OSError: nobody answers there, or the port refuses.
     """
     with socket.create_connection((contact.host, contact.port), PATIENCE) as sock:
         tune(sock)

@@ -62,10 +62,8 @@ class PortMessage:
     def reply(self, payload: Payload, *, plain: bool = False, slack: int = 0) -> None:
         """Answer; once, and only where a reply is wanted (elsewhere it goes nowhere).
 
-        Args:
-            payload: a Bottle, or with ``plain`` lines of text, which are sent as they are on every carrier.
-            plain: it is no Bottle.
-            slack: bytes that its acknowledgement says are behind it, where the carrier has acknowledgements.
+        ``plain``: it is no Bottle but lines of text, sent as they are on every carrier. ``slack``: bytes that its
+        acknowledgement, where the carrier has such, says are behind it.
         """
         if not self._answered:
             self._answered = True
@@ -100,11 +98,7 @@ class PortMessage:
             self._later.set()
 
     def wait(self) -> Payload | None:
-        """The reply, or None; waits where it comes later.
-
-        Raises:
-            ConnectionAbortedError: it was to come later, and the port has closed before it did.
-        """
+        """The reply, or None; waits for a later one; raises `ConnectionAbortedError` where the port closes first."""
         if self._later is not None:
             self._later.wait()
             if self.is_retired and self.replied is None:

@@ -32,12 +32,9 @@ _MOST_SENDERS = 4
 
 
 class GroupInput(DatagramInput):
-    """An input of mcast.
+    """An input of mcast; raises `OSError` where the group cannot be joined.
 
     ``caller`` is the connection on which the sender named the group; it is closed when the group is joined.
-
-    Raises:
-        OSError: the group cannot be joined.
     """
 
     def __init__(self, port: PortBase, caller: socket.socket, opened: Opening, address: tuple[str, int]) -> None:
@@ -128,9 +125,8 @@ class SendingGroups:
     def join(self, owner: str, interface: str, profile: Profile) -> SendingGroup:
         """The group for one more reader, which this machine reaches from ``interface``; `leave` is due for each.
 
-        Raises:
-            CarrierError: the name server gives none, or the readers want different dialects.
-            OSError: the name server does not answer, or the system makes no such socket.
+        Raises `CarrierError` where the name server gives none or the readers' dialects differ, `OSError` as it and
+        sockets do.
         """
         with self._lock:
             group = self._groups.get(interface) or self._new(owner, interface)

@@ -48,9 +48,7 @@ class Naming(Protocol):
     def register(self, name: str, host: str = "", port: int = 0, *, carrier: str = "") -> PortContact:
         """Register a port; the server fills in what is empty or 0 (the name too: ``/tmp/port/N``).
 
-        Raises:
-            NoNameServerError: nobody answers.
-            NameRefusedError: the server did not take the name.
+        Raises `NoNameServerError` where nobody answers, `NameRefusedError` where it did not take the name.
         """
         ...
 

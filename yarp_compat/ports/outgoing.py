@@ -16,11 +16,7 @@ from yarp_compat.wire.text import from_text, to_text
 
 
 def to_line(payload: Payload, profile: Profile | None = None, *, plain: bool = False) -> bytes:
-    """A Bottle's line, with its end; ``plain``: it is text already, and stays as it is.
-
-    Raises:
-        WireError: it is no Bottle.
-    """
+    """A Bottle's line, with its end, or ``plain`` text as it is; raises `WireError` where it is no Bottle."""
     data = payload if isinstance(payload, (bytes, bytearray, memoryview)) else b"".join(payload)
     if plain:
         return bytes(data)

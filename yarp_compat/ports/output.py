@@ -261,13 +261,9 @@ class Output:
     def request(self, buffers: list[Buffer], parse: ReplyEnd | None, deadline: float | None) -> bytes:
         """Send a message that wants a reply, and wait for it until the deadline of the monotonic clock.
 
-        ``parse`` says where the reply ends; None: at a Bottle's end, or with a text carrier at the line's.
-
-        Raises:
-            TimeoutError: no reply by the deadline; the connection is closed, as the reply may still come.
-            ConnectionError: the connection broke.
-            WireError: the reply is no Bottle, or above the limit, and the connection is closed; or only an
-                acknowledgement came.
+        ``parse`` says where the reply ends; None: at a Bottle's end, or with a text carrier at the line's. Raises
+        `TimeoutError` (and closes, as the reply may still come), `ConnectionError` where the connection broke,
+        `WireError` where the reply is none or above the limit (and closes), or only an acknowledgement came.
         """
         with self._lock:
             if self._driven:

@@ -83,10 +83,8 @@ class OutputSocket:
     def reply(self, watch: ReplyWatch, check_time: Callable[[], None]) -> bytes | None:
         """Wait for the reply, whose end ``watch`` knows; None where the acknowledgement comes without one.
 
-        Raises:
-            ConnectionError: the connection broke.
-            WireError: the reply is no Bottle, or above the limit.
-            TimeoutError: ``check_time`` raises it where the reply is late.
+        Raises `ConnectionError`, `WireError` for no Bottle or one above the limit, and what ``check_time`` raises when
+        late.
         """
         came: bytes | bytearray = self._came
         acknowledgement = _ACKNOWLEDGEMENTS.get(self._carrier, ())

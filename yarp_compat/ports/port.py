@@ -90,12 +90,7 @@ class PortCore(ConnectingPort):
     # -- life ---------------------------------------------------------------------------------------------------------
 
     def open(self) -> PortContact:
-        """Register the port and listen; where another thread closes it, when that is done.
-
-        Raises:
-            NamingError: nobody answers at the name server's address, or it refuses.
-            OSError: the port cannot listen on its address.
-        """
+        """Register the port and listen, after a close under way; raises `NamingError`, `OSError` for the address."""
         self._closed.wait()
         with self._life:
             contact, sock = registered(self.naming, self.name, self._host, self._number)
@@ -228,12 +223,7 @@ class PortCore(ConnectingPort):
         """Send a request over the first output, and wait for the reply, ``timeout`` seconds at most.
 
         ``parse`` says where the reply ends that begins these bytes (raises Incomplete for more); by default a Bottle's
-        end.
-
-        Raises:
-            TimeoutError: no reply in time; the connection is closed.
-            ConnectionError: the port has no output, or it broke.
-            WireError: the reply is no Bottle, or above the limit.
+        end. Raises as `Output.request` does, and `ConnectionError` without an output.
         """
         outputs = self.connections.outputs
         if not outputs or self._interrupted:

@@ -84,7 +84,7 @@ _BACKLOG = 1024
 
 
 def registered(naming: Naming, name: str, host: str | None, number: int) -> tuple[PortContact, socket.socket]:
-    """Register a port, and listen.
+    """Register a port, and listen; raises `NamingError`, or `OSError` where it cannot listen.
 
     Args:
         naming: the name server.
@@ -92,10 +92,6 @@ def registered(naming: Naming, name: str, host: str | None, number: int) -> tupl
         host: the only address that will do; None: the one that the name server says, or any.
         number: the only TCP port number that will do; 0: a free one of the naming's `numbers`, else the name server's
             or any.
-
-    Raises:
-        NamingError: nobody answers at the name server's address, or it refuses.
-        OSError: the port cannot listen on the address.
     """
     wanted = number or _free(naming.numbers, name)
     contact = naming.register(name, host or "", wanted)
@@ -128,13 +124,10 @@ def _free(numbers: range, name: str) -> int:
 
 
 def listening(host: str, number: int, *, host_fixed: bool, number_fixed: bool) -> socket.socket:
-    """A socket that listens at an address and number (0: any).
+    """A socket that listens at an address and number (0: any); raises `OSError` where it cannot.
 
     Unless ``host_fixed``, it listens at all of this machine's addresses where ``host`` is none of them (another machine
     translates it); unless ``number_fixed``, at another number where that one is taken.
-
-    Raises:
-        OSError: it cannot listen there.
     """
     family = socket.AF_INET6 if ":" in host else socket.AF_INET
     try:

@@ -40,9 +40,7 @@ class ByteStream:
     def message(self) -> tuple[str, str, Buffer] | None:
         """Wait for a message: its key, its command's text if any, and its payload; None at the connection's end.
 
-        Raises:
-            WireError: for anything that is no message, and for one above the limit.
-            OSError: the connection broke.
+        Raises `WireError` for no message, and for one above the limit, `OSError` where the connection broke.
         """
         while True:
             start, have = self._start, self._end - self._start
@@ -123,10 +121,9 @@ class ByteStream:
             self._spare = bytearray()
 
     def line(self, longest: int | None = None) -> bytes | None:
-        r"""Wait for a line; without its end (``\n`` or ``\r\n``). None at the connection's end.
+        r"""Wait for a line, without its end (``\n``, ``\r\n``); None at the connection's end.
 
-        Raises:
-            WireError: the line is longer than ``longest`` bytes, by default the connection's limit.
+        Raises `WireError` where it is longer than ``longest`` bytes, by default the connection's limit.
         """
         longest = min(longest or self._limit, self._limit)
         parts: list[bytes] = []

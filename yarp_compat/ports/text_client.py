@@ -25,8 +25,7 @@ _STEP = 0.1
 class LineSocket:
     """A TCP connection for a short exchange of lines, within ``timeout`` seconds and up to ``limit`` bytes.
 
-    Raises:
-        OSError: nobody answers there, or (any method) not in time, or with too much.
+    Raises `OSError` where nobody answers, or (any method) not in time, or with too much.
     """
 
     def __init__(self, host: str, port: int, timeout: float, limit: int = 1 << 20) -> None:
@@ -109,12 +108,9 @@ _ACK = "<ACK>"
 
 
 def ask(contact: PortContact, command: Sequence[Any], *, admin: bool = False, timeout: float = TIMEOUT) -> list[str]:
-    """Send a Bottle to a port and return the lines of its answer, within ``timeout`` seconds.
+    """Send a Bottle to a port, or as ``admin`` a command like ``[list] [out]``, and return the lines of its answer.
 
-    ``admin``: it is a command for the port itself, as ``[list] [out]``, rather than for its owner.
-
-    Raises:
-        PortError: it does not answer in time, or not as a port does.
+    Raises `PortError` where it does not answer within ``timeout`` seconds, or not as a port does.
     """
     return raw(contact, "admin", f"{'a' if admin else 'd'}\r\n{to_text(command)}\r\n", timeout)
 

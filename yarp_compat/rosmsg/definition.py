@@ -80,12 +80,9 @@ def full_name(name: str, package: str = "") -> str:
 
 
 def parse(text: str, name: str) -> dict[str, MessageDefinition]:
-    """Read a definition, and those appended to it after lines of ``=`` and ``MSG: package/Name``.
+    """The definitions of a text by name: ``name``'s own, then those behind lines of ``=`` and ``MSG: package/Name``.
 
-    Returns the definitions by name; the first is ``name``'s own.
-
-    Raises:
-        DefinitionError: naming the type and the line that cannot be read.
+    Raises `DefinitionError`, which names the type and the line that cannot be read.
     """
     if len(text) > MAX_TEXT:
         raise DefinitionError(f"the definition of {name} is longer than {MAX_TEXT} characters")

@@ -47,11 +47,7 @@ class MessageLibrary:
             self._definitions |= parse(text, name)
 
     def get(self, name: str) -> type[Message]:
-        """The class of a type, ``std_msgs/String`` (``std_msgs/msg/String`` is the same).
-
-        Raises:
-            DefinitionError: no definition of it, or of what it nests, is known or readable.
-        """
+        """The class of a type, ``std_msgs/String`` or ``std_msgs/msg/String``; raises `DefinitionError`."""
         with self._lock:
             return self._class(full_name(name), ())
 

@@ -117,13 +117,10 @@ class Raster:
             self._fill(self.numpy())
 
     def setExternal(self, data: Buffer | NDArray[Any] | VectorOf, width: int, height: int) -> None:
-        """Use this memory for the pixels: an array, a vector's, or any buffer in one piece.
+        """Use this memory for the pixels: an array, vector or buffer; raises `ValueError` if too small or in pieces.
 
         Rows count as padded to the image's quantum, or not at all where the memory's size says so. The image is read
         into this memory as long as what comes has this size and kind.
-
-        Raises:
-            ValueError: it is too small, or not in one piece.
         """
         held = data.numpy() if isinstance(data, VectorOf) else data  # which scripts for YARP's bindings do
         view = held.data if isinstance(held, np.ndarray) else memoryview(held)
@@ -200,11 +197,7 @@ class Image(Raster, Comparable, Portable):
 
     @classmethod
     def of(cls, array: NDArray[Any]) -> Self:
-        """An image of an array (height, width[, channels]), which shares its memory where that is in one piece.
-
-        Raises:
-            ValueError: the array does not have this class's pixels.
-        """
+        """An image of an array (height, width[, channels]), which it shares in one piece; raises `ValueError`."""
         image = cls()
         image._wrap(array)
         return image
@@ -240,11 +233,7 @@ class Image(Raster, Comparable, Portable):
         self.numpy()[y, x] = tuple(value) if hasattr(value, "__iter__") else value
 
     def copy(self, other: Image, width: int | None = None, height: int | None = None) -> bool:
-        """Become another image, of this class's pixels and, where it is given, of another size by a coarse scaling.
-
-        Raises:
-            ValueError: YARP has no conversion between the pixels.
-        """
+        """Become another image in this class's pixels, coarsely scaled where a size is given; raises `ValueError`."""
         if not self._code:
             self._code, self._quantum = other.getPixelCode(), other.getQuantum()
         pixels = convert(other.numpy(), other.getPixelCode(), self._code)
@@ -345,11 +334,7 @@ class FlexImage(Image):
     """An image of any pixels."""
 
     def setPixelCode(self, code: int) -> None:
-        """Have pixels of this code; the content goes where they are of another size.
-
-        Raises:
-            ValueError: no such pixels exist.
-        """
+        """Have pixels of this code, and none where they are of another size; raises `ValueError` for no such code."""
         size = format_of(code).size if code else 0
         if size != self.getPixelSize():
             self._place(0, 0, 0, memoryview(bytearray()))

@@ -184,11 +184,7 @@ _RGB = ("r", "g", "b")
 
 
 def convert(pixels: NDArray[Any], source: int, target: int) -> NDArray[Any]:
-    """Other pixels of the same picture, of shape (height, width) or (height, width, channels), from code to code.
-
-    Raises:
-        ValueError: YARP has no conversion.
-    """
+    """A picture (height, width[, channels]) in another code's pixels; raises `ValueError` where YARP has no way."""
     if source == target:
         return pixels
     given, wanted = format_of(source), format_of(target)

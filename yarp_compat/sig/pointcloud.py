@@ -80,11 +80,7 @@ class PointCloud(Portable):
 
     @classmethod
     def of(cls, points: NDArray[Any], *, dense: bool = True) -> Self:
-        """A cloud of an array of points (of a type in ``LAYOUTS``), one row or (height, width), which it shares.
-
-        Raises:
-            ValueError: the points are of another type.
-        """
+        """A cloud that shares an array of points (see ``LAYOUTS``), a row or (height, width); raises `ValueError`."""
         cloud = cls()
         kind = cloud._point if cls.fixed else next((kind for kind, form in LAYOUTS.items() if form == points.dtype), 0)
         if points.dtype != LAYOUTS.get(kind):

@@ -35,11 +35,7 @@ def tag_of(dtype: np.dtype[Any], profile: Profile) -> int:
 
 
 def as_array(values: NDArray[Any], dtype: Any, copy: bool | None) -> NDArray[Any]:
-    """An array of these values as numpy asks for one: of another type, or with memory of its own.
-
-    Raises:
-        ValueError: that needs a copy, which was forbidden.
-    """
+    """These values as numpy asks for them: of a type, in own memory; raises `ValueError` for a forbidden copy."""
     if dtype is not None and np.dtype(dtype) != values.dtype:
         if copy is False:
             raise ValueError(f"numbers of {values.dtype} are no array of {np.dtype(dtype)} without a copy")
@@ -57,9 +53,7 @@ def read_numbers(source: ElementReader, dtype: np.dtype[Any]) -> NDArray[Any]:
     """A list of numbers; a view into the payload where they are of this type, else a copy.
 
     YARP's own readers take only lists of exactly their type; this also takes what people type, such as ``1 2.5``.
-
-    Raises:
-        WireError: it is something else, or a number is none of this type.
+    Raises `WireError` for anything else, and for a number that is none of this type.
     """
     tag, count, data = source.numbers()
     if data is None:

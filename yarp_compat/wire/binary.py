@@ -74,11 +74,7 @@ class Encoder:
         }
 
     def bottle(self, values: Any, out: list[Buffer], depth: int = 0) -> None:
-        """Append a list's pieces: its header, which is that of a top-level Bottle too, and its elements.
-
-        Raises:
-            WireError: there is a value that no Bottle can hold.
-        """
+        """Append a list's header, as of a top-level Bottle, and its elements; raises `WireError` as `encode`."""
         if depth > tags.MAX_DEPTH:
             raise WireError(f"lists are nested deeper than {tags.MAX_DEPTH}")
         if not isinstance(values, (list, tuple)):
@@ -220,11 +216,7 @@ class Decoder:
         self._array = array
 
     def bottle(self, data: Buffer, offset: int) -> tuple[Any, int]:
-        """A Bottle with its header; and where it ends.
-
-        Raises:
-            WireError: it is none; Incomplete where the data ends before it does.
-        """
+        """A Bottle with its header, and its end; raises `WireError`, `Incomplete` where the data ends before."""
         return self._bottle(data, offset, 0)
 
     def _bottle(self, data: Buffer, offset: int, depth: int) -> tuple[Any, int]:
@@ -375,20 +367,12 @@ _ARRAYS4 = Decoder(Profile.YARP4, array)
 
 
 def encode(values: Sequence[Any], profile: Profile) -> bytes:
-    """A whole Bottle of these values (`values` says which there are).
-
-    Raises:
-        WireError: there is a value that no Bottle can hold.
-    """
+    """A whole Bottle of these values (`values` says which there are); raises `WireError` where none can hold one."""
     return b"".join(encode_parts(values, profile))
 
 
 def encode_parts(values: Sequence[Any], profile: Profile) -> list[Buffer]:
-    """The same in pieces, in which large arrays and blobs are not copied.
-
-    Raises:
-        WireError: there is a value that no Bottle can hold.
-    """
+    """The same in pieces, in which large arrays and blobs are not copied."""
     out: list[Buffer] = []
     try:
         (_ENCODER3 if profile is Profile.YARP3 else _ENCODER4).bottle(values, out)
@@ -398,12 +382,9 @@ def encode_parts(values: Sequence[Any], profile: Profile) -> list[Buffer]:
 
 
 def decode(data: Buffer, profile: Profile | None = None) -> list[Any]:
-    """The values of exactly one Bottle.
+    """The values of exactly one Bottle; raises `WireError` where it is none.
 
     Without a profile it takes the one that accounts for every byte, YARP 3 where both do.
-
-    Raises:
-        WireError: they are no Bottle of that profile.
     """
     values: list[Any] = _decoded(data, profile, _DECODER3, _DECODER4)
     return values
@@ -413,19 +394,12 @@ def decode_arrays(data: Buffer, profile: Profile | None = None) -> Any:
     """The same with numpy arrays for lists of numbers of one type, the Bottle's own among them.
 
     They are views into the data, writable where it is: nothing is copied.
-
-    Raises:
-        WireError: they are no Bottle of that profile.
     """
     return _decoded(data, profile, _ARRAYS3, _ARRAYS4)
 
 
 def decode_prefix(data: Buffer, profile: Profile, offset: int = 0) -> tuple[list[Any], int]:
-    """The values of the Bottle that begins at an offset, and where it ends.
-
-    Raises:
-        WireError: it is none; Incomplete: it may be one when more bytes have come.
-    """
+    """The values of the Bottle at an offset, and its end; raises `WireError`, or `Incomplete` where more may come."""
     return (_DECODER3 if profile is Profile.YARP3 else _DECODER4).bottle(data, offset)
 
 

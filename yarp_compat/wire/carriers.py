@@ -81,10 +81,9 @@ _OTHERS = frozenset(
 
 
 def parse(text: str) -> tuple[Carrier, str]:
-    """The carrier of ``tcp`` or ``tcp+recv.portmonitor+type.dll``, and its qualifiers (``recv.portmonitor+type.dll``).
+    """The carrier and the qualifiers (``recv.portmonitor+type.dll``) of ``tcp`` or ``tcp+recv.portmonitor+type.dll``.
 
-    Raises:
-        WireError: for a carrier that is not offered here.
+    Raises `CarrierError` for a carrier that is not offered here.
     """
     name, _, qualifiers = text.partition("+")
     carrier = CARRIERS.get(name)
@@ -96,11 +95,7 @@ def parse(text: str) -> tuple[Carrier, str]:
 
 
 def recognise(opening: bytes | bytearray | memoryview) -> Carrier:
-    """The carrier that a connection's first 8 bytes choose.
-
-    Raises:
-        WireError: for openings of a carrier that is not offered here (it is named), and for anything else.
-    """
+    """The carrier that 8 first bytes choose; raises `CarrierError` for one not offered here, `WireError` for else."""
     first = bytes(opening[:8])
     value = framed(first)
     if value is not None:
@@ -174,10 +169,7 @@ def parse_opening(data: bytes | bytearray) -> Opening | None:
     """Read an initiator's introduction; None while bytes are missing.
 
     The carriers ``http`` and ``name_ser`` have none beyond their first bytes: all of these belong to the request, and
-    ``size`` is 0.
-
-    Raises:
-        WireError: for a carrier that is not offered here, a bad length, a name that is too long or no text.
+    ``size`` is 0. Raises `WireError` for a carrier that is not offered here, a bad length, a name too long or no text.
     """
     if len(data) < 8:
         return None

@@ -60,11 +60,7 @@ class Assembler:
         self.incomplete = 0
 
     def add(self, data: Buffer) -> bytes | None:
-        """Take a datagram; returns the message that it completes, or None.
-
-        Raises:
-            WireError: the message is nonsense, or above the limit.
-        """
+        """Take a datagram; the message that it completes, or None. Raises `WireError` for nonsense, or too much."""
         if len(data) < _HEAD.size:
             self.spoiled += 1
             return None

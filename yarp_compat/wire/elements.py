@@ -248,11 +248,7 @@ class ElementWriter:
         self._tail += _TWO_INT32.pack(LIST | tag, count)
 
     def integer(self, value: int, tag: int = INT32, *, tagged: bool = True) -> None:
-        """An integer of a tag's size; one that is unsigned keeps its bits.
-
-        Raises:
-            WireError: it is no integer or does not fit.
-        """
+        """An integer of a tag's size, unsigned ones by bits; raises `WireError` where it is none or does not fit."""
         try:
             size = _INTEGERS[tag].size
             if value > 0 and value >> (8 * size - 1) == 1:

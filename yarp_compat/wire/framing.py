@@ -58,11 +58,7 @@ def with_envelope(key: str, envelope: str) -> bytes:
 def parse_command(
     data: bytes | bytearray | memoryview, offset: int = 0, end: int | None = None
 ) -> tuple[PortCommand, int]:
-    """Read a command in binary; returns it and where the data behind it begin.
-
-    Raises:
-        WireError: the bytes are none, or its text is too long or no text.
-    """
+    """A command in binary, and where the data behind it begin; raises `WireError` where it is none, or too long."""
     end = len(data) if end is None else end
     if end - offset < _HEAD.size:
         raise WireError(f"a port command takes 8 bytes and {end - offset} came")

@@ -39,11 +39,7 @@ class Generation(Enum):
 
     @classmethod
     def of(cls, version: str) -> Generation:
-        """The generation of a release of YARP, such as ``3.9.1`` or ``4``.
-
-        Raises:
-            ValueError: this is no version of YARP from 3.6 on.
-        """
+        """The generation of a release of YARP, such as ``3.9.1`` or ``4``; raises `ValueError` for none from 3.6 on."""
         match = re.fullmatch(r"(\d{1,4})(?:\.(\d{1,4}))?(?:\.\d{1,8})?\+?", version.strip())
         release = (int(match[1]), int(match[2] or 0)) if match else (0, 0)
         if match and match[2] is None and release[0] == 3:

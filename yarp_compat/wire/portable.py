@@ -56,12 +56,9 @@ class Portable(ABC):
         return out.payload()
 
     def from_wire(self, data: Buffer, profile: Profile | None = None) -> None:
-        """Become what a whole payload holds; arrays stay views into it.
+        """Become what a whole payload holds; arrays stay views into it. Without a profile YARP 3 is tried, then 4.
 
-        By default both profiles are tried, YARP 3 first.
-
-        Raises:
-            WireError: it is something else; the value stays what it was.
+        Raises `WireError` where it is something else; the value stays what it was.
         """
         if profile is not None:
             self._whole(data, profile)

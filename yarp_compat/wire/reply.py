@@ -43,11 +43,7 @@ class ReplyReader:
         self._walks = {one: _Walk(one, limit) for one in ([profile] if profile is not None else Profile)}
 
     def end(self, data: Buffer) -> int:
-        """The end of the reply, all of whose bytes up to now are ``data``.
-
-        Raises:
-            WireError: it is no Bottle, or longer than the limit; Incomplete: it has not ended yet.
-        """
+        """The end of the reply in all that came; raises `WireError` where it is none or too long, else `Incomplete`."""
         ends: dict[Profile, int] = {}
         missing: Incomplete | None = None
         wrong: WireError | None = None
@@ -96,12 +92,9 @@ def plain_end(data: Buffer, profile: Profile | None) -> int:
 
 
 def recognise(data: Buffer) -> Profile | None:
-    """The profile of a whole Bottle's bytes; None where they are the same for all.
+    """The profile of a whole Bottle's bytes; None where they are the same for all. Raises `WireError` for no Bottle.
 
     A tag that only one profile has tells, and where both may be meant, which of them accounts for every byte.
-
-    Raises:
-        WireError: it is no Bottle of any profile.
     """
     fits: list[Profile] = []
     wrong: WireError | None = None

@@ -124,11 +124,7 @@ def entry_values(entry: Any) -> Sequence[Any]:
 
 
 def plain(value: Any) -> Any:
-    """The value of a known type that a subclass's instance or a numpy scalar stands for.
-
-    Raises:
-        WireError: a Bottle cannot hold it.
-    """
+    """The plain value that an instance of a subclass or a numpy scalar stands for; raises `WireError` where none is."""
     if isinstance(value, bool):
         return value
     if hasattr(value, "dtype"):

@@ -30,14 +30,10 @@ class TypedReaderCallback:
 
 
 class CallbackThread:
-    """Calls a callback with what comes, until stopped.
+    """Calls a callback (an object with ``onRead``, or a function) with what comes, under a lock, until stopped.
 
-    Args:
-        name: for the thread's name.
-        take: waits for the next content; given a function that tells when to stop, it returns None then or at the end.
-        callback: an object with ``onRead``, or a function.
-        port: handed to callbacks that want it.
-        lock: held by each call.
+    ``take`` waits for the next content; given a function that tells when to stop, it returns None then or at the end.
+    ``port`` is for callbacks that want it.
     """
 
     def __init__(

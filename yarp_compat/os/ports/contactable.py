@@ -100,15 +100,10 @@ class Contactable:
     # -- life ---------------------------------------------------------------------------------------------------------
 
     def open(self, name: str | Contact, registerName: bool = True) -> bool:
-        """Register the port under a name and begin to take connections.
+        """Register the port under a name and begin to take connections; False, and why in the log, where it cannot.
 
-        Args:
-            name: the name, ``/reader``; empty or ``...`` lets the name server choose; ``/topic@/node`` is an end of a
-                ROS topic. Or a contact, with the address to listen on.
-            registerName: tell the name server.
-
-        Returns:
-            False when the name cannot be used, no name server answers, or the address is taken.
+        ``name``: ``/reader``; empty or ``...`` lets the name server choose; ``/topic@/node`` is an end of a ROS topic;
+        a contact has the address to listen on. ``registerName``: tell the name server.
         """
         if not RUNTIME.is_up:
             log.error("YARP not initialized; call yarp.Network.init() before using ports")
