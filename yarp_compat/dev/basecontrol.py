@@ -7,6 +7,7 @@ Ports (`mobileBaseVelocityControl_nws_yarp`, `odometry2D_nws_yarp` of YARP 4): `
 """
 
 # mypy: disable-error-code="empty-body"
+# ruff: noqa: D102 - names and arguments are those of YARP's .thrift file, and say what each does
 
 from __future__ import annotations
 
@@ -51,21 +52,17 @@ DEFAULT_TIMEOUT = 0.1
 
 @rpc
 class INavigation2DVelocityActionsMsgs(Service):
-    """The methods of a mobile base's port."""
+    """The methods of a mobile base's port: m/s, m/s, deg/s, and seconds for which a command holds."""
 
-    def applyVelocityCommandRPC(self, x_vel: float, y_vel: float, theta_vel: float, timeout: float) -> ReturnValue:
-        """Drive: m/s, m/s, deg/s, for so many seconds."""
-
-    def getLastVelocityCommandRPC(self) -> tuple[ReturnValue, float, float, float]:
-        """The last command."""
+    def applyVelocityCommandRPC(self, x_vel: float, y_vel: float, theta_vel: float, timeout: float) -> ReturnValue: ...
+    def getLastVelocityCommandRPC(self) -> tuple[ReturnValue, float, float, float]: ...
 
 
 @rpc
 class IOdometry2DMsgs(Service):
-    """The methods of an odometry's port."""
+    """The methods of an odometry's port, which begins at zero anew."""
 
-    def reset_odometry_RPC(self) -> ReturnValue:
-        """Begin at zero from here."""
+    def reset_odometry_RPC(self) -> ReturnValue: ...
 
 
 class MobileBaseVelocityControl(ServiceClient[INavigation2DVelocityActionsMsgs]):

@@ -4,6 +4,7 @@ The services are those of `frameTransformStorageMsgs.thrift`; the ports have YAR
 """
 
 # mypy: disable-error-code="empty-body"
+# ruff: noqa: D102 - names and arguments are those of YARP's .thrift file, and say what each does
 
 from __future__ import annotations
 
@@ -101,27 +102,19 @@ STREAM = "/frameTransformGet_nws_yarp/tf:o"
 
 @rpc
 class FrameTransformStorageSetRPC(Service):
-    """Takes transforms."""
+    """Takes transforms: the newest of two frames counts. To delete, order does not matter, and ``*`` is any frame."""
 
-    def setTransformsRPC(self, transforms: list[FrameTransform]) -> ReturnValue:
-        """Take several; the newest of each pair of frames counts."""
-
-    def setTransformRPC(self, transform: FrameTransform) -> ReturnValue:
-        """Take one."""
-
-    def deleteTransformRPC(self, src: str, dst: str) -> ReturnValue:
-        """Forget what is between two frames, either way round; ``*`` is any frame."""
-
-    def clearAllRPC(self) -> ReturnValue:
-        """Forget all."""
+    def setTransformsRPC(self, transforms: list[FrameTransform]) -> ReturnValue: ...
+    def setTransformRPC(self, transform: FrameTransform) -> ReturnValue: ...
+    def deleteTransformRPC(self, src: str, dst: str) -> ReturnValue: ...
+    def clearAllRPC(self) -> ReturnValue: ...
 
 
 @rpc
 class FrameTransformStorageGetRPC(Service):
-    """Gives transforms."""
+    """Gives the transforms that are known and have not expired."""
 
-    def getTransformsRPC(self) -> tuple[ReturnValue, list[FrameTransform]]:
-        """All that are known and have not expired."""
+    def getTransformsRPC(self) -> tuple[ReturnValue, list[FrameTransform]]: ...
 
 
 @dataclass

@@ -5,6 +5,7 @@ Requests are the same in all releases from 3.6 on; objects and ``reload`` came w
 """
 
 # mypy: disable-error-code="empty-body"
+# ruff: noqa: D102 - names and arguments are those of YARP's .thrift file, and say what each does
 
 from __future__ import annotations
 
@@ -17,157 +18,75 @@ from yarp_compat.wire.generation import Generation
 
 @rpc
 class IMap2DMsgs(Service):
-    """The methods of a map server's port, as YARP's service has them."""
+    """The methods of a map server's port; ``get_all`` is in the order of names, temporary flags are obstacles."""
 
     # -- maps ---------------------------------------------------------------------------------------------------------
 
-    def clear_all_maps_RPC(self) -> ReturnValue:
-        """Forget all maps."""
-
-    def store_map_RPC(self, themap: MapGrid2D) -> ReturnValue:
-        """Keep a map under its own name, in place of one that has it."""
-
-    def get_map_RPC(self, map_name: str) -> tuple[ReturnValue, MapGrid2D]:
-        """A map."""
-
-    def get_map_names_RPC(self) -> tuple[ReturnValue, list[str]]:
-        """The names of all maps."""
-
-    def remove_map_RPC(self, map_name: str) -> ReturnValue:
-        """Forget a map."""
-
-    def clear_all_maps_temporary_flags_RPC(self) -> ReturnValue:
-        """Take what is temporary out of all maps: obstacles, and those enlarged."""
-
-    def clear_map_temporary_flags_RPC(self, map_name: str) -> ReturnValue:
-        """Take what is temporary out of a map."""
-
-    def enable_maps_compression_RPC(self, enable_compression: bool) -> ReturnValue:
-        """Send maps compressed, or not."""
+    def clear_all_maps_RPC(self) -> ReturnValue: ...
+    def store_map_RPC(self, themap: MapGrid2D) -> ReturnValue: ...
+    def get_map_RPC(self, map_name: str) -> tuple[ReturnValue, MapGrid2D]: ...
+    def get_map_names_RPC(self) -> tuple[ReturnValue, list[str]]: ...
+    def remove_map_RPC(self, map_name: str) -> ReturnValue: ...
+    def clear_all_maps_temporary_flags_RPC(self) -> ReturnValue: ...
+    def clear_map_temporary_flags_RPC(self, map_name: str) -> ReturnValue: ...
+    def enable_maps_compression_RPC(self, enable_compression: bool) -> ReturnValue: ...
 
     # -- objects ------------------------------------------------------------------------------------------------------
 
     @since(Generation.YARP_3_12)
-    def store_object_RPC(self, object_name: str, loc: Map2DObject) -> ReturnValue:
-        """Keep an object under a name."""
-
+    def store_object_RPC(self, object_name: str, loc: Map2DObject) -> ReturnValue: ...
     @since(Generation.YARP_3_12)
-    def get_object_RPC(self, object_name: str) -> tuple[ReturnValue, Map2DObject]:
-        """An object."""
-
+    def get_object_RPC(self, object_name: str) -> tuple[ReturnValue, Map2DObject]: ...
     @since(Generation.YARP_3_12)
-    def get_objects_list_RPC(self) -> tuple[ReturnValue, list[str]]:
-        """The names of all objects."""
-
+    def get_objects_list_RPC(self) -> tuple[ReturnValue, list[str]]: ...
     @since(Generation.YARP_3_12)
-    def get_all_objects_RPC(self) -> tuple[ReturnValue, list[Map2DObject]]:
-        """All objects, in the order of their names."""
-
+    def get_all_objects_RPC(self) -> tuple[ReturnValue, list[Map2DObject]]: ...
     @since(Generation.YARP_3_12)
-    def rename_object_RPC(self, original_name: str, new_name: str) -> ReturnValue:
-        """Give an object another name."""
-
+    def rename_object_RPC(self, original_name: str, new_name: str) -> ReturnValue: ...
     @since(Generation.YARP_3_12)
-    def delete_object_RPC(self, object_name: str) -> ReturnValue:
-        """Forget an object."""
-
+    def delete_object_RPC(self, object_name: str) -> ReturnValue: ...
     @since(Generation.YARP_3_12)
-    def clear_all_objects_RPC(self) -> ReturnValue:
-        """Forget all objects."""
+    def clear_all_objects_RPC(self) -> ReturnValue: ...
 
     # -- locations ----------------------------------------------------------------------------------------------------
 
-    def store_location_RPC(self, location_name: str, loc: Map2DLocation) -> ReturnValue:
-        """Keep a location under a name."""
-
-    def get_location_RPC(self, location_name: str) -> tuple[ReturnValue, Map2DLocation]:
-        """A location."""
-
-    def get_locations_list_RPC(self) -> tuple[ReturnValue, list[str]]:
-        """The names of all locations."""
-
-    def get_all_locations_RPC(self) -> tuple[ReturnValue, list[Map2DLocation]]:
-        """All locations, in the order of their names."""
-
-    def rename_location_RPC(self, original_name: str, new_name: str) -> ReturnValue:
-        """Give a location another name."""
-
-    def delete_location_RPC(self, location_name: str) -> ReturnValue:
-        """Forget a location."""
-
-    def clear_all_locations_RPC(self) -> ReturnValue:
-        """Forget all locations."""
+    def store_location_RPC(self, location_name: str, loc: Map2DLocation) -> ReturnValue: ...
+    def get_location_RPC(self, location_name: str) -> tuple[ReturnValue, Map2DLocation]: ...
+    def get_locations_list_RPC(self) -> tuple[ReturnValue, list[str]]: ...
+    def get_all_locations_RPC(self) -> tuple[ReturnValue, list[Map2DLocation]]: ...
+    def rename_location_RPC(self, original_name: str, new_name: str) -> ReturnValue: ...
+    def delete_location_RPC(self, location_name: str) -> ReturnValue: ...
+    def clear_all_locations_RPC(self) -> ReturnValue: ...
 
     # -- areas --------------------------------------------------------------------------------------------------------
 
-    def store_area_RPC(self, area_name: str, area: Map2DArea) -> ReturnValue:
-        """Keep an area under a name."""
-
-    def get_area_RPC(self, area_name: str) -> tuple[ReturnValue, Map2DArea]:
-        """An area."""
-
-    def get_areas_list_RPC(self) -> tuple[ReturnValue, list[str]]:
-        """The names of all areas."""
-
-    def get_all_areas_RPC(self) -> tuple[ReturnValue, list[Map2DArea]]:
-        """All areas, in the order of their names."""
-
-    def rename_area_RPC(self, original_name: str, new_name: str) -> ReturnValue:
-        """Give an area another name."""
-
-    def delete_area_RPC(self, area_name: str) -> ReturnValue:
-        """Forget an area."""
-
-    def clear_all_areas_RPC(self) -> ReturnValue:
-        """Forget all areas."""
+    def store_area_RPC(self, area_name: str, area: Map2DArea) -> ReturnValue: ...
+    def get_area_RPC(self, area_name: str) -> tuple[ReturnValue, Map2DArea]: ...
+    def get_areas_list_RPC(self) -> tuple[ReturnValue, list[str]]: ...
+    def get_all_areas_RPC(self) -> tuple[ReturnValue, list[Map2DArea]]: ...
+    def rename_area_RPC(self, original_name: str, new_name: str) -> ReturnValue: ...
+    def delete_area_RPC(self, area_name: str) -> ReturnValue: ...
+    def clear_all_areas_RPC(self) -> ReturnValue: ...
 
     # -- paths --------------------------------------------------------------------------------------------------------
 
-    def store_path_RPC(self, path_name: str, path: Map2DPath) -> ReturnValue:
-        """Keep a path under a name."""
-
-    def get_path_RPC(self, path_name: str) -> tuple[ReturnValue, Map2DPath]:
-        """A path."""
-
-    def get_paths_list_RPC(self) -> tuple[ReturnValue, list[str]]:
-        """The names of all paths."""
-
-    def get_all_paths_RPC(self) -> tuple[ReturnValue, list[Map2DPath]]:
-        """All paths, in the order of their names."""
-
-    def rename_path_RPC(self, original_name: str, new_name: str) -> ReturnValue:
-        """Give a path another name."""
-
-    def delete_path_RPC(self, path_name: str) -> ReturnValue:
-        """Forget a path."""
-
-    def clear_all_paths_RPC(self) -> ReturnValue:
-        """Forget all paths."""
+    def store_path_RPC(self, path_name: str, path: Map2DPath) -> ReturnValue: ...
+    def get_path_RPC(self, path_name: str) -> tuple[ReturnValue, Map2DPath]: ...
+    def get_paths_list_RPC(self) -> tuple[ReturnValue, list[str]]: ...
+    def get_all_paths_RPC(self) -> tuple[ReturnValue, list[Map2DPath]]: ...
+    def rename_path_RPC(self, original_name: str, new_name: str) -> ReturnValue: ...
+    def delete_path_RPC(self, path_name: str) -> ReturnValue: ...
+    def clear_all_paths_RPC(self) -> ReturnValue: ...
 
     # -- files --------------------------------------------------------------------------------------------------------
 
-    def save_maps_collection_RPC(self, maps_collection_file: str) -> ReturnValue:
-        """Write all maps, each into files of its own, and their list."""
-
-    def load_maps_collection_RPC(self, maps_collection_file: str) -> ReturnValue:
-        """Read the maps of such a list."""
-
-    def save_locations_and_extras_RPC(self, locations_collection_file: str) -> ReturnValue:
-        """Write all locations, objects, areas and paths."""
-
-    def load_locations_and_extras_RPC(self, locations_collection_file: str) -> ReturnValue:
-        """Read such a file."""
-
-    def save_map_to_disk_RPC(self, map_name: str, file_name: str) -> ReturnValue:
-        """Write a map."""
-
-    def load_map_from_disk_RPC(self, file_name: str) -> ReturnValue:
-        """Read a map."""
-
+    def save_maps_collection_RPC(self, maps_collection_file: str) -> ReturnValue: ...
+    def load_maps_collection_RPC(self, maps_collection_file: str) -> ReturnValue: ...
+    def save_locations_and_extras_RPC(self, locations_collection_file: str) -> ReturnValue: ...
+    def load_locations_and_extras_RPC(self, locations_collection_file: str) -> ReturnValue: ...
+    def save_map_to_disk_RPC(self, map_name: str, file_name: str) -> ReturnValue: ...
+    def load_map_from_disk_RPC(self, file_name: str) -> ReturnValue: ...
     @since(Generation.YARP_3_12)
-    def reload_maps_collection_RPC(self) -> ReturnValue:
-        """Read the collection of the server's start again."""
-
+    def reload_maps_collection_RPC(self) -> ReturnValue: ...
     @since(Generation.YARP_3_12)
-    def reload_locations_and_extras_RPC(self) -> ReturnValue:
-        """Read the locations of the server's start again."""
+    def reload_locations_and_extras_RPC(self) -> ReturnValue: ...

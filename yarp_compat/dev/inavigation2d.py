@@ -5,6 +5,7 @@ client computes from them, are asked of other servers: see `yarp_compat.dev.navi
 """
 
 # mypy: disable-error-code="empty-body"
+# ruff: noqa: D102 - names and arguments are those of YARP's .thrift file, and say what each does
 
 from __future__ import annotations
 
@@ -67,64 +68,38 @@ def statusToString(status: NavigationStatusEnum) -> str:
 
 @rpc
 class INavigation2DMsgs(Service):
-    """The methods of a planner's port, as YARP's service has them. Metres, degrees, seconds."""
+    """The methods of a planner's port: metres, degrees, seconds; what is relative is in the robot's frame.
+
+    Servers of 3.12 and 4.0 forget how long a velocity holds, and take 0.1 s.
+    """
 
     # -- control ------------------------------------------------------------------------------------------------------
 
-    def stop_navigation_RPC(self) -> ReturnValue:
-        """End it for good."""
-
-    def resume_navigation_RPC(self) -> ReturnValue:
-        """Go on where it was suspended."""
-
-    def suspend_navigation_RPC(self, time_s: float) -> ReturnValue:
-        """Stand still for so long; for ever where that is infinite."""
-
-    def recompute_current_navigation_path_RPC(self) -> ReturnValue:
-        """Find the way anew."""
-
-    def get_navigation_status_RPC(self) -> tuple[ReturnValue, NavigationStatusEnum]:
-        """The state of the navigation."""
-
-    def get_current_nav_waypoint_RPC(self) -> tuple[ReturnValue, Map2DLocation]:
-        """The waypoint that it drives to."""
-
-    def get_all_navigation_waypoints_RPC(self, trajectory_type: TrajectoryTypeEnum) -> tuple[ReturnValue, Map2DPath]:
-        """Its way."""
-
-    def get_current_navigation_map_RPC(self, map_type: NavigationMapTypeEnum) -> tuple[ReturnValue, MapGrid2D]:
-        """The map that it goes by."""
+    def stop_navigation_RPC(self) -> ReturnValue: ...
+    def resume_navigation_RPC(self) -> ReturnValue: ...
+    def suspend_navigation_RPC(self, time_s: float) -> ReturnValue: ...  # infinite: for ever
+    def recompute_current_navigation_path_RPC(self) -> ReturnValue: ...
+    def get_navigation_status_RPC(self) -> tuple[ReturnValue, NavigationStatusEnum]: ...
+    def get_current_nav_waypoint_RPC(self) -> tuple[ReturnValue, Map2DLocation]: ...
+    def get_all_navigation_waypoints_RPC(
+        self, trajectory_type: TrajectoryTypeEnum
+    ) -> tuple[ReturnValue, Map2DPath]: ...
+    def get_current_navigation_map_RPC(self, map_type: NavigationMapTypeEnum) -> tuple[ReturnValue, MapGrid2D]: ...
 
     # -- targets ------------------------------------------------------------------------------------------------------
 
-    def goto_target_by_absolute_location_RPC(self, loc: Map2DLocation) -> ReturnValue:
-        """Drive to a place."""
-
-    def follow_path_RPC(self, path: Map2DPath) -> ReturnValue:
-        """Drive along a way."""
-
-    def goto_target_by_relative_location1_RPC(self, x: float, y: float) -> ReturnValue:
-        """Drive to a place in the robot's frame, in any heading."""
-
-    def goto_target_by_relative_location2_RPC(self, x: float, y: float, theta: float) -> ReturnValue:
-        """Drive to a pose in the robot's frame."""
-
-    def get_absolute_location_of_current_target_RPC(self) -> tuple[ReturnValue, Map2DLocation]:
-        """The current target's pose."""
-
-    def get_relative_location_of_current_target_RPC(self) -> tuple[ReturnValue, float, float, float]:
-        """The current target's pose in the robot's frame: x, y, theta."""
-
-    def goto_target_by_absolute_location_and_set_name_RPC(self, loc: Map2DLocation, name: str) -> ReturnValue:
-        """Drive to a place that has a name."""
+    def goto_target_by_absolute_location_RPC(self, loc: Map2DLocation) -> ReturnValue: ...
+    def follow_path_RPC(self, path: Map2DPath) -> ReturnValue: ...
+    def goto_target_by_relative_location1_RPC(self, x: float, y: float) -> ReturnValue: ...  # in any heading
+    def goto_target_by_relative_location2_RPC(self, x: float, y: float, theta: float) -> ReturnValue: ...
+    def get_absolute_location_of_current_target_RPC(self) -> tuple[ReturnValue, Map2DLocation]: ...
+    def get_relative_location_of_current_target_RPC(self) -> tuple[ReturnValue, float, float, float]: ...
+    def goto_target_by_absolute_location_and_set_name_RPC(self, loc: Map2DLocation, name: str) -> ReturnValue: ...
 
     # -- velocities ---------------------------------------------------------------------------------------------------
 
-    def apply_velocity_command_RPC(self, x_vel: float, y_vel: float, theta_vel: float, timeout: float) -> ReturnValue:
-        """Drive: m/s, m/s, deg/s, for so many seconds. Servers of 3.12 and 4.0 forget the seconds, and take 0.1."""
-
-    def get_last_velocity_command_RPC(self) -> tuple[ReturnValue, float, float, float]:
-        """The last command."""
-
-    def get_name_of_current_target_RPC(self) -> tuple[ReturnValue, str]:
-        """The name that the target was given; empty where it has none."""
+    def apply_velocity_command_RPC(
+        self, x_vel: float, y_vel: float, theta_vel: float, timeout: float
+    ) -> ReturnValue: ...
+    def get_last_velocity_command_RPC(self) -> tuple[ReturnValue, float, float, float]: ...
+    def get_name_of_current_target_RPC(self) -> tuple[ReturnValue, str]: ...

@@ -8,7 +8,7 @@ A localiser's port answers by ``Server(Localization2DServer(device))``. Metres a
 """
 
 # mypy: disable-error-code="empty-body"
-# ruff: noqa: D102 - the interface says what each does, and its names are YARP's
+# ruff: noqa: D102 - names and arguments are those of YARP's .thrift file, and say what each does
 
 from __future__ import annotations
 
@@ -88,34 +88,17 @@ class LocalizationStatusEnum(Enum):
 
 @rpc
 class ILocalization2DMsgs(Service):
-    """The methods of a localisation server's port, as YARP's service has them. Metres and degrees."""
+    """The methods of a localisation server's port: metres, degrees; covariances of x, y, theta; poses are particles."""
 
-    def start_localization_service_RPC(self) -> ReturnValue:
-        """Begin to localise."""
-
-    def stop_localization_service_RPC(self) -> ReturnValue:
-        """Rest."""
-
-    def get_localization_status_RPC(self) -> tuple[ReturnValue, LocalizationStatusEnum]:
-        """The state of the localisation."""
-
-    def get_estimated_poses_RPC(self) -> tuple[ReturnValue, list[Map2DLocation]]:
-        """The robot's possible poses: the particles."""
-
-    def get_current_position1_RPC(self) -> tuple[ReturnValue, Map2DLocation]:
-        """The robot's pose."""
-
-    def get_current_position2_RPC(self) -> tuple[ReturnValue, Map2DLocation, Covariance]:
-        """The robot's pose, and the covariance of x, y and theta."""
-
-    def get_estimated_odometry_RPC(self) -> tuple[ReturnValue, OdometryData]:
-        """The robot's odometry."""
-
-    def set_initial_pose1_RPC(self, loc: Map2DLocation) -> ReturnValue:
-        """Set the robot's pose."""
-
-    def set_initial_pose2_RPC(self, loc: Map2DLocation, cov: Covariance) -> ReturnValue:
-        """Set the robot's pose, and the covariance of x, y and theta."""
+    def start_localization_service_RPC(self) -> ReturnValue: ...
+    def stop_localization_service_RPC(self) -> ReturnValue: ...
+    def get_localization_status_RPC(self) -> tuple[ReturnValue, LocalizationStatusEnum]: ...
+    def get_estimated_poses_RPC(self) -> tuple[ReturnValue, list[Map2DLocation]]: ...
+    def get_current_position1_RPC(self) -> tuple[ReturnValue, Map2DLocation]: ...
+    def get_current_position2_RPC(self) -> tuple[ReturnValue, Map2DLocation, Covariance]: ...
+    def get_estimated_odometry_RPC(self) -> tuple[ReturnValue, OdometryData]: ...
+    def set_initial_pose1_RPC(self, loc: Map2DLocation) -> ReturnValue: ...
+    def set_initial_pose2_RPC(self, loc: Map2DLocation, cov: Covariance) -> ReturnValue: ...
 
 
 _UNSURE = LocalizationStatusEnum.localization_status_error

@@ -5,6 +5,7 @@ before 3.10 use older words: ``[get] [ilas] [lsdr]`` is answered ``[is] [lsdr] 0
 """
 
 # mypy: disable-error-code="empty-body"
+# ruff: noqa: D102 - names and arguments are those of YARP's .thrift file, and say what each does
 
 from __future__ import annotations
 
@@ -97,69 +98,33 @@ class OldAnswer(Portable):
 
 @rpc
 class IRangefinder2DMsgs(Service):
-    """The methods of a laser's port."""
+    """The methods of a laser's port: metres, degrees between the first and last ray or two rays, turns per second."""
 
-    def getDeviceStatus_RPC(self) -> tuple[ReturnValue, Annotated[DeviceStatus, Choice(DeviceStatus, vocab=True)]]:
-        """The laser's state."""
-
-    def getDistanceRange_RPC(self) -> tuple[ReturnValue, float, float]:
-        """The least and greatest distance, metres."""
-
-    def setDistanceRange_RPC(self, min: float, max: float) -> ReturnValue:  # noqa: A002 - YARP's names
-        """Have others."""
-
-    def getScanLimits_RPC(self) -> tuple[ReturnValue, float, float]:
-        """The first and last direction, degrees."""
-
-    def setScanLimits_RPC(self, min: float, max: float) -> ReturnValue:  # noqa: A002 - YARP's names
-        """Have others."""
-
-    def getHorizontalResolution_RPC(self) -> tuple[ReturnValue, float]:
-        """Between two rays, degrees."""
-
-    def setHorizontalResolution_RPC(self, step: float) -> ReturnValue:
-        """Have another."""
-
-    def getScanRate_RPC(self) -> tuple[ReturnValue, float]:
-        """Turns per second."""
-
-    def setScanRate_RPC(self, rate: float) -> ReturnValue:
-        """Have another."""
-
-    def getDeviceInfo_RPC(self) -> tuple[ReturnValue, str]:
-        """The laser's description."""
+    def getDeviceStatus_RPC(self) -> tuple[ReturnValue, Annotated[DeviceStatus, Choice(DeviceStatus, vocab=True)]]: ...
+    def getDistanceRange_RPC(self) -> tuple[ReturnValue, float, float]: ...
+    def setDistanceRange_RPC(self, min: float, max: float) -> ReturnValue: ...  # noqa: A002 - YARP's names
+    def getScanLimits_RPC(self) -> tuple[ReturnValue, float, float]: ...
+    def setScanLimits_RPC(self, min: float, max: float) -> ReturnValue: ...  # noqa: A002 - YARP's names
+    def getHorizontalResolution_RPC(self) -> tuple[ReturnValue, float]: ...
+    def setHorizontalResolution_RPC(self, step: float) -> ReturnValue: ...
+    def getScanRate_RPC(self) -> tuple[ReturnValue, float]: ...
+    def setScanRate_RPC(self, rate: float) -> ReturnValue: ...
+    def getDeviceInfo_RPC(self) -> tuple[ReturnValue, str]: ...
 
 
 @rpc
 class OlderWords(Service):
-    """The same in the words of clients before 3.10."""
+    """The same in the words of clients before 3.10: distances, directions, resolution, rate, description."""
 
-    def get_ilas_lsdr(self) -> OldAnswer:
-        """The least and greatest distance."""
-
-    def get_ilas_lsar(self) -> OldAnswer:
-        """The first and last direction."""
-
-    def get_ilas_lsas(self) -> OldAnswer:
-        """The resolution."""
-
-    def get_ilas_lssr(self) -> OldAnswer:
-        """Turns per second."""
-
-    def get_ilas_lsnf(self) -> OldAnswer:
-        """The laser's description."""
-
-    def set_ilas_lsdr(self, min: float, max: float) -> bool:  # noqa: A002 - YARP's names
-        """Have other distances."""
-
-    def set_ilas_lsar(self, min: float, max: float) -> bool:  # noqa: A002 - YARP's names
-        """Have other directions."""
-
-    def set_ilas_lsas(self, step: float) -> bool:
-        """Have another resolution."""
-
-    def set_ilas_lssr(self, rate: float) -> bool:
-        """Have another rate."""
+    def get_ilas_lsdr(self) -> OldAnswer: ...
+    def get_ilas_lsar(self) -> OldAnswer: ...
+    def get_ilas_lsas(self) -> OldAnswer: ...
+    def get_ilas_lssr(self) -> OldAnswer: ...
+    def get_ilas_lsnf(self) -> OldAnswer: ...
+    def set_ilas_lsdr(self, min: float, max: float) -> bool: ...  # noqa: A002 - YARP's names
+    def set_ilas_lsar(self, min: float, max: float) -> bool: ...  # noqa: A002 - YARP's names
+    def set_ilas_lsas(self, step: float) -> bool: ...
+    def set_ilas_lssr(self, rate: float) -> bool: ...
 
 
 def _asks(what: str, method: Callable[..., Any]) -> Callable[[Any], OldAnswer]:

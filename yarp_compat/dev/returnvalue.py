@@ -146,6 +146,7 @@ def outcome_of(
     def call(self: Any, /, *arguments: P.args, **named: P.kwargs) -> ReturnValue:
         return called(partial(getattr(getattr(self, server), method.__name__), **named), *arguments)
 
+    call.__doc__ = f"Call the server's ``{method.__name__}``."
     return call
 
 
@@ -161,6 +162,7 @@ def filled(method: Callable[..., tuple[ReturnValue, Any]]) -> Callable[..., Retu
         *own, into = arguments
         return called(getattr(self._remote, method.__name__), *own, into=into)
 
+    call.__doc__ = f"Call the server's ``{method.__name__}``, whose result the last argument becomes."
     return call
 
 

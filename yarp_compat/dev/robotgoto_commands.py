@@ -6,6 +6,7 @@ know them.
 """
 
 # mypy: disable-error-code="empty-body"
+# ruff: noqa: D102 - names and arguments are those of YARP's .thrift file, and say what each does
 
 from __future__ import annotations
 
@@ -36,44 +37,19 @@ _SWITCHES = {
 class RobotGotoMsgs(Service):
     """The methods of robotGoto's port; the older words call the same."""
 
-    def ResetParams(self) -> ReturnValue:
-        """Take the parameters of the start again."""
-
-    def Approach(self, dir: float, speed: float, time: float) -> ReturnValue:  # noqa: A002 - its name
-        """Drive in a direction, degrees, at a speed, m/s, for so many seconds."""
-
-    def SetLinearTolerance(self, tol: float) -> ReturnValue:
-        """The tolerance of the goal, metres."""
-
-    def SetAngularTolerance(self, tol: float) -> ReturnValue:
-        """The tolerance of the goal's heading, degrees."""
-
-    def SetMaxLinearSpeed(self, maxLin: float) -> ReturnValue:
-        """The highest speed, m/s."""
-
-    def SetMaxAngularSpeed(self, maxAng: float) -> ReturnValue:
-        """The fastest turning, deg/s."""
-
-    def SetMinLinearSpeed(self, minLin: float) -> ReturnValue:
-        """The lowest speed, m/s."""
-
-    def SetMinAngularSpeed(self, minAng: float) -> ReturnValue:
-        """The slowest turning, deg/s."""
-
-    def SetLinearSpeedGain(self, LinGain: float) -> ReturnValue:
-        """Speed for each metre of distance."""
-
-    def SetAngularSpeedGain(self, AngGain: float) -> ReturnValue:
-        """Turning for each degree of error."""
-
-    def SetObstacoleAvoidance(self, enable: bool) -> ReturnValue:
-        """Go round obstacles, or not."""
-
-    def SetObstacoleStop(self, enable: bool) -> ReturnValue:
-        """Stop before obstacles, or not."""
-
-    def GetNavigationStatus(self) -> tuple[ReturnValue, str]:
-        """The state of the navigation: ``navigation_status_moving``."""
+    def ResetParams(self) -> ReturnValue: ...  # to those of the start
+    def Approach(self, dir: float, speed: float, time: float) -> ReturnValue: ...  # noqa: A002 - degrees, m/s, seconds
+    def SetLinearTolerance(self, tol: float) -> ReturnValue: ...  # metres
+    def SetAngularTolerance(self, tol: float) -> ReturnValue: ...  # degrees
+    def SetMaxLinearSpeed(self, maxLin: float) -> ReturnValue: ...  # m/s
+    def SetMaxAngularSpeed(self, maxAng: float) -> ReturnValue: ...  # deg/s
+    def SetMinLinearSpeed(self, minLin: float) -> ReturnValue: ...
+    def SetMinAngularSpeed(self, minAng: float) -> ReturnValue: ...
+    def SetLinearSpeedGain(self, LinGain: float) -> ReturnValue: ...  # m/s for each metre of distance
+    def SetAngularSpeedGain(self, AngGain: float) -> ReturnValue: ...  # deg/s for each degree of error
+    def SetObstacoleAvoidance(self, enable: bool) -> ReturnValue: ...
+    def SetObstacoleStop(self, enable: bool) -> ReturnValue: ...
+    def GetNavigationStatus(self) -> tuple[ReturnValue, str]: ...  # ``navigation_status_moving``
 
     def command(self, words: list[Any]) -> Sequence[Any] | None:
         """Answer in words."""
