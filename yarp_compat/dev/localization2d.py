@@ -18,22 +18,13 @@ from typing import Annotated, Any, Unpack
 
 import numpy as np
 
+from yarp_compat.dev import returnvalue
 from yarp_compat.dev.basecontrol import OdometryData
 from yarp_compat.dev.client import ClientOptions, ServiceClient
 from yarp_compat.dev.fields import Nested
 from yarp_compat.dev.locations import Map2DLocation
 from yarp_compat.dev.map2d_client import succeeded
-from yarp_compat.dev.returnvalue import (
-    OK,
-    CallFailed,
-    ReturnCode,
-    ReturnValue,
-    answered,
-    asked,
-    called,
-    fill,
-    outcome_of,
-)
+from yarp_compat.dev.returnvalue import OK, CallFailed, ReturnCode, ReturnValue, asked, called, outcome_of
 from yarp_compat.dev.server import DeviceCalls
 from yarp_compat.dev.service import Service, rpc
 from yarp_compat.sig.matrix import Matrix
@@ -129,14 +120,14 @@ class ILocalization2D:
         """
         if cov is None:
             return asked(self._localization.get_current_position1_RPC, into=loc, default=Map2DLocation())
-        outcome, *found = answered(self._localization.get_current_position2_RPC)
+        outcome, *found = returnvalue.answered(self._localization.get_current_position2_RPC)
         if not outcome:
             return outcome
         location, covariance = found
         if not covariance.numpy().size:
             return _FAILED
-        fill(Map2DLocation() if loc is None else loc, location)
-        fill(cov, covariance)
+        returnvalue.fill(Map2DLocation() if loc is None else loc, location)
+        returnvalue.fill(cov, covariance)
         return outcome
 
     def getEstimatedOdometry(self, odom: OdometryData | None = None) -> Any:

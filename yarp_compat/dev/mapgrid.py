@@ -16,16 +16,8 @@ from typing import Any, ClassVar, Self
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from yarp_compat.dev.mapflag import (
-    MAX_CELLS,
-    UNKNOWN,
-    MapFlag,
-    flags_of,
-    flags_of_picture,
-    occupancy_of,
-    picture_of_flags,
-    too_large,
-)
+from yarp_compat.dev import mapflag
+from yarp_compat.dev.mapflag import MAX_CELLS, UNKNOWN, MapFlag, flags_of, occupancy_of, too_large
 from yarp_compat.dev.mapinfo import MapContents, MapGrid2DInfo, MapGrid2DOrigin, Pair, numbers
 from yarp_compat.dev.rosmap import load_ros, save_ros
 from yarp_compat.dev.yarpmap import load_yarp, save_yarp
@@ -255,14 +247,14 @@ class MapGrid2D(MapGrid2DInfo, Portable):
 
     def getMapImage(self, image: ImageRgb) -> bool:
         """Paint the flags in their colours."""
-        image.copy(ImageRgb.of(picture_of_flags(self._flags)))
+        image.copy(ImageRgb.of(mapflag.picture_of_flags(self._flags)))
         return True
 
     def setMapImage(self, image: ImageRgb) -> bool:
         """Take the flags from their colours, any other as unknown; False where the image has another size."""
         if (image.width(), image.height()) != self.getSize_in_cells():
             return False
-        self._flags = flags_of_picture(image.numpy())
+        self._flags = mapflag.flags_of_picture(image.numpy())
         return True
 
     def getOccupancyGrid(self, image: ImageMono) -> bool:

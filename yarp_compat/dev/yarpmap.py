@@ -16,26 +16,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from yarp_compat.dev.mapfile import (
-    MapFileError,
-    decimal,
-    file_name,
-    found,
-    read_image,
-    read_text,
-    write,
-    write_colours,
-    write_greys,
-)
-from yarp_compat.dev.mapflag import (
-    GREYS,
-    OCCUPANCIES,
-    flags_of,
-    flags_of_picture,
-    looked_up,
-    occupancy_of,
-    picture_of_flags,
-)
+from yarp_compat.dev import mapfile, mapflag
+from yarp_compat.dev.mapfile import MapFileError, decimal, found
 from yarp_compat.dev.mapinfo import MapContents, MapGrid2DOrigin
 from yarp_compat.dev.rosmap import RosMapHeader, occupancy_of_image, read_header
 
@@ -45,7 +27,7 @@ _LINE = re.compile(r'\s*(\w+)(?:\s*=\s*|\s+)("(?:[^"\\]|\\.)*"|.*?)\s*(?:\s(?:#|
 def load_yarp(path: str | Path, jail: Path | None = None) -> MapContents:
     """Read a map of YARP, in the folder ``jail`` where that is given; raises `MapFileError` for a wrong file."""
     file = found(path, Path(), jail)
-    said = _settings(read_text(file))
+    said = _settings(mapfile.read_text(file))
     if "MapName" not in said:
         raise MapFileError(f"{file} says no MapName")
     if not said.keys() & {"YarpMapData", "RosMapData"}:
@@ -62,9 +44,9 @@ def load_yarp(path: str | Path, jail: Path | None = None) -> MapContents:
     header = _overridden(header, said, file)
     if flags is None:
         assert occupancy is not None
-        flags = flags_of(occupancy)
+        flags = mapflag.flags_of(occupancy)
     elif occupancy is None:
-        occupancy = occupancy_of(flags)
+        occupancy = mapflag.occupancy_of(flags)
     elif flags.shape != occupancy.shape:
         raise MapFileError(
             f"{file}: the flags are {flags.shape[1]} x {flags.shape[0]} cells, the occupancy {occupancy.shape[1]} x "
@@ -78,18 +60,18 @@ def load_yarp(path: str | Path, jail: Path | None = None) -> MapContents:
 def save_yarp(grid: MapContents, path: str | Path) -> None:
     """Write a map for YARP: the ``.map`` file and, named after the map, three beside it; raises `MapFileError`."""
     file = Path(path)
-    name = file_name(grid.name)
+    name = mapfile.file_name(grid.name)
     header = RosMapHeader(f"{name}_grid.pgm", grid.resolution, grid.origin.to_ros())
-    write_colours(file.with_name(f"{name}_yarpflags.ppm"), picture_of_flags(grid.flags))
-    write_greys(file.with_name(header.image), looked_up(grid.occupancy, GREYS))
-    write(file.with_name(f"{name}_grid.yaml"), header.to_text())
+    mapfile.write_colours(file.with_name(f"{name}_yarpflags.ppm"), mapflag.picture_of_flags(grid.flags))
+    mapfile.write_greys(file.with_name(header.image), mapflag.looked_up(grid.occupancy, mapflag.GREYS))
+    mapfile.write(file.with_name(f"{name}_grid.yaml"), header.to_text())
     lines = [
         f"MapName {_word(name)}", f"YarpMapData {_word(name + '_yarpflags.ppm')}",
         f"RosMapData {_word(name + '_grid.yaml')}",
     ]  # fmt: skip
     if grid.origin.theta:
         lines.append(f"origin ({' '.join(map(decimal, grid.origin))})")
-    write(file, "\n".join(lines) + "\n")
+    mapfile.write(file, "\n".join(lines) + "\n")
 
 
 def _settings(text: str) -> dict[str, str]:
@@ -111,19 +93,19 @@ def _word(text: str) -> str:
 
 
 def _flags(path: Path) -> NDArray[np.uint8]:
-    pixels = read_image(path)
+    pixels = mapfile.read_image(path)
     if pixels.dtype != np.uint8:
         raise MapFileError(f"{path}: an image of flags has colours of 8 bits")
     if pixels.ndim == 2:
         pixels = np.repeat(pixels[..., None], 3, axis=2)
-    return flags_of_picture(pixels[..., :3])
+    return mapflag.flags_of_picture(pixels[..., :3])
 
 
 def _occupancy(path: Path, header: RosMapHeader, *, painted: bool) -> NDArray[np.uint8]:
     """The occupancy of an image: in YARP's greys where it stands beside one of flags, else as a map server reads it."""
-    pixels = read_image(path)
+    pixels = mapfile.read_image(path)
     if painted and pixels.ndim == 2 and pixels.dtype == np.uint8 and header.mode == "trinary" and not header.negate:
-        return looked_up(pixels, OCCUPANCIES)
+        return mapflag.looked_up(pixels, mapflag.OCCUPANCIES)
     return occupancy_of_image(pixels, header)
 
 
