@@ -92,16 +92,10 @@ class RobotFrames:
         return self.transform(self.map_frame, frame)
 
     def transform(self, target: str, source: str, stamp: int = LATEST, *, extrapolate: float = 0.0) -> Pose:
-        """The pose of the source frame in the target frame, flat on the floor.
+        """The pose of the source frame in the target frame, flat on the floor, at ns or `LATEST`.
 
-        Args:
-            target: frame that data are wanted in.
-            source: frame that they are in.
-            stamp: ns, or `LATEST`.
-            extrapolate: seconds before and behind what is known for which frames go on moving as they did.
-
-        Raises:
-            FramesError: there is none; the text says why.
+        Frames go on moving as they did for ``extrapolate`` seconds before and behind what is known. Raises
+        `FramesError` with why there is none.
         """
         return flat(self._look(target, source, stamp, extrapolate))
 

@@ -33,11 +33,8 @@ def goal_of(
 ) -> tuple[MapPlace, Constraints]:
     """What a ``NavigateToPose`` goal asks for; raises `PlanError` if it says none; the text says why.
 
-    Args:
-        goal: the message. Its frame is the map's, any that is on `/tf`, or the name of a map; where that is no name of
-            a topic's, the goal's text says it: ``midspan: map=NAME``.
-        frames: where frames are.
-        maps: says the names of the maps that there are.
+    Its frame is the map's, any that is on `/tf`, or the name of a map that ``maps`` lists; where that is no name of a
+    topic's, the goal's text says it: ``midspan: map=NAME``.
     """
     try:
         wanted = Constraints.from_text(goal["behavior_tree"])
@@ -65,8 +62,7 @@ def goal_of(
 class CurrentGoal:
     """The goal of the hub's action at hand; drives for other clients have none. On the module's thread.
 
-    Args:
-        stop: called with the reason once a client has cancelled it; it then ends the goal.
+    ``stop`` is called with the reason once a client has cancelled it; it then ends the goal.
     """
 
     def __init__(self, loop: EventLoop, stop: Callable[[str], Any]) -> None:
@@ -116,8 +112,7 @@ CUT_OFF = "who gave the goal is on another machine, and is not seen any more: th
 class Clients:
     """Watches the clients of an action while it has a goal: where all have gone, their link was cut.
 
-    Args:
-        gone: called once all have gone that were there, while a goal is under way.
+    ``gone`` is called once all have gone that were there, while a goal is under way.
     """
 
     def __init__(self, host: Host, server: ActionServer, gone: Callable[[], None]) -> None:
@@ -149,10 +144,8 @@ class _Far:
 class FarClients:
     """Watches the clients of goals on other machines: one that is cut off can stop no robot.
 
-    A client of this machine may end, and its goal goes on. It is told from others by its direct link.
-
-    Args:
-        gone: called with a goal once its client is not there any more.
+    A client of this machine may end, and its goal goes on: its direct link tells it from others. ``gone`` is called
+    with a goal once its client is not there any more.
     """
 
     def __init__(self, host: Host, server: ActionServer, gone: Callable[[Goal], None]) -> None:

@@ -25,19 +25,10 @@ S = TypeVar("S", bound=Section)
 def laid_under(
     section: S, file: Path | None, read: Callable[[S, Ini], dict[str, Any]], *, merged: Collection[str] = ()
 ) -> tuple[S, list[str]]:
-    """A section with the values of its file laid under it: what the section itself sets is stronger.
+    """A section with its file's values laid under it, and what is odd in the file, each ``file:line: ...``.
 
-    Args:
-        section: what the configuration says.
-        file: None for none.
-        read: returns the section's fields that a file sets.
-        merged: names of fields in which ``read`` itself lays the file under the section.
-
-    Returns:
-        the section, and what is odd in the file, each ``file:line: ...``.
-
-    Raises:
-        RuntimeError: the file is missing or cannot be used; the text says where and why.
+    What the section itself sets is stronger. ``read`` returns the fields that a file sets, and lays the file under the
+    section itself in those of ``merged``. Raises `RuntimeError` with where and why a file is missing or cannot be used.
     """
     if file is None:
         return section, []
@@ -52,17 +43,13 @@ def laid_under(
 
 
 class Ini:
-    """A YARP configuration file with all that it includes; raises `IniError` if there is no such file.
-
-    Attributes:
-        notes: what is odd but does not stop it: stale keys, values that are not believed, each ``file:line: ...``.
-        errors: what does; `check` raises them.
-    """
+    """A YARP configuration file with all that it includes; raises `IniError` if there is no such file."""
 
     def __init__(self, path: Path) -> None:
         self.path = path
+        # what is odd but does not stop it: stale keys, values that are not believed, each ``file:line: ...``
         self.notes: list[str] = []
-        self.errors: list[str] = []
+        self.errors: list[str] = []  # what does; `check` raises them
         entries: dict[str, Any] = {}
         self._entries = Property.of(entries)
         self._places: config_text.Places = {}
@@ -88,11 +75,9 @@ class Ini:
         return IniGroup(self, "")
 
     def note_unread(self, stale: Mapping[tuple[str, str], str], others: AbstractSet[str] = frozenset()) -> None:
-        """Note every key and group that was not asked for.
+        """Note every key and group that was not asked for, but those of ``others``, which belong to other programs.
 
-        Args:
-            stale: ``(group, key)`` that are known to do nothing, with why.
-            others: groups and keys that belong to other programs.
+        ``stale`` says why a ``(group, key)`` that is known does nothing.
         """
         asked = {keys[0] for keys in self._read}
         for keys, place in self._places.items():
@@ -141,14 +126,9 @@ class IniGroup:
         self._ini, self._name = ini, name
 
     def number(self, key: str, default: float | None, low: float, high: float, unit: str = "") -> float:
-        """A number.
+        """A number; without a default (None) it must be there.
 
-        Args:
-            key: its key.
-            default: what holds where it is missing; None where it must be there.
-            low: the least that is believed.
-            high: the most that is believed; what is beyond is noted, and the default (or this bound) is used.
-            unit: for people.
+        What is beyond the least and the most that is believed is noted, and the default (or this bound) is used.
         """
         keys = self._keys(key)
         found = self._ini.value(keys)

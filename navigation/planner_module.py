@@ -28,16 +28,12 @@ _FEEDBACK = 0.2  # seconds between two messages of feedback
 
 
 class PlannerModule(Module):
-    """A module that drives to one goal at a time, on the module's thread.
-
-    Attributes:
-        compiled: whether its kernels are; it drives nowhere where they are not.
-    """
+    """A module that drives to one goal at a time, on the module's thread."""
 
     def _open(self, host: Host, frames: RobotFrames) -> None:
         """Take up what all planners need of their host."""
         self._host, self._frames = host, frames
-        self.compiled, self._localized = Compiled(), Localized(host)
+        self.compiled, self._localized = Compiled(), Localized(host)  # without its kernels it drives nowhere
         self._goal = CurrentGoal(host.loop, self.stop_driving)
         self._began, self._fed = 0.0, -math.inf
 

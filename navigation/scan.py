@@ -25,10 +25,7 @@ class ScanError(ValueError):
 def of_ros(message: Mapping[str, Any], time_ns: int, *, hangs: bool = False) -> Turn:
     """The turn of a ``sensor_msgs/msg/LaserScan``; raises `ScanError` if its angles or limits are none.
 
-    Args:
-        message: as `bridge.messages.values` has it.
-        time_ns: when it was made, on the clock of whoever takes it.
-        hangs: whether the laser hangs upside down.
+    The time is ns of the taker's clock; ``hangs``: the laser hangs upside down.
     """
     made = _turn(
         time_ns, message["angle_min"], message["angle_increment"], message["range_min"], message["range_max"],
@@ -79,12 +76,7 @@ AT_BASE = Pose(0.0, 0.0, 0.0)
 
 
 def scan_points(scan: Turn, laser: Pose = AT_BASE) -> NDArray[np.float64]:
-    """Where beams ended, (n, 2) in the base's frame, metres. Those that ended nowhere are left out.
-
-    Args:
-        scan: a turn of the laser.
-        laser: where the laser is on the base.
-    """
+    """Where beams of a laser on the base ended, (n, 2) in the base's frame, metres; those that ended somewhere."""
     ranges = believed(scan)
     hit = np.isfinite(ranges)
     angles = scan.first + np.flatnonzero(hit) * scan.step + laser.theta

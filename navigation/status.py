@@ -96,13 +96,7 @@ def status_message(
 
 
 class PlanError(ValueError):
-    """There is no way.
-
-    Args:
-        fault: what is told programs.
-        reason: what is told people.
-        passing: it may be there soon: only what the laser sees stands in the way.
-    """
+    """There is no way; ``passing``: it may be there soon, as only what the laser sees stands in the way."""
 
     def __init__(self, fault: Fault, reason: str, *, passing: bool = False) -> None:
         super().__init__(reason)

@@ -24,11 +24,7 @@ T = TypeVar("T")
 
 
 class Calls:
-    """Runs calls of YARP clients on a module's thread, and turns refusals into the call's failure.
-
-    Args:
-        refusals: errors by which the module refuses what cannot be done now.
-    """
+    """Runs calls of YARP clients on a module's thread; turns the errors ``refusals`` into the call's failure."""
 
     def __init__(self, loop: EventLoop, *refusals: type[Exception]) -> None:
         self._loop, self._refusals = loop, refusals
@@ -54,9 +50,8 @@ class Calls:
 class Commands:
     """The commands of an RPC port, by the first word of a Bottle. Called on the module's thread.
 
-    Args:
-        lines: the answer to ``help``.
-        known: each answers the values behind its word; raises `ValueError` with why it cannot.
+    ``lines`` answer ``help``; each of ``known`` answers the values behind its word, or raises `ValueError` with why
+    not.
     """
 
     def __init__(self, lines: Sequence[str], known: Mapping[str, Callable[[list[Any]], str]]) -> None:
@@ -73,11 +68,7 @@ class Commands:
 
 
 class NavigationDevice(ABC):
-    """The targets of YARP's ``INavigation2D``, for the modules that serve it. Called on threads of connections.
-
-    Args:
-        calls: runs what a client asks for on the module's thread.
-    """
+    """The targets of YARP's ``INavigation2D``, for the modules that serve it. Called on threads of connections."""
 
     def __init__(self, calls: Calls) -> None:
         self._do, self._move = calls.do, calls.move

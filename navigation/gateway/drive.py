@@ -38,9 +38,8 @@ class Target:
     def goal(self, planner: str, robot: Pose | None) -> dict[str, Any]:
         """The goal for a planner, without a stamp: those of two machines' clocks would decide what it means.
 
-        Args:
-            planner: its id; Midspan's own words are for those of ours, names of behaviour trees for others.
-            robot: where the robot is, where that is known: in any heading is the one that it comes with.
+        Midspan's own words are for planners of ours, names of behaviour trees for others. Any heading is the one that
+        the robot comes with, where its pose is known.
         """
         ours, tree = planner in OURS, self.tree
         if tree.startswith(PREFIX) != ours:
@@ -134,11 +133,9 @@ _ANY = math.nan
 
 
 class StoredPlaces:
-    """The store's maps and locations, for goals.
+    """The store's maps and locations, for goals, in the frame of the map that is in use.
 
-    Args:
-        frame: of the map that is in use.
-        waits: whether the planner drives to any map by its name, and waits for one.
+    ``waits`` says whether the planner drives to any map by its name, and waits for one.
     """
 
     def __init__(self, host: Host, frame: str, waits: Callable[[], bool] = lambda: False) -> None:

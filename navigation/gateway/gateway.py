@@ -154,13 +154,9 @@ class Gateway(Driving):
 
 
 def of_drive(drive: ClientDrive, link: PlannerLink, *, stands: bool | None, silence: float) -> PlannerStatus:
-    """How a client's drive gets on.
+    """How a client's drive gets on; ``stands``: whether the base does, None where that is not known.
 
-    Args:
-        drive: the client's.
-        link: to the planner.
-        stands: whether the base stands, None where that is not known.
-        silence: seconds after which a planner that tells nothing is said not to answer; 0: never.
+    A planner that tells nothing for longer than ``silence`` seconds is said not to answer; 0: never.
     """
     if drive.stopping:
         return (

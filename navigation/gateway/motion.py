@@ -45,8 +45,7 @@ class Motion:
     def stands(self, since: float = 0.0) -> bool | None:
         """Whether the base has stood for `STANDING_SECONDS` by its odometry's stamps; None without odometry.
 
-        Args:
-            since: what came before does not count (monotonic seconds).
+        What came before ``since`` (monotonic seconds) does not count.
         """
         poses = self._poses
         if not poses:
@@ -83,11 +82,7 @@ _AT_ITS_END = 1.0  # metres from the goal within which a path that leads to it e
 def distance(robot: Pose | None, goal: Pose | None, path: Mapping[str, Any] | None, frame: str) -> float:
     """Metres along the rest of the path, or straight to the goal without one; `UNKNOWN` without a pose.
 
-    Args:
-        robot: where it is, in ``frame``.
-        goal: where it goes, in ``frame``.
-        path: the planner's ``nav_msgs/Path``, where it tells one.
-        frame: of the map.
+    Robot and goal are in ``frame``, the map's; the path is the planner's ``nav_msgs/Path``, where it tells one.
     """
     if robot is None or goal is None:
         return UNKNOWN

@@ -19,22 +19,17 @@ class RequestError(RuntimeError):
 
 
 class PlannerChoice:
-    """The planner at hand, and the one that takes its place. On the module's thread.
+    """The planner at hand, and the one that takes its place; ``changed`` is called when it tells something new.
 
-    Args:
-        changed: called when the planner published something new.
-
-    Attributes:
-        section: the one that holds.
-        link: to the planner at hand.
+    On the module's thread.
     """
 
     def __init__(self, host: Host, section: NavigationSection, changed: Callable[[], None]) -> None:
-        self._host, self.section, self._changed = host, section, changed
+        self._host, self.section, self._changed = host, section, changed  # the section that holds
         self._chosen = ""
         self._next: NavigationSection | None = None
         self._held_since: float | None = None
-        self.link = PlannerLink(host, section, section.planner, changed)
+        self.link = PlannerLink(host, section, section.planner, changed)  # to the planner at hand
 
     @property
     def pending(self) -> str:

@@ -24,17 +24,9 @@ _LIST_SECONDS = 1.0
 
 
 class PlannerLink:
-    """Sends goals to a planner and follows its topics; all on the module's thread.
+    """Sends goals to a planner and follows its topics; ``changed`` is called when it tells something new.
 
-    Args:
-        changed: called when the planner told something new.
-
-    Attributes:
-        lost_at: when it was last seen not to be there (monotonic); before the first look it was not.
-        seen_at: when it was last seen to be there; before the first look, when the link was made.
-        ended: a goal of others that ended last, how, and why where that is known.
-        gone: a goal of others that it drove to as it went out of reach, and when; None once it is known how that ended.
-        path: what it told last, as are ``local_map`` and ``current_goal``.
+    All on the module's thread.
     """
 
     def __init__(self, host: Host, section: NavigationSection, planner: str, changed: Callable[[], None]) -> None:
@@ -43,6 +35,7 @@ class PlannerLink:
         action = section.at(planner)
         self._client = ActionClient(host.node, action, NAVIGATE)
         self._mine: dict[bytes, SentGoal] = {}
+        # when it was last seen not to be there, and to be there (monotonic); before the first look, now
         self.lost_at = self.seen_at = self._made_at = time.monotonic()
         self._condemned: dict[bytes, None] = {}
         self._asked: dict[bytes, float] = {}
@@ -52,8 +45,10 @@ class PlannerLink:
         self._lister = b""
         self._followed: bytes | None = None
         self._own: Message | None = None
-        self.ended: tuple[bytes, State, str] | None = None
+        self.ended: tuple[bytes, State, str] | None = None  # a goal of others that ended last, how, and why if known
+        # a goal of others that it drove to as it went out of reach, and when; None once it is known how that ended
         self.gone: tuple[bytes, float] | None = None
+        # what it told last
         self.path: Message | None = None
         self.local_map: Message | None = None
         self.current_goal: Message | None = None

@@ -40,10 +40,9 @@ class YarpVelocity(NamedTuple):
 
 
 class VelocityCommander:
-    """Says a velocity again and again until its time is over, and then that it is zero. On the module's thread.
+    """Says a velocity on the base's topic again and again until its time is over, and then that it is zero.
 
-    Args:
-        topic: where the base hears it.
+    On the module's thread.
     """
 
     def __init__(self, host: Host, topic: str) -> None:

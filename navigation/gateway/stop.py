@@ -72,17 +72,12 @@ class StopWaiters:
 
 
 class Stopping:
-    """Follows stops. On the module's thread.
-
-    Attributes:
-        stop: goals that ended here while their planner may still drive; None where there are none.
-        waiters: those who asked for a stop.
-    """
+    """Follows stops. On the module's thread."""
 
     def __init__(self, motion: Motion) -> None:
         self._motion = motion
-        self.stop: UnconfirmedStop | None = None
-        self.waiters = StopWaiters()
+        self.stop: UnconfirmedStop | None = None  # goals that ended here; their planner may still drive
+        self.waiters = StopWaiters()  # those who asked for a stop
 
     def look(self, drive: ClientDrive | None, link: PlannerLink) -> tuple[GoalState, int, str] | None:
         """See whether planner or odometry confirm a stop; how a drive ends that is being given up, once known."""

@@ -15,24 +15,18 @@ _LONGEST = 200
 
 
 class MapsFolder:
-    """Turns what a client calls a file into a path. There is no other folder for it, and none below this one.
+    """Turns what a client calls a file into a path in one folder, which is made when something is written.
 
-    Args:
-        path: the folder; made when something is written.
+    There is no other folder for it, and none below this one.
     """
 
     def __init__(self, path: Path) -> None:
         self.path = path
 
     def file(self, name: str, *suffixes: str) -> Path:
-        """The file of a name.
+        """The file of a name; without a suffix it gets the first of ``suffixes`` (``.yaml``), else it has one.
 
-        Args:
-            name: as the client said it.
-            suffixes: one of which the name must have, such as ``.yaml``; the first is added to a name without any.
-
-        Raises:
-            ValueError: it is no plain name, or leads out of the folder; the text is for the client's user.
+        Raises `ValueError` for a name that is not plain, or leads out of the folder; the text is for the client's user.
         """
         if not name or len(name.encode(errors="replace")) > _LONGEST or not name.isprintable():
             raise ValueError(f"{name[:60]!r} is no name of a file: it has 1 to {_LONGEST} bytes that can be printed")
@@ -72,12 +66,8 @@ _PLACES: dict[str, ValueKind[Any]] = {"locations": LOCATION, "objects": OBJECT, 
 class MapFiles:
     """Writes the store into files, and reads it from them. All names are those of the maps folder.
 
-    What is read takes the place of what has its name. All raise `ValueError` or `OSError` for the file's sake, and
-    `StoreError` for the store's.
-
-    Args:
-        maps: the collection that was imported at the start, wherever it is; None for none.
-        locations: the file of places that was, likewise.
+    What is read takes the place of what has its name. ``maps`` and ``locations`` are what was imported at the start,
+    wherever it is. All raise `ValueError` or `OSError` for the file's sake, and `StoreError` for the store's.
     """
 
     def __init__(self, folder: MapsFolder, store: Store, maps: Path | None, locations: Path | None) -> None:
@@ -89,12 +79,8 @@ class MapFiles:
     ) -> None:
         """Write a map: as YARP keeps it where the file is called ``.map``, else as ROS does.
 
-        Args:
-            name: the map's.
-            file: a name in the maps folder.
-            image: of ROS's format: pgm, png or bmp; "" for pgm.
-            mode: of ROS's format: trinary, scale or raw; "" for what the map needs.
-            thresholds: of ROS's format, for free and occupied; 0 for the usual ones.
+        ROS's format has images (pgm, png, bmp; "": pgm), modes (trinary, scale, raw; "": what the map needs) and
+        thresholds for free and occupied (0: the usual ones).
         """
         grid = self._store.get(MAP, name)
         if grid is None:

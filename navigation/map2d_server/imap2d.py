@@ -52,9 +52,6 @@ class MapAnswers(IMap2DMsgs):
     """Serves IMap2D. Its methods run on the threads of the connections, several at a time.
 
     Other than YARP's map2DStorage, a store or load takes the place of what has the name, every time.
-
-    Args:
-        files: what clients may have written and read.
     """
 
     def __init__(self, store: Store, files: MapFiles, told: Callable[[str], None]) -> None:

@@ -25,15 +25,7 @@ from yarp_compat.dev.mapgrid import MapGrid2D
 
 
 class Head:
-    """What headers say.
-
-    Args:
-        frame: the frame of all maps.
-        now_ns: says the time in nanoseconds.
-
-    Attributes:
-        frame: the frame of all maps.
-    """
+    """What headers say: the frame of all maps, and the time in nanoseconds."""
 
     def __init__(self, frame: str, now_ns: Callable[[], int]) -> None:
         self.frame, self.now_ns = frame, now_ns
@@ -63,13 +55,7 @@ _KEEP_OUT_FILTER = 0
 
 
 def masks_of(grid: MapGrid2D, store: Store, head: Head) -> dict[str, tuple[str, Message]]:
-    """What to publish: type and message by topic.
-
-    Args:
-        grid: the current map, turned to yaw 0.
-        store: where areas are.
-        head: of the messages.
-    """
+    """What to publish: type and message by topic. The grid is the current map, turned to yaw 0."""
     here = {name: area for name, area in store.all(AREA).items() if area.map_id == grid.name and area.points}
     areas = [(area, store.behaviour(name)) for name, area in here.items()]
     mask = keepout_mask(grid, [area for area, behaviour in areas if behaviour.keep_out])
@@ -304,9 +290,7 @@ class Markers:
 def topic_of(name: str, taken: AbstractSet[str] = frozenset()) -> str:
     """The topic of a map: ``/maps/`` and its name, with ``_`` for what no topic can have.
 
-    Args:
-        name: the map's.
-        taken: topics of other maps; where one is the same, eight digits of the name's SHA-256 follow.
+    Where another map's topic is the same, eight digits of the name's SHA-256 follow.
     """
     part = _FORBIDDEN.sub("_", name)[:200]
     topic = f"/maps/{'n' if part[0].isdigit() else ''}{part}"

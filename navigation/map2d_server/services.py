@@ -21,11 +21,7 @@ _SUCCESS, _NOT_THERE, _INVALID = 0, 1, 2
 
 
 class MapServices:
-    """Serves the current map, and changes it.
-
-    Args:
-        files: where clients may load from and save to.
-    """
+    """Serves the current map, and changes it; clients load from and save to ``files``."""
 
     def __init__(
         self, node: Node, store: Store, files: MapFiles, current: CurrentMap, maps: AllMaps, told: Callable[[str], None]

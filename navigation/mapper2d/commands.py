@@ -65,11 +65,8 @@ class Canvas:
     def clicked(self, values: Sequence[Any]) -> int:
         """Paint where the picture that was shown last was clicked; how many cells.
 
-        Args:
-            values: ``x y``, or ``x0 y0 x1 y1`` of a drag: pixels from the upper left one.
-
-        Raises:
-            ValueError: it is no click, or not on the picture.
+        The values are ``x y``, or ``x0 y0 x1 y1`` of a drag: pixels from the upper left one. Raises `ValueError` if it
+        is no click, or not on the picture.
         """
         numbers = all(isinstance(value, (int, float)) and math.isfinite(value) for value in values)
         if len(values) not in (2, 4) or not numbers:

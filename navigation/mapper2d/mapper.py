@@ -24,39 +24,28 @@ _SURE = 1e-3
 
 
 class Mapper:
-    """Makes a map of scans whose poses are known. It has no thread and no clock of its own.
-
-    Attributes:
-        name: the map's; may be changed.
-        mapping: whether scans are taken.
-        scans: how many were taken into this map.
-        full: whether the last one reached beyond what the map may grow to.
-        enlarged: metres around obstacles that are marked on the maps that are given out.
-    """
+    """Makes a map of scans whose poses are known. It has no thread and no clock of its own."""
 
     def __init__(self, settings: Mapper2DSection) -> None:
         self.settings, self.name = settings, settings.map_name
         self._largest = max(settings.largest, settings.width, settings.height)
-        self.mapping = True
-        self.enlarged = 0.0
+        self.mapping = True  # whether scans are taken
+        self.enlarged = 0.0  # metres around obstacles that are marked on maps that are given out
         self._fan: tuple[int, float, float, NDArray[np.float64], NDArray[np.float64]]
         self._fan = 0, 0.0, 0.0, np.empty(0), np.empty(0)
         self.clear()
 
     def clear(self) -> None:
         """Begin a new map."""
+        # how many scans were taken into this map; whether the last one reached beyond what it may grow to
         self.scans, self.full = 0, False
         self._begin((0.0, 0.0))
 
     def scan(self, pose: Pose, ranges: NDArray[np.floating], first: float, step: float, farthest: float) -> bool:
-        """Take a scan; whether it was taken. Raises `ValueError` if the pose is not finite.
+        """Take a scan of a laser at a pose on the map; whether it was taken. Raises `ValueError` for a pose not finite.
 
-        Args:
-            pose: of the laser on the map.
-            ranges: metres, one a beam. Infinite: there is nothing within ``farthest``; NaN: nothing is known.
-            first: the first beam's angle from the laser's direction, radians.
-            step: the angle from a beam to the next.
-            farthest: metres that the laser measures.
+        Ranges are metres, one a beam. Infinite: there is nothing within ``farthest`` metres; NaN: nothing is known.
+        Angles are radians: the first beam's from the laser's direction, and the step to the next.
         """
         if not self.mapping:
             return False
@@ -80,19 +69,11 @@ class Mapper:
             raise ValueError(f"the map would have a side of more than {self._largest:g} m (modules.mapper2d)")
 
     def paint(self, at: tuple[float, float], flag: MapFlag, brush: int, to: tuple[float, float] | None = None) -> int:
-        """Paint a square, or a line of squares; how many cells that were.
+        """Paint a square of so many cells along a side, or a line of such squares; how many cells that were.
 
-        What is painted as wall, free or keep-out stays so whatever the laser finds; what is painted as unknown is
-        forgotten, and learnt anew.
-
-        Args:
-            at: its middle, metres.
-            flag: one of `PAINTS`.
-            brush: cells along a side.
-            to: where the line ends.
-
-        Raises:
-            ValueError: the place is not on the map, or the brush is none.
+        What is painted as wall, free or keep-out (`PAINTS`) stays so whatever the laser finds; what is painted as
+        unknown is forgotten, and learnt anew. Places are metres. Raises `ValueError` if one is not on the map, or the
+        brush is none.
         """
         if not 1 <= brush <= MOST_BRUSH:
             raise ValueError(f"a brush has 1 to {MOST_BRUSH} cells, not {brush}")

@@ -97,11 +97,9 @@ class Poses:
             host.yarp.input(f"{section.prefix}/odometry:i", lambda received: _take(given, received))
 
     def laser(self, frame: str, stamp: int) -> Pose:
-        """Where the laser was on the map; raises `FramesError` where that is not known, or not yet.
+        """Where the laser was on the map at a time, ns; raises `FramesError` where that is not known, or not yet.
 
-        Args:
-            frame: the laser's; empty where it has none, as on YARP.
-            stamp: ns.
+        A laser without a frame, as on YARP, is in the robot's middle.
         """
         mount = self._mount
         if mount is None:

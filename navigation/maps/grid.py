@@ -61,8 +61,7 @@ def data_of(values: NDArray[np.int8]) -> NDArray[np.int8]:
 def occupied(grid: MapGrid2D) -> NDArray[np.int8]:
     """How surely each cell is occupied, joined with the flags of walls and unknown cells, as :func:`to_grid` says.
 
-    Returns:
-        0 to 100, or -1, of shape (height * width,), rows from the bottom up.
+    It is 0 to 100, or -1, of shape (height * width,), rows from the bottom up.
     """
     values = np.empty((grid.m_height, grid.m_width), np.uint8)
     join(np.ascontiguousarray(grid.occupancy).data, np.ascontiguousarray(grid.flags).data, values.data)
@@ -99,13 +98,7 @@ _COUNT = struct.Struct("<I")
 
 
 def to_cdr(grid: MapGrid2D, frame: str = "map", stamp_ns: int = 0) -> memoryview:
-    """The message that `navigation.maps.grid.to_grid` says, as `bridge.messages.values.MessageWriter` writes it.
-
-    Args:
-        grid: the map.
-        frame: its frame.
-        stamp_ns: its time, nanoseconds.
-    """
+    """The message of `to_grid` as `bridge.messages.values.MessageWriter` writes it; the time in nanoseconds."""
     stamp, cells = divmod(stamp_ns, 10**9), grid.m_width * grid.m_height
     name = frame.encode() + b"\0"
     x, y, yaw = grid.origin.to_ros()

@@ -19,16 +19,10 @@ Part = tuple[slice, slice]
 
 
 def cells_of(info: MapGrid2DInfo, points: Sequence[Vec2D]) -> tuple[Part, NDArray[np.bool_]]:
-    """The cells that a polygon touches: those whose middle is inside, and those that its border crosses.
+    """The part of a map (rows and columns) that a polygon reaches over, and which of its cells it touches.
 
-    So even a polygon that is thinner than a cell leaves no gap.
-
-    Args:
-        info: the map.
-        points: the corners, metres; fewer than three are no polygon.
-
-    Returns:
-        the part of the map (rows and columns) that it reaches over, and which cells of that part.
+    Those are the cells whose middle is inside, and those that its border crosses: even a polygon that is thinner than a
+    cell leaves no gap. Corners are in metres; fewer than three are no polygon.
     """
     corners = info.in_cells(np.array([(point.x, point.y) for point in points], float).reshape(-1, 2))
     low = np.clip(np.floor(np.min(corners, axis=0, initial=np.inf)), 0, None) if len(corners) > 2 else np.zeros(2)
@@ -101,14 +95,9 @@ _TABLE = _by_flag()
 
 
 def keepout_mask(grid: MapGrid2D, areas: Iterable[Map2DArea] = ()) -> NDArray[np.int8]:
-    """The mask of a map's flags.
+    """The mask of a map's flags and of polygons to be kept out of; those on other maps do not matter.
 
-    Args:
-        grid: the map.
-        areas: polygons to be kept out of; those on other maps do not matter.
-
-    Returns:
-        of shape (height, width), rows from the top one down: 100, the two weights, or 0.
+    It has shape (height, width), rows from the top one down: 100, the two weights, or 0.
     """
     mask = looked_up(grid.flags, _TABLE).view(np.int8)
     for area in areas:
@@ -121,9 +110,7 @@ def keepout_mask(grid: MapGrid2D, areas: Iterable[Map2DArea] = ()) -> NDArray[np
 def flags_from(occupancy: NDArray[np.uint8], mask: NDArray[np.int8]) -> NDArray[np.uint8]:
     """The flags that a map and its mask say, both of shape (height, width) with the rows in the same order.
 
-    Args:
-        occupancy: 0 to 100 or 255.
-        mask: of :func:`keepout_mask`; weights that are none of its own leave what the map says.
+    The occupancy is 0 to 100 or 255; weights that are none of :func:`keepout_mask`'s leave what the map says.
     """
     flags = flags_of(occupancy)
     for flag, weight in _WEIGHTS.items():
@@ -147,17 +134,11 @@ class SpeedMask:
 
 
 def speed_mask(info: MapGrid2DInfo, limits: Sequence[tuple[Map2DArea, float]]) -> SpeedMask:
-    """The mask of areas that have a limit each; where they overlap, the lowest holds.
+    """The mask of areas that have a limit each (m/s); where they overlap, the lowest holds.
 
     The lowest and the highest limit of all are exact; one between may come out lower by up to a 99th of their
-    difference, never higher.
-
-    Args:
-        info: the map.
-        limits: areas, and metres per second above 0; areas on other maps do not matter.
-
-    Raises:
-        ValueError: a limit is not above 0, which would mean none.
+    difference, never higher. Areas on other maps do not matter. Raises `ValueError` for a limit that is not above 0: it
+    would mean none.
     """
     here = [(area, limit) for area, limit in limits if area.map_id == info.name]
     for area, limit in here:

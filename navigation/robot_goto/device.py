@@ -42,11 +42,7 @@ class GotoDevice(PlannerDevice):
 
 
 class GotoServer(Navigation2DServer, RobotGotoMsgs):
-    """Answers INavigation2D and RobotGoto's own commands at one port, as every release does.
-
-    Args:
-        approach: moves by the laser alone: radians, m/s, seconds.
-    """
+    """Answers INavigation2D and RobotGoto's own commands at one port; ``approach`` takes radians, m/s and seconds."""
 
     def __init__(
         self, module: PlannerModule, calls: Calls, driver: Driver, approach: Callable[[float, float, float], None]

@@ -39,25 +39,15 @@ _LOOK, _LOOKS, _LOOK_AGAIN = 0.5 * math.pi, 2, 0.3
 
 
 class Driver:
-    """Drives a robot to goals.
-
-    Args:
-        settings: what it drives by; may be replaced at any time.
-
-    Attributes:
-        status: how the goal is getting on.
-        grid: what the laser saw around it lately.
-        command: what was commanded last.
-        spoken: what there is to say to people around, the oldest first; taken out by whoever says it.
-        bearing: where the goal is seen from the robot's front, radians.
-        unplaced: why scans that come cannot be taken up: frames are missing. Set by whoever gives them.
-    """
+    """Drives a robot to goals; its settings may be replaced at any time."""
 
     def __init__(self, settings: RobotGotoSection | None = None) -> None:
         self._first = self.settings = settings or RobotGotoSection()
+        # what the laser saw around it lately
         self.grid = LocalGrid(self.settings.memory, self.settings.robot_radius, self.settings.laser_offset)
-        self.status = PlannerStatus()
-        self.command = STILL
+        self.status = PlannerStatus()  # how the goal is getting on
+        self.command = STILL  # what was commanded last
+        # what there is to say to people around, the oldest first; whoever says it takes it out
         self.spoken: deque[str] = deque(maxlen=8)
         self._guard = Guard(self.grid)
         self._stall = FollowCheck()
@@ -70,7 +60,8 @@ class Driver:
         self._moved: Pose | None = None
         self._passed = 0.0
         self._last = STILL
-        self.bearing = 0.0
+        self.bearing = 0.0  # where the goal is seen from the robot's front, radians
+        # why scans cannot be taken up: frames are missing; whoever gives them sets it
         self.unplaced, self._blind = "", False
         self._clear()
 
@@ -90,9 +81,7 @@ class Driver:
     def goal(self, pose: Pose, constraints: Constraints | None = None) -> None:
         """Drive there; an active goal is left for it without a stop. Raises `ValueError` if the place is not finite.
 
-        Args:
-            pose: on the map; theta NaN where any heading will do.
-            constraints: what holds for this goal.
+        The pose is on the map; its theta is NaN where any heading will do.
         """
         if not (math.isfinite(pose.x) and math.isfinite(pose.y)):
             raise ValueError(f"a goal is a place: x and y are numbers, not {pose.x} and {pose.y}")
@@ -106,12 +95,9 @@ class Driver:
         self._retreat = min(self.settings.retreat_duration, MAX_RETREAT) if back_off else 0.0
 
     def approach(self, direction: float, speed: float, seconds: float) -> None:
-        """Move by the laser alone: so far as nothing is in the way. Ends by itself, in at most 2 s where it goes back.
+        """Move by the laser alone, in a direction of the robot's frame (radians), at m/s, for so many seconds.
 
-        Args:
-            direction: radians, of the robot's frame; a differential base goes forward or back.
-            speed: m/s.
-            seconds: for how long.
+        It goes so far as nothing is in the way, back for 2 s at most; a differential base goes forward or back.
         """
         self._clear()
         self._stall.clear()
@@ -176,25 +162,20 @@ class Driver:
     # the senses
 
     def scan(self, scan: Turn, moved: Pose, laser: Pose = AT_BASE) -> None:
-        """Take up a scan.
+        """Take up a scan; ``laser`` is the laser's place on the base.
 
-        Args:
-            scan: a turn of the laser.
-            moved: where the base was in the odometry's frame as it was made (on the map where there is no odometry).
-            laser: where the laser is on the base.
+        ``moved`` is where the base was as it was made, in the odometry's frame, or on the map where there is no
+        odometry.
         """
         self.unplaced, self._blind = "", is_blind(scan)
         if not self._blind:
             self.grid.scan(scan, moved, laser)
 
     def step(self, now: float, pose: Pose | None, moved: Pose | None = None, why: str = "") -> DriveCommand:
-        """What to command now.
+        """What to command now, in seconds of the scans' clock.
 
-        Args:
-            now: seconds, on the scans' clock.
-            pose: where the robot is on the map; None where that is not known.
-            moved: where it is in the odometry's frame, in which the laser's memory is kept; the map's without it.
-            why: why ``pose`` is not known.
+        ``pose`` is the robot's on the map, None with ``why`` where that is not known; ``moved`` is its pose in the
+        odometry's frame, in which the laser's memory is kept, or in the map's without it.
         """
         passed = 0.0 if self._now is None else min(max(0.0, now - self._now), 1.0)
         self._now = now

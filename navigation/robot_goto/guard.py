@@ -24,13 +24,7 @@ _FASTER, _ABSURD = 0.1, 5.0
 
 
 class Guard:
-    """Lets commands through, slowed where the robot could not stop in time.
-
-    Attributes:
-        has: the velocity that the robot has now: m/s, m/s, rad/s.
-        ahead: what is around it: see `navigation.algorithms.stopping.ahead`.
-        blocker: (3) the point that let the last command go no faster; its third is -1 where nothing did.
-    """
+    """Lets commands through, slowed where the robot could not stop in time."""
 
     def __init__(self, grid: LocalGrid) -> None:
         self._grid = grid
@@ -38,8 +32,10 @@ class Guard:
         self._wanted = np.zeros(3)
         self._places: deque[tuple[float, Pose]] = deque()
         self._scale = 1.0
-        self.has: NDArray[np.float64] = np.zeros(3)
+        self.has: NDArray[np.float64] = np.zeros(3)  # the velocity that it has now: m/s, m/s, rad/s
+        # the point that let the last command go no faster; its third is -1 for none
         self.blocker: NDArray[np.float64] = np.zeros(3)
+        # see `navigation.algorithms.stopping.ahead`
         self.ahead = np.array([0.0, 0.0, math.inf, math.inf, 0.0, math.inf])
 
     def follow(self, settings: RobotGotoSection, command: DriveCommand, seconds: float) -> None:
@@ -121,30 +117,22 @@ _ARM = 0.2  # metres that one radian counts
 
 
 class FollowCheck:
-    """Compares what was commanded with where odometry says that the base went.
-
-    Attributes:
-        since: seconds of when it did not follow first; None while it does.
-    """
+    """Compares what was commanded with where odometry says that the base went."""
 
     def __init__(self) -> None:
         self.clear()
 
     def clear(self) -> None:
         """Begin anew."""
-        self.since: float | None = None
+        self.since: float | None = None  # when it did not follow first, seconds; None while it does
         self._again = -math.inf
         self._wanted = 0.0
         self._from: Pose | None = None
 
     def add(self, now: float, passed: float, velocity: NDArray[np.float64], moved: Pose) -> None:
-        """Take up a step.
+        """Take up a step of so many seconds: the velocity that the base should have had, and its pose by odometry.
 
-        Args:
-            now: seconds.
-            passed: seconds since the step before.
-            velocity: (3,) m/s forward and to the left and rad/s, that the base should have had.
-            moved: where it is by its odometry.
+        The velocity is (3,): m/s forward and to the left, and rad/s.
         """
         if self._from is None:
             self._from = moved

@@ -23,15 +23,8 @@ NEAR = 1.5
 class LocalGrid:
     """A window of 5 m around the robot, in a frame in which it moves smoothly (the odometry's).
 
-    Args:
-        memory: seconds for which what was seen of a place is believed; then it is unknown again.
-        radius: the robot's, metres: where it stands itself is free.
-        aside: how far its lasers stand from its middle, metres.
-
-    Attributes:
-        points: (n, 3) where the newest scan's beams ended, x and y; 1 where something came lately, else 0.
-        count: how many of them there are.
-        scanned: when the newest scan was made, seconds; None before the first.
+    What was seen is believed for ``memory`` seconds. Where the robot stands, in its radius (metres), is free; its
+    lasers are ``aside`` metres from its middle.
     """
 
     def __init__(self, memory: float, radius: float, aside: float) -> None:
@@ -42,18 +35,12 @@ class LocalGrid:
     def clear(self) -> None:
         """Forget all."""
         self._grid = RollingGrid(SIDE, RESOLUTION, self._memory)
-        self.points = np.empty((0, 3))
-        self.count = 0
-        self.scanned: float | None = None
+        self.points = np.empty((0, 3))  # where beams of the newest scan ended: x, y, and 1 where something came lately
+        self.count = 0  # how many of them there are
+        self.scanned: float | None = None  # when that scan was made, seconds; None before the first
 
     def scan(self, scan: Turn, at: Pose, laser: Pose = AT_BASE) -> None:
-        """Take up a scan.
-
-        Args:
-            scan: a turn of the laser.
-            at: where the base was as it was made, in the grid's frame.
-            laser: where the laser is on the base.
-        """
+        """Take up a scan of a laser on the base, which was at a pose in the grid's frame as it was made."""
         now = scan.time_ns / 1e9
         self._grid.move(math.floor(at.y / RESOLUTION) - SIDE // 2, math.floor(at.x / RESOLUTION) - SIDE // 2)
         if len(self.points) < len(scan.ranges):

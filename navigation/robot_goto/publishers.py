@@ -25,13 +25,7 @@ _POLAR = 2
 
 
 class GotoTopics(PlannerTopics):
-    """Publishes commands, the status and the local map. On the module's thread.
-
-    Args:
-        frame: the map's.
-        cmd_vel: topic of the commands.
-        prefix: begins the YARP ports; empty for none.
-    """
+    """Publishes commands, the status and the local map; no YARP ports without a prefix. On the module's thread."""
 
     def __init__(self, host: Host, frame: str, cmd_vel: str, prefix: str) -> None:
         super().__init__(host, "robot_goto", frame)

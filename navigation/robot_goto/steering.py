@@ -132,15 +132,9 @@ class Aim(NamedTuple):
 def aim(
     grid: LocalGrid, now: float, here: Pose, goal: tuple[float, float], radius: float, before: Aim | None = None
 ) -> Aim:
-    """Where the potential field leads.
+    """Where the potential field leads, for a robot of some radius (metres) at a pose in the grid's frame; seconds.
 
-    Args:
-        grid: what is around.
-        now: seconds.
-        here: the robot, in the grid's frame.
-        goal: x and y there.
-        radius: the robot's, metres.
-        before: where it led last: a way that is but a little shorter does not take its place.
+    A way that is but a little shorter than the one ``before`` does not take its place.
     """
     states = grid.states(now)
     distances = distance_transform(states == OCCUPIED)
@@ -207,12 +201,7 @@ def beside(settings: RobotGotoSection, aside: float) -> float:
 
 
 def people_speed(settings: RobotGotoSection, gap: float) -> float:
-    """The speed from which the robot can stop before a person who walks towards it arrives.
-
-    Args:
-        settings: the robot's.
-        gap: metres between the two.
-    """
+    """The speed from which the robot can stop before a person who comes from so many metres away arrives."""
     walking, reaction, braking = 1.0, settings.reaction, settings.max_lin_acc
     left = gap - walking * reaction
     if left <= 0.0:

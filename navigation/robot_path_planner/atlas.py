@@ -55,14 +55,7 @@ class Atlas:
 def leg(atlas: Atlas, ground: Ground, start: Pose, goal: MapPlace) -> Leg:
     """What to drive on the map at hand to come to a goal on any map, the shortest way.
 
-    Args:
-        atlas: the other maps.
-        ground: the map at hand.
-        start: where the robot is on it.
-        goal: where it is to go.
-
-    Raises:
-        PlanError: no links lead there; the text says why.
+    Raises `PlanError` where no links lead there; the text says why.
     """
     if goal.map_name == ground.name:
         return Leg(goal)
@@ -110,11 +103,7 @@ _log = logging.getLogger(__name__)
 
 
 class StoreAtlas(Atlas):
-    """The store's maps for a robot; see `navigation.robot_path_planner.atlas.Atlas`. On the module's thread.
-
-    Args:
-        settings: what the robot needs of room.
-    """
+    """The store's maps for a robot with these settings. On the module's thread."""
 
     def __init__(self, store: Store, settings: RobotPathPlannerSection) -> None:
         self._store, self.settings = store, settings

@@ -25,11 +25,7 @@ _MOST = 3.0
 
 
 class PathPlannerDevice(PlannerDevice):
-    """Answers INavigation2D.
-
-    Args:
-        brake: makes the robot stand still at once, on any thread; a stop or a pause follows.
-    """
+    """Answers INavigation2D; ``brake`` makes the robot stand at once, on any thread, before a stop or a pause."""
 
     def __init__(self, module: PlannerModule, calls: Calls, planner: PathPlanner, brake: Callable[[], None]) -> None:
         super().__init__(module, calls)
@@ -78,12 +74,7 @@ class PathPlannerDevice(PlannerDevice):
 
 
 class PlannerServer(Navigation2DServer):
-    """Answers INavigation2D, and these words.
-
-    Args:
-        get_radius: says the robot's radius, metres.
-        set_radius: sets it.
-    """
+    """Answers INavigation2D, and words that get and set the robot's radius, metres."""
 
     def __init__(self, device: object, get_radius: Callable[[], float], set_radius: Callable[[float], Any]) -> None:
         super().__init__(device)

@@ -49,41 +49,30 @@ class Zone:
 
 
 class Ground:
-    """A map for a robot of some size. Nothing of it changes.
+    """A map for a robot of some radius, metres. Nothing of it changes; all arrays are (rows, columns).
 
-    Args:
-        grid: the map; a turned one is made straight.
-        radius: the robot's, metres.
-        clearance: metres further to walls and keep-out cells within which driving costs more.
-        zones: areas; those on other maps do not matter.
-
-    Attributes:
-        grid: the map, straight.
-        solid: (rows, columns) walls, temporary obstacles and what is unknown.
-        kept: (rows, columns) what is to be kept out of.
-        room: (rows, columns) metres from a cell's middle to the nearest border of those; infinite where there are none.
-        weights: (rows, columns) what entering costs; 0 where the robot does not fit or is not to be.
-        open: (rows, columns) 1 where a robot that goes round something may well come.
-        behaviours: what cells ask for, by the numbers in `labels`.
-        beside: (rows, columns) where robots are kept out nearby: who drives by the laser alone is to go round nothing
-            there, since that might lead in.
+    A turned map is made straight. Driving costs more within ``clearance`` metres further to walls and keep-out cells.
+    Zones on other maps do not matter.
     """
 
     def __init__(self, grid: MapGrid2D, radius: float, clearance: float = 0.0, zones: Sequence[Zone] = ()) -> None:
         self.grid = grid = turned(grid)
         self.radius = radius
         flags, occupancy = grid.flags, grid.occupancy
+        # walls, temporary obstacles, unknown
         self.solid = looked_up(flags, _SOLID).astype(bool) | ((occupancy >= OCCUPIED) & (occupancy <= 100))
-        self.kept = flags == MapFlag.KEEP_OUT
+        self.kept = flags == MapFlag.KEEP_OUT  # what is to be kept out of
         here = [zone for zone in zones if zone.area.map_id == grid.name]
         for zone in here:
             if zone.behaviour.keep_out:
                 part, inside = cells_of(grid, zone.area.points)
                 self.kept[part] |= inside
+        # metres from a cell's middle to the nearest border of those; infinite where there are none
         self.room = (distance_transform(self.solid | self.kept) - 0.5) * np.float32(grid.resolution)
-        self.weights = self._weighed(clearance)
-        self.open = (self.room > radius / 2).astype(np.uint8)
-        self.labels, self.behaviours = _labelled(grid, here)
+        self.weights = self._weighed(clearance)  # what entering costs; 0 where the robot does not fit or is not to be
+        self.open = (self.room > radius / 2).astype(np.uint8)  # 1 where a robot that goes round something may come
+        self.labels, self.behaviours = _labelled(grid, here)  # each cell's number of a behaviour
+        # where robots are kept out nearby: who drives by the laser alone is to go round nothing there, and into none
         self.beside = distance_transform(self.kept) < _BESIDE / grid.resolution
 
     @property
@@ -165,11 +154,7 @@ _FORGET_EVERY = 1.0
 
 
 class Clutter:
-    """Temporary obstacles on the cells of a map.
-
-    Args:
-        memory: seconds after which what is not seen any more is forgotten.
-    """
+    """Temporary obstacles on the cells of a map; what is not seen any more is forgotten after ``memory`` seconds."""
 
     def __init__(self, ground: Ground, memory: float) -> None:
         grid = ground.grid
@@ -184,14 +169,9 @@ class Clutter:
         self._cells: NDArray[np.int64] | None = None
 
     def see(self, laser: Pose, ranges: NDArray[np.float64], first: float, step: float, farthest: float) -> None:
-        """Take a scan.
+        """Take a scan of a laser at a pose on the map, up to ``farthest`` metres; angles in radians from its direction.
 
-        Args:
-            laser: its pose on the map.
-            ranges: metres; infinite: nothing there, NaN: nothing is known.
-            first: radians from the laser's direction to the first beam.
-            step: radians from a beam to the next.
-            farthest: metres; what is beyond is not looked at.
+        Ranges are metres; infinite: nothing is there, NaN: nothing is known.
         """
         self._seen.insert((laser.x, laser.y, laser.theta), ranges, first, step, farthest)
         self._cells = None

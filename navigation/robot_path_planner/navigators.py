@@ -25,26 +25,19 @@ from yarp_compat.wire.errors import WireError
 
 
 class LocalNavigator(Protocol):
-    """A local navigator: RobotGoto in process, or a client of one.
-
-    Attributes:
-        state: of the goal that was sent last, from the moment on at which it was sent; `State.ERROR` also where there
-            is no navigator.
-        reason: why it waits, failed or is not there.
-        fault: the same as a number; `Fault.NONE` where it says none.
-    """
+    """A local navigator: RobotGoto in process, or a client of one."""
 
     @property
     def state(self) -> State:
-        """See above."""
+        """Of the goal that was sent last, from then on; `State.ERROR` also where there is no navigator."""
 
     @property
     def reason(self) -> str:
-        """See above."""
+        """Why it waits, failed or is not there."""
 
     @property
     def fault(self) -> Fault:
-        """See above."""
+        """The same as a number; `Fault.NONE` where it says none."""
 
     def send(self, pose: Pose, constraints: Constraints) -> None:
         """Drive there, instead of where it was sent before."""
@@ -146,12 +139,9 @@ _ENDS = (State.REACHED, State.ABORTED, State.FAILING)
 
 
 class YarpNavigator:
-    """Sends goals to one server, and asks it how they are; see `LocalNavigator`. Safe to use from any thread.
+    """Sends goals to the server at ``<server>/rpc``, and asks it how they are. Safe to use from any thread.
 
     Speeds and gains of waypoints do not reach it: INavigation2D has no words for them.
-
-    Args:
-        server: what its ports begin with, as ``/robotGoto``.
     """
 
     fault = Fault.NONE  #: INavigation2D has no words for one

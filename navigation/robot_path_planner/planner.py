@@ -39,16 +39,10 @@ _AT_LINK = 3.0  # metres from a link's end within which a robot that has changed
 
 
 class PathPlanner:
-    """Drives one robot to one goal at a time.
-
-    Attributes:
-        settings: may be replaced; what is planned from then on goes by it.
-        status: as it is now.
-        blind: why the laser says nothing, in words; empty where it does. Whoever gives scans sets it.
-    """
+    """Drives one robot to one goal at a time."""
 
     def __init__(self, settings: RobotPathPlannerSection | None = None, atlas: Atlas | None = None) -> None:
-        self.settings = settings or RobotPathPlannerSection()
+        self.settings = settings or RobotPathPlannerSection()  # may be replaced; what is planned then goes by it
         self._atlas = atlas or Atlas()
         self.ground: Ground | None = None
         self.clutter: Clutter | None = None
@@ -58,8 +52,8 @@ class PathPlanner:
         self._paused_until = -math.inf
         self._jumps = JumpDetector()
         self._watched = -math.inf
-        self.status = PlannerStatus()
-        self.blind = ""
+        self.status = PlannerStatus()  # as it is now
+        self.blind = ""  # why the laser says nothing, "" where it does; whoever gives scans sets it
 
     @property
     def active(self) -> bool:
@@ -161,26 +155,16 @@ class PathPlanner:
             self.task.due, self.task.not_before = "it was asked for", -math.inf
 
     def scan(self, now: float, laser: Pose, scan: Turn) -> None:
-        """See what stands in the way.
-
-        Args:
-            now: seconds.
-            laser: its pose on the map.
-            scan: what it measured.
-        """
+        """See what stands in the way: a turn of a laser at a pose on the map; seconds."""
         if self.clutter is not None and self.task is not None:
             farthest = min(self.settings.obstacle_distance, scan.farthest)
             self.clutter.see(laser, believed(scan), scan.first, scan.step, farthest)
             self.clutter.forget(now)
 
     def step(self, now: float, pose: Pose | None, local: LocalNavigator, lost: str = "") -> PlannerStatus:
-        """Take one step.
+        """Take one step, at seconds that never go back, with the one who drives to waypoints.
 
-        Args:
-            now: seconds, never less than before.
-            pose: the robot's on the map; None where it is not known.
-            local: who drives to waypoints.
-            lost: why the pose is not known.
+        The pose is the robot's on the map; None where it is not known, for the reason ``lost``.
         """
         if self._halting:
             self._halting = False

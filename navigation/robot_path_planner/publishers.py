@@ -28,12 +28,7 @@ _REASON_AGAIN = 1.0
 
 
 class PathPlannerTopics(PlannerTopics):
-    """Publishes what has changed. On the module's thread.
-
-    Args:
-        frame: the map's.
-        prefix: begins the YARP ports; empty for none.
-    """
+    """Publishes what has changed; no YARP ports without a prefix. On the module's thread."""
 
     def __init__(self, host: Host, frame: str, prefix: str) -> None:
         super().__init__(host, "robot_path_planner", frame)
@@ -171,10 +166,8 @@ def _arrow(canvas: Any, place: tuple[float, float], theta: float, size: float, c
 def goal_of_click(ground: Ground | None, values: Sequence[Any]) -> Pose:
     """The goal of a click or drag on the picture of the map; raises `ValueError` if it is none, or there is no map.
 
-    Args:
-        ground: the map; None where there is none.
-        values: ``x y``, or ``x0 y0 x1 y1`` where the robot is to head on from the first pixel to the second; with 0, 0
-            the upper left one.
+    A click is ``x y``, a drag ``x0 y0 x1 y1``: the robot heads on from the first pixel to the second; 0, 0 is the upper
+    left one.
     """
     if ground is None:
         raise ValueError("there is no map to click on")

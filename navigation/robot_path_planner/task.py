@@ -65,13 +65,7 @@ class JumpDetector:
         self._at = -math.inf
 
     def add(self, now: float, pose: Pose, least: float) -> str:
-        """Take up a pose; returns a message about a jump, or nothing.
-
-        Args:
-            now: seconds.
-            pose: the robot's on the map.
-            least: metres that are a jump, or 30 degrees.
-        """
+        """Take up a pose on the map; a message about a jump (so many metres, or 30 degrees), or nothing. Seconds."""
         before, passed = self.pose, now - self._at
         self.pose, self._at = pose, now
         if before is None or not 0 <= passed < _FRESH:

@@ -69,15 +69,9 @@ _STEPS = [(row, column) for row in (-1, 0, 1) for column in (-1, 0, 1) if row or
 
 
 def escape(weights: Weights, solid: NDArray[np.bool_], start: Cell) -> Cells | None:
-    """The shortest way from a cell to one where the robot may be.
+    """The shortest way from a cell to one where the robot may be: (n, 2) cells from the start on; None without one.
 
-    Args:
-        weights: (rows, columns) 0 where the robot is not to be.
-        solid: (rows, columns) what cannot be driven through at all.
-        start: row and column.
-
-    Returns:
-        (n, 2) the cells of the way, from the start on; None where there is none.
+    ``weights`` are 0 where the robot is not to be; ``solid`` cannot be driven through at all; both (rows, columns).
     """
     rows, columns = weights.shape
     lengths, came = {start: 0.0}, {start: start}
