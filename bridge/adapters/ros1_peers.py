@@ -71,9 +71,6 @@ def unanswered(what: str, err: OSError) -> Ros1Error:
     return UnreachableError(msg, refused=isinstance(err, ConnectionRefusedError))
 
 
-# -- sockets -----------------------------------------------------------------------------------------------------------
-
-
 class DeadlineSocket(socket.socket):
     """A TCP socket with one deadline for all that is sent and received.
 
@@ -119,8 +116,6 @@ class DeadlineSocket(socket.socket):
         self._arm()
         super().sendall(*args)
 
-
-# -- XML-RPC -----------------------------------------------------------------------------------------------------------
 
 MAX_ANSWER = 64 * 2**20
 """Bytes of the longest answer of a master that is read: its state with 100,000 registrations is about 20 MB."""

@@ -127,9 +127,6 @@ def _with_memory(config: Config) -> Config:
     return config.model_copy(update={"hub": config.hub.model_copy(update={"shared_memory": False})})
 
 
-# -- one network -------------------------------------------------------------------------------------------------------
-
-
 class Crossing:
     """Joins one network; it answers on the hub's control plane under its name.
 

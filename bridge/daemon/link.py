@@ -116,7 +116,6 @@ class WorkerLink(ABC):
             self._take(report)
 
     def _take(self, report: protocol.Report) -> None:
-        """Hand a report on."""
         self._listener.on_report(report)
 
     def _tell(self, lines: Iterable[bytes]) -> None:

@@ -83,7 +83,6 @@ class DemoProcess:
             self._take(lines)
 
     def _take(self, lines: Iterable[bytes]) -> None:
-        """Keep its output, on a thread of its own."""
         raise NotImplementedError
 
 

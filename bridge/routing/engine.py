@@ -227,7 +227,6 @@ class Engine:
         self._refused = sum(1 for decision in decisions if decision.refused)
 
     def _rest(self, decisions: list[RouteDecision], why: str) -> None:
-        """Have no routes."""
         endpoints = self.edge.endpoints()
         for routes in self._route_sets:
             if self.edge.services or routes.kind == "topic":

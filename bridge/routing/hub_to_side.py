@@ -423,7 +423,6 @@ class HubToSideTopics(RouteSet[tuple[RouteKey, str], HubToSideRoute]):
         live: set[tuple[RouteKey, str]],
         decision: RouteDecision,
     ) -> None:
-        """Open or update one route."""
         edge, out_key = self._context.edge, (key, side_topic)
         route = self._routes.get(out_key)
         if route is not None and route.policy != policy:

@@ -66,7 +66,6 @@ class _Transform(NamedTuple):
     numbers: tuple[float, ...]
 
     def write(self, parts: bytearray) -> None:
-        """Append it, little-endian; each part begins at a multiple of the size of its numbers."""
         parts += bytes(-len(parts) % 4) + struct.pack("<iI", *self.stamp)
         for text in (self.frame, self.child):
             parts += bytes(-len(parts) % 4) + struct.pack("<I", len(text)) + text

@@ -159,9 +159,6 @@ def is_local(host: str) -> bool:
     return False
 
 
-# -- the folder of links -----------------------------------------------------------------------------------------------
-
-
 def _links(folder: Path, cache: Path) -> Path:
     """A folder of links to the ROS 1 packages of ``folder``; its name says what it links, so that it is never stale."""
     targets = _targets(folder)
@@ -187,7 +184,6 @@ def _links(folder: Path, cache: Path) -> Path:
 
 
 def _prune(cache: Path, keep: Path) -> None:
-    """Remove folders of links that no worker has been started with for long."""
     for old in cache.glob("ros1-*"):
         with contextlib.suppress(OSError):
             if old != keep and time.time() - old.stat().st_mtime > _STALE_SECONDS:

@@ -52,7 +52,6 @@ class _RequestHandler(SilenceableXMLRPCRequestHandler):  # type: ignore[misc]  #
     """rosgraph's reader of requests, which takes a body of any length into memory."""
 
     def do_POST(self) -> None:  # noqa: N802 - the name is http.server's
-        """Read a request, unless it is too long."""
         length = self.headers.get("Content-Length", "")
         if length.isascii() and length.isdigit() and int(length[:20]) <= _MAX_REQUEST:
             super().do_POST()
@@ -107,11 +106,9 @@ class _RegistrationNotes(registration.RegistrationListener):  # type: ignore[mis
         self._changed()
 
     def reg_added(self, _name: str, _type_or_uri: str, _kind: str) -> None:
-        """A topic or service was added here."""
         self._changed()
 
     def reg_removed(self, name: str, _type_or_uri: str, kind: str) -> None:
-        """A topic or service was removed here."""
         if kind == registration.Registration.PUB:
             self.removed.add(name)
         self._changed()
@@ -121,7 +118,6 @@ class _TcprosServer(rospy.impl.tcpros_base.TCPServer):  # type: ignore[misc]  # 
     """rospy's TCPROS server, which outlives a moment without free descriptors."""
 
     def run(self) -> None:
-        """Accept connections until the server is shut down."""
         while not self.is_shutdown:
             try:
                 sock, address = self.server_sock.accept()

@@ -43,7 +43,6 @@ class PeerPool:
         self._go_on(address, line)
 
     def _go_on(self, address: str, line: _PeerJobs) -> None:
-        """Run the next job of an address's."""
         if self._is_doubtful(address):
             self._doubtful.submit(lambda: self._talk(address, line))
         else:

@@ -173,8 +173,6 @@ class EpollReadLoop(ReadLoop):
         reader.destroy()
 
 
-# -- without eventfd ---------------------------------------------------------------------------------------------------
-
 _POLL_NS = 1_000_000_000
 _KINDS = ("subscription", "client", "service")
 

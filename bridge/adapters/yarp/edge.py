@@ -310,8 +310,6 @@ class YarpEdge(SideEdge):
 
 
 class _Subscription:
-    """See `EdgeSubscription`."""
-
     lost = 0
 
     def __init__(self, edge: YarpEdge, topic: str, side_type: SideType, deliver: Deliver) -> None:
@@ -319,7 +317,6 @@ class _Subscription:
         self.topic, self.side_type, self.deliver = topic, side_type, deliver
 
     def close(self) -> None:
-        """Stop delivering. Safe to call twice."""
         self._edge.unsubscribe(self)
 
 

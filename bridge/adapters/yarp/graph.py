@@ -368,7 +368,6 @@ def _is_true(values: Sequence[Any]) -> bool:
 
 
 def _find(values: Any, key: str) -> Any:
-    """The value of a key in YARP's lists of lists."""
     if isinstance(values, dict):
         return values.get(key)
     if not isinstance(values, list | tuple):

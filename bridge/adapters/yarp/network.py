@@ -88,7 +88,6 @@ class _Names(NameClient):
     server: NameServer | None = None
 
     def query(self, name: str) -> PortContact | None:
-        """See `NameClient.query`."""
         return super().query(name) if self.server is None else self.server.registry.find(name)
 
 

@@ -112,8 +112,6 @@ class WorkerPresence:
         self._left = True
         self._core.close()
 
-    # -- what comes ----------------------------------------------------------------------------------------------------
-
     def _on_event(self, event: ConnectionEvent) -> None:
         other = event.route.source if event.incoming else event.route.target
         if not other.startswith(PRESENCE):

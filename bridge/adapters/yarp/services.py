@@ -245,7 +245,6 @@ class _PortCall:
         self._caller.over(self, fresh)
 
     def abandon(self) -> None:
-        """Drop the call: its caller left."""
         with self._lock:
             self._done = None
             core, self._core = self._core, None
@@ -253,7 +252,6 @@ class _PortCall:
             core.close()
 
     def end(self, result: bytes | CallError) -> None:
-        """End the call, once."""
         with self._lock:
             done, self._done = self._done, None
             core = self._core if isinstance(result, CallError) else None

@@ -69,8 +69,6 @@ class KeyEdge(SideEdge):
         self._stopping = threading.Event()
         self._ticker = threading.Thread(target=self._tick_on, name=f"midspan-{self.side}-tick", daemon=True)
 
-    # -- life ----------------------------------------------------------------------------------------------------------
-
     def start(self, listener: EdgeListener) -> None:
         """Open the session; it joins the network when it can, and again after a cut."""
         self._listener = listener
@@ -134,8 +132,6 @@ class KeyEdge(SideEdge):
             except Exception:
                 _log.exception("%s: a look at the time failed", self.side)
 
-    # -- the network ---------------------------------------------------------------------------------------------------
-
     @property
     def context(self) -> KeyContext:
         """What our endpoints share, while the session is open."""
@@ -159,8 +155,6 @@ class KeyEdge(SideEdge):
         if linked is None or neighbours is None or time.monotonic() - linked < LINK_SECONDS:
             return False
         return neighbours.settled(since)
-
-    # -- endpoints of ours ---------------------------------------------------------------------------------------------
 
     def register(self, endpoint: AnyEndpoint, prepare: Callable[[], None] = nothing) -> AnyEndpoint:
         """Close an endpoint with the edge, prepare and announce it; returns it."""

@@ -48,8 +48,6 @@ class JsonKeysEdge(KeyEdge):
     def opened(self, session: zenoh.Session) -> None:
         """Nothing is announced; the keys are those of the configuration."""
 
-    # -- the graph -----------------------------------------------------------------------------------------------------
-
     def endpoints(self) -> Sequence[Endpoint]:
         """The configured keys."""
         ways = ((self._in, Kind.PUBLISHER, Kind.SERVER), (self._out, Kind.SUBSCRIPTION, Kind.CLIENT))
@@ -71,8 +69,6 @@ class JsonKeysEdge(KeyEdge):
         if key.type != type_name:
             return f"the JSON key {key.key} takes {key.type}, not {type_name}"
         return ""
-
-    # -- types ---------------------------------------------------------------------------------------------------------
 
     def to_hub(self, endpoint: Endpoint) -> Conversion:
         """From JSON."""
@@ -100,8 +96,6 @@ class JsonKeysEdge(KeyEdge):
             response_to_side=cdr_to_text(self._registry, response),
             response_to_hub=text_to_cdr(self._registry, response),
         )
-
-    # -- endpoints of ours ---------------------------------------------------------------------------------------------
 
     def subscribe(self, topic: str, side_type: SideType, qos: Qos, deliver: Deliver) -> KeySubscription:  # noqa: ARG002
         """Subscribe to a key; of a latched one, a program or zenoh storage that answers a ``get`` is asked first."""

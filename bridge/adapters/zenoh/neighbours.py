@@ -126,8 +126,6 @@ class KeyNeighbours:
         if over:
             self._graph_changed()
 
-    # -- presence ------------------------------------------------------------------------------------------------------
-
     def announce(self, record: bytes) -> None:
         """Send a record to all neighbours."""
         with contextlib.suppress(zenoh.ZError):  # the session is being closed

@@ -76,8 +76,6 @@ class Ros1KeysEdge(KeyEdge):
             if publisher.topic == topic:
                 publisher.newcomer(first=first)
 
-    # -- the graph -----------------------------------------------------------------------------------------------------
-
     def endpoints(self) -> Sequence[Endpoint]:
         """The endpoints that bridges announce, and the publishers that the configuration names."""
         announced = [] if self._aloha is None else self._aloha.topics()
@@ -114,8 +112,6 @@ class Ros1KeysEdge(KeyEdge):
         """Beacons that could not be read."""
         return [] if self._aloha is None else self._aloha.warnings()
 
-    # -- types and names -----------------------------------------------------------------------------------------------
-
     def to_hub(self, endpoint: Endpoint) -> Conversion:
         """See `Edge.to_hub`; no definition comes with the key, so that the type must be known here."""
         return self._registry.ros1_to_hub(endpoint.type, endpoint.type_id)
@@ -140,8 +136,6 @@ class Ros1KeysEdge(KeyEdge):
     def hub_name(self, side_name: str) -> str:
         """The hub's spelling of a ROS 1 topic name; see `bridge.adapters.ros1.names`."""
         return names.hub_name(side_name)
-
-    # -- endpoints of ours ---------------------------------------------------------------------------------------------
 
     def subscribe(self, topic: str, side_type: SideType, qos: Qos, deliver: Deliver) -> KeySubscription:
         """Subscribe to a topic's key, whatever the bridges' namespaces where ours is ``*``."""

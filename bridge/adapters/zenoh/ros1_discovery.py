@@ -109,8 +109,6 @@ _MAX_SPEAKERS = 100
 
 
 class _Beacon:
-    """One of our own topics."""
-
     def __init__(self, session: zenoh.Session, key: str) -> None:
         self.users = 0
         self.due = 0.0

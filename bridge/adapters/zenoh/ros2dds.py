@@ -72,8 +72,6 @@ class Ros2ddsEdge(KeyEdge):
             self._graph.close()
             self._announcer.close()
 
-    # -- the graph -----------------------------------------------------------------------------------------------------
-
     def _tokens_changed(self) -> None:
         graph = self._graph
         if graph is not None:
@@ -113,8 +111,6 @@ class Ros2ddsEdge(KeyEdge):
     def _key(self, topic: str) -> str:
         return self._prefix + topic[1:]
 
-    # -- types ---------------------------------------------------------------------------------------------------------
-
     def to_hub(self, endpoint: Endpoint) -> Conversion:
         """The same bytes, checked: plain zenoh programs may put anything on a key."""
         return self._same_bytes(endpoint.type, endpoint.type_id)
@@ -130,8 +126,6 @@ class Ros2ddsEdge(KeyEdge):
     def service_from_hub(self, type_name: str, type_hash: str) -> ServiceConversion:
         """The same bytes, checked."""
         return self._same_service(type_name, type_hash)
-
-    # -- endpoints of ours ---------------------------------------------------------------------------------------------
 
     def subscribe(self, topic: str, side_type: SideType, qos: Qos, deliver: Deliver) -> KeySubscription:
         """Subscribe to a key; our token has the QoS of its publishers."""

@@ -126,8 +126,6 @@ class LatchedSubscription(KeySubscription):
             else:
                 self._deliver(sample, source)
 
-    # -- see `bridge.hub.endpoints.latched.HistoryListener` ------------------------------------------------------------
-
     def asked(self, zid: str) -> None:
         """A session's publishers were asked."""
         with self._asking:

@@ -261,8 +261,6 @@ def _hz(args: argparse.Namespace) -> int:
 
 
 class _Meter:
-    """Times and sizes of the last arrivals."""
-
     def __init__(self, topic: str, window: int) -> None:
         self.topic = topic
         self.messages = 0

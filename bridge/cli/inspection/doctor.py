@@ -87,7 +87,6 @@ def _look_at_hub(config: Config) -> HubSnapshot:
 
 
 def _clocks(client: CliClient) -> dict[str, context.Offset]:
-    """The clock of each worker that reports it."""
     found: dict[str, context.Offset] = {}
     for answer in client.ask("time", timeout=_CLOCK_SECONDS)[:_MAX_CLOCKS]:
         if not answer.error:

@@ -211,7 +211,6 @@ _KINDS = {"publisher": "published by", "subscription": "heard by", "server": "se
 
 
 def _hub_lines(explanation: Explanation) -> list[str]:
-    """Who has it on the hub."""
     ends = explanation.endpoints
     kinds = ("server", "client") if any(e.kind in ("server", "client") for e in ends) else ("publisher", "subscription")
     counts = [plural(sum(1 for e in ends if e.kind == kind), kind) for kind in kinds]

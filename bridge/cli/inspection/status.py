@@ -153,7 +153,6 @@ def _show_worker(console: Console, document: Document) -> None:
 
 
 def _machine(machine: Document) -> Text:
-    """Another machine that is connected."""
     name, address = clean(machine.get("name") or "a machine without a certificate"), clean(machine.get("address", "?"))
     if machine.get("trusted"):
         return Text(f"           {name} at {address}")

@@ -69,8 +69,6 @@ class TopicsDemo(DemoRun):
     def __exit__(self, kind: type[BaseException] | None, err: BaseException | None, tb: TracebackType | None) -> None:
         self.stop()
 
-    # -- the run -------------------------------------------------------------------------------------------------------
-
     def run(self, seconds: float = SHOW_SECONDS) -> TopicsResult:
         """Start, drive, check, for so many seconds at least; raises `DemoError` where a part does not start."""
         self._start()
@@ -99,8 +97,6 @@ class TopicsDemo(DemoRun):
         """Go on until interrupted, or until a part ends."""
         while True:
             self._wait(0.5, "staying; Ctrl-C ends the demo")
-
-    # -- parts ---------------------------------------------------------------------------------------------------------
 
     def _start(self) -> None:
         sandbox = self._sandbox
@@ -176,8 +172,6 @@ class TopicsDemo(DemoRun):
             )
         )
 
-    # -- waiting -------------------------------------------------------------------------------------------------------
-
     def _until(self, ready: Callable[[], bool], every: float, doing: str) -> None:
         """Wait for something as long as anything moves. The checks find what never comes."""
         self._progress.begin()
@@ -203,8 +197,6 @@ class TopicsDemo(DemoRun):
             x, y, yaw = report.get("pose", [0.0] * 3)
             self._progress.at(x, y, yaw)
             self._progress.heard("the robot", f"commands: {_received(report)}", numbers=True)
-
-    # -- the end -------------------------------------------------------------------------------------------------------
 
     def stop(self) -> None:
         """End all processes, those that depend on others first."""

@@ -166,8 +166,6 @@ class ServiceRoute(Route):
         """Whether callers can see the service."""
         return self._near is not None
 
-    # -- a call --------------------------------------------------------------------------------------------------------
-
     def call(self, request: bytes, done: Done) -> Abandon:
         """A caller on the near network asks; see `bridge.hub.endpoints.calls.Call`."""
         call = BridgedCall(self, done)
@@ -223,8 +221,6 @@ class ServiceRoute(Route):
                 counters.replies += 1
                 counters.bytes += len(result)
                 counters.latency(nanoseconds)
-
-    # -- its end -------------------------------------------------------------------------------------------------------
 
     def close(self, why: str = "") -> None:
         """End every call, and give back both ends."""

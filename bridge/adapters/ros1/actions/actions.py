@@ -53,8 +53,6 @@ class Ros1Actions:
             thread.join(1.0)
         self._publishers.close()
 
-    # -- the graph -----------------------------------------------------------------------------------------------------
-
     def seen(self, look: MasterState | None) -> None:
         """One look at the master that differs from the last."""
         self._found = discovery.find(look, self._network.own()) if look is not None else NOTHING
@@ -113,8 +111,6 @@ class Ros1Actions:
         ]
         return [*held, *self._guard.warnings()]
 
-    # -- the parts of actions ------------------------------------------------------------------------------------------
-
     def caller(self, action: str, part: str, type_name: str) -> PartCaller:
         """One of the services of an actionlib server; raises `MessageTypeError`."""
         type_ = self._type(action, part, type_name)
@@ -167,8 +163,6 @@ class Ros1Actions:
         self._look_after()
         return served
 
-    # -- time ----------------------------------------------------------------------------------------------------------
-
     def _look_after(self) -> None:
         if self._thread is None:
             self._thread = threading.Thread(target=self._run, name="midspan-ros1-actions", daemon=True)
@@ -194,7 +188,6 @@ class Ros1Actions:
             one.poll(next((s.node for s in self._natives(one.name, facts)), ""))
 
     def _natives(self, name: str, facts: Mapping[Registration, Facts]) -> list[FoundServer]:
-        """The native servers of an action that have answered."""
         return [s for s in self._found.servers.get(name, ()) if discovery.is_native(s, facts)]
 
 

@@ -353,7 +353,6 @@ class ActionlibClient:
         self._answer_cancels()
 
     def _refuse_cancels(self, before: float) -> None:
-        """Give up cancel requests that could not be sent."""
         late = [c for c in self._cancels if c.unsent is not None and c.since <= before]
         self._cancels = [c for c in self._cancels if c not in late]
         for cancel in late:
@@ -387,7 +386,6 @@ def _remove(items: list[Any], item: Any) -> None:
 
 
 def _is_meant(goal: TrackedGoal, uuid: bytes, stamp: wire.RosTime) -> bool:
-    """Whether a cancel request is about a goal."""
     if goal.uuid == uuid or (uuid == _ANY and stamp == ZERO):
         return True
     return stamp != ZERO and goal.accepted and goal.stamp <= stamp

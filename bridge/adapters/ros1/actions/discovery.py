@@ -117,9 +117,6 @@ def is_native(server: FoundServer, facts: Mapping[Registration, Facts]) -> bool 
     return None if None in found else all(f is not None and f.native for f in found)
 
 
-# -- the parts of a ROS 2 action, as this edge spells their types ------------------------------------------------------
-
-
 def part_type(action_type: str, part: str) -> str:
     """The type of one part of an action (``move_base_msgs/MoveBase``)."""
     ending = ros2_action.ENDINGS.get(part)

@@ -173,8 +173,6 @@ def _transform_frames(payload: bytes) -> Iterator[bytes]:
         at += 56
 
 
-# -- goals -------------------------------------------------------------------------------------------------------------
-
 _log = logging.getLogger(__name__)
 
 KNOW_SECONDS = 2.0

@@ -99,7 +99,6 @@ def types_of(registry: Registry, action_type: str) -> ActionMessages:
 
 
 def _body(message: SideType, name: str) -> Schema:
-    """A type that an action message nests."""
     found = parse_full(message.definition, message.name, World.ROS1)
     if name not in found:
         raise MessageTypeError(f"{message.name} has no {name}: it is not an action's message")
@@ -114,9 +113,6 @@ def learn(network: ActionNetwork, topics: Mapping[str, str]) -> None:
                 network.registry.learn_ros1(facts.type, facts.definition, facts.md5)
             except MessageTypeError as err:
                 _log.debug("%s of %s: %s", link.topic, link.node, err)
-
-
-# -- the parts of one action -------------------------------------------------------------------------------------------
 
 
 class OpenPart:

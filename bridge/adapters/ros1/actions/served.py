@@ -38,8 +38,6 @@ class ServedAction(ActionTopics):
         self._server: ActionlibServer | None = None
         self._hopeless = False
 
-    # -- the parts -----------------------------------------------------------------------------------------------------
-
     @property
     def type(self) -> str:
         """The action's type, "" while it is not known."""
@@ -95,8 +93,6 @@ class ServedAction(ActionTopics):
             del self._calls[part]
             self._states = b""
             self._shut(GONE)
-
-    # -- ROS 1 ---------------------------------------------------------------------------------------------------------
 
     def poll(self, rival: str) -> None:
         """Time has passed; ``rival`` is the node that serves an action of this name on the side itself, or ""."""
@@ -176,8 +172,6 @@ class ServedAction(ActionTopics):
             self._read(discovery.STATUS, lambda: server.states(wire.read_goal_states(payload)))
         else:
             self._read(discovery.FEEDBACK, lambda: server.feedback(*wire.read_with_uuid(payload)))
-
-    # -- what the goals ask for ----------------------------------------------------------------------------------------
 
     def forget(self, goal: str) -> None:
         """Keep a result no longer."""

@@ -85,7 +85,6 @@ class _ListedGoal:
 
     @property
     def status(self) -> GoalStatus:
-        """The entry as it stands in the status list."""
         return GoalStatus(GoalId(self.stamp, self.id), self.state, self.text)
 
 
@@ -200,7 +199,6 @@ class ActionlibServer:
     # -- what the hub's server says ------------------------------------------------------------------------------------
 
     def _answered(self, entry: _ListedGoal, reply: bytes | CallError) -> None:
-        """send_goal has ended."""
         if entry.state.ended or entry.uuid is None:
             return
         accepted = False
@@ -222,7 +220,6 @@ class ActionlibServer:
         self._flush()
 
     def _ended(self, entry: _ListedGoal, reply: bytes | CallError) -> None:
-        """get_result has ended."""
         if entry.state.ended:
             return
         state, body, text = GoalState.ABORTED, self._empty, ""
@@ -345,7 +342,6 @@ class ActionlibServer:
         self._output.forget(goal)
 
     def _flush(self) -> None:
-        """Publish the list where it has changed."""
         now = self._clock()
         if not self._changed or (len(self._entries) > FEW_GOALS and now < self._published + CALM_SECONDS):
             return

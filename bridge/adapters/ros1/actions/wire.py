@@ -73,22 +73,18 @@ class _Cursor:
         self.at = 0
 
     def take(self, count: int) -> bytes:
-        """So many bytes."""
         if count > len(self._data) - self.at:
             raise ConversionError(f"{self._what} is cut short: {len(self._data)} bytes")
         self.at += count
         return self._data[self.at - count : self.at]
 
     def number(self) -> int:
-        """A uint32."""
         return int(_LENGTH.unpack(self.take(4))[0])
 
     def stamp(self) -> RosTime:
-        """A time."""
         return RosTime(*_TIME.unpack(self.take(8)))
 
     def text(self) -> str:
-        """A string."""
         return self.take(self.number()).decode(errors="surrogateescape")
 
     def header(self) -> None:
@@ -97,19 +93,15 @@ class _Cursor:
         self.take(self.number())
 
     def goal_id(self) -> GoalId:
-        """A GoalID."""
         return GoalId(self.stamp(), self.text())
 
     def status(self) -> GoalStatus:
-        """A GoalStatus."""
         return GoalStatus(self.goal_id(), self.take(1)[0], self.text())
 
     def rest(self) -> bytes:
-        """Everything that is left."""
         return self._data[self.at :]
 
     def end(self) -> None:
-        """Nothing may be left."""
         if self.at != len(self._data):
             raise ConversionError(f"{self._what} has {len(self._data) - self.at} bytes too many")
 
@@ -125,9 +117,6 @@ def _header(seq: int, stamp: RosTime) -> bytes:
 
 def _status(status: GoalStatus) -> bytes:
     return goal_id(status.goal) + bytes((status.state,)) + _text(status.text)
-
-
-# -- ROS 1 -------------------------------------------------------------------------------------------------------------
 
 
 def goal_id(goal: GoalId) -> bytes:
@@ -183,9 +172,6 @@ def read_statuses(payload: bytes) -> list[GoalStatus]:
     found = [cursor.status() for _ in range(count)]
     cursor.end()
     return found
-
-
-# -- ROS 2's parts -----------------------------------------------------------------------------------------------------
 
 
 def read_with_uuid(payload: bytes) -> tuple[bytes, bytes]:
@@ -264,7 +250,6 @@ def read_goal_states(payload: bytes) -> list[tuple[GoalInfo, int]]:
 
 
 def _entries(cursor: _Cursor, count: int, entry: struct.Struct) -> list[bytes]:
-    """All entries of equal size that end a message."""
     data = cursor.take(count * entry.size)
     cursor.end()
     return [data[at : at + entry.size] for at in range(0, len(data), entry.size)]

@@ -252,15 +252,12 @@ class _NodeConnection:
         self._thread = threading.Thread(target=self._run, name="midspan-ros1-link", daemon=True)
 
     def start(self) -> None:
-        """Start connecting."""
         self._thread.start()
 
     def sighting(self) -> Sighting:
-        """The node as the engine sees it."""
         return Sighting(self.entry.uri, self._record, self._heard)
 
     def close(self) -> None:
-        """Cut the connection."""
         self._closing.set()
         sock = self._sock
         if sock is not None:

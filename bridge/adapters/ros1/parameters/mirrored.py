@@ -109,8 +109,6 @@ class MirroredNode:
 
         client.call(codec.request(request), answered)
 
-    # -- one look ------------------------------------------------------------------------------------------------------
-
     def _listed(self, reply: Mapping[str, Any]) -> bool:
         names = [name for name in reply["result"]["names"] if self._names.rest(name) is not None]
         if self._careful:

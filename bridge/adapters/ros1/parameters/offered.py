@@ -91,8 +91,6 @@ class OfferedNode:
         self._publish = publisher.put
         self._closers.append(publisher.close)
 
-    # -- what there is -------------------------------------------------------------------------------------------------
-
     def _all(self, trees: Mapping[str, Any]) -> Iterator[tuple[str, ParameterValue]]:
         """The parameters by their names on the node; notes those of which ROS 2 has no kind."""
         self.troubles = {}
@@ -108,7 +106,6 @@ class OfferedNode:
         return dict(self._all(self._store.watch([rule.ros1 for rule in self.rules])))
 
     def _tell(self, before: Mapping[str, ParameterValue], now: Mapping[str, ParameterValue]) -> None:
-        """Publish a parameter event."""
         message = {
             "stamp": dict(zip(("sec", "nanosec"), divmod(time.time_ns(), 10**9), strict=True)),
             "node": self.node,
@@ -118,8 +115,6 @@ class OfferedNode:
         }
         if self._publish is not None:
             self._publish(MessageWriter(self._event_schema).message(message))
-
-    # -- calls ---------------------------------------------------------------------------------------------------------
 
     def call(self, word: str, request: bytes, done: Done) -> Abandon:
         """Begin to answer a call; runs on zenoh's receiving thread."""

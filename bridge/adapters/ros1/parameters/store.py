@@ -81,8 +81,6 @@ class ParameterContext:
     submit: Submit
 
 
-# -- ROS 2's services of parameters ------------------------------------------------------------------------------------
-
 SERVICES = {
     "get_parameters": "GetParameters",
     "get_parameter_types": "GetParameterTypes",

@@ -48,11 +48,9 @@ class _Pending:
 
     @property
     def waits(self) -> bool:
-        """Whether its end is still wanted."""
         return self._done is not None
 
     def finish(self, result: bytes | CallError) -> None:
-        """Tell the end, unless it has ended before."""
         done = self._take()
         if done is not None:
             done(result)

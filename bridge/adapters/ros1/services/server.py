@@ -27,8 +27,6 @@ _YES = ("1", "true")
 
 
 class _ClientConnection(ServiceConnection):
-    """One client's connection."""
-
     head = 4
 
     def __init__(

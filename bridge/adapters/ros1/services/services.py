@@ -44,8 +44,6 @@ class Ros1Services(Follower[Ros1Caller]):
         self.close()
         self.servers.close()
 
-    # -- the graph -----------------------------------------------------------------------------------------------------
-
     def seen(self, look: MasterState | None) -> None:
         """One look at the master; on its thread."""
         own = self._context.node()
@@ -99,8 +97,6 @@ class Ros1Services(Follower[Ros1Caller]):
     def _doubted(self, link: Registration, trouble: str) -> None:
         self._doubt(link.topic)
         self.prober.doubt(link, trouble)
-
-    # -- our callers ---------------------------------------------------------------------------------------------------
 
     def caller(self, name: str, side_type: SideType) -> Ros1Caller:
         """See `bridge.routing.edge.Edge.caller`."""

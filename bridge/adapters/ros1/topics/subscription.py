@@ -47,7 +47,6 @@ class _SubscribedTopic(_TopicImpl):  # type: ignore[misc]  # rospy has no types
         """Nothing to look for; see the constructor."""
 
     def get_stats(self) -> tuple[str, list[tuple[str, int, int, int, bool]]]:
-        """The answer to ``getBusStats``."""
         connections = [(c.id, c.stat_bytes, c.stat_num_msg, -1, not c.done) for c in self.connections]
         return self.resolved_name, connections
 
@@ -73,7 +72,6 @@ class _PublisherState:
     wait: float = _FIRST_WAIT
 
     def postpone(self) -> None:
-        """Let some time pass before the next attempt."""
         self.due, self.wait = time.monotonic() + self.wait, min(2 * self.wait, _LONGEST_WAIT)
 
 

@@ -29,8 +29,6 @@ _log = logging.getLogger(__name__)
 
 
 class _PendingCall:
-    """One call under way."""
-
     __slots__ = ("done", "request", "servers", "since")
 
     def __init__(self, request: bytes, done: Done) -> None:

@@ -54,8 +54,6 @@ class SentRequests:
         return 0.0
 
 
-# -- replies -----------------------------------------------------------------------------------------------------------
-
 _REPLY_SECONDS = 0.001
 """Time that a client is given to take a reply, where it asked for many; rclpy's take some 0.15 ms."""
 

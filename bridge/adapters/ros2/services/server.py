@@ -32,8 +32,6 @@ Refusal = Callable[[], bytes]
 
 
 class _PendingRequest:
-    """One request that waits for its reply."""
-
     __slots__ = ("abandon", "id", "left", "seen")
 
     def __init__(self, request: RequestId) -> None:
