@@ -40,10 +40,9 @@ def _mallopt(*options: tuple[int, int]) -> None:
 
 
 def keep_objects() -> None:
-    """Have Python's garbage collector look at each object that stays once, rather than at all of them again and again.
+    """Have the garbage collector look once at each object that stays, rather than again and again.
 
-    A full collection of a worker with 500 routes stops its threads for 60 to 100 ms; one of what is new since the last
-    one takes a few.
+    With 500 routes a full collection stops the threads for 60 to 100 ms; one of what is new since the last takes a few.
     """
     gc.collect()
     gc.freeze()

@@ -1,14 +1,7 @@
 """Asks a ROS 1 master or node: XML-RPC with a deadline and a size limit for each answer, and the errors.
 
-The ROS 1 side uses it, and others that have to ask a master. ROS 1's API answers each call with
-``[code, status message, value]``; code 1 is success (https://wiki.ros.org/ROS/Master_API,
-https://wiki.ros.org/ROS/Slave_API). The errors::
-
-    Ros1Error
-     +-- UnreachableError     a master or node does not answer in time, or not at all
-     +-- ProtocolError        it answers, but not as ROS 1 does
-     +-- RefusedError         it answers, and says no
-     +-- ExhaustedError       it was not asked: this process has no file descriptor left
+The ROS 1 side uses it, and others that ask a master. Each call is answered with ``[code, status message, value]``; code
+1 is success (https://wiki.ros.org/ROS/Master_API, https://wiki.ros.org/ROS/Slave_API).
 """
 
 from __future__ import annotations
@@ -32,11 +25,7 @@ class Ros1Error(Exception):
 
 
 class UnreachableError(Ros1Error):
-    """A master or node does not answer in time, or not at all.
-
-    Attributes:
-        refused: its machine answers that nobody listens there.
-    """
+    """A master or node does not answer (in time); ``refused``: its machine says that nobody listens there."""
 
     def __init__(self, message: str, *, refused: bool = False) -> None:
         super().__init__(message)
@@ -56,12 +45,7 @@ class ExhaustedError(Ros1Error):
 
 
 def unanswered(what: str, err: OSError) -> Ros1Error:
-    """What it means that a connection failed.
-
-    Args:
-        what: went wrong, for people, where it is the peer's fault.
-        err: what the system says.
-    """
+    """What a failed connection means; ``what`` says what went wrong where it is the peer's fault."""
     # without a descriptor a host's name cannot be looked up either, and the resolver does not say why
     own = err.errno in resources.OUT or (isinstance(err, socket.gaierror) and not resources.has_descriptor())
     if own:

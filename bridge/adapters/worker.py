@@ -128,15 +128,10 @@ def _with_memory(config: Config) -> Config:
 
 
 class Crossing:
-    """Joins one network; it answers on the hub's control plane under its name.
+    """Joins one network; it answers on the hub's control plane under its ``name``.
 
-    Args:
-        name: of the worker on the control plane; the side's, where the worker has one network.
-        edge: not started yet.
-        config: the configuration.
-        registry: of types, shared by a worker's crossings.
-        failed: called with the reason when the edge or the engine cannot go on.
-        diagnostics: whether the counters are published on the side.
+    ``edge`` is not started yet; ``failed`` gets the reason when the edge or the engine cannot go on; with
+    ``diagnostics`` the counters are published on the side.
     """
 
     def __init__(

@@ -38,12 +38,7 @@ class Types:
         return self.registry.ros2(name).type_id
 
     def decode(self, name: str, type_hash: str, cdr: bytes) -> dict[str, Any]:
-        """The fields of a message.
-
-        Raises:
-            CliError: nobody here knows the type with that hash.
-            ConversionError: the bytes are no such message.
-        """
+        """A message's fields; `CliError`: nobody knows the type and hash; `ConversionError`: the bytes are none."""
         from bridge.messages.json import to_json
 
         self.prepare(name, type_hash)

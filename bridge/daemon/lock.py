@@ -56,10 +56,7 @@ class Lock:
         return True
 
     def write(self, pid: int, owner: Owner) -> None:
-        """Say who holds the lock: this process, or the child that was given its descriptor.
-
-        The lock holds without it: where nothing can be written, others are not told who has it.
-        """
+        """Say who holds the lock, this process or the child with its descriptor; it holds without that, too."""
         text = json.dumps({"pid": pid, "machine": socket.gethostname(), "owner": owner})
         try:
             os.ftruncate(self._file, 0)

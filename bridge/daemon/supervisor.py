@@ -96,10 +96,7 @@ class Supervisor:
     # -- the loop ------------------------------------------------------------------------------------------------------
 
     def run(self) -> None:
-        """Run until asked to stop.
-
-        Raises `RuntimeError`: another daemon of this name runs in this state folder, or the folder cannot be used.
-        """
+        """Run until asked to stop; raises `RuntimeError` where the state folder is another daemon's, or unusable."""
         socket = state_file.daemon_socket(self._config)
         lock = self._only_one()
         query = QueryServer(self._loop, socket, self.document)

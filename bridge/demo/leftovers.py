@@ -54,10 +54,7 @@ def erase(folder: Path, ports: range) -> list[str]:
 
 
 def shared_memory(folder: Path, ports: range) -> tuple[set[Path], set[Path]]:
-    """Files in shared memory that a run uses now: its own, by the ports of its ROS domain, and Fast DDS's common ports.
-
-    Both are empty except on Linux.
-    """
+    """A run's files in shared memory now, on Linux: its own, by its domain's ports, and Fast DDS's common ports."""
     used = {file for pid in marked(folder) for file in _used_by(pid)}
     own = {file for file in used if is_own(file.name, ports)}
     return own, _shared_ports(used - own)

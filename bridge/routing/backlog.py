@@ -14,11 +14,7 @@ Message = TypeVar("Message")
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Waiting(Generic[Message]):
-    """A message that waits.
-
-    Attributes:
-        since: when it came (monotonic seconds).
-    """
+    """A message that waits; ``since``: when it came (monotonic seconds)."""
 
     source: Hashable
     message: Message
@@ -27,12 +23,9 @@ class Waiting(Generic[Message]):
 
 
 class Backlog(Generic[Message]):
-    """A bounded line of waiting messages, in order of their coming. The oldest make room. Safe to use from any thread.
+    """A bounded line of waiting messages, in order of their coming; the oldest make room. For any thread.
 
-    Args:
-        most: messages that wait at most.
-        room: bytes that wait at most, but for the newest message.
-        dropped: called for each one that made room.
+    ``most`` messages wait, and ``room`` bytes but for the newest message; ``dropped`` is called for each that goes.
     """
 
     def __init__(self, most: int, room: int, dropped: Callable[[], None]) -> None:

@@ -8,10 +8,9 @@ from collections.abc import Callable
 from typing import Any
 
 DROPS = ("queue", "rate", "stale", "bad", "large", "lost", "slow", "unknown", "standby", "held")
-"""Reasons of a drop: queue full, rate limit, command too old, message refused, message
-larger than the limit, lost inside zenoh or DDS, missed by a
-slow subscriber of the side, source unknown, this worker not (or no longer) the active one of its network, a velocity
-of a planner that was stopped (`bridge.routing.hold`)."""
+"""Reasons of a drop: queue full, rate limit, command too old, message refused, message larger than the limit, lost
+inside zenoh or DDS, missed by a slow subscriber of the side, source unknown, this worker not (or no longer) the active
+one of its network, a velocity of a planner that was stopped (`bridge.routing.hold`)."""
 
 _LATENCIES = 512
 

@@ -29,10 +29,7 @@ class RouteKey(NamedTuple):
 
 @dataclass(slots=True)
 class RouteDecision:
-    """The decision on one topic or service in one direction.
-
-    It is refused where rules allow it but something else stands in the way. ``of`` is ``topic`` or ``service``.
-    """
+    """The decision on one topic or service (``of``); refused: rules allow it, but something stands in the way."""
 
     direction: str
     topic: str

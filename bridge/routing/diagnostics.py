@@ -28,10 +28,7 @@ ROUTES_AT_ONCE = 100
 
 
 class Diagnostics:
-    """Publishes one status for the worker and one for each route, once a second while anybody on the side listens.
-
-    Beyond `ROUTES_AT_ONCE` the routes take turns.
-    """
+    """Publishes a status of the worker and of each route while heard, `ROUTES_AT_ONCE` a second in turns."""
 
     def __init__(self, edge: Edge, registry: Registry, engine: Engine, hardware_id: str) -> None:
         self._edge, self._engine = edge, engine

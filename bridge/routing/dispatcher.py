@@ -58,8 +58,7 @@ class Dispatcher:
     def alive(self, who: str) -> str:
         """A text about work on its own thread that computes for long, else ""; for one thread.
 
-        Raises:
-            TimeoutError: a piece of work hangs, or one on a caller's thread takes too long.
+        Raises `TimeoutError` where a piece of work hangs, or one on a caller's thread takes too long.
         """
         now, busy = time.monotonic(), self._busy.copy()
         own = busy.pop(self._thread.ident or 0, None)

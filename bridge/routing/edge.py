@@ -79,10 +79,8 @@ class Endpoint:
 class Sighting:
     """Another Midspan worker that is on this side's network now.
 
-    Attributes:
-        id: tells it from the others while it is there, in the edge's own words.
-        record: what it announced last (`Edge.announce`), None while only its being there is known.
-        heard: ``time.monotonic()`` when that arrived, or when it was first seen.
+    ``id`` tells it from the others, in the edge's own words; ``record`` is what it announced last (`Edge.announce`),
+    None while only its being there is known; ``heard`` is ``time.monotonic()`` when that came, or it was first seen.
     """
 
     id: str
@@ -258,17 +256,11 @@ class Edge(ABC):
         return ()
 
     def settled(self, since: float) -> bool:  # noqa: ARG002 - there is nobody to be seen
-        """Whether every Midspan worker that was on this network at ``since`` (``time.monotonic()``) is seen by now.
-
-        False while the network is away. Until then nothing crosses.
-        """
+        """Whether who was here at ``since`` (monotonic) is seen; until then, and while away, nothing crosses."""
         return True
 
     def why_not(self, topic: str, type_name: str) -> str:  # noqa: ARG002 - most sides take every topic
-        """Why a hub topic has no place on this side by its very nature, "" where it has; it is then left out quietly.
-
-        ``topic`` is its name on the side.
-        """
+        """Why a hub topic, named as on the side, has no place there by its nature, else ""; it is left out quietly."""
         return ""
 
     def side_name(self, hub_name: str) -> str:

@@ -44,11 +44,8 @@ _MAX_NAMES = 10_000
 class Claim:
     """A claim of a worker to carry something.
 
-    Attributes:
-        since: nanoseconds of the wall clock at which the worker first wished for it; the oldest of conflicting claims
-            wins, whatever the clocks of the machines say.
-        held: whether the worker carries it.
-        first: number of the first record that shows it.
+    ``since`` is the wall clock's nanoseconds at which the worker first wished for it: the oldest of conflicting claims
+    wins, whatever the clocks say. ``held``: the worker carries it. ``first`` numbers the first record that shows it.
     """
 
     since: int
@@ -119,10 +116,8 @@ class Record:
 class HubView:
     """The hub, as the election needs it.
 
-    Attributes:
-        sessions: ids of the Midspan sessions on it, ours included.
-        networks: the foreign networks that it has, each by the ids of the workers that are on it; see `join`.
-        settled: whether who is on the hub would be seen by now.
+    ``sessions`` are the ids of its Midspan sessions, ours included; ``networks`` the foreign networks that it has, each
+    by the ids of its workers (`join`); ``settled``: who is on the hub would be seen by now.
     """
 
     sessions: frozenset[str] = frozenset()
@@ -161,12 +156,7 @@ class Outcome:
 
 
 class Election:
-    """One worker's part in the election on one network.
-
-    Args:
-        process: its process, as `Record.process` has it.
-        gone: whether the process that made a record is known to have ended.
-    """
+    """One worker's part in the election on one network; ``gone`` knows that a record's process has ended."""
 
     def __init__(
         self, me: str, daemon: str, process: str = "", gone: Callable[[Record], bool] = lambda _: False
@@ -202,12 +192,8 @@ class Election:
     ) -> tuple[Record, bool]:
         """Decide by what is seen now; returns the record to send, and whether others wait for it.
 
-        Args:
-            now: seconds of a monotonic clock, the one of the sightings.
-            wall_ns: nanoseconds of the wall clock.
-            sightings: the other workers on this network.
-            hub: the hub as seen now.
-            settled: whether every worker that is on the network would be seen by now.
+        ``now`` is of the sightings' monotonic clock, ``wall_ns`` of the wall clock; ``settled``: every worker that is
+        on the network would be seen by now.
         """
         others, waiting = self._living(now, sightings)
         joined = [o for o in others if self._joined(o, hub, now)]

@@ -52,13 +52,9 @@ _ENDS = {
 
 @dataclass(frozen=True, slots=True)
 class Summary:
-    """How an engine is.
+    """How an engine is; ``network`` is None while away, ``rate`` messages and calls a second over all routes.
 
-    Attributes:
-        network: identity of the side's network, None while it is away.
-        rate: messages and calls per second over all routes.
-        standing_by: the daemons that are active on the network in our stead, else "".
-        waiting: why nothing crosses yet, else "".
+    ``standing_by`` names the daemons that are active in our stead, ``waiting`` says why nothing crosses yet; else "".
     """
 
     network: str | None

@@ -46,12 +46,9 @@ def origin_side(endpoint: HubEndpoint) -> str:
 
 @dataclass(frozen=True, slots=True)
 class Subject:
-    """A topic, service or action that the rules decide on.
+    """A topic, service or action that the rules decide on: its name, and its type as ROS 2 spells it, "" while unknown.
 
-    Attributes:
-        name: its name, an action's own.
-        type_name: its type as ROS 2 spells it, an action's own; "" while that is not known.
-        part: of an action, what it is of it: ``send_goal``, ``status`` ...
+    Of a part of an action both are the action's; ``part`` is which: ``send_goal``, ``status`` ...
     """
 
     kind: Literal["topic", "service", "action"]
@@ -70,11 +67,7 @@ class Subject:
 
 
 class GraphActions:
-    """The actions of one graph.
-
-    Args:
-        named: name and type of each topic and service on it; types as ROS 2 spells them.
-    """
+    """The actions of one graph, by the name and ROS 2 type of each topic and service on it."""
 
     def __init__(self, named: Iterable[tuple[str, str]]) -> None:
         self._types: dict[str, str] = {}
@@ -113,11 +106,7 @@ class EntryGate:
 
 
 class ExitGate:
-    """From the hub to the side.
-
-    Args:
-        daemon: this daemon's name: the rules of another one let in what comes by it.
-    """
+    """From the hub to the side; what comes by another daemon than ``daemon`` was let in by that one's rules."""
 
     def __init__(self, rules: RuleSet, side: str, daemon: str, endpoints: Iterable[HubEndpoint]) -> None:
         self._rules, self._side, self._daemon = rules, side, daemon

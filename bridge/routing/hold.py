@@ -27,13 +27,9 @@ def held_topics(section: NavigationSection, side: str) -> frozenset[str]:
 
 
 class Hold:
-    """Follows the holds that gateways ask for.
+    """Follows the holds that gateways ask for; ``topics`` of the hub are held, and may change.
 
-    Args:
-        topics: on the hub, that are held; may change.
-
-    Attributes:
-        held: whether nothing of those topics may enter the hub now. Quick enough to be asked for each message.
+    ``held``: nothing of those topics may enter the hub now. It is quick enough to be asked for each message.
     """
 
     def __init__(self, hub: Hub, topics: Collection[str]) -> None:

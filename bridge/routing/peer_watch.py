@@ -68,11 +68,7 @@ _HUB_ALONE = 3.0
 
 
 class PeerWatch:
-    """The thread that exchanges records with the other workers, and decides by `Election`.
-
-    Attributes:
-        lease: whether messages may cross at this moment.
-    """
+    """Exchanges records with the other workers on a thread, decides by `Election`, and keeps the ``lease``."""
 
     def __init__(self, edge: Edge, hub: Hub, daemon: str, changed: Callable[[], None]) -> None:
         self._edge, self._hub, self._changed = edge, hub, changed

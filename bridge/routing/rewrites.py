@@ -39,11 +39,7 @@ class StaticTransforms:
         return len(self._by_child)
 
     def merge(self, cdr: bytes) -> bytes:
-        """Merge one TFMessage (CDR), and return the whole set as one.
-
-        Raises:
-            ValueError: the bytes are not a TFMessage, or there are more than `MAX_FRAMES` frames.
-        """
+        """Merge a TFMessage (CDR) into the whole set, as one. `ValueError`: it is none, or over `MAX_FRAMES` frames."""
         try:
             found = _transforms(cdr)
         except (ValueError, struct.error) as err:

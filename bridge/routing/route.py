@@ -33,15 +33,9 @@ _log = logging.getLogger(__name__)
 class EngineContext:
     """What the routes of one engine share: the two ends that they join, and common helpers.
 
-    Attributes:
-        stall_detector: tells whether this process stood still.
-        lease: tells whether messages may cross at this moment.
-        types: definitions that workers send each other.
-        small: carries messages from the hub to the side, urgent ones first.
-        bulk: the same for large ones.
-        wake: has the engine look at the graphs again soon.
-        registry: of types, for the replies that say no.
-        hold: tells which velocities may not enter the hub now.
+    ``lease`` tells whether messages may cross at this moment, ``hold`` which velocities may not enter the hub now;
+    ``types`` exchanges definitions with other workers; ``small`` and ``bulk`` carry messages to the side, urgent ones
+    first; ``wake`` has the engine look again soon; ``registry`` makes the replies that say no.
     """
 
     hub: Hub
@@ -67,12 +61,7 @@ class Route:
     kind = "topic"
 
     def __init__(
-        self,
-        key: RouteKey,
-        names: tuple[str, str],
-        types: tuple[str, str],
-        policy: RoutePolicy,
-        context: EngineContext,
+        self, key: RouteKey, names: tuple[str, str], types: tuple[str, str], policy: RoutePolicy, context: EngineContext
     ) -> None:
         self.key, self.policy = key, policy
         self.hub_topic, self.side_topic = names
@@ -142,12 +131,7 @@ class TopicRoute(Route):
     """One topic that crosses in one direction."""
 
     def __init__(
-        self,
-        key: RouteKey,
-        names: tuple[str, str],
-        conversion: Conversion,
-        policy: RoutePolicy,
-        context: EngineContext,
+        self, key: RouteKey, names: tuple[str, str], conversion: Conversion, policy: RoutePolicy, context: EngineContext
     ) -> None:
         to_hub = self.direction == "in"
         hub, side = (conversion.target, conversion.source) if to_hub else (conversion.source, conversion.target)

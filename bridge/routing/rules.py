@@ -73,15 +73,9 @@ _PARAMETERS, _EVENT = "rcl_interfaces/srv/", "rcl_interfaces/msg/ParameterEvent"
 class RoutePolicy:
     """The policy of the rules for one topic, service or action at one gate.
 
-    Attributes:
-        why: the rule or default that decided, for people.
-        private: whether it was kept back as private to its side.
-        settled: whether no rule could change it.
-        name: the name beyond the gate.
-        rate: messages a second at most, None without a limit.
-        priority: class forced by the rule, "" for the topic's own.
-        depth: queue length forced by the rule, None for the class's own.
-        timeout: seconds after which a command is too old.
+    ``why`` is the rule or default that decided; ``private``: kept back as private to its side; ``settled``: no rule
+    could change it; ``name`` is that beyond the gate; ``rate`` is messages a second, None without a limit; ``priority``
+    and ``depth`` are forced by the rule, else "" and None; ``timeout`` is seconds after which a command is too old.
     """
 
     allowed: bool
@@ -107,10 +101,7 @@ class RoutePolicy:
 
 
 class RuleSet:
-    """The rules of a configuration.
-
-    A topic, service or action passes two gates: from its side into the hub, and from there to a side.
-    """
+    """The rules of a configuration, at two gates: from a side into the hub, and from there to a side."""
 
     def __init__(self, section: RoutingSection) -> None:
         self.section = section

@@ -31,15 +31,9 @@ def _now() -> float:
 
 
 class StallDetector:
-    """Notices that this process stood still.
+    """Notices that this process stood still, on a thread that does nothing else: its work would make it late.
 
-    Its thread does nothing else: one that also works is late by its work.
-
-    Args:
-        went_on: called on that thread with the seconds, when the process stood still for more than one and goes on.
-
-    Attributes:
-        pause: seconds between two beats, now.
+    ``went_on`` is called there with the seconds, of more than one; ``pause`` is the seconds between two beats, now.
     """
 
     def __init__(self, went_on: Callable[[float], None] = lambda _: None) -> None:
@@ -116,10 +110,7 @@ class AgeGate:
         self._seen = self._held_until = 0.0
 
     def age(self, source_time_ns: int) -> float:
-        """Seconds that this message waited on its way, beyond the quickest one of its source.
-
-        Infinite where a newer one came before it, and while the quickest one is looked for.
-        """
+        """Seconds that a message waited beyond the quickest; infinite behind a newer one, or while that is sought."""
         arrival = _now_ns()
         difference, now = arrival - source_time_ns, arrival / 1e9
         newest, self._newest = self._newest, source_time_ns

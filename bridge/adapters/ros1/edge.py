@@ -31,15 +31,7 @@ from bridge.hub.graph.tokens import Origin
 from bridge.hub.wire.qos import Durability, Qos
 from bridge.messages.registry import Registry
 from bridge.messages.transcode.conversion import Conversion, ServiceConversion, SideType
-from bridge.routing.edge import (
-    Deliver,
-    EdgeCaller,
-    EdgeListener,
-    EdgePublisher,
-    EdgeServer,
-    EdgeSubscription,
-    Endpoint,
-)
+from bridge.routing.edge import Deliver, EdgeCaller, EdgeListener, EdgePublisher, EdgeServer, EdgeSubscription, Endpoint
 
 if TYPE_CHECKING:
     from bridge.adapters.ros1.graph.master import Master
@@ -166,10 +158,7 @@ class Ros1Edge(SideEdge):
         return origin.side == self.side and origin.network == self.network()
 
     def endpoints(self) -> Sequence[Endpoint]:
-        """The other nodes' publishers, subscriptions and servers; ROS 1 knows nothing of clients.
-
-        The topics of actions are shown as the parts of ROS 2 actions.
-        """
+        """The other nodes' publishers, subscriptions and servers, actions as ROS 2 has them; clients leave no trace."""
         look = self._look
         if look is None:
             return ()
@@ -280,10 +269,7 @@ class Ros1Edge(SideEdge):
     # -- our endpoints -------------------------------------------------------------------------------------------------
 
     def subscribe(self, topic: str, side_type: SideType, qos: Qos, deliver: Deliver) -> EdgeSubscription:
-        """Hear the native publishers of a topic that have this type.
-
-        Of the QoS that is asked for ROS 1 has one thing: a volatile subscription hears nothing older than itself.
-        """
+        """Hear a topic's native publishers of this type; a volatile subscription hears nothing older than itself."""
         part = discovery.split_part(topic, side_type.name)
         if part:
             return self._actions.subscribe(*part, side_type.name, deliver)

@@ -78,10 +78,7 @@ def master_uri(config: Config, environ: Mapping[str, str]) -> str:
 
 
 def worker_environment(config: Config, environ: Mapping[str, str]) -> dict[str, str]:
-    """The environment that the ros1 worker is started with.
-
-    Raises `RuntimeError` with the reason where ROS 1 is not available.
-    """
+    """The environment that the ros1 worker is started with; raises `RuntimeError` where ROS 1 is not available."""
     reason = available(config, environ)
     if reason:
         raise RuntimeError(reason)

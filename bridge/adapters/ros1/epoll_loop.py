@@ -26,11 +26,7 @@ _KEEPALIVE = (("TCP_KEEPIDLE", 60), ("TCP_KEEPINTVL", 10), ("TCP_KEEPCNT", 9))
 
 
 class PolledConnection(ABC):
-    """A TCP connection that the loop reads.
-
-    Attributes:
-        listens: whether what comes is read, or only its end is noticed; see `EpollLoop.listen`.
-    """
+    """A TCP connection that the loop reads; ``listens``: what comes is read, else only its end is noticed."""
 
     def __init__(self, sock: socket.socket) -> None:
         self.listens = True
@@ -61,11 +57,7 @@ def keep_alive(sock: socket.socket) -> None:
 
 
 class EpollLoop:
-    """Calls `PolledConnection.take` whenever something has come; methods may be called from any thread.
-
-    Args:
-        name: of its thread, which starts with the first source.
-    """
+    """Calls `PolledConnection.take` whenever something has come; methods may be called from any thread."""
 
     def __init__(self, name: str = "midspan-ros1-intake") -> None:
         self._epoll = select.epoll()
@@ -78,11 +70,7 @@ class EpollLoop:
         self._thread: threading.Thread | None = None
 
     def add(self, source: PolledConnection) -> bool:
-        """Read a source from now on; False where it is closed or once stopped.
-
-        Raises:
-            OSError: the system cannot watch it.
-        """
+        """Read a source from now on; False where it is closed or once stopped. Raises `OSError`."""
         with self._lock:
             number = source.fileno()
             if self._stopped or number < 0:

@@ -79,16 +79,9 @@ def read_exactly(sock: DeadlineSocket, count: int) -> bytes:
 
 
 def connect(caller: str, uri: str, topic: str, seconds: float) -> tuple[DeadlineSocket, dict[str, str]]:
-    """Connect to a publisher as an any-type subscriber, up to and with its header.
+    """Connect to a publisher as an any-type subscriber, up to and with its header; raises `Ros1Error`.
 
-    Args:
-        caller: name of the node that we are.
-        uri: XML-RPC address of the publishing node.
-        topic: topic name as it is registered.
-        seconds: for all of it together.
-
-    Raises:
-        Ros1Error: with the reason, for people.
+    ``caller`` is our node's name, ``uri`` the publishing node's XML-RPC address; ``seconds`` are for all of it.
     """
     deadline = time.monotonic() + seconds
     chosen = ask(uri, seconds, "requestTopic", caller, topic, [["TCPROS"]])
@@ -100,17 +93,10 @@ def connect(caller: str, uri: str, topic: str, seconds: float) -> tuple[Deadline
 def connect_service(
     caller: str, address: str, service: str, seconds: float, **fields: str
 ) -> tuple[DeadlineSocket, dict[str, str]]:
-    """Connect to a service's server, up to and with its header.
+    """Connect to a service's server, up to and with its header; raises `Ros1Error`.
 
-    Args:
-        caller: name of the node that we are.
-        address: the service's own, ``rosrpc://host:port``.
-        service: name as it is registered.
-        seconds: for all of it together.
-        fields: more of our header: ``md5sum`` ("*" for any), ``probe``, ``persistent``.
-
-    Raises:
-        Ros1Error: with the reason, for people.
+    ``address`` is the service's own, ``rosrpc://host:port``; ``seconds`` are for all of it together; ``fields`` are
+    more of our header: ``md5sum`` ("*" for any), ``probe``, ``persistent``.
     """
     deadline = time.monotonic() + seconds
     try:

@@ -3,9 +3,7 @@
 ``init_node`` blocks until a master answers, registers while it holds the topic manager's lock, tries for ever without a
 time limit, never registers again with a restarted master, and publishes the process's log on ``/rosout``. Here rospy's
 parts are put together without that: registrations are only noted, and `bridge.adapters.ros1.graph.master` keeps the
-master's state equal to them.
-
-rospy is one per process, so is this node.
+master's state equal to them. rospy is one per process, and so is this node.
 """
 
 from __future__ import annotations
@@ -130,13 +128,7 @@ class _TcprosServer(rospy.impl.tcpros_base.TCPServer):  # type: ignore[misc]  # 
 
 
 class Ros1Node:
-    """Our node: its name, its address, and what it wants to be registered.
-
-    Attributes:
-        uri: its XML-RPC address.
-        port: its TCPROS port.
-        address: where its services are called.
-    """
+    """Our node and its registrations: ``uri`` (XML-RPC), ``port`` (TCPROS), ``address`` (of its services)."""
 
     def __init__(
         self,
@@ -310,10 +302,7 @@ class Ros1Node:
 
 
 def raise_descriptor_limit() -> None:
-    """Raise the soft limit to the hard one: each subscribed publisher and each subscriber costs a descriptor.
-
-    The soft limit of 1,024 that most systems start with is used up by some 900 connections.
-    """
+    """Raise the soft limit, often 1,024, to the hard one: each connection costs a descriptor, and 900 use it up."""
     _, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
     with contextlib.suppress(ValueError, OSError):
         resource.setrlimit(resource.RLIMIT_NOFILE, (hard, hard))

@@ -1,7 +1,4 @@
-"""What a ros2 worker's process needs of its environment, and whether rclpy can be had at all.
-
-This module loads nothing of ROS: the daemon asks it before there is a worker.
-"""
+"""The environment of a ros2 worker, and whether rclpy can be had. The daemon asks, so nothing of ROS is loaded here."""
 
 from __future__ import annotations
 

@@ -25,14 +25,10 @@ _log = logging.getLogger(__name__)
 
 
 class EndpointReader(ABC):
-    """What the loop serves: a subscription, a client or a server.
+    """What the loop serves: a subscription, a client or a server, which is its ``kind``.
 
-    It holds rclpy's inner object until `destroy`, so that its pointer stays good whatever thread closes it.
-
-    Attributes:
-        kind: as rclpy's wait sets name it: ``subscription``, ``client`` or ``service``.
-        handle: rclpy's inner object.
-        pointer: ``rcl_subscription_t *``, or of its kind.
+    It holds rclpy's inner object (``handle``) until `destroy`, so that its ``pointer`` (``rcl_subscription_t *``, or of
+    its kind) stays good whatever thread closes it.
     """
 
     kind: ClassVar[str] = "subscription"

@@ -38,13 +38,7 @@ _UDP_BUFFER = 4 * 1024 * 1024
 
 @dataclass(frozen=True, slots=True)
 class FastDdsProfile:
-    """What the participant's profile says.
-
-    Attributes:
-        prefix: marked GUID prefix, 12 bytes.
-        segment: bytes of the shared-memory segment, 0 for UDP alone.
-        localhost_only: whether only this machine's nodes are discovered.
-    """
+    """The participant's profile; ``prefix`` is marked (12 bytes), ``segment`` bytes of shared memory (0: UDP alone)."""
 
     prefix: bytes
     segment: int
@@ -98,12 +92,7 @@ class FastDdsProfile:
 
 
 def stamped(own: Path, prefix: bytes) -> str:
-    """A user's own profile with our mark set in its default participant.
-
-    Raises:
-        ValueError: the file is no XML, or has no participant with ``is_default_profile="true"``.
-        OSError: the file cannot be read.
-    """
+    """A user's own profile with our mark in its default participant; raises `ValueError` without one, or `OSError`."""
     try:
         root = ET.fromstring(own.read_bytes())  # noqa: S314 - a file that the configuration names
     except ET.ParseError as err:
@@ -144,10 +133,7 @@ _PROFILE_VARIABLES = ("FASTRTPS_DEFAULT_PROFILES_FILE", "FASTDDS_DEFAULT_PROFILE
 
 
 def use_profile(config: Config, state: Path) -> FastDdsProfile:
-    """Write the Fast DDS profile and point this process at it, before Fast DDS is loaded.
-
-    Fast DDS reads the profile once in a process, so a later edge of the same process keeps the first one's.
-    """
+    """Write the Fast DDS profile and point this process at it; it is read once, so a later edge keeps the first."""
     if _used:
         return _used[0]
     prefix = new_prefix(rcl.host_prefix(), kept_prefixes(state / "ros2"))

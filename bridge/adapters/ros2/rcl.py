@@ -103,13 +103,10 @@ class RclError(RuntimeError):
 
 
 class Taken(NamedTuple):
-    """One message as it came off the wire.
+    """One message as it came off the wire: CDR with its encapsulation header, exactly as long as it was sent.
 
-    Attributes:
-        payload: CDR with its encapsulation header, exactly as long as it was sent.
-        gid: 16 bytes; the first 12 are the GUID prefix of the participant that published it.
-        source_ns: the publisher's time stamp, system clock.
-        sequence: the publisher's number of the message.
+    ``gid`` is 16 bytes, the first 12 its participant's GUID prefix; ``source_ns`` is the publisher's time on the system
+    clock, ``sequence`` its number of the message.
     """
 
     payload: bytes
@@ -161,14 +158,9 @@ def _check(call: str, code: int) -> None:
 
 
 def wake_by_eventfd(kind: str, pointer: int, descriptor: int | None) -> None:
-    """Have each new message, reply or request of an endpoint counted in an eventfd; None ends it.
+    """Have each new message, reply or request of an endpoint counted in an eventfd; None ends it, for good on return.
 
-    After the call with None the middleware does not touch the descriptor any more.
-
-    Args:
-        kind: ``subscription``, ``client`` or ``service``.
-        pointer: ``rcl_subscription_t *``, or of its kind.
-        descriptor: the eventfd.
+    ``kind`` is ``subscription``, ``client`` or ``service``; ``pointer`` is ``rcl_subscription_t *``, or of its kind.
     """
     callback = None if descriptor is None else cast(_libc.eventfd_write, c_void_p)
     _check(f"waking by the {kind}", _NEW_CALLBACK[kind](pointer, callback, descriptor))
@@ -240,11 +232,7 @@ _BEGIN = "_ZN8eprosima7fastcdr3Cdr18get_buffer_pointerEv"
 
 
 class Wire(Structure):
-    """A whole message in memory.
-
-    To be sent: ``start`` and ``length``. Taken: the same, in memory of libc that is grown as it is needed, ``capacity``
-    bytes of it.
-    """
+    """A whole message in memory; that of a taken one is libc's, ``capacity`` bytes, and grows as needed."""
 
     _fields_ = [("start", c_void_p), ("length", c_size_t), ("capacity", c_size_t)]
 

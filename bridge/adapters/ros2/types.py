@@ -273,12 +273,7 @@ class TypeSupports:
         self._structures: list[TypeStructures] = []
 
     def message_class(self, type_name: str, type_hash: str) -> Any:
-        """A class that rclpy's publishers and raw subscriptions accept; raises `MessageTypeError`.
-
-        Args:
-            type_name: ``package/msg/Name``.
-            type_hash: ``RIHS01_<64 hex>``.
-        """
+        """A class for publishers and raw subscriptions; raises `MessageTypeError`. The hash is ``RIHS01_<64 hex>``."""
         with self._lock:
             found = self._classes.get((type_name, type_hash))
             if found is None:
@@ -299,10 +294,8 @@ class TypeSupports:
     def service_class(self, type_name: str, type_hash: str, part_hashes: Hashes) -> Any:
         """A class that the inner ``Client`` and ``Service`` accept; raises `MessageTypeError`.
 
-        Args:
-            type_name: ``package/srv/Name`` or ``package/action/Name_SendGoal``.
-            type_hash: the service's ``RIHS01_<64 hex>``.
-            part_hashes: those of its request and its response, which are what DDS endpoints announce.
+        The type is ``package/srv/Name`` or ``package/action/Name_SendGoal``; DDS endpoints announce the
+        ``part_hashes``, those of its request and its response.
         """
         self.prepare_services()
         with self._lock:

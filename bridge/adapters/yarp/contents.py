@@ -77,11 +77,7 @@ class CallBottles:
         return self._request[profile or self._profile].to_yarp(cdr).payload
 
     def request_to_hub(self, payload: Buffer, profile: Profile | None) -> tuple[bytes, Profile]:
-        """A port's request for the hub, and its dialect: by the bytes where the port does not say, or is wrong.
-
-        Raises:
-            ConversionError: it is no request of this service in either.
-        """
+        """A port's request for the hub and its dialect, by the bytes where need be; raises `ConversionError`."""
         likely = profile or self._profile
         first: ConversionError | None = None
         for known in (likely, Profile.YARP3 if likely is Profile.YARP4 else Profile.YARP4):
@@ -118,11 +114,7 @@ BOTTLE = Content()
 
 @dataclass(frozen=True, slots=True)
 class ForeignPort:
-    """A port of a YARP program that a rule names.
-
-    Attributes:
-        carrier: "" for the usual one.
-    """
+    """A port of a YARP program that a rule names; ``carrier`` is "" for the usual one."""
 
     port: str
     topic: str
@@ -134,11 +126,7 @@ class ForeignPort:
 
 
 class Contents:
-    """The rules, by topic and port; and the converters that they need.
-
-    Attributes:
-        now_ns: the time of messages that come without one.
-    """
+    """The rules, by topic and port, and the converters that they need; ``now_ns`` times messages without a time."""
 
     now_ns: Callable[[], int] = staticmethod(time.time_ns)
 

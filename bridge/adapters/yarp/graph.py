@@ -238,14 +238,7 @@ class YarpGraph:
         peers: Iterable[str],
         ros1: frozenset[str] = frozenset(),
     ) -> None:
-        """Update from a new list.
-
-        Args:
-            naming: the name server.
-            contacts: its list.
-            peers: ports that are connected to ours.
-            ros1: ports that the ROS 1 side carries.
-        """
+        """Update from the name server's list; ``peers`` are connected to ours, ``ros1`` are the ROS 1 side's."""
         self.contacts = {contact.name: contact for contact in contacts}
         self.ros1 = ros1
         peers = frozenset(peers)

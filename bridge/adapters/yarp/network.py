@@ -31,11 +31,7 @@ DAEMON = "midspan"
 
 @dataclass(frozen=True, slots=True)
 class PortNames:
-    """The scheme of the configuration; ``{topic}`` stands for the topic's name.
-
-    Attributes:
-        daemon: the daemon's name, for ports whose name another daemon has.
-    """
+    """The configured scheme, ``{topic}`` being the topic's name; ``daemon`` is for names that another daemon has."""
 
     output_scheme: str
     input_scheme: str
@@ -92,11 +88,7 @@ class _Names(NameClient):
 
 
 class YarpNetwork:
-    """Joins the network of one name server; one thread calls it.
-
-    Args:
-        state: folder in which our own name server remembers.
-    """
+    """Joins the network of one name server, on one thread; our own name server remembers in ``state``."""
 
     def __init__(self, section: YarpSection, state: Path) -> None:
         self._section = section

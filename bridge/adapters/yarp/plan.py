@@ -17,12 +17,7 @@ from yarp_compat.wire.profile import Profile
 
 @dataclass(frozen=True, slots=True)
 class PlannedLink:
-    """A connection that is to be made.
-
-    Attributes:
-        carrier: "" for the usual one.
-        profile: the other port's, None for what it says itself.
-    """
+    """A connection to be made; ``carrier`` "" is the usual one, ``profile`` None what the other port says itself."""
 
     carrier: str = ""
     profile: Profile | None = None
@@ -59,11 +54,7 @@ class PortPlan:
 
 @dataclass(frozen=True, slots=True)
 class Wanted:
-    """A topic that is routed.
-
-    Attributes:
-        type_hash: its hash, "" for this machine's own definition.
-    """
+    """A topic that is routed; ``type_hash`` is "" for this machine's own definition."""
 
     topic: str
     type: str

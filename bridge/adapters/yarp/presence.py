@@ -35,11 +35,7 @@ _AGAIN_LONGEST = 16.0
 
 
 class WorkerPresence:
-    """This worker's port, and the last record of each other worker.
-
-    Args:
-        changed: called when a worker came, left or told something.
-    """
+    """This worker's port, and the others' last records; ``changed``: one of them came, left or told something."""
 
     def __init__(self, context: YarpContext, changed: Callable[[], None]) -> None:
         self._context, self._naming, self._changed = context, context.naming, changed

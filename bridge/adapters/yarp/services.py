@@ -125,11 +125,7 @@ _IDLE = 4
 
 
 class PortCaller:
-    """Calls one RPC port; see `bridge.routing.edge.EdgeCaller`.
-
-    Args:
-        carrier: "" for the usual one.
-    """
+    """Calls one RPC port (`bridge.routing.edge.EdgeCaller`); ``carrier`` is "" for the usual one."""
 
     def __init__(self, naming: NameClient, port: str, carrier: str, bottles: CallBottles, limit: int) -> None:
         self._naming, self._names, self._port = naming, Unregistered(naming), port

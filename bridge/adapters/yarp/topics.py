@@ -177,11 +177,7 @@ class OutputPort:
 
 
 class TopicOutput:
-    """Publishes one topic and type. Methods may be called from any thread.
-
-    Args:
-        stamped: whether its messages begin with a header.
-    """
+    """Publishes one topic and type; for any thread. ``stamped``: its messages begin with a header."""
 
     def __init__(self, topic: str, side_type: SideType, stamped: bool, contents: Contents) -> None:
         self.topic, self.side_type = topic, side_type

@@ -40,10 +40,7 @@ def is_marked(zid: str) -> bool:
 
 
 def sender(sample: zenoh.Sample) -> str:
-    """The session that sent a sample, "" where the sample does not name it.
-
-    Without source info it is the session that gave the time stamp, which may be a router on the way.
-    """
+    """The session that sent a sample, or only gave its time stamp (a router may); "" where the sample names none."""
     info = sample.source_info
     if info is not None:
         return str(info.source_id.zid)

@@ -64,11 +64,7 @@ def all_discovery(namespace: str) -> str:
 
 
 def parse(key: str) -> tuple[Kind, AnnouncedTopic]:
-    """Read a discovery key.
-
-    Raises:
-        WireError: it is none, or has no type, md5 or topic.
-    """
+    """Read a discovery key; raises `WireError` where it is none, or has no type, md5 or topic."""
     parts = key.split("/", 6)
     if len(key) > _MAX_KEY or len(parts) != 7 or parts[0] != _SPACE or not all(parts):
         raise HubWireError("no discovery key of the ros1 plugin")
@@ -133,12 +129,9 @@ class _Beacon:
 
 
 class Aloha:
-    """Receives the beacons of native bridges and sends our own. Safe to use from any thread.
+    """Receives the beacons of native bridges and sends our own; for any thread. ``changed``: a topic came or went.
 
-    Args:
-        changed: called after a topic came or went.
-        newcomer: called when a bridge begins to tell that it subscribes, with the topic's name and whether it is the
-            first one.
+    ``newcomer`` is called when a bridge begins to tell that it subscribes, with the topic and whether it is the first.
     """
 
     def __init__(

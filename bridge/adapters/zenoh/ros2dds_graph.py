@@ -31,11 +31,7 @@ _MAX_TOKENS = 50_000
 
 
 class Ros2ddsGraph:
-    """Follows the tokens of all bridges. Safe to use from any thread.
-
-    Args:
-        prefix: the namespace that keys begin with, ``""`` or as ``robot1/``; other keys are not ours.
-    """
+    """Follows all bridges' tokens; for any thread. Keys without ``prefix`` ("" or as ``robot1/``) are not ours."""
 
     def __init__(self, session: zenoh.Session, prefix: str, changed: Callable[[], None]) -> None:
         self._own = str(session.zid())
@@ -200,12 +196,7 @@ class TokenAnnouncer:
 
 
 def _text(wanted: list[Token], *, begun: bool) -> str:
-    """The key of the token that announces all of these, "" while it is too early for one.
-
-    Args:
-        wanted: a topic's, a service's or one end of an action's parts.
-        begun: it has been said already.
-    """
+    """The key of the token that announces all of these, "" while it is too early for one and none has ``begun``."""
     if not wanted:
         return ""
     if not action_of(wanted[0].key):

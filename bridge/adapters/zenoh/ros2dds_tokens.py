@@ -88,11 +88,7 @@ def zid_of(key: str) -> str:
 
 
 def parse(key: str) -> tuple[Token, ...]:
-    """Read a token: the topic or service that it announces, or all five of an action; empty for the bridge's own.
-
-    Raises:
-        WireError: it is none of the plugin's, or its key or type is no name of ROS 2.
-    """
+    """What a token announces: one, all five of an action, none for the bridge's own; raises `WireError`."""
     parts = key.split("/", 7)
     if len(key) > _MAX_TOKEN or parts[0] != "@" or len(parts) < 3 or parts[2] != "@ros2_lv":
         raise HubWireError("no token of the ros2dds plugin")

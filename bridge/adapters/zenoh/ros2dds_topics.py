@@ -79,11 +79,9 @@ _MAX_PUBLISHERS = 4096
 
 
 class LatchedSubscription(KeySubscription):
-    """Receives live samples, and asks each publisher once for its latched ones.
+    """Receives live samples, and asks each publisher once for as many latched ones as are ``wanted``.
 
-    Args:
-        depth: how many of the samples that were kept count, for the source with this id.
-        wanted: samples that each publisher is asked for.
+    ``depth`` gives how many of the kept samples count, for the source with an id.
     """
 
     def __init__(

@@ -11,11 +11,7 @@ from bridge.hub.endpoints.calls import Call, CallClient, CallError, CallServer
 
 
 class KeyCaller(CallClient):
-    """Calls the servers of one key as the plugins do: of several all are asked, and the first reply counts.
-
-    Args:
-        attached: gives the attachment of the request with this number.
-    """
+    """Calls a key's servers as the plugins do: all, and the first reply counts; ``attached(number)`` is attached."""
 
     where = "this zenoh network"
 

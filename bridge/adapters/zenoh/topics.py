@@ -28,12 +28,8 @@ Withdraw = Callable[[], None]
 class KeyContext:
     """What the endpoints of one edge share.
 
-    Attributes:
-        limit: bytes of a request or a reply at most.
-        executor: runs what may wait for zenoh.
-        small: converts received messages, urgent ones first.
-        bulk: the same for large ones.
-        closed: called with each endpoint that has closed.
+    ``limit`` is bytes of a request or a reply at most; ``executor`` runs what may wait for zenoh; ``small`` and
+    ``bulk`` convert received messages, urgent ones first; ``closed`` is called with each endpoint that has closed.
     """
 
     session: zenoh.Session
@@ -48,10 +44,7 @@ class Announcement:
     """Announces an endpoint, and withdraws that when the endpoint closes.
 
     It is told once the endpoint is there: whoever hears of it calls, publishes or asks at once. An endpoint that has
-    been closed by then is not told at all.
-
-    Args:
-        announce: announces the endpoint; returns what withdraws that. By default nobody is told.
+    been closed by then is not told at all. ``announce`` returns what withdraws it; by default nobody is told.
     """
 
     def __init__(self, announce: Callable[[], Withdraw] = lambda: nothing) -> None:
@@ -91,10 +84,7 @@ def priority(qos: Qos) -> zenoh.Priority:
 
 
 class PlainSink:
-    """Puts on a key; each sample carries our session's marked id. Also for the other dialects.
-
-    Commands (volatile, depth 1) go before all else.
-    """
+    """Puts on a key, with our session's marked id; for all dialects. Commands (volatile, depth 1) go first."""
 
     def __init__(self, session: zenoh.Session, key: str, qos: Qos, encoding: zenoh.Encoding | None = None) -> None:
         self._encoding = encoding
@@ -123,10 +113,7 @@ class PlainSink:
 class KeyPublisher:
     """Puts messages of the hub on a plain key, and answers a ``get`` there with the latched ones.
 
-    Args:
-        qos: latched or not, and how many messages of each source are kept.
-        encoding: told with each sample.
-        newest: whether a ``get`` is answered with the newest message alone, not with every source's.
+    ``qos`` says whether and how many of each source are kept; with ``newest`` a ``get`` gets the newest message alone.
     """
 
     dropped = 0  #: zenoh does not tell what a congested link dropped
@@ -248,11 +235,7 @@ class SampleQueue:
 
 
 class KeySubscription:
-    """Delivers the samples that native programs put on a key; those of any Midspan are ignored.
-
-    Args:
-        source_of: the id of the endpoint that a native sample is from, "" where it is nobody's that counts here.
-    """
+    """Delivers what native programs put on a key; ``source_of`` gives its endpoint's id, "" where it does not count."""
 
     def __init__(
         self,

@@ -31,10 +31,9 @@ def type_and_values(words: list[str]) -> tuple[str, str]:
 
 
 class ServiceCaller:
-    """Calls one service on the hub with JSON values.
+    """Calls one service on the hub with JSON values; without a type it takes that of the server.
 
-    Without a type it takes that of the server. Raises `CliError` where no server of the type comes within
-    `WAIT_SECONDS`, or nobody knows the type.
+    Raises `CliError` where no server of the type comes within `WAIT_SECONDS`, or nobody knows the type.
     """
 
     def __init__(self, client: CliClient, types: Types, name: str, type_name: str = "") -> None:
@@ -62,10 +61,7 @@ class ServiceCaller:
     def ask(
         self, values: dict[str, Any], seconds: float | None = None, check: Callable[[], None] = lambda: None
     ) -> dict[str, Any]:
-        """Call and wait for the reply; raises `CliError` for an error or after so many seconds.
-
-        ``check`` is called now and then meanwhile; what it raises ends the call.
-        """
+        """Call and wait for the reply; raises `CliError`. What ``check``, called now and then, raises ends the call."""
         replies: SimpleQueue[dict[str, Any] | CallError] = SimpleQueue()
         abandon = self.call(values, replies.put)
         try:

@@ -45,10 +45,7 @@ class Arrival(NamedTuple):
 
 
 class TopicFeed:
-    """Follows one topic, where asked of one side alone: subscribes on the hub, or has a worker tap its side.
-
-    Without ``payloads`` it keeps the arrivals alone.
-    """
+    """Follows one topic on the hub, or by a worker's tap of its side; keeps the arrivals alone without ``payloads``."""
 
     def __init__(self, client: CliClient, topic: str, side: str | None = None, *, payloads: bool = True) -> None:
         self.topic = absolute(topic)

@@ -36,10 +36,7 @@ class _End(NamedTuple):
 
 
 class Interrupt:
-    """Keeps the first Ctrl-C until `check` raises it: raised where it comes, foreign code might swallow it.
-
-    The second one is raised at once.
-    """
+    """Keeps the first Ctrl-C until `check` raises it, since foreign code might swallow it; raises a second at once."""
 
     def __init__(self) -> None:
         self._came = self._told = False

@@ -55,11 +55,7 @@ class HubToSideServices(RouteSet[RouteKey, HubToSideService]):
     ) -> None:
         """Bring the routes in line with both graphs, the rules and the election, after `leave`; one decision each.
 
-        Args:
-            gate: the rules.
-            endpoints: the side's graph: a name that is served there is not served there by us.
-            decisions: what was decided.
-            outcome: of the election.
+        A name that is served in ``endpoints``, the side's graph, is not served there by us.
         """
         groups = hub_groups(self._context.hub.graph.servers())
         natives = {e.topic: e for e in endpoints if e.kind is Kind.SERVER and e.made_by is not MadeBy.MIDSPAN}

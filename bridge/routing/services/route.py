@@ -126,10 +126,7 @@ MAX_RESULTS = 10_000
 
 
 class ServiceRoute(Route):
-    """One service; ``direction`` is the way that the service is offered, against which its calls go.
-
-    Nothing is kept for later: a call that finds no server ends with an error.
-    """
+    """One service, offered in its ``direction`` and called against it. No call is kept: without a server it fails."""
 
     kind = "service"
     request: Convert = None

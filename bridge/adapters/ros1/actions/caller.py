@@ -31,10 +31,7 @@ STOPS = "the bridge no longer follows the action"
 
 
 class ActionCaller(ActionTopics):
-    """Sends goals to the servers of one action, of which it uses one at a time.
-
-    What is known of its goals outlasts `shut`, for those who ask later.
-    """
+    """Sends goals to one server of an action at a time; what it knows of them stays for those who ask later."""
 
     def __init__(self, name: str, types: ActionMessages, network: ActionNetwork, guard: FrameGuard) -> None:
         super().__init__(name, network)

@@ -58,13 +58,7 @@ class ClientOutput(Protocol):
 
 @dataclass(eq=False, slots=True)
 class _Cancel:
-    """One cancel request under way.
-
-    Attributes:
-        goals: what it is about.
-        single: it names one goal alone.
-        unsent: what is still to be sent to the server, None once it was.
-    """
+    """A cancel request under way; ``single``: it names one goal; ``unsent`` is None once it was sent."""
 
     goals: Sequence[TrackedGoal]
     single: bool
@@ -76,11 +70,7 @@ class _Cancel:
 class ActionlibClient:
     """The goals of one action.
 
-    Args:
-        name: the action's name on ROS 1.
-        output: where its messages go.
-        clock: seconds that only grow.
-        empty: the bytes of a result with nothing in it.
+    ``name`` is the action's on ROS 1, ``clock`` gives seconds that only grow, ``empty`` is an empty result's bytes.
     """
 
     def __init__(self, name: str, output: ClientOutput, clock: Callable[[], float], empty: bytes) -> None:

@@ -27,14 +27,7 @@ _SUFFIXES = {GOAL: "ActionGoal", FEEDBACK: "ActionFeedback", RESULT: "ActionResu
 
 @dataclass(frozen=True, slots=True)
 class FoundServer:
-    """One actionlib server.
-
-    Attributes:
-        name: the action's.
-        type: its type without ending: ``move_base_msgs/MoveBase`` has MoveBaseActionGoal and so on.
-        node: the node's name.
-        uri: its XML-RPC address.
-    """
+    """An actionlib server: its action, type without ending (``move_base_msgs/MoveBase``), node, XML-RPC address."""
 
     name: str
     type: str
@@ -48,12 +41,9 @@ class FoundServer:
 
 @dataclass(frozen=True, slots=True)
 class FoundActions:
-    """What one look shows.
+    """What one look shows: the servers of each action, in the order of their nodes' names, and topics with their types.
 
-    Attributes:
-        servers: those of each action, in the order of their nodes' names.
-        topics: the topics of all actions, whether only clients or servers are there, and the types they must have;
-            none of these crosses as a topic.
+    The topics are those of all actions, also where only clients are there; none of these crosses as a topic.
     """
 
     servers: Mapping[str, tuple[FoundServer, ...]]

@@ -30,12 +30,9 @@ _SIZES = {**PRIMITIVE_SIZES, "time": 8, "duration": 8}
 
 
 class FrameId(NamedTuple):
-    """A header's frame in a message's bytes.
+    """A header's frame in a message's bytes; ``at`` is where its length stands, ``where`` the field for people.
 
-    Attributes:
-        at: where its length stands.
-        where: the field, for people: ``target_pose.header.frame_id``.
-        pose: its header is that of a stamped geometry, which means nothing without a frame.
+    ``pose``: its header is that of a stamped geometry, which means nothing without a frame.
     """
 
     at: int
@@ -236,14 +233,10 @@ class FrameGuard:
             self._heard = min(self._heard, time.monotonic())
 
     def check(self, schema: Schema, body: bytes) -> tuple[bytes, str | None]:
-        """Judge a goal.
+        """Judge a goal; raises `ConversionError` where it is none.
 
-        Returns:
-            The goal with no slash before its frames, and why it must not be sent; "" where it may, None where that is
-            not known yet: hardly any transforms have come.
-
-        Raises:
-            ConversionError: it is no such goal.
+        Returns the goal with no slash before its frames, and why it must not be sent: "" where it may, None where that
+        is not known yet, since hardly any transforms have come.
         """
         if not self._network.check_frames or not names_frames(schema):
             return body, ""

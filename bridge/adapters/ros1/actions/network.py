@@ -70,14 +70,9 @@ class ActionNetwork:
 
 @dataclass(frozen=True, slots=True)
 class ActionMessages:
-    """The messages of an action's type.
+    """The messages of an action's type: its ActionGoal, ActionResult and ActionFeedback, and actionlib_msgs' two.
 
-    Attributes:
-        goal: its ActionGoal message; likewise the next two.
-        cancel: actionlib_msgs/GoalID.
-        status: actionlib_msgs/GoalStatusArray.
-        goal_body: the goal itself.
-        result_body: the result itself.
+    The bodies are the goal and the result themselves.
     """
 
     goal: SideType
@@ -182,9 +177,7 @@ Publish = Callable[[str, SideType, Qos], TopicPublisher]
 class LingeringPublishers:
     """Opens publications, and closes those that are given back: at once where a server is there, else after a while.
 
-    Args:
-        publish: opens one.
-        is_gone: whether an action has no server now.
+    ``publish`` opens one; ``is_gone`` says whether an action has no server now.
     """
 
     def __init__(self, publish: Publish, is_gone: Callable[[str], bool]) -> None:

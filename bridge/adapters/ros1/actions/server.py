@@ -65,13 +65,9 @@ class ServerOutput(Protocol):
 
 @dataclass(eq=False, slots=True)
 class _ListedGoal:
-    """One goal of the status list.
+    """One goal of the status list; ``ours``: of a ROS 1 client, else a goal of the hub's that ROS 1 is shown.
 
-    Attributes:
-        uuid: on the hub; None for a cancel request whose goal has not come.
-        ours: a ROS 1 client sent it; else it is a goal of the hub's, shown to ROS 1.
-        accepted: the hub's server took it.
-        gone: when it ended, None before.
+    ``uuid`` is that on the hub, None for a cancel request whose goal has not come; ``gone`` is when it ended.
     """
 
     id: str
@@ -91,12 +87,7 @@ class _ListedGoal:
 class ActionlibServer:
     """The goals of one action.
 
-    Args:
-        name: the action's name on ROS 1.
-        output: where its messages and calls go.
-        clock: seconds that only grow.
-        now: the time that ROS 1 stamps with.
-        empty: the bytes of a result with nothing in it.
+    ``clock`` gives seconds that only grow, ``now`` the time of ROS 1's stamps; ``empty`` is an empty result's bytes.
     """
 
     def __init__(

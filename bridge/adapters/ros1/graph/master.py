@@ -51,13 +51,9 @@ class _Own(NamedTuple):
 class Master:
     """Follows one master for one node. ``seen`` is called on its thread at each look, with None once it is away.
 
-    ``is_dead`` says whether a service's server is known to be gone, so that ours may take its name.
-
-    Attributes:
-        uri: the master's address.
-        trouble: why it is away, "" where it is not.
-        looked: ``time.monotonic()`` before the latest look.
-        simulated: whether its nodes are to run on ``/clock``, as its parameter ``/use_sim_time`` said when we joined.
+    ``is_dead`` says whether a service's server is known to be gone, so that ours may take its name. ``trouble`` is why
+    the master is away, else ""; ``looked`` is ``time.monotonic()`` before the latest look; ``simulated``: its nodes are
+    to run on ``/clock``, as its parameter ``/use_sim_time`` said when we joined.
     """
 
     def __init__(

@@ -41,13 +41,7 @@ _LIVENESS_SECONDS = 1.0
 class NodeEntry:
     """One Midspan node on a ROS 1 network.
 
-    Attributes:
-        owner: random identity of the daemon's state folder.
-        daemon: the daemon's name, for people.
-        node: the node's name on the graph.
-        uri: the node's XML-RPC address.
-        pid: its process on its machine.
-        port: its TCPROS port, where it tells more; see `bridge.adapters.ros1.graph.presence`.
+    ``owner`` is the random identity of the daemon's state folder; ``uri`` is for XML-RPC, ``port`` for TCPROS.
     """
 
     owner: str
@@ -169,10 +163,8 @@ Changed = Callable[[], None]
 class NodeConnections:
     """The connections of one node to all others and from them.
 
-    Args:
-        caller: our node's name now.
-        changed: called when another node came, left, or said something.
-        visited: called when another node has connected to us: it has an entry on the master by now.
+    ``changed`` is called when another node came, left or said something; ``visited`` when one has connected to us, so
+    that it has an entry on the master by now.
     """
 
     def __init__(self, caller: Caller, changed: Changed, visited: Changed) -> None:

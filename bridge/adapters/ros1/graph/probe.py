@@ -38,14 +38,9 @@ _LONGEST_WAIT = 10.0
 class Ros1Context:
     """What all of the edge's endpoints share.
 
-    Attributes:
-        pool: threads for conversations with other nodes.
-        loop: reads connections.
-        timer: makes delayed calls.
-        node: our node's name now.
-        origin: the daemon's name.
-        found: called when something became known of a publisher or server.
-        limit: bytes of the longest message, request and reply.
+    ``pool`` talks to other nodes, ``loop`` reads connections; ``node`` gives our node's name now, ``origin`` is the
+    daemon's; ``found`` is called when something became known of a publisher or server; ``limit`` is bytes of the
+    longest message.
     """
 
     pool: PeerPool
@@ -104,11 +99,8 @@ Handshake = Callable[[str, str, str, float], ProbedConnection]
 class Prober:
     """Asks every new publisher (or server) once, and those that do not answer again and again, ever more seldom.
 
-    Args:
-        changed: called with each one of which something else is known by now.
-        handshake: how they are asked.
-        kind: what they are called.
-        holds: whether a native one's connection is kept for `take` a while; else it is closed at once.
+    ``changed`` is called with each one of which something else is known by now. ``holds``: a native one's connection is
+    kept for `take` a while; else it is closed at once.
     """
 
     def __init__(
@@ -284,11 +276,7 @@ AnyEnd = TypeVar("AnyEnd", bound=FollowingEnd)
 
 
 class Follower(ABC, Generic[AnyEnd]):
-    """Informs our subscriptions (or callers) about the publishers (or servers) of their names.
-
-    Args:
-        handshake: how they are asked; see `Prober` for the others, too.
-    """
+    """Informs our subscriptions (or callers) about the publishers (or servers) of their names; see `Prober`."""
 
     def __init__(
         self, context: Ros1Context, handshake: Handshake = connect, kind: str = "publisher", *, holds: bool = False

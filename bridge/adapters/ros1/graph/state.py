@@ -22,13 +22,9 @@ PRESENCE = "/midspan/nodes"
 
 
 class Registration(NamedTuple):
-    """One node's registration for one topic or service.
+    """One node's registration for one topic or service, under the name that is registered.
 
-    Attributes:
-        node: the node's name.
-        topic: the topic's or service's name as it is registered.
-        uri: the node's XML-RPC address, of a service its own (``rosrpc://host:port``); "" where the master does not
-            know it.
+    ``uri`` is the node's XML-RPC address, of a service its own (``rosrpc://host:port``); "" where none is known.
     """
 
     node: str
@@ -45,12 +41,9 @@ def publisher_id(link: Registration, *, latching: bool) -> str:
 class MasterState:
     """A master's state at one look.
 
-    Attributes:
-        run: what changes when the master is started anew: its run id and its process.
-        network: identity of the ROS 1 network: the master's ``/run_id``, which roscore sets; a bare rosmaster's address
-            and process id.
-        uris: XML-RPC address of each node.
-        presence: the entries of `PRESENCE` by their key.
+    ``run`` changes when the master is started anew: its run id and its process. ``network`` is its ``/run_id``, which
+    roscore sets, or a bare rosmaster's address and process id. ``uris`` are the nodes' XML-RPC addresses; ``presence``
+    has the entries of `PRESENCE` by their key.
     """
 
     run: str

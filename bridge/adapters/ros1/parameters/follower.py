@@ -33,16 +33,7 @@ _MAX_SHOWN = 20
 
 
 class ParameterSharing:
-    """Follows the rules of ``routing.parameters`` until it is stopped.
-
-    Args:
-        rules: at least one.
-        hub: the session.
-        registry: of types.
-        store: ROS 1's parameter server.
-        active: whether this worker is the one that joins the network to the hub.
-        period: seconds between two looks.
-    """
+    """Follows the rules (at least one) of ``routing.parameters``, while this worker is the ``active`` one."""
 
     def __init__(
         self,

@@ -29,10 +29,7 @@ class MirroredNode:
     """One rule whose parameters a ROS 2 node owns. All but the constructor runs on the parameters' thread.
 
     Where both sides changed one since the last look, the node's value counts, and so it does when the node comes. A
-    value that the node refuses is put back.
-
-    Args:
-        wake: has the parameters' thread look again; called on any thread.
+    value that the node refuses is put back. ``wake`` has that thread look again, from any thread.
     """
 
     def __init__(self, rule: ParameterRule, context: ParameterContext, wake: Callable[[], None]) -> None:

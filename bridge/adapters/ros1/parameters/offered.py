@@ -32,13 +32,9 @@ _EVENT_QOS = Qos(depth=1000)  # rmw_qos_profile_parameter_events
 
 
 class OfferedNode:
-    """One node of ours on the hub.
+    """One node of ours on the hub, of the number ``token`` within the session; it shows what the ``rules`` share.
 
     All but the constructor and `call` run on the parameters' thread.
-
-    Args:
-        rules: all that ROS 1 owns and this node shows.
-        token: number of the node within the session.
     """
 
     def __init__(self, rules: Sequence[ParameterRule], context: ParameterContext, token: int) -> None:
@@ -62,11 +58,7 @@ class OfferedNode:
         return len(self._told or ())
 
     def follow(self, trees: Mapping[str, Any]) -> None:
-        """Serve the node, and publish what changed.
-
-        Args:
-            trees: what the parameter server has below each rule's name.
-        """
+        """Serve the node, and publish what changed; ``trees`` is what ROS 1 has below each rule's name."""
         if not self._closers:
             self._open()
         now = dict(self._all(trees))

@@ -19,13 +19,7 @@ _BATCH = 200
 
 
 class ParameterServer:
-    """The parameter server of one master; one thread at a time. Its methods raise `Ros1Error` where it is away.
-
-    Args:
-        uri: the master's.
-        caller: gives our node's name.
-        slave: our node's XML-RPC address, which is told what changes.
-    """
+    """A master's parameter server, for one thread; raises `Ros1Error`. ``slave`` is our node's XML-RPC address."""
 
     def __init__(self, uri: str, caller: Callable[[], str], slave: str) -> None:
         self._uri, self._caller, self._slave = uri, caller, slave

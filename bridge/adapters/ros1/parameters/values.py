@@ -50,9 +50,7 @@ class UnsayableError(Exception):
 class ParameterValue:
     """A value in ROS 2's terms. Equal are those of one kind that read the same, NaN among them.
 
-    Attributes:
-        kind: its type.
-        content: a bool, int, float, text, bytes, or a list of one of the first four; None where it is not set.
+    ``content`` is a bool, int, float, text, bytes, or a list of one of the first four; None where it is not set.
     """
 
     kind: ParameterType
@@ -112,12 +110,10 @@ def to_ros1(value: ParameterValue) -> Any:
 
 
 def to_ros2(value: Any, like: ParameterType = ParameterType.NOT_SET) -> ParameterValue:
-    """What a ROS 2 node takes; raises `UnsayableError`.
+    """What a ROS 2 node takes for a value of ROS 1's parameter server; raises `UnsayableError`.
 
-    Args:
-        value: from ROS 1's parameter server.
-        like: the kind that the node's parameter has: whole numbers serve as doubles, and such doubles as integers,
-            since `rosparam set` does not tell them apart. An empty list is of any kind.
+    ``like`` is the kind of the node's parameter: whole numbers serve as doubles, and such doubles as integers, since
+    `rosparam set` does not tell them apart. An empty list is of any kind.
     """
     if isinstance(value, xmlrpc.client.Binary):
         return ParameterValue(ParameterType.BYTE_ARRAY, value.data)

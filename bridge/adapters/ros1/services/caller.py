@@ -137,12 +137,7 @@ class Ros1Caller:
     """Calls the server of one name that has one type; see `bridge.routing.edge.EdgeCaller`."""
 
     def __init__(
-        self,
-        context: Ros1Context,
-        name: str,
-        side_type: SideType,
-        doubt: Doubt,
-        closed: Callable[[Ros1Caller], None],
+        self, context: Ros1Context, name: str, side_type: SideType, doubt: Doubt, closed: Callable[[Ros1Caller], None]
     ) -> None:
         self.name, self.md5 = name, side_type.type_id
         self._context, self._pool, self._doubt, self._on_closed = context, context.pool, doubt, closed

@@ -182,11 +182,7 @@ class Ros1Server:
 
 
 class ServiceServers:
-    """All that our node serves.
-
-    Args:
-        changed: called when a service came or went: the master is to know.
-    """
+    """All that our node serves; ``changed`` is called when a service came or went, for the master to know."""
 
     def __init__(self, context: Ros1Context, changed: Callable[[], None]) -> None:
         self._context, self._changed = context, changed

@@ -26,12 +26,7 @@ _CHECK_PERIOD = 2.0
 
 
 class Ros1Services(Follower[Ros1Caller]):
-    """The services of one edge.
-
-    Args:
-        wake: called to have the master looked at.
-        doubt: called with the name of a service that is not where the master said.
-    """
+    """The services of one edge; ``wake`` has the master looked at, ``doubt`` a service that is not where it said."""
 
     def __init__(self, context: Ros1Context, wake: Callable[[], None], doubt: Callable[[str], None]) -> None:
         super().__init__(context, self._handshake, "server")

@@ -141,12 +141,7 @@ class PublisherConnection(PolledConnection):
             self._ended(trouble)
 
     def _take_small(self) -> bool:
-        """Deliver the whole small messages that have come; whether a large one is next.
-
-        Raises:
-            BlockingIOError: nothing has come.
-            OSError: the connection has ended.
-        """
+        """Deliver small messages; whether a large one is next. `BlockingIOError`: nothing came; `OSError`: the end."""
         more = self._sock.recv(_CHUNK, socket.MSG_DONTWAIT)
         if not more:
             raise ConnectionResetError(_CLOSED)

@@ -76,11 +76,7 @@ class _PublisherState:
 
 
 class Ros1Subscription:
-    """Keeps a connection to each native publisher of one topic that has the wanted type.
-
-    Attributes:
-        lost: TCP loses nothing, and a publisher does not tell what its queue dropped.
-    """
+    """Keeps a connection to each native publisher of one topic that has the wanted type; TCP loses nothing."""
 
     lost = 0
 

@@ -20,11 +20,7 @@ _VOLATILE = Qos()
 
 
 class Ros1Topics(Follower["Ros1Subscription"]):
-    """The topics of one edge.
-
-    Args:
-        refused: reports a message that is not delivered: ``refused(topic, reason, why)``.
-    """
+    """The topics of one edge; ``refused(topic, reason, why)`` reports a message that is not delivered."""
 
     def __init__(self, context: Ros1Context, refused: Callable[[str, str, str], None]) -> None:
         super().__init__(context, holds=True)

@@ -42,13 +42,9 @@ _log = logging.getLogger(__name__)
 class GraphSnapshot:
     """The graph at one moment, without our own endpoints.
 
-    Attributes:
-        endpoints: publishers and subscriptions of ROS topics, hidden ones left out but for actions', and servers and
-            clients of services.
-        publishers: the publishers by topic and GID.
-        servers: GIDs of the native servers by service.
-        participants: GUID prefixes of all ROS participants but ours.
-        heard: the topics that another participant subscribes to.
+    ``endpoints`` leaves hidden topics out but for actions'; ``publishers`` are by topic and GID; ``servers`` are the
+    GIDs of native servers by service; ``participants`` are the GUID prefixes of all ROS participants but ours;
+    ``heard`` are the topics that another participant subscribes to.
     """
 
     endpoints: tuple[Endpoint, ...] = ()
@@ -194,12 +190,7 @@ its next own, and those come every 3 s (seen with Fast DDS 2.14.5)."""
 
 
 def look(config: Config, state: Path, seconds: float) -> dict[str, Any]:
-    """What is on the network.
-
-    Returns:
-        ``participants``: GUID prefixes in hex, without our own; ``nodes``: names of nodes that have endpoints, hidden
-        ones left out.
-    """
+    """The ``participants`` (GUID prefixes in hex, not ours) and ``nodes`` with endpoints, hidden ones left out."""
     from bridge.adapters.ros2.environment import domain
     from bridge.adapters.ros2.participant import Participant
     from bridge.adapters.ros2.profile import use_profile

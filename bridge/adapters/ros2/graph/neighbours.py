@@ -40,23 +40,10 @@ _NOTE = "udp-alone"
 
 
 class MemoryNeighbours:
-    """Watches the participants for one that shared memory cannot reach.
-
-    Args:
-        own: our GUID prefix.
-        domain: the ROS domain.
-        stranger: called once, when such a participant stays.
-        later: looks again.
-        proc: the process table.
-    """
+    """Watches for a participant that shared memory cannot reach: then calls ``stranger``. ``own``: our GUID prefix."""
 
     def __init__(
-        self,
-        own: bytes,
-        domain: int,
-        stranger: Callable[[], None],
-        later: DelayedCalls,
-        proc: Path = Path("/proc"),
+        self, own: bytes, domain: int, stranger: Callable[[], None], later: DelayedCalls, proc: Path = Path("/proc")
     ) -> None:
         self._own, self._domain, self._stranger, self._later, self._proc = own, domain, stranger, later, proc
         self._lock = threading.Lock()
@@ -170,12 +157,7 @@ _MOST = 1000
 
 
 class ProcessWatch:
-    """Remembers the processes of participants, and knows which have ended; for any thread.
-
-    Args:
-        own: our GUID prefix.
-        proc: the process table.
-    """
+    """Remembers participants' processes, and knows which have ended; for any thread. ``own``: our GUID prefix."""
 
     def __init__(self, own: bytes, proc: Path = Path("/proc")) -> None:
         self._own, self._proc = own, proc
@@ -258,10 +240,7 @@ def clean(folder: Path = FOLDER) -> int:
 
 
 def clean_ports(numbers: Iterable[int], folder: Path = FOLDER) -> None:
-    """Remove ports of our own dead participants, which no other one takes up; but for those that are still in use.
-
-    Others have a dead participant's ports open until they learn of its death.
-    """
+    """Remove our dead participants' ports, but for those in use: others have them open until they learn of it."""
     import fcntl
 
     for number in numbers:

@@ -31,17 +31,10 @@ _FILE = "prefixes"
 class Origins:
     """Tells own origins from foreign ones.
 
-    Args:
-        own: our participant's GUID prefix.
-        folder: where the prefixes of this daemon's past participants are kept: a hub session may outlive its dead
-            worker for some seconds, and its origin is ours.
-        participants: the GUID prefixes that are on our DDS network now.
-        settled: called when an origin's moment is over.
-        later: makes that call.
-
-    Attributes:
-        past: the prefixes of this daemon's participants, dead ones and ours.
-        predecessors: the newest of the dead ones.
+    ``own`` is our participant's GUID prefix. ``folder`` keeps those of this daemon's participants: ``past`` are all,
+    ours last, ``predecessors`` the newest of the dead; a hub session may outlive its dead worker for some seconds, and
+    its origin is ours. ``participants`` gives the GUID prefixes on our DDS network now; ``settled`` is called, by
+    ``later``, when an origin's moment is over.
     """
 
     def __init__(

@@ -37,13 +37,8 @@ _TEXT = 8
 class PresenceTopic(EndpointReader):
     """Our writer and our reader of the topic.
 
-    Args:
-        participant: ours.
-        loop: serves the reader.
-        message_class: of `TYPE`, for raw use.
-        seen: the GUID prefixes on the network now, without our own.
-        past: prefixes of this daemon's dead participants.
-        changed: called when another one said something.
+    ``message_class`` is that of `TYPE`, for raw use; ``seen`` gives the GUID prefixes on the network now, without our
+    own; ``past`` are those of this daemon's dead participants; ``changed`` is called when another one said something.
     """
 
     def __init__(

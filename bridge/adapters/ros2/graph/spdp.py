@@ -54,13 +54,7 @@ def farewell(prefix: bytes) -> bytes:
 
 
 def hello(prefix: bytes, domain: int, number: int) -> bytes:
-    """The RTPS message by which a participant without endpoints announces the address of another one.
-
-    Args:
-        prefix: its own GUID prefix.
-        domain: the ROS domain.
-        number: of the other one, on this host.
-    """
+    """The RTPS message by which ``prefix``, without endpoints, announces the address of participant ``number`` here."""
     payload = _PL_CDR_LE + _parameters(
         (_PID_VERSION, _VERSION + bytes(2)),
         (_PID_VENDOR, prefix[:2] + bytes(2)),

@@ -66,12 +66,7 @@ _log = logging.getLogger(__name__)
 
 
 class ClientReplies:
-    """The replies to one client.
-
-    Args:
-        write: sends a reply; False where the client cannot be reached yet.
-        later: what sends the replies that have to wait.
-    """
+    """The replies to one client; ``write`` is False while it cannot be reached, ``later`` sends those that wait."""
 
     def __init__(self, write: Callable[[RequestId, bytes], bool], later: DelayedCalls) -> None:
         self._write, self._later = write, later
@@ -101,10 +96,7 @@ class ClientReplies:
             self._asked -= 1
 
     def send(self, request: RequestId, payload: bytes) -> None:
-        """Send a reply, now or soon.
-
-        The first one to a client may have to wait for it, and that is not for the thread that brings the reply.
-        """
+        """Send a reply, now or soon: the first may have to wait for its client, and not on the caller's thread."""
         with self._lock:
             self._asked -= 1
             self._outbox.append((request, payload))
