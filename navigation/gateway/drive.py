@@ -129,6 +129,20 @@ class ClientDrive:
             self.goal.abort(result)
 
 
+@dataclass
+class UnconfirmedStop:
+    """Goals that ended here while their planner has not said that it let go of them.
+
+    The wish outlives the goal: `navigation.gateway.planner_link.PlannerLink` asks the planner as soon as it is there.
+    """
+
+    why: str  #: they ended
+    since: float  #: when (monotonic)
+    stands: bool = False  #: whether the base stands, by its odometry
+    # whether it is not known yet if the planner has any goals: it is looked for since a moment ago
+    unknown: bool = False
+
+
 _ANY = math.nan
 
 

@@ -15,7 +15,7 @@ from bridge.modules.loop import Timer
 from bridge.modules.services import Answer
 from navigation.gateway.drive import StoredPlaces, Target
 from navigation.gateway.gateway import Gateway
-from navigation.gateway.planner_choice import RequestError
+from navigation.gateway.planner_link import RequestError
 from navigation.gateway.stop import StopAnswer, waited_for
 from navigation.messages import TWIST
 from navigation.pose import Pose

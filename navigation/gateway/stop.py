@@ -1,17 +1,78 @@
-"""Stops until they are confirmed: by the planner, which lets go of its goal, or by the base, which stands."""
+"""Whether the base stands by its odometry, and stops until the planner or the base confirms them."""
 
 from __future__ import annotations
 
+import math
 import queue
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
 
 from bridge.messages.actions import GoalState
-from navigation.gateway.drive import ClientDrive
-from navigation.gateway.motion import Motion
+from navigation.frames import FramesError, RobotFrames
+from navigation.gateway.drive import ClientDrive, UnconfirmedStop
 from navigation.gateway.planner_link import PlannerLink
+from navigation.pose import Pose
 from navigation.status import Fault, PlannerStatus, State
+
+STANDING_SECONDS = 0.4
+"""A base that has not moved for so long stands."""
+
+STILL_METRES, STILL_RADIANS = 0.005, 0.01
+"""What odometry of a base that stands may change by in that time."""
+
+_KEPT_SECONDS = 3.0  # for so long poses are kept, for the speed
+
+
+class Motion:
+    """Follows the base's odometry: `look` on the module's thread, the rest on any."""
+
+    def __init__(self, frames: RobotFrames) -> None:
+        self._frames = frames
+        self._poses: tuple[tuple[float, Pose], ...] = ()
+        """When each came, and the pose. Never changed, only replaced: other threads read it."""
+
+    def look(self) -> None:
+        """Note where the base is now; called some ten times a second."""
+        now = time.monotonic()
+        try:
+            pose = self._frames.odometry()
+        except FramesError:
+            self._poses = ()
+            return
+        before = self._poses
+        if not before or pose.stamp_ns != before[-1][1].stamp_ns:
+            self._poses = (*(one for one in before if one[0] >= now - _KEPT_SECONDS), (now, pose))
+
+    def stands(self, since: float = 0.0) -> bool | None:
+        """Whether the base has stood for `STANDING_SECONDS` by its odometry's stamps; None without odometry.
+
+        What came before ``since`` (monotonic seconds) does not count.
+        """
+        poses = self._poses
+        if not poses:
+            return None
+        now = poses[-1][1]
+        for came, pose in reversed(poses):
+            turned = math.remainder(pose.theta - now.theta, math.tau)
+            if math.hypot(pose.x - now.x, pose.y - now.y) > STILL_METRES or abs(turned) > STILL_RADIANS:
+                return False
+            if came < since:
+                return None
+            if now.stamp_ns - pose.stamp_ns >= STANDING_SECONDS * 1e9:
+                return True
+        return None
+
+    @property
+    def speed(self) -> float | None:
+        """Metres a second over the last seconds; None where that is not known, or the base hardly moves."""
+        poses = self._poses
+        if len(poses) < 2:
+            return None
+        first, last = poses[0][1], poses[-1][1]
+        seconds = (last.stamp_ns - first.stamp_ns) / 1e9
+        moved = math.hypot(last.x - first.x, last.y - first.y)
+        return moved / seconds if seconds > 0 and moved > 2 * STILL_METRES else None
+
 
 LATE_SECONDS = 1.0
 """A planner that has not let go after so long is said to be late; the base may still be moving."""
@@ -36,20 +97,6 @@ def waited_for(answer: StopAnswer) -> str:
         return answer.get(timeout=2 * ANSWER_SECONDS)
     except queue.Empty:
         return "the gateway has not answered; it may still be moving"
-
-
-@dataclass
-class UnconfirmedStop:
-    """Goals that ended here while their planner has not said that it let go of them.
-
-    The wish outlives the goal: `navigation.gateway.planner_link.PlannerLink` asks the planner as soon as it is there.
-    """
-
-    why: str  #: they ended
-    since: float  #: when (monotonic)
-    stands: bool = False  #: whether the base stands, by its odometry
-    # whether it is not known yet if the planner has any goals: it is looked for since a moment ago
-    unknown: bool = False
 
 
 class StopWaiters:

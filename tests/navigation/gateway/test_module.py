@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 from bridge.stores.kinds import AREA, LOCATION, MAP
-from navigation.gateway import planner_choice, stop
+from navigation.gateway import planner_link, stop
 from navigation.status import Fault, State
 from tests.navigation.gateway.rig import Asked, Rig, pose
 from tests.support.faults import FaultProxy
@@ -316,7 +316,7 @@ def test_another_planner_waits_for_one_that_does_not_let_go(rig: Rig, monkeypatc
         if let_go:
             rig.planner.on(goal.canceled)
         else:
-            monkeypatch.setattr(planner_choice, "LETTING_GO_SECONDS", 0.0)
+            monkeypatch.setattr(planner_link, "LETTING_GO_SECONDS", 0.0)
         until(lambda: rig.gateway.planner == "mine", "another one drives", 20)
         rig.worker.reload(rig.configured(planner="robot_goto"))
         until(lambda: rig.gateway.planner == "robot_goto" and rig.gateway.link.ready, "the first one again", 20)

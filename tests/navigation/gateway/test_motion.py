@@ -6,7 +6,7 @@ import threading
 from typing import Any, cast
 
 from navigation.frames import FramesError
-from navigation.gateway.motion import Motion
+from navigation.gateway.stop import Motion
 from navigation.pose import Pose
 
 TENTH = 100_000_000
