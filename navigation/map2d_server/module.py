@@ -19,10 +19,9 @@ from bridge.stores.kinds import AREA, BEHAVIOUR, CURRENT, LOCATION, MAP, OBJECT,
 from bridge.stores.store import Change
 from bridge.worker import Health
 from navigation.map2d_server.files import MapFiles, MapsFolder
-from navigation.map2d_server.imap2d import MapAnswers, MapCommands
 from navigation.map2d_server.intake import ClickedPoints, MapIntake, is_ours
 from navigation.map2d_server.publishers import MAP_TOPIC, AllMaps, CurrentMap, Head, Keys, Markers, Masks
-from navigation.map2d_server.services import MapServices
+from navigation.map2d_server.services import MapAnswers, MapCommands, MapServices
 
 _log = logging.getLogger(__name__)
 

@@ -1,20 +1,211 @@
-"""The services of map servers: those of ROS 1's map_server, and of nav2_map_server's map_server and map_saver."""
+"""What clients call: the services of ROS's map servers, YARP's IMap2D, and a few commands for ``yarp rpc``."""
+
+# ruff: noqa: D102, N802, N815 - the interface says what each does, and its names are YARP's
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import Any, TypeVar
 
 from bridge.hub.endpoints.calls import CallError
 from bridge.modules.host import Node
 from bridge.modules.services import Answer
 from bridge.stores.entry import StoreError
-from bridge.stores.kinds import MAP
+from bridge.stores.kinds import AREA, LOCATION, MAP, OBJECT, PATH, ValueKind
 from bridge.stores.store import Store
 from navigation.map2d_server.files import MapFiles
 from navigation.map2d_server.publishers import MAP_TOPIC, AllMaps, CurrentMap
 from navigation.maps.grid import turned
 from navigation.messages import Message
+from yarp_compat.dev.imap2d import IMap2DMsgs
 from yarp_compat.dev.mapgrid import MapGrid2D
+from yarp_compat.dev.returnvalue import OK, CallFailed, ReturnValue
+from yarp_compat.wire.values import Vocab
+
+T = TypeVar("T")
+
+
+def _methods(kind: ValueKind[Any]) -> tuple[Any, ...]:
+    """The methods that are the same for each kind of place."""
+
+    def store(self: MapAnswers, name: str, value: Any) -> ReturnValue:
+        return self._put(kind, name, value)
+
+    def get(self: MapAnswers, name: str) -> tuple[ReturnValue, Any]:
+        return self._get(kind, name)
+
+    def names(self: MapAnswers) -> tuple[ReturnValue, list[str]]:
+        return self._names(kind)
+
+    def get_all(self: MapAnswers) -> tuple[ReturnValue, list[Any]]:
+        return self._all(kind)
+
+    def rename(self: MapAnswers, old: str, new: str) -> ReturnValue:
+        return self._change(self._store.rename, kind, old, new)
+
+    def delete(self: MapAnswers, name: str) -> ReturnValue:
+        return self._delete(kind, name)
+
+    def clear(self: MapAnswers) -> ReturnValue:
+        return self._change(self._store.clear, kind)
+
+    return store, get, names, get_all, rename, delete, clear
+
+
+class MapAnswers(IMap2DMsgs):
+    """Serves IMap2D. Its methods run on the threads of the connections, several at a time.
+
+    Other than YARP's map2DStorage, a store or load takes the place of what has the name, every time.
+    """
+
+    def __init__(self, store: Store, files: MapFiles, told: Callable[[str], None]) -> None:
+        super().__init__()
+        self._store, self._files, self._told = store, files, told
+        self._compressed = True
+
+    # -- maps ---------------------------------------------------------------------------------------------------------
+
+    def clear_all_maps_RPC(self) -> ReturnValue:
+        return self._change(self._store.clear, MAP)
+
+    def store_map_RPC(self, themap: MapGrid2D) -> ReturnValue:
+        return self._put(MAP, themap.name, themap)
+
+    def get_map_RPC(self, map_name: str) -> tuple[ReturnValue, MapGrid2D]:
+        outcome, found = self._get(MAP, map_name)
+        found.enable_map_compression_over_network(self._compressed)
+        return outcome, found
+
+    def get_map_names_RPC(self) -> tuple[ReturnValue, list[str]]:
+        return self._names(MAP)
+
+    def remove_map_RPC(self, map_name: str) -> ReturnValue:
+        return self._delete(MAP, map_name)
+
+    def clear_all_maps_temporary_flags_RPC(self) -> ReturnValue:
+        for name in self._names(MAP)[1]:
+            self.clear_map_temporary_flags_RPC(name)
+        return OK
+
+    def clear_map_temporary_flags_RPC(self, map_name: str) -> ReturnValue:
+        _, found = self._get(MAP, map_name)
+        found.clearMapTemporaryFlags()
+        return self._put(MAP, map_name, found)
+
+    def enable_maps_compression_RPC(self, enable_compression: bool) -> ReturnValue:
+        self._compressed = enable_compression
+        return OK
+
+    # -- objects, locations, areas and paths ---------------------------------------------------------------------------
+
+    store_object_RPC, get_object_RPC, get_objects_list_RPC, get_all_objects_RPC, *_objects = _methods(OBJECT)
+    rename_object_RPC, delete_object_RPC, clear_all_objects_RPC = _objects
+    store_location_RPC, get_location_RPC, get_locations_list_RPC, get_all_locations_RPC, *_locations = _methods(
+        LOCATION
+    )
+    rename_location_RPC, delete_location_RPC, clear_all_locations_RPC = _locations
+    store_area_RPC, get_area_RPC, get_areas_list_RPC, get_all_areas_RPC, *_areas = _methods(AREA)
+    rename_area_RPC, delete_area_RPC, clear_all_areas_RPC = _areas
+    store_path_RPC, get_path_RPC, get_paths_list_RPC, get_all_paths_RPC, *_paths = _methods(PATH)
+    rename_path_RPC, delete_path_RPC, clear_all_paths_RPC = _paths
+
+    # -- files --------------------------------------------------------------------------------------------------------
+
+    def save_maps_collection_RPC(self, maps_collection_file: str) -> ReturnValue:
+        return self._change(self._files.save_collection, maps_collection_file)
+
+    def load_maps_collection_RPC(self, maps_collection_file: str) -> ReturnValue:
+        return self._change(self._files.load_collection, maps_collection_file)
+
+    def save_locations_and_extras_RPC(self, locations_collection_file: str) -> ReturnValue:
+        return self._change(self._files.save_places, locations_collection_file)
+
+    def load_locations_and_extras_RPC(self, locations_collection_file: str) -> ReturnValue:
+        return self._change(self._files.load_places, locations_collection_file)
+
+    def save_map_to_disk_RPC(self, map_name: str, file_name: str) -> ReturnValue:
+        return self._change(self._files.save_map, map_name, file_name)
+
+    def load_map_from_disk_RPC(self, file_name: str) -> ReturnValue:
+        return self._change(self._files.load_map, file_name)
+
+    def reload_maps_collection_RPC(self) -> ReturnValue:
+        return self._change(self._files.reload_collection)
+
+    def reload_locations_and_extras_RPC(self) -> ReturnValue:
+        return self._change(self._files.reload_places)
+
+    # -- all of these -------------------------------------------------------------------------------------------------
+
+    def _get(self, kind: ValueKind[T], name: str) -> tuple[ReturnValue, T]:
+        with self._refusing():
+            found = self._store.get(kind, name)
+        if found is None:
+            raise CallFailed(reason=f"there is no {kind.name} {name!r}")
+        return OK, found
+
+    def _names(self, kind: ValueKind[Any]) -> tuple[ReturnValue, list[str]]:
+        with self._refusing():
+            return OK, self._store.names(kind)
+
+    def _all(self, kind: ValueKind[T]) -> tuple[ReturnValue, list[T]]:
+        with self._refusing():
+            found = self._store.all(kind)
+        return OK, [found[name] for name in sorted(found)]
+
+    def _put(self, kind: ValueKind[T], name: str, value: T) -> ReturnValue:
+        return self._change(self._store.put, kind, name, value)
+
+    def _delete(self, kind: ValueKind[Any], name: str) -> ReturnValue:
+        with self._refusing():
+            if not self._store.delete(kind, name):
+                raise CallFailed(reason=f"there is no {kind.name} {name!r}")
+        return OK
+
+    def _change(self, action: Callable[..., Any], *arguments: Any) -> ReturnValue:
+        with self._refusing():
+            action(*arguments)
+        return OK
+
+    @contextmanager
+    def _refusing(self) -> Iterator[None]:
+        """Turn what the store and the files refuse into the call's failure, and report it."""
+        try:
+            yield
+        except (StoreError, ValueError, OSError) as error:
+            self._told(str(error))
+            raise CallFailed(reason=str(error)) from error
+
+
+_HELP = ["current: the name of the current map", "use NAME: make a map of the store the current one", "maps: all names"]
+
+
+class MapCommands:
+    """Answers a Bottle of words; what it raises is the answer ``[fail]`` with the text."""
+
+    def __init__(self, store: Store, current: CurrentMap) -> None:
+        self._store, self._current = store, current
+
+    def answer(self, words: list[Any]) -> list[Any]:
+        """The answer to some words."""
+        match [str(word) for word in words]:
+            case ["current"]:
+                return [self._current.choose()]
+            case ["maps"]:
+                return list(self._store.names(MAP))
+            case ["use", name]:
+                self._use(name)
+                return [Vocab("ok")]
+            case _:
+                return [Vocab("many"), *_HELP]
+
+    def _use(self, name: str) -> None:
+        try:
+            self._store.use_map(name)
+        except StoreError as error:
+            raise ValueError(str(error)) from error
+
 
 _SUCCESS, _NOT_THERE, _INVALID = 0, 1, 2
 """``result`` of LoadMap (`nav2_msgs/srv/LoadMap.srv`); ROS 1's knows the same numbers."""

@@ -26,9 +26,8 @@ from navigation.maps.grid import from_grid
 from navigation.messages import stamp_ns
 from navigation.planner_module import PlannerModule
 from navigation.pose import Pose
-from navigation.robot_goto.device import GotoServer
 from navigation.robot_goto.driver import Driver
-from navigation.robot_goto.publishers import GotoTopics, local_map
+from navigation.robot_goto.ports import GotoServer, GotoTopics, local_map
 from navigation.robot_goto.settings import read_file
 from navigation.scan import SCAN, ScanError, of_ros, of_yarp
 from navigation.status import Fault, PlanError, PlannerStatus, State

@@ -26,10 +26,9 @@ from navigation.messages import GRID, stamp_ns
 from navigation.planner_module import PlannerModule
 from navigation.pose import Pose
 from navigation.robot_path_planner.atlas import StoreAtlas
-from navigation.robot_path_planner.device import PathPlannerDevice, PlannerServer
 from navigation.robot_path_planner.navigators import ActionNavigator, YarpNavigator
 from navigation.robot_path_planner.planner import PathPlanner
-from navigation.robot_path_planner.publishers import PathPlannerTopics, goal_of_click, png
+from navigation.robot_path_planner.ports import PathPlannerDevice, PathPlannerTopics, PlannerServer, goal_of_click, png
 from navigation.robot_path_planner.settings import MERGED, read_file
 from navigation.scan import SCAN, ScanError, is_blind, of_ros
 from navigation.status import Fault, PlanError, PlannerStatus, State

@@ -20,8 +20,18 @@ from navigation.pose import Pose
 from navigation.robot_path_planner.atlas import Atlas, Leg, leg
 from navigation.robot_path_planner.ground import Clutter, Ground
 from navigation.robot_path_planner.navigators import LocalNavigator
-from navigation.robot_path_planner.task import DriveTask, JumpDetector
-from navigation.robot_path_planner.way import Places, Way, Waypoint, blocked, cut, is_straight, length, way
+from navigation.robot_path_planner.way import (
+    DriveTask,
+    JumpDetector,
+    Places,
+    Way,
+    Waypoint,
+    blocked,
+    cut,
+    is_straight,
+    length,
+    way,
+)
 from navigation.scan import believed
 from navigation.status import Fault, PlanError, PlannerStatus, State
 

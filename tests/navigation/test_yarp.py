@@ -17,8 +17,8 @@ from navigation import yarp as calls_module
 from navigation.gateway import services as gateway
 from navigation.gateway.services import VelocityCommander
 from navigation.gateway.stop import StopAnswer
-from navigation.robot_goto import device as robot_goto
-from navigation.robot_path_planner import device as planner
+from navigation.robot_goto import ports as robot_goto
+from navigation.robot_path_planner import ports as planner
 from navigation.yarp import Calls, PortConnection
 from yarp_compat.dev.locations import Map2DLocation, Map2DPath
 from yarp_compat.dev.returnvalue import CallFailed, ReturnCode

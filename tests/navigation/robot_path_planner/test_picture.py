@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 
 from navigation.robot_path_planner.ground import Ground
-from navigation.robot_path_planner.publishers import goal_of_click
+from navigation.robot_path_planner.ports import goal_of_click
 from tests.navigation.robot_path_planner.floors import floor
 
 

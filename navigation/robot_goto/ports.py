@@ -1,0 +1,195 @@
+"""The topics and YARP ports of RobotGoto: what it publishes, INavigation2D, and the commands of its own port."""
+
+# ruff: noqa: N802, D102 - YARP's names, and its interfaces say what each does
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from bridge.hub.wire.qos import LATCHED, Qos
+from bridge.modules.host import Host
+from navigation.messages import GRID, TWIST, Message, pose_message
+from navigation.planner_module import PlannerDevice, PlannerModule, PlannerTopics
+from navigation.pose import Pose
+from navigation.robot_goto.driver import Driver
+from navigation.robot_goto.local_grid import RESOLUTION, SIDE
+from navigation.robot_goto.steering import INFLUENCE, STILL, DriveCommand
+from navigation.status import NO_GOAL, Fault, PlanError
+from navigation.yarp import Calls
+from yarp_compat.dev.inavigation2d import NavigationMapTypeEnum, TrajectoryTypeEnum
+from yarp_compat.dev.locations import Map2DLocation, Map2DPath
+from yarp_compat.dev.mapgrid import MapGrid2D
+from yarp_compat.dev.navigation2d_server import Navigation2DServer
+from yarp_compat.dev.returnvalue import OK, CallFailed, ReturnCode, ReturnValue
+from yarp_compat.dev.robotgoto_commands import RobotGotoMsgs
+from yarp_compat.os.data.stamp import Stamp
+
+_SAID_AGAIN = 1.0
+_MAP_EVERY = 0.5
+_FULL_GAIN = 100.0
+_POLAR = 2
+
+
+class GotoTopics(PlannerTopics):
+    """Publishes commands, the status and the local map; no YARP ports without a prefix. On the module's thread."""
+
+    def __init__(self, host: Host, frame: str, cmd_vel: str, prefix: str) -> None:
+        super().__init__(host, "robot_goto", frame)
+        self._twist = host.node.publisher(cmd_vel, TWIST, Qos(depth=1), priority="command")
+        self._map = host.node.publisher(f"{self._prefix}/local_map", GRID, LATCHED, priority="state")
+        names = ("control:o", "status:o", "speak:o", "gui:o") if prefix else ()
+        self._ports = {name: host.yarp.output(f"{prefix}/{name}") for name in names}
+        self._stamp = Stamp()
+        self._said = self._mapped = -math.inf
+        self._silent = True
+
+    def command(self, command: DriveCommand, *, silent: bool) -> None:
+        """Command the base; once more to stand still before falling silent."""
+        if silent and self._silent:
+            return
+        self._silent = silent
+        self._twist.publish({"linear": {"x": command.vx, "y": command.vy}, "angular": {"z": command.omega}})
+        if self._ports:
+            self._write("control:o", [_POLAR, *command.polar, _FULL_GAIN])
+
+    def stand_still(self) -> None:
+        """Command the base to stand still, whatever was commanded before."""
+        self._silent = False
+        self.command(STILL, silent=True)
+
+    def status(self, now: float, driver: Driver, goal_id: bytes = NO_GOAL) -> None:
+        """Publish the status if it has changed; YARP's port repeats it."""
+        status, target = driver.status, driver.target
+        if (status, goal_id) != self._last:
+            self._publish_status(status, target.pose if target else None, goal_id)
+            self._said = -math.inf
+        if self._ports and not 0.0 <= now - self._said < _SAID_AGAIN:
+            self._said = now
+            self._write("status:o", [f"navigation_status_{status.state.value}"])
+        while driver.spoken:
+            words = driver.spoken.popleft()
+            if self._ports:
+                self._ports["speak:o"].write([words])
+
+    def around(self, now: float, driver: Driver, pose: Pose | None, moved: Pose | None) -> None:
+        """Show the local grid, and the way ahead; twice a second while there is a goal."""
+        if self._ports and self._ports["gui:o"].heard:
+            self._write("gui:o", gui(driver))
+        if pose is None or moved is None or 0.0 <= now - self._mapped < _MAP_EVERY:
+            return
+        self._mapped = now
+        self._map.publish(local_map(driver, pose, moved, self._header(), now))
+        if driver.target is not None:
+            fixed = pose @ moved.inverse
+            self._publish_path([pose, *(fixed @ Pose(x, y, 0.0) for x, y in driver.way), driver.target.pose])
+
+    def _write(self, name: str, values: list[Any]) -> None:
+        """Write with a time stamp, as YARP's robotGoto does at these ports."""
+        self._stamp.update(self._host.clock.now_ns() / 1e9)
+        self._ports[name].write(values, self._stamp.to_text())
+
+
+def local_map(driver: Driver, pose: Pose, moved: Pose, header: Message, now: float) -> Message:
+    """The local grid as ``nav_msgs/msg/OccupancyGrid`` on the map, turned as the odometry's frame lies there."""
+    x, y = driver.grid.origin
+    origin = pose @ moved.inverse @ Pose(x, y, 0.0)
+    info = {"resolution": RESOLUTION, "width": SIDE, "height": SIDE, "origin": pose_message(origin)}
+    cells = np.ascontiguousarray(driver.grid.occupancy(now)).reshape(-1)
+    return {"header": header, "info": info, "data": cells}
+
+
+def gui(driver: Driver) -> list[float]:
+    """The nine numbers of ``gui:o``: command, forces and goal, degrees (`robotGotoDev`, ``sendGui``)."""
+    aside, angle = float(driver.ahead[3]), math.degrees(float(driver.ahead[4]))
+    weight = max(0.0, 1.0 - aside / INFLUENCE) / 2.0
+    return [*driver.command.polar, angle, angle + 90.0, weight, 0.0, INFLUENCE, math.degrees(driver.bearing)]
+
+
+class GotoDevice(PlannerDevice):
+    """Answers INavigation2D: the way of a local navigator is a straight line to its goal."""
+
+    def recomputeCurrentNavigationPath(self) -> None:
+        def recompute() -> None:
+            if self._module.target is None:
+                raise PlanError(Fault.OTHER, "there is no goal")
+
+        self._do(recompute)
+
+    def getCurrentNavigationWaypoint(self) -> Map2DLocation | None:
+        return self.getAbsoluteLocationOfCurrentTarget()
+
+    def getAllNavigationWaypoints(self, kind: TrajectoryTypeEnum) -> Map2DPath | None:
+        target = self.getAbsoluteLocationOfCurrentTarget()
+        return Map2DPath([target]) if kind is TrajectoryTypeEnum.local_trajectory and target is not None else None
+
+    def getCurrentNavigationMap(self, kind: NavigationMapTypeEnum) -> MapGrid2D | None:
+        return self._do(self._module.local_map) if kind is NavigationMapTypeEnum.local_map else None
+
+
+class GotoServer(Navigation2DServer, RobotGotoMsgs):
+    """Answers INavigation2D and RobotGoto's own commands at one port; ``approach`` takes radians, m/s and seconds."""
+
+    def __init__(
+        self, module: PlannerModule, calls: Calls, driver: Driver, approach: Callable[[float, float, float], None]
+    ) -> None:
+        super().__init__(GotoDevice(module, calls))
+        self._do, self._move, self._driver, self._approach = calls.do, calls.move, driver, approach
+
+    def ResetParams(self) -> ReturnValue:
+        self._do(self._driver.reset)
+        return OK
+
+    def Approach(self, dir: float, speed: float, time: float) -> ReturnValue:  # noqa: A002 - its name
+        if not all(map(math.isfinite, (dir, speed, time))) or time < 0.0:
+            raise CallFailed(ReturnCode.METHOD_FAILED, f"approach {dir:g} {speed:g} {time:g}: these are no numbers")
+        self._move(lambda: self._approach(math.radians(dir), speed, time))
+        return OK
+
+    def SetLinearTolerance(self, tol: float) -> ReturnValue:
+        return self._number("goal_tolerance_lin", tol, 0.001, 10.0)
+
+    def SetAngularTolerance(self, tol: float) -> ReturnValue:
+        return self._number("goal_tolerance_ang", tol, 0.05, 180.0)
+
+    def SetMaxLinearSpeed(self, maxLin: float) -> ReturnValue:  # noqa: N803
+        return self._number("max_lin_speed", maxLin, 0.001, 3.0)
+
+    def SetMaxAngularSpeed(self, maxAng: float) -> ReturnValue:  # noqa: N803
+        return self._number("max_ang_speed", maxAng, 0.1, 360.0)
+
+    def SetMinLinearSpeed(self, minLin: float) -> ReturnValue:  # noqa: N803
+        return self._number("min_lin_speed", minLin, 0.0, 3.0)
+
+    def SetMinAngularSpeed(self, minAng: float) -> ReturnValue:  # noqa: N803
+        return self._number("min_ang_speed", minAng, 0.0, 360.0)
+
+    def SetLinearSpeedGain(self, LinGain: float) -> ReturnValue:  # noqa: N803
+        return self._number("lin_speed_gain", LinGain, 0.001, 100.0)
+
+    def SetAngularSpeedGain(self, AngGain: float) -> ReturnValue:  # noqa: N803
+        return self._number("ang_speed_gain", AngGain, 0.001, 100.0)
+
+    def SetObstacoleAvoidance(self, enable: bool) -> ReturnValue:
+        return self._take("enable_obstacles_avoidance", enable)
+
+    def SetObstacoleStop(self, enable: bool) -> ReturnValue:
+        return self._take("enable_obstacles_emergency_stop", enable)
+
+    def GetNavigationStatus(self) -> tuple[ReturnValue, str]:
+        return OK, f"navigation_status_{self._driver.status.state.value}"
+
+    def _number(self, name: str, value: float, least: float, most: float) -> ReturnValue:
+        if not least <= value <= most:
+            raise CallFailed(ReturnCode.METHOD_FAILED, f"{name} is within {least:g} and {most:g}, not {value:g}")
+        return self._take(name, value)
+
+    def _take(self, name: str, value: Any) -> ReturnValue:
+        def take() -> None:
+            self._driver.settings = self._driver.settings.model_copy(update={name: value})
+
+        self._do(take)
+        return OK
