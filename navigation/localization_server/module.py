@@ -9,16 +9,14 @@ localiser or somebody else's, is a line of the configuration.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from typing import Any
 
 from bridge.config.sections.localization_server import LocalizationServerSection
 from bridge.config.sections.section import Section
-from bridge.hub.wire.qos import LATCHED, Qos
+from bridge.hub.wire.qos import Qos
 from bridge.modules.host import Host
 from bridge.modules.module import Module
 from bridge.stores.entry import StoreError
-from bridge.stores.kinds import CURRENT, MAP
 from bridge.worker import Health
 from navigation.frames import FramesError, RobotFrames
 from navigation.localization_server.estimate import (
@@ -35,8 +33,8 @@ from navigation.localization_server.other_server import OtherServer
 from navigation.localization_server.own import OwnLocalizer
 from navigation.localization_server.ports import PosePublisher
 from navigation.localization_server.sources import AmclSource, FrameSource, PortSource, PoseSource, Start, TopicSource
-from navigation.maps.grid import from_grid, same_walls
-from navigation.messages import GRID
+from navigation.map_in_use import MapInUse
+from navigation.maps.grid import same_walls
 from navigation.pose import Pose
 from navigation.yarp import Calls, location_of
 from yarp_compat.dev.basecontrol import OdometryData
@@ -67,9 +65,7 @@ class LocalizationServer(Module):
         self._grid: MapGrid2D | None = None
         self._start: tuple[str, Start] | None = None
         self._resting = False
-        self._trouble = ""
         self._motion = OdometryEstimator()
-        self._due = False
         self.source = self._made()
         self._told = PosePublisher(
             host,
@@ -78,8 +74,7 @@ class LocalizationServer(Module):
             tf=section.publish_tf and self.source.corrects,
             ahead=section.tf_tolerance,
         )
-        self._leave_maps: Callable[[], object] = lambda: None
-        self._leave_maps = self._take_maps()
+        self._follow_maps()
         if self.source.hears_starts:
             host.node.subscription(section.initialpose, POSE_COVARIANCE, self._start_told, Qos(depth=1))
         server = Localization2DServer(LocalizationDevice(self, Calls(host.loop)))
@@ -95,10 +90,15 @@ class LocalizationServer(Module):
         assert isinstance(section, LocalizationServerSection)
         if self._section.model_copy(update={"map": section.map}) != section or section.source == "server":
             return False
-        self._leave_maps()
+        self._maps.close()
         self._section = section
-        self._leave_maps = self._take_maps()
+        self._follow_maps()
         return True
+
+    def _follow_maps(self) -> None:
+        self._maps = MapInUse(self._host, self._section.map, self._use)
+        if self._maps.of_store:
+            self._maps.take()
 
     def _made(self) -> PoseSource:
         given = self._host, self._section, self._frames
@@ -144,7 +144,7 @@ class LocalizationServer(Module):
         if map_name in ("", self.map_name):
             self.source.initial(pose, covariance)
             return
-        if not self._of_store:
+        if not self._maps.of_store:
             raise RuntimeError(f"the map in use is {self.map_name!r}, of {self._section.map}, not {map_name!r}")
         self._start = map_name, Start(pose, covariance)
         try:
@@ -152,10 +152,10 @@ class LocalizationServer(Module):
         except StoreError as err:
             self._start = None
             raise RuntimeError(str(err)) from None
-        self._take_current()
+        self._maps.take()
         if self.map_name != map_name:
             self._start = None
-            raise RuntimeError(self._trouble or f"the map {map_name!r} is not in use")
+            raise RuntimeError(self._maps.trouble or f"the map {map_name!r} is not in use")
 
     def rest(self, *, on: bool) -> None:
         """Work no more, or again."""
@@ -176,59 +176,9 @@ class LocalizationServer(Module):
     def _refuse_start(self, why: str) -> None:
         self._host.log.warning("%s: refused: %s", self._section.initialpose, why)
 
-    # maps
-
-    @property
-    def _of_store(self) -> bool:
-        return self._section.map in (None, "store")
-
-    def _take_maps(self) -> Callable[[], object]:
-        """Follow the maps; the returned function ends that."""
-        host, topic = self._host, str(self._section.map)
-        if self._of_store:
-            end = host.store.watch(self._store_changed, MAP, CURRENT)
-            self._take_current()
-            return end
-        self._trouble = f"no map has come from {topic}"
-        heard = host.node.subscription(topic, GRID, self._grid_told, LATCHED)
-        return lambda: host.node.release(heard)
-
-    def _store_changed(self, _change: object) -> None:
-        """On the store's thread; many changes at once are taken up once."""
-        if not self._due:
-            self._due = True
-            self._host.loop.post(self._take_current)
-
-    def _take_current(self) -> None:
-        self._due = False
-        if not self._of_store:
-            return  # it was changed just before
-        name = self._host.store.current_map()
-        try:
-            grid = self._host.store.get(MAP, name) if name else None
-        except StoreError as err:
-            self._trouble = str(err)
-            return
-        self._trouble = "" if grid is not None else "the store has no current map"
-        if grid is not None:
-            self._use(grid)
-
-    def _grid_told(self, message: dict[str, Any]) -> None:
-        if self._of_store:
-            return  # it came just before
-        topic = str(self._section.map)
-        try:
-            name = self._host.config.modules.map2d_server.taken_as(topic)
-            grid = from_grid(message, name or self._host.store.current_map() or topic.strip("/"))
-        except (ValueError, StoreError) as err:
-            self._trouble = f"{topic}: {err}"
-            return
-        self._trouble = ""
-        self._use(grid)
-
-    def _use(self, grid: MapGrid2D) -> None:
-        if self._grid is not None and same_walls(grid, self._grid):  # told again: who is localised on it stays so
-            return
+    def _use(self, grid: MapGrid2D | None) -> None:
+        if grid is None or (self._grid is not None and same_walls(grid, self._grid)):
+            return  # told again: who is localised on it stays so
         self._grid = grid
         told, self._start = self._start, None
         self.source.use_map(grid, told[1] if told is not None and told[0] == grid.name else None)
@@ -259,7 +209,7 @@ class LocalizationServer(Module):
     def health(self) -> Health:
         """Whether it knows where the robot is, and why not."""
         if self._grid is None and self._section.source in (None, "own"):
-            return Health("waiting", self._trouble)
+            return Health("waiting", self._maps.trouble)
         found = self._found
         return Health("running", f"{found.status.value}: {found.reason}" if found.reason else found.status.value)
 
@@ -274,7 +224,7 @@ class LocalizationServer(Module):
             "quality": round(found.quality, 3),
             "pose": None if found.pose is None else list(found.pose[:3]),
             "particles": self._particles,
-            "trouble": self._trouble,
+            "trouble": self._maps.trouble,
             **self.source.status(),
         }
 
@@ -282,7 +232,7 @@ class LocalizationServer(Module):
         """Publish that the pose is unknown, so that planners stand at once, and end all subscriptions."""
         self._told.tell(unknown("the localisation has ended"), None, None, self.map_name)
         self.source.close()
-        self._leave_maps()
+        self._maps.close()
 
 
 class LocalizationDevice:

@@ -12,7 +12,7 @@ from typing import Any
 from bridge.concurrency import SerialExecutor
 from bridge.config.sections.planners import YARP, RobotPathPlannerSection
 from bridge.config.sections.section import Section
-from bridge.hub.wire.qos import LATCHED, Qos
+from bridge.hub.wire.qos import Qos
 from bridge.modules.action_server import Goal
 from bridge.modules.host import Host
 from bridge.stores.kinds import AREA, BEHAVIOUR, CURRENT, MAP
@@ -21,8 +21,8 @@ from navigation.constraints import Constraints
 from navigation.frames import LATE, FramesError, RobotFrames
 from navigation.goals import MapPlace
 from navigation.ini import laid_under
-from navigation.maps.grid import from_grid
-from navigation.messages import GRID, stamp_ns
+from navigation.map_in_use import MapInUse
+from navigation.messages import stamp_ns
 from navigation.planner_module import PlannerModule
 from navigation.pose import Pose
 from navigation.robot_path_planner.atlas import StoreAtlas
@@ -92,26 +92,26 @@ class RobotPathPlanner(PlannerModule):
         section = self._section
         for note in self._notes:
             host.log.warning("%s", note)
-        self._length, self._trouble = 0.0, ""
+        self._length = 0.0
         self._atlas = StoreAtlas(host.store, section)
         self.planner = PathPlanner(section, self._atlas)
         self._open(host, RobotFrames(host, section.frame, section.base_frame))
         self._laser = ObstacleScans(self.planner, self._frames)
         self._topics = PathPlannerTopics(host, section.frame, section.prefix)
         # links and their locations are looked up whenever a way is planned
-        self._closing = [host.store.watch(self._store_changed, MAP, CURRENT, AREA, BEHAVIOUR)]
-        self._store_due = False
-        self._grid: MapGrid2D | None = None
-        self._local = self._navigator()
+        self._map = MapInUse(host, section.map, self._use, MAP, CURRENT, AREA, BEHAVIOUR)
         self._executor = SerialExecutor("midspan-brake")
-        self._closing.append(self._executor.close)
-        self._listen()
+        self._closing = [self._map.close, self._executor.close]
+        self._local = self._navigator()
+        if section.scan:
+            take = lambda scan: self._laser.take(self.now(), scan)  # noqa: E731
+            host.node.subscription(section.scan, SCAN, take, Qos(depth=1))
         self._serve(self._brake)
         host.answer("picture", lambda _params: host.loop.call(self.picture))
         host.answer("halt", self._halt_asked)
         if section.prefix:
             self._serve_yarp(host, section.prefix)
-        self._take_map()
+        self._map.take()
         host.on_jump(lambda: self.stop_driving("the clock was set back"))
         host.every(section.period, self._step)
         if section.image_hz > 0:
@@ -124,13 +124,6 @@ class RobotPathPlanner(PlannerModule):
         made = YarpNavigator(name.removeprefix(YARP), self.map_name, self._host.yarp.naming)
         self._closing.append(made.close)
         return made
-
-    def _listen(self) -> None:
-        node, section = self._host.node, self._section
-        if section.scan:
-            node.subscription(section.scan, SCAN, lambda scan: self._laser.take(self.now(), scan), Qos(depth=1))
-        if section.map not in (None, "store"):
-            node.subscription(str(section.map), GRID, self._grid_told, LATCHED)
 
     def _serve_yarp(self, host: Host, prefix: str) -> None:
         calls = Calls(host.loop, PlanError, FramesError)
@@ -220,8 +213,7 @@ class RobotPathPlanner(PlannerModule):
     def set_radius(self, metres: float) -> None:
         """Keep another distance to walls."""
         self.planner.settings = self._atlas.settings = self.planner.settings.model_copy(update={"robot_radius": metres})
-        self._atlas.forget()
-        self._use(self._grid)
+        self._use(self._map.grid)
 
     def picture(self) -> dict[str, Any]:
         """The map with the way, as PNG in base64."""
@@ -278,46 +270,18 @@ class RobotPathPlanner(PlannerModule):
         speed = driven / passed if driven > 1.0 and passed > 0.0 else _SPEED
         return left, max(speed, 0.01), self.planner.recoveries
 
-    # maps
-
-    def _store_changed(self, _change: object) -> None:
-        """On the store's thread; many changes at once are taken up once."""
-        if not self._store_due:
-            self._store_due = True
-            self._host.loop.post(self._take_map)
-
-    def _take_map(self) -> None:
-        self._store_due = False
-        self._atlas.forget()
-        if self._section.map in (None, "store"):
-            name = self._host.store.current_map()
-            self._grid = self._host.store.get(MAP, name) if name else None
-        self._use(self._grid)
-
-    def _grid_told(self, message: dict[str, Any]) -> None:
-        try:
-            topic = str(self._section.map)
-            name = self._host.config.modules.map2d_server.taken_as(topic)
-            grid = from_grid(message, name or self._host.store.current_map() or topic.strip("/"))
-        except ValueError as err:
-            self._trouble = f"{self._section.map}: {err}"
-            return
-        self._trouble = ""
-        self._grid = grid
-        self._use(grid)
-
     def _use(self, grid: MapGrid2D | None) -> None:
+        self._atlas.forget()
         self.planner.use_map(None if grid is None else self._atlas.made(grid))
 
     # how it is
 
     def health(self) -> Health:
         """What it is doing, or what it lacks."""
-        if self.compiled.trouble or self._trouble:
-            return Health("waiting", self.compiled.trouble or self._trouble)
-        if self.planner.ground is None:
-            where = "the store has no current map" if self._section.map in (None, "store") else "no map has come"
-            return Health("waiting", f"{where}; goals wait for one")
+        trouble = self.compiled.trouble or self._map.trouble
+        if trouble:
+            waits = "; goals wait for one" if self.planner.ground is None and not self.compiled.trouble else ""
+            return Health("waiting", trouble + waits)
         return Health("running", self.planner.status.words)
 
     def status(self) -> dict[str, Any]:

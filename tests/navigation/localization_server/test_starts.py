@@ -49,6 +49,7 @@ class Outside:
             use_map=lambda name: setattr(self, "current", name),
             current_map=lambda: self.current,
             get=lambda _kind, name: self.maps[name],
+            watch=lambda *_: lambda: None,
         )
 
     def module(self, kind: Any, section: LocalizationServerSection = SECTION) -> LocalizationServer:
@@ -57,7 +58,7 @@ class Outside:
         made._host, made._section, made.source = self, section, kind(self, section, Said().frames)
         made._grid = made._start = None
         made._resting = False
-        made._take_current()
+        made._follow_maps()
         return made
 
 
