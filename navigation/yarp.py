@@ -10,17 +10,20 @@ import threading
 import time
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any, TypeVar
+from typing import Any, Generic, TypeVar
 
 from bridge.modules.loop import ANSWER_SECONDS, EventLoop
 from navigation.pose import Pose
+from yarp_compat.dev.client import ServiceClient
 from yarp_compat.dev.locations import Map2DLocation
 from yarp_compat.dev.returnvalue import CallFailed, ReturnCode
+from yarp_compat.dev.service import Service
 from yarp_compat.naming import connections
 from yarp_compat.ports.naming import Naming
 from yarp_compat.wire.errors import WireError
 
 T = TypeVar("T")
+M = TypeVar("M", bound=Service)
 
 
 class Calls:
@@ -148,3 +151,46 @@ class PortConnection:
                     _log.info("%s is not connected to %s: %s", self._source, self._target, err)
                 self.trouble = str(err) or type(err).__name__
             self._end.wait(_AGAIN)
+
+
+_PATIENCE = 2.0
+_RETRY = 1.0
+
+
+class PolledServer(ABC, Generic[M]):
+    """A YARP server that is asked again and again, on a thread of its own; joined again after it was away."""
+
+    def __init__(self, messages: type[M], port: str, naming: Naming, thread: str) -> None:
+        self._messages, self._port, self._naming = messages, port, naming
+        self._lock = threading.Condition()
+        self._closed = False
+        self._thread = threading.Thread(target=self._poll, name=thread, daemon=True)
+        self._thread.start()
+
+    @abstractmethod
+    def _follow(self, remote: M) -> None:
+        """Ask it for as long as it answers, on that thread; it ends once `_closed`."""
+
+    @abstractmethod
+    def _gone(self, why: str) -> None:
+        """It is not there, or has answered what cannot be; on that thread."""
+
+    def close(self) -> None:
+        """Ask no more."""
+        with self._lock:
+            self._closed = True
+            self._lock.notify()
+        self._thread.join(_PATIENCE + 0.5)
+
+    def _poll(self) -> None:
+        while not self._closed:
+            try:
+                with ServiceClient(self._messages, self._port, timeout=_PATIENCE, naming=self._naming) as client:
+                    self._follow(client.remote)
+            except (OSError, WireError) as err:
+                self._gone(str(err) or type(err).__name__)
+            except Exception as err:  # the thread goes on whatever a server answers
+                _log.exception("%s", self._port)
+                self._gone(f"{type(err).__name__}: {err}")
+            with self._lock:
+                self._lock.wait_for(lambda: self._closed, _RETRY)

@@ -1,10 +1,8 @@
-"""Another server of ILocalization2D on YARP, asked again and again on a thread of its own."""
+"""Another server of ILocalization2D on YARP."""
 
 from __future__ import annotations
 
-import logging
 import math
-import threading
 from collections.abc import Callable
 
 import numpy as np
@@ -15,22 +13,17 @@ from navigation.frames import RobotFrames
 from navigation.localization_server.estimate import Floats, LocalizationStatus, PoseEstimate
 from navigation.localization_server.sources import Given, PoseSource, Start, start_covariance
 from navigation.pose import Pose
-from yarp_compat.dev.client import ServiceClient
+from navigation.yarp import PolledServer
 from yarp_compat.dev.localization2d import ILocalization2DMsgs
 from yarp_compat.dev.locations import Map2DLocation
 from yarp_compat.dev.mapgrid import MapGrid2D
 from yarp_compat.sig.matrix import Matrix
-from yarp_compat.wire.errors import WireError
 
-_log = logging.getLogger(__name__)
-
-_AGAIN = 1.0
-_PATIENCE = 2.0
 _STATUS = "localization_status_"
 _PLANE = (3, 3)
 
 
-class OtherServer(Given):
+class OtherServer(PolledServer[ILocalization2DMsgs], Given):
     """Gives on what another server says of the map that is in use here."""
 
     hears_starts = True
@@ -38,16 +31,14 @@ class OtherServer(Given):
     def __init__(
         self, host: Host, section: LocalizationServerSection, frames: RobotFrames, map_name: Callable[[], str]
     ) -> None:
-        super().__init__(host, section, frames, f"{section.server}/rpc")
+        Given.__init__(self, host, section, frames, f"{section.server}/rpc")
         self._map_name, self._map = map_name, ""
         self._particles = np.empty((0, 3))
         self._theirs = LocalizationStatus.NOT_YET
-        self._naming, self._post = host.yarp.naming, host.loop.post
-        self._lock = threading.Condition()
+        self._post = host.loop.post
         self._wanted: tuple[Map2DLocation, Matrix] | None = None
-        self._there = self._closed = False
-        self._thread = threading.Thread(target=self._run, name="midspan-other-localiser", daemon=True)
-        self._thread.start()
+        self._there = False
+        super().__init__(ILocalization2DMsgs, self.place, host.yarp.naming, "midspan-other-localiser")
 
     def estimate(self) -> PoseEstimate:
         """What it said last."""
@@ -99,34 +90,18 @@ class OtherServer(Given):
         here = self._map_name() if self._section.map in (None, "store") else ""
         return bool(here and location.map_id) and location.map_id != here
 
-    def close(self) -> None:
-        """Ask no more."""
-        with self._lock:
-            self._closed = True
-            self._lock.notify()
-        self._thread.join(_PATIENCE + 0.5)
-
     # on its own thread
 
-    def _run(self) -> None:
-        while not self._closed:
-            try:
-                with ServiceClient(ILocalization2DMsgs, self.place, timeout=_PATIENCE, naming=self._naming) as client:
-                    self._there = True
-                    self._follow(client.remote)
-            except (OSError, WireError) as err:
-                self._tell_trouble(f"{self.place}: {str(err) or type(err).__name__}")
-            except Exception as err:  # the thread goes on whatever a server answers
-                _log.exception("%s", self.place)
-                self._tell_trouble(f"{self.place}: {type(err).__name__}: {err}")
-            with self._lock:
-                self._there, self._wanted = False, None  # a start is of its moment, not of when the server is back
-                self._lock.wait_for(lambda: self._closed, _AGAIN)
+    def _gone(self, why: str) -> None:
+        self._tell_trouble(f"{self.place}: {why}")
+        with self._lock:
+            self._there, self._wanted = False, None  # a start is of its moment, not of when the server is back
 
     def _tell_trouble(self, why: str) -> None:
         self._post(lambda: self.refuse(why))
 
     def _follow(self, remote: ILocalization2DMsgs) -> None:
+        self._there = True
         turns = max(1, round(self._section.particles_period / self._section.period))
         turn = 0
         while not self._closed:

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import logging
 import math
-import threading
 import time
 from collections.abc import Callable
 from typing import Any, Protocol
@@ -17,11 +15,10 @@ from navigation.constraints import Constraints
 from navigation.messages import NAVIGATE, pose_message
 from navigation.pose import Pose
 from navigation.status import STATUS, Fault, State
-from yarp_compat.dev.client import ServiceClient
+from navigation.yarp import PolledServer
 from yarp_compat.dev.inavigation2d import INavigation2DMsgs, statusToString
 from yarp_compat.dev.locations import Map2DLocation
 from yarp_compat.ports.naming import Naming
-from yarp_compat.wire.errors import WireError
 
 
 class LocalNavigator(Protocol):
@@ -126,11 +123,7 @@ class ActionNavigator:
             self._state, self._reason = State.FAILING, said or f"{self._action} gave the goal up"
 
 
-_log = logging.getLogger(__name__)
-
 _POLL = 0.1
-_AGAIN = 1.0
-_PATIENCE = 2.0
 GRACE = 1.0
 """Seconds after a goal was taken for which a server that has not been seen to drive may still tell how the goal before
 ended; later its word is believed: a robot that is there already need not move."""
@@ -138,7 +131,7 @@ _STATUS = "navigation_status_"
 _ENDS = (State.REACHED, State.ABORTED, State.FAILING)
 
 
-class YarpNavigator:
+class YarpNavigator(PolledServer[INavigation2DMsgs]):
     """Sends goals to the server at ``<server>/rpc``, and asks it how they are. Safe to use from any thread.
 
     Speeds and gains of waypoints do not reach it: INavigation2D has no words for them.
@@ -147,15 +140,12 @@ class YarpNavigator:
     fault = Fault.NONE  #: INavigation2D has no words for one
 
     def __init__(self, server: str, map_name: Callable[[], str], naming: Naming) -> None:
-        self._port, self._map_name, self._naming = f"{server}/rpc", map_name, naming
-        self._lock = threading.Condition()
-        self.state, self.reason = State.ERROR, f"{self._port} has not answered yet"
+        port, self._map_name = f"{server}/rpc", map_name
+        self.state, self.reason = State.ERROR, f"{port} has not answered yet"
         self._wanted: Map2DLocation | None = None
         self._number = self._sent = 0
         self._taken_at, self._drove, self._denied = -math.inf, False, False
-        self._closed = False
-        self._thread = threading.Thread(target=self._run, name="midspan-yarp-navigator", daemon=True)
-        self._thread.start()
+        super().__init__(INavigation2DMsgs, port, naming, "midspan-yarp-navigator")
 
     def send(self, pose: Pose, constraints: Constraints) -> None:
         """Drive there, instead of where it was sent before."""
@@ -177,13 +167,6 @@ class YarpNavigator:
 
         return stop
 
-    def close(self) -> None:
-        """Ask no more; what drives is left to whoever stops it before."""
-        with self._lock:
-            self._closed = True
-            self._lock.notify()
-        self._thread.join(_PATIENCE + 0.5)
-
     def _want(self, place: Map2DLocation | None, state: State) -> None:
         with self._lock:
             self._wanted = place
@@ -192,20 +175,10 @@ class YarpNavigator:
                 self.state, self.reason = state, ""
             self._lock.notify()
 
-    def _run(self) -> None:
-        while not self._closed:
-            try:
-                with ServiceClient(INavigation2DMsgs, self._port, timeout=_PATIENCE, naming=self._naming) as client:
-                    while self._step(client.remote):
-                        with self._lock:
-                            self._lock.wait_for(lambda: self._closed or self._number != self._sent, _POLL)
-            except (OSError, WireError) as err:
-                self._gone(str(err) or type(err).__name__)
-            except Exception as err:  # the thread goes on whatever a server answers
-                _log.exception("%s", self._port)
-                self._gone(f"{type(err).__name__}: {err}")
+    def _follow(self, remote: INavigation2DMsgs) -> None:
+        while self._step(remote):
             with self._lock:
-                self._lock.wait_for(lambda: self._closed, _AGAIN)
+                self._lock.wait_for(lambda: self._closed or self._number != self._sent, _POLL)
 
     def _step(self, remote: INavigation2DMsgs) -> bool:
         """Send the wanted goal, and ask for the status; whether to go on."""
