@@ -19,7 +19,7 @@ from bridge.hub.graph import HubGraph
 from bridge.hub.graph.tokens import gid_of
 from bridge.hub.wire.keys import pack_attachment
 from bridge.hub.wire.qos import History, Qos, Reliability
-from bridge.hub.zenoh_compat import undeclare
+from bridge.hub.zenoh_compat import keep_thread_state, undeclare
 from bridge.hub.zenoh_config import POOL
 from bridge.resources import LARGE_MESSAGES
 
@@ -82,6 +82,38 @@ def _matching(publisher: zenoh.Publisher) -> bool:
     return bool(status.matching)
 
 
+class _Matching:
+    """Whether another session subscribes to what a publisher puts.
+
+    Asking zenoh each time takes half as long as a put, so from the first question on zenoh tells each change.
+    """
+
+    def __init__(self, publisher: zenoh.Publisher) -> None:
+        self._publisher = publisher
+        self._listener: Any = None
+        self._told: dict[str, bool] = {}
+
+    def now(self) -> bool:
+        """Whether one does; not to be called by two threads at once."""
+        if self._listener is None:
+            self._listener = self._publisher.declare_matching_listener(
+                zenoh.handlers.Callback(self._changed, indirect=False)
+            )
+            # one step of CPython, so that an answer from before does not replace a change that was told meanwhile
+            self._told.setdefault("", _matching(self._publisher))
+        return self._told[""]
+
+    def _changed(self, status: Any) -> None:
+        """Runs on a thread of zenoh's."""
+        keep_thread_state()
+        self._told[""] = bool(status.matching)
+
+    def close(self) -> None:
+        """Be told no more."""
+        if self._listener is not None:
+            undeclare(self._listener)
+
+
 class _PlainSink:
     """A volatile publisher: nothing is kept."""
 
@@ -97,6 +129,7 @@ class _PlainSink:
         )
         self._declare = partial(session.declare_publisher, key, allowed_destination=zenoh.Locality.REMOTE)
         self._large: zenoh.Publisher | None = None
+        self._matching = _Matching(self._publisher)
         self._blocks = options.congestion is zenoh.CongestionControl.BLOCK
         self._put = self._putter(self._publisher)
 
@@ -112,9 +145,10 @@ class _PlainSink:
         self._put(payload, attachment=attached)
 
     def matched(self) -> bool:
-        return _matching(self._publisher)
+        return self._matching.now()
 
     def close(self) -> None:
+        self._matching.close()
         for publisher in (self._publisher, self._large):
             if publisher is not None:
                 undeclare(publisher)

@@ -92,6 +92,23 @@ def test_matched_tells_whether_anybody_listens(network: HubNetwork):
         matched(publisher)
         heard.subscription.close()
         until(lambda: not publisher.matched(), "nobody listens")
+        again = Heard(b, "/chatter")
+        until(lambda: not publisher.pass_over(), "the next listener is noticed")
+        again.subscription.close()
+        until(publisher.pass_over, "nobody listens again")
+
+
+def test_who_was_there_before_the_publisher_is_noticed(network: HubNetwork):
+    with Hub.open(network.settings("a")) as a:
+        with Hub.open(network.settings("b")) as b:
+            Heard(b, "/chatter")
+            first = talk(a, "/chatter")
+            matched(first)
+            second = talk(a, "/chatter")
+            assert second.matched()
+            assert not second.pass_over()
+        until(lambda: not second.matched(), "the session has left")
+        assert second.pass_over()
 
 
 def test_what_nobody_gets_is_numbered_without_being_encoded(network: HubNetwork):
