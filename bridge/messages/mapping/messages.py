@@ -102,15 +102,21 @@ class MessageMapping:
         self.ros1, self.ros2, self.rules = ros1, ros2, rules
         self._converters: dict[tuple[str, ...], Conversion] = {}
         self._counterparts: dict[tuple[str, str], Schema] = {}
+        self._sides: dict[tuple[World, str], tuple[Schema, SideType]] = {}
 
     def forget(self) -> None:
         """A new definition may change what stands for what."""
         self._counterparts.clear()
+        self._sides.clear()
 
     def side(self, schema: Schema) -> SideType:
         """A message as its side, or the hub, names it."""
-        library = self.ros1 if schema.world is World.ROS1 else self.ros2
-        return SideType(schema.name, library.fingerprint(schema), full_text(schema))
+        key = schema.world, schema.name
+        known = self._sides.get(key)
+        if known is None or known[0] is not schema:
+            library = self.ros1 if schema.world is World.ROS1 else self.ros2
+            known = self._sides[key] = schema, SideType(schema.name, library.fingerprint(schema), full_text(schema))
+        return known[1]
 
     def conversion(self, source: Schema, target: Schema) -> Conversion:
         """How messages of one type become messages of its counterpart."""
