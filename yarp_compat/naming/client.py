@@ -12,7 +12,7 @@ import random
 import socket
 import threading
 import weakref
-from collections.abc import Sequence
+from collections.abc import Hashable, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -314,17 +314,21 @@ def _text(command: Sequence[Any]) -> bytes:
     return text.encode("utf-8", "surrogateescape")
 
 
+_Kept = tuple[NameClient, PortContact]
+"""A port and the client that registered it."""
+
+
 class Keeper:
     """Keeps ports registered: registers them again at a name server that returns without its memory.
 
-    YARP's own ports do not do that. One thread of the process asks for a few of its ports now and then, and for all of
-    them where one is missing or the name server was away; it ends with the last port.
+    YARP's own ports do not do that. One thread of the process asks each name server for a few of its ports now and
+    then, and for all of them where one is missing or the name server was away; it ends with the last port.
     """
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
         self._kept: dict[NameClient, dict[str, PortContact]] = {}
-        self._away: set[NameClient] = set()
+        self._away: set[Hashable] = set()
         self._elsewhere: set[tuple[NameClient, str]] = set()
         self._turn = 0
         self._wake = threading.Event()
@@ -347,7 +351,6 @@ class Keeper:
             self._elsewhere.discard((names, name))
             if not ports:
                 self._kept.pop(names, None)
-                self._away.discard(names)
             ended = None if self._kept else self._thread
             if ended is not None:
                 self._thread = None
@@ -361,41 +364,57 @@ class Keeper:
             with self._lock:
                 if self._thread is not me:
                     return
-                todo = [(names, list(ports.values())) for names, ports in self._kept.items()]
-            self._turn += 1
-            for names, contacts in todo:
-                try:
-                    self._look(names, contacts)
-                except NamingError as err:
-                    if names not in self._away:
-                        _log.info("%s", err)
-                    self._away.add(names)
-                except Exception:
-                    _log.exception("ports cannot be kept registered")
+                kept = [(names, contact) for names, ports in self._kept.items() for contact in ports.values()]
+            self._ask(kept)
 
-    def _look(self, names: NameClient, contacts: list[PortContact]) -> None:
-        first = self._turn * AT_ONCE % len(contacts)
-        some = (contacts[first:] + contacts[:first])[:AT_ONCE]
-        lost = self._lost(names, some)
-        if lost or names in self._away:
-            lost += self._lost(names, [c for c in contacts if c not in some])
-        for contact in lost:
+    def _ask(self, kept: list[_Kept]) -> None:
+        """Ask each name server for some of its ports: all clients' together, since each question is a connection."""
+        self._turn += 1
+        servers: dict[Hashable, list[_Kept]] = {}
+        for names, contact in kept:
+            servers.setdefault(_server(names), []).append((names, contact))
+        self._away &= servers.keys()
+        for server, ports in servers.items():
+            try:
+                self._look(server, ports)
+            except NamingError as err:
+                if server not in self._away:
+                    _log.info("%s", err)
+                self._away.add(server)
+            except Exception:
+                _log.exception("ports cannot be kept registered")
+
+    def _look(self, server: Hashable, ports: list[_Kept]) -> None:
+        first = self._turn * AT_ONCE % len(ports)
+        some = (ports[first:] + ports[:first])[:AT_ONCE]
+        lost = self._lost(some)
+        if lost or server in self._away:
+            lost += self._lost([port for port in ports if port not in some])
+        for names, contact in lost:
             names.restore(contact.name)
-        if lost or names in self._away:
-            _log.info("the name server is back: %d of %d ports are registered again", len(lost), len(contacts))
-        self._away.discard(names)
+        if lost or server in self._away:
+            _log.info("the name server is back: %d of %d ports are registered again", len(lost), len(ports))
+        self._away.discard(server)
 
-    def _lost(self, names: NameClient, contacts: list[PortContact]) -> list[PortContact]:
+    def _lost(self, ports: list[_Kept]) -> list[_Kept]:
         lost = []
-        for contact in contacts:
+        for names, contact in ports:
             found = names.query(contact.name)
             if found is None:
-                lost.append(contact)
+                lost.append((names, contact))
             elif (found.host, found.port) != (contact.host, contact.port):
                 if (names, contact.name) not in self._elsewhere:
                     _log.warning("the name %s was taken by a port at %s", contact.name, found.uri)
                 self._elsewhere.add((names, contact.name))
         return lost
+
+
+def _server(names: NameClient) -> Hashable:
+    """The name server that a client asks, the same for all its clients; where that is not known, the client itself."""
+    try:
+        return names.address
+    except NamingError:
+        return names
 
 
 KEEPER = Keeper()

@@ -179,26 +179,46 @@ def test_a_closed_port_is_not_registered_again(server: NameServer) -> None:
     assert server.registry.find("/p") is None
 
 
-class Forgetful:
-    """A name server that knows nothing."""
+class Asked(NameClient):
+    """A client that notes what it is asked, and answers by what is known."""
 
-    def __init__(self) -> None:
+    def __init__(self, known: dict[str, PortContact]) -> None:
+        super().__init__(Address("127.0.0.1", 10000))
+        self.known = known
+        self.asked: list[str] = []
         self.restored: list[str] = []
 
-    def query(self, name: str) -> None:
-        """It is not known."""
+    def query(self, name: str) -> PortContact | None:
+        """Note it."""
+        self.asked.append(name)
+        return self.known.get(name)
 
     def restore(self, name: str) -> None:
         """Note it."""
         self.restored.append(name)
 
 
+CONTACTS = [PortContact(f"/p{i}", "127.0.0.1", 10002 + i) for i in range(30)]
+
+
 def test_where_one_is_missing_all_are_asked_for() -> None:
-    """Not only those few whose turn it is."""
-    names = Forgetful()
-    contacts = [PortContact(f"/p{i}", "127.0.0.1", 10002 + i) for i in range(30)]
-    client_module.Keeper()._look(names, contacts)
-    assert sorted(names.restored) == sorted(c.name for c in contacts)
+    """Not only those few whose turn it is, and those of other clients too."""
+    clients = Asked({}), Asked({})
+    client_module.Keeper()._ask([(clients[i % 2], contact) for i, contact in enumerate(CONTACTS)])
+    for i, client in enumerate(clients):
+        assert sorted(client.restored) == sorted(contact.name for contact in CONTACTS[i::2])
+
+
+def test_the_clients_of_one_name_server_take_turns() -> None:
+    """However many they are, it is asked for a few ports at a look, and in time for all."""
+    known = {contact.name: contact for contact in CONTACTS}
+    clients = [Asked(known) for _ in CONTACTS]
+    keeper, kept = client_module.Keeper(), list(zip(clients, CONTACTS, strict=True))
+    for turn in range(1, 7):
+        keeper._ask(kept)
+        assert sum(len(client.asked) for client in clients) == turn * client_module.AT_ONCE
+    assert all(client.asked == [contact.name] for client, contact in kept)
+    assert not any(client.restored for client in clients)
 
 
 def test_many_ports(server: NameServer) -> None:
