@@ -176,19 +176,15 @@ class Reader(OpenPort):
 
 
 class Writer(OpenPort):
-    """Writes: plain values or any of YARP's data, to all ports that are connected.
-
-    Arguments as of `OpenPort`.
-    """
+    """Writes plain values or any of YARP's data to all ports that are connected; arguments as of `OpenPort`."""
 
     def __init__(self, name: str = "", *, naming: Naming | None = None, **options: Any) -> None:
         super().__init__(name, naming=naming, is_input=False, **options)
 
     def write(self, content: Content, envelope: str = "", *, strict: bool = False) -> int:
-        """Send a message, and wait for nobody; returns how many connections took it.
+        """Send a message with an envelope (``stamp.to_text()``), waiting for nobody; returns how many took it.
 
-        The envelope is sent with it, such as ``stamp.to_text()``. ``strict``: after what is still on its way to a slow
-        peer, instead of in its place.
+        ``strict``: after what is still on its way to a slow peer, instead of in its place.
         """
         return self.core.write(payload_of(content), envelope, strict=strict)
 

@@ -128,11 +128,7 @@ class Stream(Generic[T]):
 
 
 class ClientOptions(TypedDict, total=False):
-    """The way from a client to its server.
-
-    ``timeout``: seconds to wait for a reply, `PATIENCE` by default, None for ever; ``naming``: by default of
-    ``yarp.conf``.
-    """
+    """A reply's ``timeout`` (seconds, None: for ever; else `PATIENCE`), and ``naming`` (else that of ``yarp.conf``)."""
 
     timeout: float | None
     naming: Naming | None

@@ -19,18 +19,14 @@ from yarp_compat.wire import tags
 from yarp_compat.wire.elements import ElementReader, ElementWriter
 
 _FIELDS = 11
-_HEAD = struct.Struct("<4i")
-"""The list's code and count, the first string's tag and length."""
+_HEAD = struct.Struct("<4i")  # the list's code and count, the first string's tag and length
 _NEXT = struct.Struct("<2i")
 _TAIL = struct.Struct("<id ib" + " id" * 7)
 
 
 @dataclass
 class FrameTransform(Structure):
-    """The place of the frame ``dst_frame_id`` in its parent ``src_frame_id``: metres, a quaternion, seconds since 1970.
-
-    One whose ``isStatic`` is 1, not 0, does not expire.
-    """
+    """The place of the frame ``dst_frame_id`` in ``src_frame_id``: metres, seconds; static: it does not expire."""
 
     TYPE = "yarp/frameTransform"
     src_frame_id: str = ""

@@ -37,11 +37,9 @@ from yarp_compat.wire.generation import Generation
 LIFETIME = 0.2
 """Seconds after which what was received is too old, but for static transforms."""
 
-_AGAIN = 0.5
-"""Seconds between two attempts to have the server stream again."""
+_AGAIN = 0.5  # seconds between two attempts to have the server stream again
 
-_POLL = 0.01
-"""Seconds between two questions where the server does not stream."""
+_POLL = 0.01  # seconds between two questions where the server does not stream
 
 
 class TransformClient(IFrameTransform):
@@ -109,10 +107,7 @@ class TransformClient(IFrameTransform):
     # -- the Python way: errors are exceptions ------------------------------------------------------------------------
 
     def pose(self, child: str, parent: str, *, timeout: float = 0.0) -> Pose:
-        """The pose (4, 4) of a frame in another, anywhere in the tree; waits up to ``timeout`` seconds for it.
-
-        Raises `TransformError` where one is not known, or they are not connected.
-        """
+        """A frame's pose (4, 4) in any other, within ``timeout`` seconds; raises `TransformError` if unknown."""
         deadline = time.monotonic() + timeout
         while True:
             try:

@@ -35,7 +35,7 @@ SHAPE = (3, 3)
 
 
 class CovarianceCodec(Nested):
-    """A pose's covariance, a 3x3 matrix or array, zeros for None: a real client that gets an empty matrix hangs.
+    """A pose's covariance, 3x3, zeros for None: a real client that gets an empty matrix hangs.
 
     An empty one is read as such: servers of YARP 3.12 and 4.0 send it where all went well, having confused two cases.
     """
@@ -151,10 +151,7 @@ class ILocalization2D:
 
 
 class Localization2DClient(ServiceClient[ILocalization2DMsgs], ILocalization2D):
-    """A client of a localisation server, between ``with`` and its end.
-
-    ``server`` begins the names of its ports, ``name`` that of the own one; see `ServiceClient`.
-    """
+    """A client of a localisation server; ``server`` and ``name`` begin the ports' names; see `ServiceClient`."""
 
     def __init__(
         self, server: str = "/localization2D_nws_yarp", name: str = "", **options: Unpack[ClientOptions]

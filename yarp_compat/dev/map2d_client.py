@@ -87,10 +87,7 @@ class Maps(MutableMapping[str, MapGrid2D]):
 
 
 class PlacesView(MutableMapping[str, T], Generic[T]):
-    """Things of one kind by name: ``locations["kitchen"] = Map2DLocation("office", 1.0, 2.0, 90.0)``.
-
-    The kind is ``object``, ``location``, ``area`` or ``path``.
-    """
+    """Things of one kind (``object``, ``location``, ``area`` or ``path``) by name: ``locations["kitchen"]``."""
 
     def __init__(self, remote: IMap2DMsgs, kind: str) -> None:
         self._kind = kind

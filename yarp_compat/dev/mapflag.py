@@ -43,8 +43,7 @@ def _flag_by_occupancy() -> NDArray[np.uint8]:
 
 
 _BLOCK = 1 << 20  # cells at once, so that what lies between stays in the cache
-_FEW = 2
-"""A table of so many edges is quicker to compare with than to look up in."""
+_FEW = 2  # a table of so many edges is quicker to compare with than to look up in
 
 _OCCUPANCY, _FLAG = _occupancy_by_flag(), _flag_by_occupancy()
 

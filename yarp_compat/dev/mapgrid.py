@@ -213,10 +213,7 @@ class MapGrid2D(MapGrid2DInfo, Portable):
         self._flags[temporary] = MapFlag.FREE
 
     def enlargeObstacles(self, size: float) -> bool:
-        """Make free cells nearer than ``size`` metres to one that is not free enlarged obstacles; 0 undoes that.
-
-        The distance is along rows and columns, and as far on the diagonals' sides, as YARP does.
-        """
+        """Make free cells within ``size`` metres (see `enlarge`) of others enlarged obstacles; 0 undoes that."""
         if size > 0:
             enlarge(self._flags, math.ceil(min(size / self.m_resolution, self.m_width + self.m_height)))
         else:
@@ -224,10 +221,10 @@ class MapGrid2D(MapGrid2DInfo, Portable):
         return True
 
     def crop(self, left: int = -1, top: int = -1, right: int = -1, bottom: int = -1) -> bool:
-        """Keep a part: columns from left on to before right, rows from top on to before bottom.
+        """Keep columns from left to before right, rows from top to before bottom; False where there are none.
 
-        Where a number is below 0, that side goes to the outermost cell of which something is known. (YARP loses one
-        column at the right there.) Returns False where that is no part of the map; then nothing changes.
+        Where a number is below 0, that side goes to the outermost known cell. (YARP loses one column at the right
+        there.)
         """
         if min(left, top, right, bottom) < 0:
             known = self._occupancy != UNKNOWN
@@ -395,10 +392,9 @@ def _cells(data: memoryview, count: int, *, compressed: bool) -> NDArray[np.uint
 
 
 def enlarge(flags: NDArray[np.uint8], cells: int) -> None:
-    """Make free cells enlarged obstacles where any other flag is within so many cells, diagonal steps counted as one.
+    """Make free cells enlarged obstacles where another flag is within so many cells, diagonal steps counted as one.
 
-    That equals as many passes over all eight neighbours, as YARP does it. ``flags``, of shape (height, width), is
-    changed in place.
+    That is what YARP's passes over all eight neighbours make. ``flags``, (height, width), is changed in place.
     """
     near = (flags >= MapFlag.KEEP_OUT) & (flags <= MapFlag.UNKNOWN)
     near = _spread(_spread(near, cells).T, cells).T

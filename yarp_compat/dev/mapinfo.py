@@ -74,10 +74,7 @@ class MapGrid2DOrigin:
 
 
 class MapContents(NamedTuple):
-    """A map as its files have it; ``resolution`` in metres per cell.
-
-    Flags (`MapFlag`) and occupancy (0 to 100, or 255) are of shape (height, width), rows from the top one down.
-    """
+    """A map's cells, (height, width) from the top: `MapFlag`, 0 to 100 or 255; its name, metres per cell and place."""
 
     flags: NDArray[np.uint8]
     occupancy: NDArray[np.uint8]

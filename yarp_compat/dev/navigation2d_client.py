@@ -33,8 +33,7 @@ from yarp_compat.dev.service import Service
 from yarp_compat.pythonic import Server
 from yarp_compat.wire.values import Vocab
 
-_PERIOD = 0.1
-"""Seconds between two questions for the status."""
+_PERIOD = 0.1  # seconds between two questions for the status
 
 _ERROR = NavigationStatusEnum.navigation_status_error
 
@@ -250,10 +249,7 @@ class Navigation2DClient(INavigation2D):
         return status
 
     def wait(self, timeout: float | None = None) -> NavigationStatusEnum:
-        """Wait, ``timeout`` seconds at most, until the robot is no longer under way; returns the status then.
-
-        That is goal_reached, aborted, failing, error or idle. Raises `TimeoutError`, and as `status` does.
-        """
+        """Wait until the robot is under way no more, for its status then; raises `TimeoutError`, and as `status`."""
         end = None if timeout is None else time.monotonic() + timeout
         while not (status := self.status).ended:
             if end is not None and time.monotonic() > end:

@@ -25,8 +25,7 @@ from yarp_compat.dev.returnvalue import OK, CallFailed, ReturnCode, ReturnValue
 from yarp_compat.dev.server import DeviceCalls
 
 _NO_TARGET = "there is no target"
-_FARTHEST = 1e7
-"""Metres: farther than maps go."""
+_FARTHEST = 1e7  # metres: farther than maps go
 
 
 class Navigation2DServer(INavigation2DMsgs):

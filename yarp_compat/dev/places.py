@@ -173,10 +173,7 @@ def _quoted(text: str) -> str:
 
 
 def map_files(path: str | Path, jail: Path | None = None) -> list[tuple[Path, bool]]:
-    """The maps' files that a collection names, and whether each is to be cropped; raises `MapFileError`.
-
-    They stand beside the collection's file, or where it says; with a ``jail`` all must be in that folder.
-    """
+    """The maps' files of a collection, beside it or where it says, and whether to crop; raises `MapFileError`."""
     file = found(path, Path(), jail)
     files = []
     for number, line in enumerate(read_text(file).split("\n"), 1):

@@ -27,10 +27,7 @@ P = ParamSpec("P")
 
 @dataclass
 class LaserScan2D(Generated):
-    """One turn of a laser, in degrees and metres; ``scans`` are infinite where nothing was hit.
-
-    ``status`` is the device's: 0 stands by, 1 in use, 2 error, 3 time-out.
-    """
+    """A turn of a laser, degrees and metres (infinite: no hit); status 0 stands by, 1 in use, 2 error, 3 time-out."""
 
     angle_min: float = 0.0
     angle_max: float = 0.0

@@ -113,10 +113,7 @@ OK = ReturnValue()
 
 
 class CallFailed(Exception):  # noqa: N818 - what happened, as an implementation says it
-    """Raised by an implementation of an interface: the call's outcome is not ok, and its other results do not matter.
-
-    The ``reason`` is for the log.
-    """
+    """Raised by an implementation: the outcome is not ok, other results do not matter; the reason is for the log."""
 
     def __init__(self, code: ReturnCode = ReturnCode.METHOD_FAILED, reason: str = "") -> None:
         super().__init__(reason or code.name)
@@ -127,10 +124,7 @@ UNREACHED = ReturnValue(ReturnCode.COMMUNICATION)
 
 
 def called(call: Callable[..., Any], *arguments: Any, into: Any = None) -> ReturnValue:
-    """Call a server's method that returns nothing, or one value that can be filled in.
-
-    ``into`` becomes the value: an object of the value's class, or a list where the value is one.
-    """
+    """Call a server's method of no result or one, which ``into`` becomes: an object of its class, or a list."""
     outcome, *values = answered(call, *arguments)
     if outcome and values:
         fill(into, values[0])

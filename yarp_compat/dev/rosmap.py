@@ -147,10 +147,7 @@ def read_header(path: Path) -> RosMapHeader:
 
 
 def occupancy_of_image(pixels: NDArray[Any], header: RosMapHeader) -> NDArray[np.uint8]:
-    """The occupancy that a map server reads from pixels (as of `read_image`): 0 to 100 or 255.
-
-    In ``trinary`` the opacity counts as a colour, as in the map servers.
-    """
+    """The occupancy, 0 to 100 or 255, that map servers read; in ``trinary`` they take the opacity for a colour."""
     if pixels.ndim == 2:
         if header.mode == "raw" and pixels.dtype == np.uint8:
             return pixels | looked_up(pixels, _BEYOND)

@@ -41,10 +41,9 @@ _HELP = (
 
 
 class Server:
-    """Makes an interface's implementation what a port calls for each message.
+    """Answers with an interface's implementation, as a port's ``on_message`` and, :meth:`on_event`, its other hook.
 
-    It is a port's ``on_message``, and its :meth:`on_event` the port's. The owner keeps ``generations``, so that it can
-    show what peers are answered in.
+    The owner keeps ``generations``, so that it can show what peers are answered in.
     """
 
     def __init__(self, service: Service, generations: Generations | None = None) -> None:
@@ -154,10 +153,7 @@ class Server:
             return _fail()
 
     def _taken(self, payload: Buffer, likely: Profile) -> tuple[str, Call | None, list[Any], Profile]:
-        """A request's name, call, arguments and dialect: the one in which all its bytes mean something.
-
-        Arguments too many do no harm.
-        """
+        """A request's name, call, arguments (too many do no harm) and dialect, in which all bytes mean something."""
         other = Profile.YARP3 if likely is Profile.YARP4 else Profile.YARP4
         first: WireError | None = None
         for profile, whole in ((likely, True), (other, True), (likely, False)):
@@ -298,10 +294,7 @@ def _fail() -> bytes:
 
 
 class DeviceCalls:
-    """Calls a device, which may be any object with methods under YARP's names; what it lacks is not implemented.
-
-    Its methods return their results, or None where that is all; or an outcome; or they raise `CallFailed`.
-    """
+    """Calls a device: any object with some of YARP's methods, which return results, None or an outcome, or raise."""
 
     def __init__(self, device: object) -> None:
         self._device = device
@@ -328,10 +321,7 @@ class DeviceCalls:
 
 
 class ServiceServer(OpenPort):
-    """Answers clients of every release of YARP with a ``service``, each on the thread of its connection.
-
-    ``generations``: what peers are answered in, by default as they introduce themselves; more as of `OpenPort`.
-    """
+    """Answers clients of every release of YARP, each on its connection's thread; more as of `Server`, `OpenPort`."""
 
     def __init__(
         self,

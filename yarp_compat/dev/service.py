@@ -45,10 +45,7 @@ class Channel(Protocol):
 
 
 class Service:
-    """An interface; its methods marked :func:`rpc` are what clients can call.
-
-    A client has a channel to its server, a server has none.
-    """
+    """An interface; clients call its methods marked :func:`rpc` through a channel; a server has none."""
 
     PROTOCOL: ClassVar[int] = 0
     """The protocol that clients of YARP 4 ask for."""
@@ -65,11 +62,7 @@ class Service:
         return found
 
     def introduce(self) -> tuple[int, int, int, int] | None:
-        """Ask the server for its protocol, as clients of YARP 4 do; servers since 3.12 say it and their version.
-
-        Returns the protocol, and YARP's major, minor and patch number; None where the server does not know the
-        question.
-        """
+        """Ask for the server's protocol, and YARP's major, minor and patch number (None: older than 3.12), as 4.0."""
         channel = self._reached(INTRODUCTION)
         out = ElementWriter(Profile.YARP4)
         out.begin(1)
@@ -191,11 +184,7 @@ class Reply:
 
 @dataclass(frozen=True, slots=True)
 class Call:
-    """A method: its name, arguments, results, and its line in help (``prototype``).
-
-    ``alone``: it returns one value, not a structure of several; ``since``: the first generation that has it, if not all
-    have.
-    """
+    """A method; ``alone``: of one result, no structure; ``since``: the generation that brought it, if any."""
 
     name: str
     arguments: tuple[tuple[str, FieldCodec], ...]

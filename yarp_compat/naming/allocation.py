@@ -41,10 +41,7 @@ class Allocator:
         self._groups = _Pool(_MAX_GROUPS)
 
     def number(self, name: str, taken: Container[int] = ()) -> int | None:
-        """A port number for a name, if possible the one it had before; None where all are in use.
-
-        ``taken`` are the numbers that ports chose for themselves.
-        """
+        """A port number for a name, best its former one, not ``taken`` by a port; None where all are in use."""
         number = self._number.get(name)
         if number is None or number in taken:
             number = self._fresh(taken)

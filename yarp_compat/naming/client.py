@@ -198,20 +198,13 @@ class NameClient:
         return from_text(self.line(["bot", "get", name, key]))
 
     def announce(self, name: str, alive: bool = True) -> None:
-        """Say that a port listens now, or that it does not respond; see `Naming.announce`.
-
-        A port that was registered here is looked after from then on: a name server that comes back without its memory
-        hears of it again, until it is unregistered.
-        """
+        """Say that a port listens now, or does not; see `Naming.announce`. `KEEPER` looks after those of our own."""
         self.lines(["announce", name] if alive else ["announce", name, 0])
         if alive and name in self._registered:
             KEEPER.keep(self, self._registered[name].contact)
 
     def lines(self, command: Sequence[Any]) -> Lines:
-        """Any command that is answered in lines; returns them without the end mark.
-
-        An answer that is one Bottle, such as ``[ok]``, is returned as its line.
-        """
+        """Any command that is answered in lines, without the end mark, or by a Bottle such as ``[ok]``, as one line."""
         answer: Lines = []
         with self._ask(_text(command) + b"\n") as peer:
             # a Bottle has no end mark; the commands answered by one are few and known

@@ -39,10 +39,7 @@ _REFUSED = (errno.ECONNREFUSED, getattr(errno, "WSAECONNREFUSED", errno.ECONNREF
 
 
 def refused(contacts: Iterable[PortContact], seconds: float) -> set[str]:
-    """The names of those ports whose address refuses connections, as far as it answers within ``seconds``.
-
-    A machine that does not answer, or a name that only DNS knows, says nothing of its port: those are left out.
-    """
+    """The names of ports whose address refuses connections in so many seconds; no answer says nothing."""
     dead: set[str] = set()
     todo = [c for c in contacts if _is_address(c.host)]
     end = time.monotonic() + seconds
@@ -211,10 +208,7 @@ class NameServer:
         return answer
 
     def collect(self, patience: int = 2) -> list[str]:
-        """Forget the ports at whose address nobody listens; returns their names.
-
-        With a ``patience`` of 2 it forgets only those that were dead the time before too, with 1 all.
-        """
+        """Forget ports at whose address nobody listens (``patience`` 2: the last time too); returns their names."""
         with self._lock:
             entries = [
                 e.contact
@@ -331,8 +325,7 @@ class _Own(SilentNaming):
     def __init__(self, server: NameServer) -> None:
         self._server = server
 
-    def register(self, name: str, host: str = "", port: int = 0, *, carrier: str = "") -> PortContact:
-        del name, host, port, carrier
+    def register(self, name: str, host: str = "", port: int = 0, *, carrier: str = "") -> PortContact:  # noqa: ARG002
         return self._server.contact
 
     def query(self, name: str) -> PortContact | None:

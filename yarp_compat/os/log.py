@@ -77,10 +77,7 @@ def _prints(kind: LogType, doc: str) -> classmethod[Any, ..., None]:
 
 
 class Log:
-    """Prints messages: ``yarp.Log().info("speed %f", 0.3)``, or on the class: ``yarp.Log.info("...")``.
-
-    ``fatal`` prints and ends the program with status 1 (the C++ library aborts).
-    """
+    """Prints: ``yarp.Log().info("speed %f", 0.3)``, ``yarp.Log.info("...")``; ``fatal`` ends the program, too."""
 
     LogTypeUnknown = LogType.LogTypeUnknown
     TraceType = LogType.TraceType

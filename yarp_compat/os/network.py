@@ -22,8 +22,7 @@ from yarp_compat.wire.contact import is_port_name
 
 log = logging.getLogger("yarp.os.Network")
 
-_POLL = 0.1
-"""Seconds between two looks of what waits for a port or a connection."""
+_POLL = 0.1  # seconds between two looks of what waits for a port or a connection
 
 
 class Network:
@@ -52,9 +51,8 @@ class Network:
             RUNTIME.fini()
 
     @staticmethod
-    def init(clockType: int = 0) -> None:
+    def init(clockType: int = 0) -> None:  # noqa: ARG004
         """Begin to use the network."""
-        del clockType
         LIBRARY.ask = definition_from_daemon
         RUNTIME.init(use_the_asked_clock)
 
@@ -131,9 +129,8 @@ class Network:
         return _done(is_connected, f"cannot tell whether {src} and {dest} are connected", quiet=style.quiet)
 
     @staticmethod
-    def exists(port: str, style: ContactStyle | bool = True, checkVer: bool = True) -> bool:
+    def exists(port: str, style: ContactStyle | bool = True, checkVer: bool = True) -> bool:  # noqa: ARG004
         """Whether a port is registered and answers."""
-        del checkVer
         quiet = style.quiet if isinstance(style, ContactStyle) else style
         timeout = _timeout(style) if isinstance(style, ContactStyle) else {}
         return _done(
@@ -253,10 +250,7 @@ class Network:
 
     @staticmethod
     def write(contact: Contact | str, command: Any, reply: Any, *options: Any) -> bool:
-        """Send one message, usually a Bottle, to a port and read its reply into ``reply``.
-
-        ``options`` are a `ContactStyle`, or ``admin``, ``quiet`` and ``timeout`` in this order.
-        """
+        """Send a message, usually a Bottle, and read its reply; options: a `ContactStyle`, or admin, quiet, timeout."""
         style = _write_style(options)
 
         def write() -> bool:

@@ -18,8 +18,7 @@ from yarp_compat.wire.accessors import setter
 log = logging.getLogger("yarp.os.RFModule")
 
 _QUIT = ("quit", "exit", "bye")
-_FORCED = 4
-"""The signal that ends a program at once whose module does not stop."""
+_FORCED = 4  # the signal that ends a program at once whose module does not stop
 
 
 class RFModule:
@@ -64,9 +63,8 @@ class RFModule:
         self._responder = _Responder(self)
         self._signals = 0
 
-    def configure(self, rf: ResourceFinder) -> bool:
+    def configure(self, rf: ResourceFinder) -> bool:  # noqa: ARG002
         """Prepare; False ends the module."""
-        del rf
         return True
 
     def updateModule(self) -> bool:
@@ -207,8 +205,7 @@ class RFModule:
             return {}  # only the main thread may; a module in a thread is stopped by its program
         return {number: signal.signal(number, self._on_signal) for number in (signal.SIGINT, signal.SIGTERM)}
 
-    def _on_signal(self, number: int, frame: FrameType | None) -> None:
-        del frame
+    def _on_signal(self, number: int, frame: FrameType | None) -> None:  # noqa: ARG002
         self._signals += 1
         if self._signals >= _FORCED:
             log.error("Aborting: told to stop %d times", self._signals)

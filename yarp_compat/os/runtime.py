@@ -138,11 +138,9 @@ RUNTIME = Runtime()
 
 _node_log = logging.getLogger("yarp.os.Node")
 
-_FOLDER = "/midspan/daemon"
-"""Below this name each daemon has the port that answers."""
+_FOLDER = "/midspan/daemon"  # below this name each daemon has the port that answers
 
-_MARK = "midspan_owner"
-"""The property at the name server that tells them from others."""
+_MARK = "midspan_owner"  # the property at the name server that tells them from others
 
 
 def find_daemon() -> PortContact | None:

@@ -26,10 +26,8 @@ QUEUE = 64 << 20
 """Bytes that wait for one peer at most, except for a single message that is larger."""
 
 _log = logging.getLogger("yarp.ports")
-_JOIN = 5.0
-"""Seconds for which each connection is waited for, and again when its socket is closed."""
-_DONE_HERE = {"recv", "log"}
-"""Modifiers that the reader's port has to honour; `send` is the writer's."""
+_JOIN = 5.0  # seconds for which each connection is waited for, and again when its socket is closed
+_DONE_HERE = {"recv", "log"}  # modifiers that the reader's port has to honour; `send` is the writer's
 _KINDS = {
     carriers.HTTP: PageInput,
     carriers.NAME_SER: NameInput,
@@ -187,10 +185,9 @@ class ConnectingPort(PortBase):
         return _KINDS.get(opened.carrier, BinaryInput)(self, sock, opened, rest, address)
 
     def _answered(self, sock: socket.socket, opened: Opening, rest: bytes, address: tuple[str, int]) -> Input | None:
-        """Answer an introduction; returns the input, not started.
+        """Answer an introduction; the input, not started, or None, with the connection closed.
 
-        None where the peer went, the carrier is not for connections from outside, or the peer wants something done to
-        the messages that is not done here; then the connection is closed.
+        None where the peer went, the carrier is not for others, or messages are to be modified as is not done here.
         """
         try:
             if opened.qualifiers and (opened.modifiers & _DONE_HERE or "send" not in opened.modifiers):

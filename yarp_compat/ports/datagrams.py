@@ -26,8 +26,7 @@ _log = logging.getLogger("yarp.ports")
 _LARGEST = 1 << 16
 ROOM = 4 << 20
 """Bytes of datagrams that the system is asked to keep for a busy reader."""
-_HOPS = 1
-"""Routers are not crossed, as by YARP's own ports."""
+_HOPS = 1  # routers are not crossed, as by YARP's own ports
 
 
 def datagram_socket(like: socket.socket) -> socket.socket:
@@ -47,9 +46,8 @@ class DatagramInput(Input):
         super().__init__(port, sock, opened, b"", address)
         self._assembler = Assembler(port.limit)
 
-    def _assembler_of(self, sender: tuple[str, int]) -> Assembler:
+    def _assembler_of(self, sender: tuple[str, int]) -> Assembler:  # noqa: ARG002
         """The assembler of a sender's datagrams."""
-        del sender
         return self._assembler
 
     def _no_more(self) -> None:
@@ -129,10 +127,9 @@ class SendingGroup:
 
 
 class DatagramOutput:
-    """An output of udp or mcast: a datagram that the system does not take at once is lost.
+    """An output of udp or mcast, to which others may share the ``group``: a datagram not taken at once is lost.
 
-    ``lost`` is called when the peer is gone; ``dropped`` counts the port's drops. With mcast, other outputs of the port
-    may be of the same ``group``.
+    ``lost`` is called when the peer is gone; ``dropped`` counts the port's drops.
     """
 
     def __init__(
@@ -155,9 +152,8 @@ class DatagramOutput:
         self._lock = threading.Lock() if group is None else group.lock
         sock.setblocking(False)
 
-    def begin(self, buffers: Sequence[Buffer], strict: bool, wait: bool) -> Item | None:
+    def begin(self, buffers: Sequence[Buffer], strict: bool, wait: bool) -> Item | None:  # noqa: ARG002
         """Send a message; None where it was dropped."""
-        del strict, wait
         failed: OSError | None = None
         with self._lock:
             if self.closed:
@@ -178,9 +174,8 @@ class DatagramOutput:
         item.done = True
         return item
 
-    def finish(self, item: Item, deadline: float | None = None) -> bool:
+    def finish(self, item: Item, deadline: float | None = None) -> bool:  # noqa: ARG002
         """Nobody acknowledges datagrams."""
-        del deadline
         return item.done
 
     def leave(self, item: Item) -> None:
@@ -191,9 +186,8 @@ class DatagramOutput:
         msg = f"{self.carrier.name} carries no replies: connect {self.route.source} to {self.route.target} by tcp"
         raise ConnectionRefusedError(msg)
 
-    def wait_idle(self, deadline: float | None) -> bool:
+    def wait_idle(self, deadline: float | None) -> bool:  # noqa: ARG002
         """Nothing waits here."""
-        del deadline
         return True
 
     def check(self) -> None:

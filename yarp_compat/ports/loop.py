@@ -35,10 +35,7 @@ def _nothing() -> None:
 
 
 class PortLoop:
-    """One thread that waits for sockets, for times, and for calls from other threads.
-
-    Its callbacks must not block. ``watch`` and ``ignore`` are for its own thread.
-    """
+    """A thread that waits for sockets, times and calls, which must not block; it alone may `watch` and `ignore`."""
 
     def __init__(self) -> None:
         self._selector = selectors.DefaultSelector()

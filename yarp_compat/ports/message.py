@@ -15,10 +15,7 @@ Payload = Buffer | Sequence[Buffer]
 
 
 class MessagePeer(Protocol):
-    """The connection a message came on.
-
-    Whoever recognises the dialect of its sender by a message may set ``profile``.
-    """
+    """The connection a message came on; who recognises the sender's dialect may set ``profile``."""
 
     route: ConnectionRoute
     carrier: Carrier

@@ -32,10 +32,7 @@ _MOST_SENDERS = 4
 
 
 class GroupInput(DatagramInput):
-    """An input of mcast; raises `OSError` where the group cannot be joined.
-
-    ``caller`` is the connection on which the sender named the group; it is closed when the group is joined.
-    """
+    """An input of mcast; closes ``caller``, which named the group; raises `OSError` where it cannot join that."""
 
     def __init__(self, port: PortBase, caller: socket.socket, opened: Opening, address: tuple[str, int]) -> None:
         assert opened.group is not None
@@ -49,9 +46,8 @@ class GroupInput(DatagramInput):
         for sock in (self.sock, self._woken):
             self._waiting_for.register(sock, selectors.EVENT_READ)
 
-    def start(self, loop: PortLoop) -> None:
+    def start(self, loop: PortLoop) -> None:  # noqa: ARG002
         """Wait for datagrams, on a thread of its own from the first."""
-        del loop
         self._begin()
 
     def wake(self) -> None:
@@ -93,8 +89,7 @@ class GroupInput(DatagramInput):
             found = self._assemblers[sender] = Assembler(self.port.limit)
         return found
 
-    def _count(self, assembler: Assembler) -> None:
-        del assembler
+    def _count(self, assembler: Assembler) -> None:  # noqa: ARG002
         present = self._assemblers.values()
         self.counters.dropped["checksum"] = self._spoiled + sum(a.spoiled for a in present)
         self.counters.dropped["incomplete"] = self._incomplete + sum(a.incomplete for a in present)

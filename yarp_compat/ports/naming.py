@@ -46,10 +46,7 @@ class Naming(Protocol):
         ...
 
     def register(self, name: str, host: str = "", port: int = 0, *, carrier: str = "") -> PortContact:
-        """Register a port; the server fills in what is empty or 0 (the name too: ``/tmp/port/N``).
-
-        Raises `NoNameServerError` where nobody answers, `NameRefusedError` where it did not take the name.
-        """
+        """Register a port; fills in what is empty or 0. Raises `NoNameServerError`, `NameRefusedError` for the name."""
         ...
 
     def unregister(self, name: str) -> None:

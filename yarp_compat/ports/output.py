@@ -109,10 +109,7 @@ class Output:
         return item
 
     def finish(self, item: Item, deadline: float | None = None) -> bool:
-        """Wait until a message was sent and, where the carrier does that, acknowledged.
-
-        False where it was not by the deadline, made room for another one, or the peer is gone.
-        """
+        """Wait until a message is sent, and acknowledged if it will be; False if late, replaced or the peer left."""
         if item is not self._current or not item.ours:
             with self._lock:
                 self._wait_for(lambda: item.done or item.dropped or self.closed, deadline)
@@ -301,10 +298,7 @@ class Output:
     # -- the end ------------------------------------------------------------------------------------------------------
 
     def check(self) -> None:
-        """Look whether the peer is still there, and has acknowledged: nothing is read from an idle connection.
-
-        That waits for nobody, so the lock is held meanwhile: who writes at this moment must not find it busy.
-        """
+        """Look whether the idle peer is there, and has acknowledged: with the lock, so that writers find it free."""
         with self._lock:
             if self._driven or self.closed:
                 return

@@ -14,10 +14,8 @@ from yarp_compat.wire.contact import ConnectionRoute
 from yarp_compat.wire.errors import WireError
 from yarp_compat.wire.reply import ReplyWatch
 
-_STEP = 0.2
-"""Seconds after which a thread that waits for a peer looks whether it still should."""
-_FAREWELL = 0.5
-"""Seconds that a peer has to acknowledge the end of a connection."""
+_STEP = 0.2  # seconds after which a thread that waits for a peer looks whether it still should
+_FAREWELL = 0.5  # seconds that a peer has to acknowledge the end of a connection
 _CHUNK = 1 << 16
 _ACKNOWLEDGEMENTS: dict[Carrier, bytes | tuple[bytes, ...]] = {
     carriers.TCP: framing.ACK,
@@ -27,10 +25,7 @@ _FAREWELLS = {carriers.TEXT: b"q\r\n", carriers.TEXT_ACK: b"q\r\n", carriers.HTT
 
 
 class OutputSocket:
-    """The socket of an output connection. One thread at a time uses it, the connection's driver.
-
-    What is ``patient`` waits for the peer, a step at most; the rest never waits. ``due``: an acknowledgement is.
-    """
+    """An output's socket, for its driver; what is ``patient`` waits, a step at most. ``due``: an acknowledgement is."""
 
     def __init__(self, sock: socket.socket, route: ConnectionRoute, carrier: Carrier, limit: int) -> None:
         sock.setblocking(False)

@@ -29,11 +29,9 @@ from yarp_compat.wire.profile import Profile
 from yarp_compat.wire.reply import ReplyEnd
 
 _log = logging.getLogger("yarp.ports")
-_LOOK = 0.5
-"""Seconds between looks whether the peers of idle outputs are still there."""
+_LOOK = 0.5  # seconds between looks whether the peers of idle outputs are still there
 
-_KEPT_FOR = 5.0
-"""Seconds for which an input keeps the memory of a large message for the next one."""
+_KEPT_FOR = 5.0  # seconds for which an input keeps the memory of a large message for the next one
 
 
 class PortCore(ConnectingPort):

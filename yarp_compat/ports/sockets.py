@@ -79,8 +79,7 @@ def sent(buffers: list[Buffer], count: int) -> list[Buffer]:
     return []
 
 
-_BACKLOG = 1024
-"""Connections that wait to be accepted."""
+_BACKLOG = 1024  # connections that wait to be accepted
 
 
 def registered(naming: Naming, name: str, host: str | None, number: int) -> tuple[PortContact, socket.socket]:

@@ -11,8 +11,7 @@ from yarp_compat.wire.errors import TooLargeError, WireError
 from yarp_compat.wire.framing import Buffer
 
 _BUFFER = 1 << 16
-_AT_ONCE = 1 << 20
-"""Bytes given to a large message before any of it came; more only as it comes."""
+_AT_ONCE = 1 << 20  # bytes given to a large message before any of it came; more only as it comes
 _COMMON = struct.Struct("<18sIIiIsBBB")
 _COMMON_SIZE = _COMMON.size
 _COMMON_HEAD = framing.prefix(0)[: framing.HEAD_SIZE]
@@ -20,11 +19,7 @@ _KEYS = {ord(k): k for k in "dDaq"}
 
 
 class ByteStream:
-    """A connection's incoming bytes.
-
-    Payloads are ``bytes``, or for large ones a writable memoryview of memory that is used again only when nothing
-    refers to it any more.
-    """
+    """A connection's incoming bytes; large payloads are writable views of memory that is used again once it is free."""
 
     def __init__(self, sock: socket.socket, already: bytes = b"", limit: int = framing.DEFAULT_LIMIT) -> None:
         self._sock = sock
@@ -38,10 +33,7 @@ class ByteStream:
         self._spared = 0.0
 
     def message(self) -> tuple[str, str, Buffer] | None:
-        """Wait for a message: its key, its command's text if any, and its payload; None at the connection's end.
-
-        Raises `WireError` for no message, and for one above the limit, `OSError` where the connection broke.
-        """
+        """A message's key, command's text and payload; None at the end. Raises `WireError`, also above the limit."""
         while True:
             start, have = self._start, self._end - self._start
             if have >= _COMMON_SIZE:
@@ -121,10 +113,7 @@ class ByteStream:
             self._spare = bytearray()
 
     def line(self, longest: int | None = None) -> bytes | None:
-        r"""Wait for a line, without its end (``\n``, ``\r\n``); None at the connection's end.
-
-        Raises `WireError` where it is longer than ``longest`` bytes, by default the connection's limit.
-        """
+        """The next line without its end; None at the connection's end. Raises `WireError` beyond ``longest`` bytes."""
         longest = min(longest or self._limit, self._limit)
         parts: list[bytes] = []
         size = 0

@@ -18,15 +18,11 @@ from yarp_compat.wire.errors import WireError
 from yarp_compat.wire.profile import Profile
 from yarp_compat.wire.text import from_text, to_text
 
-_STEP = 0.1
-"""Seconds after which a thread that waits looks whether it still should."""
+_STEP = 0.1  # seconds after which a thread that waits looks whether it still should
 
 
 class LineSocket:
-    """A TCP connection for a short exchange of lines, within ``timeout`` seconds and up to ``limit`` bytes.
-
-    Raises `OSError` where nobody answers, or (any method) not in time, or with too much.
-    """
+    """A short exchange of lines by TCP; raises `OSError`, also beyond ``timeout`` seconds or ``limit`` bytes."""
 
     def __init__(self, host: str, port: int, timeout: float, limit: int = 1 << 20) -> None:
         self._end = time.monotonic() + timeout
@@ -108,10 +104,7 @@ _ACK = "<ACK>"
 
 
 def ask(contact: PortContact, command: Sequence[Any], *, admin: bool = False, timeout: float = TIMEOUT) -> list[str]:
-    """Send a Bottle to a port, or as ``admin`` a command like ``[list] [out]``, and return the lines of its answer.
-
-    Raises `PortError` where it does not answer within ``timeout`` seconds, or not as a port does.
-    """
+    """The lines of a port's answer to a Bottle (``admin``: the port's own); raises `PortError` if none in time."""
     return raw(contact, "admin", f"{'a' if admin else 'd'}\r\n{to_text(command)}\r\n", timeout)
 
 
@@ -153,10 +146,7 @@ PATIENCE = 1.0
 
 
 def ask_profile(contact: PortContact, timeout: float = PATIENCE) -> Profile | None:
-    """The dialect of a port; None where it does not answer in time, or in no way that a YARP does.
-
-    Do not ask a port that waits for a reply: C++ ports answer nobody meanwhile.
-    """
+    """The dialect of a port, None if unknown; C++ ports that wait for a reply answer nobody, so do not ask those."""
     try:
         answer = admin(contact, [QUESTION], timeout)
     except (PortError, WireError):

@@ -52,11 +52,7 @@ class Raster:
         self._external = False
 
     def numpy(self) -> NDArray[Any]:
-        """The pixels as an array (height, width) or (height, width, channels) in the image's memory.
-
-        It cannot be written to where the image came in memory that cannot. It stays what it is when the image becomes
-        another size or is read anew.
-        """
+        """The pixels, (height, width[, channels]), in the memory that the image has now; read-only if that is."""
         form = self._format()
         shape: tuple[int, ...] = (self._height, self._width)
         strides: tuple[int, ...] = (self._row, form.size)
@@ -117,10 +113,10 @@ class Raster:
             self._fill(self.numpy())
 
     def setExternal(self, data: Buffer | NDArray[Any] | VectorOf, width: int, height: int) -> None:
-        """Use this memory for the pixels: an array, vector or buffer; raises `ValueError` if too small or in pieces.
+        """Use this memory for the pixels; raises `ValueError` if too small or in pieces.
 
-        Rows count as padded to the image's quantum, or not at all where the memory's size says so. The image is read
-        into this memory as long as what comes has this size and kind.
+        Rows are padded to the quantum, or not at all where the memory's size says so. What comes in this size and kind
+        is read into this memory.
         """
         held = data.numpy() if isinstance(data, VectorOf) else data  # which scripts for YARP's bindings do
         view = held.data if isinstance(held, np.ndarray) else memoryview(held)

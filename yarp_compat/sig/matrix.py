@@ -32,10 +32,7 @@ class Matrix(Comparable, Portable):
         self._values = given.reshape(given.shape if given.ndim == 2 else (1, -1))
 
     def numpy(self) -> NDArray[Any]:
-        """The elements as an array of (rows, cols) that shares the matrix's memory, until the matrix changes its size.
-
-        It cannot be written to where the matrix came in memory that cannot.
-        """
+        """The elements (rows, cols), in the matrix's memory until it changes its size; read-only if that is."""
         return self._values
 
     def __array__(self, dtype: Any = None, copy: bool | None = None) -> NDArray[Any]:
@@ -210,10 +207,7 @@ class Quaternion(Portable):
         ])  # fmt: skip
 
     def fromRotationMatrix(self, R: Matrix | ArrayLike) -> None:
-        """Become the rotation of a matrix of 3 by 3 or more.
-
-        Where YARP has a choice it takes w, else the largest of the others, as positive.
-        """
+        """Become the rotation of a matrix (3, 3) or larger; w is positive, or else the largest other, as in YARP."""
         r = np.asarray(R, float)
         trace = r[0, 0] + r[1, 1] + r[2, 2]
         if trace > 0.0:

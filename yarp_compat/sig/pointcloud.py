@@ -61,10 +61,7 @@ LAYOUTS: Mapping[int, np.dtype[Any]] = {
 
 
 class PointCloud(Portable):
-    """A cloud of whatever points come; the classes below hold one type, and convert what is of another.
-
-    ``height`` is 1 where the points have no order.
-    """
+    """A cloud of whatever points come (those below hold one type, and convert others); unordered: ``height`` is 1."""
 
     TYPE = "yarp/pointCloud"
     point: ClassVar[int] = PointType.XYZ

@@ -50,10 +50,9 @@ def write_numbers(out: ElementWriter, values: NDArray[Any]) -> None:
 
 
 def read_numbers(source: ElementReader, dtype: np.dtype[Any]) -> NDArray[Any]:
-    """A list of numbers; a view into the payload where they are of this type, else a copy.
+    """A list of numbers, as a view into the payload if of this type; raises `WireError` for what does not fit the type.
 
     YARP's own readers take only lists of exactly their type; this also takes what people type, such as ``1 2.5``.
-    Raises `WireError` for anything else, and for a number that is none of this type.
     """
     tag, count, data = source.numbers()
     if data is None:
@@ -118,10 +117,7 @@ class VectorOf(Comparable, Portable):
         return vector
 
     def numpy(self) -> NDArray[Any]:
-        """The elements as an array that shares the vector's memory, until the vector changes its size.
-
-        It cannot be written to where the vector came in memory that cannot.
-        """
+        """The elements, in the vector's memory until it changes its size; read-only if that is."""
         return self._room[: self._count]
 
     def __array__(self, dtype: Any = None, copy: bool | None = None) -> NDArray[Any]:

@@ -382,19 +382,13 @@ def encode_parts(values: Sequence[Any], profile: Profile) -> list[Buffer]:
 
 
 def decode(data: Buffer, profile: Profile | None = None) -> list[Any]:
-    """The values of exactly one Bottle; raises `WireError` where it is none.
-
-    Without a profile it takes the one that accounts for every byte, YARP 3 where both do.
-    """
+    """A Bottle's values, in the profile (if None: YARP 3 first) that accounts for all bytes; raises `WireError`."""
     values: list[Any] = _decoded(data, profile, _DECODER3, _DECODER4)
     return values
 
 
 def decode_arrays(data: Buffer, profile: Profile | None = None) -> Any:
-    """The same with numpy arrays for lists of numbers of one type, the Bottle's own among them.
-
-    They are views into the data, writable where it is: nothing is copied.
-    """
+    """The same with numpy arrays, uncopied views, for lists of numbers of one type, the Bottle's own among them."""
     return _decoded(data, profile, _ARRAYS3, _ARRAYS4)
 
 

@@ -81,10 +81,7 @@ _OTHERS = frozenset(
 
 
 def parse(text: str) -> tuple[Carrier, str]:
-    """The carrier and the qualifiers (``recv.portmonitor+type.dll``) of ``tcp`` or ``tcp+recv.portmonitor+type.dll``.
-
-    Raises `CarrierError` for a carrier that is not offered here.
-    """
+    """The carrier and qualifiers of ``tcp+recv.portmonitor+type.dll``; raises `CarrierError` for others."""
     name, _, qualifiers = text.partition("+")
     carrier = CARRIERS.get(name)
     if carrier is None or carrier not in OUTPUTS:

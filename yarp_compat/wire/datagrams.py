@@ -44,10 +44,9 @@ def datagram(piece: bytes, number: int) -> bytes:
 
 
 class Assembler:
-    """Puts messages together again.
+    """Puts messages together from datagrams in order; one lost, late or doubled loses its message.
 
-    Datagrams of a message must come in order; one that is lost, comes twice or late loses its message, and the next
-    number 0 begins anew. ``spoiled`` counts wrong checksums, ``incomplete`` messages without their beginning or end.
+    ``spoiled`` counts wrong checksums, ``incomplete`` messages without their beginning or end.
     """
 
     def __init__(self, limit: int = framing.DEFAULT_LIMIT) -> None:

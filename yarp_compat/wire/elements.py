@@ -22,12 +22,10 @@ _INTEGERS = {
 }  # fmt: skip
 _FLOAT32, _FLOAT64 = struct.Struct("<f"), struct.Struct("<d")
 _SIZES = {profile: sizes(profile) for profile in Profile}
-_TOP = -1
-"""Outside of any list: elements have tags, and there may be any number of them."""
+_TOP = -1  # outside of any list: elements have tags, and there may be any number of them
 
 
-_REFERENCE = 4096
-"""Blocks from this many bytes on are passed on uncopied."""
+_REFERENCE = 4096  # blocks from this many bytes on are passed on uncopied
 _TAGGED = {
     INT8: struct.Struct("<ib"), INT16: struct.Struct("<ih"), INT32: struct.Struct("<ii"), INT64: struct.Struct("<iq"),
 }  # fmt: skip
@@ -181,11 +179,7 @@ class ElementReader:
         return self.data[at:end]
 
     def numbers(self) -> tuple[int, int, memoryview | None]:
-        """A list of numbers, whose bytes are taken at once and uncopied where it says the type of all of them.
-
-        Returns the elements' tag, how many there are, and their bytes; None where the list must be read element by
-        element, for which it stands open then.
-        """
+        """Elements' tag, count, and bytes of a list of one type; None, and the list open, where elements have tags."""
         count = self.begin()
         tag = self._code
         size = _SIZES[self.profile].get(tag)

@@ -109,10 +109,7 @@ _LINKS = (("/", "connections"), ("/data=help", "help"), ("/r", "read"))
 
 
 def page(name: str, lines: Sequence[str], names: PortContact | None = None) -> bytes:
-    """A page about a port: links, a form to send it a message, and lines.
-
-    Lines that say where a port is, and the name server where it is known, become links.
-    """
+    """A page about a port: links, a form for a message, and lines, in which places of ports become links."""
     body = "\n".join(_linked(line) for line in lines)
     told = _escaped(name)
     known = [(f"http://{names.host}:{names.port}/data=list", "All ports")] if names else []

@@ -92,10 +92,7 @@ def plain_end(data: Buffer, profile: Profile | None) -> int:
 
 
 def recognise(data: Buffer) -> Profile | None:
-    """The profile of a whole Bottle's bytes; None where they are the same for all. Raises `WireError` for no Bottle.
-
-    A tag that only one profile has tells, and where both may be meant, which of them accounts for every byte.
-    """
+    """The profile that alone accounts for all of a Bottle's bytes; None if both do. Raises `WireError` if none."""
     fits: list[Profile] = []
     wrong: WireError | None = None
     for profile in Profile:
@@ -119,8 +116,7 @@ class _Walk:
         self._limit = limit
         self._at = 0
         self._begun = False
-        self._left = 0
-        """Elements left in the list at hand."""
+        self._left = 0  # elements left in the list at hand
         self._unit = 0
         self._outer: list[tuple[int, int]] = []
 
@@ -208,10 +204,7 @@ _LONG = 1 << 16
 
 
 class ReplyWatch:
-    """Looks at a reply, which ends where ``parse`` says; by default with the Bottle, or with a text carrier's line.
-
-    ``profile`` is the peer's dialect, where it is known; afterwards, where the reply told it.
-    """
+    """Looks for a reply's end: by ``parse``, or a Bottle's or text line's; ``profile`` is the peer's, once known."""
 
     __slots__ = ("_carrier", "_limit", "_next_look", "_parse", "_reader", "profile")
 

@@ -81,10 +81,9 @@ class _Comparable(Searchable):
 
 
 class Value(ValueBase, _Comparable):
-    """A value: an int, a float, a string, a vocab, a blob, a list, a dict, or none (null).
+    """A value: int, float, string, vocab (of a word or number), blob, list (the default, empty), dict, or none.
 
-    Conversions never fail: what cannot be converted is 0, 0.0, False or an empty string. Without ``value`` it is an
-    empty list; with ``vocab`` it is the vocab of a word or a number.
+    Conversions never fail: what cannot be converted is 0, 0.0, False or an empty string.
     """
 
     def __init__(self, value: Any = (), vocab: bool = False) -> None:

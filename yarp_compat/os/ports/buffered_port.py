@@ -26,7 +26,6 @@ class TypedReaderCallback:
 
     def onRead(self, datum: Any, reader: Any = None) -> None:
         """Take one message; ``reader`` is the port. It may be defined with the first argument only."""
-        del datum, reader
 
 
 class CallbackThread:
@@ -145,10 +144,7 @@ class BufferedPort(Contactable, TypedReaderCallback):
     # -- reading ------------------------------------------------------------------------------------------------------
 
     def read(self, shouldWait: bool = True) -> Any:
-        """The next message: the newest, or in strict mode the oldest not read yet; None without one.
-
-        ``shouldWait``: wait for one, until the port is interrupted or closed.
-        """
+        """The newest message, or in strict mode the oldest unread; None without one. ``shouldWait``: for one."""
         if self._core is None or self._interrupted:
             return None
         self._last = self._next(wait=shouldWait)

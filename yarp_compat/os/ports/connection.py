@@ -105,10 +105,7 @@ class ConnectionWriter:
 
 
 class ConnectionReader:
-    """Reads one message from its beginning. Missing or wrong content reads as 0 and sets `isError`.
-
-    No message stands for the end of a port; ``profile`` is the dialect where the peer's is not known.
-    """
+    """Reads one message, or as a port's end none. Missing or wrong content reads as 0 and sets `isError`."""
 
     def __init__(self, message: PortMessage | None, local: Contact, profile: Profile = Profile.YARP3) -> None:
         self._message = message

@@ -22,10 +22,7 @@ def _sets(part: str, kind: Callable[..., T], doc: str) -> Callable[[Contact, T],
 
 
 class Contact:
-    """Where a port is: ``Contact(name)``, ``Contact(host, number)``, ``Contact(carrier, host, number)``, or all four.
-
-    What is not known is empty, or -1.
-    """
+    """A port's place: ``Contact(name)``, ``(host, number)``, ``(carrier, host, number)`` or all; else empty, -1."""
 
     def __init__(self, *parts: Any) -> None:
         self._timeout = -1.0

@@ -77,11 +77,9 @@ NODES = Nodes()
 class Contactable:
     """A port of any kind. Methods return False where YARP's do, and log why."""
 
-    _ANSWERS: ClassVar[bool] = False
-    """Whether those who write to it may get answers."""
+    _ANSWERS: ClassVar[bool] = False  # whether those who write to it may get answers
 
-    _latched = False
-    """Whether later peers get the last message."""
+    _latched = False  # whether later peers get the last message
 
     def __init__(self) -> None:
         self._core: PortCore | None = None
@@ -265,9 +263,8 @@ class Contactable:
     promiseType = setter("_type", str, "Announce what is read or written, ``std_msgs/String``; before `open`.")
     getType = getter("_type", str, "What is announced to be read or written.")
 
-    def acquireProperties(self, readOnly: bool = True) -> Any:
+    def acquireProperties(self, readOnly: bool = True) -> Any:  # noqa: ARG002
         """The port's properties, for ``[prop] [get]``, as a dict to change in place."""
-        del readOnly
         return {} if self._core is None else self._core.properties
 
     def releaseProperties(self, properties: Any) -> None:
@@ -328,7 +325,6 @@ class Contactable:
 
     def setAdminReader(self, reader: Any) -> None:
         """Refuse by `NotImplementedError`: administrative commands are the port's own here."""
-        del reader
         raise NotImplementedError(
             "yarp_compat ports answer administrative commands themselves: setAdminReader is not there"
         )

@@ -111,8 +111,7 @@ class Inbox(Gate):
     def take(self, *, wait: bool, stopped: Callable[[], bool] | None = None) -> PortMessage | None:
         """The oldest message; None where nothing waits, or the inbox is closed. ``wait``: for one to come.
 
-        ``stopped`` tells that waiting should end, and is looked at after `wake`; by default when the inbox is
-        interrupted.
+        ``stopped``, looked at after `wake`, ends waiting; by default an interrupt does.
         """
         over = stopped or (lambda: self._interrupted)
         with self._changed:

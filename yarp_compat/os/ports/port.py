@@ -19,11 +19,7 @@ log = logging.getLogger("yarp.os.Port")
 
 
 class Port(Contactable):
-    """A port that writes one message at a time, and reads each that comes.
-
-    Whoever writes to it waits until it reads. Reading and writing take any of YARP's data: Bottle, Vector, ImageRgb, a
-    ROS message...
-    """
+    """Writes one message at a time, and reads each that comes, while its writer waits; of any of YARP's data."""
 
     _ANSWERS = True
 
@@ -52,12 +48,11 @@ class Port(Contactable):
 
     # -- writing ------------------------------------------------------------------------------------------------------
 
-    def write(self, data: Any, reply: Any = None, callback: Any = None) -> bool:
+    def write(self, data: Any, reply: Any = None, callback: Any = None) -> bool:  # noqa: ARG002
         """Send a message; with a second argument, wait for the answer and read it into that.
 
         False when a peer did not take it, or no answer came. Without any connection: True, but no answer.
         """
-        del callback
         core = self._core
         if core is None or self._interrupted:
             return False
@@ -195,9 +190,8 @@ class RpcServer(Port):
             return False
         return super().read(data, True)
 
-    def write(self, data: Any, reply: Any = None, callback: Any = None) -> bool:
+    def write(self, data: Any, reply: Any = None, callback: Any = None) -> bool:  # noqa: ARG002
         """Refuse: a server does not ask."""
-        del data, reply, callback
         _rpc_log.error("%s cannot write, please use a regular Port or RpcClient for that", self.getName())
         return False
 
@@ -209,15 +203,13 @@ class RpcClient(Port):
         super().__init__()
         self.setRpcClient()
 
-    def read(self, data: Any, willReply: bool = False) -> bool:
+    def read(self, data: Any, willReply: bool = False) -> bool:  # noqa: ARG002
         """Refuse: a client is not asked."""
-        del data, willReply
         _rpc_log.error("cannot read from RpcClient %s, please use a regular Port for that", self.getName())
         return False
 
-    def reply(self, data: Any) -> bool:
+    def reply(self, data: Any) -> bool:  # noqa: ARG002
         """Refuse: a client has nothing to answer."""
-        del data
         return False
 
     replyAndDrop = reply
