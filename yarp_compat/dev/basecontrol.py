@@ -16,7 +16,7 @@ from typing import Self, Unpack
 
 from yarp_compat.dev.client import ClientOptions, ServiceClient, Stream
 from yarp_compat.dev.fields import Generated
-from yarp_compat.dev.returnvalue import UNREACHED, CallFailed, ReturnValue, called
+from yarp_compat.dev.returnvalue import UNREACHED, CallFailed, ReturnValue, called, three
 from yarp_compat.dev.service import Service, rpc
 from yarp_compat.ports.sockets import closed_on_failure
 from yarp_compat.wire.errors import WireError
@@ -85,10 +85,7 @@ class MobileBaseVelocityControl(ServiceClient[INavigation2DVelocityActionsMsgs])
 
     def getLastVelocityCommand(self) -> tuple[ReturnValue, float, float, float]:
         """The outcome, and what was commanded last: m/s, m/s, deg/s."""
-        try:
-            return self.remote.getLastVelocityCommandRPC()
-        except (OSError, WireError):
-            return UNREACHED, 0.0, 0.0, 0.0
+        return three(self.remote.getLastVelocityCommandRPC)
 
     def drive(self, x: float, y: float, turn: float, seconds: float = DEFAULT_TIMEOUT) -> None:
         """Drive: m/s, m/s, deg/s; raises `CallFailed` where the base refuses, `OSError` where it does not answer."""

@@ -26,9 +26,14 @@ from yarp_compat.wire.text import to_text
 
 
 class FieldCodec(ABC):
-    """A type of an argument, a result or a structure's field; help calls it ``name``."""
+    """A type of an argument, a result or a structure's field; help calls it ``name``.
 
-    name: str
+    ``default`` makes the value that C++ has where nothing was set; ``tag`` gives the tag that a list of such values has
+    in a profile, 0 where each has its own.
+    """
+
+    def __init__(self, name: str, default: Callable[[], Any], tag: Callable[[Profile], int] = lambda _: 0) -> None:
+        self.name, self.default, self.tag = name, default, tag
 
     @abstractmethod
     def write(self, out: ElementWriter, value: Any, *, tagged: bool = True) -> None:
@@ -37,14 +42,6 @@ class FieldCodec(ABC):
     @abstractmethod
     def read(self, source: ElementReader) -> Any:
         """Take a value."""
-
-    @abstractmethod
-    def default(self) -> Any:
-        """The value that C++ has where nothing was set."""
-
-    def tag(self, _profile: Profile) -> int:
-        """The tag that a list of such values has; 0 where each value has its own."""
-        return 0
 
 
 class Integer(FieldCodec):
@@ -55,7 +52,7 @@ class Integer(FieldCodec):
         self._high = 1 << (bits if unsigned else bits - 1)
         self._low = 0 if unsigned else -self._high
         self._wrap = self._high if unsigned else 0
-        self.name = f"{'u' if unsigned else 'i'}{bits}"
+        super().__init__(f"{'u' if unsigned else 'i'}{bits}", int, lambda _: self._tag)
 
     def write(self, out: ElementWriter, value: Any, *, tagged: bool = True) -> None:
         if isinstance(value, int) and not self._low <= value < self._high:
@@ -70,12 +67,6 @@ class Integer(FieldCodec):
             raise WireError(f"{value} before byte {source.at} is no {self.name}")
         return value
 
-    def default(self) -> int:
-        return 0
-
-    def tag(self, _profile: Profile) -> int:
-        return self._tag
-
 
 class _Plain(FieldCodec):
     """A type that `ElementWriter` and `ElementReader` have a method for."""
@@ -84,20 +75,14 @@ class _Plain(FieldCodec):
         self, name: str, write: Callable[..., None], read: Callable[[ElementReader], Any], default: Any,
         tag: Callable[[Profile], int],
     ) -> None:  # fmt: skip
-        self.name = name
-        self._write, self._read, self._default, self._tag_in = write, read, default, tag
+        super().__init__(name, lambda: default, tag)
+        self._write, self._read = write, read
 
     def write(self, out: ElementWriter, value: Any, *, tagged: bool = True) -> None:
         self._write(out, value, tagged=tagged)
 
     def read(self, source: ElementReader) -> Any:
         return self._read(source)
-
-    def default(self) -> Any:
-        return self._default
-
-    def tag(self, profile: Profile) -> int:
-        return self._tag_in(profile)
 
 
 class Choice(FieldCodec):
@@ -110,7 +95,7 @@ class Choice(FieldCodec):
         self._kind = kind
         self._words = not issubclass(kind, IntEnum)
         self._tag = tags.VOCAB32 if vocab or self._words else tags.INT32
-        self.name = kind.__name__
+        super().__init__(kind.__name__, lambda: next(iter(kind)), lambda _: self._tag)
 
     def write(self, out: ElementWriter, value: Any, *, tagged: bool = True) -> None:
         try:
@@ -128,26 +113,20 @@ class Choice(FieldCodec):
     def read(self, source: ElementReader) -> Enum:
         value = source.word() if self._words else source.integer()
         if value == "":  # the vocab 0, which C++ has where nothing was set: beside an outcome that is not ok
-            return self.default()
+            return next(iter(self._kind))
         try:
             return self._kind(value)
         except ValueError:
             choices = ", ".join(str(member.value) for member in self._kind)
             raise WireError(f"{value!r} before byte {source.at} is no {self.name}: those are {choices}") from None
 
-    def default(self) -> Enum:
-        return next(iter(self._kind))
-
-    def tag(self, _profile: Profile) -> int:
-        return self._tag
-
 
 class ListOf(FieldCodec):
     """A list of values of one type."""
 
     def __init__(self, element: FieldCodec) -> None:
+        super().__init__(f"list<{element.name}>", list)
         self._element = element
-        self.name = f"list<{element.name}>"
 
     def write(self, out: ElementWriter, value: Any, *, tagged: bool = True) -> None:  # noqa: ARG002
         tag = self._element.tag(out.profile)
@@ -161,16 +140,13 @@ class ListOf(FieldCodec):
         source.end()
         return values
 
-    def default(self) -> list[Any]:
-        return []
-
 
 class Nested(FieldCodec):
     """A value of a class of its own."""
 
     def __init__(self, kind: type[Portable]) -> None:
+        super().__init__(kind.__name__, kind)
         self.kind = kind
-        self.name = kind.__name__
 
     def write(self, out: ElementWriter, value: Any, *, tagged: bool = True) -> None:  # noqa: ARG002
         if not isinstance(value, self.kind):
@@ -181,9 +157,6 @@ class Nested(FieldCodec):
         value = self.kind()
         value._read(source)
         return value
-
-    def default(self) -> Portable:
-        return self.kind()
 
 
 BOOLEAN = _Plain("bool", ElementWriter.boolean, ElementReader.boolean, False, lambda _: tags.VOCAB32)

@@ -42,6 +42,7 @@ class CovarianceCodec(Nested):
 
     def __init__(self) -> None:
         super().__init__(Matrix)
+        self.default = lambda: Matrix(*SHAPE)
 
     def write(self, out: ElementWriter, value: Any, *, tagged: bool = True) -> None:
         matrix = self.default() if value is None else value if isinstance(value, Matrix) else Matrix(np.asarray(value))
@@ -56,9 +57,6 @@ class CovarianceCodec(Nested):
         if matrix.numpy().size:
             _sized(matrix)
         return matrix
-
-    def default(self) -> Matrix:
-        return Matrix(*SHAPE)
 
 
 def _sized(matrix: Matrix) -> None:

@@ -8,7 +8,7 @@ with Map2DClient("/map2D_nws_yarp/rpc") as maps:
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, MutableMapping
+from collections.abc import Iterator, MutableMapping
 from typing import Any, Generic, TypeVar, Unpack, cast
 
 from yarp_compat.dev.client import ClientOptions, ServiceClient
@@ -20,125 +20,107 @@ from yarp_compat.dev.returnvalue import CallFailed, ReturnCode, ReturnValue, fil
 T = TypeVar("T")
 
 
-class Maps(MutableMapping[str, MapGrid2D]):
+class _View(MutableMapping[str, T], Generic[T]):
+    """Things of one kind by name, through the server's methods for that kind."""
+
+    def __init__(self, remote: IMap2DMsgs, kind: str, names: str, delete: str) -> None:
+        self._remote, self._kind, self._names, self._delete = remote, kind, names, delete
+
+    def __getitem__(self, name: str) -> T:
+        return cast("T", self._called(f"get_{self._kind}", name, key=name))
+
+    def __setitem__(self, name: str, value: T) -> None:
+        self._called(f"store_{self._kind}", name, value)
+
+    def __delitem__(self, name: str) -> None:
+        self._called(self._delete, name, key=name)
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._called(self._names))
+
+    def __len__(self) -> int:
+        return sum(1 for _ in self)
+
+    def clear(self) -> None:
+        """Forget all."""
+        self._called(f"clear_all_{self._kind}s")
+
+    def _called(self, method: str, *arguments: Any, key: str | None = None) -> Any:
+        """The result of a method; where it fails on a ``key``, that is not there."""
+        returned = getattr(self._remote, f"{method}_RPC")(*arguments)
+        outcome, *found = (returned,) if isinstance(returned, ReturnValue) else returned
+        if key is not None and outcome.code is ReturnCode.METHOD_FAILED:
+            raise KeyError(key)
+        succeeded(outcome)
+        return found[0] if found else None
+
+
+class Maps(_View[MapGrid2D]):
     """Maps by name: ``maps["office"]``. Names in a list come at once, a map when it is asked for.
 
     All raise `CallFailed` where the server refuses, `ConnectionError` and `TimeoutError` where it is away.
     """
 
     def __init__(self, remote: IMap2DMsgs) -> None:
-        self._remote = remote
-
-    def __getitem__(self, name: str) -> MapGrid2D:
-        outcome, found = self._remote.get_map_RPC(name)
-        return _there(outcome, name, found)
+        super().__init__(remote, "map", "get_map_names", "remove_map")
 
     def __setitem__(self, name: str, value: MapGrid2D) -> None:
         """Keep a map; it has its name in itself, so another one is an error."""
         if value.name != name:
             raise ValueError(f"the map's own name is {value.name!r}, not {name!r}")
-        succeeded(self._remote.store_map_RPC(value))
-
-    def __delitem__(self, name: str) -> None:
-        _there(self._remote.remove_map_RPC(name), name, None)
-
-    def __iter__(self) -> Iterator[str]:
-        outcome, names = self._remote.get_map_names_RPC()
-        succeeded(outcome)
-        return iter(names)
-
-    def __len__(self) -> int:
-        return sum(1 for _ in self)
-
-    def clear(self) -> None:
-        """Forget all maps."""
-        succeeded(self._remote.clear_all_maps_RPC())
+        self._called("store_map", value)
 
     def clear_temporary_flags(self, name: str | None = None) -> None:
         """Take what is temporary out of a map, or of all."""
         if name is None:
-            succeeded(self._remote.clear_all_maps_temporary_flags_RPC())
+            self._called("clear_all_maps_temporary_flags")
         else:
-            _there(self._remote.clear_map_temporary_flags_RPC(name), name, None)
+            self._called("clear_map_temporary_flags", name, key=name)
 
     def compress(self, enable: bool) -> None:
         """Have the server send maps compressed, or not."""
-        succeeded(self._remote.enable_maps_compression_RPC(enable))
+        self._called("enable_maps_compression", enable)
 
     def save(self, name: str, file_name: str) -> None:
         """Have the server write a map into a file of its own."""
-        succeeded(self._remote.save_map_to_disk_RPC(name, file_name))
+        self._called("save_map_to_disk", name, file_name)
 
     def load(self, file_name: str) -> None:
         """Have the server read a map from a file of its own."""
-        succeeded(self._remote.load_map_from_disk_RPC(file_name))
+        self._called("load_map_from_disk", file_name)
 
     def save_collection(self, file_name: str) -> None:
         """Have the server write all maps, and their list."""
-        succeeded(self._remote.save_maps_collection_RPC(file_name))
+        self._called("save_maps_collection", file_name)
 
     def load_collection(self, file_name: str) -> None:
         """Have the server read the maps of such a list."""
-        succeeded(self._remote.load_maps_collection_RPC(file_name))
+        self._called("load_maps_collection", file_name)
 
     def reload(self) -> None:
         """Have the server read the collection of its start again."""
-        succeeded(self._remote.reload_maps_collection_RPC())
+        self._called("reload_maps_collection")
 
 
-class PlacesView(MutableMapping[str, T], Generic[T]):
+class PlacesView(_View[T], Generic[T]):
     """Things of one kind (``object``, ``location``, ``area`` or ``path``) by name: ``locations["kitchen"]``."""
 
     def __init__(self, remote: IMap2DMsgs, kind: str) -> None:
-        self._kind = kind
-        self._call: Callable[[str], Callable[..., Any]] = lambda name: cast(
-            "Callable[..., Any]", getattr(remote, f"{name}_RPC")
-        )
-
-    def __getitem__(self, name: str) -> T:
-        outcome, found = self._call(f"get_{self._kind}")(name)
-        return cast("T", _there(outcome, name, found))
-
-    def __setitem__(self, name: str, value: T) -> None:
-        succeeded(self._call(f"store_{self._kind}")(name, value))
-
-    def __delitem__(self, name: str) -> None:
-        _there(self._call(f"delete_{self._kind}")(name), name, None)
-
-    def __iter__(self) -> Iterator[str]:
-        outcome, names = self._call(f"get_{self._kind}s_list")()
-        succeeded(outcome)
-        return iter(names)
-
-    def __len__(self) -> int:
-        return sum(1 for _ in self)
+        super().__init__(remote, kind, f"get_{kind}s_list", f"delete_{kind}")
 
     def everything(self) -> list[T]:
         """All of them in one call, in the order of their names."""
-        outcome, found = self._call(f"get_all_{self._kind}s")()
-        succeeded(outcome)
-        return cast("list[T]", found)
+        return cast("list[T]", self._called(f"get_all_{self._kind}s"))
 
     def rename(self, old: str, new: str) -> None:
         """Give one another name; raises `KeyError` where the old is not there, or the new one is."""
-        _there(self._call(f"rename_{self._kind}")(old, new), old, None)
-
-    def clear(self) -> None:
-        """Forget all."""
-        succeeded(self._call(f"clear_all_{self._kind}s")())
+        self._called(f"rename_{self._kind}", old, new, key=old)
 
 
 def succeeded(outcome: ReturnValue) -> None:
     """Raise `CallFailed` where a call did not succeed."""
     if not outcome:
         raise CallFailed(outcome.code, "the map server refused; its log says why")
-
-
-def _there(outcome: ReturnValue, name: str, found: T) -> T:
-    if outcome.code is ReturnCode.METHOD_FAILED:
-        raise KeyError(name)
-    succeeded(outcome)
-    return found
 
 
 class IMap2D:

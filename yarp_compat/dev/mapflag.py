@@ -28,24 +28,11 @@ class MapFlag(IntEnum):
     UNKNOWN = 5
 
 
-def _occupancy_by_flag() -> NDArray[np.uint8]:
-    table = np.full(256, UNKNOWN, np.uint8)
-    table[: MapFlag.WALL] = 0
-    table[MapFlag.WALL] = 100
-    return table
-
-
-def _flag_by_occupancy() -> NDArray[np.uint8]:
-    table = np.full(256, MapFlag.UNKNOWN, np.uint8)
-    table[:50] = MapFlag.FREE
-    table[50:101] = MapFlag.WALL
-    return table
-
-
 _BLOCK = 1 << 20  # cells at once, so that what lies between stays in the cache
 _FEW = 2  # a table of so many edges is quicker to compare with than to look up in
 
-_OCCUPANCY, _FLAG = _occupancy_by_flag(), _flag_by_occupancy()
+_OCCUPANCY = np.array([0] * MapFlag.WALL + [100] + [UNKNOWN] * 251, np.uint8)
+_FLAG = np.array([MapFlag.FREE] * 50 + [MapFlag.WALL] * 51 + [MapFlag.UNKNOWN] * 155, np.uint8)
 
 
 def looked_up(cells: NDArray[np.uint8], table: NDArray[np.uint8]) -> NDArray[np.uint8]:
@@ -108,33 +95,15 @@ _UNKNOWN_GREY = 205
 _CHUNK = 1 << 16  # cells at once, so that what lies between stays in the cache
 
 
-def _by_flag() -> NDArray[np.uint8]:
-    table = np.full((256, 3), _INVALID, np.uint8)
-    for flag, colour in COLOURS.items():
-        table[flag] = colour
-    return table
-
-
-def _greys() -> NDArray[np.uint8]:
-    table = np.full(256, _UNKNOWN_GREY, np.uint8)
-    table[:101] = 254 - np.arange(101) * 254 // 100
-    return table
-
-
-def _occupancies() -> NDArray[np.uint8]:
-    table = np.round((254 - np.arange(256)) / 2.54).astype(np.int16)
-    table[GREYS[:101]] = np.arange(101)
-    table[[_UNKNOWN_GREY, 255]] = UNKNOWN
-    return table.astype(np.uint8)
-
-
-FLAG_COLOURS = _by_flag()
+FLAG_COLOURS = np.array([*COLOURS.values(), *[_INVALID] * (256 - len(COLOURS))], np.uint8)
 """The colour of each flag, and of what is none."""
 
-GREYS = _greys()
+GREYS = np.array([254 - occupancy * 254 // 100 for occupancy in range(101)] + [_UNKNOWN_GREY] * 155, np.uint8)
 """The grey of each occupancy."""
 
-OCCUPANCIES = _occupancies()
+OCCUPANCIES = np.round((254 - np.arange(256)) / 2.54).astype(np.int16).astype(np.uint8)
+OCCUPANCIES[GREYS[:101]] = np.arange(101)
+OCCUPANCIES[[_UNKNOWN_GREY, 255]] = UNKNOWN
 """The occupancy of each grey: that of the nearest which is written, and unknown for 205 and 255."""
 
 _NUMBERS = {red | green << 8 | blue << 16: flag for flag, (red, green, blue) in COLOURS.items()}

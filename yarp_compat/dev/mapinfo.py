@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Iterator, Sequence
-from typing import NamedTuple, Self
+from typing import Any, NamedTuple, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -46,12 +46,16 @@ class MapGrid2DOrigin:
         """The angle's sine."""
         return math.sin(math.radians(self.theta))
 
+    def turned(self, x: Any, y: Any) -> tuple[Any, Any]:
+        """Numbers or arrays of x and y, turned by the angle."""
+        ca, sa = self.get_ca(), self.get_sa()
+        return x * ca + y * sa, y * ca - x * sa
+
     def to_ros(self) -> tuple[float, float, float]:
         """The same place as ROS says it: the corner's x and y in metres, the yaw in radians."""
         if not self.theta:
             return self.x, self.y, 0.0
-        ca, sa = self.get_ca(), self.get_sa()
-        return self.x * ca + self.y * sa, self.y * ca - self.x * sa, -math.radians(self.theta)
+        return *self.turned(self.x, self.y), -math.radians(self.theta)
 
     @classmethod
     def from_ros(cls, x: float, y: float, yaw: float) -> Self:
@@ -119,8 +123,7 @@ class MapGrid2DInfo:
         column, row = numbers(cell)
         x = column * self.m_resolution + self.m_origin.x
         y = -row * self.m_resolution + self.m_origin.y + (self.m_height - 1) * self.m_resolution
-        ca, sa = self.m_origin.get_ca(), self.m_origin.get_sa()
-        return Vec2D(x * ca + y * sa, y * ca - x * sa)
+        return Vec2D(*self.m_origin.turned(x, y))
 
     def world2Cell(self, world: Pair) -> Vec2DSize:
         """The cell at a place, or the outermost one next to it, found as YARP does; see also :meth:`cells_at`."""
@@ -167,8 +170,7 @@ class MapGrid2DInfo:
         found = np.asarray(cells, float)
         x = (found[..., 0] + 0.5) * self.m_resolution + self.m_origin.x
         y = (self.m_height - 0.5 - found[..., 1]) * self.m_resolution + self.m_origin.y
-        ca, sa = self.m_origin.get_ca(), self.m_origin.get_sa()
-        return np.stack((x * ca + y * sa, y * ca - x * sa), -1)
+        return np.stack(self.m_origin.turned(x, y), -1)
 
     def _truncated(self, world: Pair) -> tuple[int, int]:
         x, y = numbers(world)

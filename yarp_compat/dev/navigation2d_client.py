@@ -28,7 +28,7 @@ from yarp_compat.dev.localization2d import ILocalization2D, ILocalization2DMsgs
 from yarp_compat.dev.locations import Map2DArea, Map2DLocation, Map2DPath
 from yarp_compat.dev.map2d_client import IMap2D, succeeded
 from yarp_compat.dev.mapgrid import MapGrid2D
-from yarp_compat.dev.returnvalue import OK, ReturnCode, ReturnValue, answered, asked, called, given, outcome_of
+from yarp_compat.dev.returnvalue import OK, ReturnCode, ReturnValue, asked, called, given, outcome_of, three
 from yarp_compat.dev.service import Service
 from yarp_compat.pythonic import Server
 from yarp_compat.wire.values import Vocab
@@ -64,7 +64,7 @@ class INavigation2D(IMap2D, ILocalization2D):
 
     def getRelativeLocationOfCurrentTarget(self) -> tuple[ReturnValue, float, float, float]:
         """The outcome, and where the robot is going in its own frame: x, y, theta."""
-        return _three(answered(self._navigation.get_relative_location_of_current_target_RPC))
+        return three(self._navigation.get_relative_location_of_current_target_RPC)
 
     # -- INavigation2DControlActions ----------------------------------------------------------------------------------
 
@@ -104,7 +104,7 @@ class INavigation2D(IMap2D, ILocalization2D):
 
     def getLastVelocityCommand(self) -> tuple[ReturnValue, float, float, float]:
         """The outcome, and what was commanded last: m/s, m/s, deg/s."""
-        return _three(answered(self._navigation.get_last_velocity_command_RPC))
+        return three(self._navigation.get_last_velocity_command_RPC)
 
     # -- INavigation2DExtraActions ------------------------------------------------------------------------------------
 
@@ -279,9 +279,3 @@ class _Nobody:
             raise ConnectionRefusedError(f"{name}: no such server was given")
 
         return call
-
-
-def _three(answer: tuple[Any, ...]) -> tuple[ReturnValue, float, float, float]:
-    outcome, *numbers = answer
-    x, y, theta = numbers if outcome else (0.0, 0.0, 0.0)
-    return outcome, x, y, theta

@@ -20,8 +20,6 @@ from yarp_compat.sig.vec2d import Vec2D
 from yarp_compat.wire.errors import WireError
 from yarp_compat.wire.text import from_text, value_text
 
-_SECTIONS = ("Locations:", "Objects:", "Areas:", "Paths:")
-
 Line = list[Any]
 
 
@@ -40,13 +38,17 @@ class Places(TextFile):
         lines = iter(enumerate(text.split("\n"), 1))
         version = _version(lines, source)
         places = cls()
-        take: _Take = _nowhere
+        kind: dict[str, Any] = {}
+        parse: Callable[[Line, bool], Any] = _nowhere
         for number, line in lines:
             if line.strip() in _SECTIONS:
-                take = _TAKE[line.strip()]
+                attribute, parse = _SECTIONS[line.strip()]
+                kind = getattr(places, attribute)
             elif line.strip():
                 try:
-                    take(places, from_text(line), version >= 3)
+                    words = from_text(line)
+                    value = parse(words, version >= 3)
+                    _put(kind, _text(words[0]), value)
                 except (ValueError, WireError, IndexError, TypeError) as error:
                     raise MapFileError(f"{source}, line {number}: {error}: {line:.100}") from None
         return places
@@ -73,9 +75,6 @@ class Places(TextFile):
         return "\n".join(lines) + "\n"
 
 
-_Take = Callable[[Places, Line, bool], None]
-
-
 def _version(lines: Iterator[tuple[int, str]], source: str) -> int:
     head = [line.strip() for _, line in (next(lines, (0, "")), next(lines, (0, "")))]
     if head[0] != "Version:" or head[1] not in ("1", "2", "3", "4"):
@@ -83,44 +82,43 @@ def _version(lines: Iterator[tuple[int, str]], source: str) -> int:
     return int(head[1])
 
 
-def _nowhere(_places: Places, _line: Line, _described: bool) -> None:
+def _nowhere(_line: Line, _described: bool) -> None:
     raise ValueError("it stands before any section, the first of which is Locations:")
 
 
-def _location(places: Places, line: Line, described: bool) -> None:
+def _location(line: Line, described: bool) -> Map2DLocation:
     _sized(line, 5 + described)
-    description = _text(line[5]) if described else ""
-    _put(places.locations, line, _pose(line[1:5], description))
+    return _pose(line[1:5], _text(line[5]) if described else "")
 
 
-def _object(places: Places, line: Line, _described: bool) -> None:
+def _object(line: Line, _described: bool) -> Map2DObject:
     _sized(line, 9)
     x, y, z, roll, pitch, yaw = map(_number, line[2:8])
-    _put(places.objects, line, Map2DObject(_text(line[1]), x, y, z, roll, pitch, yaw, _text(line[8])))
+    return Map2DObject(_text(line[1]), x, y, z, roll, pitch, yaw, _text(line[8]))
 
 
-def _area(places: Places, line: Line, described: bool) -> None:
+def _area(line: Line, described: bool) -> Map2DArea:
     count = line[2]
     if type(count) is not int or count < 0:
         raise ValueError(f"{count!r:.40} is no number of corners")
     _sized(line, 3 + 2 * count + described)
     corners = [_number(value) for value in line[3 : 3 + 2 * count]]
     points = [Vec2D(x, y) for x, y in zip(corners[::2], corners[1::2], strict=True)]
-    _put(places.areas, line, Map2DArea(_text(line[1]), points, _text(line[-1]) if described else ""))
+    return Map2DArea(_text(line[1]), points, _text(line[-1]) if described else "")
 
 
-def _path(places: Places, line: Line, described: bool) -> None:
+def _path(line: Line, described: bool) -> Map2DPath:
     poses = [value for value in line[1:] if isinstance(value, list)]
     _sized(line, 1 + len(poses) + (described and not (poses and line[-1] is poses[-1])))
     waypoints = [_pose(pose) for pose in poses]
-    _put(places.paths, line, Map2DPath(waypoints, "" if line[-1] in poses or len(line) == 1 else _text(line[-1])))
+    return Map2DPath(waypoints, "" if line[-1] in poses or len(line) == 1 else _text(line[-1]))
 
 
-_TAKE: Mapping[str, _Take] = {
-    "Locations:": _location,
-    "Objects:": _object,
-    "Areas:": _area,
-    "Paths:": _path,
+_SECTIONS: Mapping[str, tuple[str, Callable[[Line, bool], Any]]] = {
+    "Locations:": ("locations", _location),
+    "Objects:": ("objects", _object),
+    "Areas:": ("areas", _area),
+    "Paths:": ("paths", _path),
 }
 
 
@@ -130,8 +128,7 @@ def _pose(line: Line, description: str = "") -> Map2DLocation:
     return Map2DLocation(_text(line[0]), x, y, theta, description)
 
 
-def _put(kind: dict[str, Any], line: Line, value: Any) -> None:
-    name = _text(line[0])
+def _put(kind: dict[str, Any], name: str, value: Any) -> None:
     if name in kind:
         raise ValueError(f"{name!r} is there already")
     kind[name] = value

@@ -176,6 +176,13 @@ def answered(call: Callable[..., Any], *arguments: Any) -> tuple[Any, ...]:
     return (returned,) if isinstance(returned, ReturnValue) else tuple(returned)
 
 
+def three(call: Callable[[], tuple[ReturnValue, float, float, float]]) -> tuple[ReturnValue, float, float, float]:
+    """A call's outcome and three numbers, 0 where it fails."""
+    outcome, *numbers = answered(call)
+    x, y, theta = numbers if outcome else (0.0, 0.0, 0.0)
+    return outcome, x, y, theta
+
+
 def given(outcome: ReturnValue, value: Any, into: Any) -> Any:
     """A value as the caller wants it: filled in, with the outcome returned; or by itself."""
     if into is None:
