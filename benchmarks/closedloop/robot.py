@@ -100,7 +100,7 @@ class Robot:
 
     def _measure(self) -> None:
         encoders = self.simulation.motors.encoders()
-        found = self._base.measured(encoders.positions, encoders.time_ns / 1e9)
+        found = self._base.measured(encoders.positions.tolist(), encoders.time_ns / 1e9)
         self.odometry = Pose(found.x, found.y, math.remainder(found.theta, 2.0 * math.pi), encoders.time_ns)
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
 from typing import Any
@@ -16,6 +17,10 @@ from navigation.yarp import Commands
 
 MAX_STEP = 0.1
 """Seconds that one step may count for: after a standstill the base does not catch up on accelerations."""
+
+SETTLED, REPEAT = 0.5, 0.04
+"""Seconds after which a base that is to stand still does so, and seconds between two commands to it from then on: less
+than half of the time-out of the wheels' driver."""
 
 
 class DrivenBase:
@@ -44,6 +49,7 @@ class DrivenBase:
         self.motors_filter: int = section.motors_filter
         self.choice = NOBODY
         self.idle = False
+        self._still = 0  # periods in a row in which the wheels were to stand still
         self._last: float | None = None
         self._told = STILL
         self._measured: float | None = None
@@ -60,7 +66,7 @@ class DrivenBase:
         self.limiter.step(STILL if self.idle else self.choice.velocity, seconds)
         return self.limiter.wheels()
 
-    def measured(self, angles: Array, now: float) -> Travelled:
+    def measured(self, angles: Sequence[float], now: float) -> Travelled:
         """Take the wheels' angles, rad, at a time in seconds; where the base has come to, its velocity smoothed.
 
         Raises `ValueError` if they are no angles of these wheels.
@@ -70,7 +76,13 @@ class DrivenBase:
         self._measured = now
         if seconds > 0.0:
             self._told = smoothed(self._told, found.velocity, self.motors_filter, seconds)
-        return replace(found, velocity=self._told)
+        return found if self._told is found.velocity else replace(found, velocity=self._told)
+
+    def due(self, velocities: Array) -> bool:
+        """Whether what `step` returned is to be told to the wheels: all while they turn, and zeros now and then."""
+        self._still = 0 if velocities.any() else self._still + 1
+        period = self.section.period
+        return self._still * period < SETTLED or self._still % max(1, round(REPEAT / period)) == 0
 
     def stop(self) -> None:
         """Forget all commands; the base brakes."""

@@ -7,7 +7,9 @@ linear, so a kind of base is a matrix: wheel velocities = matrix @ (x, y, turn).
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
+from operator import mul
 
 import numpy as np
 from numpy.typing import NDArray
@@ -100,28 +102,30 @@ class WheelOdometry:
     """Adds up encoder angles; between two readings the base drives along an arc."""
 
     def __init__(self, kinematics: Kinematics) -> None:
-        self._kinematics = kinematics
-        self._angles: Array | None = None
+        # plain numbers: for two or three wheels they are quicker than arrays
+        self._rows: list[list[float]] = kinematics.inverse.tolist()
+        self._wheels = len(kinematics.joints)
+        self._angles: Sequence[float] | None = None
         self._time = 0.0
         self.now = Travelled()
 
-    def update(self, angles: Array, time: float) -> Travelled:
+    def update(self, angles: Sequence[float], time: float) -> Travelled:
         """Take the wheels' angles (rad, counted on over full turns) at a time in seconds.
 
         The first reading only says where the encoders stand. A reading that is not newer changes nothing.
         Raises `ValueError` if an angle is not a number, or there are too many or too few.
         """
-        wheels = len(self._kinematics.joints)
-        if angles.shape != (wheels,) or not np.isfinite(angles).all():
-            raise ValueError(f"{wheels} finite wheel angles are needed, not {angles}")
+        if len(angles) != self._wheels or not all(map(math.isfinite, angles)):
+            raise ValueError(f"{self._wheels} finite wheel angles are needed, not {angles}")
         if self._angles is None:
-            self._angles, self._time = angles.copy(), time
+            self._angles, self._time = tuple(angles), time
             return self.now
         seconds = time - self._time
         if seconds <= 0.0:
             return self.now
-        step = Velocity(*(float(value) for value in self._kinematics.inverse @ (angles - self._angles)))
-        self._angles, self._time = angles.copy(), time
+        turned = [angle - before for angle, before in zip(angles, self._angles, strict=True)]
+        step = Velocity(*(sum(map(mul, row, turned)) for row in self._rows))
+        self._angles, self._time = tuple(angles), time
         self.now = _moved(self.now, step, seconds)
         return self.now
 

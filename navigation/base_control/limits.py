@@ -55,6 +55,8 @@ class Limiter:
 
     def step(self, wanted: Velocity, seconds: float) -> Velocity:
         """The velocity to drive at for the next period."""
+        if wanted == self._smooth == self.now == STILL:
+            return self.now
         if not self.kinematics.holonomic:
             wanted = Velocity(wanted.x, 0.0, wanted.turn)
         self._smooth = smoothed(self._smooth, wanted, self.limits.filter_hz, seconds)

@@ -50,6 +50,8 @@ class BaseControl(Module):
         self._joints = section.joints
         self._trouble = ""
         self._heard: float | None = None
+        self._named: list[str] = []  # the joints of the last encoders, and the wheels' places among them
+        self._places: list[int | None] = [None] * len(self._joints)
         stall_detector = StallDetector()
         host.loop.every(_BEAT, stall_detector.beat)
         self.inputs = CommandInputs(host, section, self.base, self.now, stall_detector)
@@ -77,26 +79,29 @@ class BaseControl(Module):
     def halt(self) -> dict[str, Any]:
         """Forget all commands and stand still; later commands are obeyed again."""
         self.base.stop()
-        self._step()
+        self._turn(self.base.step(self.now()))
         return {"halted": True}
 
     def _step(self) -> None:
-        self._turn(self.base.step(self.now()))
+        velocities = self.base.step(self.now())
+        if self.base.due(velocities):
+            self._turn(velocities)
 
     def _turn(self, velocities: Array) -> None:
         stamp = self._host.clock.stamp()
         self._wheels.offer(lambda: self._command.fill(stamp["sec"], stamp["nanosec"], *velocities.tolist()))
 
     def _encoders(self, message: dict[str, Any]) -> None:
-        places = {name: place for place, name in enumerate(message["name"])}
-        missing = [joint for joint in self._joints if places.get(joint, math.inf) >= len(message["position"])]
-        if missing:
-            if not set(self._joints) & places.keys():
-                return  # the arms' driver, on the same topic
-            self._trouble = f"{missing[0]} is not in the joint states; set modules.base_control.joints"
+        if message["name"] != self._named:
+            self._named = message["name"]
+            places = {name: place for place, name in enumerate(self._named)}
+            self._places = [places.get(joint) for joint in self._joints]
+        positions = message["position"].tolist()
+        angles = [positions[at] for at in self._places if at is not None and at < len(positions)]
+        if len(angles) < len(self._joints):
+            self._miss(len(positions))
             return
         stamp = message["header"]["stamp"]
-        angles = np.array([message["position"][places[joint]] for joint in self._joints])
         try:
             found = self.base.measured(angles, stamp["sec"] + stamp["nanosec"] / 1e9)
         except ValueError as err:
@@ -105,6 +110,14 @@ class BaseControl(Module):
         self._trouble = ""
         self._heard = time.monotonic()
         self._publisher.publish(found, stamp)
+
+    def _miss(self, positions: int) -> None:
+        """Say which wheel has no encoder, unless none has: then it is the arms' driver, on the same topic."""
+        if any(at is not None for at in self._places):
+            missing = next(
+                joint for joint, at in zip(self._joints, self._places, strict=True) if at is None or at >= positions
+            )
+            self._trouble = f"{missing} is not in the joint states; set modules.base_control.joints"
 
     def reset_odometry(self) -> None:
         """Begin at zero from here."""

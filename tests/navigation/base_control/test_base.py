@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from typing import Any
 
-import numpy as np
 import pytest
 
 from bridge.config.sections.base_control import BaseControlSection
@@ -44,6 +44,32 @@ def test_idle_and_run(base: DrivenBase, words: BaseCommands) -> None:
     assert drive(base, Velocity(0.2), start=104.0).x == pytest.approx(0.2)
 
 
+def test_wheels_that_stand_are_told_so_more_seldom_and_all_else_at_once(base: DrivenBase) -> None:
+    period = base.section.period
+    assert period == 0.02
+    command = base.inputs["command"]
+    told = []
+    for step in range(200):
+        now = 100.0 + step * period
+        if 100 <= step < 105:
+            command.command(Velocity(0.2), now)
+        velocities = base.step(now)
+        if base.due(velocities):
+            told.append((step, bool(velocities.any())))
+    standing = [step for step, turns in told if not turns and step < 100]
+    assert standing[:24] == list(range(24))
+    assert {after - before for before, after in itertools.pairwise(standing[24:])} == {2}
+    turning = [step for step, turns in told if turns]
+    assert turning == list(range(100, turning[-1] + 1))
+    after = [step for step, turns in told if not turns and step > 100]
+    assert after[:24] == list(range(turning[-1] + 1, turning[-1] + 25))
+
+
+def test_a_base_with_a_slow_period_is_told_each_time() -> None:
+    base = DrivenBase(resolved(BaseControlSection(period=0.05))[0])
+    assert all(base.due(base.step(100.0 + step * 0.05)) for step in range(40))
+
+
 def test_limits_are_lowered_and_never_raised_above_the_robots_own(base: DrivenBase, words: BaseCommands) -> None:
     words.answer(["set_max_lin_vel", 0.1])
     words.answer(["set_max_ang_vel", 10])
@@ -68,8 +94,8 @@ def test_filters(base: DrivenBase, words: BaseCommands) -> None:
 
 def test_odometry_is_reset_and_its_velocity_smoothed(base: DrivenBase, words: BaseCommands) -> None:
     base.motors_filter = 1
-    base.measured(np.zeros(2), 1.0)
-    found = base.measured(np.ones(2) * 0.02, 1.02)
+    base.measured([0.0, 0.0], 1.0)
+    found = base.measured([0.02, 0.02], 1.02)
     assert 0.0 < found.velocity.x < 0.16416
     assert found.x == pytest.approx(0.02 * 0.16416)
     assert words.answer(["reset_odometry"]) == ["Odometry reset done."]
@@ -97,10 +123,10 @@ def test_words_that_are_none(words: BaseCommands, values: list[Any], says: str) 
 
 def test_a_clock_that_is_set_back_leaves_the_pose_and_no_command(base: DrivenBase) -> None:
     drive(base, Velocity(0.2))
-    base.measured(np.zeros(2), 100.0)
-    base.measured(np.ones(2), 101.0)
+    base.measured([0.0, 0.0], 100.0)
+    base.measured([1.0, 1.0], 101.0)
     base.forget()
-    base.measured(np.ones(2) * 5.0, 1.0)
+    base.measured([5.0, 5.0], 1.0)
     assert base.odometry.now.x == pytest.approx(0.16416)
     base.step(1.0)
     assert base.choice.input == ""

@@ -63,7 +63,8 @@ def test_an_arc_is_followed_exactly_however_often_the_encoders_are_read(
     y = y if base.holonomic else 0.0
     odometry = WheelOdometry(base)
     for step in range(steps + 1):
-        odometry.update(base.wheels(Velocity(x, y, turn)) * (2.0 * step / steps), 10.0 + 2.0 * step / steps)
+        passed = 2.0 * step / steps
+        odometry.update((base.wheels(Velocity(x, y, turn)) * passed).tolist(), 10.0 + passed)
     found = odometry.now
     fine = 20_000  # midpoints of small straight pieces
     angles = turn * (np.arange(fine) + 0.5) * 2.0 / fine
@@ -77,13 +78,13 @@ def test_an_arc_is_followed_exactly_however_often_the_encoders_are_read(
 
 def test_encoders_that_begin_anew_move_nothing() -> None:
     odometry = WheelOdometry(kinematics("cer", RADIUS, DISTANCE))
-    odometry.update(np.array([5.0, 5.0]), 1.0)
-    odometry.update(np.array([6.0, 6.0]), 2.0)
+    odometry.update([5.0, 5.0], 1.0)
+    odometry.update([6.0, 6.0], 2.0)
     assert odometry.now.x == pytest.approx(RADIUS)
     odometry.restart()
-    odometry.update(np.array([0.0, 0.0]), 3.0)
+    odometry.update([0.0, 0.0], 3.0)
     assert odometry.now.x == pytest.approx(RADIUS)
-    odometry.update(np.array([1.0, 1.0]), 2.5)  # not newer
+    odometry.update([1.0, 1.0], 2.5)  # not newer
     assert odometry.now.x == pytest.approx(RADIUS)
     odometry.reset()
     assert (odometry.now.x, odometry.now.distance) == (0.0, 0.0)
@@ -92,4 +93,4 @@ def test_encoders_that_begin_anew_move_nothing() -> None:
 @pytest.mark.parametrize("angles", [[1.0], [1.0, math.nan], [[1.0, 2.0]]])
 def test_encoders_that_say_nonsense_are_refused(angles: list[float]) -> None:
     with pytest.raises(ValueError, match="2 finite wheel angles"):
-        WheelOdometry(kinematics("cer", RADIUS, DISTANCE)).update(np.array(angles), 1.0)
+        WheelOdometry(kinematics("cer", RADIUS, DISTANCE)).update(angles, 1.0)
