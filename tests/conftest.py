@@ -15,7 +15,7 @@ from typing import Any
 import psutil
 import pytest
 
-from tests.support import missing, tiers
+from tests.support import forks, missing, tiers
 
 _REAL = (
     "demo", "interop", "daemon", "contract", "benchmarks", "adapters", "faults", "interfaces", "examples", "hub", "cli",
@@ -45,7 +45,8 @@ def _processes() -> dict[object, str]:
             if process.pid == own.pid or process.status() == psutil.STATUS_ZOMBIE:
                 continue
             if process in found or own in process.parents() or process.environ().get(_MARK) == _run:
-                found[process] = f"process {process.pid}: {' '.join(process.cmdline())[:200]}"
+                name = forks.name_of(process.pid) or " ".join(process.cmdline())
+                found[process] = f"process {process.pid}: {name[:200]}"
     return found
 
 
@@ -125,6 +126,7 @@ def pytest_testnodedown(node: object, error: object) -> None:
 
 @pytest.hookimpl(trylast=True)
 def pytest_sessionfinish(session: pytest.Session) -> None:
+    forks.close()
     leads = session.config.getoption("numprocesses", None) and not hasattr(session.config, "workerinput")
     look = dict if leads else _threads  # the tests ran elsewhere; xdist has threads of its own here
     end = time.monotonic() + 20  # what is about to end does so late on a busy machine

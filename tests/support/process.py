@@ -12,15 +12,32 @@ from pathlib import Path
 from types import TracebackType
 from typing import IO, Self
 
+from tests.support import forks
+from tests.support.forks import Forked
+
 
 class Process:
-    """A child process in a group of its own whose stderr (and stdout, unless piped) goes to a file."""
+    """A process in a group of its own whose stderr (and stdout, unless piped) goes to a file.
+
+    It is started, but forked where it is a program of the tests, or where ``imports`` names what to import beforehand;
+    see `tests.support.forks`.
+    """
+
+    popen: subprocess.Popen | Forked
 
     def __init__(
-        self, args: Sequence[str | Path], env: Mapping[str, str] | None = None, *, pipes: bool = False
+        self,
+        args: Sequence[str | Path],
+        env: Mapping[str, str] | None = None,
+        *,
+        pipes: bool = False,
+        imports: Sequence[str] = (),
     ) -> None:
         self._log: IO[bytes] = tempfile.NamedTemporaryFile(prefix="midspan-test-", suffix=".log")  # noqa: SIM115
         self.args = [str(a) for a in args]
+        if imports or forks.possible(self.args):
+            self.popen = Forked(self.args, os.environ if env is None else env, self._log, pipes=pipes, imports=imports)
+            return
         self.popen = subprocess.Popen(
             self.args,
             env=None if env is None else dict(env),

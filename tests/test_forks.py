@@ -1,0 +1,125 @@
+"""A forked program is as one that was started: with an environment, a session, output and an exit code of its own."""
+
+from __future__ import annotations
+
+import contextlib
+import itertools
+import os
+import signal
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import psutil
+import pytest
+
+from tests.support import forks
+from tests.support.process import Process
+from tests.support.wait import until
+
+Start = Callable[..., Process]
+
+
+@pytest.fixture
+def start(tmp_path: Path) -> Iterator[Start]:
+    """Forks programs of a few lines."""
+    numbers = itertools.count()
+    with contextlib.ExitStack() as stack:
+
+        def started(
+            text: str, *args: str, pipes: bool = False, imports: tuple[str, ...] = ("json",), **env: str
+        ) -> Process:
+            file = tmp_path / f"program_{next(numbers)}.py"
+            file.write_text(text)
+            process = Process([sys.executable, file, *args], {**os.environ, **env}, pipes=pipes, imports=imports)
+            return stack.enter_context(process)
+
+        yield started
+
+
+def test_arguments_exit_code_and_output(start: Start) -> None:
+    program = start("import sys; print(*sys.argv[1:]); print('bad', file=sys.stderr); sys.exit(7)", "one", "two")
+    assert program.popen.wait(20) == 7
+    assert set(program.output().splitlines()) == {"one two", "bad"}
+
+
+def test_what_is_raised_is_told(start: Start) -> None:
+    program = start("import no_such_module_anywhere")
+    assert program.popen.wait(20) == 1
+    assert "No module named 'no_such_module_anywhere'" in program.output()
+
+
+def test_a_signal_is_its_exit_code(start: Start) -> None:
+    program = start("import time\nprint('on', flush=True)\ntime.sleep(60)")
+    until(program.output, "it runs")
+    assert program.popen.poll() is None
+    with pytest.raises(subprocess.TimeoutExpired):
+        program.popen.wait(0.01)
+    program.signal(signal.SIGTERM)
+    assert program.popen.wait(20) == -signal.SIGTERM
+    assert program.popen.poll() == -signal.SIGTERM
+
+
+def test_pipes_and_their_ends(start: Start) -> None:
+    program = start(
+        "import sys\nfor line in sys.stdin: print(line.strip()[::-1], flush=True)\nprint('end')", pipes=True
+    )
+    other = start("import sys\nsys.stdin.read()", pipes=True)  # inherits nothing of the first one's
+    assert program.popen.stdin is not None
+    assert program.popen.stdout is not None
+    program.popen.stdin.write("abc\n")
+    program.popen.stdin.flush()
+    assert program.popen.stdout.readline() == "cba\n"
+    program.popen.stdin.close()
+    assert program.popen.stdout.read() == "end\n"
+    assert program.popen.wait(20) == 0
+    assert other.popen.poll() is None
+
+
+def test_each_has_its_own_environment_session_and_modules(start: Start) -> None:
+    text = "import os, sys, json; print(os.environ.get('ONE'), os.getsid(0) == os.getpid(), hasattr(json, 'mark'))"
+    first, second = start(text + "\njson.mark = 1", ONE="1"), start(text)
+    assert (first.popen.wait(20), second.popen.wait(20)) == (0, 0)
+    assert (first.output(), second.output()) == ("1 True False\n", "None True False\n")
+
+
+def test_pythons_own_settings_are_heeded(start: Start) -> None:
+    program = start("import sys; print(sys.flags.optimize)", PYTHONOPTIMIZE="1")
+    assert program.popen.wait(20) == 0
+    assert program.output() == "1\n"
+
+
+def test_modules_are_run_by_their_name() -> None:
+    with Process([sys.executable, "-m", "json.tool"], pipes=True, imports=("json",)) as program:
+        assert program.popen.stdin is not None
+        assert program.popen.stdout is not None
+        program.popen.stdin.write("[1]")
+        program.popen.stdin.close()
+        assert program.popen.stdout.read() == "[\n    1\n]\n"
+        assert program.popen.wait(20) == 0
+
+
+def test_what_starts_threads_is_not_forked(start: Start, tmp_path: Path) -> None:
+    (tmp_path / "starts_threads.py").write_text(
+        "import threading\nthreading.Thread(target=threading.Event().wait, daemon=True).start()"
+    )
+    with pytest.raises(AssertionError, match="starts threads"):
+        start("", imports=("starts_threads",), PYTHONPATH=str(tmp_path))
+
+
+def test_programs_end_with_who_forked_them(start: Start) -> None:
+    program = start("import time\ntime.sleep(60)", PYTHONHASHSEED="7")
+    process = psutil.Process(program.pid)
+    server = process.parent()
+    assert server is not None
+    server.kill()
+    assert program.popen.wait(20) == -signal.SIGKILL
+    until(lambda: not process.is_running() or process.status() == psutil.STATUS_ZOMBIE, "it has ended")
+    assert start("print('again')", PYTHONHASHSEED="7").popen.wait(20) == 0
+
+
+def test_only_programs_of_the_tests_are_forked_unasked() -> None:
+    assert forks.possible([sys.executable, str(Path(__file__).parent / "support" / "ros2_peer.py")])
+    assert not forks.possible([sys.executable, "-c", "pass"])
+    assert not forks.possible(["/usr/bin/python3", "/usr/bin/roscore"])
