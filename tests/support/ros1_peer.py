@@ -26,6 +26,7 @@ import rosgraph
 import roslib.message
 import rospy
 from ros1_actions import Actions
+from ros1_leave import leave
 
 
 def to_plain(value):
@@ -317,7 +318,7 @@ def main():
     try:
         serve(answers)
     finally:
-        rospy.signal_shutdown("end of the test")
+        leave()
 
 
 def serve(answers):

@@ -14,12 +14,17 @@ import signal
 import sys
 import threading
 import time
+from pathlib import Path
 
 import actionlib
 import roslib.message
 import rospy
 from actionlib.action_client import CommState
 from actionlib_msgs.msg import GoalID
+
+sys.path.append(str(Path(__file__).parents[2] / "support"))
+
+from ros1_leave import leave
 
 OUTCOMES = ("succeed", "abort", "reject", "preempt", "hold")
 """What becomes of a goal, by its number modulo 10; any other number is held."""
@@ -273,7 +278,7 @@ def main():
         answers.write(json.dumps(answer) + "\n")
         if name == "exit":
             break
-    rospy.signal_shutdown("end of the test")
+    leave()
 
 
 main()
