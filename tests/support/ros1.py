@@ -22,6 +22,8 @@ from tests.support.wait import until
 ROS1_PEER = Path(__file__).with_name("ros1_peer.py")
 """The peer program of `tests.support.peer` for ROS 1; runs on the system's Python alone."""
 
+ROS1_CORE = Path(__file__).with_name("ros1_core.py")
+
 ROS1_PYTHON = Path("/usr/bin/python3")
 
 needs_ros1 = needs(ROS1)
@@ -39,9 +41,12 @@ def ros1_environment(master: str = "", environ: Mapping[str, str] = os.environ) 
 
 
 class RosMaster:
-    """A roscore (master, parameters, rosout) on a port of its own, which it keeps when it is started anew."""
+    """A roscore (master, parameters, rosout) on a port of its own, which it keeps when it is started anew.
 
-    def __init__(self) -> None:
+    The same programs without roscore's launcher, but where ``command`` asks for the very command.
+    """
+
+    def __init__(self, *, command: bool = False) -> None:
         need(ROS1)
         self.port = free_port()
         self.uri = f"http://127.0.0.1:{self.port}/"
@@ -51,12 +56,13 @@ class RosMaster:
             "ROS_HOME": self._folder,
             "ROS_LOG_DIR": f"{self._folder}/log",
         }
+        self._program = ["/usr/bin/roscore", "-p"] if command else [str(ROS1_CORE)]
         self._process: Process | None = None
 
     def start(self) -> None:
         """Start roscore and wait until it answers."""
-        self._process = Process([ROS1_PYTHON, "/usr/bin/roscore", "-p", str(self.port)], self.env)
-        until(lambda: self._ready(), "roscore answers", 30.0, 0.05)
+        self._process = Process([ROS1_PYTHON, *self._program, str(self.port)], self.env)
+        until(lambda: self._ready(), "roscore answers", 30.0)
 
     def stop(self) -> None:
         """Stop roscore; its nodes stay."""
@@ -70,9 +76,9 @@ class RosMaster:
         self._process.signal(number)
 
     def kill(self) -> None:
-        """Kill roscore, which takes a second to stop by itself; its nodes stay."""
+        """Kill roscore, whose command takes a second to stop by itself; its nodes stay."""
         if self._process is not None:
-            # its master and rosout are in sessions of their own
+            # the command's master and rosout are in sessions of their own
             parts = psutil.Process(self._process.pid).children() if self._process.popen.poll() is None else []
             self._process.stop(0)
             for part in parts:

@@ -181,7 +181,7 @@ def test_joining_a_master_that_comes_later(tmp_path):
 
 
 def test_a_restarted_master_is_joined_again(tmp_path, record_property):
-    with RosMaster() as master, edge_on(master, tmp_path) as edge:
+    with RosMaster(command=True) as master, edge_on(master, tmp_path) as edge:
         publisher = edge.ask("advertise", topic="/out", type="std_msgs/String", latched=True)["id"]
         edge.send(publisher, "kept")
         inbox = edge.open("/in", "std_msgs/String")
