@@ -20,6 +20,9 @@ from tests.support.process import Process
 from tests.support.wait import until
 
 CUSTOM_FOLDER = Path(__file__).parent / "msgs"
+IMPORTS = ("bridge.cli.daemon.run", "bridge.daemon.process", "bridge.adapters.worker")
+"""What a worker of each side imports."""
+
 CUSTOM_TYPES = ("contract_msgs/Thing", "octomap_msgs/Octomap")
 
 
@@ -93,7 +96,10 @@ class WorkerProcess:
         self, side: str, config: Config, env: Mapping[str, str], states: Collection[str] = ("running",)
     ) -> None:
         self.process = Process(
-            [sys.executable, "-m", "bridge.cli.main", "worker", side, "--supervised"], env, pipes=True
+            [sys.executable, "-m", "bridge.cli.main", "worker", side, "--supervised"],
+            env,
+            pipes=True,
+            imports=[*IMPORTS, f"bridge.adapters.{side}.edge"],
         )
         self._send({"config": json.loads(config.model_dump_json(by_alias=True))})
         until(lambda: self.beat()["state"] in states, f"{side} worker runs", 20, every=0)

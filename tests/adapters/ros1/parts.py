@@ -6,6 +6,7 @@ import base64
 import os
 import struct
 import sys
+import tempfile
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +20,9 @@ from tests.support.wait import until
 
 ROOT = Path(__file__).parents[3]
 PROGRAM = Path(__file__).with_name("edge_program.py")
+CACHE = Path(tempfile.gettempdir()) / f"midspan-test-cache-{os.getuid()}"
+"""One for all, as a user's is: edges in the same environment can be forked of one process."""
+
 AT_ONCE = 4.0
 """Seconds: twice what `Edge.start` and `Edge.stop` take at most, for a machine that is busy."""
 
@@ -46,7 +50,7 @@ class EdgeUnderTest(Peer):
             name=daemon, state=state, clock=source, ros1=Ros1Section(master=master, **{"poll": 0.1, **ros1})
         )
         environ = {k: v for k, v in os.environ.items() if not k.startswith("ROS_")}
-        environ["XDG_CACHE_HOME"] = str(state / "cache")
+        environ["XDG_CACHE_HOME"] = str(CACHE)
         env = worker_environment(config, environ)
         env["PYTHONPATH"] += f"{os.pathsep}{ROOT}"
         super().__init__(PROGRAM, Path(sys.executable), env, config.model_dump_json(by_alias=True), str(state))
