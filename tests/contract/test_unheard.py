@@ -6,11 +6,15 @@ from typing import Any
 
 import pytest
 
+from bridge.routing import engine, hub_to_side
 from tests.contract.hubside import HubSide
 from tests.contract.side import Bridge, Side
 from tests.support.wait import until
 
 STRING = "std_msgs/String"
+SOON = 2.0
+"""Seconds in place of `bridge.routing.hub_to_side.UNHEARD`, and between looks, where the worker is in this process."""
+
 PERIOD = 0.05
 """Seconds between two messages: far quicker than `bridge.routing.hub_to_side.QUICK`."""
 
@@ -20,6 +24,12 @@ def _route(far: HubSide, topic: str) -> dict[str, Any]:
         r for r in far.status()["routes"] if r["hub_topic"] == topic and r["direction"] == "out"
     ]
     return found[0] if found else {"state": "not there"}
+
+
+@pytest.fixture(autouse=True)
+def _soon(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(hub_to_side, "UNHEARD", SOON)
+    monkeypatch.setattr(engine, "_LOOK", SOON)
 
 
 def test_a_quick_stream_is_taken_up_with_its_first_listener(side: Side, bridge: Bridge, far: HubSide) -> None:
