@@ -17,9 +17,7 @@ from bridge.tf.transform import LATEST, Transform
 from navigation.messages import STRING
 from navigation.pose import Pose
 
-LATE = 0.2
-"""Seconds by which a stamp may be newer than what was said of frames."""
-
+LATE = 0.2  # seconds by which a stamp may be newer than what was said of frames
 _DEPTH = 1000  # messages of `/tf` that may wait: every publisher of a robot sends its own at the same time
 _STATIC = Qos(durability=Durability.TRANSIENT_LOCAL, depth=100)
 

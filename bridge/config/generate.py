@@ -92,8 +92,7 @@ def _annotation_text(annotation: Any) -> str:
 
 
 WIDTH = 100
-SCHEMA_FILE = "midspan.schema.json"
-"""The schema's name beside the files in ``configs/``."""
+SCHEMA_FILE = "midspan.schema.json"  # the schema's name beside the files in ``configs/``
 
 
 def editor_comment(schema: str = SCHEMA_FILE) -> str:

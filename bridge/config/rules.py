@@ -83,9 +83,7 @@ def _rule(of: str, **values: Any) -> MadeRule:
     return MadeRule.model_validate({"of": of, **values})
 
 
-EVERY = "*"
-"""In place of the last part of a name: topics of any name."""
-
+EVERY = "*"  # in place of the last part of a name: topics of any name
 ALWAYS: Mapping[str, str] = {
     "geometry_msgs/msg/Twist": EVERY,
     "geometry_msgs/msg/TwistStamped": EVERY,

@@ -34,8 +34,7 @@ from bridge.interfaces.definition import (
 from bridge.interfaces.generate import Request
 from bridge.interfaces.ros2 import GENERATORS, Ros2
 
-RECIPE = "1"
-"""Raise it when what the builder makes of the same definitions changes."""
+RECIPE = "1"  # raise it when what the builder makes of the same definitions changes
 
 
 @dataclass(frozen=True, slots=True)

@@ -23,8 +23,7 @@ from bridge.interfaces.ros2 import GENERATORS, Ros2
 _CURE_COMPILER = "Install one: apt install g++"
 _FLAGS = ("-O1", "-fPIC", "-w")
 _STANDARD = {".c": "-std=gnu11", ".cpp": "-std=gnu++17"}
-TIMEOUT = 900
-"""Seconds that one call of a compiler, or of the generators, may take; the longest measured took 10."""
+TIMEOUT = 900  # seconds that one call of a compiler, or of the generators, may take; the longest measured took 10
 _RUNTIME = (
     "rosidl_typesupport_fastrtps_c",
     "rosidl_typesupport_fastrtps_cpp",

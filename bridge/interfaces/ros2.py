@@ -17,9 +17,7 @@ from pathlib import Path
 
 from bridge.interfaces.definition import BuildError
 
-MARK = "share/midspan/interfaces"
-"""A prefix that has this file is one of our own, not an installation."""
-
+MARK = "share/midspan/interfaces"  # a prefix that has this file is one of our own, not an installation
 GENERATORS = (
     "rosidl_generator_c",
     "rosidl_generator_py",

@@ -18,14 +18,11 @@ PARTS = (*SERVICES, *TOPICS)
 CANCEL = "action_msgs/srv/CancelGoal"
 STATUSES = "action_msgs/msg/GoalStatusArray"
 
-BETWEEN = "/_action/"
-"""Stands between an action's name and that of a part."""
-
+BETWEEN = "/_action/"  # stands between an action's name and that of a part
 ENDINGS = {SEND_GOAL: "_SendGoal", GET_RESULT: "_GetResult", FEEDBACK: "_FeedbackMessage"}
 """What follows the action's type in the types of the parts that are its own."""
 
-COMMON = {CANCEL_GOAL: CANCEL, STATUS: STATUSES}
-"""The types of the parts that all actions have in common."""
+COMMON = {CANCEL_GOAL: CANCEL, STATUS: STATUSES}  # the types of the parts that all actions have in common
 
 
 class GoalState(IntEnum):

@@ -20,9 +20,7 @@ from bridge.messages.errors import ConversionError
 from bridge.messages.registry import Registry
 from bridge.messages.values import MessageReader, MessageWriter, ServiceCodec, dtype, wrong
 
-OCTETS = frozenset({"uint8", "byte", "char"})
-"""Primitives whose arrays are written as base64."""
-
+OCTETS = frozenset({"uint8", "byte", "char"})  # primitives whose arrays are written as base64
 _NOT_NUMBERS = {"nan": math.nan, "infinity": math.inf, "inf": math.inf, "-infinity": -math.inf, "-inf": -math.inf}
 
 

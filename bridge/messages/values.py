@@ -29,9 +29,7 @@ from bridge.messages.registry import Registry
 if TYPE_CHECKING:
     import numpy as np
 
-HEADER = b"\0\1\0\0"
-"""What CDR in little-endian begins with."""
-
+HEADER = b"\0\1\0\0"  # what CDR in little-endian begins with
 _STRUCTS = {base: struct.Struct("<" + code) for base, code in STRUCT_FORMATS.items()}
 
 

@@ -30,9 +30,7 @@ def json_object(data: bytes, refusal: str = "it is not a JSON object") -> dict[s
     return found
 
 
-MAX_NAME = 254
-"""Bytes; YARP's longest name of a map (MapGrid2D::read)."""
-
+MAX_NAME = 254  # bytes; YARP's longest name of a map (MapGrid2D::read)
 _FORBIDDEN = frozenset("/\\*$?#%")
 """Separators of paths and keys, and what zenoh's key expressions and selectors use."""
 
@@ -53,12 +51,8 @@ def check_name(name: str) -> str:
     raise StoreError(msg)
 
 
-MOST_SEEN = 32
-"""Replicas that a version remembers; the longest silent ones are forgotten first."""
-
-OLDEST = 1
-"""The time of what is imported: older than anything that was ever written."""
-
+MOST_SEEN = 32  # replicas that a version remembers; the longest silent ones are forgotten first
+OLDEST = 1  # the time of what is imported: older than anything that was ever written
 LATEST = (1 << 32) * 1_000_000_000
 """Nanoseconds since 1970 that a stamp stays below: what zenoh's 64-bit NTP time can hold."""
 

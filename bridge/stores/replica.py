@@ -18,12 +18,9 @@ from bridge.stores.table import EntryTable
 _log = logging.getLogger(__name__)
 
 _DAY_NS = 86_400 * 1_000_000_000
-_MOST_CONFLICTS = 20
-"""Conflicts that the status names."""
-
+_MOST_CONFLICTS = 20  # conflicts that the status names
 Key = tuple[str, str]
-Body = tuple[bytes, str]
-"""A value's bytes and their encoding."""
+Body = tuple[bytes, str]  # a value's bytes and their encoding
 
 
 @dataclass(frozen=True, slots=True)

@@ -33,14 +33,10 @@ from bridge.stores.wire import BUCKETS, bucket, digests, entry_of, item_of, key_
 
 _log = logging.getLogger(__name__)
 
-PERIOD = 10.0
-"""Seconds after which a replica compares itself with the others, though nothing asked for it."""
-
+PERIOD = 10.0  # seconds after which a replica compares itself with the others, though nothing asked for it
 _AGAIN = 1.0
 _MOST_TRIES = 5
-_MOST_WAITING = 1000
-"""Samples and questions that wait to be looked at; a sample beyond is left to the next comparison."""
-
+_MOST_WAITING = 1000  # samples and questions that wait to be looked at; a sample beyond is left to the next comparison
 _BATCH_KEYS, _BATCH_BYTES = 200, 64 << 20
 _MOST_KEYS = 100_000
 _MOST_WRITE = 1 << 20

@@ -19,8 +19,7 @@ __all__ = ["Change", "Store", "Write"]
 T = TypeVar("T")
 
 THE_MAP = "map"
-_BESIDE: dict[str, ValueKind[Any]] = {AREA.name: BEHAVIOUR}
-"""What goes where a key of another kind goes."""
+_BESIDE: dict[str, ValueKind[Any]] = {AREA.name: BEHAVIOUR}  # what goes where a key of another kind goes
 
 
 @dataclass(frozen=True, slots=True)

@@ -24,9 +24,7 @@ from navigation.status import Fault, PlannerStatus, State, status_message
 DOUBTFUL_SECONDS = 0.5
 """After an end that the planner gave no error code for, so long is looked whether it is there at all."""
 
-SETTLING_SECONDS = 5.0
-"""A rejection of a planner that came so lately is not believed: it is asked again."""
-
+SETTLING_SECONDS = 5.0  # a rejection of a planner that came so lately is not believed: it is asked again
 REPLACED_SECONDS = 5.0
 """A planner that still has the old goal so long after a new one drives several at a time; the old one is cancelled."""
 

@@ -16,9 +16,7 @@ from navigation.messages import duration
 from navigation.pose import Pose
 from navigation.status import Fault, PlannerStatus, State
 
-UNKNOWN = math.nan
-"""A distance that is not known: no comparison with it is true, where 0.0 would mean "arrived"."""
-
+UNKNOWN = math.nan  # a distance that is not known: no comparison with it is true, where 0.0 would mean "arrived"
 _AT_ITS_END = 1.0  # metres from the goal within which a path that leads to it ends
 
 

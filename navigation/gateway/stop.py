@@ -14,12 +14,8 @@ from navigation.gateway.planner_link import PlannerLink
 from navigation.pose import Pose
 from navigation.status import Fault, PlannerStatus, State
 
-STANDING_SECONDS = 0.4
-"""A base that has not moved for so long stands."""
-
-STILL_METRES, STILL_RADIANS = 0.005, 0.01
-"""What odometry of a base that stands may change by in that time."""
-
+STANDING_SECONDS = 0.4  # a base that has not moved for so long stands
+STILL_METRES, STILL_RADIANS = 0.005, 0.01  # what odometry of a base that stands may change by in that time
 _KEPT_SECONDS = 3.0  # for so long poses are kept, for the speed
 
 
@@ -74,21 +70,15 @@ class Motion:
         return moved / seconds if seconds > 0 and moved > 2 * STILL_METRES else None
 
 
-LATE_SECONDS = 1.0
-"""A planner that has not let go after so long is said to be late; the base may still be moving."""
-
+LATE_SECONDS = 1.0  # a planner that has not let go after so long is said to be late; the base may still be moving
 CANCEL_SECONDS = 10.0
 """After so long without anything that confirms a stop the client's goal ends ABORTED: it may still be moving."""
 
-HELD_SECONDS = 60.0
-"""For so long the velocities of a planner that is not there are held, where the base stands."""
-
-ANSWER_SECONDS = 1.5
-"""The longest time until a client that asks for a stop is answered."""
+HELD_SECONDS = 60.0  # for so long the velocities of a planner that is not there are held, where the base stands
+ANSWER_SECONDS = 1.5  # the longest time until a client that asks for a stop is answered
 
 
-StopAnswer = queue.SimpleQueue[str]
-"""What `StopWaiters` answers, for another thread."""
+StopAnswer = queue.SimpleQueue[str]  # what `StopWaiters` answers, for another thread
 
 
 def waited_for(answer: StopAnswer) -> str:

@@ -159,9 +159,7 @@ class _Markers:
         self.markers.append({"header": self._header, "ns": f"{kind} {name}", "id": number, "type": form, **fields})
 
 
-Keys = AbstractSet[tuple[str, str]]
-"""Kinds and names of what changed."""
-
+Keys = AbstractSet[tuple[str, str]]  # kinds and names of what changed
 MAP_TOPIC, METADATA_TOPIC = "/map", "/map_metadata"
 _FORBIDDEN = re.compile(r"[^A-Za-z0-9_]")
 

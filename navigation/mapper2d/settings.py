@@ -10,9 +10,7 @@ from typing import Any
 from bridge.config.sections.maps import Mapper2DSection
 from navigation.ini import Ini, IniGroup, frame_name, port_name
 
-OTHERS = frozenset({"robot", "part", "local", "name"})
-"""Keys that speak of upstream's own program."""
-
+OTHERS = frozenset({"robot", "part", "local", "name"})  # keys that speak of upstream's own program
 STALE = {("ROBOT_GEOMETRY", "robot_radius"): "a map has no robot in it"}
 """Keys that real files have and that change nothing, with why."""
 

@@ -69,15 +69,9 @@ def _draw(cells: NDArray[np.bool_], start: NDArray[np.float64], end: NDArray[np.
     cells[rows[fits], columns[fits]] = True
 
 
-KEEP_OUT = 100
-"""What planners must not enter."""
-
-TEMPORARY_OBSTACLE = 90
-"""What a temporary obstacle weighs: 35 of a costmap's 254 less than a wall."""
-
-ENLARGED_OBSTACLE = 60
-"""What the room about an obstacle weighs, which the costmap's own inflation covers too."""
-
+KEEP_OUT = 100  # what planners must not enter
+TEMPORARY_OBSTACLE = 90  # what a temporary obstacle weighs: 35 of a costmap's 254 less than a wall
+ENLARGED_OBSTACLE = 60  # what the room about an obstacle weighs, which the costmap's own inflation covers too
 _WEIGHTS = {
     MapFlag.KEEP_OUT: KEEP_OUT,
     MapFlag.TEMPORARY_OBSTACLE: TEMPORARY_OBSTACLE,
@@ -118,8 +112,7 @@ def flags_from(occupancy: NDArray[np.uint8], mask: NDArray[np.int8]) -> NDArray[
     return flags
 
 
-ABSOLUTE = 2
-"""CostmapFilterInfo's type of limits in metres per second."""
+ABSOLUTE = 2  # CostmapFilterInfo's type of limits in metres per second
 
 
 @dataclass(frozen=True, eq=False)

@@ -21,15 +21,9 @@ from navigation.robot_goto.steering import STILL, Aim, DriveCommand, GoalLimits,
 from navigation.scan import AT_BASE, is_blind
 from navigation.status import Fault, PlannerStatus, State
 
-COAST = 0.3
-"""Seconds for which the robot goes on behind a waypoint that it is to pass, until the next goal comes."""
-
-CLEAR = 1.0
-"""Seconds for which the way is to be free before the robot goes on."""
-
-RAMP = 2.0
-"""Seconds in which it comes up to speed then."""
-
+COAST = 0.3  # seconds for which the robot goes on behind a waypoint that it is to pass, until the next goal comes
+CLEAR = 1.0  # seconds for which the way is to be free before the robot goes on
+RAMP = 2.0  # seconds in which it comes up to speed then
 RETREAT_SPEED = 0.2
 MAX_RETREAT = 2.0
 _PROGRESS, _TURN_PROGRESS = 0.05, math.radians(2.0)

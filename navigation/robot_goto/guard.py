@@ -15,9 +15,7 @@ from navigation.pose import Pose, wrapped
 from navigation.robot_goto.local_grid import LocalGrid
 from navigation.robot_goto.steering import STILL, DriveCommand
 
-CREEP_ROOM, FAST_ROOM = 0.01, 0.05
-"""Metres kept beyond the radius, when it creeps and at full speed."""
-
+CREEP_ROOM, FAST_ROOM = 0.01, 0.05  # metres kept beyond the radius, when it creeps and at full speed
 _BARELY, _LEAST = 0.1, 0.002
 _BASELINE, _KEPT = 0.15, 0.3
 _FASTER, _ABSURD = 0.1, 5.0
@@ -103,15 +101,9 @@ class Guard:
         return self._scale <= _BARELY and bool(self.blocker[2] == UNKNOWN)
 
 
-ENOUGH = 0.2
-"""Metres of commands after which it is looked what became of them."""
-
-TRY = 0.05
-"""The same of a base that did not follow, and is tried again."""
-
-PAUSE = 2.0
-"""Seconds between two tries."""
-
+ENOUGH = 0.2  # metres of commands after which it is looked what became of them
+TRY = 0.05  # the same of a base that did not follow, and is tried again
+PAUSE = 2.0  # seconds between two tries
 _SHARE = 0.2
 _ARM = 0.2  # metres that one radian counts
 

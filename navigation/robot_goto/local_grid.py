@@ -13,11 +13,8 @@ from navigation.pose import Pose
 from navigation.scan import AT_BASE
 
 RESOLUTION = 0.05
-SIDE = 100
-"""Cells; the window is 5 m square, with the robot in its middle."""
-
-NEAR = 1.5
-"""Metres around the robot within which single cells are given."""
+SIDE = 100  # cells; the window is 5 m square, with the robot in its middle
+NEAR = 1.5  # metres around the robot within which single cells are given
 
 
 class LocalGrid:

@@ -57,9 +57,7 @@ class GotoTask:
         return self.asked.heading and not self.asked.through and math.isfinite(self.pose.theta)
 
 
-INFLUENCE = 0.8
-"""Obstacles that are farther off repel not (upstream's ``max_obstacle_distance``), metres."""
-
+INFLUENCE = 0.8  # obstacles that are farther off repel not (upstream's ``max_obstacle_distance``), metres
 _SPARE = 0.05
 _AWAY = 1.0  # metres by which a way out of the window may lead farther from the goal than the robot is; else it waits
 _WORTH = 0.5

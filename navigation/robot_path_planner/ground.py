@@ -20,12 +20,8 @@ from yarp_compat.dev.locations import Map2DArea
 from yarp_compat.dev.mapflag import MapFlag, looked_up
 from yarp_compat.dev.mapgrid import MapGrid2D
 
-Cell = tuple[int, int]
-"""Row, from the top one down, and column."""
-
-OCCUPIED = 50
-"""From here on an occupancy is a wall, as YARP takes it where it has no flags."""
-
+Cell = tuple[int, int]  # row, from the top one down, and column
+OCCUPIED = 50  # from here on an occupancy is a wall, as YARP takes it where it has no flags
 _NEAR_WALL = 16
 """What a cell right beside where the robot does not fit costs more than any other; it falls off within `clearance`, by
 the square, so that a local navigator has some room wherever there is any."""
@@ -146,9 +142,7 @@ def joined(one: AreaBehaviour, other: AreaBehaviour) -> AreaBehaviour:
     return AreaBehaviour(min(speeds, default=None), word)
 
 
-SURE = 1.2
-"""Log odds from which on a cell counts: seen in two scans more than seen through."""
-
+SURE = 1.2  # log odds from which on a cell counts: seen in two scans more than seen through
 _KNOWN = 0.15  # metres to a wall of the map within which an echo is that wall's: maps and localisation are not better
 _FORGET_EVERY = 1.0
 

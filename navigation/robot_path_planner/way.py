@@ -21,8 +21,7 @@ from navigation.robot_path_planner.ground import Cell, Ground
 from navigation.status import Fault, PlanError
 from yarp_compat.dev.extras import AreaBehaviour
 
-Places = NDArray[np.float64]
-"""(n, 2) x and y, metres."""
+Places = NDArray[np.float64]  # (n, 2) x and y, metres
 
 
 def blocked(ground: Ground, closed: NDArray[np.bool_], places: Places) -> bool:

@@ -19,8 +19,7 @@ from bridge.config.sections.section import (
 
 Source = Literal["own", "amcl", "tf", "topic", "port", "server"]
 _Deviation = Annotated[float, Field(gt=0.0, lt=1000.0)]
-Spread = tuple[_Deviation, _Deviation]
-"""Standard deviations: metres, degrees."""
+Spread = tuple[_Deviation, _Deviation]  # standard deviations: metres, degrees
 
 
 class LocaliserSection(Section):

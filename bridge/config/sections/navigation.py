@@ -19,15 +19,9 @@ from bridge.config.sections.section import (
     subsection,
 )
 
-OURS = ("robot_path_planner", "robot_goto")
-"""Planners that are modules of Midspan's."""
-
-ACTION = "/navigate_to_pose"
-"""The gateway's action on the hub."""
-
-GOAL_POSE = "/goal_pose"
-"""The topic of the hub on which the gateway hears goals."""
-
+OURS = ("robot_path_planner", "robot_goto")  # planners that are modules of Midspan's
+ACTION = "/navigate_to_pose"  # the gateway's action on the hub
+GOAL_POSE = "/goal_pose"  # the topic of the hub on which the gateway hears goals
 HOLD, HOLD_TYPE = "/navigation/hold", "std_msgs/msg/Bool"
 """Where the gateway says, latched, whether the planner's velocities are held back; see `bridge.routing.hold`."""
 

@@ -20,9 +20,7 @@ from bridge.config.sections.section import (
     subsection,
 )
 
-YARP = "yarp:"
-"""Begins the name of a local navigator on YARP."""
-
+YARP = "yarp:"  # begins the name of a local navigator on YARP
 _Navigator = Annotated[
     str,
     matching(

@@ -77,8 +77,7 @@ _NOT_A_PORT = "is not a name of a YARP port: write it as /robot/laser:o"
 
 TopicName = Annotated[str, matching(ROS2_NAME, _NOT_A_TOPIC)]
 OptionalTopic = Annotated[str, matching(f"(?:{ROS2_NAME.pattern})?", _NOT_A_TOPIC)]
-MapSource = Annotated[str, matching(f"store|{ROS2_NAME.pattern}", _NOT_A_TOPIC)]
-"""`store`, or a topic of maps."""
+MapSource = Annotated[str, matching(f"store|{ROS2_NAME.pattern}", _NOT_A_TOPIC)]  # `store`, or a topic of maps
 FrameName = Annotated[str, Field(min_length=1, max_length=100)]
 PortName = Annotated[str, matching(YARP_PORT, _NOT_A_PORT)]
 OptionalPort = Annotated[str, matching(f"(?:{YARP_PORT.pattern})?", _NOT_A_PORT)]

@@ -39,8 +39,7 @@ _Field = Annotated[
     matching(_ENTRY, "is not a field: write linear.x, deg(angular.z), position[0], a number, or 'a text'"),
 ]
 
-_OPENS = ("address", "namespace", "ports", "ip", "profile")
-"""What the ports of modules and the simulator are opened by."""
+_OPENS = ("address", "namespace", "ports", "ip", "profile")  # what the ports of modules and the simulator are opened by
 _SAY_THE_RELEASE = (
     "say its release, which 'yarp version' tells there: yarp.peers: [{{port: {peer}, release: '3.9'}}] for this port,"
     " or yarp.release: '3.9' for all"

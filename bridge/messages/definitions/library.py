@@ -11,17 +11,10 @@ from bridge.messages.definitions.sources import DefinitionSource, find_first
 from bridge.messages.definitions.text import closure
 from bridge.messages.errors import MessageTypeError
 
-MAX_VARIANTS = 16
-"""Different definitions that are kept of one learned name; the oldest goes first."""
-
-MAX_NAMES = 10_000
-"""Learned names that are kept."""
-
-MAX_LEARNED = 64 << 20
-"""Characters of definitions that are learned, in all."""
-
-MAX_NESTED = 2_000
-"""Types that one definition may nest."""
+MAX_VARIANTS = 16  # different definitions that are kept of one learned name; the oldest goes first
+MAX_NAMES = 10_000  # learned names that are kept
+MAX_LEARNED = 64 << 20  # characters of definitions that are learned, in all
+MAX_NESTED = 2_000  # types that one definition may nest
 
 
 class DefinitionLibrary:

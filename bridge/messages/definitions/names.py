@@ -9,9 +9,7 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Iterable
 
-MAX_NAME = 200
-"""Characters of a type's name; longer ones cannot be the names of files that define them."""
-
+MAX_NAME = 200  # characters of a type's name; longer ones cannot be the names of files that define them
 _ROS1_NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*/[A-Za-z][A-Za-z0-9_]*")
 _ROS2_NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*/(?:msg|srv|action)/[A-Za-z][A-Za-z0-9_]*")
 _LEGAL_PACKAGE = re.compile(r"(?!.*__)(?!.*_$)[a-z][a-z0-9_]*")

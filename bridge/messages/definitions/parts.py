@@ -23,15 +23,11 @@ from bridge.messages.errors import MessageTypeError
 CONTENTS = {"srv": ("Request", "Response"), "action": ("Goal", "Result", "Feedback")}
 """What a file of either kind defines, in its order."""
 
-ACTION_SERVICES = ("SendGoal", "GetResult")
-"""An action's services with types of their own."""
-
+ACTION_SERVICES = ("SendGoal", "GetResult")  # an action's services with types of their own
 STATUS_TEXT = "actionlib_status_text"
 """A field before a ROS 1 action's result, as GetResult of ROS 1's edge has it: the text of actionlib's GoalStatus."""
 
-CANCEL_GOAL = "action_msgs/srv/CancelGoal"
-"""The third; on ROS 1's edge it is spelled so too."""
-
+CANCEL_GOAL = "action_msgs/srv/CancelGoal"  # the third; on ROS 1's edge it is spelled so too
 _SERVICE = "{base}_Request request_message\n{base}_Response response_message\n{base}_Event event_message\n"
 _EVENT = "service_msgs/ServiceEventInfo info\n{base}_Request[<=1] request\n{base}_Response[<=1] response\n"
 _SENT = {

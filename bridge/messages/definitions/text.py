@@ -28,18 +28,10 @@ from bridge.messages.definitions.schema import (
 )
 from bridge.messages.errors import MessageTypeError
 
-MAX_TEXT = 4 << 20
-"""Longest definition text that is read, in characters."""
-
-MAX_LINE = 20_000
-"""Longest line of a definition, but for comments."""
-
-MAX_DEPTH = 64
-"""How deep types may nest each other."""
-
-MAX_ARRAY = 1 << 28
-"""Longest fixed array or bound that is accepted."""
-
+MAX_TEXT = 4 << 20  # longest definition text that is read, in characters
+MAX_LINE = 20_000  # longest line of a definition, but for comments
+MAX_DEPTH = 64  # how deep types may nest each other
+MAX_ARRAY = 1 << 28  # longest fixed array or bound that is accepted
 _SEPARATOR = re.compile(r"^={20,}[ \t]*\n", re.MULTILINE)
 _LINE = re.compile(r"(\S+)\s+([A-Za-z_]\w*)\s*(.*)", re.DOTALL)
 _TYPE = re.compile(r"([A-Za-z][\w/]*)(?:<=(\d+))?(?:\[(?:(<=)?(\d+))?\])?(?P<empty>\[\])?")

@@ -32,8 +32,7 @@ class Pair:
     fields: Fields
 
 
-PairTable = Mapping[tuple[str, str], Pair]
-"""Pairs by ROS 1 and ROS 2 name: the root types' and all that they nest."""
+PairTable = Mapping[tuple[str, str], Pair]  # pairs by ROS 1 and ROS 2 name: the root types' and all that they nest
 
 
 def pair_types(ros1: Schema, ros2: Schema, rules: Rules) -> PairTable:

@@ -16,9 +16,7 @@ from bridge.messages.mapping.fields import left_out, pair_types, says_the_same
 from bridge.messages.mapping.rules import Rules
 from bridge.messages.transcode.conversion import Conversion, SideType, cdr_to_ros1, ros1_to_cdr
 
-Counterpart = Callable[[Schema], Schema]
-"""Gives the other world's schema of a nested type."""
-
+Counterpart = Callable[[Schema], Schema]  # gives the other world's schema of a nested type
 _TIMES_BACK = {name: base for base, name in TIME_TYPES.items()}
 
 
@@ -91,8 +89,7 @@ def _ros1_constant(constant: Constant) -> Constant:
     return Constant(constant.name, constant.base, text)
 
 
-ANY_MD5 = ("", "*")
-"""What a ROS 1 endpoint announces that takes any definition."""
+ANY_MD5 = ("", "*")  # what a ROS 1 endpoint announces that takes any definition
 
 
 class MessageMapping:

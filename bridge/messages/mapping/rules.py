@@ -16,9 +16,7 @@ from typing import Any
 from bridge.messages.definitions.names import legal_type, ros1_candidates, ros2_candidates, split_part
 from bridge.messages.errors import MessageTypeError
 
-Fields = Mapping[str, str]
-"""ROS 1 path to ROS 2 path."""
-
+Fields = Mapping[str, str]  # ROS 1 path to ROS 2 path
 _PARTS = {
     "message": {"": "fields_1_to_2"},
     "service": {part: f"{part.lower()}_fields_1_to_2" for part in ("Request", "Response")},

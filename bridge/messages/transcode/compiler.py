@@ -31,11 +31,8 @@ FieldPaths = Sequence[tuple[FieldPath, FieldPath]]
 Match = Callable[[str, str], FieldPaths]
 """Gives the fields of a pair of types that stand for each other, as paths in the source and in the target."""
 
-MAX_STEPS = 100_000
-"""Most fields of a type, with those of the types that it nests, each as often as it occurs."""
-
-MAX_DEFAULT = 16 << 20
-"""Most bytes of default values that one message is given."""
+MAX_STEPS = 100_000  # most fields of a type, with those of the types that it nests, each as often as it occurs
+MAX_DEFAULT = 16 << 20  # most bytes of default values that one message is given
 
 
 def compile_pair(source: Schema, target: Schema, match: Match) -> ConversionProgram:

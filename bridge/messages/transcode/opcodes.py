@@ -10,12 +10,8 @@ from collections.abc import Sequence
 from enum import IntEnum
 
 WORDS = 5
-FRAMES = 32
-"""How deep loops may nest."""
-
-SLOTS = 224
-"""How many read positions one program can keep."""
-
+FRAMES = 32  # how deep loops may nest
+SLOTS = 224  # how many read positions one program can keep
 SOURCE_CDR = 1
 TARGET_CDR = 2
 
@@ -64,20 +60,14 @@ FAULT_BITS = 5
 INSTRUCTION_BITS = 22
 MAX_INSTRUCTIONS = 20_000
 
-MAX_MESSAGE = 1 << 30
-"""Largest message that is made, in bytes."""
-
-EMPTY_ELEMENTS = 65_536
-"""Elements without any bytes that a message may hold beyond its own length."""
-
+MAX_MESSAGE = 1 << 30  # largest message that is made, in bytes
+EMPTY_ELEMENTS = 65_536  # elements without any bytes that a message may hold beyond its own length
 DIRTY = 1 << 62
 """Set in a measured size where a valid message is not in its normal form: bools other than 0 and 1, strings without
 their NUL."""
 
 
-MAX_STEP = 1 << 30
-"""Most bytes that one instruction moves for one element; times any count it still fits 64 bits."""
-
+MAX_STEP = 1 << 30  # most bytes that one instruction moves for one element; times any count it still fits 64 bits
 _MAX_COUNT = (1 << 32) - 1
 _LOOPS = (Op.LOOP, Op.SKIP_LOOP, Op.REPEAT)
 

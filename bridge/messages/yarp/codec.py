@@ -19,8 +19,7 @@ from yarp_compat.wire.profile import Profile
 _STAMP = struct.Struct("<iI")
 _HEADERS = ("std_msgs/msg/Header",)
 
-Check = Callable[[bytes], bytes]
-"""Checks CDR against its type; see `bridge.messages.registry.Registry.hub_check`."""
+Check = Callable[[bytes], bytes]  # checks CDR against its type; see `bridge.messages.registry.Registry.hub_check`
 
 
 class PortMessage(NamedTuple):
@@ -73,8 +72,7 @@ def split_time(stamp_ns: int) -> tuple[int, int]:
     return min(seconds, 2**31 - 1), rest
 
 
-Message = dict[str, Any]
-"""A ROS message as `bridge.messages.values` has it."""
+Message = dict[str, Any]  # a ROS message as `bridge.messages.values` has it
 
 
 @dataclass(frozen=True, slots=True)

@@ -53,8 +53,7 @@ class Content:
         return (self.form == "natural" and type_name in KINDS) or type_name == CLOCK
 
 
-KINDS: Mapping[str, NaturalType] = {**SENSORS, **NAVIGATION, **PLAIN}
-"""What there is, by the message's ROS 2 name."""
+KINDS: Mapping[str, NaturalType] = {**SENSORS, **NAVIGATION, **PLAIN}  # what there is, by the message's ROS 2 name
 
 
 class NaturalCodec(Codec):

@@ -21,9 +21,7 @@ from bridge.messages.errors import ConversionError, MessageTypeError
 from yarp_compat.wire import tags
 from yarp_compat.wire.profile import Profile
 
-LONG_RUN = 16
-"""Messages of fixed size in an array from which numpy is quicker than one after the other."""
-
+LONG_RUN = 16  # messages of fixed size in an array from which numpy is quicker than one after the other
 _TWO = struct.Struct("<ii")
 _COUNT = struct.Struct("<I")
 _INTEGERS = {1: tags.INT8, 2: tags.INT16, 4: tags.INT32, 8: tags.INT64}
