@@ -65,12 +65,10 @@ class _PlaceWriter(MessageWriter):
         self.found: set[str] = set()
 
     def items(self, kind: FieldType, value: Any, where: str) -> Sequence[Any] | bytes:
-        """See `MessageWriter.items`; here each number is an element."""
         found = super().items(kind, value, where)
         return found.tolist() if isinstance(found, np.ndarray) else found
 
     def element(self, kind: FieldType, value: Any, where: str) -> None:
-        """See `MessageWriter.element`."""
         super().element(kind, value, where)
         path = next((path for path in self._changing if _within(where, path)), None)
         if path is not None and kind.base in PRIMITIVE_SIZES:

@@ -3,6 +3,8 @@
 What robotology/navigation's ``robotGotoDev`` is to a YARP robot.
 """
 
+# ruff: noqa: D102 - `PlannerModule` and `Module` say what each does
+
 from __future__ import annotations
 
 import math
@@ -43,7 +45,6 @@ class RobotGoto(PlannerModule):
     name = "robot_goto"
 
     def start(self, host: Host, section: Section) -> None:
-        """Open what the section names."""
         assert isinstance(section, RobotGotoSection)
         self._section, self._notes = laid_under(section, section.ini, read_file)
         section = self._section
@@ -117,24 +118,20 @@ class RobotGoto(PlannerModule):
 
     @property
     def target(self) -> MapPlace | None:
-        """The goal under way."""
         task = self.driver.target
         return None if task is None else MapPlace(self.map_name(), task.pose)
 
     @property
     def progress(self) -> PlannerStatus:
-        """The state of the goal under way."""
         return self.driver.status
 
     def map_name(self) -> str:
-        """The store's current map, where there is one."""
         try:
             return self._host.store.current_map() or ""
         except StoreError:
             return ""
 
     def drive(self, *places: MapPlace, constraints: Constraints | None = None, goal: Goal | None = None) -> None:
-        """Drive to a place of the map at hand, instead of the goal at hand."""
         self.compiled.check()
         (place,) = places
         here = self.map_name()
@@ -152,17 +149,14 @@ class RobotGoto(PlannerModule):
         self.driver.approach(direction, speed, seconds)
 
     def pause(self, seconds: float) -> None:
-        """Stand still for some seconds."""
         if not self.driver.pause(seconds):
             raise PlanError(Fault.OTHER, "there is nothing to suspend")
 
     def resume(self) -> None:
-        """Go on."""
         if not self.driver.resume():
             raise PlanError(Fault.OTHER, "nothing is suspended")
 
     def stop_driving(self, reason: str) -> None:
-        """Give up the goal, and stand still at once."""
         self.driver.cancel()
         self._topics.stand_still()
         self._goal.end(PlannerStatus(State.IDLE, reason))
@@ -224,7 +218,6 @@ class RobotGoto(PlannerModule):
     # how it is
 
     def health(self) -> Health:
-        """The state of the goal, or what is missing."""
         if self.compiled.trouble:
             return Health("waiting", self.compiled.trouble)
         scanned = self.driver.grid.scanned
@@ -235,7 +228,6 @@ class RobotGoto(PlannerModule):
         return Health("running", self.driver.status.words)
 
     def status(self) -> dict[str, Any]:
-        """The goal and its state."""
         target = self.driver.target
         return super().status() | {
             "goal": None if target is None else list(target.pose[:3]),
@@ -244,7 +236,6 @@ class RobotGoto(PlannerModule):
         }
 
     def stop(self) -> None:
-        """Stand still."""
         self._give_up("RobotGoto is stopped")
         if self._connection is not None:
             self._connection.close()

@@ -3,6 +3,8 @@
 What robotology/navigation's ``robotPathPlannerDev`` is to a YARP robot.
 """
 
+# ruff: noqa: D102 - `PlannerModule` and `Module` say what each does
+
 from __future__ import annotations
 
 import base64
@@ -86,7 +88,6 @@ class RobotPathPlanner(PlannerModule):
     name = "robot_path_planner"
 
     def start(self, host: Host, section: Section) -> None:
-        """Open what the section names."""
         assert isinstance(section, RobotPathPlannerSection)
         self._section, self._notes = laid_under(section, section.ini, read_file, merged=MERGED)
         section = self._section
@@ -137,23 +138,19 @@ class RobotPathPlanner(PlannerModule):
 
     @property
     def target(self) -> MapPlace | None:
-        """The goal."""
         return self.planner.target
 
     @property
     def progress(self) -> PlannerStatus:
-        """The state of the goal."""
         return self.planner.status
 
     def map_name(self) -> str:
-        """The map at hand."""
         return self.planner.ground.name if self.planner.ground else ""
 
     def _map_names(self) -> Collection[str]:
         return self._host.store.names(MAP)
 
     def drive(self, *places: MapPlace, constraints: Constraints | None = None, goal: Goal | None = None) -> None:
-        """Drive to places in turn, instead of where it is driving; raises `PlanError` if kernels are not compiled."""
         self.compiled.check()
         self._goal.replace(goal)
         place, *further = places
@@ -162,7 +159,6 @@ class RobotPathPlanner(PlannerModule):
         self._tell()
 
     def stop_driving(self, reason: str) -> None:
-        """Give the goal up."""
         self.planner.cancel(reason)
         self._step()
 
@@ -188,13 +184,11 @@ class RobotPathPlanner(PlannerModule):
         return self._host.loop.call(self.halt)
 
     def pause(self, seconds: float) -> None:
-        """Stand still for some seconds."""
         if not self.planner.active:
             raise PlanError(Fault.OTHER, "there is nothing to suspend")
         self.planner.pause(self.now(), seconds)
 
     def resume(self) -> None:
-        """Go on."""
         if self.planner.status.state is not State.PAUSED:
             raise PlanError(Fault.OTHER, "nothing is suspended")
         self.planner.resume()
@@ -277,7 +271,6 @@ class RobotPathPlanner(PlannerModule):
     # how it is
 
     def health(self) -> Health:
-        """What it is doing, or what it lacks."""
         trouble = self.compiled.trouble or self._map.trouble
         if trouble:
             waits = "; goals wait for one" if self.planner.ground is None and not self.compiled.trouble else ""
@@ -285,7 +278,6 @@ class RobotPathPlanner(PlannerModule):
         return Health("running", self.planner.status.words)
 
     def status(self) -> dict[str, Any]:
-        """The map, the goal and how it is getting on."""
         target = self.planner.target
         return super().status() | {
             "map": self.map_name(),
@@ -296,7 +288,6 @@ class RobotPathPlanner(PlannerModule):
         }
 
     def stop(self) -> None:
-        """Stop the robot, and close what was opened."""
         self._goal.end(PlannerStatus(State.ABORTED, "the planner is stopped", Fault.NO_NAVIGATOR))
         self.planner.cancel("the planner is stopped")
         self._step()

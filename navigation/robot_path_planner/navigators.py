@@ -1,5 +1,7 @@
 """Local navigators, which drive from waypoint to waypoint: behind an action of the hub, or a port of YARP."""
 
+# ruff: noqa: D102 - `LocalNavigator` says what each does
+
 from __future__ import annotations
 
 import math
@@ -60,21 +62,17 @@ class ActionNavigator:
 
     @property
     def state(self) -> State:
-        """How the goal that was sent last is getting on."""
         return self._state if self._client.ready else State.ERROR
 
     @property
     def reason(self) -> str:
-        """Why it waits, failed or is not there."""
         return self._reason if self._client.ready else f"nobody serves {self._action}"
 
     @property
     def fault(self) -> Fault:
-        """The same as a number, of a planner of Midspan's."""
         return self._fault if self._client.ready else Fault.NO_NAVIGATOR
 
     def send(self, pose: Pose, constraints: Constraints) -> None:
-        """Drive there, instead of where it was sent before."""
         self._state, self._reason, self._fault = State.PREPARING, "", Fault.NONE
         # without a stamp: how old a goal looks on another machine's clock says nothing
         goal = {"pose": {"header": {"frame_id": self._frame}, "pose": pose_message(pose)}}
@@ -83,7 +81,6 @@ class ActionNavigator:
         self._goal = self._client.send(goal, self._ended, self._driving)
 
     def cancel(self) -> None:
-        """Stand still."""
         goal, self._goal = self._goal, None
         self._state, self._reason, self._fault = State.IDLE, "", Fault.NONE
         if goal is not None and not goal.status.ended:
@@ -148,12 +145,10 @@ class YarpNavigator(PolledServer[INavigation2DMsgs]):
         super().__init__(INavigation2DMsgs, port, naming, "midspan-yarp-navigator")
 
     def send(self, pose: Pose, constraints: Constraints) -> None:
-        """Drive there, instead of where it was sent before."""
         theta = math.degrees(pose.theta) if constraints.heading else math.nan
         self._want(Map2DLocation(self._map_name(), pose.x, pose.y, theta), State.PREPARING)
 
     def cancel(self) -> None:
-        """Stand still."""
         self._want(None, State.IDLE)
 
     def brake(self) -> Callable[[], None]:

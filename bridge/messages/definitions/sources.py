@@ -5,6 +5,8 @@ Names are checked against ROS's grammar before they become paths. The standard t
 of IDL are those that rosbags ships.
 """
 
+# ruff: noqa: D102 - `DefinitionSource` says what each finds
+
 from __future__ import annotations
 
 import ast
@@ -65,7 +67,6 @@ class DefinitionFolder:
         return [folder for folder in wanted if folder.is_dir()]
 
     def find(self, name: str) -> Found | None:
-        """See `DefinitionSource`."""
         parts = name.split("/")
         package, kind, short = parts if len(parts) == 3 else (parts[0], "msg", parts[1])
         if self.world is World.ROS2 and kind == "msg" and not is_legal_message(short):
@@ -111,7 +112,6 @@ class DefinitionFolder:
         return found
 
     def names(self, package: str, kind: str = "msg") -> list[str]:
-        """See `DefinitionSource`."""
         middle = "" if self.world is World.ROS1 and kind == "msg" else f"{kind}/"
         stems = self._stems(package, kind)
         if self.world is World.ROS1 and kind == "msg":
@@ -130,7 +130,6 @@ class GenpyPackages:
         self.root = root
 
     def find(self, name: str) -> Found | None:
-        """See `DefinitionSource`."""
         if name.count("/") > 1:
             return self._service(name)
         package, short = name.split("/")
@@ -138,7 +137,6 @@ class GenpyPackages:
         return parse_full(texts[0], name, World.ROS1) if texts else None
 
     def names(self, package: str, kind: str = "msg") -> list[str]:
-        """See `DefinitionSource`."""
         middle = "" if kind == "msg" else f"{kind}/"
         files = (self.root / package / kind).glob("_[A-Za-z]*.py")
         return [f"{package}/{middle}{path.stem[1:]}" for path in sorted(files)]
@@ -166,12 +164,10 @@ class RosbagsTypes:
         self.world = world
 
     def find(self, name: str) -> Found | None:
-        """See `DefinitionSource`."""
         definition = find_in_store(name, self.world)
         return None if definition is None else {name: definition}
 
     def names(self, package: str, kind: str = "msg") -> list[str]:
-        """See `DefinitionSource`."""
         return store_names(package, self.world) if kind == "msg" else []
 
 
