@@ -157,16 +157,11 @@ def build(
 ) -> Path:
     """Build message packages and return a prefix with all of them and what they need.
 
-    What an installed ROS 2 already has is not built; what was built before, by any process, is found in the cache.
-    Needed packages are looked for among those given, those installed, and Midspan's own (`bundled_packages`).
-
-    Args:
-        packages: definitions by package and path: ``{"my_msgs": {"msg/Name.msg": "string data"}}``.
-        cache: the cache folder; default $MIDSPAN_CACHE or ~/.cache/midspan/interfaces.
-        progress: called on this thread with a line for each thing that takes time.
-
-    Raises:
-        BuildError: with the place in the definition, or what is missing, and the cure.
+    What an installed ROS 2 already has is not built; what was built before, by any process, is found in the cache
+    (default $MIDSPAN_CACHE or ~/.cache/midspan/interfaces). Needed packages are looked for among those given, those
+    installed, and Midspan's own (`bundled_packages`). Definitions come by package and path: ``{"my_msgs":
+    {"msg/Name.msg": "string data"}}``; ``progress`` gets a line for each thing that takes time. Raises `BuildError`
+    with the place in the definition, or what is missing, and the cure.
     """
     ros2 = Ros2.find()
     built = BuildCache(cache or default_cache())

@@ -136,12 +136,9 @@ _PTH = "midspan_interfaces.pth"
 def activate(*prefixes: Path) -> tuple[str, ...]:
     """Make this process, and those it starts, find the packages of these prefixes, before any others of their names.
 
-    Returns:
-        Names of packages that this process has imported from elsewhere already. It goes on with what it has, since
-        neither Python nor the dynamic loader can load a package again: start a new process to use the new ones.
-
-    Raises:
-        BuildError: two prefixes hold different builds of one package.
+    Returns the packages that this process has imported from elsewhere already: neither Python nor the dynamic loader
+    can load a package again, so that a new process is needed for the new ones. Raises `BuildError` where two prefixes
+    hold different builds of one package.
     """
     packages = _merged(prefixes)
     for prefix in reversed(prefixes):
@@ -153,10 +150,7 @@ def activate(*prefixes: Path) -> tuple[str, ...]:
 def environment(prefixes: Sequence[Path]) -> dict[str, str]:
     """Variables for a new Python process that shall find ROS 2's libraries and the packages of these prefixes.
 
-    Lay them over a copy of `os.environ`.
-
-    Raises:
-        BuildError: two prefixes hold different builds of one package.
+    Lay them over a copy of `os.environ`. Raises `BuildError` where two prefixes hold different builds of one package.
     """
     _merged(prefixes)
     return {

@@ -25,12 +25,7 @@ _NOT_NUMBERS = {"nan": math.nan, "infinity": math.inf, "inf": math.inf, "-infini
 
 
 def to_json(registry: Registry, type_name: str, cdr: bytes, type_hash: str = "") -> dict[str, Any]:
-    """Decode a message.
-
-    Raises:
-        MessageTypeError: the type is unknown.
-        ConversionError: the bytes are no such message.
-    """
+    """Decode a message; raises `MessageTypeError` for an unknown type, `ConversionError` if the bytes do not fit it."""
     checked = registry.hub_check(type_name, type_hash)(cdr)
     return _JsonReader(registry.schema(type_name, type_hash), checked).message()
 
@@ -38,9 +33,7 @@ def to_json(registry: Registry, type_name: str, cdr: bytes, type_hash: str = "")
 def from_json(registry: Registry, type_name: str, value: Mapping[str, Any], type_hash: str = "") -> bytes:
     """Encode a message for the hub; fields that are missing have their defaults.
 
-    Raises:
-        MessageTypeError: the type is unknown.
-        ConversionError: a field is unknown or its value does not fit; names the field.
+    Raises `MessageTypeError` for an unknown type, `ConversionError` with the field that is unknown or does not fit.
     """
     check = registry.hub_check(type_name, type_hash)
     return check(_JsonWriter(registry.schema(type_name, type_hash)).message(value))

@@ -27,12 +27,8 @@ from bridge.messages.transcode.conversion import Conversion, Convert, ServiceCon
 class Registry:
     """The registry of types; every method may be called from any thread.
 
-    Args:
-        folders: ``.msg`` folders of the configuration; their types serve as ROS 1's and ROS 2's.
-        mapping_rules: ros1_bridge mapping-rule files.
-        prefixes: installation prefixes of ROS 2 packages that were built here (``share/<package>/msg/*.msg``).
-        ros1_packages: folder of the ROS 1 Python packages, None for the usual ones.
-
+    The configuration's ``.msg`` folders serve as ROS 1's and ROS 2's; ``prefixes`` hold the ROS 2 packages that were
+    built here (``share/<package>/msg/*.msg``), ``ros1_packages`` ROS 1's Python packages, None for the usual place.
     Every method raises `MessageTypeError` where a type is unknown, has another md5 or hash here, or has no counterpart.
     """
 
@@ -128,19 +124,17 @@ class Registry:
             return self._answers[key]
 
     def hub_check(self, type_name: str, type_hash: str = "") -> Callable[[bytes], bytes]:
-        """A check of CDR bytes against their type: lengths, bounds, truncation.
+        """A check of CDR bytes against their type (lengths, bounds, truncation); raises `ConversionError`.
 
-        It gives the message without the slack that rclpy's serialiser leaves behind it, and raises `ConversionError`
-        for what is no such message.
+        It gives the message without the slack that rclpy's serialiser leaves behind it.
         """
         with self._lock:
             return self._check(self._find_ros2(type_name, type_hash))
 
     def service_ros1_to_hub(self, name: str, md5: str = "") -> ServiceConversion:
-        """How calls get between a ROS 1 service and the hub's; an md5 of "" or "*" means any.
+        """How calls get between a ROS 1 service, or an action's, and the hub's; an md5 of "" or "*" means any.
 
-        The name may be that of an action's service: ``pkg/action/Name_SendGoal``, ``pkg/action/Name_GetResult``,
-        ``action_msgs/srv/CancelGoal``.
+        An action's are ``pkg/action/Name_SendGoal``, ``pkg/action/Name_GetResult`` and ``action_msgs/srv/CancelGoal``.
         """
         wanted = "" if md5 in ANY_MD5 else md5
         key = ("ros1", name, wanted)

@@ -17,16 +17,9 @@ from bridge.messages.values import HEADER, MessageWriter
 class MessageTemplate:
     """A message whose texts and whose arrays' lengths stay as they are.
 
-    Filling it takes a tenth of the time of writing a `nav_msgs/msg/Odometry` field by field.
-
-    Args:
-        schema: its type.
-        message: as it stands.
-        changing: paths of what changes: of a number, or of a part of which all numbers do (``header.stamp``,
-            ``position``, ``transforms[0].transform``).
-
-    Raises:
-        ConversionError: a field is unknown or its value does not fit; or nothing is at a path that could change.
+    Filling it takes a tenth of the time of writing a `nav_msgs/msg/Odometry` field by field. Paths say what changes: a
+    number, or a part of which all numbers do (``header.stamp``, ``transforms[0].transform``). Raises `ConversionError`
+    if a field is unknown, its value does not fit, or nothing at a path could change.
     """
 
     def __init__(self, schema: Schema, message: Mapping[str, Any], *changing: str) -> None:
@@ -39,10 +32,9 @@ class MessageTemplate:
         self._runs = _runs(writer.places)
 
     def fill(self, *numbers: float) -> bytes:
-        """The message in CDR with these numbers, as many as change, in the message's order.
+        """The message in CDR with as many numbers as change, in the message's order.
 
-        Raises:
-            ConversionError: they are not as many, or one does not fit its field.
+        Raises `ConversionError` if they are not as many, or one does not fit its field.
         """
         if len(numbers) != self._count:
             raise ConversionError(f"{len(numbers)} numbers are given for {self._count} of {self._name}")

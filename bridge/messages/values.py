@@ -266,11 +266,9 @@ def wrong(where: str, wanted: str, value: Any) -> ConversionError:
 
 
 class ServiceCodec:
-    """The codec of one service; raises `MessageTypeError` if the type is unknown.
+    """The codec of one service, ``pkg/srv/Name``, ``pkg/action/Name_SendGoal`` or ``..._GetResult``, in ROS 2's names.
 
-    Args:
-        type_name: ROS 2 name: ``pkg/srv/Name``, ``pkg/action/Name_SendGoal``, ``pkg/action/Name_GetResult``.
-        type_hash: the very definition that is meant, "" for the one known here.
+    A hash means the very definition, "" the one known here. Raises `MessageTypeError` if the type is unknown.
     """
 
     reader: ClassVar[type[MessageReader]] = MessageReader

@@ -103,12 +103,7 @@ class StoreService:
 
     @property
     def store(self) -> Store:
-        """The store.
-
-        Raises:
-            StoreError: it is switched off, or its file cannot be used.
-            HubError: the hub cannot be joined.
-        """
+        """The store; raises `StoreError` if it is switched off or its file is of no use, `HubError` without the hub."""
         with self._lock:
             if self._open is None:
                 if self._closed:

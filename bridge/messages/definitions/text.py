@@ -44,8 +44,7 @@ _BUILTIN_TIMES = {"builtin_interfaces/Time": "time", "builtin_interfaces/Duratio
 def parse_definition(text: str, name: str, world: World) -> Definition:
     """Read one type's own definition; raises `MessageTypeError`, naming the type and the line that cannot be read.
 
-    Returns:
-        The definition; without text where it is written as only the other world would write it.
+    It is without text where it is written as only the other world would write it.
     """
     if len(text) > MAX_TEXT:
         raise MessageTypeError(f"the definition of {name} is longer than {MAX_TEXT} characters")

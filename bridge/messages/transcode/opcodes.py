@@ -73,17 +73,10 @@ _LOOPS = (Op.LOOP, Op.SKIP_LOOP, Op.REPEAT)
 
 
 def verify(words: bytes, literals: bytes) -> None:
-    """Refuse a program that could leave its own memory, whatever the message.
+    """Refuse a program (flags, `WORDS` words for each instruction; its literals) that could leave its own memory.
 
     The virtual machine checks each access to a message's bytes; this is about all else that it indexes: the
-    instructions, the loops' counters, the kept positions, the literals.
-
-    Args:
-        words: flags, then `WORDS` 64-bit words for each instruction.
-        literals: what the program writes of its own.
-
-    Raises:
-        ValueError: it could.
+    instructions, the loops' counters, the kept positions, the literals. Raises `ValueError`.
     """
     flags, *rest = memoryview(words).cast("q")
     steps = [rest[at : at + WORDS] for at in range(0, len(rest), WORDS)]

@@ -39,12 +39,7 @@ Convert = Callable[[bytes], bytes]
 
 
 class RosBottle(Codec):
-    """Messages as nested lists in field order.
-
-    Args:
-        to_ros1: makes its bytes of the hub's, and ``to_cdr`` the way back.
-        stamped: it begins with a header.
-    """
+    """Messages as nested lists in field order, by way of ROS 1's bytes; ``stamped``: they begin with a header."""
 
     def __init__(
         self, schema: Schema, to_ros1: Convert, to_cdr: Convert, profile: Profile, *, stamped: bool = False

@@ -60,9 +60,7 @@ class BottleEntry:
 class FieldsCodec(Codec):
     """Messages as a Bottle of chosen fields; raises `MessageTypeError` if the type has no such field.
 
-    Args:
-        profile: of the ports that are written to.
-        frame: frame of the header where the Bottle has none.
+    The profile is that of ports that are written to; ``frame`` is the header's where the Bottle has none.
     """
 
     def __init__(self, schema: Schema, entries: Sequence[BottleEntry], profile: Profile, frame: str = "") -> None:
