@@ -60,10 +60,7 @@ def goal_of(
 
 
 class CurrentGoal:
-    """The goal of the hub's action at hand; drives for other clients have none. On the module's thread.
-
-    ``stop`` is called with the reason once a client has cancelled it; it then ends the goal.
-    """
+    """The goal of the hub's action at hand; ``stop`` is called with why, once it is cancelled, and ends it."""
 
     def __init__(self, loop: EventLoop, stop: Callable[[str], Any]) -> None:
         self._loop, self._stop = loop, stop

@@ -126,10 +126,7 @@ class IniGroup:
         self._ini, self._name = ini, name
 
     def number(self, key: str, default: float | None, low: float, high: float, unit: str = "") -> float:
-        """A number; without a default (None) it must be there.
-
-        What is beyond the least and the most that is believed is noted, and the default (or this bound) is used.
-        """
+        """A number, needed where there is no default; what is not believed is noted, and default or bound are used."""
         keys = self._keys(key)
         found = self._ini.value(keys)
         bound = low if default is None else default

@@ -163,10 +163,7 @@ def environment(prefixes: Sequence[Path]) -> dict[str, str]:
 
 
 def link_into_venv(prefix: Path) -> Path | None:
-    """Let every program of this virtual environment import the packages of a prefix; returns the file that does it.
-
-    None where this Python is not in a virtual environment: then nothing is touched.
-    """
+    """Let programs of this virtual environment import a prefix's packages: the file that does, None without one."""
     if sys.prefix == sys.base_prefix:
         return None
     file = Path(sysconfig.get_path("purelib")) / _PTH

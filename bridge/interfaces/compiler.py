@@ -87,10 +87,7 @@ class Job:
 
 
 def compile_package(job: Job, ros2: Ros2, compiler: Compiler) -> None:
-    """Make the shared libraries and the Python extension of a package.
-
-    Raises `BuildError`: the compiler or the linker refused; with its first error line.
-    """
+    """Make a package's shared libraries and Python extension; raises `BuildError` with the first error line."""
     includes = [f"-I{folder}" for folder in _includes(job, ros2)]
     units = [unit for generator in GENERATORS for unit in _units(job, generator)]
     units.sort(key=lambda unit: -sum(file.stat().st_size for file in unit.files))  # the longest first: no one waits

@@ -211,20 +211,14 @@ def _split(rest: str) -> tuple[str, str, bool]:
 
 
 def read_package_folder(folder: Path) -> dict[str, str]:
-    """All definitions of one package's folder, text by path (``msg/Name.msg``); {} where there are none.
-
-    ``.msg`` files may lie in the folder itself as well.
-    """
+    """Definitions of a package's folder, text by path (``msg/Name.msg``); ``.msg`` files may lie in it directly."""
     files = {f"{form.value}/{file.name}": file for form in Form for file in folder.glob(f"{form.value}/*.{form.value}")}
     files |= {f"msg/{file.name}": file for file in folder.glob("*.msg")}
     return {path: _text(file) for path, file in sorted(files.items())}
 
 
 def read_folders(folders: Iterable[Path]) -> dict[str, dict[str, str]]:
-    """Definitions by package and path; each folder is a package's, or holds packages' folders.
-
-    Raises `BuildError`: a folder has no definitions, or two have the same package.
-    """
+    """Definitions by package and path; each folder is a package's, or holds such. `BuildError` for none, or two."""
     found: dict[str, dict[str, str]] = {}
     for folder in folders:
         whole = folder.resolve()

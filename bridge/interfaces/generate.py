@@ -17,26 +17,16 @@ from typing import Any, TypedDict
 
 
 class Request(TypedDict):
-    """What to generate.
-
-    Attributes:
-        files: its definitions, as ``msg/Name.msg``.
-        source: folder that holds them.
-        share: folder for the ``.idl`` and ``.json`` files.
-        roots: output folder of each generator, by its name.
-        resources: folder of each generator's templates, by its name.
-        known: ``share`` folder of each package that may be referred to, by its name.
-        jobs: how many processes to use.
-    """
+    """What to generate."""
 
     package: str
-    files: list[str]
-    source: str
-    share: str
-    roots: dict[str, str]
-    resources: dict[str, str]
-    known: dict[str, str]
-    jobs: int
+    files: list[str]  #: its definitions, as ``msg/Name.msg``
+    source: str  #: folder that holds them
+    share: str  #: folder for the ``.idl`` and ``.json`` files
+    roots: dict[str, str]  #: output folder of each generator, by its name
+    resources: dict[str, str]  #: folder of each generator's templates, by its name
+    known: dict[str, str]  #: ``share`` folder of each package that may be referred to, by its name
+    jobs: int  #: how many processes to use
 
 
 TYPESUPPORTS = ["rosidl_typesupport_fastrtps_c", "rosidl_typesupport_introspection_c"]

@@ -90,10 +90,9 @@ class Registry:
             self._forget()
 
     def ros1_to_hub(self, name: str, md5: str = "", definition: str = "") -> Conversion:
-        """How a ROS 1 publisher's bytes become the hub's.
+        """How a ROS 1 publisher's bytes become the hub's; an md5 of "" or "*" means any.
 
-        The name may be an action's ``pkg/action/Name_FeedbackMessage``; an md5 of "" or "*" means any. The full
-        definition comes from the publisher's connection header.
+        The name may be an action's ``pkg/action/Name_FeedbackMessage``; the definition is the connection header's.
         """
         key = ("ros1", name, md5)
         with self._lock:
@@ -132,10 +131,7 @@ class Registry:
             return self._check(self._find_ros2(type_name, type_hash))
 
     def service_ros1_to_hub(self, name: str, md5: str = "") -> ServiceConversion:
-        """How calls get between a ROS 1 service, or an action's, and the hub's; an md5 of "" or "*" means any.
-
-        An action's are ``pkg/action/Name_SendGoal``, ``pkg/action/Name_GetResult`` and ``action_msgs/srv/CancelGoal``.
-        """
+        """How calls get between a ROS 1 service, or one of an action, and the hub's; an md5 of "" or "*" means any."""
         wanted = "" if md5 in ANY_MD5 else md5
         key = ("ros1", name, wanted)
         with self._lock:

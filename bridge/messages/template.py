@@ -32,10 +32,7 @@ class MessageTemplate:
         self._runs = _runs(writer.places)
 
     def fill(self, *numbers: float) -> bytes:
-        """The message in CDR with as many numbers as change, in the message's order.
-
-        Raises `ConversionError` if they are not as many, or one does not fit its field.
-        """
+        """The message in CDR with as many numbers as change, in its order; raises `ConversionError` for others."""
         if len(numbers) != self._count:
             raise ConversionError(f"{len(numbers)} numbers are given for {self._count} of {self._name}")
         content = bytearray(self._content)

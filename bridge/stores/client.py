@@ -23,10 +23,7 @@ _ALIVE = "@sync/alive/*/*"
 
 
 class StoreClient:
-    """Reads and writes one daemon's copy, preferably that of ``daemon``; it reads what it wrote.
-
-    Raises `StoreError` where nobody on the hub keeps a store within 2 s.
-    """
+    """Reads and writes one daemon's copy, preferably ``daemon``'s; `StoreError` if none is on the hub within 2 s."""
 
     def __init__(self, space: KeySpace, daemon: str) -> None:
         self._space = space
@@ -56,10 +53,7 @@ class StoreClient:
         return self._fetch(kind, self.names(kind))
 
     def write(self, writes: Sequence[Write[Any]]) -> None:
-        """Write and delete values in one transaction; on that daemon's disk when this returns.
-
-        Raises `StoreError`: the daemon refuses, or did not answer; the text says which.
-        """
+        """Write and delete in one transaction, on that daemon's disk when this returns; raises `StoreError`."""
         bodies: list[bytes] = []
         heads: list[Mapping[str, Any]] = []
         for each in writes:

@@ -146,10 +146,7 @@ class Replica:
         return entries
 
     def merge(self, entry: StoreEntry) -> bool:
-        """Take an entry of another replica; whether it holds now.
-
-        Raises `StoreError`: there is no room, or the file cannot be written.
-        """
+        """Take an entry of another replica; whether it holds now. Raises `StoreError` where it cannot be written."""
         with self._lock:
             self._check_open()
             known = self._known.get(entry.key)

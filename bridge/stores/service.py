@@ -31,10 +31,7 @@ _log = logging.getLogger(__name__)
 
 
 def read_files(path: Path) -> list[Write[Any]]:
-    """What a file holds: a map (``.map``, or YAML of ROS), a collection of maps, or places with what is beside them.
-
-    Raises `StoreError`: it cannot be read; the text says why.
-    """
+    """What a file holds: a map (``.map``, ROS's YAML), a collection of maps, or places; raises `StoreError`."""
     try:
         if path.suffix.lower() != ".ini":
             grid = MapGrid2D.load(path)

@@ -86,10 +86,7 @@ class Store:
             self.replica.write(changes)
 
     def write(self, writes: Sequence[Write[Any]]) -> None:
-        """Write and delete values in one transaction; where a key stands twice the last holds.
-
-        Raises `StoreError`: a name, a size or a value cannot be, or the store is full; nothing has changed.
-        """
+        """Write and delete in one transaction, of a key the last; raises `StoreError`, and nothing has changed."""
         changes: dict[Key, Body | None] = {}
         for each in writes:
             kind, name = each.kind, check_name(each.name)
@@ -118,11 +115,7 @@ class Store:
         self.put(CURRENT, THE_MAP, name)
 
     def watch(self, heard: Heard, *kinds: ValueKind[Any]) -> Callable[[], None]:
-        """Call back for every change of some kinds (none: of all), made here or elsewhere.
-
-        ``heard`` is called until the returned function is, on the store's own thread, one change after the other; it is
-        to return soon.
-        """
+        """As `Replica.watch`, by kinds; none: of all."""
         return self.replica.watch(heard, [kind.name for kind in kinds])
 
     def status(self) -> dict[str, Any]:
@@ -131,10 +124,7 @@ class Store:
 
 
 def write_all(replica: Replica, changes: Mapping[Key, Body | None]) -> None:
-    """Write what was checked already; what goes beside a deleted key goes too, and what is not there stays so.
-
-    Raises `StoreError`: the store is full, or its file cannot be written; nothing has changed.
-    """
+    """Write what was checked, delete what goes beside a deleted key; raises `StoreError`, and nothing has changed."""
     beside = {
         (_BESIDE[kind].name, name): None for (kind, name), body in changes.items() if not body and kind in _BESIDE
     }

@@ -147,10 +147,7 @@ _ANY = math.nan
 
 
 class StoredPlaces:
-    """The store's maps and locations, for goals, in the frame of the map that is in use.
-
-    ``waits`` says whether the planner drives to any map by its name, and waits for one.
-    """
+    """The store's places for goals; ``waits``: whether the planner drives to any map by its name, and waits for one."""
 
     def __init__(self, host: Host, frame: str, waits: Callable[[], bool] = lambda: False) -> None:
         self._host, self._frame, self._waits = host, frame, waits

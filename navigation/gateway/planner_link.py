@@ -25,10 +25,7 @@ _LIST_SECONDS = 1.0
 
 
 class PlannerLink:
-    """Sends goals to a planner and follows its topics; ``changed`` is called when it tells something new.
-
-    All on the module's thread.
-    """
+    """Sends goals to a planner, and calls ``changed`` when it tells something new. On the module's thread."""
 
     def __init__(self, host: Host, section: NavigationSection, planner: str, changed: Callable[[], None]) -> None:
         self.planner, self._changed = planner, changed
@@ -275,10 +272,7 @@ class RequestError(RuntimeError):
 
 
 class PlannerChoice:
-    """The planner at hand, and the one that takes its place; ``changed`` is called when it tells something new.
-
-    On the module's thread.
-    """
+    """The planner at hand, and the one that takes its place. On the module's thread."""
 
     def __init__(self, host: Host, section: NavigationSection, changed: Callable[[], None]) -> None:
         self._host, self.section, self._changed = host, section, changed  # the section that holds

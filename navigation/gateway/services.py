@@ -40,10 +40,7 @@ class YarpVelocity(NamedTuple):
 
 
 class VelocityCommander:
-    """Says a velocity on the base's topic again and again until its time is over, and then that it is zero.
-
-    On the module's thread.
-    """
+    """Repeats a velocity on the base's topic until its time is over, and then says zero. On the module's thread."""
 
     def __init__(self, host: Host, topic: str) -> None:
         self._host = host

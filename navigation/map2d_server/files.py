@@ -15,10 +15,7 @@ _LONGEST = 200
 
 
 class MapsFolder:
-    """Turns what a client calls a file into a path in one folder, which is made when something is written.
-
-    There is no other folder for it, and none below this one.
-    """
+    """Turns what a client calls a file into a path in one folder, never below it; made when something is written."""
 
     def __init__(self, path: Path) -> None:
         self.path = path

@@ -286,10 +286,7 @@ class Markers:
 
 
 def topic_of(name: str, taken: AbstractSet[str] = frozenset()) -> str:
-    """The topic of a map: ``/maps/`` and its name, with ``_`` for what no topic can have.
-
-    Where another map's topic is the same, eight digits of the name's SHA-256 follow.
-    """
+    """The topic ``/maps/<name>``, ``_`` for what none has; 8 digits of the name's SHA-256 follow where it is taken."""
     part = _FORBIDDEN.sub("_", name)[:200]
     topic = f"/maps/{'n' if part[0].isdigit() else ''}{part}"
     return f"{topic}_{hashlib.sha256(name.encode()).hexdigest()[:8]}" if topic in taken else topic

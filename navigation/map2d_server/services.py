@@ -54,10 +54,7 @@ def _methods(kind: ValueKind[Any]) -> tuple[Any, ...]:
 
 
 class MapAnswers(IMap2DMsgs):
-    """Serves IMap2D. Its methods run on the threads of the connections, several at a time.
-
-    Other than YARP's map2DStorage, a store or load takes the place of what has the name, every time.
-    """
+    """Serves IMap2D, on threads of connections; what is stored or loaded takes the place of what has its name."""
 
     def __init__(self, store: Store, files: MapFiles, told: Callable[[str], None]) -> None:
         super().__init__()

@@ -59,10 +59,7 @@ def data_of(values: NDArray[np.int8]) -> NDArray[np.int8]:
 
 
 def occupied(grid: MapGrid2D) -> NDArray[np.int8]:
-    """How surely each cell is occupied, joined with the flags of walls and unknown cells, as :func:`to_grid` says.
-
-    It is 0 to 100, or -1, of shape (height * width,), rows from the bottom up.
-    """
+    """Occupancy joined with the flags, see :func:`to_grid`: 0 to 100, or -1, (height * width,) from the bottom up."""
     values = np.empty((grid.m_height, grid.m_width), np.uint8)
     join(np.ascontiguousarray(grid.occupancy).data, np.ascontiguousarray(grid.flags).data, values.data)
     return values.view(np.int8).reshape(-1)

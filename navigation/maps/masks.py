@@ -89,10 +89,7 @@ _TABLE = _by_flag()
 
 
 def keepout_mask(grid: MapGrid2D, areas: Iterable[Map2DArea] = ()) -> NDArray[np.int8]:
-    """The mask of a map's flags and of polygons to be kept out of; those on other maps do not matter.
-
-    It has shape (height, width), rows from the top one down: 100, the two weights, or 0.
-    """
+    """(height, width), from the top row down: 100 in areas and keep-out cells of this map, the two weights, or 0."""
     mask = looked_up(grid.flags, _TABLE).view(np.int8)
     for area in areas:
         if area.map_id == grid.name:

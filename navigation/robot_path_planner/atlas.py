@@ -53,10 +53,7 @@ class Atlas:
 
 
 def leg(atlas: Atlas, ground: Ground, start: Pose, goal: MapPlace) -> Leg:
-    """What to drive on the map at hand to come to a goal on any map, the shortest way.
-
-    Raises `PlanError` where no links lead there; the text says why.
-    """
+    """What to drive on this map to come to a goal on any map, the shortest way; raises `PlanError` without links."""
     if goal.map_name == ground.name:
         return Leg(goal)
     if atlas.ground(goal.map_name) is None:

@@ -107,10 +107,7 @@ class _Import:
 
 
 def drafts(file: Path) -> tuple[list[Draft], list[Problem]]:
-    """Turn domain_bridge's file into a configuration for each domain, and notes on what has no counterpart.
-
-    Raises `ConfigError` with all mistakes in the file.
-    """
+    """A configuration for each domain, and notes on what has no counterpart; raises `ConfigError` with all mistakes."""
     document = read(file, repeating=("topics",))
     if not isinstance(document.data, dict) or not document.data.keys() & set(_KEYS):
         raise ConfigError([document.problem((), f"has none of domain_bridge's keys: {', '.join(_KEYS)}")])

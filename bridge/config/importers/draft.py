@@ -100,10 +100,7 @@ _TYPE = re.compile(r"([a-z][a-z0-9_]*)/(?:(?:msg|srv|action)/)?([A-Z][A-Za-z0-9]
 
 
 def checked(document: Document, path: KeyPath, model: type[M]) -> tuple[M, list[Problem]]:
-    """The part of a file at ``path`` as a model, and notes on the keys that the model does not have.
-
-    Raises `ConfigError`: values are missing or of the wrong kind.
-    """
+    """The part at ``path`` as a model, and notes on keys that it does not have; raises `ConfigError` for bad values."""
     part = _part(document, path)
     try:
         return model.model_validate(part.data), []

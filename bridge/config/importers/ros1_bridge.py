@@ -72,10 +72,7 @@ class _Import:
 
 
 def draft(file: Path, mapping_rules: Sequence[Path] = ()) -> tuple[Draft, list[Problem]]:
-    """Turn ros1_bridge's parameter file and mapping rules into a configuration, and notes on what has no counterpart.
-
-    Raises `ConfigError` with all mistakes in the file.
-    """
+    """The configuration, and notes on what has no counterpart; raises `ConfigError` with all mistakes in the file."""
     document = read(file)
     if isinstance(document.data, list) and any(
         isinstance(entry, dict) and "ros1_package_name" in entry for entry in document.data

@@ -89,10 +89,7 @@ def with_status_text(result: Schema) -> dict[str, Definition]:
 
 
 def parse_announced(text: str, name: str, world: World) -> dict[str, Definition]:
-    """Read a full definition that the network announced; a service's has its request and response around a ``---``.
-
-    Returns the definitions by name, that of ``name`` among them. Raises `MessageTypeError`.
-    """
+    """The definitions in one that the network announced, by name; a service has a ``---``; `MessageTypeError`."""
     if world is World.ROS1 or not is_service(name):
         return parse_full(text, name, world)
     sections = split_parts(text)

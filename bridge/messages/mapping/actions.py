@@ -46,11 +46,7 @@ class ActionMapping:
         self._messages = messages
 
     def ros2_name(self, action: str) -> str:
-        """The ROS 2 action for a ROS 1 action (``move_base_msgs/MoveBase``), ``pkg/action/Name``.
-
-        It is one that is installed; else one that others use on the hub and whose goal says the same; else it is
-        derived.
-        """
+        """The ROS 2 action for one of ROS 1: installed; else on the hub with a goal that says it; else derived."""
         names = self._messages.rules.ros2_names(action, "action")
         for name in names:
             if self._messages.ros2.installed(f"{name}_Goal") is not None:

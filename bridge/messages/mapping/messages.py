@@ -180,11 +180,7 @@ class MessageMapping:
                 yield from self.ros1.variants(name)
 
     def to_ros2(self, ros1: Schema) -> Schema:
-        """The ROS 2 type that stands for a ROS 1 type.
-
-        It is one that is installed; else one that others use on the hub and that says the same, field for field; else
-        it is derived.
-        """
+        """The ROS 2 type for one of ROS 1: installed; else on the hub and the same, field for field; else derived."""
         key = (ros1.name, self.ros1.fingerprint(ros1))
         if key not in self._counterparts:
             self._counterparts[key] = self._match_ros2(ros1)
