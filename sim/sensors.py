@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -24,9 +24,15 @@ class Sensed:
         self._last = base.joints()[0]
         self._said = np.zeros(len(base.names))
         self.frozen = False  # whether they do not notice that the wheels turn
+        self._unchanged: Encoders | None = None
 
-    def read(self, time_ns: int) -> Encoders:
-        """What they say now; to be called at a steady rate."""
+    def read(self, time_ns: int, *, rests: bool = False) -> Encoders:
+        """What they say now; to be called at a steady rate. ``rests``: nothing has moved since the last call."""
+        if rests and self._unchanged is not None and not self.frozen:
+            if self._noise:
+                self._rng.normal(0.0, 1.0, len(self._said))  # a rest changes no number of what comes after it
+            return Encoders(time_ns, self._unchanged.positions, self._unchanged.velocities)
+        self._unchanged = None
         positions, velocities = self._base.joints()
         if self.frozen:
             # such encoders count steps: those that they miss are lost
@@ -37,7 +43,8 @@ class Sensed:
         if self._noise:
             turned += self._rng.normal(0.0, 1.0, len(turned)) * self._noise * np.sqrt(np.abs(turned))
         self._said = self._said + turned
-        return Encoders(time_ns, self._said.copy(), velocities * self._scale)
+        self._unchanged = Encoders(time_ns, self._said.copy(), velocities * self._scale)
+        return self._unchanged
 
 
 @dataclass(frozen=True)
@@ -72,6 +79,10 @@ class Odometry:
         way, round_ = self.now.travelled + math.hypot(dx, dy), self.now.turned + abs(turned)
         self.now = Estimate(encoders.time_ns, pose, Twist(vx, vy, turning), way, round_)
         return self.now
+
+    def rest(self, time_ns: int) -> None:
+        """The encoders say what they said last, at a later time."""
+        self.now = replace(self.now, time_ns=time_ns)
 
     def reset(self) -> None:
         """Begin at zero again."""

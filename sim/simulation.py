@@ -111,19 +111,22 @@ class Simulation:
         self.motors.now = self.time_ns
         wheels = self.drive.wheels(self.time_ns, seconds) if self.section.drive == "velocity" else self.motors.wheels()
         aims = [0.0] * len(wheels) if self.stopped else wheels.tolist()
-        self.base.turn(aims)
+        still = not any(aims)
+        if not (still and self.world.rests):
+            self.base.turn(aims)
         self.world.walk(seconds)
         rested = self.world.rests
-        self.world.step(_STEPS, aims_still=not any(aims))
+        self.world.step(_STEPS, aims_still=still)
         self.time_ns += TICK_NS
         since = self.time_ns - self._begun
         if since % _LOOK_NS == 0:
             if self.world.people or not self.world.rests:
                 self.world.look()
             self.battery.use(self.base.load(), _LOOK_NS / 1e9)
-        if not (rested and self.world.rests):
+        rests = rested and self.world.rests
+        if not rests:
             self.bumps = self.world.bumps()
-        self._sense()
+        self._sense(rests=rests)
         if since % self._turn_ns == 0 and "laser_silent" not in self.faults:
             self.scan = self._scan()
 
@@ -168,12 +171,15 @@ class Simulation:
         self.floor = floor
         self.world.place(at)
 
-    def _sense(self) -> None:
+    def _sense(self, *, rests: bool = False) -> None:
         self._sensed.frozen = "encoders_frozen" in self.faults
-        encoders = self._sensed.read(self.time_ns)
+        before, encoders = self.motors.encoders(), self._sensed.read(self.time_ns, rests=rests)
         self.motors.now = self.time_ns
         self.motors.read(encoders)
-        self.odometry.add(encoders)
+        if encoders.positions is before.positions and encoders.velocities is before.velocities:
+            self.odometry.rest(self.time_ns)
+        else:
+            self.odometry.add(encoders)
 
     def _scan(self) -> Turn:
         seen = self.laser.scan(self.time_ns, self.base.pose(), *self.world.seen())

@@ -10,6 +10,7 @@ import pytest
 from sim import world
 from sim.base import BasePose, Twist
 from sim.plan import Box
+from sim.sensors import Sensed
 from sim.simulation import Simulation
 from tests.sim.floors import drive, simulation, turn_wheels
 
@@ -53,6 +54,25 @@ def test_a_rest_changes_nothing_of_the_drive_after_it(robot: str, monkeypatch: p
     np.testing.assert_allclose(rested.base.pose(), awake.base.pose(), atol=1e-6)
     np.testing.assert_allclose(rested.estimate.pose, awake.estimate.pose, atol=1e-6)
     assert rested.battery.charge.share == pytest.approx(awake.battery.charge.share, rel=1e-9)
+
+
+@pytest.mark.parametrize("robot", ROBOTS)
+def test_a_rest_changes_no_bit_of_what_is_sensed(robot: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    def run() -> list[bytes]:
+        there = standing(robot=robot, encoders={"noise": 0.05}, laser={"noise": 0.01})
+        found = []
+        for fault in (False, True, False):
+            there.faults.set("encoders_frozen", on=fault)
+            there.run(0.5)
+            found.append(there.motors.encoders())
+        drive(there, 2.0, 0.2, 0.3)
+        found.append(there.motors.encoders())
+        said = [part.tobytes() for encoders in found for part in (encoders.positions, encoders.velocities)]
+        return [*said, np.array([*there.estimate.pose, *there.estimate.twist]).tobytes(), there.scan.ranges.tobytes()]
+
+    quick, read = run(), Sensed.read
+    monkeypatch.setattr(Sensed, "read", lambda sensed, time_ns, *, rests=False: read(sensed, time_ns))  # noqa: ARG005
+    assert run() == quick
 
 
 def test_it_moves_with_the_first_command() -> None:
