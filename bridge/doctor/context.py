@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import time
 from collections.abc import Callable, Mapping, Sequence
@@ -87,14 +88,7 @@ class CheckContext:
 
     @cached_property
     def _look(self) -> MasterState | Ros1Error:
-        try:
-            client = XmlRpcClient(self.master, _MASTER_SECONDS)
-            try:
-                return MasterReader(client, "/midspan_doctor").look()
-            finally:
-                client.close()
-        except Ros1Error as err:
-            return err
+        return read_master(self.master)
 
     def process(self, document: Document) -> psutil.Process | None:
         """The process of a worker of this daemon on this machine, None where it is not here or hidden from us."""
@@ -107,6 +101,15 @@ class CheckContext:
         except psutil.Error:
             return None
         return process if any(w.startswith("bridge.") or Path(w).name == "midspan" for w in words) else None
+
+
+def read_master(uri: str) -> MasterState | Ros1Error:
+    """A master's state, or why it does not answer."""
+    try:
+        with contextlib.closing(XmlRpcClient(uri, _MASTER_SECONDS)) as client:
+            return MasterReader(client, "/midspan_doctor").look()
+    except Ros1Error as err:
+        return err
 
 
 def environment_of(process: psutil.Process | None) -> Mapping[str, str]:

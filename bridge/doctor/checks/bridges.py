@@ -62,19 +62,12 @@ def _on_ros1(context: CheckContext) -> list[Finding]:
         if _is_ours(context, entry):
             continue
         if is_alive("/midspan_doctor", entry):
-            findings.append(
-                warn(
-                    f"ROS 1: Midspan daemon {entry.daemon} is on this master too ({entry.node} at {entry.uri})",
-                    "if that is not meant, set ros1.enabled: false in one of them; one is active, the other stands by",
-                )
-            )
+            seen = f"ROS 1: Midspan daemon {entry.daemon} is on this master too ({entry.node} at {entry.uri})"
+            cure = "if that is not meant, set ros1.enabled: false in one of them; one is active, the other stands by"
         else:
-            findings.append(
-                warn(
-                    f"ROS 1: {entry.node} of Midspan daemon {entry.daemon} is dead, and still registered",
-                    f"it goes when {entry.daemon} is started again; 'rosnode cleanup' removes its registrations",
-                )
-            )
+            seen = f"ROS 1: {entry.node} of Midspan daemon {entry.daemon} is dead, and still registered"
+            cure = f"it goes when {entry.daemon} is started again; 'rosnode cleanup' removes its registrations"
+        findings.append(warn(seen, cure))
     return findings or [ok("ROS 1: no other bridge")]
 
 
@@ -101,12 +94,9 @@ def of_dds(context: CheckContext, view: DdsView) -> list[Finding]:
     others = view.midspans - ours
     if others:
         mine = "besides this daemon's " if view.midspans & ours else ""
-        findings.append(
-            warn(
-                f"ROS 2: {mine}{len(others)} Midspan participant(s) on this domain: {', '.join(sorted(others))}",
-                "if that is not meant, give the daemons different ros2.domain, or turn one's ROS 2 side off",
-            )
-        )
+        seen = f"ROS 2: {mine}{len(others)} Midspan participant(s) on this domain: {', '.join(sorted(others))}"
+        cure = "if that is not meant, give the daemons different ros2.domain, or turn one's ROS 2 side off"
+        findings.append(warn(seen, cure))
     return findings or [ok("ROS 2: no other bridge")]
 
 
@@ -144,10 +134,8 @@ def look_at_dds(config: Config, environ: Mapping[str, str]) -> DdsView:
             timeout=_SECONDS, check=False,
         )  # fmt: skip
         found = json.loads(done.stdout.splitlines()[-1])
-        prefixes = {str(prefix) for prefix in found["participants"]}
-        return DdsView(
-            frozenset(p for p in prefixes if is_marked(bytes.fromhex(p))), frozenset(str(n) for n in found["nodes"])
-        )
+        marked = frozenset(p for p in map(str, found["participants"]) if is_marked(bytes.fromhex(p)))
+        return DdsView(marked, frozenset(map(str, found["nodes"])))
     except subprocess.TimeoutExpired:
         raise LookError(f"no answer within {_SECONDS:g} s") from None
     except (IndexError, KeyError, TypeError, ValueError):

@@ -29,12 +29,8 @@ def look_at_config(context: CheckContext) -> Findings:
     findings = [ok(context.config_text)]
     door = context.config.hub.open
     if door.insecure:
-        findings.append(
-            warn(
-                f"the hub is open without TLS at {', '.join((*door.listen, *door.connect))}: whoever reaches it joins",
-                "certificates ('midspan keys'), and tls/ endpoints in hub.open",
-            )
-        )
+        seen = f"the hub is open without TLS at {', '.join((*door.listen, *door.connect))}: whoever reaches it joins"
+        findings.append(warn(seen, "certificates ('midspan keys'), and tls/ endpoints in hub.open"))
     return findings
 
 
@@ -45,11 +41,9 @@ def look_at_workers(context: CheckContext) -> Findings:
         cure = "" if absent else "start the daemon: midspan run (or systemctl start midspan)"
         return [warn(context.hub.error.splitlines()[0], cure), *absent]
     if not context.hub.documents:
-        domain = context.config.hub.domain
-        return warn(
-            f"a router answers at {context.config.hub.listen}, but no worker does in domain {domain}",
-            "start the daemon: midspan run; where it runs, compare hub.domain",
-        )
+        hub = context.config.hub
+        seen = f"a router answers at {hub.listen}, but no worker does in domain {hub.domain}"
+        return warn(seen, "start the daemon: midspan run; where it runs, compare hub.domain")
     return [_worker(context, document) for document in context.hub.documents]
 
 
@@ -94,10 +88,8 @@ def look_at_port(context: CheckContext) -> Findings:
     if info is None:
         if not port_held(hub.listen):
             return ok(f"nothing listens at {hub.listen}: the daemon's router will")
-        return fail(
-            f"{hub.listen} is held by a program that does not speak zenoh{_holder(hub.listen)}",
-            "stop that program, or set hub.listen to a free port",
-        )
+        seen = f"{hub.listen} is held by a program that does not speak zenoh{_holder(hub.listen)}"
+        return fail(seen, "stop that program, or set hub.listen to a free port")
     if info.mode != "router":
         return fail(f"{hub.listen} is held by {info}, which routes nothing", "set hub.listen to a free port")
     if info.daemon:
@@ -138,11 +130,8 @@ def look_at_keys(context: CheckContext) -> Findings:
         return fail(str(err), "'midspan keys make' makes the files; see docs/operate/security.md")
     findings = [*_expiry(own), *_expiry(authority), *_mode(files), *_distrust(own.name, context)]
     if not signed:
-        findings.append(
-            fail(
-                f"{files.certificate} was not signed by {files.ca}", "copy both from the same folder of 'midspan keys'"
-            )
-        )
+        cure = "copy both from the same folder of 'midspan keys'"
+        findings.append(fail(f"{files.certificate} was not signed by {files.ca}", cure))
     if own.name != context.config.name:
         findings.append(warn(f"this machine's certificate names it {own.name!r}: others trust that name", "see 'name'"))
     return findings or ok(f"this machine is {own.name} to others, until {own.until:%Y-%m-%d}")

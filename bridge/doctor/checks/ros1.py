@@ -17,10 +17,9 @@ from urllib.parse import urlsplit
 import psutil
 
 from bridge.adapters.ros1.environment import available, is_local, master_uri
-from bridge.adapters.ros1.graph.state import MasterReader
-from bridge.adapters.ros1_peers import Ros1Error, XmlRpcClient
+from bridge.adapters.ros1_peers import Ros1Error
 from bridge.doctor.check import Check, Finding, Findings, fail, ok, packages, skip, warn
-from bridge.doctor.context import CheckContext, environment_of
+from bridge.doctor.context import CheckContext, environment_of, read_master
 
 _SECONDS = 2.0
 
@@ -51,10 +50,8 @@ def look_at_master(context: CheckContext) -> Findings:
     try:
         addresses = sorted({str(info[4][0]) for info in socket.getaddrinfo(host, None, socket.AF_INET)})
     except (OSError, UnicodeError):
-        return fail(
-            f"{uri}: the host name '{host}' does not resolve on this machine",
-            f"add '{host}' with its address to /etc/hosts, or give the address itself in ros1.master",
-        )
+        cure = f"add '{host}' with its address to /etc/hosts, or give the address itself in ros1.master"
+        return fail(f"{uri}: the host name '{host}' does not resolve on this machine", cure)
     seen = f"{look} (it resolves to {', '.join(addresses)})"
     cure = "start roscore there, check ROS_MASTER_URI or ros1.master, and that no firewall holds its port back"
     meant = context.config.ros1.master or context.environ.get("ROS_MASTER_URI")
@@ -89,14 +86,8 @@ def _against_worker(context: CheckContext, shell: str) -> list[Finding]:
 
 
 def _network(uri: str) -> str | None:
-    try:
-        client = XmlRpcClient(uri, _SECONDS)
-        try:
-            return MasterReader(client, "/midspan_doctor").look().network
-        finally:
-            client.close()
-    except Ros1Error:
-        return None
+    look = read_master(uri)
+    return None if isinstance(look, Ros1Error) else look.network
 
 
 def _same_place(one: str, other: str) -> bool:
@@ -130,10 +121,8 @@ def look_at_address(context: CheckContext) -> Findings:
     try:
         addresses = _resolve(value)
     except OSError:
-        return fail(
-            f"{name} is '{value}', which does not resolve",
-            f"set ROS_IP to this machine's address, or add {value} to /etc/hosts",
-        )
+        cure = f"set ROS_IP to this machine's address, or add {value} to /etc/hosts"
+        return fail(f"{name} is '{value}', which does not resolve", cure)
     own = _own_addresses()
     if not addresses & own:
         seen = f"{name} is '{value}' ({', '.join(sorted(addresses))}), which is no address of this machine"
@@ -172,28 +161,21 @@ def _trouble(uri: str, *, remote: bool) -> Finding | None:
     try:
         addresses = _resolve(host)
     except OSError:
-        return fail(
-            f"the host name '{host}' that they gave does not resolve here",
-            f"add '{host}' with its address to /etc/hosts of this machine, or set ROS_IP where they run",
-        )
+        cure = f"add '{host}' with its address to /etc/hosts of this machine, or set ROS_IP where they run"
+        return fail(f"the host name '{host}' that they gave does not resolve here", cure)
+    shown = ", ".join(sorted(addresses))
     named = host != "localhost" and not _is_address(host)
     if remote and named and all(ipaddress.ip_address(a).is_loopback for a in addresses):
-        return fail(
-            f"the host name '{host}' that they gave resolves to {', '.join(sorted(addresses))}, this very machine",
-            f"correct '{host}' in /etc/hosts of this machine",
-        )
+        seen = f"the host name '{host}' that they gave resolves to {shown}, this very machine"
+        return fail(seen, f"correct '{host}' in /etc/hosts of this machine")
     try:
         socket.create_connection((host, port), _CONNECT_SECONDS).close()
     except ConnectionRefusedError:
-        return warn(
-            f"nothing answers at {host} ({', '.join(sorted(addresses))}) under the port that they gave",
-            "they are dead ('rosnode cleanup' takes them off the master), or the name leads elsewhere from here",
-        )
+        cure = "they are dead ('rosnode cleanup' takes them off the master), or the name leads elsewhere from here"
+        return warn(f"nothing answers at {host} ({shown}) under the port that they gave", cure)
     except OSError as err:
-        return fail(
-            f"{host} ({', '.join(sorted(addresses))}) cannot be reached: {err}",
-            "check route and firewall; ROS 1 nodes use any port",
-        )
+        cure = "check route and firewall; ROS 1 nodes use any port"
+        return fail(f"{host} ({shown}) cannot be reached: {err}", cure)
     return None
 
 

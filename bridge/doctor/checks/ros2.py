@@ -26,16 +26,11 @@ def look_at_environment(context: CheckContext) -> Findings:
     findings: list[Finding] = []
     meant, by = _daemons_domain(context)
     if int(text) != meant:
-        findings.append(
-            warn(
-                f"this shell's ROS_DOMAIN_ID is {text}, {by} uses {meant}: its ROS 2 programs do not hear the daemon",
-                f"export ROS_DOMAIN_ID={meant}, or set ros2.domain to {text}",
-            )
-        )
+        seen = f"this shell's ROS_DOMAIN_ID is {text}, {by} uses {meant}: its ROS 2 programs do not hear the daemon"
+        findings.append(warn(seen, f"export ROS_DOMAIN_ID={meant}, or set ros2.domain to {text}"))
     findings += _range(context)
-    profile = context.environ.get("FASTRTPS_DEFAULT_PROFILES_FILE") or context.environ.get(
-        "FASTDDS_DEFAULT_PROFILES_FILE"
-    )
+    set_to = (context.environ.get(f"{dds}_DEFAULT_PROFILES_FILE") for dds in ("FASTRTPS", "FASTDDS"))
+    profile = next(filter(None, set_to), None)
     if profile and not Path(profile).is_file():
         findings.append(warn(f"the Fast DDS profile {profile} of this shell does not exist", "unset the variable"))
     return findings or ok(f"domain {meant}")
