@@ -49,6 +49,11 @@ def dicts(value: object) -> list[Document]:
     return [item for item in value if isinstance(item, dict)] if isinstance(value, list) else []
 
 
+def texts(value: object) -> list[str]:
+    """The texts of a list in a document; none where it is no list."""
+    return [str(item) for item in value] if isinstance(value, list) else []
+
+
 def arrow(side: object, direction: object) -> str:
     """``ROS 1 -> hub`` or ``hub -> ROS 2``."""
     return f"{side_name(side)} -> hub" if direction == "in" else f"hub -> {side_name(side)}"

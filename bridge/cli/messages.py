@@ -111,9 +111,8 @@ def _dumper() -> Any:
     class Dumper(yaml.SafeDumper):
         pass
 
-    Dumper.add_representer(
-        _Row, lambda dumper, row: dumper.represent_sequence("tag:yaml.org,2002:seq", row, flow_style=True)
-    )
+    tag = "tag:yaml.org,2002:seq"
+    Dumper.add_representer(_Row, lambda dumper, row: dumper.represent_sequence(tag, row, flow_style=True))
     return Dumper
 
 

@@ -11,7 +11,7 @@ from typing import NamedTuple
 import zenoh
 
 from bridge.cli.client import CliClient
-from bridge.cli.graph.view import absolute, ask_decisions, known_names, unknown
+from bridge.cli.graph.view import absolute, all_topics, ask_decisions, unknown
 from bridge.cli.output import CliError, side_name
 from bridge.hub.endpoints.subscription import HubSample, HubSubscription
 from bridge.hub.graph import HubEndpoint
@@ -156,7 +156,7 @@ class TopicFeed:
     def _why_not(self) -> str:
         decisions = ask_decisions(self._client, self.topic)
         if not decisions:
-            return unknown("topic", self.topic, known_names(self._client))
+            return unknown("topic", self.topic, all_topics(self._client))
         words = "; ".join(f"{side_name(d.worker)}: {d.decision}: {d.why}" for d in decisions)
         return f"nothing of {self.topic} can be received now ({words}); wait for it with --timeout SECONDS"
 

@@ -115,13 +115,9 @@ class FollowedGoal:
         self._ask_cancel()
 
     def run(
-        self,
-        goal: dict[str, Any],
-        timeout: float | None,
-        show: Callable[[dict[str, Any]], None],
-        each: Callable[[], None] = lambda: None,
-        before_cancel: Callable[[], None] = lambda: None,
-    ) -> tuple[dict[str, Any], bool]:
+        self, goal: dict[str, Any], timeout: float | None, show: Callable[[dict[str, Any]], None],
+        each: Callable[[], None] = lambda: None, before_cancel: Callable[[], None] = lambda: None,
+    ) -> tuple[dict[str, Any], bool]:  # fmt: skip
         """Send the goal and follow it to its end; cancel it at Ctrl-C or after ``timeout`` seconds.
 
         Returns the result, and whether Ctrl-C came. Raises `CliError` where the goal is rejected or lost.

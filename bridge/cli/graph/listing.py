@@ -15,15 +15,10 @@ from bridge.cli.client import CliClient, open_client
 from bridge.cli.graph.view import GraphView, Kind, Views, endpoint_json, endpoint_text, find
 from bridge.cli.output import clean, make_console, print_json, side_name
 
-_INFO = (
-    (
-        "type, servers, clients and decisions",
-        "Shows who serves it, who uses it, and what each worker decided about it.",
-    ),
-    (
-        "types, publishers, subscriptions and QoS",
-        "Shows a topic's types, and its publishers and subscriptions on the hub with their QoS and side.",
-    ),
+_INFO = "type, servers, clients and decisions", "Shows who serves it, who uses it, and what each worker decided of it."
+_TOPIC_INFO = (
+    "types, publishers, subscriptions and QoS",
+    "Shows a topic's types, and its publishers and subscriptions on the hub with their QoS and side.",
 )
 
 
@@ -37,7 +32,7 @@ def register(verbs: Any, kind: Kind, views: Callable[[CliClient], Views]) -> Non
     ends = "endpoints" if is_topic else "servers, clients"
     listing.add_argument("-v", "--verbose", action="store_true", help=f"with types, sides, {ends} and state")
     listing.add_argument("--json", action="store_true", help="print all that is known of each as JSON")
-    info = add_verb(verbs, "info", lambda args: _info(args, views, kind), *_INFO[is_topic])
+    info = add_verb(verbs, "info", lambda args: _info(args, views, kind), *(_TOPIC_INFO if is_topic else _INFO))
     info.add_argument("name", metavar="topic" if is_topic else None, help=f"the {kind}'s name")
     info.add_argument("--json", action="store_true", help="print it as JSON")
 

@@ -166,14 +166,10 @@ def _on_hub(client: CliClient, *kinds: EndpointKind) -> Iterator[HubEndpoint]:
             yield endpoint
 
 
-def known_names(
-    client: CliClient, documents: Iterable[Any] = (), decisions: Iterable[Decision] | None = None
-) -> set[str]:
-    """Names of known topics, for hints; without ``decisions`` it asks the workers."""
-    names = set(all_topics(client) if decisions is None else _topics(client, decisions))
-    for document in documents:
-        names.update(str(route.get("topic")) for route in route_list(document))
-    return names
+def known_names(client: CliClient, documents: Iterable[Any], decisions: Iterable[Decision]) -> set[str]:
+    """Names of known topics, for hints."""
+    routes = (route for document in documents for route in route_list(document))
+    return {*_topics(client, decisions), *(str(route.get("topic")) for route in routes)}
 
 
 def find(views: Mapping[str, GraphView], name: str, kind: Kind) -> GraphView:

@@ -11,7 +11,7 @@ from typing import Any
 
 from bridge.cli.arguments import add_hub_arguments
 from bridge.cli.client import ASK_SECONDS, CliClient, open_client
-from bridge.cli.documents import Document, arrow, drops_text, port_lines, port_list, route_list
+from bridge.cli.documents import Document, arrow, drops_text, port_lines, port_list, route_list, texts
 from bridge.cli.graph.view import Decision, absolute, ask_decisions, endpoint_json, endpoint_text, known_names, unknown
 from bridge.cli.inspection.refusals import refusals
 from bridge.cli.output import CliError, clean, duration, plural, print_json, rate, side_name
@@ -75,9 +75,8 @@ def explain(client: CliClient, topic: str) -> Explanation:
     names = {topic} | {d.hub_topic for d in decisions if d.decision == "bridged"}
     endpoints = [e for e in client.hub.graph.endpoints() if not e.own and names & {e.topic, split(e.topic)[0]}]
     endpoints.sort(key=lambda e: (e.topic, e.kind))
-    ports = [
-        port for document in documents for port in port_list(document) if names & {port.get("topic"), port.get("port")}
-    ]
+    ports = [port for document in documents for port in port_list(document)]
+    ports = [port for port in ports if names & {port.get("topic"), port.get("port")}]
     away = planner_note(client.config, topic, client.hub.graph.endpoints(), documents)
     planner = [] if away is None else [away]
     silent = _silent(client, documents)
@@ -162,13 +161,12 @@ def _hub_notes(topic: str, endpoints: Sequence[HubEndpoint]) -> list[Note]:
 
 def _warnings(names: set[str], documents: Sequence[Document]) -> list[Note]:
     """The workers' warnings that begin with the topic's name: QoS mismatches, types that nobody defines."""
-    told = [
-        (side_name(document.get("side")), str(warning))
+    return [
+        Note(f"{side_name(document.get('side'))}: {warning}")
         for document in documents
-        if isinstance(document.get("warnings"), list)
-        for warning in document["warnings"]
+        for warning in texts(document.get("warnings"))
+        if warning.partition(": ")[0] in names
     ]
-    return [Note(f"{side}: {text}") for side, text in told if text.partition(": ")[0] in names]
 
 
 def _worker_notes(decisions: Sequence[Decision], documents: Sequence[Document]) -> list[Note]:

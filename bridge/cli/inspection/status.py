@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import contextlib
 import dataclasses
 import sys
 import time
@@ -14,7 +15,7 @@ from rich.text import Text
 
 from bridge.cli.arguments import add_hub_arguments, number_in
 from bridge.cli.client import CliClient, client_config, open_client
-from bridge.cli.documents import Document, arrow, connected_lines, dicts, port_list, route_list, routes_table
+from bridge.cli.documents import Document, arrow, connected_lines, dicts, port_list, route_list, routes_table, texts
 from bridge.cli.inspection.refusals import Refusal, refusals
 from bridge.cli.output import CliError, clean, duration, is_number, make_console, plural, print_json, side_name, size
 from bridge.daemon.query import Phase, ask_daemon
@@ -37,13 +38,15 @@ def register_status(parser: argparse.ArgumentParser) -> None:
 
 def run_status(args: argparse.Namespace) -> int:
     """Show the status once."""
-    absent = absent_workers(args)
+    absent, documents, refused = absent_workers(args), list[Document](), list[Refusal]()
     try:
-        documents, refused = _ask(args)
+        with open_client(args) as client:
+            documents = ask_status(client)
+            client.settle()
+            refused = refusals(client, documents)
     except CliError:
         if not absent:
             raise
-        documents, refused = [], []
     answering = {(document["daemon"], document["worker"]) for document in documents}
     documents += [document for document in absent if (document["daemon"], document["worker"]) not in answering]
     documents.sort(key=lambda document: str(document["daemon"]))
@@ -52,13 +55,6 @@ def run_status(args: argparse.Namespace) -> int:
     else:
         show(make_console(), documents, refused)
     return 0
-
-
-def _ask(args: argparse.Namespace) -> tuple[list[Document], list[Refusal]]:
-    with open_client(args) as client:
-        documents = ask_status(client)
-        client.settle()
-        return documents, list(refusals(client, documents))
 
 
 def ask_status(client: CliClient) -> list[Document]:
@@ -137,18 +133,15 @@ def _show_worker(console: Console, document: Document) -> None:
         console.print(Text(f"           {clean(document['error'])}", style="red"))
     for refused in dicts(document.get("refused")):
         way = arrow(document.get("side"), refused.get("direction"))
-        topic, type_name = clean(refused.get("topic", "")), clean(refused.get("type", ""))
-        console.print(
-            Text(f"           refused {way} {topic} ({type_name}): {clean(refused.get('reason', ''))}", "yellow")
-        )
+        topic, type_name, reason = (clean(refused.get(key, "")) for key in ("topic", "type", "reason"))
+        console.print(Text(f"           refused {way} {topic} ({type_name}): {reason}", "yellow"))
         if refused.get("cure"):
             console.print(Text(f"             cure: {clean(refused['cure'])}"))
     for machine in dicts(document.get("machines")):
         console.print(_machine(machine))
     for told in connected_lines(port_list(document)):
         console.print(Text(f"           {told}"))
-    warnings = document.get("warnings")
-    for warning in warnings if isinstance(warnings, list) else ():
+    for warning in texts(document.get("warnings")):
         console.print(Text(f"           warning: {clean(warning)}", "yellow"))
 
 
@@ -213,14 +206,11 @@ def run_top(args: argparse.Namespace) -> int:
     live = sys.stdout.isatty()
     once = args.once or (args.interval is None and not live)
     interval = args.interval or _INTERVAL
-    with open_client(args) as client:
-        try:
-            if live and not once and not args.json:
-                _live(client, interval)
-            else:
-                _plain(client, 0.0 if once else interval, as_json=args.json)
-        except KeyboardInterrupt:
-            return 0
+    with open_client(args) as client, contextlib.suppress(KeyboardInterrupt):
+        if live and not once and not args.json:
+            _live(client, interval)
+        else:
+            _plain(client, 0.0 if once else interval, as_json=args.json)
     return 0
 
 
@@ -255,13 +245,11 @@ def _view(documents: Sequence[Document]) -> RenderableType:
     for number, document in enumerate(documents):
         head.append("   " if number else "")
         head.append(f"{clean(document.get('daemon', ''))}/{clean(document.get('worker', ''))} ", style="bold")
-        head.append(
-            clean(document.get("state", "?")), style="green" if document.get("state") == "running" else "yellow"
-        )
+        state = clean(document.get("state", "?"))
+        head.append(state, style="green" if state == "running" else "yellow")
         routes = route_list(document)
         if routes:
             head.append(f" {plural(len(routes), 'route')}")
-        refused = document.get("refused")
-        if isinstance(refused, list) and refused:
+        if refused := texts(document.get("refused")):
             head.append(f", {len(refused)} refused", style="yellow")
     return Group(head, routes_table(documents, errors=False))

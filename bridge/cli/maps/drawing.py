@@ -27,20 +27,16 @@ _FONT = 14
 
 
 def draw(
-    grid: MapGrid2D,
-    locations: Mapping[str, Map2DLocation],
-    areas: Mapping[str, Map2DArea],
-    scale: int = 0,
+    grid: MapGrid2D, locations: Mapping[str, Map2DLocation], areas: Mapping[str, Map2DArea], scale: int = 0,
     path: Sequence[tuple[float, float]] = (),
-) -> Image.Image:
+) -> Image.Image:  # fmt: skip
     """The picture of a map, with locations as arrows and areas as outlines.
 
     ``scale`` is pixels per cell (0: large enough), ``path`` is places in metres that a line joins.
     """
     scale = scale or max(1, min(16, _WANTED // max(grid.width(), grid.height())))
-    image = Image.fromarray(colours(grid)).resize(
-        (grid.width() * scale, grid.height() * scale), Image.Resampling.NEAREST
-    )
+    size = grid.width() * scale, grid.height() * scale
+    image = Image.fromarray(colours(grid)).resize(size, Image.Resampling.NEAREST)
     pen = ImageDraw.Draw(image)
     font = ImageFont.load_default(_FONT)
     for name, area in areas.items():
@@ -105,21 +101,16 @@ _MARKS = "abcdefghijklmnopqrstuvwxyz"
 
 
 def lines(
-    grid: MapGrid2D,
-    locations: Mapping[str, Map2DLocation],
-    areas: Mapping[str, Map2DArea],
-    width: int,
-    *,
-    coloured: bool,
-    path: Sequence[tuple[float, float]] = (),
-) -> list[Text]:
+    grid: MapGrid2D, locations: Mapping[str, Map2DLocation], areas: Mapping[str, Map2DArea], width: int, *,
+    coloured: bool, path: Sequence[tuple[float, float]] = (),
+) -> list[Text]:  # fmt: skip
     """The map as lines of ``width`` columns, with a legend of its marks.
 
     Coloured, it is drawn in half blocks, else with a letter for each flag; ``path`` is places in metres.
     """
     step = max(1, math.ceil(grid.width() / width))
     shown = _reduced(grid, step)
-    chosen = _chosen(colours(grid), grid, shown)
+    chosen: NDArray[np.uint8] = colours(grid).reshape(grid.width() * grid.height(), 3)[shown]
     marks = _area_marks(grid, areas, step) | _line_marks(grid, path, step, "o", PATH_COLOUR)
     marks |= _location_marks(grid, locations, step)
     found = []
@@ -149,11 +140,6 @@ def _reduced(grid: MapGrid2D, step: int) -> NDArray[np.intp]:
     rows = rows + np.arange(height)[:, None] * step
     columns = columns + np.arange(width)[None, :] * step
     found: NDArray[np.intp] = rows * grid.width() + columns
-    return found
-
-
-def _chosen(picture: NDArray[np.uint8], grid: MapGrid2D, shown: NDArray[np.intp]) -> NDArray[np.uint8]:
-    found: NDArray[np.uint8] = picture.reshape(grid.width() * grid.height(), 3)[shown]
     return found
 
 

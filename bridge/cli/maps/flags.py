@@ -88,8 +88,7 @@ def _numbers(text: str, count: int) -> list[float]:
     except ValueError:
         found = []
     if len(found) != count or not all(map(math.isfinite, found)):
-        msg = f"{text!r} is not {count} numbers with commas between them"
-        raise argparse.ArgumentTypeError(msg)
+        raise argparse.ArgumentTypeError(f"{text!r} is not {count} numbers with commas between them")
     return found
 
 
@@ -100,6 +99,5 @@ def _point(text: str) -> list[float]:
 def _circle(text: str) -> list[float]:
     found = _numbers(text, 3)
     if found[2] <= 0:
-        msg = f"a circle's radius is above 0, not {found[2]:g}"
-        raise argparse.ArgumentTypeError(msg)
+        raise argparse.ArgumentTypeError(f"a circle's radius is above 0, not {found[2]:g}")
     return found

@@ -55,12 +55,9 @@ def run(args: argparse.Namespace) -> int:
 
 
 def draw(
-    grid: MapGrid2D,
-    locations: Mapping[str, Map2DLocation],
-    areas: Mapping[str, Map2DArea],
-    args: argparse.Namespace,
+    grid: MapGrid2D, locations: Mapping[str, Map2DLocation], areas: Mapping[str, Map2DArea], args: argparse.Namespace,
     path: Sequence[tuple[float, float]] = (),
-) -> None:
+) -> None:  # fmt: skip
     """Draw a map as `add_drawing_arguments` says, with a line through ``path`` (metres); raises `CliError`."""
     if not 0 <= args.scale <= _MOST_SCALE or (args.width is not None and not 0 < args.width <= 1000):
         raise CliError(f"--scale is 1 to {_MOST_SCALE}, --width 1 to 1000")

@@ -37,13 +37,9 @@ class LatestMessage:
     """The newest message of a latched topic; ``heard`` gets each message, on a thread of zenoh."""
 
     def __init__(
-        self,
-        client: CliClient,
-        types: Types,
-        topic: str,
-        type_name: str,
+        self, client: CliClient, types: Types, topic: str, type_name: str,
         heard: Callable[[dict[str, Any]], None] = lambda _message: None,
-    ) -> None:
+    ) -> None:  # fmt: skip
         self._types, self._type, self._heard = types, type_name, heard
         self._hash = types.hash_of(type_name)
         self._came = threading.Event()

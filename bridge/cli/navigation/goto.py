@@ -95,9 +95,8 @@ def _of_pose(client: CliClient, numbers: list[float], frame: str) -> dict[str, A
         "header": {"frame_id": frame or client.config.navigation.frame},
         "pose": {"position": {"x": x, "y": y}, "orientation": turn},
     }
-    return (
-        {"pose": pose} if len(numbers) == 3 else {"pose": pose, "behavior_tree": Constraints(heading=False).to_text()}
-    )
+    anyhow = {} if len(numbers) == 3 else {"behavior_tree": Constraints(heading=False).to_text()}
+    return {"pose": pose, **anyhow}
 
 
 class GoalProgress:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import dataclasses
 import json
 import sys
 from collections.abc import Sequence
@@ -50,10 +51,7 @@ def _check_file(file: Path | None, *, as_json: bool) -> int:
     try:
         load(used)
     except ConfigError as err:
-        problems = [
-            {"file": str(p.file), "line": p.line, "column": p.column, "key": p.key, "text": p.text}
-            for p in err.problems
-        ]
+        problems = [{**dataclasses.asdict(problem), "file": str(problem.file)} for problem in err.problems]
         if not as_json:
             print(err, file=sys.stderr)
     if as_json:

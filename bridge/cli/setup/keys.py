@@ -154,6 +154,5 @@ def _default_folder() -> Path:
 def _days(text: str) -> int:
     days = int(text) if text.isascii() and text.isdigit() else 0
     if not 1 <= days <= MOST_DAYS:
-        msg = f"{text!r} is not a number of days from 1 to {MOST_DAYS}"
-        raise argparse.ArgumentTypeError(msg)
+        raise argparse.ArgumentTypeError(f"{text!r} is not a number of days from 1 to {MOST_DAYS}")
     return days

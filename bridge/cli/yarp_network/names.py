@@ -211,8 +211,7 @@ def _address(text: str) -> Address:
     try:
         return config.parse(f"{host.strip('[]')} {port}")
     except NamingConfigError:
-        msg = f"{text!r} is no address: write it as 127.0.0.1:10000"
-        raise argparse.ArgumentTypeError(msg) from None
+        raise argparse.ArgumentTypeError(f"{text!r} is no address: write it as 127.0.0.1:10000") from None
 
 
 VERBS = {

@@ -7,12 +7,13 @@ import math
 import queue
 import signal
 import sys
+import time
 from collections.abc import Callable, Iterator
 from functools import partial
 from typing import Any
 
 from bridge.cli.arguments import add_verb
-from bridge.cli.output import CliError, clean
+from bridge.cli.output import CliError, clean, json_line
 from bridge.cli.yarp_network.names import add_server_arguments, client
 from yarp_compat.naming import connections
 from yarp_compat.ports import text_client
@@ -107,10 +108,7 @@ def _shown(args: argparse.Namespace, message: PortMessage) -> str:
     except WireError as err:
         text = f"# {len(message.payload)} bytes that are no Bottle: {err}"
     if args.json:
-        import json
-
-        fields = {"from": message.peer.route.source, "envelope": message.envelope, "text": text}
-        return json.dumps(fields, ensure_ascii=False)
+        return json_line({"from": message.peer.route.source, "envelope": message.envelope, "text": text})
     return clean(f"[{message.envelope}] {text}" if args.envelope else text)
 
 
@@ -124,8 +122,8 @@ def _write(args: argparse.Namespace) -> int:
             done, words = port.add_output(target)
             if not done:
                 raise CliError(clean(words))
-        if args.wait:
-            _await_reader(port)
+        while args.wait and not port.outputs():
+            time.sleep(0.05)
         for line in _lines(args):
             reached = port.write(partial(encode, _values(line)), wait=True, timeout=args.timeout)
             if not reached and not args.targets:
@@ -150,14 +148,6 @@ def _rpc(args: argparse.Namespace) -> int:
     return 0
 
 
-def _await_reader(port: PortCore) -> None:
-    import threading
-
-    never = threading.Event()
-    while not port.outputs():
-        never.wait(0.05)
-
-
 def _lines(args: argparse.Namespace) -> Iterator[str]:
     if args.message is not None:
         yield from args.message
@@ -177,8 +167,7 @@ def _values(line: str) -> list[Any]:
 def _refuse_taken(args: argparse.Namespace) -> None:
     """A name in use is not taken from its port: the name server would let us."""
     if args.port != "..." and connections.exists(client(args), args.port, timeout=args.timeout):
-        msg = f"{args.port} is in use by another program; '...' opens a port with a name of its own"
-        raise PortError(clean(msg))
+        raise PortError(clean(f"{args.port} is in use by another program; '...' opens a port with a name of its own"))
 
 
 def _profile(args: argparse.Namespace) -> Profile:
