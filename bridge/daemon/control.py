@@ -112,8 +112,8 @@ class ControlServer:
             path.chmod(0o600)
         except OSError as err:
             self._server.close()
-            msg = f"cannot make {path}: {err.strerror}; make the state folder writable, or set 'state' to one that is"
-            raise RuntimeError(msg) from None
+            cure = "make the state folder writable, or set 'state' to one that is"
+            raise RuntimeError(f"cannot make {path}: {err.strerror}; {cure}") from None
         self._server.listen(4)
         self._thread = threading.Thread(target=self._accept, name="control", daemon=True)
         self._thread.start()

@@ -142,5 +142,4 @@ def _template(name: str) -> str:
         file = folder / name
         if file.is_file():
             return file.read_text()
-    msg = f"{name} is missing from this installation of Midspan; install it again"
-    raise RuntimeError(msg)
+    raise RuntimeError(f"{name} is missing from this installation of Midspan; install it again")

@@ -15,7 +15,6 @@ import sys
 import time
 from collections.abc import Callable
 from enum import Enum
-from types import FrameType
 from typing import TYPE_CHECKING
 
 from bridge import resources, state_file
@@ -55,14 +54,9 @@ class Child:
     """
 
     def __init__(
-        self,
-        worker: Worker,
-        commands: Commands,
-        report: Callable[[protocol.Report], None],
-        *,
-        load: Callable[[], Config] | None = None,
-        end_for_restart: bool = False,
-    ) -> None:
+        self, worker: Worker, commands: Commands, report: Callable[[protocol.Report], None], *,
+        load: Callable[[], Config] | None = None, end_for_restart: bool = False,
+    ) -> None:  # fmt: skip
         self._worker = worker
         self._commands = commands
         self._report = report
@@ -172,17 +166,10 @@ class Child:
 
 def install_signals(commands: Commands) -> None:
     """SIGTERM and SIGINT stop, SIGHUP loads again. Call from the main thread."""
-
-    def stop(number: int, _frame: FrameType | None) -> None:
-        commands.put(protocol.Stop(signal.Signals(number).name))
-
-    def hangup(_number: int, _frame: FrameType | None) -> None:
-        commands.put(Hangup())
-
-    signal.signal(signal.SIGTERM, stop)
-    signal.signal(signal.SIGINT, stop)
+    for each in (signal.SIGTERM, signal.SIGINT):
+        signal.signal(each, lambda number, _frame: commands.put(protocol.Stop(signal.Signals(number).name)))
     if hasattr(signal, "SIGHUP"):
-        signal.signal(signal.SIGHUP, hangup)
+        signal.signal(signal.SIGHUP, lambda _number, _frame: commands.put(Hangup()))
 
 
 class Process:
@@ -294,5 +281,4 @@ class Process:
         lock.close()
         who = f"as process {holder.pid} of {holder.machine}" if holder else "in another process"
         what = f"the worker {self._kind.name} of '{config.name}' already runs {who}"
-        msg = f"{what}; stop it, or give this one another 'name' or 'state'"
-        raise RuntimeError(msg)
+        raise RuntimeError(f"{what}; stop it, or give this one another 'name' or 'state'")

@@ -136,10 +136,8 @@ def decode_command(line: bytes) -> Command:
         try:
             return NewConfig(Config.model_validate(data["config"]))
         except ValidationError as err:
-            msg = f"a configuration that is not valid: {err}"
-            raise ProtocolError(msg) from err
-    msg = f"no command: {line[:200]!r}"
-    raise ProtocolError(msg)
+            raise ProtocolError(f"a configuration that is not valid: {err}") from err
+    raise ProtocolError(f"no command: {line[:200]!r}")
 
 
 def encode_report(report: Report) -> bytes:
@@ -181,8 +179,7 @@ def decode_report(line: bytes) -> Report | Unknown:
             return Busy(text, used, read)
     if data and data.keys().isdisjoint(_REPORTS):
         return Unknown(tuple(data))
-    msg = f"no report: {line[:200]!r}"
-    raise ProtocolError(msg)
+    raise ProtocolError(f"no report: {line[:200]!r}")
 
 
 def _line(data: dict[str, Any]) -> bytes:
@@ -193,11 +190,9 @@ def _object(line: bytes) -> dict[str, Any]:
     try:
         data = json.loads(line)
     except (ValueError, RecursionError) as err:
-        msg = f"not JSON: {line[:200]!r}"
-        raise ProtocolError(msg) from err
+        raise ProtocolError(f"not JSON: {line[:200]!r}") from err
     if not isinstance(data, dict):
-        msg = f"not an object: {line[:200]!r}"
-        raise ProtocolError(msg)
+        raise ProtocolError(f"not an object: {line[:200]!r}")
     return data
 
 

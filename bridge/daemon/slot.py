@@ -64,14 +64,9 @@ class Slot:
     """
 
     def __init__(
-        self,
-        loop: SelectorLoop,
-        kind: WorkerKind,
-        timing: Timing,
-        *,
-        standing: bool = False,
+        self, loop: SelectorLoop, kind: WorkerKind, timing: Timing, *, standing: bool = False,
         first: Callable[[], str] = lambda: "",
-    ) -> None:
+    ) -> None:  # fmt: skip
         self.kind = kind
         self.phase = Phase.OFF
         self.since = time.monotonic()

@@ -49,14 +49,9 @@ class Supervisor:
     """
 
     def __init__(
-        self,
-        file: Path | None,
-        *,
-        standing: Collection[str] = (),
-        timing: Timing | None = None,
-        cores: int | None = None,
-        environ: Mapping[str, str] = os.environ,
-    ) -> None:
+        self, file: Path | None, *, standing: Collection[str] = (), timing: Timing | None = None,
+        cores: int | None = None, environ: Mapping[str, str] = os.environ,
+    ) -> None:  # fmt: skip
         self._file = file
         self._environ = environ
         self._config = state_file.with_state(load(file), environ)
@@ -124,11 +119,8 @@ class Supervisor:
         holder = lock.holder()
         lock.close()
         who = f"process {holder.pid} of {holder.machine}" if holder else "another process"
-        msg = (
-            f"a daemon named '{self._config.name}' already runs ({who}) with the state folder {self._config.state};"
-            " stop it, or give this one another 'name' or 'state'"
-        )
-        raise RuntimeError(msg)
+        what = f"a daemon named '{self._config.name}' already runs ({who}) with the state folder {self._config.state}"
+        raise RuntimeError(f"{what}; stop it, or give this one another 'name' or 'state'")
 
     def _begin(self, config: Config) -> None:
         self._announced = False
@@ -245,8 +237,8 @@ class Supervisor:
         for key in ("name", "state"):
             old, new = getattr(self._config, key), getattr(config, key)
             if old != new:
-                msg = f"{self._file}: {key}: changing it from '{old}' to '{new}' needs a restart of the daemon"
-                raise RuntimeError(msg)
+                change = f"{key}: changing it from '{old}' to '{new}'"
+                raise RuntimeError(f"{self._file}: {change} needs a restart of the daemon")
         return config
 
     # -- the end -------------------------------------------------------------------------------------------------------

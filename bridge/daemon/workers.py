@@ -84,13 +84,8 @@ class WorkerKind:
 
 
 def _of_side(side: Side) -> WorkerKind:
-    return WorkerKind(
-        side.name,
-        "bridge.adapters.worker:BridgeWorker",
-        (side.name,),
-        frozenset({side.name, "types", "routing", "navigation"}),
-        side.environment,
-    )
+    sections = frozenset({side.name, "types", "routing", "navigation"})
+    return WorkerKind(side.name, "bridge.adapters.worker:BridgeWorker", (side.name,), sections, side.environment)
 
 
 WORKERS = (
@@ -116,8 +111,7 @@ def worker_kinds(environ: Mapping[str, str] = os.environ) -> dict[str, WorkerKin
     for entry in filter(None, environ.get(VARIABLE, "").split(",")):
         name, _, factory = entry.partition("=")
         if name not in kinds or ":" not in factory:
-            msg = f"${VARIABLE}: {entry!r} is not NAME=module:Class with a NAME of {', '.join(kinds)}"
-            raise RuntimeError(msg)
+            raise RuntimeError(f"${VARIABLE}: {entry!r} is not NAME=module:Class with a NAME of {', '.join(kinds)}")
         kinds[name] = replace(kinds[name], factory=factory, arguments=(), environment="")
     return kinds
 

@@ -86,15 +86,9 @@ class Engine:
     """Routes between one edge and the hub."""
 
     def __init__(
-        self,
-        edge: Edge,
-        hub: Hub,
-        routing: RoutingSection,
-        daemon: str,
-        on_failure: Callable[[str], None],
-        registry: Registry | None = None,
-        hold: Hold | None = None,
-    ) -> None:
+        self, edge: Edge, hub: Hub, routing: RoutingSection, daemon: str, on_failure: Callable[[str], None],
+        registry: Registry | None = None, hold: Hold | None = None,
+    ) -> None:  # fmt: skip
         self.edge, self.hub = edge, hub
         self._rules = RuleSet(routing)
         self._daemon = daemon

@@ -61,14 +61,9 @@ class HubToSideRoute(TopicRoute):
     direction = "out"
 
     def __init__(
-        self,
-        key: RouteKey,
-        side_topic: str,
-        origin: Origin | None,
-        conversion: Conversion,
-        policy: RoutePolicy,
+        self, key: RouteKey, side_topic: str, origin: Origin | None, conversion: Conversion, policy: RoutePolicy,
         context: EngineContext,
-    ) -> None:
+    ) -> None:  # fmt: skip
         super().__init__(key, (key.topic, side_topic), with_spread(conversion, key.topic), policy, context)
         self.origin = origin
         self._lease = context.lease
@@ -373,13 +368,9 @@ class HubToSideTopics(RouteSet[tuple[RouteKey, str], HubToSideRoute]):
                 self._routes.pop(out_key).close()
 
     def _follow(
-        self,
-        key: RouteKey,
-        endpoints: list[HubEndpoint],
-        gate: ExitGate,
-        live: set[tuple[RouteKey, str]],
+        self, key: RouteKey, endpoints: list[HubEndpoint], gate: ExitGate, live: set[tuple[RouteKey, str]],
         decisions: list[RouteDecision],
-    ) -> None:
+    ) -> None:  # fmt: skip
         by_name: dict[str, tuple[RoutePolicy, list[HubEndpoint]]] = {}
         refused: list[HubEndpoint] = []
         elsewhere: list[HubEndpoint] = []
@@ -415,14 +406,10 @@ class HubToSideTopics(RouteSet[tuple[RouteKey, str], HubToSideRoute]):
             decisions.append(RouteDecision.unrouted("out", key.topic, key.type_name, OWN_NETWORK))
 
     def _route(
-        self,
-        key: RouteKey,
-        side_topic: str,
-        policy: RoutePolicy,
-        endpoints: tuple[list[HubEndpoint], list[HubEndpoint], list[HubEndpoint]],
-        live: set[tuple[RouteKey, str]],
+        self, key: RouteKey, side_topic: str, policy: RoutePolicy,
+        endpoints: tuple[list[HubEndpoint], list[HubEndpoint], list[HubEndpoint]], live: set[tuple[RouteKey, str]],
         decision: RouteDecision,
-    ) -> None:
+    ) -> None:  # fmt: skip
         edge, out_key = self._context.edge, (key, side_topic)
         route = self._routes.get(out_key)
         if route is not None and route.policy != policy:

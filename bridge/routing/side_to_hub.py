@@ -281,13 +281,9 @@ class SideToHubTopics(RouteSet[RouteKey, SideToHubRoute]):
             self._follow(key, publishers, gate, taken, decisions)
 
     def _follow(
-        self,
-        key: RouteKey,
-        endpoints: list[Endpoint],
-        gate: EntryGate,
-        taken: dict[str, RouteKey],
+        self, key: RouteKey, endpoints: list[Endpoint], gate: EntryGate, taken: dict[str, RouteKey],
         decisions: list[RouteDecision],
-    ) -> None:
+    ) -> None:  # fmt: skip
         policy = gate.decide("topic", key.topic, key.type_name)
         hub_topic = self._context.edge.hub_name(policy.name)
         decision = RouteDecision("in", key.topic, hub_topic, key.type_name, policy)

@@ -133,13 +133,9 @@ class ServiceRoute(Route):
     reply: Convert = None
 
     def __init__(
-        self,
-        key: RouteKey,
-        names: tuple[str, str],
-        conversion: ServiceConversion,
-        policy: RoutePolicy,
+        self, key: RouteKey, names: tuple[str, str], conversion: ServiceConversion, policy: RoutePolicy,
         context: EngineContext,
-    ) -> None:
+    ) -> None:  # fmt: skip
         super().__init__(key, names, (conversion.hub.name, conversion.side.name), policy, context)
         self.counters: CallCounters = CallCounters()
         self.conversion = conversion

@@ -105,13 +105,9 @@ class SideToHubServices(RouteSet[RouteKey, SideToHubService]):
             self._follow(key, servers, gate, taken, decisions)
 
     def _follow(
-        self,
-        key: RouteKey,
-        servers: list[Endpoint],
-        gate: EntryGate,
-        taken: dict[str, RouteKey],
+        self, key: RouteKey, servers: list[Endpoint], gate: EntryGate, taken: dict[str, RouteKey],
         decisions: list[RouteDecision],
-    ) -> None:
+    ) -> None:  # fmt: skip
         policy = gate.decide(_SERVICE, key.topic, key.type_name)
         hub_name = self._context.edge.hub_name(policy.name)
         decision = RouteDecision("in", key.topic, hub_name, key.type_name, policy, of=_SERVICE)
