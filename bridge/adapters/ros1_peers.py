@@ -49,10 +49,9 @@ def unanswered(what: str, err: OSError) -> Ros1Error:
     # without a descriptor a host's name cannot be looked up either, and the resolver does not say why
     own = err.errno in resources.OUT or (isinstance(err, socket.gaierror) and not resources.has_descriptor())
     if own:
-        msg = f"this process has no file descriptor left to connect to it with; {resources.RAISE}"
-        return ExhaustedError(msg)
-    msg = f"{what}: {str(err) or type(err).__name__}"
-    return UnreachableError(msg, refused=isinstance(err, ConnectionRefusedError))
+        return ExhaustedError(f"this process has no file descriptor left to connect to it with; {resources.RAISE}")
+    refused = isinstance(err, ConnectionRefusedError)
+    return UnreachableError(f"{what}: {str(err) or type(err).__name__}", refused=refused)
 
 
 class DeadlineSocket(socket.socket):
@@ -169,9 +168,7 @@ class XmlRpcClient:
         if isinstance(answers, _Answers):
             return answers
         if not isinstance(answers, list) or len(answers) != len(calls):
-            raise Ros1ProtocolError(
-                f"{self.uri} answers system.multicall with something else than {len(calls)} answers"
-            )
+            raise Ros1ProtocolError(f"{self.uri} does not answer system.multicall with {len(calls)} answers")
         values = _Answers()
         for answer in answers:
             try:

@@ -9,7 +9,7 @@ from bridge.config.model import Config
 from bridge.messages.errors import MessageTypeError
 from bridge.messages.registry import Registry
 from bridge.messages.transcode.conversion import Conversion, ServiceConversion, SideType
-from bridge.routing.edge import Edge, EdgeListener, Sighting
+from bridge.routing.edge import Edge, EdgeListener, Endpoint, Sighting
 
 
 class Presence(Protocol):
@@ -67,13 +67,21 @@ class SideEdge(Edge):
             )
         return known
 
-    def _same_bytes(self, type_name: str, type_hash: str) -> Conversion:
-        """Between the hub and a side with the same bytes: a check of each message."""
+    def to_hub(self, endpoint: Endpoint) -> Conversion:
+        """The same bytes, checked, where the side has no others: its programs may say anything."""
+        return self.from_hub(endpoint.type, endpoint.type_id)
+
+    def from_hub(self, type_name: str, type_hash: str) -> Conversion:
+        """The same bytes, checked: DDS drops malformed ones without a word."""
         known = self._own_type(type_name, type_hash)
         return Conversion(known, known, self._registry.hub_check(type_name))
 
-    def _same_service(self, type_name: str, type_hash: str) -> ServiceConversion:
-        """The same for the calls of a service."""
+    def service_to_hub(self, endpoint: Endpoint) -> ServiceConversion:
+        """As `service_from_hub`; the hash of a service's type is not told."""
+        return self.service_from_hub(endpoint.type, "")
+
+    def service_from_hub(self, type_name: str, type_hash: str) -> ServiceConversion:
+        """The same bytes, checked, as those of topics."""
         known = self._registry.service_ros2(type_name, type_hash)
         request, response = self._registry.hub_service_check(type_name, type_hash)
         return ServiceConversion(known, known, request, request, response, response)

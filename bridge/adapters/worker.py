@@ -135,15 +135,9 @@ class Crossing:
     """
 
     def __init__(
-        self,
-        name: str,
-        edge: Edge,
-        config: Config,
-        registry: Registry,
-        failed: Callable[[str], None],
-        *,
+        self, name: str, edge: Edge, config: Config, registry: Registry, failed: Callable[[str], None], *,
         diagnostics: bool,
-    ) -> None:
+    ) -> None:  # fmt: skip
         self.name, self._config = name, config
         self._side = edge.side
         self._started = time.monotonic()
@@ -191,9 +185,8 @@ class Crossing:
 
     def _share_parameters(self, routing: RoutingSection) -> None:
         engine, self._parameters = self._engine, routing.parameters
-        self._unshare = engine.edge.carry_parameters(
-            routing.parameters, self._hub, lambda: engine.summary().state == "running"
-        )
+        carry = engine.edge.carry_parameters
+        self._unshare = carry(routing.parameters, self._hub, lambda: engine.summary().state == "running")
 
     def health(self) -> Health:
         """The engine's health; raises `TimeoutError` where it stands still."""

@@ -61,12 +61,9 @@ class _RequestHandler(SilenceableXMLRPCRequestHandler):  # type: ignore[misc]  #
 class _SlaveApi(ROSHandler):  # type: ignore[misc]  # rospy has no types
     """rospy's slave API, telling us when the master asks us to go."""
 
-    def __init__(
-        self, name: str, master_uri: str, notes: _RegistrationNotes, asked_to_stop: Callable[[str], None]
-    ) -> None:
+    def __init__(self, name: str, master_uri: str, notes: _RegistrationNotes, asked: Callable[[str], None]) -> None:
         super().__init__(name, master_uri)
-        self.reg_man = notes
-        self._asked_to_stop = asked_to_stop
+        self.reg_man, self._asked_to_stop = notes, asked
         self.parameter_changed: Changed | None = None
 
     def paramUpdate(self, _caller_id: str, _key: str, _value: object) -> tuple[int, str, int]:  # noqa: N802 - ROS 1's
@@ -77,9 +74,7 @@ class _SlaveApi(ROSHandler):  # type: ignore[misc]  # rospy has no types
 
     def shutdown(self, caller_id: str, msg: str = "") -> tuple[int, str, int]:
         """The master (another node took our name) or a person (rosnode kill) asks us to stop."""
-        self._asked_to_stop(
-            f"{caller_id} asked this node to stop: {msg}" if msg else f"{caller_id} asked this node to stop"
-        )
+        self._asked_to_stop(f"{caller_id} asked this node to stop" + (f": {msg}" if msg else ""))
         return 1, "shutdown", 0
 
 
@@ -131,15 +126,9 @@ class Ros1Node:
     """Our node and its registrations: ``uri`` (XML-RPC), ``port`` (TCPROS), ``address`` (of its services)."""
 
     def __init__(
-        self,
-        name: str,
-        master_uri: str,
-        changed: Changed,
-        asked_to_stop: Callable[[str], None],
-        visit: Callable[[DeadlineSocket, Header, str], str],
-        servers: ServiceServers,
-        heard: Callable[[str], None],
-    ) -> None:
+        self, name: str, master_uri: str, changed: Changed, asked_to_stop: Callable[[str], None],
+        visit: Callable[[DeadlineSocket, Header, str], str], servers: ServiceServers, heard: Callable[[str], None],
+    ) -> None:  # fmt: skip
         if rospy.core.is_initialized():
             raise RuntimeError("rospy is already in use in this process: one ROS 1 edge per process")
         # rosgraph makes every logger of the process one of its own kind; ours stay as they are.

@@ -34,7 +34,7 @@ from bridge.hub.wire.qos import Qos
 from bridge.messages.definitions.hashes import rihs01
 from bridge.messages.errors import MessageTypeError
 from bridge.messages.registry import Registry
-from bridge.messages.transcode.conversion import Conversion, ServiceConversion, SideType
+from bridge.messages.transcode.conversion import ServiceConversion, SideType
 from bridge.messages.values import refusal
 from bridge.routing.edge import (
     Deliver,
@@ -197,14 +197,6 @@ class Ros2Edge(SideEdge):
         context = self._context
         return context is None or is_hidden(topic) or topic in context.graph.snapshot.heard
 
-    def to_hub(self, endpoint: Endpoint) -> Conversion:
-        """The bytes are the same once they are checked: DDS carries whatever a program says."""
-        return self._same_bytes(endpoint.type, endpoint.type_id)
-
-    def from_hub(self, type_name: str, type_hash: str) -> Conversion:
-        """The same bytes, checked: DDS drops malformed ones without a word."""
-        return self._same_bytes(type_name, type_hash)
-
     def subscribe(self, topic: str, side_type: SideType, qos: Qos, deliver: Deliver) -> EdgeSubscription:
         """Subscribe; ``qos`` is the most that is requested, limited for each publisher to what it offers."""
         context = self._started()
@@ -246,7 +238,7 @@ class Ros2Edge(SideEdge):
     def service_from_hub(self, type_name: str, type_hash: str) -> ServiceConversion:
         """The bytes are the same once they are checked, as those of topics are."""
         self._types.prepare_services()
-        return self._same_service(type_name, type_hash)
+        return super().service_from_hub(type_name, type_hash)
 
     def _part_hashes(self, service: SideType) -> tuple[str, str]:
         request, response = self._registry.service_schemas(service.name, service.type_id)
@@ -281,10 +273,9 @@ class Ros2Edge(SideEdge):
 
     def went_on(self, seconds: float) -> None:
         """See `Edge.went_on`: who was forgotten by others, and has not forgotten them, is never found again."""
+        why = f"stood still for {seconds:.0f} s, so that ROS 2 nodes may have given this one up: starting again"
         if seconds > _FORGOTTEN and self._listener is not None:
-            self._listener.edge_failed(
-                f"stood still for {seconds:.0f} s, so that ROS 2 nodes may have given this one up: starting again"
-            )
+            self._listener.edge_failed(why)
 
     def warnings(self) -> list[str]:
         """Native subscriptions that do not hear what we publish, and why."""

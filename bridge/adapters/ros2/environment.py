@@ -49,11 +49,8 @@ def worker_environment(config: Config, environ: Mapping[str, str]) -> dict[str, 
         _prepend(result, "LD_LIBRARY_PATH", [Path(sys.prefix) / "lib", *sorted(_site(sys.prefix).glob("ros_*.libs"))])
         _prepend(result, "AMENT_PREFIX_PATH", [Path(sys.prefix)])
     elif unsourced is not None:
-        _prepend(
-            result,
-            "LD_LIBRARY_PATH",
-            [*unsourced.glob("opt/*/lib"), *unsourced.glob("lib/*-linux-gnu"), unsourced / "lib"],
-        )
+        libraries = [*unsourced.glob("opt/*/lib"), *unsourced.glob("lib/*-linux-gnu"), unsourced / "lib"]
+        _prepend(result, "LD_LIBRARY_PATH", libraries)
         _prepend(result, "AMENT_PREFIX_PATH", [unsourced])
         _prepend(result, "PYTHONPATH", [_site(unsourced)])
     result["ROS_DOMAIN_ID"] = str(domain(config, environ))

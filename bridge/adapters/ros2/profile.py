@@ -33,7 +33,7 @@ _NAMESPACE = "http://www.eprosima.com/XMLSchemas/fastRTPS_Profiles"
 _QUEUE = "8192"
 """Messages that other participants may have written to us by shared memory and that Fast DDS has not yet taken up."""
 
-_UDP_BUFFER = 4 * 1024 * 1024
+_UDP_BUFFER = str(4 * 1024 * 1024)
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,46 +49,38 @@ class FastDdsProfile:
         root = ET.Element("dds", xmlns=_NAMESPACE)
         profiles = ET.SubElement(root, "profiles")
         transports = ET.SubElement(profiles, "transport_descriptors")
-        names = ["udp"]
+        names = ["shm", "udp"] if self.segment else ["udp"]
         if self.segment:
-            names.insert(0, "shm")
             self._shared_memory(ET.SubElement(transports, "transport_descriptor"))
         self._udp(ET.SubElement(transports, "transport_descriptor"))
         participant = ET.SubElement(profiles, "participant", profile_name="midspan", is_default_profile="true")
         rtps = ET.SubElement(participant, "rtps")
         used = ET.SubElement(rtps, "userTransports")
         for name in names:
-            _text(used, "transport_id", name)
-        _text(rtps, "useBuiltinTransports", "false")
+            _texts(used, transport_id=name)
+        _texts(rtps, useBuiltinTransports="false")
         self._builtin(ET.SubElement(rtps, "builtin"))
-        _text(rtps, "participantID", str(participant_number(self.prefix)))
+        _texts(rtps, participantID=str(participant_number(self.prefix)))
         _stamp(rtps, self.prefix)
         return ET.tostring(root, encoding="unicode", xml_declaration=True)
 
     def _shared_memory(self, descriptor: ET.Element) -> None:
-        _text(descriptor, "transport_id", "shm")
-        _text(descriptor, "type", "SHM")
-        _text(descriptor, "segment_size", str(self.segment))
-        _text(descriptor, "maxMessageSize", str(self.segment // 4))
-        _text(descriptor, "port_queue_capacity", _QUEUE)
+        size, largest = str(self.segment), str(self.segment // 4)
+        _texts(descriptor, transport_id="shm", type="SHM", segment_size=size, maxMessageSize=largest)
+        _texts(descriptor, port_queue_capacity=_QUEUE)
 
     def _udp(self, descriptor: ET.Element) -> None:
-        _text(descriptor, "transport_id", "udp")
-        _text(descriptor, "type", "UDPv4")
-        _text(descriptor, "sendBufferSize", str(_UDP_BUFFER))
-        _text(descriptor, "receiveBufferSize", str(_UDP_BUFFER))
-        _text(descriptor, "maxInitialPeersRange", str(PARTICIPANTS))
+        _texts(descriptor, transport_id="udp", type="UDPv4", sendBufferSize=_UDP_BUFFER, receiveBufferSize=_UDP_BUFFER)
+        _texts(descriptor, maxInitialPeersRange=str(PARTICIPANTS))
         if self.localhost_only:
-            _text(ET.SubElement(descriptor, "interfaceWhiteList"), "address", "127.0.0.1")
+            _texts(ET.SubElement(descriptor, "interfaceWhiteList"), address="127.0.0.1")
 
     def _builtin(self, builtin: ET.Element) -> None:
         discovery = ET.SubElement(builtin, "discovery_config")
-        announcement = ET.SubElement(discovery, "leaseAnnouncement")
-        _text(announcement, "sec", "0")
-        _text(announcement, "nanosec", "500000000")
+        _texts(ET.SubElement(discovery, "leaseAnnouncement"), sec="0", nanosec="500000000")
         peers = ET.SubElement(builtin, "initialPeersList")
         for address in (MULTICAST, "127.0.0.1"):
-            _text(ET.SubElement(ET.SubElement(peers, "locator"), "udpv4"), "address", address)
+            _texts(ET.SubElement(ET.SubElement(peers, "locator"), "udpv4"), address=address)
 
 
 def stamped(own: Path, prefix: bytes) -> str:
@@ -113,20 +105,17 @@ def _stamp(rtps: ET.Element, prefix: bytes) -> None:
     """Set the prefix, and have the participant's own writers and readers ignore each other."""
     for old in rtps.findall("prefix"):
         rtps.remove(old)
-    _text(rtps, "prefix", prefix.hex("."))
-    policy = rtps.find("propertiesPolicy")
-    if policy is None:
-        policy = ET.SubElement(rtps, "propertiesPolicy")
-    properties = policy.find("properties")
-    if properties is None:
-        properties = ET.SubElement(policy, "properties")
-    entry = ET.SubElement(properties, "property")
-    _text(entry, "name", "fastdds.ignore_local_endpoints")
-    _text(entry, "value", "true")
+    _texts(rtps, prefix=prefix.hex("."))
+    properties = rtps
+    for name in ("propertiesPolicy", "properties"):
+        found = properties.find(name)
+        properties = ET.SubElement(properties, name) if found is None else found
+    _texts(ET.SubElement(properties, "property"), name="fastdds.ignore_local_endpoints", value="true")
 
 
-def _text(parent: ET.Element, tag: str, text: str) -> None:
-    ET.SubElement(parent, tag).text = text
+def _texts(parent: ET.Element, **texts: str) -> None:
+    for tag, text in texts.items():
+        ET.SubElement(parent, tag).text = text
 
 
 _PROFILE_VARIABLES = ("FASTRTPS_DEFAULT_PROFILES_FILE", "FASTDDS_DEFAULT_PROFILES_FILE")

@@ -148,8 +148,7 @@ def publish(publisher: int, payload: bytes) -> None:
     content = _Content(payload, size, size)
     library = _rcl if size >= LARGE else _rcl_held
     code = library.rcl_publish_serialized_message(publisher, byref(content), None)
-    if code != RET_OK:
-        raise RclError("rcl_publish_serialized_message", code)
+    _check("rcl_publish_serialized_message", code)
 
 
 def _check(call: str, code: int) -> None:

@@ -17,7 +17,7 @@ import re
 import threading
 from ctypes import CFUNCTYPE, Structure, addressof, c_bool, c_char_p, c_size_t, c_uint8, c_uint32, c_void_p
 from functools import cached_property
-from typing import Any, NamedTuple, Protocol, TypeVar
+from typing import Any, NamedTuple, TypeVar
 
 from bridge.adapters.ros2.rcl import Callbacks
 from bridge.messages.errors import MessageTypeError
@@ -34,36 +34,28 @@ FindSupport = CFUNCTYPE(c_void_p, c_void_p, c_char_p)
 GetHash = CFUNCTYPE(c_void_p, c_void_p)
 
 
+def _pointers(*names: str) -> list[tuple[str, type[c_void_p]]]:
+    return [(name, c_void_p) for name in names]
+
+
 class TypeSupport(Structure):
     """``rosidl_message_type_support_t``."""
 
-    _fields_ = [
-        ("identifier", c_char_p),
-        ("data", c_void_p),
-        ("find", c_void_p),
-        ("type_hash", c_void_p),
-        ("description", c_void_p),
-        ("sources", c_void_p),
-    ]
+    _fields_ = [("identifier", c_char_p), *_pointers("data", "find", "type_hash", "description", "sources")]
 
 
 class _FastDdsCallbacks(Structure):
-    _fields_ = [("namespace", c_char_p), ("name", c_char_p)] + [
-        (name, c_void_p) for name in ("serialize", "deserialize", "serialized_size", "max_serialized_size", "key")
-    ]
+    _fields_ = [
+        ("namespace", c_char_p), ("name", c_char_p),
+        *_pointers("serialize", "deserialize", "serialized_size", "max_serialized_size", "key"),
+    ]  # fmt: skip
 
 
 class _Members(Structure):
     _fields_ = [
-        ("namespace", c_char_p),
-        ("name", c_char_p),
-        ("count", c_uint32),
-        ("size", c_size_t),
-        ("has_key", c_bool),
-        ("members", c_void_p),
-        ("init", c_void_p),
-        ("fini", c_void_p),
-    ]
+        ("namespace", c_char_p), ("name", c_char_p), ("count", c_uint32), ("size", c_size_t), ("has_key", c_bool),
+        *_pointers("members", "init", "fini"),
+    ]  # fmt: skip
 
 
 class TypeHash(Structure):
@@ -82,14 +74,19 @@ def make_capsule(pointer: int) -> Any:
     return _python.PyCapsule_New(pointer, None, None)
 
 
+def lent(kind: str, name: str) -> int:
+    """Pointer to rclpy's own type support of a ``message`` or ``service`` of rcl_interfaces: ``msg__Log``."""
+    library = ctypes.CDLL("librcl_interfaces__rosidl_typesupport_c.so")
+    lend = getattr(library, f"rosidl_typesupport_c__get_{kind}_type_support_handle__rcl_interfaces__{name}")
+    lend.argtypes, lend.restype = [], c_void_p
+    return int(lend())
+
+
 class Lender:
     """The type support whose functions the made ones borrow."""
 
     def __init__(self) -> None:
-        library = ctypes.CDLL("librcl_interfaces__rosidl_typesupport_c.so")
-        lend = library.rosidl_typesupport_c__get_message_type_support_handle__rcl_interfaces__msg__Log
-        lend.argtypes, lend.restype = [], c_void_p
-        pointer = lend()
+        pointer = lent("message", "msg__Log")
         self.dispatch = TypeSupport.from_address(pointer)
         find = FindSupport(self.dispatch.find)
         self.fast_dds = TypeSupport.from_address(find(pointer, FAST_DDS))
@@ -118,14 +115,6 @@ class TypeName(NamedTuple):
         if digest is None:
             raise MessageTypeError(f"{type_name}: {type_hash!r} is not a type hash (RIHS01_ and 64 hex digits)")
         return cls(name[1], name[2], name[3], bytes.fromhex(digest[1]))
-
-
-class Serializers(Protocol):
-    """Addresses of functions that rmw is to call for messages, in the form of message_type_support.h."""
-
-    serialize: int
-    deserialize: int
-    size: int
 
 
 class TypeStructures:
@@ -161,7 +150,7 @@ class TypeStructures:
 class MessageStructures(TypeStructures):
     """The structures of a message type."""
 
-    def __init__(self, lender: Lender, of: TypeName, serializers: Serializers | None = None) -> None:
+    def __init__(self, lender: Lender, of: TypeName, serializers: Callbacks | None = None) -> None:
         super().__init__(of)
         self._callbacks = _FastDdsCallbacks.from_buffer_copy(lender.callbacks)
         self._callbacks.namespace = f"{of.package}::{of.folder}".encode()
@@ -196,38 +185,16 @@ Hashes = tuple[str, str]
 
 
 class _ServiceSupport(Structure):
-    _fields_ = [
-        ("identifier", c_char_p),
-        ("data", c_void_p),
-        ("find", c_void_p),
-        ("request", c_void_p),
-        ("response", c_void_p),
-        ("event", c_void_p),
-        ("create_event", c_void_p),
-        ("destroy_event", c_void_p),
-        ("type_hash", c_void_p),
-        ("description", c_void_p),
-        ("sources", c_void_p),
-    ]
+    _fields_ = [("identifier", c_char_p), *_pointers(
+        "data", "find", "request", "response", "event", "create_event", "destroy_event", "type_hash", "description",
+        "sources",
+    )]  # fmt: skip
 
 
 class _ServiceMembers(Structure):
     """Of either implementation; Fast DDS's ends before ``event``."""
 
-    _fields_ = [
-        ("namespace", c_char_p),
-        ("name", c_char_p),
-        ("request", c_void_p),
-        ("response", c_void_p),
-        ("event", c_void_p),
-    ]
-
-
-def _lent() -> _ServiceSupport:
-    library = ctypes.CDLL("librcl_interfaces__rosidl_typesupport_c.so")
-    lend = library.rosidl_typesupport_c__get_service_type_support_handle__rcl_interfaces__srv__GetParameters
-    lend.argtypes, lend.restype = [], c_void_p
-    return _ServiceSupport.from_address(lend())
+    _fields_ = [("namespace", c_char_p), ("name", c_char_p), *_pointers("request", "response", "event")]
 
 
 class ServiceStructures(TypeStructures):
@@ -241,10 +208,7 @@ class ServiceStructures(TypeStructures):
             MessageStructures(lender, TypeName.parse(f"{of}_{part}", part_hash), callbacks)
             for part, part_hash in zip(("Request", "Response"), part_hashes, strict=True)
         )
-        self._members = {
-            FAST_DDS: self._made(of, "::", FAST_DDS),
-            INTROSPECTION: self._made(of, "__", INTROSPECTION),
-        }
+        self._members = {FAST_DDS: self._made(of, "::", FAST_DDS), INTROSPECTION: self._made(of, "__", INTROSPECTION)}
         self._handles = {name: self._handle(lent, name) for name in (DISPATCH, FAST_DDS, INTROSPECTION)}
 
     def _made(self, of: TypeName, joint: str, implementation: bytes) -> _ServiceMembers:
@@ -280,16 +244,16 @@ class TypeSupports:
                 name = TypeName.parse(type_name, type_hash)
                 # rclpy looks at the class's class; the four functions convert message objects, which raw use never has.
                 converters = ("_CREATE_ROS_MESSAGE", "_CONVERT_FROM_PY", "_CONVERT_TO_PY", "_DESTROY_ROS_MESSAGE")
-                found = self._make(
-                    name, type_hash, MessageStructures(self._lender, name), **dict.fromkeys(converters, True)
-                )
+                structures = MessageStructures(self._lender, name)
+                found = self._make(name, type_hash, structures, **dict.fromkeys(converters, True))
             return found
 
     def prepare_services(self) -> None:
         """Make what all services share; raises `MessageTypeError` where no service can cross."""
         with self._lock:
             if self._for_services is None:
-                self._for_services = _lent(), Callbacks()
+                support = _ServiceSupport.from_address(lent("service", "srv__GetParameters"))
+                self._for_services = support, Callbacks()
 
     def service_class(self, type_name: str, type_hash: str, part_hashes: Hashes) -> Any:
         """A class that the inner ``Client`` and ``Service`` accept; raises `MessageTypeError`.

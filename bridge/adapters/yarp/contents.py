@@ -44,14 +44,9 @@ class CallBottles:
     """
 
     def __init__(
-        self,
-        registry: Registry,
-        type_name: str,
-        type_hash: str,
-        request: Sequence[BottleEntry],
-        reply: Sequence[BottleEntry],
-        profile: Profile,
-    ) -> None:
+        self, registry: Registry, type_name: str, type_hash: str, request: Sequence[BottleEntry],
+        reply: Sequence[BottleEntry], profile: Profile,
+    ) -> None:  # fmt: skip
         schemas = registry.service_schemas(type_name, type_hash)
         ways = registry.service_hub_to_ros1(type_name, type_hash)
         texts = ways.side.definition.partition("\n---\n")[::2]

@@ -78,17 +78,9 @@ class PortEndpoints:
         return found
 
     def _endpoint(
-        self,
-        name: str,
-        kind: Kind,
-        topic: str,
-        type_name: str,
-        node: str,
-        made_by: MadeBy = MadeBy.NATIVE,
-        *,
-        latched: bool = False,
-        type_id: str = "",
-    ) -> Endpoint:
+        self, name: str, kind: Kind, topic: str, type_name: str, node: str, made_by: MadeBy = MadeBy.NATIVE, *,
+        latched: bool = False, type_id: str = "",
+    ) -> Endpoint:  # fmt: skip
         qos = LATCHED if latched or self._contents.latched(topic) else Qos()
         return Endpoint(name, kind, topic, type_name, qos, made_by, node, type_id)
 

@@ -232,12 +232,9 @@ class YarpGraph:
         self.trouble: Mapping[str, str] = {}
 
     def update(
-        self,
-        naming: NameClient,
-        contacts: Iterable[PortContact],
-        peers: Iterable[str],
+        self, naming: NameClient, contacts: Iterable[PortContact], peers: Iterable[str],
         ros1: frozenset[str] = frozenset(),
-    ) -> None:
+    ) -> None:  # fmt: skip
         """Update from the name server's list; ``peers`` are connected to ours, ``ros1`` are the ROS 1 side's."""
         self.contacts = {contact.name: contact for contact in contacts}
         self.ros1 = ros1

@@ -251,14 +251,9 @@ class TopicOutput:
                 self._write(port, payload, next(self._numbers), lambda output: output.route.target == target)
 
     def _write(
-        self,
-        port: OutputPort,
-        cdr: bytes,
-        number: int,
-        chosen: Callable[[AnyOutput], bool] | None,
-        *,
+        self, port: OutputPort, cdr: bytes, number: int, chosen: Callable[[AnyOutput], bool] | None, *,
         strict: bool = True,
-    ) -> None:
+    ) -> None:  # fmt: skip
         side, contents = self.side_type, self._contents
 
         def payload(profile: Profile) -> Payload:

@@ -79,9 +79,8 @@ class KeyEdge(SideEdge):
         limit = self._config.limits.message_bytes
         self._context = KeyContext(session, limit, executor, small, bulk, self._unregister)
         past = remember(str(session.zid()), self._file)
-        self._presence = KeyNeighbours(
-            session, self.side, self._scope, past, listener.graph_changed, listener.presence_changed
-        )
+        told = listener.graph_changed, listener.presence_changed
+        self._presence = KeyNeighbours(session, self.side, self._scope, past, *told)
         self.opened(session)
         self._ticker.start()
 

@@ -11,6 +11,7 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
 from typing import ClassVar
 
@@ -80,22 +81,15 @@ class JsonKeysEdge(KeyEdge):
         known = self._own_type(type_name, type_hash)
         return Conversion(known, known, cdr_to_text(self._registry, type_name))
 
-    def service_to_hub(self, endpoint: Endpoint) -> ServiceConversion:
-        """From JSON and back."""
-        return self.service_from_hub(endpoint.type, "")
-
     def service_from_hub(self, type_name: str, type_hash: str) -> ServiceConversion:
         """To JSON and back; JSON names the fields, so that the definition must be the server's own."""
         known = self._registry.service_ros2(type_name, type_hash)
         request, response = f"{known.name}_Request", f"{known.name}_Response"
+        to_side, to_hub = partial(cdr_to_text, self._registry), partial(text_to_cdr, self._registry)
         return ServiceConversion(
-            known,
-            known,
-            request_to_side=cdr_to_text(self._registry, request),
-            request_to_hub=text_to_cdr(self._registry, request),
-            response_to_side=cdr_to_text(self._registry, response),
-            response_to_hub=text_to_cdr(self._registry, response),
-        )
+            known, known, request_to_side=to_side(request), request_to_hub=to_hub(request),
+            response_to_side=to_side(response), response_to_hub=to_hub(response),
+        )  # fmt: skip
 
     def subscribe(self, topic: str, side_type: SideType, qos: Qos, deliver: Deliver) -> KeySubscription:  # noqa: ARG002
         """Subscribe to a key; of a latched one, a program or zenoh storage that answers a ``get`` is asked first."""

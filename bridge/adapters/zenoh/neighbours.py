@@ -75,14 +75,9 @@ class KeyNeighbours:
     """
 
     def __init__(
-        self,
-        session: zenoh.Session,
-        side: str,
-        scope: str,
-        past: frozenset[str],
-        graph_changed: Callable[[], None],
-        presence_changed: Callable[[], None],
-    ) -> None:
+        self, session: zenoh.Session, side: str, scope: str, past: frozenset[str],
+        graph_changed: Callable[[], None], presence_changed: Callable[[], None],
+    ) -> None:  # fmt: skip
         self._session, self._past = session, past
         self._graph_changed, self._presence_changed = graph_changed, presence_changed
         self._own = str(session.zid())
@@ -95,12 +90,9 @@ class KeyNeighbours:
         self._looked_since = 0.0
         space = f"{SPACE}/*/{self._place}"
         self._publisher = session.declare_publisher(
-            f"{SPACE}/{self._own}/{self._place}",
-            congestion_control=zenoh.CongestionControl.DROP,
-            priority=zenoh.Priority.INTERACTIVE_HIGH,
-            express=True,
-            allowed_destination=zenoh.Locality.REMOTE,
-        )
+            f"{SPACE}/{self._own}/{self._place}", express=True, priority=zenoh.Priority.INTERACTIVE_HIGH,
+            congestion_control=zenoh.CongestionControl.DROP, allowed_destination=zenoh.Locality.REMOTE,
+        )  # fmt: skip
         self._subscribers = follow_tokens(session, space, self._on_token), subscribe(session, space, self._on_record)
         self._token = session.liveliness().declare_token(f"{SPACE}/{self._own}/{self._place}")
 

@@ -109,12 +109,9 @@ class _Beacon:
         self.users = 0
         self.due = 0.0
         self._publisher = session.declare_publisher(
-            key,
-            congestion_control=zenoh.CongestionControl.DROP,
-            priority=zenoh.Priority.BACKGROUND,
-            reliability=zenoh.Reliability.BEST_EFFORT,
-            allowed_destination=zenoh.Locality.REMOTE,
-        )
+            key, reliability=zenoh.Reliability.BEST_EFFORT, priority=zenoh.Priority.BACKGROUND,
+            congestion_control=zenoh.CongestionControl.DROP, allowed_destination=zenoh.Locality.REMOTE,
+        )  # fmt: skip
 
     def send(self, now: float) -> None:
         self.rest(now)

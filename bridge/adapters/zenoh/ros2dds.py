@@ -28,7 +28,7 @@ from bridge.config.sections.zenoh import Dialect
 from bridge.hub.endpoints.calls import Abandon, Call, CallError, Done
 from bridge.hub.wire.qos import Qos
 from bridge.messages.registry import Registry
-from bridge.messages.transcode.conversion import Conversion, ServiceConversion, SideType
+from bridge.messages.transcode.conversion import SideType
 from bridge.messages.values import refusal
 from bridge.routing.edge import Deliver, Endpoint, Kind, MadeBy
 from bridge.routing.limits import combined_qos
@@ -111,22 +111,6 @@ class Ros2ddsEdge(KeyEdge):
     def _key(self, topic: str) -> str:
         return self._prefix + topic[1:]
 
-    def to_hub(self, endpoint: Endpoint) -> Conversion:
-        """The same bytes, checked: plain zenoh programs may put anything on a key."""
-        return self._same_bytes(endpoint.type, endpoint.type_id)
-
-    def from_hub(self, type_name: str, type_hash: str) -> Conversion:
-        """The same bytes, checked: the plugin writes them to DDS as they are."""
-        return self._same_bytes(type_name, type_hash)
-
-    def service_to_hub(self, endpoint: Endpoint) -> ServiceConversion:
-        """The same bytes, checked; no token carries the hash of a service's type."""
-        return self.service_from_hub(endpoint.type, "")
-
-    def service_from_hub(self, type_name: str, type_hash: str) -> ServiceConversion:
-        """The same bytes, checked."""
-        return self._same_service(type_name, type_hash)
-
     def subscribe(self, topic: str, side_type: SideType, qos: Qos, deliver: Deliver) -> KeySubscription:
         """Subscribe to a key; our token has the QoS of its publishers."""
         graph, announcer = self._graph, self._announcer
@@ -134,9 +118,8 @@ class Ros2ddsEdge(KeyEdge):
         assert announcer is not None
         key = self._key(topic)
         announced = [token.qos for token in graph.publishers(key) if token.type == side_type.name]
-        announcement = self._announcement(
-            Kind.SUBSCRIPTION, key, side_type, combined_qos(announced) if announced else Qos()
-        )
+        our_qos = combined_qos(announced) if announced else Qos()
+        announcement = self._announcement(Kind.SUBSCRIPTION, key, side_type, our_qos)
 
         def source_of(sample: zenoh.Sample) -> str:
             return self._source_of(graph, key, side_type, sample)

@@ -50,15 +50,10 @@ class Ros2ddsGraph:
         found: dict[tuple[str, Kind], Endpoint] = {}
         for token in known:
             made_by = MadeBy.MIDSPAN if is_marked(token.zid) else MadeBy.NATIVE
-            found[endpoint_id(token.zid, token.key), token.kind] = Endpoint(
-                endpoint_id(token.zid, token.key),
-                token.kind,
-                "/" + token.key.removeprefix(self._prefix),
-                token.type,
-                token.qos,
-                made_by,
-                f"zenoh-bridge-ros2dds {token.zid}" if made_by is MadeBy.NATIVE else f"midspan {token.zid}",
-                token.type_hash,
+            node = f"{'zenoh-bridge-ros2dds' if made_by is MadeBy.NATIVE else 'midspan'} {token.zid}"
+            id_, topic = endpoint_id(token.zid, token.key), "/" + token.key.removeprefix(self._prefix)
+            found[id_, token.kind] = Endpoint(
+                id_, token.kind, topic, token.type, token.qos, made_by, node, token.type_hash
             )
         return list(found.values())
 

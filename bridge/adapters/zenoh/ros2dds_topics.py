@@ -14,7 +14,7 @@ from collections.abc import Callable
 import zenoh
 
 from bridge.adapters.zenoh.neighbours import sender, time_ns
-from bridge.adapters.zenoh.topics import Announcement, KeyContext, KeySubscription, PlainSink, priority
+from bridge.adapters.zenoh.topics import Announcement, KeyContext, KeySubscription, PlainSink, SourceOf, priority
 from bridge.concurrency import DelayedCalls
 from bridge.hub.endpoints.latched import LatchedHistory, LatchedPublisher
 from bridge.hub.wire.qos import Qos
@@ -85,16 +85,9 @@ class LatchedSubscription(KeySubscription):
     """
 
     def __init__(
-        self,
-        context: KeyContext,
-        key: str,
-        qos: Qos,
-        deliver: Deliver,
-        source_of: Callable[[zenoh.Sample], str],
-        announcement: Announcement,
-        depth: Callable[[str], int],
-        wanted: int,
-    ) -> None:
+        self, context: KeyContext, key: str, qos: Qos, deliver: Deliver, source_of: SourceOf,
+        announcement: Announcement, depth: Callable[[str], int], wanted: int,
+    ) -> None:  # fmt: skip
         self._depth = depth
         self._asking = threading.Lock()
         self._asked: Counter[str] = Counter()

@@ -16,14 +16,9 @@ class KeyCaller(CallClient):
     where = "this zenoh network"
 
     def __init__(
-        self,
-        context: KeyContext,
-        key: str,
-        name: str,
-        announcement: Announcement,
-        attached: Callable[[int], bytes | None] = lambda _number: None,
-        encoding: zenoh.Encoding | None = None,
-    ) -> None:
+        self, context: KeyContext, key: str, name: str, announcement: Announcement,
+        attached: Callable[[int], bytes | None] = lambda _number: None, encoding: zenoh.Encoding | None = None,
+    ) -> None:  # fmt: skip
         self.announcement, self.encoding = announcement, encoding
         self._withdraw, self._attach = announcement.withdraw, attached
         target = zenoh.QueryTarget.BEST_MATCHING
@@ -42,16 +37,9 @@ class KeyServer(CallServer):
     """
 
     def __init__(
-        self,
-        context: KeyContext,
-        key: str,
-        name: str,
-        call: Call,
-        announcement: Announcement,
-        nothing: bytes | None,
-        encoding: zenoh.Encoding | None = None,
-        asked: str = "",
-    ) -> None:
+        self, context: KeyContext, key: str, name: str, call: Call, announcement: Announcement,
+        nothing: bytes | None, encoding: zenoh.Encoding | None = None, asked: str = "",
+    ) -> None:  # fmt: skip
         self.announcement, self.encoding = announcement, encoding
         self._withdraw, self._nothing = announcement.withdraw, nothing
         self._expression = zenoh.KeyExpr(asked or key)

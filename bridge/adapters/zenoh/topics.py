@@ -89,12 +89,9 @@ class PlainSink:
     def __init__(self, session: zenoh.Session, key: str, qos: Qos, encoding: zenoh.Encoding | None = None) -> None:
         self._encoding = encoding
         self.publisher = session.declare_publisher(
-            key,
-            congestion_control=zenoh.CongestionControl.DROP,
-            priority=priority(qos),
-            express=is_command(qos),
-            allowed_destination=zenoh.Locality.REMOTE,
-        )
+            key, express=is_command(qos), priority=priority(qos),
+            congestion_control=zenoh.CongestionControl.DROP, allowed_destination=zenoh.Locality.REMOTE,
+        )  # fmt: skip
         self._id = self.publisher.id
         self._number = 0
 
@@ -120,15 +117,9 @@ class KeyPublisher:
     heard = True  #: nor is it asked who listens
 
     def __init__(
-        self,
-        context: KeyContext,
-        key: str,
-        qos: Qos,
-        announcement: Announcement,
-        *,
-        encoding: zenoh.Encoding | None = None,
-        newest: bool = False,
-    ) -> None:
+        self, context: KeyContext, key: str, qos: Qos, announcement: Announcement, *,
+        encoding: zenoh.Encoding | None = None, newest: bool = False,
+    ) -> None:  # fmt: skip
         self.announcement = announcement
         self._session, self._closed = context.session, context.closed
         self._key, self._qos, self._encoding, self._newest = key, qos, encoding, newest
@@ -234,17 +225,14 @@ class SampleQueue:
             self._queue.clear()
 
 
+SourceOf = Callable[[zenoh.Sample], str]
+
+
 class KeySubscription:
     """Delivers what native programs put on a key; ``source_of`` gives its endpoint's id, "" where it does not count."""
 
     def __init__(
-        self,
-        context: KeyContext,
-        key: str,
-        qos: Qos,
-        deliver: Deliver,
-        source_of: Callable[[zenoh.Sample], str],
-        announcement: Announcement,
+        self, context: KeyContext, key: str, qos: Qos, deliver: Deliver, source_of: SourceOf, announcement: Announcement
     ) -> None:
         self.key, self.announcement = key, announcement
         self._queue, self._source_of, self._closed = SampleQueue(deliver, qos, context), source_of, context.closed

@@ -38,12 +38,7 @@ class Ros1State(IntEnum):
             return cls.LOST
 
 
-_ENDED = frozenset(
-    {
-        Ros1State.PREEMPTED, Ros1State.SUCCEEDED, Ros1State.ABORTED,
-        Ros1State.REJECTED, Ros1State.RECALLED, Ros1State.LOST,
-    }
-)  # fmt: skip
+_ENDED = frozenset(Ros1State) - {Ros1State.PENDING, Ros1State.ACTIVE, Ros1State.PREEMPTING, Ros1State.RECALLING}
 
 TO_ROS2: Mapping[Ros1State, GoalState] = {
     Ros1State.PENDING: GoalState.ACCEPTED,

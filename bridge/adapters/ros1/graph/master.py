@@ -19,7 +19,7 @@ from typing import NamedTuple
 from bridge.adapters.ros1.graph.presence import Ledger, NodeEntry, is_alive, removal_calls
 from bridge.adapters.ros1.graph.state import MasterReader, MasterState, Registration
 from bridge.adapters.ros1.node import Ros1Node
-from bridge.adapters.ros1_peers import Call, Ros1Error, UnreachableError, XmlRpcClient
+from bridge.adapters.ros1_peers import Call, Ros1Error, UnreachableError, XmlRpcClient, ask
 
 _log = logging.getLogger(__name__)
 
@@ -57,18 +57,9 @@ class Master:
     """
 
     def __init__(
-        self,
-        uri: str,
-        node: Ros1Node,
-        daemon: str,
-        ledger: Ledger,
-        period: float,
-        seen: Seen,
-        lost_name: Lost,
-        is_dead: Callable[[Registration], bool],
-        *,
-        simulated: bool,
-    ) -> None:
+        self, uri: str, node: Ros1Node, daemon: str, ledger: Ledger, period: float, seen: Seen, lost_name: Lost,
+        is_dead: Callable[[Registration], bool], *, simulated: bool,
+    ) -> None:  # fmt: skip
         self.uri = uri
         self.trouble = ""
         self.simulated = self._simulated = simulated
@@ -107,9 +98,8 @@ class Master:
 
     def presence(self) -> NodeEntry:
         """Our own entry."""
-        return NodeEntry(
-            self._ledger.owner, self._daemon, self._node.name, self._node.uri, os.getpid(), self._node.port
-        )
+        node = self._node
+        return NodeEntry(self._ledger.owner, self._daemon, node.name, node.uri, os.getpid(), node.port)
 
     def stop(self) -> None:
         """Unregister all that the master has of this node."""
@@ -226,9 +216,7 @@ class Master:
 
     def _answers(self, uri: str) -> bool:
         try:
-            client = XmlRpcClient(uri, 1.0)
-            with contextlib.closing(client):
-                client.call("getPid", self._node.name)
+            ask(uri, 1.0, "getPid", self._node.name)
         except Ros1Error:
             return False
         return True
@@ -241,14 +229,9 @@ class Master:
         self._ended |= self._node.take_removed()
         published, subscribed = self._node.publications(), self._node.subscriptions()
         if self._own is None or self._own.look is not look:
-            self._own = _Own(
-                look,
-                *(
-                    frozenset(r.topic for r in registered if r.node == name and r.uri == uri)
-                    for registered in (look.publishers, look.subscribers)
-                ),
-            )
-        has_published, has_subscribed = self._own.published, self._own.subscribed
+            ends = (look.publishers, look.subscribers)
+            self._own = _Own(look, *(frozenset(r.topic for r in end if (r.node, r.uri) == (name, uri)) for end in ends))
+        _, has_published, has_subscribed = self._own
         # A publication that ended and was made anew between two looks is told as both: a rospy subscriber whose
         # connection broke comes again only when the master tells of a publisher that it did not have.
         standing = has_published & published.keys() - self._ended

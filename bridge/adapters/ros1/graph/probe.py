@@ -65,13 +65,9 @@ class Facts:
     @classmethod
     def of(cls, header: Header) -> Facts:
         """The facts in a header."""
-        return cls(
-            header["type"],
-            header["md5sum"],
-            header.get("message_definition", ""),
-            header.get("latching", "0").strip() == "1",
-            ORIGIN_FIELD not in header,
-        )
+        latching = header.get("latching", "0").strip() == "1"
+        definition, native = header.get("message_definition", ""), ORIGIN_FIELD not in header
+        return cls(header["type"], header["md5sum"], definition, latching, native)
 
     def fits(self, md5: str) -> bool:
         """Whether it is no Midspan's, and has the wanted type."""
@@ -104,14 +100,9 @@ class Prober:
     """
 
     def __init__(
-        self,
-        context: Ros1Context,
-        changed: Callable[[Registration], None],
-        handshake: Handshake = connect,
-        kind: str = "publisher",
-        *,
-        holds: bool = False,
-    ) -> None:
+        self, context: Ros1Context, changed: Callable[[Registration], None], handshake: Handshake = connect,
+        kind: str = "publisher", *, holds: bool = False,
+    ) -> None:  # fmt: skip
         self._pool, self._caller, self._timer = context.pool, context.node, context.timer
         self._changed, self._handshake, self._kind, self._holds = changed, handshake, kind, holds
         self._lock = threading.Lock()
@@ -250,13 +241,10 @@ class Prober:
             if attempt is None:
                 return
             if trouble != attempt.trouble:
-                _log.info(
-                    "the %s of %s in %s does not announce its type: %s", self._kind, link.topic, link.node, trouble
-                )
-            attempt.trouble, attempt.refused = trouble, refused
-            attempt.under_way = False
-            attempt.due = time.monotonic() + attempt.wait
-            attempt.wait = min(2 * attempt.wait, _LONGEST_WAIT)
+                who = f"{self._kind} of {link.topic} in {link.node}"
+                _log.info("the %s does not announce its type: %s", who, trouble)
+            attempt.trouble, attempt.refused, attempt.under_way = trouble, refused, False
+            attempt.due, attempt.wait = time.monotonic() + attempt.wait, min(2 * attempt.wait, _LONGEST_WAIT)
 
 
 class FollowingEnd(Protocol):

@@ -36,14 +36,9 @@ class ParameterSharing:
     """Follows the rules (at least one) of ``routing.parameters``, while this worker is the ``active`` one."""
 
     def __init__(
-        self,
-        rules: Sequence[ParameterRule],
-        hub: Hub,
-        registry: Registry,
-        store: ParameterServer,
-        active: Callable[[], bool],
-        period: float = PERIOD,
-    ) -> None:
+        self, rules: Sequence[ParameterRule], hub: Hub, registry: Registry, store: ParameterServer,
+        active: Callable[[], bool], period: float = PERIOD,
+    ) -> None:  # fmt: skip
         self._store, self._active, self._period = store, active, period
         nodes = dict.fromkeys(rule.node for rule in rules if rule.owner == "ros1")
         context = ParameterContext(hub, registry, store, self._submit)

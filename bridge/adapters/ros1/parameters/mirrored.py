@@ -8,6 +8,7 @@ from typing import Any
 
 from bridge.adapters.ros1.parameters.store import ParameterContext, codecs
 from bridge.adapters.ros1.parameters.values import (
+    NOT_SET,
     ParameterNames,
     ParameterType,
     ParameterValue,
@@ -22,6 +23,7 @@ from bridge.messages.errors import ConversionError
 
 _log = logging.getLogger(__name__)
 
+_Values = dict[str, ParameterValue]
 _USED = ("list_parameters", "get_parameters", "get_parameter_types", "set_parameters")
 
 
@@ -127,15 +129,13 @@ class MirroredNode:
             self._careful = True
             return False
         rests = [self._names.rest(name) or "" for name in names]
-        node = {
-            rest: value for rest, value in zip(rests, values, strict=True) if value.kind is not ParameterType.NOT_SET
-        }
+        node = {rest: value for rest, value in zip(rests, values, strict=True) if value != NOT_SET}
         tree = self._store.watch([self.rule.ros1])[self.rule.ros1]
         ros1 = dict(flatten(tree))
         self._unsaid = {}
         gone = {rest for rest in self._agreed if rest not in node}
         writes: dict[str, Any] = {self._names.ros1(rest): None for rest in gone if rest in ros1}
-        wishes: dict[str, ParameterValue] = {}
+        wishes: _Values = {}
         for rest, value in node.items():
             self._compare(rest, value, ros1, writes, wishes)
         for rest in gone:
@@ -148,12 +148,7 @@ class MirroredNode:
         return True
 
     def _compare(
-        self,
-        rest: str,
-        value: ParameterValue,
-        ros1: Mapping[str, Any],
-        writes: dict[str, Any],
-        wishes: dict[str, ParameterValue],
+        self, rest: str, value: ParameterValue, ros1: Mapping[str, Any], writes: dict[str, Any], wishes: _Values
     ) -> None:
         """One parameter: write it on ROS 1's server, wish for ROS 1's value, or leave both as they are."""
         key = self._names.ros1(rest)
@@ -176,9 +171,7 @@ class MirroredNode:
         if theirs != value:
             writes[key] = wanted
 
-    def _set(
-        self, node: Mapping[str, ParameterValue], wishes: Mapping[str, ParameterValue], reply: Mapping[str, Any]
-    ) -> bool:
+    def _set(self, node: _Values, wishes: _Values, reply: Mapping[str, Any]) -> bool:
         """The node's answer to ROS 1's values."""
         writes: dict[str, Any] = {}
         for (rest, wish), result in zip(wishes.items(), reply["results"], strict=False):

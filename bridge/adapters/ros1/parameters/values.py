@@ -58,14 +58,11 @@ class ParameterValue:
 
     def __eq__(self, other: object) -> bool:
         """Whether both read the same."""
-        return isinstance(other, ParameterValue) and (self.kind, repr(self.content)) == (
-            other.kind,
-            repr(other.content),
-        )
+        return isinstance(other, ParameterValue) and repr(self) == repr(other)
 
     def __hash__(self) -> int:
         """As `__eq__` has it."""
-        return hash((self.kind, repr(self.content)))
+        return hash(repr(self))
 
     @classmethod
     def read(cls, message: Mapping[str, Any]) -> ParameterValue:
@@ -122,27 +119,22 @@ def to_ros2(value: Any, like: ParameterType = ParameterType.NOT_SET) -> Paramete
     found = _scalar(value)
     if found.kind is ParameterType.INTEGER and like is ParameterType.DOUBLE:
         return ParameterValue(ParameterType.DOUBLE, float(value))
-    if (
-        found.kind is ParameterType.DOUBLE
-        and like is ParameterType.INTEGER
-        and value.is_integer()
-        and int(value) in _INT64
-    ):
+    wanted = (found.kind, like) == (ParameterType.DOUBLE, ParameterType.INTEGER)
+    if wanted and value.is_integer() and int(value) in _INT64:
         return ParameterValue(ParameterType.INTEGER, int(value))
     return found
 
 
 def _scalar(value: Any) -> ParameterValue:
-    for python, kind in (
-        (bool, ParameterType.BOOL),
-        (int, ParameterType.INTEGER),
-        (float, ParameterType.DOUBLE),
-        (str, ParameterType.STRING),
-    ):
-        if isinstance(value, python):
-            if kind is ParameterType.INTEGER and value not in _INT64:
-                break
-            return ParameterValue(kind, value)
+    match value:
+        case bool():
+            return ParameterValue(ParameterType.BOOL, value)
+        case int() if value in _INT64:
+            return ParameterValue(ParameterType.INTEGER, value)
+        case float():
+            return ParameterValue(ParameterType.DOUBLE, value)
+        case str():
+            return ParameterValue(ParameterType.STRING, value)
     raise UnsayableError(f"ROS 2 has no parameters like {type(value).__name__} {str(value)[:60]}")
 
 

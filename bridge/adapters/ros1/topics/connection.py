@@ -42,16 +42,9 @@ class PublisherConnection(PolledConnection):
     transport_type = "TCPROS"
 
     def __init__(
-        self,
-        sock: DeadlineSocket,
-        topic: str,
-        uri: str,
-        deliver: Callable[[bytes], None],
-        ended: Callable[[str], None],
-        refused: Refused,
-        limit: int = MAX_MESSAGE,
-        loop: EpollLoop | None = None,
-    ) -> None:
+        self, sock: DeadlineSocket, topic: str, uri: str, deliver: Callable[[bytes], None],
+        ended: Callable[[str], None], refused: Refused, limit: int = MAX_MESSAGE, loop: EpollLoop | None = None,
+    ) -> None:  # fmt: skip
         self.id = f"midspan-{next(_numbers)}"
         self.endpoint_id = uri
         self.stat_bytes = self.stat_num_msg = 0

@@ -71,6 +71,9 @@ class _PublisherState:
     due: float = 0.0
     wait: float = _FIRST_WAIT
 
+    def is_due(self, now: float) -> bool:
+        return self.reader is None and not self.connecting and self.due <= now
+
     def postpone(self) -> None:
         self.due, self.wait = time.monotonic() + self.wait, min(2 * self.wait, _LONGEST_WAIT)
 
@@ -81,17 +84,10 @@ class Ros1Subscription:
     lost = 0
 
     def __init__(
-        self,
-        context: Ros1Context,
-        prober: Prober,
-        topic: str,
-        md5: str,
-        deliver: Deliver,
-        suffix: str,
-        take: Callable[[Registration], ProbedConnection | None],
-        refused: Refused,
+        self, context: Ros1Context, prober: Prober, topic: str, md5: str, deliver: Deliver, suffix: str,
+        take: Callable[[Registration], ProbedConnection | None], refused: Refused,
         closed: Callable[[Ros1Subscription], None],
-    ) -> None:
+    ) -> None:  # fmt: skip
         self.name = self.topic = topic
         self._context, self._prober, self._suffix, self._take = context, prober, suffix, take
         self._md5, self._deliver, self._refused, self._on_closed = md5, deliver, refused, closed
@@ -121,9 +117,7 @@ class Ros1Subscription:
             gone = [self._publishers.pop(link) for link in self._publishers.keys() - wanted]
             for link in wanted - self._publishers.keys():
                 self._publishers[link] = _PublisherState()
-            idle = [
-                (n, s) for n, s in self._publishers.items() if s.reader is None and not s.connecting and s.due <= now
-            ]
+            idle = [(link, source) for link, source in self._publishers.items() if source.is_due(now)]
             for _, source in idle:
                 source.connecting = True
         for source in gone:

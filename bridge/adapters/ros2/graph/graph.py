@@ -6,6 +6,7 @@ The middleware's graph guard condition wakes the thread; it then looks at the wh
 
 from __future__ import annotations
 
+import contextlib
 import json
 import logging
 import os
@@ -123,12 +124,8 @@ class Ros2Graph:
         return self._others(topic, kind, look(topic))
 
     def _others(self, name: str, kind: Kind, infos: Sequence[Mapping[str, Any]]) -> list[tuple[bytes, Endpoint]]:
-        found = []
-        for info in infos:
-            gid = bytes(info["endpoint_gid"])
-            if gid[:PREFIX_BYTES] != self._own:
-                found.append((gid, _endpoint(name, kind, gid, info)))
-        return found
+        gids = [(bytes(info["endpoint_gid"]), info) for info in infos]
+        return [(gid, _endpoint(name, kind, gid, info)) for gid, info in gids if gid[:PREFIX_BYTES] != self._own]
 
     def _run(self) -> None:
         wait_set = self._participant.make_wait_set(2)
@@ -197,15 +194,12 @@ def look(config: Config, state: Path, seconds: float) -> dict[str, Any]:
 
     profile = use_profile(config, state)
     participant = Participant("midspan_doctor", domain(config, os.environ))
-    try:
+    with contextlib.ExitStack() as stack:
+        stack.callback(participant.close)
         graph = Ros2Graph(participant, profile.prefix, lambda _snapshot: None)
-        try:
-            time.sleep(seconds)
-            snapshot = graph.look()
-        finally:
-            graph.stop()
-    finally:
-        participant.close()
+        stack.callback(graph.stop)
+        time.sleep(seconds)
+        snapshot = graph.look()
     return {
         "participants": sorted(prefix.hex() for prefix in snapshot.participants),
         "nodes": sorted({endpoint.node for endpoint in snapshot.endpoints}),

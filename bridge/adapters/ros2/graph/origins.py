@@ -38,13 +38,9 @@ class Origins:
     """
 
     def __init__(
-        self,
-        own: bytes,
-        folder: Path,
-        participants: Callable[[], frozenset[bytes]],
-        settled: Callable[[], None],
+        self, own: bytes, folder: Path, participants: Callable[[], frozenset[bytes]], settled: Callable[[], None],
         later: DelayedCalls,
-    ) -> None:
+    ) -> None:  # fmt: skip
         self._participants, self._settled, self._later = participants, settled, later
         kept = _remember(own, folder)
         self.past = frozenset(kept)

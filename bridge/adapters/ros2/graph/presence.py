@@ -42,16 +42,10 @@ class PresenceTopic(EndpointReader):
     """
 
     def __init__(
-        self,
-        participant: Participant,
-        loop: ReadLoop,
-        message_class: Any,
-        seen: Callable[[], frozenset[bytes]],
-        past: frozenset[bytes],
-        changed: Callable[[], None],
-    ) -> None:
-        self._loop = loop
-        self._seen, self._past, self._changed = seen, past, changed
+        self, participant: Participant, loop: ReadLoop, message_class: Any, seen: Callable[[], frozenset[bytes]],
+        past: frozenset[bytes], changed: Callable[[], None],
+    ) -> None:  # fmt: skip
+        self._loop, self._seen, self._past, self._changed = loop, seen, past, changed
         self._since = time.monotonic()
         self._lock = threading.Lock()
         self._heard: dict[bytes, Sighting] = {}

@@ -5,7 +5,6 @@ from __future__ import annotations
 import logging
 import time
 from collections import deque
-from collections.abc import Callable
 from functools import partial
 from typing import Any, ClassVar
 
@@ -13,7 +12,7 @@ from bridge.adapters.ros2 import rcl
 from bridge.adapters.ros2.graph.origins import PREFIX_BYTES
 from bridge.adapters.ros2.participant import SERVICE
 from bridge.adapters.ros2.rcl import ENCAPSULATION
-from bridge.adapters.ros2.services.endpoint import Ros2Context, ServiceEndpoint
+from bridge.adapters.ros2.services.endpoint import Closed, Ros2Context, ServiceEndpoint
 from bridge.adapters.ros2.services.pacing import SentRequests
 from bridge.hub.endpoints.calls import Abandon, CallError, Done
 from bridge.routing.edge import EdgeCaller
@@ -42,9 +41,7 @@ class Ros2Caller(ServiceEndpoint, EdgeCaller):
 
     kind: ClassVar[str] = "client"
 
-    def __init__(
-        self, name: str, service_class: Any, context: Ros2Context, closed: Callable[[Ros2Caller], None]
-    ) -> None:
+    def __init__(self, name: str, service_class: Any, context: Ros2Context, closed: Closed) -> None:
         super().__init__(name, service_class, context.participant.make_client(service_class, name, SERVICE), context)
         self._on_closed = closed
         self._waiting: deque[_PendingCall] = deque()
@@ -173,9 +170,7 @@ class Ros2Caller(ServiceEndpoint, EdgeCaller):
 
     def _find_gone(self) -> set[bytes]:
         """Look which servers' processes have ended; one that is new is then remembered as living."""
-        servers = self._graph.snapshot.servers.get(self.name, frozenset())
-        prefixes = {gid[:PREFIX_BYTES] for gid in servers}
-        self._gone = {prefix for prefix in prefixes if self._processes.is_gone(prefix)}
+        self._gone = self._ended_among(self._graph.snapshot.servers.get(self.name, frozenset()))
         return self._gone
 
     def _abandon(self, calling: _PendingCall) -> None:

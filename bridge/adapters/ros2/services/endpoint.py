@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import threading
 from abc import abstractmethod
+from collections.abc import Callable, Collection
 from dataclasses import dataclass
 from typing import Any
 
 from bridge.adapters.ros2 import rcl
 from bridge.adapters.ros2.graph.graph import Ros2Graph
 from bridge.adapters.ros2.graph.neighbours import ProcessWatch
+from bridge.adapters.ros2.graph.origins import PREFIX_BYTES
 from bridge.adapters.ros2.loop import EndpointReader, ReadLoop
 from bridge.adapters.ros2.participant import Participant
 from bridge.concurrency import DelayedCalls
@@ -29,6 +31,10 @@ class Ros2Context:
     later: DelayedCalls
 
 
+Closed = Callable[[Any], None]
+"""Called with an endpoint that has closed."""
+
+
 class ServiceEndpoint(EndpointReader):
     """A client or a server. While calls are under way it looks whether the processes at their other end live."""
 
@@ -45,6 +51,10 @@ class ServiceEndpoint(EndpointReader):
         """See `EndpointReader`."""
         self._taker.close()
         super().destroy()
+
+    def _ended_among(self, gids: Collection[bytes]) -> set[bytes]:
+        """The GUID prefixes of participants whose processes were here, and have ended."""
+        return {prefix for prefix in {gid[:PREFIX_BYTES] for gid in gids} if self._processes.is_gone(prefix)}
 
     def _look_soon(self) -> None:
         """Have `_look` called, once; with the lock held."""

@@ -13,7 +13,7 @@ from bridge.adapters.ros2 import rcl
 from bridge.adapters.ros2.graph.origins import PREFIX_BYTES, is_marked
 from bridge.adapters.ros2.participant import SERVICE
 from bridge.adapters.ros2.rcl import ENCAPSULATION, RequestId
-from bridge.adapters.ros2.services.endpoint import Ros2Context, ServiceEndpoint
+from bridge.adapters.ros2.services.endpoint import Closed, Ros2Context, ServiceEndpoint
 from bridge.adapters.ros2.services.pacing import ClientReplies
 from bridge.hub.endpoints.calls import Abandon, Call, CallError
 from bridge.routing.edge import EdgeServer
@@ -50,13 +50,7 @@ class Ros2Server(ServiceEndpoint, EdgeServer):
     kind: ClassVar[str] = "service"
 
     def __init__(
-        self,
-        name: str,
-        service_class: Any,
-        call: Call,
-        refusal: Refusal | None,
-        context: Ros2Context,
-        closed: Callable[[Ros2Server], None],
+        self, name: str, service_class: Any, call: Call, refusal: Refusal | None, context: Ros2Context, closed: Closed
     ) -> None:
         super().__init__(name, service_class, context.participant.make_server(service_class, name, SERVICE), context)
         self._call, self._refusal, self._on_closed = call, refusal, closed
@@ -122,11 +116,8 @@ class Ros2Server(ServiceEndpoint, EdgeServer):
         told = self._refusal() if self._refusal is not None else None
         if time.monotonic() - self._complained > _LOG_SECONDS:
             self._complained = time.monotonic()
-            how = (
-                "its client got a refusal"
-                if told is not None
-                else "ROS 2 has no way to tell its client, which waits on"
-            )
+            nothing = "ROS 2 has no way to tell its client, which waits on"
+            how = nothing if told is None else "its client got a refusal"
             _log.warning("a call of %s failed: %s; %s", self.name, why, how)
         return told
 
@@ -148,8 +139,7 @@ class Ros2Server(ServiceEndpoint, EdgeServer):
         if not waiting:
             return
         there = self._graph.clients(self.name)
-        prefixes = {gid[:PREFIX_BYTES] for gid in there}
-        gone = {prefix for prefix in prefixes if self._processes.is_gone(prefix)}
+        gone = self._ended_among(there)
         for asked in waiting:
             if asked.id.gid in there and asked.id.gid[:PREFIX_BYTES] not in gone:
                 asked.seen = True

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 from bridge.adapters.ros2 import rcl
 from bridge.adapters.ros2.participant import Participant
+from bridge.adapters.ros2.services.endpoint import Closed
 from bridge.hub.wire.qos import Qos
 
 
@@ -32,6 +34,10 @@ class _Writer:
             self._participant.destroy(handle)
 
 
+Heard = Callable[[str], bool]
+"""Whether another participant subscribes to a topic."""
+
+
 class Ros2Publisher:
     """Publishes what comes from the hub.
 
@@ -41,26 +47,16 @@ class Ros2Publisher:
     """
 
     def __init__(
-        self,
-        topic: str,
-        message_class: Any,
-        qos: Qos,
-        participant: Participant,
-        closed: Callable[[Ros2Publisher], None],
-        heard: Callable[[str], bool],
+        self, topic: str, message_class: Any, qos: Qos, participant: Participant, closed: Closed, heard: Heard
     ) -> None:
-        self.topic, self.qos = topic, qos
-        self.type_name = str(message_class.type_name)
+        self.topic, self.qos, self.type_name = topic, qos, str(message_class.type_name)
         self._closed, self._heard = closed, heard
-        self._participant, self._message_class = participant, message_class
+        self._make = partial(_Writer, participant, message_class, topic, qos)
         self._lock = threading.Lock()
         self._open = True
         self._spare: _Writer | None = self._make()
         self._writers: dict[str, _Writer] = {}
         self._only = None if qos.latched else self._spare
-
-    def _make(self) -> _Writer:
-        return _Writer(self._participant, self._message_class, self.topic, self.qos)
 
     @property
     def dropped(self) -> int:

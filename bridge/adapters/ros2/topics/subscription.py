@@ -11,7 +11,6 @@ from __future__ import annotations
 import logging
 import threading
 import time
-from collections.abc import Callable
 from dataclasses import replace
 from typing import Any, NamedTuple
 
@@ -19,7 +18,7 @@ from bridge.adapters.ros2 import rcl
 from bridge.adapters.ros2.graph.origins import is_marked
 from bridge.adapters.ros2.loop import EndpointReader
 from bridge.adapters.ros2.participant import Participant
-from bridge.adapters.ros2.services.endpoint import Ros2Context
+from bridge.adapters.ros2.services.endpoint import Closed, Ros2Context
 from bridge.hub.wire.qos import Durability, Qos, Reliability
 from bridge.routing.edge import Deliver, Endpoint, MadeBy
 
@@ -53,17 +52,10 @@ class Ros2Subscription:
     """See the module."""
 
     def __init__(
-        self,
-        topic: str,
-        message_class: Any,
-        qos: Qos,
-        deliver: Deliver,
-        context: Ros2Context,
-        closed: Callable[[Ros2Subscription], None],
+        self, topic: str, message_class: Any, qos: Qos, deliver: Deliver, context: Ros2Context, closed: Closed
     ) -> None:
         self.topic, self.qos, self.deliver = topic, qos, deliver
-        self._message_class = message_class
-        self.type_name = str(message_class.type_name)
+        self._message_class, self.type_name = message_class, str(message_class.type_name)
         self._participant, self._loop, self._graph = context.participant, context.loop, context.graph
         self._on_closed = closed
         self.lost = 0
@@ -163,12 +155,9 @@ class Ros2Subscription:
 class ClassReader(EndpointReader):
     """One DDS reader of a subscription."""
 
-    def __init__(
-        self, owner: Ros2Subscription, reader_class: ReaderClass, handle: Any, participant: Participant
-    ) -> None:
+    def __init__(self, owner: Ros2Subscription, of: ReaderClass, handle: Any, participant: Participant) -> None:
         super().__init__(participant, handle)
-        self._owner, self._class = owner, reader_class
-        self.topic = owner.topic
+        self._owner, self._class, self.topic = owner, of, owner.topic
         self._large = False
         self._sequences: dict[str, int] = {}
         self._room = _SEQUENCES
