@@ -141,8 +141,8 @@ class _Far:
 class FarClients:
     """Watches the clients of goals on other machines: one that is cut off can stop no robot.
 
-    A client of this machine may end, and its goal goes on: its direct link tells it from others. ``gone`` is called
-    with a goal once its client is not there any more.
+    A client of this machine may end, and its goal goes on: its session tells it from others, which is this one or has a
+    direct link. ``gone`` is called with a goal once its client is not there any more.
     """
 
     def __init__(self, host: Host, server: ActionServer, gone: Callable[[Goal], None]) -> None:
@@ -155,7 +155,11 @@ class FarClients:
         """As it comes: whoever sent it may be cut off before the next look."""
         if goal.client:
             self._known[goal.id] = far = _Far()
-            self._see(far, goal, self._hub.neighbours())
+            self._see(far, goal, self._near())
+
+    def _near(self) -> set[str]:
+        """The sessions of this machine; another module's node has the same one."""
+        return self._hub.neighbours() | {self._hub.zid}
 
     def _see(self, far: _Far, goal: Goal, near: Collection[str]) -> None:
         session = self._hub.graph.zid_of(goal.client)
@@ -168,7 +172,7 @@ class FarClients:
         self._known = {goal.id: self._known.get(goal.id) or _Far() for goal in goals}
         if not goals:
             return
-        near = self._hub.neighbours()
+        near = self._near()
         for goal in goals:
             far = self._known[goal.id]
             self._see(far, goal, near)

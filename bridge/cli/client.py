@@ -19,7 +19,7 @@ from bridge.config.load import load
 from bridge.config.model import Config
 from bridge.hub.control import WorkerAnswer
 from bridge.hub.errors import HubError
-from bridge.hub.session import Hub, HubSettings
+from bridge.hub.session import Hub, HubSession, HubSettings
 from bridge.hub.zenoh_config import MAX_PAYLOAD, connect_endpoint, make_config, session_tree
 
 if TYPE_CHECKING:
@@ -102,7 +102,7 @@ def connect(config: Config, seconds: float = CONNECT_SECONDS) -> Iterator[CliCli
         settings = HubSettings(
             domain=config.hub.domain, node=f"midspan_cli_{os.getpid()}", daemon=config.name, worker=f"cli-{os.getpid()}"
         )
-        hub = Hub(session, settings)
+        hub = Hub(HubSession(session, settings), settings)
     except BaseException:
         session.close()  # type: ignore[no-untyped-call]
         raise

@@ -6,6 +6,7 @@ A worker answers on ``@midspan/<domain>/<daemon>/<worker>/<verb>``. The answer i
 
 from __future__ import annotations
 
+import contextlib
 import json
 import logging
 from collections.abc import Callable
@@ -41,7 +42,7 @@ class WorkerAnswer:
 
 
 class Control:
-    """Answers and asks on one session. Handlers run on threads of their own, never on zenoh's."""
+    """Answers for one worker. Handlers run on threads of their own, never on zenoh's."""
 
     def __init__(self, session: zenoh.Session, domain: int, daemon: str, worker: str) -> None:
         self._session = session
@@ -49,9 +50,10 @@ class Control:
         self._me = f"{daemon}/{worker}"
         self._pending = BoundedSemaphore(_MAX_PENDING)
         self._pool = WorkerPool(_THREADS, "hub-control")
+        self._serving: list[zenoh.Queryable[None]] = []
 
     def serve(self, verb: str, handler: Handler) -> Callable[[], None]:
-        """Answer a verb until the returned function is called.
+        """Answer a verb until the returned function is called, or this is closed.
 
         The handler takes the parameters and returns what JSON can carry.
         """
@@ -64,32 +66,43 @@ class Control:
                 _reply(query, key, _error("too many questions at once; ask again later"))
 
         asked = zenoh.handlers.Callback(enqueue, indirect=False)
-        return partial(undeclare, self._session.declare_queryable(key, asked, complete=True))
-
-    def ask(self, verb: str, params: dict[str, Any], daemon: str, worker: str, timeout: float) -> list[WorkerAnswer]:
-        """Ask all who answer a verb; returns when all did, or after ``timeout`` seconds."""
-        replies = self._session.get(
-            f"{self._space}/{daemon}/{worker}/{verb}",
-            target=zenoh.QueryTarget.ALL,
-            consolidation=zenoh.ConsolidationMode.NONE,
-            timeout=timeout,
-            payload=json.dumps(params).encode(),
-        )
-        answers: list[WorkerAnswer] = []
-        for reply in replies:
-            if reply.ok is not None and len(answers) < _MAX_ANSWERS:
-                answers.append(_read(reply.ok))
-        return answers
+        serving = self._session.declare_queryable(key, asked, complete=True)
+        self._serving.append(serving)
+        return partial(self._withdraw, serving)
 
     def close(self) -> None:
-        """End the threads. Safe to call twice."""
+        """Answer no more, and end the threads. Safe to call twice."""
+        undeclare(*self._serving)
         self._pool.close(1.0)
+
+    def _withdraw(self, serving: zenoh.Queryable[None]) -> None:
+        with contextlib.suppress(ValueError):
+            self._serving.remove(serving)
+        undeclare(serving)
 
     def _reply(self, query: zenoh.Query, key: str, handler: Handler) -> None:
         try:
             _reply(query, key, _answer(handler, query))
         finally:
             self._pending.release()
+
+
+def ask(
+    session: zenoh.Session, domain: int, verb: str, params: dict[str, Any], daemon: str, worker: str, timeout: float
+) -> list[WorkerAnswer]:
+    """Ask all who answer a verb; returns when all did, or after ``timeout`` seconds."""
+    replies = session.get(
+        f"{MIDSPAN_SPACE}/{domain}/{daemon}/{worker}/{verb}",
+        target=zenoh.QueryTarget.ALL,
+        consolidation=zenoh.ConsolidationMode.NONE,
+        timeout=timeout,
+        payload=json.dumps(params).encode(),
+    )
+    answers: list[WorkerAnswer] = []
+    for reply in replies:
+        if reply.ok is not None and len(answers) < _MAX_ANSWERS:
+            answers.append(_read(reply.ok))
+    return answers
 
 
 def _answer(handler: Handler, query: zenoh.Query) -> bytes:

@@ -1,4 +1,4 @@
-"""A session on the hub: what a worker, a module or a tool of Midspan opens to take part in it."""
+"""Sessions and nodes on the hub: what a worker, a module or a tool of Midspan opens to take part in it."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import atexit
 import itertools
 import re
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from threading import RLock
 from types import TracebackType
@@ -16,7 +16,7 @@ import zenoh
 
 from bridge.clock import CLOCK_TOPIC, CLOCK_TYPE, RunClock
 from bridge.concurrency import DelayedCalls, SerialExecutor
-from bridge.hub.control import Control, Handler, WorkerAnswer
+from bridge.hub.control import Control, Handler, WorkerAnswer, ask
 from bridge.hub.endpoints.calls import Call
 from bridge.hub.endpoints.keyspace import KeySpace
 from bridge.hub.endpoints.publisher import EndpointContext, HubPublisher, PublisherOptions
@@ -94,47 +94,39 @@ def _config(settings: HubSettings) -> zenoh.Config:
     return make_config(tree, settings.zenoh)
 
 
-class Hub:
-    """One zenoh session that speaks rmw_zenoh's format, as one node. Safe to use from any thread.
+class HubSession:
+    """One zenoh session on the hub, with its graph and its links: of one node, or of several of a process (`Hub.on`).
 
     Opening does not wait for the router: the session joins when it can, and again after a cut. Only in zenoh's client
     mode the router must be there at the start.
 
     Attributes:
-        max_payload: bytes of the largest message that is sent and taken.
+        zenoh: the session.
+        zid: its id.
+        settings: how it joined.
+        shared: whether it is of several nodes; else it is closed with its one.
+        reach: whom its nodes' endpoints reach: other sessions, or each other too.
         graph: all participants as this session sees them.
         mesh: its direct links to other programs of this machine.
+        ids: numbers of its nodes and their endpoints, as rmw_zenoh gives them.
+        nodes: those that are open.
     """
 
-    def __init__(self, session: zenoh.Session, settings: HubSettings) -> None:
+    def __init__(self, session: zenoh.Session, settings: HubSettings, *, shared: bool = False) -> None:
+        self.zenoh, self.settings, self.shared = session, settings, shared
         self.zid = str(session.zid())
-        self.domain = settings.domain
-        self.max_payload = settings.max_payload
-        self._settings = settings
-        self._session = session
+        self.reach = zenoh.Locality.ANY if shared else zenoh.Locality.REMOTE
+        self.ids = itertools.count()
+        self.nodes: set[Hub] = set()
         self._lock = RLock()
         self._closed = False
-        self._ids = itertools.count(1)
-        self._endpoints: set[HubPublisher | HubSubscription | HubServer | HubClient] = set()
-        self._spaces: list[KeySpace] = []
-        self._origin: tuple[Origin, Callable[[], None]] | None = None
-        self._node = NodeToken(settings.domain, self.zid, "0", settings.namespace, settings.node)
         self.graph = HubGraph(session, settings.domain, settings.max_tokens)
-        self._control = Control(session, settings.domain, settings.daemon, settings.worker)
-        self._executor = SerialExecutor("hub-executor")
-        self._asking = SerialExecutor("hub-asking")
-        self._heartbeats = DelayedCalls("hub-heartbeats")
-        self._context = EndpointContext(
-            session, self.graph, settings.max_payload, self._executor, self._asking, self._heartbeats,
-            self._endpoints.discard,
-        )  # fmt: skip
         self.mesh = Mesh(session, lambda: _config(settings), self._members)
-        self.graph.announce(node_key(self._node))
         # a process that ends with an open session hangs in zenoh's threads
         atexit.register(self.close)
 
     @classmethod
-    def open(cls, settings: HubSettings) -> Hub:
+    def open(cls, settings: HubSettings, *, shared: bool) -> HubSession:
         """Open a session; raises `HubError` where zenoh cannot."""
         config = _config(settings)
         try:
@@ -142,10 +134,95 @@ class Hub:
         except zenoh.ZError as err:
             raise HubError(f"cannot join the hub: {zenoh_reason(err)}") from None
         try:
-            return cls(session, settings)
+            return cls(session, settings, shared=shared)
         except BaseException:
             session.close()  # type: ignore[no-untyped-call]
             raise
+
+    def add(self, node: Hub) -> None:
+        """Another node takes part; raises `HubClosedError`."""
+        with self._lock:
+            if self._closed:
+                raise HubClosedError("the hub session is closed")
+            self.nodes.add(node)
+
+    def ask(self, verb: str, params: dict[str, Any], daemon: str, worker: str, timeout: float) -> list[WorkerAnswer]:
+        """Ask a verb of the control plane; see `Hub.ask`."""
+        return ask(self.zenoh, self.settings.domain, verb, params, daemon, worker, timeout)
+
+    def close(self) -> None:
+        """Close its nodes, and leave the hub. Safe to call twice."""
+        with self._lock:
+            if self._closed:
+                return
+            self._closed = True
+        atexit.unregister(self.close)
+        for node in tuple(self.nodes):
+            node.close()
+        self.mesh.close()
+        self.graph.close()
+        self.zenoh.close()  # type: ignore[no-untyped-call]
+
+    def _members(self) -> set[str] | None:
+        """The sessions that are linked with the routers of this one, as far as these answer."""
+        routers = {str(zid) for zid in self.zenoh.info.routers_zid()}
+        answers = self.ask(MEMBERS, {}, "*", "router", 1.0) if routers else []
+        values = [a.value for a in answers if isinstance(a.value, dict) and a.value.get("zid") in routers]
+        known = [value["members"] for value in values if isinstance(value.get("members"), list)]
+        return {str(zid) for members in known for zid in members} if known else None
+
+
+class Hub:
+    """A node on the hub, in rmw_zenoh's format: alone on its session (`open`), or beside others (`on`).
+
+    Safe to use from any thread.
+
+    Attributes:
+        max_payload: bytes of the largest message that is sent and taken.
+        graph: all participants as its session sees them.
+        mesh: its session's direct links to other programs of this machine.
+    """
+
+    def __init__(self, session: HubSession, settings: HubSettings) -> None:
+        self.zid, self.graph, self.mesh = session.zid, session.graph, session.mesh
+        self.domain = settings.domain
+        self.max_payload = settings.max_payload
+        self._joined, self._session = session, session.zenoh
+        self._lock = RLock()
+        self._closed = False
+        self._endpoints: set[HubPublisher | HubSubscription | HubServer | HubClient] = set()
+        self._own: set[bytes] = set()
+        self._spaces: list[KeySpace] = []
+        self._origin: tuple[Origin, Callable[[], None]] | None = None
+        self._node = NodeToken(settings.domain, self.zid, str(next(session.ids)), settings.namespace, settings.node)
+        self._control = Control(self._session, settings.domain, settings.daemon, settings.worker)
+        self._executor = SerialExecutor("hub-executor")
+        self._asking = SerialExecutor("hub-asking")
+        self._heartbeats = DelayedCalls("hub-heartbeats")
+        self._context = EndpointContext(
+            self._session, session.reach, self._own, self.graph, settings.max_payload, self._executor, self._asking,
+            self._heartbeats, self._forget,
+        )  # fmt: skip
+        session.add(self)
+        self._withdraw = self.graph.announce(node_key(self._node))
+
+    @classmethod
+    def open(cls, settings: HubSettings) -> Hub:
+        """Open a session for one node; raises `HubError` where zenoh cannot."""
+        session = HubSession.open(settings, shared=False)
+        try:
+            return cls(session, settings)
+        except BaseException:
+            session.close()
+            raise
+
+    @classmethod
+    def on(cls, session: HubSession, node: str, worker: str) -> Hub:
+        """Another node on a shared session; ``worker`` is its name on the control plane.
+
+        It hears the session's other nodes, and they hear it. Raises `HubClosedError`.
+        """
+        return cls(session, replace(session.settings, node=node, worker=worker))
 
     def set_origin(self, origin: Origin | None) -> None:
         """Announce which foreign network this session speaks for; before its endpoints are made."""
@@ -172,14 +249,6 @@ class Hub:
         """The sessions that this one has a direct link to: of this machine's programs, since none passes the door."""
         self._check_open()
         return {str(zid) for zid in self._session.info.peers_zid()}
-
-    def _members(self) -> set[str] | None:
-        """The sessions that are linked with the routers of this one, as far as these answer."""
-        routers = {str(zid) for zid in self._session.info.routers_zid()}
-        answers = self._control.ask(MEMBERS, {}, "*", "router", 1.0) if routers else []
-        values = [a.value for a in answers if isinstance(a.value, dict) and a.value.get("zid") in routers]
-        known = [value["members"] for value in values if isinstance(value.get("members"), list)]
-        return {str(zid) for members in known for zid in members} if known else None
 
     def publisher(
         self,
@@ -215,8 +284,8 @@ class Hub:
         """Make a subscription, to any type hash where that is ``*``; it lives until it or the session is closed.
 
         A latched one gets what each latched publisher keeps, of publishers present and late. Samples of this very
-        session are not delivered. ``callback``, and ``refused`` for each sample that is left out, run on zenoh's
-        receiving thread: they append and wake, nothing more.
+        node are not delivered. ``callback``, and ``refused`` for each sample that is left out, run on zenoh's receiving
+        thread, or the thread of another node of this session that publishes: they append and wake, nothing more.
         """
         with self._lock:
             token = self._token(EndpointKind.SUBSCRIPTION, topic, type_name, type_hash, qos)
@@ -226,8 +295,9 @@ class Hub:
     def server(self, name: str, type_name: str, type_hash: str, call: Call) -> HubServer:
         """Serve a service; it lives until it or the session is closed.
 
-        ``call`` gets each request's CDR on zenoh's receiving thread, begins the call and returns. Calls of this very
-        session are not delivered. The name of an action's service has its ``/_action/`` part.
+        ``call`` gets each request's CDR on zenoh's receiving thread, or the thread of another node of this session that
+        calls; it begins the call and returns. Calls of this very node are not delivered. The name of an
+        action's service has its ``/_action/`` part.
         """
         with self._lock:
             token = self._token(EndpointKind.SERVER, name, type_name, type_hash, _SERVICE_QOS)
@@ -263,7 +333,7 @@ class Hub:
     ) -> list[WorkerAnswer]:
         """Ask a verb of all workers, of one daemon's, or of one."""
         self._check_open()
-        return self._control.ask(verb, params, daemon, worker, timeout)
+        return self._joined.ask(verb, params, daemon, worker, timeout)
 
     def close(self) -> None:
         """Leave the hub: endpoints, tokens and threads are gone afterwards. Safe to call twice."""
@@ -271,19 +341,19 @@ class Hub:
             if self._closed:
                 return
             self._closed = True
-        atexit.unregister(self.close)
         # the endpoints leave the graph before the origin and the node do
         for endpoint in tuple(self._endpoints):
             endpoint.close()
         for space in self._spaces:
             space.close()
-        self.mesh.close()
         self._executor.close()
         self._asking.close()
         self._heartbeats.close(1.0)
-        self.graph.close()
         self._control.close()
-        self._session.close()  # type: ignore[no-untyped-call]
+        self._withdraw()
+        self._joined.nodes.discard(self)
+        if not self._joined.shared:
+            self._joined.close()
 
     def __enter__(self) -> Self:
         return self
@@ -297,18 +367,24 @@ class Hub:
 
     def _keep(self, endpoint: _Endpoint) -> _Endpoint:
         self._endpoints.add(endpoint)
+        if not isinstance(endpoint, HubSubscription):
+            self._own.add(endpoint.gid)
         return endpoint
+
+    def _forget(self, endpoint: HubPublisher | HubSubscription | HubServer | HubClient) -> None:
+        self._endpoints.discard(endpoint)
+        if not isinstance(endpoint, HubSubscription):
+            self._own.discard(endpoint.gid)
 
     def _token(self, kind: EndpointKind, topic: str, type_name: str, type_hash: str, qos: Qos) -> str:
         """The key of a new endpoint's token; raises `HubClosedError`."""
         self._check_open()
-        enclave = BRIDGE_ENCLAVE if self._origin else "/"
-        owner = NodeToken(self.domain, self.zid, "0", self._node.namespace, self._node.node, enclave)
-        return endpoint_key(EndpointToken(owner, str(next(self._ids)), kind, topic, type_name, type_hash, qos))
+        owner = replace(self._node, enclave=BRIDGE_ENCLAVE if self._origin else "/")
+        return endpoint_key(EndpointToken(owner, str(next(self._joined.ids)), kind, topic, type_name, type_hash, qos))
 
 
 def follow_clock(clock: RunClock, hub: Hub) -> None:
-    """Feed a simulated clock with what other sessions publish on ``/clock``; nothing for the system's clock."""
+    """Feed a simulated clock with what other nodes publish on ``/clock``; nothing for the system's clock."""
     if clock.simulated:
         qos = Qos(Reliability.BEST_EFFORT, depth=1)
         hub.subscription(CLOCK_TOPIC, CLOCK_TYPE, ANY_HASH, qos, lambda sample: clock.hear(sample.data()))

@@ -1,7 +1,7 @@
 """What Midspan declares on zenoh, in its one form, and the Python state of zenoh's threads.
 
-Callbacks run on zenoh's receiving thread (``indirect=False``): they append and wake. A session does not get what it
-puts itself.
+Callbacks run on zenoh's receiving thread (``indirect=False``): they append and wake. What the same session puts they
+get on the thread that puts it, and only where they are declared for it (``origin``).
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from typing import Any
 
 import zenoh
 
-_kept: set[int] = set()
+_thread = threading.local()
 
 
 def keep_thread_state() -> None:
@@ -23,24 +23,33 @@ def keep_thread_state() -> None:
     CPython makes such a thread a new state for each call, maps a page of stack for it, and unmaps it afterwards: 20 us
     a message, and a flush of the other core's address cache.
     """
-    me = threading.get_ident()
-    if me not in _kept:
-        _kept.add(me)
+    if not hasattr(_thread, "kept"):  # which goes with the state: a number of a thread would come again
+        _thread.kept = True
         ctypes.pythonapi.PyGILState_Ensure()
 
 
-def subscribe(session: zenoh.Session, key: str, callback: Callable[[zenoh.Sample], None]) -> zenoh.Subscriber[None]:
-    """Call back for each sample of other sessions on a key."""
+def subscribe(
+    session: zenoh.Session,
+    key: str,
+    callback: Callable[[zenoh.Sample], None],
+    origin: zenoh.Locality = zenoh.Locality.REMOTE,
+) -> zenoh.Subscriber[None]:
+    """Call back for each sample on a key, by default of other sessions alone."""
     handler = zenoh.handlers.Callback(callback, indirect=False)
-    return session.declare_subscriber(key, handler, allowed_origin=zenoh.Locality.REMOTE)
+    return session.declare_subscriber(key, handler, allowed_origin=origin)
 
 
 def answer(
-    session: zenoh.Session, key: str, callback: Callable[[zenoh.Query], None], *, complete: bool = False
+    session: zenoh.Session,
+    key: str,
+    callback: Callable[[zenoh.Query], None],
+    *,
+    complete: bool = False,
+    origin: zenoh.Locality = zenoh.Locality.REMOTE,
 ) -> zenoh.Queryable[None]:
-    """Call back for each query of other sessions on a key; ``complete``: this one has all there is."""
+    """Call back for each query on a key, by default of other sessions; ``complete``: this one has all there is."""
     handler = zenoh.handlers.Callback(callback, indirect=False)
-    return session.declare_queryable(key, handler, complete=complete, allowed_origin=zenoh.Locality.REMOTE)
+    return session.declare_queryable(key, handler, complete=complete, allowed_origin=origin)
 
 
 def follow_tokens(session: zenoh.Session, keys: str, callback: Callable[[zenoh.Sample], None]) -> Any:

@@ -9,16 +9,16 @@ from typing import Any
 
 from bridge.clock import DONE_TOPIC, DONE_TYPE, RunClock
 from bridge.config.model import Config
-from bridge.hub.session import Hub, HubSettings, follow_clock
+from bridge.hub.session import Hub, follow_clock
 from bridge.messages.registry import Registry
 from bridge.modules.action_server import KEPT_SECONDS, ActionServer, Brake, Cancel, Take
 from bridge.modules.clients import ActionClient
 from bridge.modules.endpoints import Endpoints
 from bridge.modules.loop import ClockTimer, EventLoop, Timer
 from bridge.modules.ports import Ports
+from bridge.modules.shared import Shared, hub_settings
 from bridge.state_file import worker_folder
 from bridge.stores.entry import StoreError
-from bridge.stores.service import StoreService
 from bridge.stores.store import Store
 
 ACKNOWLEDGE_TOPIC = "/sim/acknowledge"
@@ -49,7 +49,7 @@ class Host:
     """All that a module needs of the outside. One for each start of a module.
 
     Args:
-        stores: the process's store, where it has one; it stays open when the module stops.
+        shared: what the modules of the process share, where there are several; it stays open when the module stops.
 
     Attributes:
         config: the whole configuration.
@@ -60,24 +60,12 @@ class Host:
         log: its logger.
     """
 
-    def __init__(self, name: str, config: Config, registry: Registry, stores: StoreService | None = None) -> None:
+    def __init__(self, name: str, config: Config, registry: Registry, shared: Shared | None = None) -> None:
         self.name, self.config = name, config
-        self._stores = stores
+        self._shared = shared
         self.log = logging.getLogger(f"midspan.{name}")
         self.loop = EventLoop(f"midspan-{name}")
-        hub = Hub.open(
-            HubSettings(
-                domain=config.hub.domain,
-                router=config.hub.listen,
-                zenoh=config.hub.zenoh,
-                shared_memory=config.hub.shared_memory,
-                node=name,
-                namespace="/",
-                daemon=config.name,
-                worker=name,
-                max_payload=config.limits.message_bytes,
-            )
-        )
+        hub = Hub.open(hub_settings(config, name, name)) if shared is None else shared.join(name, name)
         self.clock = RunClock(simulated=config.clock.simulated)
         follow_clock(self.clock, hub)
         self.node = Node(hub, registry, self.loop, self.clock)
@@ -100,9 +88,9 @@ class Host:
         What is watched there is withdrawn by the module itself when it stops.
         Raises `StoreError` if it is switched off, or its file cannot be used.
         """
-        if self._stores is None:
+        if self._shared is None:
             raise StoreError("this process has no store")
-        return self._stores.store
+        return self._shared.stores.store
 
     def every(self, seconds: float, action: Callable[[], Any]) -> Timer | ClockTimer:
         """Run an action every so many seconds of the run's clock, on the module's thread."""

@@ -18,9 +18,9 @@ from bridge.messages.errors import MessageError
 from bridge.messages.registry import Registry
 from bridge.modules.host import Host
 from bridge.modules.module import Module, kind_of
+from bridge.modules.shared import Shared
 from bridge.progress import working
 from bridge.stores.entry import StoreError
-from bridge.stores.service import StoreService
 from bridge.stores.store import Store
 from bridge.worker import Health, Worker, costs
 
@@ -39,10 +39,10 @@ class Running:
         section: Section,
         config: Config,
         registry: Registry,
-        stores: StoreService | None = None,
+        shared: Shared | None = None,
     ) -> None:
         self.name, self.section = name, section
-        self._kind, self._config, self._registry, self._stores = kind, config, registry, stores
+        self._kind, self._config, self._registry, self._shared = kind, config, registry, shared
         self._backoff = Backoff()
         self._again = 0.0
         self._trouble = ""
@@ -72,7 +72,7 @@ class Running:
         self._started = time.monotonic()
         working.at(f"starting the module {self.name}")
         try:
-            host = self._host = Host(self.name, self._config, self._registry, self._stores)
+            host = self._host = Host(self.name, self._config, self._registry, self._shared)
             module = self._module = self._kind()
             host.loop.start()
             host.loop.work(lambda: module.start(host, self.section), _START_SECONDS)
@@ -196,7 +196,7 @@ class ModulesWorker(Worker):
         self._only = only
         self._config: Config | None = None
         self._registry: Registry | None = None
-        self._stores: StoreService | None = None
+        self._shared: Shared | None = None
         self._running: dict[str, Running] = {}
 
     def start(self, config: Config) -> None:
@@ -204,14 +204,14 @@ class ModulesWorker(Worker):
         sys.setswitchinterval(SWITCH_INTERVAL)
         self._config = config
         self._registry = Registry(folders=list(config.types.folders), mapping_rules=list(config.types.mapping_rules))
-        self._stores = StoreService(config, self._only)
+        self._shared = Shared(config, self._only)
         for name, section in self._sections(config).items():
-            self._start(name, section, config, self._registry, self._stores)
+            self._start(name, section, config, self._registry, self._shared)
 
     def reload(self, config: Config) -> bool:
         """Start, stop and change what the configuration says otherwise now."""
-        old, registry, stores = self._config, self._registry, self._stores
-        if old is None or registry is None or stores is None or not config.yarp.opens_as(old.yarp):
+        old, registry, shared = self._config, self._registry, self._shared
+        if old is None or registry is None or shared is None or not config.yarp.opens_as(old.yarp):
             return False
         if any(getattr(config, part) != getattr(old, part) for part in _FIXED):
             return False
@@ -223,7 +223,7 @@ class ModulesWorker(Worker):
         for name, section in sections.items():
             running = self._running.get(name)
             if running is None:
-                self._start(name, section, config, registry, stores)
+                self._start(name, section, config, registry, shared)
                 continue
             running.take_up_releases(config)
             if running.section != section:
@@ -237,9 +237,9 @@ class ModulesWorker(Worker):
     @property
     def store(self) -> Store:
         """The store of this process, that all its modules share; raises `StoreError` where it cannot be used."""
-        if self._stores is None:
+        if self._shared is None:
             raise StoreError("the worker has not started")
-        return self._stores.store
+        return self._shared.stores.store
 
     def health(self) -> Health:
         """How the modules are; the worker runs where one of them does."""
@@ -256,27 +256,27 @@ class ModulesWorker(Worker):
         """Stop all modules."""
         while self._running:
             self._running.popitem()[1].stop()
-        if self._stores is not None:
-            self._stores.close()
+        if self._shared is not None:
+            self._shared.close()
 
     def _store_health(self) -> Health | None:
         """Of a store that is there always; modules tell of one that they cannot use."""
-        if self._stores is None or self._config is None or self._config.store.enabled is not True or self._only:
+        if self._shared is None or self._config is None or self._config.store.enabled is not True or self._only:
             return None
-        trouble = self._stores.trouble()
+        trouble = self._shared.stores.trouble()
         return Health("waiting" if trouble else "running", trouble)
 
     def _sections(self, config: Config) -> dict[str, Section]:
         sections = config.hosted
         return {self._only: sections[self._only]} if self._only in sections else {} if self._only else sections
 
-    def _start(self, name: str, section: Section, config: Config, registry: Registry, stores: StoreService) -> None:
+    def _start(self, name: str, section: Section, config: Config, registry: Registry, shared: Shared) -> None:
         try:
             kind = kind_of(name, section)
         except RuntimeError as err:
             _log.error("%s", err)
             return
-        self._running[name] = Running(kind, name, section, config, registry, stores)
+        self._running[name] = Running(kind, name, section, config, registry, shared)
         self._running[name].start()
 
 

@@ -8,13 +8,14 @@ from __future__ import annotations
 import logging
 import os
 import threading
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 from bridge.config.model import Config
 from bridge.config.sections.maps import StoreSection
 from bridge.hub.errors import HubError
-from bridge.hub.session import Hub, HubSettings
+from bridge.hub.session import Hub
 from bridge.state_file import worker_folder
 from bridge.stores.entry import StoreError, check_name
 from bridge.stores.kinds import AREA, BEHAVIOUR, CURRENT, LINK, LOCATION, MAP, OBJECT, PATH
@@ -88,11 +89,14 @@ _WORKER = "store"
 class StoreService:
     """Opens the store. Safe to use from any thread.
 
-    ``alone`` is the module that has this process, and so a copy, for itself; "" in the daemon's own worker.
+    Args:
+        config: the configuration.
+        alone: the module that has this process, and so a copy, for itself; "" in the daemon's own worker.
+        join: makes a node of this name on the hub, which answers on the control plane under the other name.
     """
 
-    def __init__(self, config: Config, alone: str = "") -> None:
-        self._config = config
+    def __init__(self, config: Config, alone: str, join: Callable[[str, str], Hub]) -> None:
+        self._config, self._join = config, join
         self._name = f"{_WORKER}-{alone}" if alone else _WORKER
         self._lock = threading.Lock()
         self._open: tuple[Store, StoreSync, Hub] | None = None
@@ -138,28 +142,13 @@ class StoreService:
         try:
             store = Store(replica)
             import_at_start(store, section)
-            hub = self._joined()
+            hub = self._join(f"midspan_{self._name.replace('-', '_')}", self._name)
             share = StoreSync(replica, hub.keyspace(prefix(config.hub.domain)), hub.zid)
         except BaseException:
             replica.close()
             raise
         hub.serve("status", lambda _params: self._status(store, share, hub))
         return store, share, hub
-
-    def _joined(self) -> Hub:
-        config = self._config
-        return Hub.open(
-            HubSettings(
-                domain=config.hub.domain,
-                router=config.hub.listen,
-                zenoh=config.hub.zenoh,
-                shared_memory=config.hub.shared_memory,
-                node=f"midspan_{self._name.replace('-', '_')}",
-                daemon=config.name,
-                worker=self._name,
-                max_payload=config.limits.message_bytes,
-            )
-        )
 
     def _status(self, store: Store, share: StoreSync, hub: Hub) -> dict[str, Any]:
         found = store.status()

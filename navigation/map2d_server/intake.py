@@ -105,7 +105,7 @@ class ClickedPoints:
 
 def is_ours(endpoint: HubEndpoint) -> bool:
     """Whether a Map2DServer made an endpoint: this one or another daemon's."""
-    return endpoint.own or endpoint.node == "map2d_server"
+    return endpoint.node == "map2d_server"
 
 
 def keep_flags(grid: MapGrid2D, before: MapGrid2D) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -125,21 +126,46 @@ def test_one_that_cannot_say_how_it_is_ends_no_other(
 
 
 def test_reload_touches_what_changed_alone(place: Place) -> None:
+    """All modules share a session: what one has there comes and goes without the others'."""
+    graph = place.far.hub.graph
+
+    def ends(node: str) -> dict[str, bytes]:
+        return {end.topic: end.gid for end in graph.endpoints() if end.node == node}
+
     heard = place.far.subscribe("/said", STRING)
     place.worker.start(place.config(echo(), echo("other")))
     place.hears("a", heard, "a")
-    before = place.answer("echo")
+    until(lambda: ends("echo").keys() == ends("other").keys() == {"/heard", "/said"}, "both are on the hub by name")
+    before, zid = ends("echo"), place.answer("echo")["zid"]
+    looks: list[dict[str, bytes]] = []
+    unwatch = graph.watch(lambda: looks.append(ends("echo")))
     assert place.worker.reload(place.config(echo(prefix="new "), echo("third")))
     place.hears("b", heard, "new b")
-    after = place.answer("echo")
-    assert after["zid"] == before["zid"], "it took up its section while it ran"
-    until(lambda: place.status("third"), "the new one runs")
+    until(lambda: place.status("third") and ends("third") and not ends("other"), "the one has come, the other gone")
     assert place.status("other") is None
-    assert place.worker.reload(place.config(echo(restart=True)))
-    again = until(lambda: place.status("echo"), "it runs again")
-    assert again is not None
-    assert again["zid"] != before["zid"]
+    unwatch()
+    assert looks, "that was seen"
+    assert all(look == before for look in looks), "it took up its section while it ran"
+    assert {node.zid for node in graph.nodes() if node.node in {"echo", "third"}} == {zid}, "on one session"
+    assert place.worker.reload(place.config(echo(restart=True), echo("third")))
+    until(lambda: ends("echo").keys() == before.keys() and ends("echo") != before, "it runs again")
+    place.hears("c", heard, "c")
     assert not place.worker.reload(place.config(echo(), name="elsewhere")), "the worker is to be started again"
+
+
+def test_one_that_stands_still_delays_no_other(place: Place) -> None:
+    heard = place.far.subscribe("/said", STRING)
+    place.worker.start(place.config(echo(), echo("other", prefix="other ")))
+    place.hears("a", heard, "other a")
+    still, goes_on = place.worker.running("echo").host.loop, threading.Event()
+    still.post(goes_on.wait)
+    try:
+        place.hears("b", heard, "other b")
+        assert "b" not in {message["data"] for message in place.far.wait(heard, 0)}
+        assert place.status("other") is not None
+    finally:
+        goes_on.set()
+    place.hears("c", heard, "c")
 
 
 def test_a_release_of_yarp_is_taken_up_while_all_runs(place: Place) -> None:

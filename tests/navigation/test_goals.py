@@ -20,7 +20,7 @@ class World:
         self.goals = [self.goal]
         self.gone: list[Any] = []
         hub = SimpleNamespace(
-            neighbours=lambda: self.near, graph=SimpleNamespace(zid_of=lambda gid: self.seen.get(gid, ""))
+            zid="own", neighbours=lambda: self.near, graph=SimpleNamespace(zid_of=lambda gid: self.seen.get(gid, ""))
         )
         looks: list[Any] = []
         loop = SimpleNamespace(every=lambda _seconds, look: looks.append(look))
@@ -55,11 +55,13 @@ def test_who_is_cut_off_before_the_first_look_loses_its_goal_too() -> None:
     assert world.look() == [], "it is of this machine"
 
 
-@pytest.mark.parametrize("why", ["of this machine", "never seen", "unnamed", "back in time", "ended"])
+@pytest.mark.parametrize("why", ["of this machine", "of this worker", "never seen", "unnamed", "back in time", "ended"])
 def test_all_others_goals_go_on(why: str) -> None:
     world = World()
     if why == "of this machine":
         world.near = {"here", "there"}
+    elif why == "of this worker":
+        world.seen[b"client"] = "own"
     elif why == "never seen":
         world.seen.clear()
     elif why == "unnamed":

@@ -13,9 +13,9 @@ from bridge.config.sections.section import Section
 from bridge.daemon.workers import worker_kinds
 from bridge.modules.host import Host
 from bridge.modules.module import Module
+from bridge.modules.shared import Shared
 from bridge.modules.worker import ModulesWorker
 from bridge.stores.kinds import LOCATION
-from bridge.stores.service import StoreService
 from tests.modules.place import Place
 from tests.stores.test_store import KITCHEN
 from tests.support.wait import until
@@ -71,8 +71,8 @@ def test_a_store_that_is_off_or_taken_is_told(place: Place) -> None:
     assert (health.state, health.text) == ("waiting", "keeper: waiting the store is switched off (store.enabled)")
     place.worker.stop()
     config = place.config(store={"enabled": True})
-    holder = StoreService(config)
-    assert holder.trouble() == ""
+    holder = Shared(config)
+    assert holder.stores.trouble() == ""
     try:
         other = ModulesWorker()
         other.start(config)
@@ -87,10 +87,10 @@ def test_a_store_that_is_off_or_taken_is_told(place: Place) -> None:
 
 def test_a_module_that_runs_alone_has_a_copy_of_its_own(place: Place) -> None:
     config = place.config(OWN, store={"enabled": True})
-    daemon = StoreService(config.model_copy(update={"modules": Config().modules}))
+    daemon = Shared(config.model_copy(update={"modules": Config().modules}))
     alone = ModulesWorker("keeper")
     try:
-        store = daemon.store
+        store = daemon.stores.store
         alone.start(config)
         until(lambda: store.names(LOCATION) == ["kitchen"], "what the module wrote is there")
     finally:

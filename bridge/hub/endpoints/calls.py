@@ -83,6 +83,7 @@ class CallClient:
         target: which of several queryables are asked.
         closed: called once with the client when it has closed.
         changed: called when the first server came, or the last one went.
+        reach: which sessions' queryables are asked, by default those of others.
     """
 
     where = "the hub"
@@ -99,6 +100,7 @@ class CallClient:
         target: zenoh.QueryTarget,
         closed: Callable[[Any], None],
         changed: Callable[[], None] | None = None,
+        reach: zenoh.Locality = zenoh.Locality.REMOTE,
     ) -> None:
         self.name = name
         self._session, self._key, self._limit, self._executor = session, key, limit, executor
@@ -115,7 +117,7 @@ class CallClient:
             timeout=_FOR_EVER,
             priority=PRIORITY,
             express=True,
-            allowed_destination=zenoh.Locality.REMOTE,
+            allowed_destination=reach,
         )
         self._listener = self._querier.declare_matching_listener(
             zenoh.handlers.Callback(self._match_changed, indirect=False)
@@ -315,6 +317,7 @@ class CallServer:
         limit: bytes of a request or a reply at most.
         closed: called once with the server when it has closed.
         complete: whether the queryable says that it has all there is.
+        reach: of which sessions calls are taken, by default of others.
     """
 
     encoding: zenoh.Encoding | None = None
@@ -330,13 +333,14 @@ class CallServer:
         closed: Callable[[Any], None],
         *,
         complete: bool = False,
+        reach: zenoh.Locality = zenoh.Locality.REMOTE,
     ) -> None:
         self.name = name
         self._key, self._limit, self._call, self._on_close = key, limit, call, closed
         self._lock = Lock()
         self._waiting: dict[PendingRequest, None] = {}
         self._closed = False
-        self._declared: list[Any] = [answer(session, key, self._asked, complete=complete)]
+        self._declared: list[Any] = [answer(session, key, self._asked, complete=complete, origin=reach)]
 
     def _takes(self, query: zenoh.Query) -> bool:  # noqa: ARG002
         """Whether a query is a call at all; it ends without an answer where it is none."""

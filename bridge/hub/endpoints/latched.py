@@ -49,6 +49,7 @@ class LatchedPublisher:
         depth: int,
         heartbeats: DelayedCalls | None,
         *,
+        reach: zenoh.Locality = zenoh.Locality.REMOTE,
         congestion: zenoh.CongestionControl,
         priority: zenoh.Priority,
         express: bool = False,
@@ -60,7 +61,7 @@ class LatchedPublisher:
             congestion_control=congestion,
             priority=priority,
             express=express,
-            allowed_destination=zenoh.Locality.REMOTE,
+            allowed_destination=reach,
             cache=ext.CacheConfig(depth),
             sample_miss_detection=ext.MissDetectionConfig(heartbeat=None, sporadic_heartbeat=None),
             publisher_detection=True,
@@ -139,10 +140,11 @@ class LatchedHistory:
         listener: HistoryListener,
         executor: SerialExecutor,
         *,
+        reach: zenoh.Locality = zenoh.Locality.REMOTE,
         recovers: bool,
     ) -> None:
         self._session, self._key, self.depth = session, key, depth
-        self._listener, self._executor, self._recovers = listener, executor, recovers
+        self._listener, self._executor, self._reach, self._recovers = listener, executor, reach, recovers
         self._samples = zenoh.KeyExpr(key)
         self._closed = False
         self._lock = Lock()
@@ -184,7 +186,7 @@ class LatchedHistory:
                 consolidation=zenoh.ConsolidationMode.NONE,
                 accept_replies=zenoh.ReplyKeyExpr.ANY,
                 timeout=ANSWER_SECONDS,
-                allowed_destination=zenoh.Locality.REMOTE,
+                allowed_destination=self._reach,
             )
         except zenoh.ZError:
             # the session is being closed

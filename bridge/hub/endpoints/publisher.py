@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from dataclasses import dataclass
 from enum import Enum
 from functools import partial
@@ -40,9 +40,11 @@ same way, so that nothing overtakes it.
 
 @dataclass(frozen=True, slots=True)
 class EndpointContext:
-    """What the endpoints of one session share.
+    """What the endpoints of one node share.
 
     Attributes:
+        reach: whom they reach: other sessions, or also the other nodes of a session that several nodes share.
+        own: GIDs of the node's endpoints, from which its subscriptions and servers take nothing; it changes.
         limit: bytes of the largest message.
         executor: what calls run on that may wait for zenoh.
         asking: the same for what latched publishers keep.
@@ -51,6 +53,8 @@ class EndpointContext:
     """
 
     session: zenoh.Session
+    reach: zenoh.Locality
+    own: Collection[bytes]
     graph: HubGraph
     limit: int
     executor: SerialExecutor
@@ -119,15 +123,11 @@ class _PlainSink:
 
     keeps: ClassVar[bool] = False
 
-    def __init__(self, session: zenoh.Session, key: str, options: PublisherOptions) -> None:
-        self._publisher = session.declare_publisher(
-            key,
-            congestion_control=options.congestion,
-            priority=options.priority,
-            express=options.express,
-            allowed_destination=zenoh.Locality.REMOTE,
+    def __init__(self, context: EndpointContext, key: str, options: PublisherOptions) -> None:
+        self._declare = partial(context.session.declare_publisher, key, allowed_destination=context.reach)
+        self._publisher = self._declare(
+            congestion_control=options.congestion, priority=options.priority, express=options.express
         )
-        self._declare = partial(session.declare_publisher, key, allowed_destination=zenoh.Locality.REMOTE)
         self._large: zenoh.Publisher | None = None
         self._matching = _Matching(self._publisher)
         self._blocks = options.congestion is zenoh.CongestionControl.BLOCK
@@ -159,21 +159,20 @@ class _LatchedSink:
 
     keeps: ClassVar[bool] = True
 
-    def __init__(
-        self, session: zenoh.Session, key: str, options: PublisherOptions, qos: Qos, heartbeats: DelayedCalls
-    ) -> None:
+    def __init__(self, context: EndpointContext, key: str, options: PublisherOptions, qos: Qos) -> None:
         reliable = qos.reliability is Reliability.RELIABLE
         self._publisher = LatchedPublisher(
-            session,
+            context.session,
             key,
             cache_depth(qos),
-            heartbeats if reliable else None,
+            context.heartbeats if reliable else None,
+            reach=context.reach,
             congestion=options.congestion,
             priority=options.priority,
             express=options.express,
         )
         # the wheel's AdvancedPublisher does not show whether it is matched
-        self._shadow = session.declare_publisher(key, allowed_destination=zenoh.Locality.REMOTE)
+        self._shadow = context.session.declare_publisher(key, allowed_destination=context.reach)
 
     def send(self, payload: bytes, attached: bytes) -> None:
         self._publisher.put(payload, attached)
@@ -228,9 +227,9 @@ class HubPublisher:
         self._sequence = 0
         self._sink: _Sink | None
         if qos.latched:
-            self._sink = _LatchedSink(context.session, key, options, qos, context.heartbeats)
+            self._sink = _LatchedSink(context, key, options, qos)
         else:
-            self._sink = _PlainSink(context.session, key, options)
+            self._sink = _PlainSink(context, key, options)
         self._withdraw = context.graph.announce(token)
 
     def put(self, payload: bytes, source_time_ns: int | None = None) -> None:
@@ -258,8 +257,8 @@ class HubPublisher:
     def pass_over(self) -> bool:
         """Number a message that needs not even be encoded; False where it is to be `put`, since somebody may get it.
 
-        Nobody gets one of a volatile publisher to which no other session subscribes; whoever comes later finds the same
-        numbers as if it had been put. Raises `HubClosedError` where the publisher is closed.
+        Nobody gets one of a volatile publisher to which nobody subscribes; whoever comes later finds the same numbers
+        as if it had been put. Raises `HubClosedError` where the publisher is closed.
         """
         with self._lock:
             if self._sink is None:
@@ -270,7 +269,7 @@ class HubPublisher:
             return True
 
     def matched(self) -> bool:
-        """Whether anybody subscribes on another session."""
+        """Whether anybody subscribes: on another session, or on this one where several nodes share it."""
         with self._lock:
             return self._sink is not None and self._sink.matched()
 

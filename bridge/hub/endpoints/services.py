@@ -23,7 +23,7 @@ from bridge.hub.endpoints.calls import PRIORITY, Call, CallClient, CallError, Ca
 from bridge.hub.endpoints.publisher import EndpointContext
 from bridge.hub.errors import HubWireError
 from bridge.hub.graph.tokens import gid_of
-from bridge.hub.wire.keys import pack_attachment, unpack_attachment
+from bridge.hub.wire.keys import GID_SIZE, pack_attachment, unpack_attachment
 from bridge.hub.zenoh_compat import keep_thread_state, subscribe
 
 _log = logging.getLogger(__name__)
@@ -54,12 +54,19 @@ class HubServer(CallServer):
         call: Call,
     ) -> None:
         self.gid = gid_of(token)
-        self._graph = context.graph
+        self._graph, self._own = context.graph, context.own
         self._callers: dict[tuple[bytes, int | None], _HubRequest] = {}
         self._unwatch: Callable[[], None] | None = None
-        super().__init__(context.session, key, name, context.limit, call, context.closed, complete=True)
-        self._declared.append(subscribe(context.session, abandon_key(key), self._heard_leaving))
+        super().__init__(
+            context.session, key, name, context.limit, call, context.closed, complete=True, reach=context.reach
+        )
+        self._declared.append(subscribe(context.session, abandon_key(key), self._heard_leaving, context.reach))
         self._withdraw = context.graph.announce(token)
+
+    def _takes(self, query: zenoh.Query) -> bool:
+        """Calls of the node itself are no calls."""
+        attached = query.attachment
+        return attached is None or attached.to_bytes()[-GID_SIZE:] not in self._own
 
     def _pending(self, query: zenoh.Query) -> _HubRequest:
         asked, attached = _HubRequest(query, self._answer), query.attachment
@@ -136,9 +143,27 @@ class HubClient(CallClient):
         changed: Callable[[], None] | None,
     ) -> None:
         self.gid = gid_of(token)
-        target = zenoh.QueryTarget.ALL_COMPLETE
-        super().__init__(context.session, key, name, context.limit, context.executor, target, context.closed, changed)
+        self._graph, self._own, self._reach = context.graph, context.own, context.reach
+        super().__init__(
+            context.session,
+            key,
+            name,
+            context.limit,
+            context.executor,
+            zenoh.QueryTarget.ALL_COMPLETE,
+            context.closed,
+            changed,
+            context.reach,
+        )
         self._withdraw = context.graph.announce(token)
+
+    @property
+    def ready(self) -> bool:
+        """Whether there is a server to call; one of the node itself is none."""
+        if not super().ready:
+            return False
+        servers = [server.gid in self._own for server in self._graph.servers(self.name)]
+        return not servers or not all(servers)
 
     def _attached(self, number: int) -> bytes:
         """Number, time and GID, as rmw_zenoh's."""
@@ -155,7 +180,7 @@ class HubClient(CallClient):
             attached,
             priority=PRIORITY,
             congestion_control=zenoh.CongestionControl.BLOCK,
-            allowed_destination=zenoh.Locality.REMOTE,
+            allowed_destination=self._reach,
         )
 
 

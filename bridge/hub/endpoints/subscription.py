@@ -114,11 +114,11 @@ class HubSubscription:
         self.topic = topic
         self.lost = self.refused = 0
         self._graph, self._limit, self._on_close = context.graph, context.limit, context.closed
-        self._own = str(context.session.zid())
+        self._own = context.own
         self._depth = cache_depth(qos)
         self._recovers = qos.latched and qos.reliability is Reliability.RELIABLE
         self._callback, self._on_refused = callback, on_refused
-        self._lost_from: Counter[str] = Counter()
+        self._lost_from: Counter[tuple[bytes, str]] = Counter()
         self._sources: dict[bytes, _PublisherState] = {}
         self._room = 2 * _SPARED
         self._asked: Counter[str] = Counter()
@@ -127,9 +127,12 @@ class HubSubscription:
         self._lock = Lock()
         self._closing = Lock()
         self._closed = False
-        self._history = LatchedHistory(context.session, key, self._depth, self, context.asking, recovers=self._recovers)
+        self._history = LatchedHistory(
+            context.session, key, self._depth, self, context.asking, reach=context.reach, recovers=self._recovers
+        )
         # direct: without a thread per subscription; zenoh's receiving thread only appends and wakes
-        self._subscriber = subscribe(context.session, key, self._on_latched if qos.latched else self._on_sample)
+        came = self._on_latched if qos.latched else self._on_sample
+        self._subscriber = subscribe(context.session, key, came, context.reach)
         if qos.latched:
             self._history.open()
         self._withdraw = context.graph.announce(token)
@@ -155,12 +158,12 @@ class HubSubscription:
             source = self._sources.get(message.gid)
             if source is None or not source.zid:
                 source = self._source(message, sample)
-            message.zid = zid = source.zid
-            gap = None if zid == self._own else source.take(message)
+            message.zid = source.zid
+            gap = source.take(message)
             if gap is None:
                 return
             if gap:
-                self._missed(gap, zid)
+                self._missed(gap, message)
         self._callback(message)
 
     # -- latched -------------------------------------------------------------------------------------------------------
@@ -173,7 +176,7 @@ class HubSubscription:
         with self._lock:
             source = self._source(message, sample)
             zid, gap = source.zid, source.gap(message)
-            if zid == self._own or gap is None:
+            if gap is None:
                 return
             # of a publisher that keeps one sample the newest is all that counts
             deep = self._depth > 1 and len(source.held) < self._depth + _MAX_HELD
@@ -200,7 +203,7 @@ class HubSubscription:
         self._history.saw(sample.source_info)
         with self._lock:
             source = self._source(message, sample)
-            if source.zid == self._own or source.gap(message) is None:
+            if source.gap(message) is None:
                 return
             if not self._hold(source, message):
                 self._refuse("large", f"more than {_MAX_HELD_BYTES} bytes are kept for late joiners")
@@ -239,7 +242,7 @@ class HubSubscription:
         gap = None if self._closed else source.take(message)
         if gap is not None:
             if gap:
-                self._missed(gap, message.zid)
+                self._missed(gap, message)
             self._callback(message)
 
     # -- both ----------------------------------------------------------------------------------------------------------
@@ -264,11 +267,13 @@ class HubSubscription:
         except HubWireError as err:
             self._refuse("bad", str(err))
             return None
+        if gid in self._own:
+            return None
         return HubSample(payload, sequence, time_ns, gid, "")
 
-    def _missed(self, count: int, zid: str) -> None:
+    def _missed(self, count: int, message: HubSample) -> None:
         self.lost += count
-        self._lost_from[zid] += count
+        self._lost_from[message.gid, message.zid] += count
         while len(self._lost_from) > _SPARED:
             del self._lost_from[next(iter(self._lost_from))]
 
@@ -278,9 +283,15 @@ class HubSubscription:
             lost = dict(self._lost_from)
         if not lost:
             return ""
-        names = {node.zid: node.node for node in self._graph.nodes()}
-        places = ", ".join(f"{count} from {names.get(zid) or zid or 'an unknown node'}" for zid, count in lost.items())
-        return f"lost on the hub's links, which were busy for too long: {places}; {_CURE}"
+        names = {endpoint.gid: endpoint.node for endpoint in self._graph.publishers(self.topic)}
+        sessions: dict[str, list[str]] = {}
+        for node in self._graph.nodes():
+            sessions.setdefault(node.zid, []).append(node.node)
+        places = Counter[str]()
+        for (gid, zid), count in lost.items():
+            places[names.get(gid) or " or ".join(sessions.get(zid, [])) or zid or "an unknown node"] += count
+        told = ", ".join(f"{count} from {place}" for place, count in places.items())
+        return f"lost on the hub's links, which were busy for too long: {told}; {_CURE}"
 
     def _source(self, message: HubSample, sample: zenoh.Sample) -> _PublisherState:
         source = self._sources.get(message.gid)

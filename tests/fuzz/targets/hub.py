@@ -189,7 +189,7 @@ def _samples() -> Subject:
         heard: list[Any] = []
         qos = Qos(durability=Durability.TRANSIENT_LOCAL if data[:1] == b"1" else Durability.VOLATILE, depth=5)
         some: Any = Nothing()
-        context = EndpointContext(some, some, 1000, some, some, some, lambda _closed: None)
+        context = EndpointContext(some, some, set(), some, 1000, some, some, some, lambda _closed: None)
         subscription = HubSubscription(context, "t", "k", "/t", qos, heard.append)
         hear = subscription._on_latched if qos.latched else subscription._on_sample
         count = 0

@@ -1,0 +1,64 @@
+"""What the modules of one process share: a session on the hub, and the store of maps and places."""
+
+from __future__ import annotations
+
+from threading import Lock
+
+from bridge.config.model import Config
+from bridge.hub.errors import HubClosedError
+from bridge.hub.session import Hub, HubSession, HubSettings
+from bridge.stores.service import StoreService
+
+
+def hub_settings(config: Config, node: str, worker: str) -> HubSettings:
+    """How a node joins the hub of a configuration; ``worker`` is its name on the control plane."""
+    return HubSettings(
+        domain=config.hub.domain,
+        router=config.hub.listen,
+        zenoh=config.hub.zenoh,
+        shared_memory=config.hub.shared_memory,
+        node=node,
+        daemon=config.name,
+        worker=worker,
+        max_payload=config.limits.message_bytes,
+    )
+
+
+class Shared:
+    """Opens each part when a module first needs it. Safe to use from any thread.
+
+    One session spares a process the links, buffers and graphs of one for each module, and what several modules hear
+    comes over a link once.
+
+    Args:
+        config: the configuration; its ``hub`` and ``store`` hold as long as the process.
+        alone: the module that has the process for itself, "" in the daemon's own worker.
+
+    Attributes:
+        stores: the process's store.
+    """
+
+    def __init__(self, config: Config, alone: str = "") -> None:
+        self._config = config
+        self._lock = Lock()
+        self._session: HubSession | None = None
+        self._closed = False
+        self.stores = StoreService(config, alone, self.join)
+
+    def join(self, node: str, worker: str) -> Hub:
+        """Another node on the session; raises `HubError` where the hub cannot be joined."""
+        with self._lock:
+            if self._closed:
+                raise HubClosedError("the hub session is closed")
+            if self._session is None:
+                self._session = HubSession.open(hub_settings(self._config, node, worker), shared=True)
+            return Hub.on(self._session, node, worker)
+
+    def close(self) -> None:
+        """Close the store and the session. Safe to call twice."""
+        self.stores.close()
+        with self._lock:
+            self._closed = True
+            session, self._session = self._session, None
+        if session is not None:
+            session.close()

@@ -1,0 +1,222 @@
+"""Several nodes on one session: each has its own name and ends, hears the others once, and goes alone."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Iterator
+from dataclasses import replace
+
+import pytest
+
+from bridge.hub.errors import HubClosedError
+from bridge.hub.session import Hub, HubSession
+from bridge.hub.wire.qos import Qos
+from tests.hub.endpoints.test_sdk import STRING, STRING_HASH
+from tests.hub.endpoints.test_services import HASH as SERVICE_HASH
+from tests.hub.endpoints.test_services import SERVICE, Serving, call, client
+from tests.hub.parts import BEST_EFFORT_LATCHED, LATCHED, STREAM, Heard, matched, see_each_other, talk
+from tests.support.hub import HubNetwork
+from tests.support.wait import until
+
+EACH_QOS = pytest.mark.parametrize(
+    "qos",
+    [STREAM, LATCHED, BEST_EFFORT_LATCHED, replace(LATCHED, depth=50)],
+    ids=["volatile", "latched", "best effort latched", "deep"],
+)
+
+
+@pytest.fixture(params=["peer", "client"])
+def session(network: HubNetwork, request: pytest.FixtureRequest) -> Iterator[HubSession]:
+    settings = network.settings("unused", zenoh={"mode": request.param})
+    opened = HubSession.open(settings, shared=True)
+    yield opened
+    opened.close()
+
+
+@pytest.fixture
+def one(session: HubSession) -> Hub:
+    return Hub.on(session, "one", "one")
+
+
+@pytest.fixture
+def two(session: HubSession) -> Hub:
+    return Hub.on(session, "two", "two")
+
+
+@pytest.fixture
+def far(network: HubNetwork) -> Iterator[Hub]:
+    with Hub.open(network.settings("far")) as hub:
+        yield hub
+
+
+@EACH_QOS
+def test_each_hears_the_others_once_and_not_itself(qos: Qos, one: Hub, two: Hub, far: Hub) -> None:
+    hubs = {"one": one, "two": two, "far": far}
+    heard = [(name, Heard(hub, "/t", qos, **how)) for name, hub in hubs.items() for how in ({}, {"type_hash": "*"})]
+    says = {name: talk(hub, "/t", qos) for name, hub in hubs.items()}
+    until(lambda: all(len(hub.graph.subscriptions("/t")) == 6 for hub in hubs.values()), "all are seen")
+    for publisher in says.values():
+        matched(publisher)
+    count = 20
+    for number in range(count):
+        for name, publisher in says.items():
+            publisher.put(f"{name} {number}".encode())
+        until(lambda number=number: all(len(each.samples) > 2 * number + 1 for _, each in heard), f"{number} is heard")
+    for name, each in heard:
+        each.expect(*(f"{other} {number}" for other in hubs if other != name for number in range(count)))
+        assert each.subscription.lost == 0
+
+
+@pytest.mark.parametrize("qos", [LATCHED, BEST_EFFORT_LATCHED], ids=["reliable", "best effort"])
+def test_late_joiners_get_what_the_others_keep_and_not_their_own(qos: Qos, session: HubSession, far: Hub) -> None:
+    one, two = (Hub.on(session, name, name) for name in ("one", "two"))
+    says = [talk(hub, "/map", qos, "old", text) for hub, text in ((one, "1"), (two, "2"), (far, "far"))]
+    until(lambda: len(one.graph.publishers("/map")) == len(far.graph.publishers("/map")) == 3, "all are seen")
+    heard = [Heard(one, "/map", qos), Heard(two, "/map", qos), Heard(far, "/map", qos)]
+    three = Hub.on(session, "three", "three")
+    heard.append(Heard(three, "/map", qos))
+    for each, texts in zip(heard, (("2", "far"), ("1", "far"), ("1", "2"), ("1", "2", "far")), strict=True):
+        each.expect(*texts)
+    for publisher in says:
+        publisher.put(b"new")
+    for each, count in zip(heard, (2, 2, 2, 3), strict=True):
+        until(lambda each=each, count=count: each.texts().count("new") == count, "the next is heard")
+
+
+def test_a_history_and_what_follows_it_without_a_gap_or_a_double(one: Hub, two: Hub) -> None:
+    """A node joins while its neighbour goes on, on another thread."""
+    deep = replace(LATCHED, depth=200)
+    publisher = talk(one, "/map", deep, *(str(n) for n in range(100)))
+    joiners = []
+
+    def say_on() -> None:
+        for number in range(100, 200):
+            publisher.put(str(number).encode())
+
+    saying = threading.Thread(target=say_on)
+    saying.start()
+    joiners += [Heard(two, "/map", deep) for _ in range(5)]
+    saying.join()
+    for joiner in joiners:
+        until(lambda joiner=joiner: joiner.samples and joiner.texts()[-1] == "199", "the last is heard")
+        assert joiner.texts() == [str(n) for n in range(200)]
+        assert joiner.subscription.lost == 0
+
+
+def test_all_have_their_names_and_numbers(one: Hub, two: Hub, far: Hub) -> None:
+    talk(one, "/t")
+    Heard(two, "/t")
+    Serving(two)
+    one.client("/do", SERVICE, SERVICE_HASH)
+    graph = far.graph
+    until(lambda: len(graph.endpoints()) == 4 and len(graph.nodes()) == 3, "all are seen")
+    assert {(node.node, node.zid) for node in graph.nodes()} == {("one", one.zid), ("two", one.zid), ("far", far.zid)}
+    assert {(e.kind.value, e.node, e.zid) for e in graph.endpoints()} == {
+        ("publisher", "one", one.zid),
+        ("subscription", "two", one.zid),
+        ("server", "two", one.zid),
+        ("client", "one", one.zid),
+    }
+    assert {e.gid for e in graph.endpoints()} == {e.gid for e in two.graph.endpoints()}
+
+
+def test_ros_2_sees_each_node_by_its_name(network: HubNetwork, one: Hub, two: Hub) -> None:
+    one.publisher("/chatter", STRING, STRING_HASH, STREAM)
+    two.subscription("/chatter", STRING, STRING_HASH, STREAM, lambda _sample: None)
+    two.publisher("/chatter", STRING, STRING_HASH, STREAM)
+    with network.sdk_peer() as sdk:
+
+        def seen() -> set[tuple[str, str]]:
+            info = sdk.ask("topic_info", topic="/chatter")["info"] or {"publishers": [], "subscribers": []}
+            return {(kind, end["node_name"].strip("/")) for kind in ("publishers", "subscribers") for end in info[kind]}
+
+        until(lambda: seen() == {("publishers", "one"), ("publishers", "two"), ("subscribers", "two")}, "all seen")
+
+
+def test_a_call_of_a_neighbour_is_answered_once_and_a_far_one_too(one: Hub, two: Hub, far: Hub) -> None:
+    asked: list[bytes] = []
+    Serving(one, answer=lambda request: (asked.append(request), b"re " + request)[1])
+    for hub in (two, far):
+        caller = client(hub)
+        name = hub.graph.clients("/do")[0].node.encode()
+        assert [call(caller, name + b"%d" % n)[0].wait() for n in range(20)] == [
+            b"re " + name + b"%d" % n for n in range(20)
+        ]
+    assert len(asked) == 40
+
+
+def test_a_node_does_not_call_itself(one: Hub, two: Hub) -> None:
+    mine = Serving(one, answer=lambda _: b"mine")
+    caller = one.client("/do", SERVICE, SERVICE_HASH)
+    assert not caller.ready
+    assert call(caller)[0].wait(0) == "no server of /do is on the hub"
+    Serving(two, answer=lambda _: b"the neighbour's")
+    until(lambda: caller.ready, "the neighbour serves it")
+    assert call(caller)[0].wait() == b"the neighbour's"
+    assert mine.held == []
+
+
+def test_callers_and_servers_that_leave_are_noticed(session: HubSession) -> None:
+    server, one, two = (Hub.on(session, name, name) for name in ("server", "one", "two"))
+    serving = Serving(server)
+    first, abandon = call(client(one), b"one")
+    call(client(two), b"two")
+    until(lambda: len(serving.held) == 2, "both are asked")
+    two.close()
+    until(lambda: serving.abandoned == [b"two"], "its node has left")
+    abandon()
+    until(lambda: serving.abandoned == [b"two", b"one"], "it waits no more")
+    assert first.ends == []
+    last, _ = call(client(one), b"last")
+    server.close()
+    assert "left before it answered" in str(last.wait())
+
+
+def test_a_node_that_closes_takes_its_own_along_alone(session: HubSession, far: Hub) -> None:
+    stays, goes = Hub.on(session, "stays", "stays"), Hub.on(session, "goes", "goes")
+    says, heard = talk(stays, "/t", LATCHED, "kept"), Heard(stays, "/u")
+    talk(goes, "/t", LATCHED, "lost")
+    Heard(goes, "/u")
+    Serving(goes)
+    stays.serve("verb", lambda _: "stays")
+    goes.serve("verb", lambda _: "goes")
+    see_each_other(stays, far)
+    until(lambda: len(far.graph.endpoints()) == 5, "all are seen")
+    gaps: list[set[str]] = []
+
+    def look() -> None:
+        there = {end.topic for end in far.graph.endpoints() if end.node == "stays"}
+        if there != {"/t", "/u"}:
+            gaps.append(there)
+
+    unwatch = far.graph.watch(look)
+    goes.close()
+    goes.close()
+    until(lambda: {node.node for node in far.graph.nodes()} == {"stays", "far"}, "its node is gone")
+    until(lambda: {end.node for end in far.graph.endpoints()} == {"stays"}, "its ends are gone")
+    assert [answer.value for answer in far.ask("verb", {})] == ["stays"]
+    Heard(far, "/t", LATCHED).expect("kept")
+    speaker = talk(far, "/u")
+    matched(speaker)
+    speaker.put(b"on")
+    heard.expect("on")
+    unwatch()
+    assert gaps == [], "what stays was on the graph all the time"
+    assert says.matched()
+    with pytest.raises(HubClosedError):
+        goes.publisher("/t", STRING, STRING_HASH, STREAM)
+    again = Hub.on(session, "goes", "goes")
+    Heard(again, "/t", LATCHED).expect("kept")
+    session.close()
+    with pytest.raises(HubClosedError):
+        Hub.on(session, "late", "late")
+    until(lambda: {n.node for n in far.graph.nodes()} == {"far"}, "all have left")
+
+
+def test_what_one_publishes_in_the_callback_of_another_comes_too(one: Hub, two: Hub) -> None:
+    """As a brake does: the callback runs on the thread that publishes, which holds no lock that it needs."""
+    answers = talk(two, "/answer")
+    heard = Heard(one, "/answer")
+    two.subscription("/ask", STRING, STRING_HASH, STREAM, lambda sample: answers.put(b"re " + sample.data()))
+    one.publisher("/ask", STRING, STRING_HASH, STREAM).put(b"you")
+    assert heard.texts() == ["re you"], "before put returned"
