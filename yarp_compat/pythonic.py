@@ -21,7 +21,7 @@ from yarp_compat.os.ports.inbox import Inbox
 from yarp_compat.ports.message import Payload, PortMessage
 from yarp_compat.ports.naming import Naming, PortError
 from yarp_compat.ports.port import PortCore
-from yarp_compat.ports.sockets import closed_on_failure
+from yarp_compat.ports.sockets import Openable, closed_on_failure
 from yarp_compat.wire import binary
 from yarp_compat.wire.portable import Portable
 from yarp_compat.wire.profile import Profile
@@ -71,7 +71,7 @@ class Received:
         self.raw.reply(payload_of(content)(self._reply_profile))
 
 
-class OpenPort:
+class OpenPort(Openable):
     """A port that is open between ``with`` and its end. See `Reader`, `Writer`, `Client` and `Server`.
 
     Args:
@@ -97,12 +97,6 @@ class OpenPort:
     def close(self) -> None:
         """Close the port."""
         self.core.close()
-
-    def __enter__(self) -> Self:
-        return self.open()
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
 
     def connect(self, target: str) -> Self:
         """Connect the output to another port; ``udp://r`` says the carrier too. Raises `PortError` where it cannot."""

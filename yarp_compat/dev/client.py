@@ -13,7 +13,7 @@ from yarp_compat.naming import connections
 from yarp_compat.os.data.stamp import Stamp
 from yarp_compat.ports.naming import Naming, PortError
 from yarp_compat.ports.port import PortCore
-from yarp_compat.ports.sockets import closed_on_failure
+from yarp_compat.ports.sockets import Openable, closed_on_failure
 from yarp_compat.pythonic import Client, Reader, Received
 from yarp_compat.wire.framing import Buffer
 from yarp_compat.wire.generation import Generation
@@ -26,13 +26,10 @@ PATIENCE = 10.0
 
 
 class PortChannel:
-    """Sends an interface's requests through a port.
+    """Sends requests through a port that is connected to the server's by a binary carrier.
 
-    Args:
-        port: connected to the server's port, by a binary carrier.
-        generation: the server's, until its port or its replies tell.
-        timeout: seconds to wait for a reply; None: for ever.
-        connect: connects the port again before a call; a call that was under way is never made twice.
+    ``generation`` is the server's, until it tells. ``connect`` connects the port again before a call; a call that was
+    under way is never made twice.
     """
 
     def __init__(
@@ -70,7 +67,7 @@ class PortChannel:
 T = TypeVar("T", bound=Portable)
 
 
-class Stream(Generic[T]):
+class Stream(Openable, Generic[T]):
     """Hears a port that writes one kind of data, between ``with`` and its end.
 
     A position whose coordinates are no numbers is that of a robot which does not know where it is.
@@ -111,12 +108,6 @@ class Stream(Generic[T]):
     def __iter__(self) -> Iterator[tuple[T, float]]:
         while (taken := self.read()) is not None:
             yield taken
-
-    def __enter__(self) -> Self:
-        return self.open()
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
 
     def _taken(self, received: Received | None) -> tuple[T, float] | None:
         if received is None:

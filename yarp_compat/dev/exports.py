@@ -25,11 +25,7 @@ def to_geojson(
 ) -> str:
     """The GeoJSON of places: points, polygons and lines; their numbers are metres and degrees.
 
-    Args:
-        places: locations, objects, areas and paths.
-        behaviours: of areas, which become properties of them.
-        links: become lines between two locations.
-        map_name: leave out what is on other maps; by default everything is there.
+    Behaviours become properties of their areas, links lines between two locations; ``map_name`` leaves out other maps.
     """
     features = [
         feature

@@ -145,13 +145,7 @@ def _truth(text: str | None) -> bool:
 
 @dataclass(frozen=True)
 class MapLink:
-    """Two locations on two maps between which robots change maps, either way.
-
-    Attributes:
-        first: a location's name.
-        second: the name of the location on the other map.
-        cost: what the change costs whoever plans a way, as so many metres of way.
-    """
+    """Two locations, by name, on two maps between which robots change, at a ``cost`` of so many metres of way."""
 
     first: str
     second: str

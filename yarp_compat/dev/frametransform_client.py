@@ -29,7 +29,7 @@ from yarp_compat.os.time import now
 from yarp_compat.ports.message import PortMessage
 from yarp_compat.ports.naming import PortError
 from yarp_compat.ports.port import PortCore
-from yarp_compat.ports.sockets import closed_on_failure
+from yarp_compat.ports.sockets import Openable, closed_on_failure
 from yarp_compat.wire.elements import ElementReader
 from yarp_compat.wire.framing import Buffer
 from yarp_compat.wire.generation import Generation
@@ -42,7 +42,7 @@ _AGAIN = 0.5  # seconds between two attempts to have the server stream again
 _POLL = 0.01  # seconds between two questions where the server does not stream
 
 
-class TransformClient(IFrameTransform):
+class TransformClient(Openable, IFrameTransform):
     """Frames of a server, between ``with`` and its end.
 
     The server streams all that it has; the client takes that apart when somebody asks. What came longer ago than
@@ -97,12 +97,6 @@ class TransformClient(IFrameTransform):
             self._input.close()
         self._getter.close()
         self._setter.close()
-
-    def __enter__(self) -> Self:
-        return self.open()
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
 
     # -- the Python way: errors are exceptions ------------------------------------------------------------------------
 

@@ -30,6 +30,7 @@ from yarp_compat.dev.map2d_client import IMap2D, succeeded
 from yarp_compat.dev.mapgrid import MapGrid2D
 from yarp_compat.dev.returnvalue import OK, ReturnCode, ReturnValue, asked, called, given, outcome_of, three
 from yarp_compat.dev.service import Service
+from yarp_compat.ports.sockets import Openable
 from yarp_compat.pythonic import Server
 from yarp_compat.wire.values import Vocab
 
@@ -173,7 +174,7 @@ class INavigation2D(IMap2D, ILocalization2D):
         return outcome and self.storeLocation(location_name, here)
 
 
-class Navigation2DClient(INavigation2D):
+class Navigation2DClient(Openable, INavigation2D):
     """A client of three servers, between ``with`` and its end; each is connected again where it was away.
 
     With a name, ``<name>/user_commands/rpc`` answers people: ``gotoLocation NAME``, ``listLocations``, ``help``.
@@ -227,12 +228,6 @@ class Navigation2DClient(INavigation2D):
     def close(self) -> None:
         """Close the ports."""
         self._open.close()
-
-    def __enter__(self) -> Self:
-        return self.open()
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
 
     # -- the Python way: errors are exceptions ------------------------------------------------------------------------
 

@@ -82,15 +82,10 @@ class Server:
         text: bool = False,
         acked: bool = False,
     ) -> bytes:
-        """The reply to a request.
+        """The reply to a request of a port, over a connection (``link``), in its dialect where that is known.
 
-        Args:
-            payload: the request.
-            peer: the port that sent it.
-            profile: its dialect, where that is known.
-            link: its connection.
-            text: the reply is printed, so it must be a Bottle.
-            acked: the carrier acknowledges, and `returnvalue.SPARE` bytes can be behind that.
+        ``text``: it is printed, so it must be a Bottle; ``acked``: the carrier acknowledges, and `returnvalue.SPARE`
+        bytes can be behind that.
         """
         decision = self.generations.of(peer, profile, link)
         likely = profile or decision.generation.profile

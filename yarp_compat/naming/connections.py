@@ -28,18 +28,10 @@ _LIST, _OUT, _ADD, _DEL, _VER = (Vocab(word) for word in ("list", "out", "add", 
 def connect(
     naming: Naming, source: str, target: str, carrier: str = "", *, timeout: float = text_client.TIMEOUT
 ) -> str:
-    """Connect two ports; returns what the writing one says of it.
+    """Connect two ports by a carrier: this, that in a name (``udp://r``), or that of the reading port's registration.
 
-    Args:
-        naming: knows the ports.
-        source: the port that writes.
-        target: the port that reads; ``udp://r`` chooses the carrier too.
-        carrier: how; else what the names say, else what the reading port was registered with.
-        timeout: seconds for each step.
-
-    Raises:
-        PortError: one of them does not exist or does not answer, or the connection cannot be made.
-        NoNameServerError: no name server answers.
+    Returns what the writing port says. Raises `PortError` where one does not exist or answer within ``timeout`` seconds
+    a step, or the connection cannot be made, `NoNameServerError` where no name server answers.
     """
     writer, reader = _find(naming, source, "source port"), _find(naming, target, "destination port")
     wanted = carrier or _carrier(target) or _carrier(source) or reader.carrier or "tcp"

@@ -18,7 +18,6 @@ import threading
 import time
 from collections.abc import Iterable, Sequence
 from pathlib import Path
-from types import TracebackType
 from typing import Any, Self
 
 from yarp_compat.naming.config import DEFAULT_NAMESPACE, DEFAULT_PORT, Address, replace_file
@@ -27,6 +26,7 @@ from yarp_compat.naming.registry import OLD, Command, PortRegistry, lines
 from yarp_compat.ports.message import PortMessage
 from yarp_compat.ports.naming import NamingError, SilentNaming
 from yarp_compat.ports.port import PortCore
+from yarp_compat.ports.sockets import Openable
 from yarp_compat.wire.binary import decode, encode
 from yarp_compat.wire.contact import PortContact
 from yarp_compat.wire.errors import WireError
@@ -107,7 +107,7 @@ PROBE_SECONDS = 1.0
 """Seconds for one look at all ports; a port that takes longer to answer is not dead."""
 
 
-class NameServer:
+class NameServer(Openable):
     """A name server; a context manager.
 
     Args:
@@ -187,14 +187,6 @@ class NameServer:
         if self._thread is not None:
             self._thread.join()
             self._thread = None
-
-    def __enter__(self) -> Self:
-        return self.open()
-
-    def __exit__(
-        self, kind: type[BaseException] | None, err: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()
 
     def apply(self, words: Sequence[Any], remote: str) -> Command:
         """Answer one command and do what follows from it."""

@@ -79,14 +79,7 @@ def _prints(kind: LogType, doc: str) -> classmethod[Any, ..., None]:
 class Log:
     """Prints: ``yarp.Log().info("speed %f", 0.3)``, ``yarp.Log.info("...")``; ``fatal`` ends the program, too."""
 
-    LogTypeUnknown = LogType.LogTypeUnknown
-    TraceType = LogType.TraceType
-    DebugType = LogType.DebugType
-    InfoType = LogType.InfoType
-    WarningType = LogType.WarningType
-    ErrorType = LogType.ErrorType
-    FatalType = LogType.FatalType
-    LogTypeReserved = LogType.LogTypeReserved
+    LogTypeUnknown, TraceType, DebugType, InfoType, WarningType, ErrorType, FatalType, LogTypeReserved = LogType
 
     _minimum = _first_level()
     _callback: PrintCallback = staticmethod(_print)

@@ -87,13 +87,9 @@ class Network:
 
     @staticmethod
     def connect(src: str, dest: str, carrier: str | ContactStyle | None = "", quiet: bool = True) -> bool:
-        """Connect an output port to an input port.
+        """Connect an output port to an input port; ``udp://r`` says the carrier too.
 
-        Args:
-            src: the port that writes.
-            dest: the port that reads; ``udp://r`` says the carrier too.
-            carrier: ``tcp``, ``fast_tcp``, ``udp``...; empty for what the port was registered with.
-            quiet: do not log the success.
+        Without any ``carrier`` it is the one that the port was registered with; ``quiet``: do not log the success.
         """
         style = _style(carrier, quiet)
         if style.persistent:

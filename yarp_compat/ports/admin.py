@@ -43,6 +43,7 @@ _HELP = (
     "[dtch] [out]            # detach portmonitor plug-in from the port's output",
     "[dtch] [in]             # detach portmonitor plug-in from the port's input",
 )
+_NO_PLUGINS = "portmonitor plug-ins are not offered by this port: it is no C++ program"
 _OK, _FAIL = Vocab("ok"), Vocab("fail")
 _UNKNOWN = [_FAIL, "send [help] for list of valid commands"]
 MOST_PROPERTIES = 1000
@@ -63,14 +64,6 @@ def _word(words: Sequence[Any], index: int) -> str:
 
 def _is_input(words: Sequence[Any]) -> bool:
     return _word(words, 1) == "in"
-
-
-def _help(_port: ConnectingPort, _words: Sequence[Any]) -> list[Any]:
-    return [Vocab("many"), *_HELP]
-
-
-def _ver(_port: ConnectingPort, _words: Sequence[Any]) -> list[Any]:
-    return [Vocab("ver"), 1, 2, 3]
 
 
 def _pid(port: ConnectingPort, _words: Sequence[Any]) -> list[Any]:
@@ -106,14 +99,6 @@ def _described(route: ConnectionRoute) -> list[Any]:
     if CARRIERS[route.carrier].connectionless:
         told.append(["connectionless", 1])
     return told
-
-
-def _set(port: ConnectingPort, words: Sequence[Any]) -> list[Any]:
-    return _parameters(port, words, [0, "Configured connection {}\r\n"])
-
-
-def _get(port: ConnectingPort, words: Sequence[Any]) -> list[Any]:
-    return _parameters(port, words, [{}])
 
 
 def _parameters(port: ConnectingPort, words: Sequence[Any], found: list[Any]) -> list[Any]:
@@ -179,31 +164,25 @@ def _prop_set(port: ConnectingPort, key: str, words: Sequence[Any]) -> list[Any]
     return [_OK]
 
 
-def _attach(_port: ConnectingPort, words: Sequence[Any]) -> list[Any]:
+def _plug(words: Sequence[Any], verb: str, *answer: str) -> list[Any]:
     if _word(words, 1) not in ("in", "out"):
-        return [_FAIL, "attach command must be followed by [out] or [in]"]
-    return [_FAIL, "portmonitor plug-ins are not offered by this port: it is no C++ program"]
-
-
-def _detach(_port: ConnectingPort, words: Sequence[Any]) -> list[Any]:
-    if _word(words, 1) not in ("in", "out"):
-        return [_FAIL, "detach command must be followed by [out] or [in]"]
-    return [_FAIL]
+        return [_FAIL, f"{verb} command must be followed by [out] or [in]"]
+    return [_FAIL, *answer]
 
 
 _COMMANDS: dict[str, Callable[[ConnectingPort, Sequence[Any]], list[Any]]] = {
-    "help": _help,
-    "ver": _ver,
+    "help": lambda *_: [Vocab("many"), *_HELP],
+    "ver": lambda *_: [Vocab("ver"), 1, 2, 3],
     "getPid": _pid,
     "pid": _pid,
     "add": _add,
     "del": _del,
     "list": _list,
-    "set": _set,
-    "get": _get,
+    "set": lambda port, words: _parameters(port, words, [0, "Configured connection {}\r\n"]),
+    "get": lambda port, words: _parameters(port, words, [{}]),
     "prop": _prop,
-    "atch": _attach,
-    "dtch": _detach,
+    "atch": lambda _, words: _plug(words, "attach", _NO_PLUGINS),
+    "dtch": lambda _, words: _plug(words, "detach"),
 }
 
 

@@ -36,32 +36,32 @@ class Listener:
     """
 
     def __init__(self, loop: PortLoop, sock: socket.socket, opened: Opened, refused: Refused) -> None:
-        self._loop = loop
+        self.loop = loop
         self._sock = sock
-        self._opened = opened
-        self._refused = refused
-        self._silent: dict[socket.socket, _Introduction] = {}
+        self.opened = opened
+        self.refused = refused
+        self.silent: dict[socket.socket, _Introduction] = {}
         self._closed = False
         sock.setblocking(False)
         loop.call(lambda: loop.watch(sock, selectors.EVENT_READ, self._accept))
 
     def close(self) -> None:
         """Listen no longer; connections that were handed on stay."""
-        if self._loop.is_own_thread:
+        if self.loop.is_own_thread:
             self._close()
             return
-        self._loop.run(self._close)
+        self.loop.run(self._close)
 
     def abandon(self) -> None:
         """Let go of the sockets, without the shared thread."""
-        for sock in (self._sock, *self._silent):
+        for sock in (self._sock, *self.silent):
             sock.close()
 
     def _close(self) -> None:
         self._closed = True
-        self._loop.ignore(self._sock)
+        self.loop.ignore(self._sock)
         self._sock.close()
-        for introduction in list(self._silent.values()):
+        for introduction in list(self.silent.values()):
             introduction.drop()
 
     def _accept(self, _: int) -> None:
@@ -76,39 +76,22 @@ class Listener:
                 return  # the peer went before it was accepted
             sock.setblocking(False)
             tune(sock)
-            if len(self._silent) >= MOST_SILENT:
-                next(iter(self._silent.values())).drop()
-            self._silent[sock] = _Introduction(self, sock, address[:2])
+            if len(self.silent) >= MOST_SILENT:
+                next(iter(self.silent.values())).drop()
+            self.silent[sock] = _Introduction(self, sock, address[:2])
 
     def _make_room(self, error: OSError) -> None:
         """No socket is left: close the connection that was silent for longest, or rest a while."""
         _log.warning("no connection can be accepted: %s", error)
-        if self._silent:
-            next(iter(self._silent.values())).drop()
+        if self.silent:
+            next(iter(self.silent.values())).drop()
             return
-        self._loop.ignore(self._sock)
-        self._loop.later(0.2, self._again)
+        self.loop.ignore(self._sock)
+        self.loop.later(0.2, self._again)
 
     def _again(self) -> None:
         if not self._closed:
-            self._loop.watch(self._sock, selectors.EVENT_READ, self._accept)
-
-    def introduced(self, sock: socket.socket, opened: Opening, rest: bytes, address: tuple[str, int]) -> None:
-        """Hand a connection on."""
-        self._opened(sock, opened, rest, address)
-
-    def refuse(self, address: tuple[str, int], error: WireError) -> None:
-        """Tell of a connection that introduced itself wrongly."""
-        self._refused(f"{address[0]}:{address[1]}", error)
-
-    def forget(self, sock: socket.socket) -> None:
-        """A connection is silent no longer."""
-        self._silent.pop(sock, None)
-
-    @property
-    def loop(self) -> PortLoop:
-        """The shared thread."""
-        return self._loop
+            self.loop.watch(self._sock, selectors.EVENT_READ, self._accept)
 
 
 class _Introduction:
@@ -130,7 +113,7 @@ class _Introduction:
     def _release(self) -> None:
         self._listener.loop.ignore(self._sock)
         self._listener.loop.cancel(self._timer)
-        self._listener.forget(self._sock)
+        self._listener.silent.pop(self._sock, None)
 
     def _read(self, _: int) -> None:
         try:
@@ -148,9 +131,9 @@ class _Introduction:
         except WireError as error:
             with contextlib.suppress(OSError):
                 self._sock.send(carriers.PROTOCOL_ERROR)
-            self._listener.refuse(self._address, error)
+            self._listener.refused(f"{self._address[0]}:{self._address[1]}", error)
             self.drop()
             return
         if opened is not None:
             self._release()
-            self._listener.introduced(self._sock, opened, bytes(self._came[opened.size :]), self._address)
+            self._listener.opened(self._sock, opened, bytes(self._came[opened.size :]), self._address)

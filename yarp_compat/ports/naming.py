@@ -7,6 +7,8 @@ NamingError (an OSError)
   NamingConfigError           the file that says where the name server is cannot be used
 """
 
+# ruff: noqa: D102 - `Naming` says what each method does
+
 from __future__ import annotations
 
 import itertools
@@ -43,34 +45,48 @@ class Naming(Protocol):
     @property
     def numbers(self) -> range:
         """The TCP port numbers that ports choose theirs from; empty where the name server chooses."""
-        ...
 
     def register(self, name: str, host: str = "", port: int = 0, *, carrier: str = "") -> PortContact:
         """Register a port; fills in what is empty or 0. Raises `NoNameServerError`, `NameRefusedError` for the name."""
-        ...
 
     def unregister(self, name: str) -> None:
         """Forget a port; one that is not known is no error."""
-        ...
 
     def query(self, name: str) -> PortContact | None:
         """The address of a port; None where it is not known."""
-        ...
 
     def set_property(self, name: str, key: str, *values: Any) -> None:
         """Keep values under a key of a registered port."""
-        ...
 
     def get_property(self, name: str, key: str) -> Sequence[Any]:
         """The values under a key of a registered port; may be empty."""
-        ...
 
     def announce(self, name: str, alive: bool = True) -> None:
         """Say that a port listens now (the server makes its persistent connections), or that it does not respond."""
-        ...
 
 
-class LocalNaming:
+class SilentNaming:
+    """A name server that registers nothing, knows nobody, and lets a port listen where it wants to."""
+
+    numbers = range(0)
+
+    def register(self, name: str, host: str = "", port: int = 0, *, carrier: str = "") -> PortContact:
+        return PortContact(name, host or "127.0.0.1", port, carrier or "tcp")
+
+    def unregister(self, name: str) -> None: ...
+
+    def query(self, name: str) -> PortContact | None:  # noqa: ARG002
+        return None
+
+    def set_property(self, name: str, key: str, *values: Any) -> None: ...
+
+    def get_property(self, name: str, key: str) -> Sequence[Any]:  # noqa: ARG002
+        return ()
+
+    def announce(self, name: str, alive: bool = True) -> None: ...
+
+
+class LocalNaming(SilentNaming):
     """Knows the ports of one process, without a socket: for tests, and for ports that nobody else is to find."""
 
     def __init__(self) -> None:
@@ -79,24 +95,19 @@ class LocalNaming:
         self._properties: dict[tuple[str, str], tuple[Any, ...]] = {}
         self._numbers = itertools.count(1)
 
-    numbers = range(0)
-
     def register(self, name: str, host: str = "", port: int = 0, *, carrier: str = "") -> PortContact:
         """Register a port; one with a number of 0 chooses one, and registers again."""
         with self._lock:
             if name in ("", "..."):
                 name = f"/tmp/port/{next(self._numbers)}"  # noqa: S108  # a port's name, no file's
-            contact = PortContact(name, host or "127.0.0.1", port, carrier or "tcp")
-            self._contacts[name] = contact
-            return contact
+            self._contacts[name] = super().register(name, host, port, carrier=carrier)
+            return self._contacts[name]
 
     def unregister(self, name: str) -> None:
-        """Forget a port."""
         with self._lock:
             self._contacts.pop(name, None)
 
     def query(self, name: str) -> PortContact | None:
-        """The address of a port."""
         with self._lock:
             return self._contacts.get(name)
 
@@ -106,42 +117,10 @@ class LocalNaming:
             return [contact for name, contact in self._contacts.items() if name.startswith(prefix)]
 
     def set_property(self, name: str, key: str, *values: Any) -> None:
-        """Keep values under a key of a port."""
         self._properties[name, key] = values
 
     def get_property(self, name: str, key: str) -> Sequence[Any]:
-        """The values under a key of a port."""
         return self._properties.get((name, key), ())
-
-    def announce(self, name: str, alive: bool = True) -> None:
-        """Nobody waits for it here."""
-
-
-class SilentNaming:
-    """A name server that registers nothing, and knows nobody."""
-
-    numbers = range(0)
-
-    def register(self, name: str, host: str = "", port: int = 0, *, carrier: str = "") -> PortContact:
-        """Have the port listen where it wants to."""
-        return PortContact(name, host or "127.0.0.1", port, carrier or "tcp")
-
-    def unregister(self, name: str) -> None:
-        """Do nothing."""
-
-    def query(self, name: str) -> PortContact | None:  # noqa: ARG002
-        """Know no port."""
-        return None
-
-    def set_property(self, name: str, key: str, *values: Any) -> None:
-        """Do nothing."""
-
-    def get_property(self, name: str, key: str) -> Sequence[Any]:  # noqa: ARG002
-        """Know no property."""
-        return ()
-
-    def announce(self, name: str, alive: bool = True) -> None:
-        """Do nothing."""
 
 
 class Unregistered(SilentNaming):
@@ -151,9 +130,7 @@ class Unregistered(SilentNaming):
         self._naming = naming
 
     def query(self, name: str) -> PortContact | None:
-        """The address of a port."""
         return self._naming.query(name)
 
     def get_property(self, name: str, key: str) -> Sequence[Any]:
-        """The values under a key of a port."""
         return self._naming.get_property(name, key)

@@ -77,10 +77,7 @@ class Output:
     def begin(self, buffers: list[Buffer], strict: bool, wait: bool) -> Item | None:
         """Send a message as far as that goes at once; the rest follows. None where the peer is gone.
 
-        Args:
-            buffers: all of its bytes; kept uncopied while ``wait``.
-            strict: queue it behind others, else it takes the place of what waits.
-            wait: the caller will call :meth:`finish` where the message is not done.
+        ``strict``: behind others, not in their place; ``wait``: the caller keeps the bytes, and calls :meth:`finish`.
         """
         item = Item(buffers, wait)
         with self._lock:

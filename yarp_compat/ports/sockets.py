@@ -8,8 +8,9 @@ import os
 import random
 import socket
 import zlib
+from abc import ABC, abstractmethod
 from collections.abc import Iterator, Sequence
-from typing import Protocol
+from typing import Protocol, Self
 
 from yarp_compat.ports.naming import Naming
 from yarp_compat.wire.contact import PortContact
@@ -24,6 +25,24 @@ class Closable(Protocol):
 
     def close(self) -> None:
         """Close it."""
+
+
+class Openable(ABC):
+    """Open between ``with`` and its end."""
+
+    @abstractmethod
+    def open(self) -> Self:
+        """Open it."""
+
+    @abstractmethod
+    def close(self) -> None:
+        """Close it."""
+
+    def __enter__(self) -> Self:
+        return self.open()
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
 
 
 @contextlib.contextmanager
@@ -85,12 +104,8 @@ _BACKLOG = 1024  # connections that wait to be accepted
 def registered(naming: Naming, name: str, host: str | None, number: int) -> tuple[PortContact, socket.socket]:
     """Register a port, and listen; raises `NamingError`, or `OSError` where it cannot listen.
 
-    Args:
-        naming: the name server.
-        name: the port's; "" or "..." lets the name server choose one.
-        host: the only address that will do; None: the one that the name server says, or any.
-        number: the only TCP port number that will do; 0: a free one of the naming's `numbers`, else the name server's
-            or any.
+    Where no ``host`` is given, the name server's will do, or any; where no ``number`` is (0), a free one of the
+    naming's `numbers`, else the name server's or any.
     """
     wanted = number or _free(naming.numbers, name)
     contact = naming.register(name, host or "", wanted)

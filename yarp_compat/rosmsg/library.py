@@ -28,9 +28,8 @@ _KNOWN = {"std_msgs/Header": "uint32 seq\ntime stamp\nstring frame_id\n", "std_m
 class MessageLibrary:
     """Message classes by type name.
 
-    Attributes:
-        folders: more folders to look in: of ``package/msg/Name.msg``, ``package/Name.msg``, or a package's own.
-        ask: called with a type's name when no file has it; returns its full definition, or None.
+    ``folders`` to look in have ``package/msg/Name.msg``, ``package/Name.msg``, or are a package's own; ``ask`` is
+    called with a type's name when no file has it, and returns its full definition, or None.
     """
 
     def __init__(self, environment: Mapping[str, str] | None = None) -> None:

@@ -7,7 +7,7 @@ there. This reads it. Of a quaternion (`yarp/math/Quaternion.h`) w comes first o
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any, Self
 
 import numpy as np
@@ -165,6 +165,14 @@ class Matrix(Comparable, Portable):
         self._values = values.reshape(rows, cols)
 
 
+def _part(index: int, doc: str) -> Callable[[Quaternion], float]:
+    def part(self: Quaternion) -> float:
+        return self._values[index]
+
+    part.__doc__ = doc
+    return part
+
+
 class Quaternion(Portable):
     """A rotation."""
 
@@ -173,21 +181,10 @@ class Quaternion(Portable):
     def __init__(self, x: float = 0.0, y: float = 0.0, z: float = 0.0, w: float = 1.0) -> None:
         self._values = (w, x, y, z)
 
-    def w(self) -> float:
-        """The real part."""
-        return self._values[0]
-
-    def x(self) -> float:
-        """The part of the first axis."""
-        return self._values[1]
-
-    def y(self) -> float:
-        """The part of the second axis."""
-        return self._values[2]
-
-    def z(self) -> float:
-        """The part of the third axis."""
-        return self._values[3]
+    w = _part(0, "The real part.")
+    x = _part(1, "The part of the first axis.")
+    y = _part(2, "The part of the second axis.")
+    z = _part(3, "The part of the third axis.")
 
     def toRotationMatrix3x3(self) -> Matrix:
         """The rotation as a matrix; as in YARP the quaternion's length does not matter."""

@@ -43,9 +43,12 @@ class ElementReader:
         profile: whose tags it has.
         generation: how a call's outcome is written in it; by default as the newest release of the profile does.
         at: where to begin.
+
+    ``left`` are the elements left in the list, below 0 outside of any; ``unit`` is the tag of all its elements, 0 where
+    each has its own.
     """
 
-    __slots__ = ("_code", "_left", "_outer", "at", "data", "generation", "profile")
+    __slots__ = ("_outer", "at", "data", "generation", "left", "profile", "unit")
 
     def __init__(self, data: Buffer, profile: Profile, generation: Generation | None = None, at: int = 0) -> None:
         view = memoryview(data)
@@ -53,7 +56,7 @@ class ElementReader:
         self.profile = profile
         self.generation = Generation.newest(profile) if generation is None else generation
         self.at = at
-        self._code, self._left = 0, _TOP
+        self.unit, self.left = 0, _TOP
         self._outer: list[tuple[int, int]] = []
 
     @property
@@ -62,24 +65,14 @@ class ElementReader:
         return self
 
     @property
-    def left(self) -> int:
-        """Elements left in the list, or below 0 outside of any."""
-        return self._left
-
-    @property
-    def unit(self) -> int:
-        """The tag of all elements of the list, 0 where each has its own."""
-        return self._code
-
-    @property
     def pending(self) -> int:
         """Bytes left."""
         return len(self.data) - self.at
 
     def begin(self) -> int:
         """Open a list, which is also the next element of the one around it; returns how many elements it has."""
-        if self._code:
-            raise WireError(f"a list cannot be in a list of tag {self._code} at byte {self.at}")
+        if self.unit:
+            raise WireError(f"a list cannot be in a list of tag {self.unit} at byte {self.at}")
         if len(self._outer) >= MAX_DEPTH:
             raise WireError(f"more than {MAX_DEPTH} lists within lists at byte {self.at}")
         at = self.at
@@ -91,19 +84,19 @@ class ElementReader:
         if count > len(self.data) - self.at:
             raise Incomplete(f"a list of {count} elements at byte {at}, but {self.pending} bytes are left")
         self._count()
-        self._outer.append((self._code, self._left))
-        self._code, self._left = code & ~LIST, count
+        self._outer.append((self.unit, self.left))
+        self.unit, self.left = code & ~LIST, count
         return int(count)
 
     def end(self) -> None:
         """Leave the list; raises `WireError` where elements are left in it."""
-        if self._left:
-            raise WireError(f"{self._left} elements too many in the list that ends before byte {self.at}")
-        self._code, self._left = self._outer.pop()
+        if self.left:
+            raise WireError(f"{self.left} elements too many in the list that ends before byte {self.at}")
+        self.unit, self.left = self._outer.pop()
 
     def leave(self) -> None:
         """Leave the list whatever is left in it."""
-        self._code, self._left = self._outer.pop()
+        self.unit, self.left = self._outer.pop()
 
     def finish(self) -> None:
         """Check that nothing is left."""
@@ -112,7 +105,7 @@ class ElementReader:
 
     def next_tag(self) -> int:
         """The tag of what comes next, which is not taken."""
-        return self._code or int(self._look(_INT32, self.at)[0])
+        return self.unit or int(self._look(_INT32, self.at)[0])
 
     def integer(self) -> int:
         """An integer of any size, or the number of a vocab."""
@@ -181,7 +174,7 @@ class ElementReader:
     def numbers(self) -> tuple[int, int, memoryview | None]:
         """Elements' tag, count, and bytes of a list of one type; None, and the list open, where elements have tags."""
         count = self.begin()
-        tag = self._code
+        tag = self.unit
         size = _SIZES[self.profile].get(tag)
         if size is None:
             return tag, count, None
@@ -190,16 +183,16 @@ class ElementReader:
         return tag, count, data
 
     def _tag(self) -> int:
-        if not self._left:
+        if not self.left:
             raise WireError(f"the list ends before byte {self.at}, where one more element was expected")
         self._count()
-        return self._code or int(self.raw(_INT32)[0])
+        return self.unit or int(self.raw(_INT32)[0])
 
     def _count(self) -> None:
-        if not self._left:
+        if not self.left:
             raise WireError(f"the list ends before byte {self.at}, where one more element was expected")
-        if self._left > 0:
-            self._left -= 1
+        if self.left > 0:
+            self.left -= 1
 
     def _size(self, what: str) -> int:
         at = self.at

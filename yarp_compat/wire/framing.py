@@ -25,12 +25,9 @@ LONGEST_TEXT = 4096
 
 @dataclass(frozen=True, slots=True)
 class PortCommand:
-    """One word to a port.
+    """One word to a port: its first character, the key, tells what it is (``d``, ``D``: data, ``a``, ``q``, ``*``...).
 
-    Attributes:
-        key: its first character, which tells what it is: ``d``, ``D`` (data), ``a``, ``q``, ``*``, ``/``, ``!``,
-            ``~``, ``r``, ``?``, ``i``.
-        text: all of it, where it is longer than its key.
+    ``text`` is all of it, where it is longer than its key.
     """
 
     key: str

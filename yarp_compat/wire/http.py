@@ -22,12 +22,8 @@ _ALWAYS = "Connection: close\r\nX-Content-Type-Options: nosniff\r\n"
 class PageRequest:
     """A browser's request.
 
-    Attributes:
-        target: the address as it was written.
-        path: the same without its leading slash and its query.
-        query: the query's fields; a form's too.
-        length: bytes of the body that follows.
-        foreign: a page of another site asks, in a browser's user's name.
+    ``target`` is the address as written, ``path`` that without slash and query; a form's fields join the query's; a
+    body of ``length`` bytes follows; ``foreign``: a page of another site asks, in a user's name.
     """
 
     target: str

@@ -29,12 +29,9 @@ _SAME_SIZES = {tag: size for tag, size in _SIZES3.items() if _SIZES4.get(tag) ==
 
 
 class ReplyReader:
-    """Finds the end of one reply.
+    """Finds the end of one reply of up to ``limit`` bytes, and its profile, if unknown, where the bytes tell.
 
-    Args:
-        profile: whose bytes it has; None where that is unknown: then it is recognised where the bytes tell.
-        acked: whether an acknowledgement follows it, which helps to recognise the profile.
-        limit: bytes that it may have.
+    ``acked``: an acknowledgement follows it, which helps with that.
     """
 
     def __init__(self, profile: Profile | None = None, *, acked: bool = True, limit: int = LIMIT) -> None:
