@@ -80,18 +80,13 @@ _TRUTH = {None: True, "1": True, "true": True, "yes": True, "0": False, "false":
 
 @dataclass(frozen=True)
 class AreaBehaviour:
-    """The rules of an area.
+    """The rules of an area."""
 
-    Attributes:
-        max_speed: metres per second, above 0; None where the area sets no limit. `keep_out` says that nobody may drive
-            there: a limit of 0 means no limit to others.
-        on_obstacle: ``wait`` until it is gone or go ``around`` it; empty where the area does not say.
-        keep_out: nobody plans a way through.
-    """
-
+    # metres per second, above 0; None where the area sets no limit. `keep_out` says that nobody may drive there: a
+    # limit of 0 means no limit to others
     max_speed: float | None = None
-    on_obstacle: str = ""
-    keep_out: bool = False
+    on_obstacle: str = ""  # ``wait`` until it is gone or go ``around`` it; empty where the area does not say
+    keep_out: bool = False  # nobody plans a way through
 
     def __post_init__(self) -> None:
         speed = self.max_speed

@@ -55,22 +55,16 @@ class MapGrid2D(MapGrid2DInfo, Portable):
     @classmethod
     def of(
         cls,
-        flags: ArrayLike,
+        flags: ArrayLike,  # a :class:`MapFlag` for each cell, of shape (height, width), rows from the top one down
+        # 0 to 100 or 255, of the same shape; by default what the flags say: 100 where a wall is, 255 where nothing is
+        # known
         occupancy: ArrayLike | None = None,
         *,
-        name: str = "",
-        resolution: float = 1.0,
-        origin: Iterable[float] = (0.0, 0.0, 0.0),
+        name: str = "",  # the map's
+        resolution: float = 1.0,  # metres per cell
+        origin: Iterable[float] = (0.0, 0.0, 0.0),  # the lower left corner: metres, metres, degrees
     ) -> Self:
         """A map of its cells, which it takes over uncopied where they are arrays of bytes.
-
-        Args:
-            flags: a :class:`MapFlag` for each cell, of shape (height, width), rows from the top one down.
-            occupancy: 0 to 100 or 255, of the same shape; by default what the flags say: 100 where a wall is, 255 where
-                nothing is known.
-            name: the map's.
-            resolution: metres per cell.
-            origin: the lower left corner: metres, metres, degrees.
 
         Raises:
             ValueError: something does not fit.

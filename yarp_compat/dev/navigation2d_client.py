@@ -178,22 +178,16 @@ class Navigation2DClient(Openable, INavigation2D):
     """A client of three servers, between ``with`` and its end; each is connected again where it was away.
 
     With a name, ``<name>/user_commands/rpc`` answers people: ``gotoLocation NAME``, ``listLocations``, ``help``.
-
-    Args:
-        navigation: begins the names of the planner's ports.
-        maps: begins those of the map server; empty: no map server, and what needs it fails.
-        localization: begins those of the localisation server; empty: no such server.
-        name: begins the names of the own ports; empty lets the name server choose names.
-        options: as of `ClientOptions`.
     """
 
     def __init__(
         self,
-        navigation: str = "/navigation2D_nws_yarp",
-        maps: str = "/map2D_nws_yarp",
+        navigation: str = "/navigation2D_nws_yarp",  # begins the names of the planner's ports
+        maps: str = "/map2D_nws_yarp",  # begins those of the map server; empty: no map server, and what needs it fails
+        # begins those of the localisation server; empty: no such server
         localization: str = "/localization2D_nws_yarp",
-        name: str = "",
-        **options: Unpack[ClientOptions],
+        name: str = "",  # begins the names of the own ports; empty lets the name server choose names
+        **options: Unpack[ClientOptions],  # as of `ClientOptions`
     ) -> None:
         self._open = ExitStack()
         self._clients: list[ServiceClient[Any]] = []

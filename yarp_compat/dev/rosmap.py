@@ -37,28 +37,20 @@ _BEYOND = np.where(np.arange(256) <= 100, 0, UNKNOWN).astype(np.uint8)
 
 @dataclass(frozen=True)
 class RosMapHeader:
-    """The content of the YAML file.
+    """The content of the YAML file."""
 
-    Attributes:
-        image: the image's file.
-        resolution: metres per cell.
-        origin: the place of the lower left corner, as the file says it.
-        degrees: the origin is YARP's, whose third number is its theta in degrees, and not ROS's yaw in radians.
-        negate: white is occupied, not black.
-        occupied_thresh: pixels that are more surely occupied are occupied, 0 to 1.
-        free_thresh: those that are less so are free. Map servers take unknown cells (205, which is 0.19608) for free
-            with YARP's 0.2 or Nav2's 0.25.
-        mode: ``trinary`` (what is between is unknown), ``scale`` (a part of the way between, transparent is unknown) or
-            ``raw`` (the pixel's number is the occupancy, above 100 unknown).
-    """
-
-    image: str
-    resolution: float
-    origin: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    image: str  # the image's file
+    resolution: float  # metres per cell
+    origin: tuple[float, float, float] = (0.0, 0.0, 0.0)  # the place of the lower left corner, as the file says it
+    # the origin is YARP's, whose third number is its theta in degrees, and not ROS's yaw in radians
     degrees: bool = False
-    negate: bool = False
-    occupied_thresh: float = 0.65
+    negate: bool = False  # white is occupied, not black
+    occupied_thresh: float = 0.65  # pixels that are more surely occupied are occupied, 0 to 1
+    # those that are less so are free. Map servers take unknown cells (205, which is 0.19608) for free with YARP's 0.2
+    # or Nav2's 0.25
     free_thresh: float = 0.196
+    # ``trinary`` (what is between is unknown), ``scale`` (a part of the way between, transparent is unknown) or ``raw``
+    # (the pixel's number is the occupancy, above 100 unknown)
     mode: str = "trinary"
 
     def to_text(self) -> str:
@@ -84,26 +76,18 @@ def load_ros(path: str | Path, jail: Path | None = None) -> MapContents:
 
 
 def save_ros(
-    grid: MapContents,
-    path: str | Path,
+    grid: MapContents,  # the map
+    path: str | Path,  # the YAML file; the image stands beside it, under the same name
     *,
-    image: str = "pgm",
+    image: str = "pgm",  # its kind: ``pgm``, ``png`` or ``bmp``
+    # as of :class:`RosMapHeader`; by default ``trinary``, or ``raw`` where the map has an occupancy that gets lost
+    # there. ``scale`` is for png, which can say what is unknown
     mode: str = "",
-    negate: bool = False,
-    occupied_thresh: float = 0.65,
-    free_thresh: float = 0.196,
+    negate: bool = False,  # paint occupied cells white; not in ``raw``
+    occupied_thresh: float = 0.65,  # as of :class:`RosMapHeader`
+    free_thresh: float = 0.196,  # as of :class:`RosMapHeader`
 ) -> None:
     """Write a map as ROS keeps it: its occupancy, and no flags.
-
-    Args:
-        grid: the map.
-        path: the YAML file; the image stands beside it, under the same name.
-        image: its kind: ``pgm``, ``png`` or ``bmp``.
-        mode: as of :class:`RosMapHeader`; by default ``trinary``, or ``raw`` where the map has an occupancy that gets
-            lost there. ``scale`` is for png, which can say what is unknown.
-        negate: paint occupied cells white; not in ``raw``.
-        occupied_thresh: as of :class:`RosMapHeader`.
-        free_thresh: as of :class:`RosMapHeader`.
 
     Raises:
         MapFileError: it cannot be written so.

@@ -43,21 +43,16 @@ _log = logging.getLogger("yarp.names")
 class NameClient:
     """Asks a name server.
 
-    Args:
-        address: where it is; None looks it up in yarp.conf, again whenever it was not reached.
-        namespace: the network's name; None: what the environment or YARP's file says.
-        timeout: seconds that any command may take.
-        numbers: the TCP port numbers that ports registered here choose from; None: those of `allocation.beside`.
-
     Every method raises NoNameServerError where nobody answers, and NamingConfigError where yarp.conf cannot be used.
     """
 
     def __init__(
         self,
-        address: Address | None = None,
+        address: Address | None = None,  # where it is; None looks it up in yarp.conf, again whenever it was not reached
         *,
-        namespace: str | None = None,
-        timeout: float = TIMEOUT,
+        namespace: str | None = None,  # the network's name; None: what the environment or YARP's file says
+        timeout: float = TIMEOUT,  # seconds that any command may take
+        # the TCP port numbers that ports registered here choose from; None: those of `allocation.beside`
         numbers: range | None = None,
     ) -> None:
         self._numbers = numbers

@@ -22,25 +22,17 @@ from yarp_compat.wire.values import Vocab
 
 @dataclass(slots=True)
 class Command:
-    """A command, and what comes of it.
+    """A command, and what comes of it."""
 
-    Attributes:
-        words: the command's values.
-        bot: it is answered as a Bottle.
-        remote: the address that it comes from.
-        values: the answer as a Bottle's values; beginning with `OLD` it is sent as lines.
-        events: what the listeners at the name server's port get: ``[add] /p`` and ``[del] /p``.
-        wishes: connections to be made.
-        changed: it leaves something to remember that was not there before.
-    """
-
-    words: Sequence[Any] = ()
-    bot: bool = False
-    remote: str = ""
+    words: Sequence[Any] = ()  # the command's values
+    bot: bool = False  # it is answered as a Bottle
+    remote: str = ""  # the address that it comes from
+    # the answer as a Bottle's values; beginning with `OLD` it is sent as lines
     values: list[Any] = field(default_factory=lambda: [OLD])
+    # what the listeners at the name server's port get: ``[add] /p`` and ``[del] /p``
     events: list[list[Any]] = field(default_factory=list)
-    wishes: list[WantedConnection] = field(default_factory=list)
-    changed: bool = False
+    wishes: list[WantedConnection] = field(default_factory=list)  # connections to be made
+    changed: bool = False  # it leaves something to remember that was not there before
 
     def word(self, index: int) -> str:
         """A word of it as text; empty where there are fewer."""

@@ -110,14 +110,6 @@ PROBE_SECONDS = 1.0
 class NameServer(Openable):
     """A name server; a context manager.
 
-    Args:
-        host: the address at which it listens, and that it tells others.
-        port: its TCP port number; ports get numbers from two above it.
-        namespace: its port's name, which is the network's name.
-        state: the file in which it remembers; None: a restart knows nothing, and ports must register again.
-        gc_seconds: how often it looks for dead ports; 0: only on the command ``gc``.
-        profile: how it writes Bottles to those who did not send any.
-
     Attributes:
         address: where it listens.
         contact: its own port.
@@ -127,13 +119,14 @@ class NameServer(Openable):
 
     def __init__(
         self,
-        host: str = "127.0.0.1",
-        port: int = DEFAULT_PORT,
+        host: str = "127.0.0.1",  # the address at which it listens, and that it tells others
+        port: int = DEFAULT_PORT,  # its TCP port number; ports get numbers from two above it
         *,
-        namespace: str = DEFAULT_NAMESPACE,
+        namespace: str = DEFAULT_NAMESPACE,  # its port's name, which is the network's name
+        # the file in which it remembers; None: a restart knows nothing, and ports must register again
         state: Path | None = None,
-        gc_seconds: float = GC_SECONDS,
-        profile: Profile = Profile.YARP3,
+        gc_seconds: float = GC_SECONDS,  # how often it looks for dead ports; 0: only on the command ``gc``
+        profile: Profile = Profile.YARP3,  # how it writes Bottles to those who did not send any
     ) -> None:
         self.address = Address(host, port)
         self.contact = self.address.contact(namespace)

@@ -30,16 +30,6 @@ class Output:
 
     At any time at most one thread talks on the connection, its driver: a thread that writes, or the shared thread while
     messages wait. The driver alone touches ``_current`` and what is on the wire.
-
-    Args:
-        sock: connected and introduced.
-        route: the connection's names.
-        carrier: how it carries.
-        loop: the shared thread.
-        lost: called when the peer is gone.
-        limit: bytes of a reply.
-        room: bytes of the queue.
-        dropped: counts the port's drops, by reason.
     """
 
     group = None
@@ -47,14 +37,14 @@ class Output:
 
     def __init__(
         self,
-        sock: socket.socket,
-        route: ConnectionRoute,
-        carrier: Carrier,
-        loop: PortLoop,
-        lost: Callable[[Output], object],
-        limit: int,
-        room: int,
-        dropped: Counter[str] | None = None,
+        sock: socket.socket,  # connected and introduced
+        route: ConnectionRoute,  # the connection's names
+        carrier: Carrier,  # how it carries
+        loop: PortLoop,  # the shared thread
+        lost: Callable[[Output], object],  # called when the peer is gone
+        limit: int,  # bytes of a reply
+        room: int,  # bytes of the queue
+        dropped: Counter[str] | None = None,  # counts the port's drops, by reason
     ) -> None:
         self.route = route
         self.carrier = carrier

@@ -36,19 +36,12 @@ class DefinitionError(ValueError):
 
 @dataclass(frozen=True, slots=True)
 class MessageField:
-    """One field.
+    """One field."""
 
-    Attributes:
-        name: its name.
-        type: a number type, ``string``, ``time``, ``duration``, or another message's ``package/Name``.
-        is_array: whether it holds any number of these.
-        length: of an array of a fixed length; else 0.
-    """
-
-    name: str
-    type: str
-    is_array: bool = False
-    length: int = 0
+    name: str  # its name
+    type: str  # a number type, ``string``, ``time``, ``duration``, or another message's ``package/Name``
+    is_array: bool = False  # whether it holds any number of these
+    length: int = 0  # of an array of a fixed length; else 0
 
     @property
     def is_message(self) -> bool:

@@ -23,23 +23,14 @@ class CarrierError(WireError):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Carrier:
-    """One way of carrying messages; there is one object of each.
+    """One way of carrying messages; there is one object of each."""
 
-    Attributes:
-        name: as in ``tcp://port``.
-        opening: the first 8 bytes that the initiator sends.
-        ack: each message is acknowledged.
-        reply: a message may be answered.
-        text: messages are lines of text.
-        connectionless: datagrams; the acceptor does not notice when the sender goes.
-    """
-
-    name: str
-    opening: bytes
-    ack: bool = False
-    reply: bool = True
-    text: bool = False
-    connectionless: bool = False
+    name: str  # as in ``tcp://port``
+    opening: bytes  # the first 8 bytes that the initiator sends
+    ack: bool = False  # each message is acknowledged
+    reply: bool = True  # a message may be answered
+    text: bool = False  # messages are lines of text
+    connectionless: bool = False  # datagrams; the acceptor does not notice when the sender goes
 
 
 def frame(value: int) -> bytes:
@@ -123,21 +114,13 @@ Group = tuple[str, int]
 
 @dataclass(frozen=True, slots=True)
 class Opening:
-    """An initiator's introduction.
+    """An initiator's introduction."""
 
-    Attributes:
-        carrier: chosen by the first 8 bytes.
-        sender: the name that the initiator gave.
-        qualifiers: what followed the name, such as ``(recv portmonitor) (type dll)``.
-        size: bytes of the introduction; what follows is the first message.
-        group: with mcast the group's IPv4 address and UDP port.
-    """
-
-    carrier: Carrier
-    sender: str
-    qualifiers: str
-    size: int
-    group: Group | None = None
+    carrier: Carrier  # chosen by the first 8 bytes
+    sender: str  # the name that the initiator gave
+    qualifiers: str  # what followed the name, such as ``(recv portmonitor) (type dll)``
+    size: int  # bytes of the introduction; what follows is the first message
+    group: Group | None = None  # with mcast the group's IPv4 address and UDP port
 
     @property
     def modifiers(self) -> set[str]:

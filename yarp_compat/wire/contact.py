@@ -19,19 +19,12 @@ _REFUSED = re.compile(r"[\x00-\x20\x7f\"\\]")
 
 @dataclass(frozen=True, slots=True)
 class PortContact:
-    """A port's registration at a name server, or as much of it as is known.
+    """A port's registration at a name server, or as much of it as is known."""
 
-    Attributes:
-        name: the port's registered name, with its leading slash; empty where only the address is known.
-        host: its IP address or host name; empty where it is not known.
-        port: its TCP (for mcast UDP) port number; -1 where it is not known.
-        carrier: the carrier it was registered with; may be empty.
-    """
-
-    name: str
-    host: str = ""
-    port: int = -1
-    carrier: str = "tcp"
+    name: str  # the port's registered name, with its leading slash; empty where only the address is known
+    host: str = ""  # its IP address or host name; empty where it is not known
+    port: int = -1  # its TCP (for mcast UDP) port number; -1 where it is not known
+    carrier: str = "tcp"  # the carrier it was registered with; may be empty
 
     @property
     def is_valid(self) -> bool:

@@ -84,21 +84,16 @@ class GenerationDecision:
 
 
 class Generations:
-    """Decides for each connection, and remembers what its peer disclosed.
-
-    Args:
-        default: what peers on this name server are, where somebody said it.
-        rules: patterns of port names (``/cer/*``) and what those are, the first that fits.
-        guess: what peers count as where neither they nor any setting say it.
-        cure: how it can be said, for people; ``{peer}`` stands for the peer.
-    """
+    """Decides for each connection, and remembers what its peer disclosed."""
 
     def __init__(
         self,
-        default: Generation | None = None,
+        default: Generation | None = None,  # what peers on this name server are, where somebody said it
+        # patterns of port names (``/cer/*``) and what those are, the first that fits
         rules: Sequence[tuple[str, Generation]] = (),
         *,
-        guess: Generation = Generation.YARP_3_12,
+        guess: Generation = Generation.YARP_3_12,  # what peers count as where neither they nor any setting say it
+        # how it can be said, for people; ``{peer}`` stands for the peer
         cure: str = "give the server the Generations of its peers",
     ) -> None:
         self._default, self._guess, self._cure = default, guess, cure

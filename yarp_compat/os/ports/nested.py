@@ -21,19 +21,12 @@ _ROLES = (CLIENT, SERVER, PUBLISHER, SUBSCRIBER)
 
 @dataclass(frozen=True)
 class NestedName:
-    """One name in its parts.
+    """One name in its parts."""
 
-    Attributes:
-        topic: the topic's or service's name, ``/chatter``; empty for an ordinary port name.
-        node: the node's name; empty where the name leaves it to the active node (``/chatter@``).
-        role: `PUBLISHER`, `SUBSCRIBER`, `CLIENT`, `SERVER`, or empty where the port's own mode decides.
-        type: the type behind ``~``, ``std_msgs/String``; may be empty.
-    """
-
-    topic: str
-    node: str
-    role: str = ""
-    type: str = ""
+    topic: str  # the topic's or service's name, ``/chatter``; empty for an ordinary port name
+    node: str  # the node's name; empty where the name leaves it to the active node (``/chatter@``)
+    role: str = ""  # `PUBLISHER`, `SUBSCRIBER`, `CLIENT`, `SERVER`, or empty where the port's own mode decides
+    type: str = ""  # the type behind ``~``, ``std_msgs/String``; may be empty
 
     @classmethod
     def parse(cls, name: str) -> NestedName:
