@@ -18,7 +18,6 @@ from typing import Any, Self
 
 from yarp_compat import pythonic
 from yarp_compat.ports.message import PortMessage
-from yarp_compat.ports.naming import Naming
 from yarp_compat.pythonic import Content, OpenPort, Received
 
 
@@ -79,10 +78,10 @@ class Reader(_Port):
 
     _port: _Waking
 
-    def __init__(self, name: str = "", *, strict: bool = False, naming: Naming | None = None, **options: Any) -> None:
+    def __init__(self, name: str = "", **options: Any) -> None:
         self._loop: asyncio.AbstractEventLoop | None = None
         self._came = asyncio.Event()
-        self._port = _Waking(self._wake, name, strict=strict, naming=naming, **options)
+        self._port = _Waking(self._wake, name, **options)
 
     async def open(self) -> Self:
         """Open the port."""
@@ -117,8 +116,8 @@ class Writer(_Port):
 
     _port: pythonic.Writer
 
-    def __init__(self, name: str = "", *, naming: Naming | None = None, **options: Any) -> None:
-        self._port = pythonic.Writer(name, naming=naming, **options)
+    def __init__(self, name: str = "", **options: Any) -> None:
+        self._port = pythonic.Writer(name, **options)
 
     def write(self, content: Content, envelope: str = "", *, strict: bool = False) -> int:
         """Send a message, and wait for nobody, as `pythonic.Writer.write`."""
@@ -130,8 +129,8 @@ class Client(_Port):
 
     _port: pythonic.Client
 
-    def __init__(self, server: str, name: str = "", *, naming: Naming | None = None, **options: Any) -> None:
-        self._port = pythonic.Client(server, name, naming=naming, **options)
+    def __init__(self, server: str, name: str = "", **options: Any) -> None:
+        self._port = pythonic.Client(server, name, **options)
 
     async def ask(self, content: Content, *, timeout: float | None = None) -> list[Any]:  # noqa: ASYNC109 (a socket's)
         """The values of the server's answer, as `pythonic.Client.ask`."""
@@ -141,15 +140,8 @@ class Client(_Port):
 class Server(_Port):
     """Answers: ``respond(values)``, a function or coroutine on the event loop, returns an answer's values."""
 
-    def __init__(
-        self,
-        name: str,
-        respond: Callable[[list[Any]], Content | Awaitable[Content]],
-        *,
-        naming: Naming | None = None,
-        **options: Any,
-    ) -> None:
-        self._reader = Reader(name, strict=True, patient=True, naming=naming, rpc=True, **options)
+    def __init__(self, name: str, respond: Callable[[list[Any]], Content | Awaitable[Content]], **options: Any) -> None:
+        self._reader = Reader(name, strict=True, patient=True, rpc=True, **options)
         self._port = self._reader._port
         self._respond = respond
         self._tasks: set[asyncio.Task[None]] = set()

@@ -116,19 +116,11 @@ class Reader(OpenPort):
         strict: give every message; by default the newest one only.
         patient: a message that wants a reply may get it after the next ones were read; by default it gets an empty one
             when the next is read.
-        name, naming, options: as of `OpenPort`.
+        name, options: as of `OpenPort`.
     """
 
-    def __init__(
-        self,
-        name: str = "",
-        *,
-        strict: bool = False,
-        patient: bool = False,
-        naming: Naming | None = None,
-        **options: Any,
-    ) -> None:
-        super().__init__(name, naming=naming, is_output=False, **options)
+    def __init__(self, name: str = "", *, strict: bool = False, patient: bool = False, **options: Any) -> None:
+        super().__init__(name, is_output=False, **options)
         self._inbox = Inbox()
         self._inbox.strict = strict
         self._patient = patient
@@ -172,8 +164,8 @@ class Reader(OpenPort):
 class Writer(OpenPort):
     """Writes plain values or any of YARP's data to all ports that are connected; arguments as of `OpenPort`."""
 
-    def __init__(self, name: str = "", *, naming: Naming | None = None, **options: Any) -> None:
-        super().__init__(name, naming=naming, is_input=False, **options)
+    def __init__(self, name: str = "", **options: Any) -> None:
+        super().__init__(name, is_input=False, **options)
 
     def write(self, content: Content, envelope: str = "", *, strict: bool = False) -> int:
         """Send a message with an envelope (``stamp.to_text()``), waiting for nobody; returns how many took it.
@@ -188,11 +180,11 @@ class Client(OpenPort):
 
     Args:
         server: the server's port.
-        name, naming, options: as of `OpenPort`.
+        name, options: as of `OpenPort`.
     """
 
-    def __init__(self, server: str, name: str = "", *, naming: Naming | None = None, **options: Any) -> None:
-        super().__init__(name, naming=naming, is_input=False, rpc=True, **options)
+    def __init__(self, server: str, name: str = "", **options: Any) -> None:
+        super().__init__(name, is_input=False, rpc=True, **options)
         self.server = server
 
     def open(self) -> Self:
@@ -211,13 +203,11 @@ class Server(OpenPort):
 
     Args:
         respond: makes the answer.
-        name, naming, options: as of `OpenPort`.
+        name, options: as of `OpenPort`.
     """
 
-    def __init__(
-        self, name: str, respond: Callable[[list[Any]], Content], *, naming: Naming | None = None, **options: Any
-    ) -> None:
-        super().__init__(name, naming=naming, is_output=False, rpc=True, **options)
+    def __init__(self, name: str, respond: Callable[[list[Any]], Content], **options: Any) -> None:
+        super().__init__(name, is_output=False, rpc=True, **options)
         self._respond = respond
 
     def _take(self, message: PortMessage) -> None:

@@ -17,7 +17,6 @@ from yarp_compat.dev.returnvalue import OK, CallFailed, ReturnCode, ReturnValue
 from yarp_compat.dev.service import INTRODUCTION, Call, Service, write_version
 from yarp_compat.ports.connections import ConnectionEvent
 from yarp_compat.ports.message import PortMessage
-from yarp_compat.ports.naming import Naming
 from yarp_compat.pythonic import OpenPort
 from yarp_compat.wire.binary import decode, encode
 from yarp_compat.wire.elements import ElementReader, ElementWriter
@@ -318,18 +317,10 @@ class DeviceCalls:
 class ServiceServer(OpenPort):
     """Answers clients of every release of YARP, each on its connection's thread; more as of `Server`, `OpenPort`."""
 
-    def __init__(
-        self,
-        name: str,
-        service: Service,
-        *,
-        generations: Generations | None = None,
-        naming: Naming | None = None,
-        **options: Any,
-    ) -> None:
+    def __init__(self, name: str, service: Service, *, generations: Generations | None = None, **options: Any) -> None:
         self._server = Server(service, generations)
         options = {"is_output": False, "rpc": True, "on_event": self._server.on_event, **options}
-        super().__init__(name, naming=naming, **options)
+        super().__init__(name, **options)
 
     def _take(self, message: PortMessage) -> None:
         self._server(message)

@@ -13,7 +13,7 @@ from __future__ import annotations
 import struct
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import wraps
+from functools import cache, wraps
 from inspect import isfunction, signature
 from typing import Any, ClassVar, Protocol, TypeVar, get_args, get_origin, get_type_hints
 
@@ -56,10 +56,7 @@ class Service:
     @classmethod
     def calls(cls) -> Mapping[str, Call]:
         """All its methods by name."""
-        found = _CALLS.get(cls)
-        if found is None:
-            found = _CALLS[cls] = _calls(cls)
-        return found
+        return _calls(cls)  # type: ignore[arg-type]  # a class can be hashed
 
     def introduce(self) -> tuple[int, int, int, int] | None:
         """Ask for the server's protocol, and YARP's major, minor and patch number (None: older than 3.12), as 4.0."""
@@ -156,10 +153,7 @@ def version_end(data: Buffer) -> int:
     return VERSION.size
 
 
-_CALLS: dict[type[Service], Mapping[str, Call]] = {}
-"""Kept here, not at the classes: of several threads that ask first, one would change what another goes through."""
-
-
+@cache  # not kept at the classes: of several threads that ask first, one would change what another goes through
 def _calls(kind: type[Service]) -> Mapping[str, Call]:
     found = {}
     for owner in reversed(kind.__mro__):

@@ -73,6 +73,7 @@ class Directories:
         return [Path(part) / suffix for part in (self.environment.get(variable) or default).split(separator) if part]
 
 
+@dataclass(eq=False)
 class ResourceFinderOptions:
     """Where to look, and what to return. Attributes and values as YARP's."""
 
@@ -101,19 +102,11 @@ class ResourceFinderOptions:
     ShowFromFlags = 0x0004
     ShowAll = ShowDirectories | ShowErrors
 
-    def __init__(
-        self,
-        searchLocations: int = ModuleDefault,
-        duplicateFilesPolicy: int = First,
-        searchFlavor: int = ConfigAndDataLike,
-        resourceType: str = "",
-        messageFilter: int = ShowFromFlags,
-    ) -> None:
-        self.searchLocations = searchLocations
-        self.duplicateFilesPolicy = duplicateFilesPolicy
-        self.searchFlavor = searchFlavor
-        self.resourceType = resourceType
-        self.messageFilter = messageFilter
+    searchLocations: int = ModuleDefault
+    duplicateFilesPolicy: int = First
+    searchFlavor: int = ConfigAndDataLike
+    resourceType: str = ""
+    messageFilter: int = ShowFromFlags
 
     @classmethod
     def findFirstMatch(cls) -> ResourceFinderOptions:

@@ -170,9 +170,7 @@ class DatagramOutput:
             self._fail(failed)
             return None
         self.counters.sent += 1
-        item = Item([], ours=False)
-        item.done = True
-        return item
+        return Item([], ours=False, done=True)
 
     def finish(self, item: Item, deadline: float | None = None) -> bool:  # noqa: ARG002
         """Nobody acknowledges datagrams."""

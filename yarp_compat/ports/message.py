@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Sequence
+from dataclasses import dataclass, field
 from typing import Protocol
 
 from yarp_compat.wire.carriers import Carrier
@@ -23,38 +24,23 @@ class MessagePeer(Protocol):
     profile: Profile | None
 
 
+@dataclass(slots=True, eq=False)
 class PortMessage:
-    """One message that came in.
+    """One message that came in."""
 
-    Attributes:
-        payload: its bytes, this message's own. Text carriers: the line as a Bottle in the port's dialect.
-        envelope: its envelope's text, or "".
-        peer: the connection it came on.
-        wants_reply: the sender waits for a reply; it always gets one, an empty Bottle where the owner gives none,
-            unless the port closes first.
-        replied: the reply.
-        is_plain: the reply is sent as it is on text carriers too.
-        slack: bytes behind the reply's acknowledgement, which tells the reader to pass over them.
-        is_last: the connection ends behind the reply.
-        is_retired: the port closes and waits no more for a reply from another thread.
-    """
-
-    __slots__ = (
-        "_answered", "_later", "envelope", "is_last", "is_plain", "is_retired", "payload", "peer", "replied",
-        "slack", "wants_reply",
-    )  # fmt: skip
-
-    def __init__(self, payload: Buffer, envelope: str, peer: MessagePeer, wants_reply: bool = False) -> None:
-        self.payload = payload
-        self.envelope = envelope
-        self.peer = peer
-        self.wants_reply = wants_reply
-        self.replied: Payload | None = None
-        self.is_plain = False
-        self.slack = 0
-        self.is_last = False
-        self._later: threading.Event | None = None
-        self.is_retired = self._answered = False
+    payload: Buffer  # its bytes, this message's own. Text carriers: the line as a Bottle in the port's dialect
+    envelope: str  # its envelope's text, or ""
+    peer: MessagePeer  # the connection it came on
+    # the sender waits for a reply; it always gets one, an empty Bottle where the owner gives none, unless the port
+    # closes first
+    wants_reply: bool = False
+    replied: Payload | None = field(default=None, init=False)
+    is_plain: bool = field(default=False, init=False)  # the reply is sent as it is on text carriers too
+    slack: int = field(default=0, init=False)  # bytes behind the reply's acknowledgement, which says to pass over them
+    is_last: bool = field(default=False, init=False)  # the connection ends behind the reply
+    is_retired: bool = field(default=False, init=False)  # the port waits no more for a reply from another thread
+    _later: threading.Event | None = field(default=None, init=False)
+    _answered: bool = field(default=False, init=False)
 
     def reply(self, payload: Payload, *, plain: bool = False, slack: int = 0) -> None:
         """Answer; once, and only where a reply is wanted (elsewhere it goes nowhere).

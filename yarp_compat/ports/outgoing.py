@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable
+from dataclasses import dataclass
 
 from yarp_compat.ports.message import Payload
 from yarp_compat.ports.sockets import flat
@@ -32,18 +33,14 @@ ITEM_BYTES = 192
 """The cost of a message in the queue besides its own bytes (measured: 174 in CPython 3.11)."""
 
 
+@dataclass(slots=True, eq=False)
 class Item:
     """A message on its way out."""
 
-    __slots__ = ("buffers", "done", "dropped", "ours")
-
-    def __init__(self, buffers: list[Buffer], ours: bool) -> None:
-        self.buffers = buffers
-        self.done = False
-        self.dropped = False
-        """It made room for another one."""
-        self.ours = ours
-        """The thread that wrote it also sees it through."""
+    buffers: list[Buffer]
+    ours: bool  # the thread that wrote it also sees it through
+    done: bool = False
+    dropped: bool = False  # it made room for another one
 
     def own(self) -> None:
         """Have its bytes to itself: their owner may change them from now on."""
