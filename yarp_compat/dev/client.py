@@ -21,8 +21,7 @@ from yarp_compat.wire.portable import Portable
 
 S = TypeVar("S", bound=Service)
 
-PATIENCE = 10.0
-"""Seconds to wait for a reply by default."""
+PATIENCE = 10.0  # seconds to wait for a reply by default
 
 
 class PortChannel:

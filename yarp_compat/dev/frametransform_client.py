@@ -34,11 +34,8 @@ from yarp_compat.wire.elements import ElementReader
 from yarp_compat.wire.framing import Buffer
 from yarp_compat.wire.generation import Generation
 
-LIFETIME = 0.2
-"""Seconds after which what was received is too old, but for static transforms."""
-
+LIFETIME = 0.2  # seconds after which what was received is too old, but for static transforms
 _AGAIN = 0.5  # seconds between two attempts to have the server stream again
-
 _POLL = 0.01  # seconds between two questions where the server does not stream
 
 

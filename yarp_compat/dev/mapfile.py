@@ -20,8 +20,7 @@ from numpy.typing import NDArray
 from yarp_compat.dev.mapflag import MAX_CELLS, too_large
 from yarp_compat.wire.framing import Buffer
 
-LONGEST_TEXT = 1 << 22
-"""A text file of more bytes is refused."""
+LONGEST_TEXT = 1 << 22  # a text file of more bytes is refused
 
 _NO_FILE_NAME = re.compile(r"^$|^\.|[/\\\x00-\x1f\x7f]")
 

@@ -10,11 +10,8 @@ from enum import IntEnum
 import numpy as np
 from numpy.typing import NDArray
 
-MAX_CELLS = 1 << 26
-"""A map of more cells (8,192 squared) is refused, wherever it comes from."""
-
-UNKNOWN = 255
-"""The occupancy of cells of which nothing is known."""
+MAX_CELLS = 1 << 26  # a map of more cells (8,192 squared) is refused, wherever it comes from
+UNKNOWN = 255  # the occupancy of cells of which nothing is known
 
 
 class MapFlag(IntEnum):

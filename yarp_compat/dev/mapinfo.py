@@ -18,8 +18,7 @@ from yarp_compat.dev.locations import Map2DLocation
 from yarp_compat.sig.vec2d import Vec2D, Vec2DInt, Vec2DSize
 from yarp_compat.wire.accessors import getter
 
-Pair = Vec2D | Vec2DInt | Sequence[float]
-"""YARP's XYCell or XYWorld, or just two numbers."""
+Pair = Vec2D | Vec2DInt | Sequence[float]  # YARP's XYCell or XYWorld, or just two numbers
 
 
 class MapGrid2DOrigin:

@@ -200,8 +200,7 @@ def fill(into: Any, value: Any) -> None:
         into._become(value)
 
 
-SPARE = 4
-"""Bytes that the acknowledgement behind an outcome of `alone` has to say."""
+SPARE = 4  # bytes that the acknowledgement behind an outcome of `alone` has to say
 
 _SUCCESS = struct.pack("<ii", LIST | INT32, 0)
 _FAILURE = struct.Struct("<i")

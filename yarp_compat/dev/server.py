@@ -30,8 +30,7 @@ from yarp_compat.wire.values import Vocab, begun_by_vocab
 log = logging.getLogger(__name__)
 
 HELP = "help"
-SILENCE = 1.0
-"""Seconds between two lines in the log of one server: a peer cannot fill it."""
+SILENCE = 1.0  # seconds between two lines in the log of one server: a peer cannot fill it
 _HELP = (
     "help([functionName])",
     "Return list of available commands, or help message for a specific function",
@@ -50,8 +49,7 @@ class Server:
         self._calls = type(service).calls()
         self._longest = max((name.count("_") + 1 for name in self._calls), default=1)
         self.generations = Generations() if generations is None else generations
-        self.refused = 0
-        """Requests that were none."""
+        self.refused = 0  # requests that were none
         self._silent = 0.0
 
     def __call__(self, request: PortMessage) -> None:

@@ -47,8 +47,7 @@ class Channel(Protocol):
 class Service:
     """An interface; clients call its methods marked :func:`rpc` through a channel; a server has none."""
 
-    PROTOCOL: ClassVar[int] = 0
-    """The protocol that clients of YARP 4 ask for."""
+    PROTOCOL: ClassVar[int] = 0  # the protocol that clients of YARP 4 ask for
 
     def __init__(self, channel: Channel | None = None) -> None:
         self._channel = channel

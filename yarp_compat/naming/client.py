@@ -30,13 +30,9 @@ Lines = list[str]
 Words = list[Any]  # under other names than that of the method below
 
 TIMEOUT = 5.0
-MAX_ANSWER = 32 << 20
-"""Bytes of the largest answer that is taken: a list of ten thousand ports is 1 MB."""
-
-PERIOD = 2.0
-"""Seconds between looks, give or take a quarter."""
-AT_ONCE = 5
-"""Ports asked for at a look, as long as nothing is amiss."""
+MAX_ANSWER = 32 << 20  # bytes of the largest answer that is taken: a list of ten thousand ports is 1 MB
+PERIOD = 2.0  # seconds between looks, give or take a quarter
+AT_ONCE = 5  # ports asked for at a look, as long as nothing is amiss
 _log = logging.getLogger("yarp.names")
 
 
@@ -302,8 +298,7 @@ def _text(command: Sequence[Any]) -> bytes:
     return text.encode("utf-8", "surrogateescape")
 
 
-_Kept = tuple[NameClient, PortContact]
-"""A port and the client that registered it."""
+_Kept = tuple[NameClient, PortContact]  # a port and the client that registered it
 
 
 class Keeper:
@@ -405,5 +400,4 @@ def _server(names: NameClient) -> Hashable:
         return names
 
 
-KEEPER = Keeper()
-"""The process's own."""
+KEEPER = Keeper()  # the process's own

@@ -133,8 +133,7 @@ _log = logging.getLogger("yarp.names")
 
 WORKERS = 4
 MAX_WAITING = 10_000
-STEP_TIMEOUT = 3.0
-"""Seconds for each step of making a connection."""
+STEP_TIMEOUT = 3.0  # seconds for each step of making a connection
 PAUSES = (0.0, 0.5, 2.0, 8.0)
 """Seconds before each try. A port that is gone by then is not tried again: it announces itself when it returns."""
 

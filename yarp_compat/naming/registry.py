@@ -62,8 +62,7 @@ def wants_json(words: Sequence[Any]) -> bool:
     return ["format", "json"] in words or ("format", "json") in itertools.pairwise(words)
 
 
-OLD = "old"
-"""The first word of an answer that is sent as lines of text, as YARP's oldest programs expect it."""
+OLD = "old"  # the first word of an answer that is sent as lines of text, as YARP's oldest programs expect it
 
 STYLE = (
     "body {\n  background: white;\n  color: black;\n  font-family: sans-serif;\n}\nh1 {\n  color: #336;\n}\n"
@@ -118,8 +117,7 @@ def code(done: bool) -> list[Any]:
 
 
 MAX_PORTS = 10_000
-MAX_PROPERTY_CHARACTERS = 8 * 1024
-"""Characters of all properties of one port."""
+MAX_PROPERTY_CHARACTERS = 8 * 1024  # characters of all properties of one port
 
 MAX_OWNED_DEPTH = 16
 

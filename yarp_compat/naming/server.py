@@ -98,13 +98,10 @@ def _is_address(host: str) -> bool:
 
 _log = logging.getLogger("yarp.names")
 
-LIMIT = 64 * 1024
-"""Bytes of the longest command that is taken."""
+LIMIT = 64 * 1024  # bytes of the longest command that is taken
 GC_SECONDS = 60.0
-YOUNG = 5.0
-"""Seconds for which a port is not looked for: it is registered before it listens."""
-PROBE_SECONDS = 1.0
-"""Seconds for one look at all ports; a port that takes longer to answer is not dead."""
+YOUNG = 5.0  # seconds for which a port is not looked for: it is registered before it listens
+PROBE_SECONDS = 1.0  # seconds for one look at all ports; a port that takes longer to answer is not dead
 
 
 class NameServer(Openable):

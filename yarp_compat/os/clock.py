@@ -25,11 +25,8 @@ from yarp_compat.wire.errors import WireError
 
 log = logging.getLogger("yarp.os.NetworkClock")
 
-DEFAULT = "/clock"
-"""The clock's port where nobody names another."""
-
-VARIABLE = "YARP_CLOCK"
-"""The environment variable that names the clock's port."""
+DEFAULT = "/clock"  # the clock's port where nobody names another
+VARIABLE = "YARP_CLOCK"  # the environment variable that names the clock's port
 
 
 def read_time(values: list[object]) -> float | None:

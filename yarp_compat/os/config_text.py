@@ -21,8 +21,7 @@ from yarp_compat.wire.values import entries_of, entry_values
 
 log = logging.getLogger(__name__)
 
-DEEPEST = 32
-"""The deepest nesting of files that include each other."""
+DEEPEST = 32  # the deepest nesting of files that include each other
 
 _VARIABLE = re.compile(r"(\\.)|\$([({]?)([A-Za-z0-9_]*)", re.DOTALL)
 

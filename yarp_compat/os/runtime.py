@@ -139,7 +139,6 @@ RUNTIME = Runtime()
 _node_log = logging.getLogger("yarp.os.Node")
 
 _FOLDER = "/midspan/daemon"  # below this name each daemon has the port that answers
-
 _MARK = "midspan_owner"  # the property at the name server that tells them from others
 
 

@@ -46,8 +46,7 @@ _HELP = (
 _NO_PLUGINS = "portmonitor plug-ins are not offered by this port: it is no C++ program"
 _OK, _FAIL = Vocab("ok"), Vocab("fail")
 _UNKNOWN = [_FAIL, "send [help] for list of valid commands"]
-MOST_PROPERTIES = 1000
-"""Properties of one port; more are not kept."""
+MOST_PROPERTIES = 1000  # properties of one port; more are not kept
 
 
 def answer(port: ConnectingPort, words: Sequence[Any]) -> list[Any]:

@@ -43,8 +43,7 @@ class MessageCounters:
     received: int = 0
     sent: int = 0
     dropped: Counter[str] = field(default_factory=Counter)
-    whole: Counter[str] | None = None
-    """The drops of all outputs of the port, those that have ended too."""
+    whole: Counter[str] | None = None  # the drops of all outputs of the port, those that have ended too
 
     def drop(self, reason: str, count: int = 1) -> None:
         """Count messages that an output lost."""

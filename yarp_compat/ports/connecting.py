@@ -22,8 +22,7 @@ from yarp_compat.wire.contact import ConnectionRoute, PortContact, is_port_name
 from yarp_compat.wire.errors import WireError
 from yarp_compat.wire.profile import Profile
 
-QUEUE = 64 << 20
-"""Bytes that wait for one peer at most, except for a single message that is larger."""
+QUEUE = 64 << 20  # bytes that wait for one peer at most, except for a single message that is larger
 
 _log = logging.getLogger("yarp.ports")
 _JOIN = 5.0  # seconds for which each connection is waited for, and again when its socket is closed

@@ -29,8 +29,7 @@ _log = logging.getLogger("yarp.ports")
 
 MOST_INPUTS = 1000
 """Input connections of one port. When there are more, the oldest that never sent a message goes, else the new one."""
-MOST_OUTPUTS = 1000
-"""Output connections of one port; no more are made."""
+MOST_OUTPUTS = 1000  # output connections of one port; no more are made
 
 _UNTOLD = ("admin", "null")
 """Names of tools that only ask something, or check whether a port exists; they cause no events."""

@@ -24,8 +24,7 @@ from yarp_compat.wire.profile import Profile
 
 _log = logging.getLogger("yarp.ports")
 _LARGEST = 1 << 16
-ROOM = 4 << 20
-"""Bytes of datagrams that the system is asked to keep for a busy reader."""
+ROOM = 4 << 20  # bytes of datagrams that the system is asked to keep for a busy reader
 _HOPS = 1  # routers are not crossed, as by YARP's own ports
 
 

@@ -12,8 +12,7 @@ from yarp_compat.wire import carriers
 from yarp_compat.wire.carriers import Carrier, Group, framed
 from yarp_compat.wire.contact import PortContact
 
-PATIENCE = 5.0
-"""Seconds that a port has to answer a call."""
+PATIENCE = 5.0  # seconds that a port has to answer a call
 _FAREWELL = 1.0  # seconds that a port has to take a farewell
 _JOINING = 1.0
 """Seconds that a port has to join a multicast group before messages are sent; those sent earlier it misses."""

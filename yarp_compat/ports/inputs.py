@@ -22,8 +22,7 @@ from yarp_compat.wire.framing import ACK, acknowledgement
 from yarp_compat.wire.profile import Profile
 
 _log = logging.getLogger("yarp.ports")
-EMPTY = b"\x00\x01\x00\x00\x00\x00\x00\x00"
-"""A Bottle with nothing in it."""
+EMPTY = b"\x00\x01\x00\x00\x00\x00\x00\x00"  # a Bottle with nothing in it
 
 
 class Input:

@@ -17,8 +17,7 @@ from yarp_compat.wire.errors import WireError
 
 _log = logging.getLogger("yarp.ports")
 
-PATIENCE = 10.0
-"""Seconds within which a connection must introduce itself."""
+PATIENCE = 10.0  # seconds within which a connection must introduce itself
 MOST_SILENT = 200
 """Connections of one port that have not introduced themselves yet; the oldest goes when there are more."""
 _PER_TURN = 32

@@ -32,8 +32,7 @@ class Output:
     messages wait. The driver alone touches ``_current`` and what is on the wire.
     """
 
-    group = None
-    """Only datagrams are sent to a group."""
+    group = None  # only datagrams are sent to a group
 
     def __init__(
         self,

@@ -30,7 +30,6 @@ from yarp_compat.wire.reply import ReplyEnd
 
 _log = logging.getLogger("yarp.ports")
 _LOOK = 0.5  # seconds between looks whether the peers of idle outputs are still there
-
 _KEPT_FOR = 5.0  # seconds for which an input keeps the memory of a large message for the next one
 
 

@@ -141,8 +141,7 @@ def _answer(peer: LineSocket, contact: PortContact) -> list[str]:
 
 
 QUESTION = "getPid"
-PATIENCE = 1.0
-"""Seconds that a port has to tell what it is."""
+PATIENCE = 1.0  # seconds that a port has to tell what it is
 
 
 def ask_profile(contact: PortContact, timeout: float = PATIENCE) -> Profile | None:

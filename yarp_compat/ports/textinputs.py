@@ -19,8 +19,7 @@ from yarp_compat.wire.http import PageRequest
 from yarp_compat.wire.text import from_text, to_text
 
 _ACK = b"<ACK>\r\n"
-LONGEST_REQUEST = 64 << 10
-"""Bytes of the longest line to a name server."""
+LONGEST_REQUEST = 64 << 10  # bytes of the longest line to a name server
 
 
 class TextInput(Input):

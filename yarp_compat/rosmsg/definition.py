@@ -9,11 +9,8 @@ from __future__ import annotations
 import re
 from dataclasses import dataclass
 
-MAX_TEXT = 1 << 20
-"""Longest definition that is read, in characters."""
-
-MAX_ARRAY = 1 << 24
-"""Longest array of a fixed length."""
+MAX_TEXT = 1 << 20  # longest definition that is read, in characters
+MAX_ARRAY = 1 << 24  # longest array of a fixed length
 
 PRIMITIVES = {
     "bool": 1, "int8": 1, "uint8": 1, "byte": 1, "char": 1, "int16": 2, "uint16": 2, "int32": 4, "uint32": 4,

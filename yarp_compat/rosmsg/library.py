@@ -16,8 +16,7 @@ from pathlib import Path
 from yarp_compat.rosmsg.definition import MAX_TEXT, DefinitionError, MessageDefinition, full_name, parse
 from yarp_compat.rosmsg.message import Message, make_class
 
-MAX_DEPTH = 32
-"""The deepest nesting of messages."""
+MAX_DEPTH = 32  # the deepest nesting of messages
 
 _NAME = re.compile(r"[A-Za-z]\w*/[A-Za-z]\w*")
 
@@ -109,5 +108,4 @@ def _read(path: Path, name: str) -> str:
         raise DefinitionError(f"the definition of {name} in {path} cannot be read: {err}") from None
 
 
-LIBRARY = MessageLibrary()
-"""The program's own, behind ``yarp.rosmsg``."""
+LIBRARY = MessageLibrary()  # the program's own, behind ``yarp.rosmsg``

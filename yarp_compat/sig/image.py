@@ -27,8 +27,7 @@ from yarp_compat.wire.portable import Portable
 from yarp_compat.wire.profile import Profile
 from yarp_compat.wire.tags import BLOB, INT32, LIST, VOCAB32
 
-QUANTUM = 8
-"""Bytes to whose multiple rows are padded where nothing else is asked for."""
+QUANTUM = 8  # bytes to whose multiple rows are padded where nothing else is asked for
 
 
 class RawImage(np.ndarray[Any, np.dtype[np.uint8]]):
@@ -41,8 +40,7 @@ class RawImage(np.ndarray[Any, np.dtype[np.uint8]]):
 class Raster:
     """Pixels in memory."""
 
-    code: ClassVar[int] = PixelCode.INVALID
-    """The pixel code that every image of the class has; INVALID: whatever comes."""
+    code: ClassVar[int] = PixelCode.INVALID  # the pixel code that every image of the class has; INVALID: whatever comes
 
     def __init__(self) -> None:
         self._code: int = self.code

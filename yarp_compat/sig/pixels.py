@@ -18,8 +18,7 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-LARGEST = 1024
-"""Bytes of the largest pixel that only has a size."""
+LARGEST = 1024  # bytes of the largest pixel that only has a size
 
 
 def _code(word: str) -> int:
@@ -159,8 +158,7 @@ class Pixel:
         return f"{type(self).__name__}({values})"
 
 
-PIXELS: dict[int, type[Pixel]] = {}
-"""The class of pixels of several numbers, by code."""
+PIXELS: dict[int, type[Pixel]] = {}  # the class of pixels of several numbers, by code
 
 
 def _class(name: str, code: PixelCode, doc: str) -> type[Pixel]:

@@ -64,10 +64,8 @@ class PointCloud(Portable):
     """A cloud of whatever points come (those below hold one type, and convert others); unordered: ``height`` is 1."""
 
     TYPE = "yarp/pointCloud"
-    point: ClassVar[int] = PointType.XYZ
-    """The points' type, to begin with."""
-    fixed: ClassVar[bool] = False
-    """Whether it stays."""
+    point: ClassVar[int] = PointType.XYZ  # the points' type, to begin with
+    fixed: ClassVar[bool] = False  # whether it stays
 
     def __init__(self, width: int = 0, height: int = 1) -> None:
         self._point = int(self.point)

@@ -97,8 +97,7 @@ class VectorOf(Comparable, Portable):
     """A vector, of so many elements of value ``fill``, or of the given ones; the classes below have a type each."""
 
     TYPE = "yarp/vector"
-    dtype: ClassVar[np.dtype[Any]]
-    """The elements' type."""
+    dtype: ClassVar[np.dtype[Any]]  # the elements' type
 
     def __init__(self, content: int | Iterable[Any] = 0, fill: Any = 0) -> None:
         if isinstance(content, int):

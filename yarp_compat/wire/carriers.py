@@ -61,8 +61,7 @@ HTTP = Carrier("http", b"GET /", text=True)
 CARRIERS = {c.name: c for c in (HTTP, NAME_SER, LOCAL, TCP, FAST_TCP, MCAST, UDP, TEXT, TEXT_ACK)}
 """By name, in the order in which YARP announces them."""
 
-OUTPUTS = (TCP, FAST_TCP, UDP, MCAST, TEXT, TEXT_ACK, LOCAL)
-"""The carriers of output connections."""
+OUTPUTS = (TCP, FAST_TCP, UDP, MCAST, TEXT, TEXT_ACK, LOCAL)  # the carriers of output connections
 
 _UNKNOWN_HERE = {14: "shmem"}
 _OTHERS = frozenset(
@@ -103,8 +102,7 @@ def recognise(opening: bytes | bytearray | memoryview) -> Carrier:
     raise WireError(f"no carrier begins with {first!r}; use one of {', '.join(CARRIERS)}")
 
 
-LONGEST_NAME = 2048
-"""Bytes of the longest sender name that is taken, its qualifiers among them."""
+LONGEST_NAME = 2048  # bytes of the longest sender name that is taken, its qualifiers among them
 _LENGTH = struct.Struct("<i")
 _PORT = struct.Struct(">H")
 _GROUP_SIZE = 6

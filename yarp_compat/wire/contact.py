@@ -10,8 +10,7 @@ from __future__ import annotations
 import re
 from dataclasses import dataclass, replace
 
-MAX_NAME = 1024
-"""Longest port name that is taken, in characters."""
+MAX_NAME = 1024  # longest port name that is taken, in characters
 
 _ADDRESS = re.compile(r"/(?P<host>[^:/]*):(?P<port>\d+)(?=/|$)")
 _REFUSED = re.compile(r"[\x00-\x20\x7f\"\\]")

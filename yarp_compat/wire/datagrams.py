@@ -15,8 +15,7 @@ from yarp_compat.wire import framing
 from yarp_compat.wire.errors import WireError
 from yarp_compat.wire.framing import Buffer
 
-LARGEST = 65499
-"""Bytes of a message in one datagram at most."""
+LARGEST = 65499  # bytes of a message in one datagram at most
 _HEAD = struct.Struct("<Ii")
 
 

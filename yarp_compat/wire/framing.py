@@ -19,8 +19,7 @@ from yarp_compat.wire.errors import TooLargeError, WireError
 
 _HEAD = struct.Struct("<isBBB")
 
-LONGEST_TEXT = 4096
-"""Bytes of the longest envelope or command."""
+LONGEST_TEXT = 4096  # bytes of the longest envelope or command
 
 
 @dataclass(frozen=True, slots=True)
@@ -108,8 +107,7 @@ Buffer = bytes | bytearray | memoryview
 
 INDEX = frame(10)
 ACK = frame(0)
-DEFAULT_LIMIT = 64 << 20
-"""Bytes of the largest message that is taken unless another limit is given."""
+DEFAULT_LIMIT = 64 << 20  # bytes of the largest message that is taken unless another limit is given
 
 _FILL = b"\xff" * 8
 _START = INDEX + b"\x02\x01" + _FILL
@@ -119,8 +117,7 @@ _QUIT = command_bytes("", "q")
 QUIT = INDEX + b"\x01\x01" + _FILL + struct.pack("<ii", len(_QUIT), 0) + _QUIT
 """The message that ends a connection politely."""
 
-JOINED = 1 << 14
-"""Bytes up to which buffers are put together: cheaper than to hand the system several."""
+JOINED = 1 << 14  # bytes up to which buffers are put together: cheaper than to hand the system several
 
 _DATA = {key: command_bytes(key) for key in "dDa"}
 

@@ -16,21 +16,16 @@ from fnmatch import fnmatchcase
 
 from yarp_compat.wire.profile import Profile
 
-MOST_PEERS = 4096
-"""Peers whose own words are remembered; the longest known goes first."""
+MOST_PEERS = 4096  # peers whose own words are remembered; the longest known goes first
 
 
 class Generation(Enum):
     """The way in which releases of YARP write a call's results; its value is the first such release."""
 
-    YARP_3_6 = "3.6"
-    """A bool: the vocab ``[ok]`` or ``[fail]``."""
-    YARP_3_11 = "3.11"
-    """An int64 without a tag."""
-    YARP_3_12 = "3.12"
-    """An int32 with its tag."""
-    YARP_4 = "4.0"
-    """A list of one vocab: ``([ok])``, ``([err1])`` to ``([err7])``."""
+    YARP_3_6 = "3.6"  # a bool: the vocab ``[ok]`` or ``[fail]``
+    YARP_3_11 = "3.11"  # an int64 without a tag
+    YARP_3_12 = "3.12"  # an int32 with its tag
+    YARP_4 = "4.0"  # a list of one vocab: ``([ok])``, ``([err1])`` to ``([err7])``
 
     @property
     def profile(self) -> Profile:
@@ -58,8 +53,7 @@ class Generation(Enum):
         return cls.YARP_4 if profile is Profile.YARP4 else cls.YARP_3_12
 
 
-PeerAddress = tuple[str, int]
-"""The address of a connection, which tells two of one name apart."""
+PeerAddress = tuple[str, int]  # the address of a connection, which tells two of one name apart
 _NOWHERE: PeerAddress = ("", 0)
 
 

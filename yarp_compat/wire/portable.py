@@ -32,8 +32,7 @@ class WriterHolder(Protocol):
 class Portable(ABC):
     """A value that crosses ports."""
 
-    TYPE: ClassVar[str] = ""
-    """The name under which YARP's ports announce it; empty where YARP has none."""
+    TYPE: ClassVar[str] = ""  # the name under which YARP's ports announce it; empty where YARP has none
 
     @abstractmethod
     def _write(self, out: ElementWriter) -> None:

@@ -14,11 +14,8 @@ from yarp_compat.wire.errors import Incomplete, WireError
 from yarp_compat.wire.framing import Buffer
 from yarp_compat.wire.profile import Profile
 
-LIMIT = 64 << 20
-"""Bytes of the largest reply, unless told otherwise."""
-
-ACKNOWLEDGED = 8
-"""Bytes of what follows a reply on tcp: ``YA``, a number, ``RP``."""
+LIMIT = 64 << 20  # bytes of the largest reply, unless told otherwise
+ACKNOWLEDGED = 8  # bytes of what follows a reply on tcp: ``YA``, a number, ``RP``
 
 _WORD = Struct("<i").unpack_from
 _TWO = Struct("<ii").unpack_from

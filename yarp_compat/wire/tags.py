@@ -19,11 +19,8 @@ BLOB = 12
 LIST = 256
 DICT = 512
 
-UNIT = 255
-"""The part of a list's tag that is the tag of its elements."""
-
-MAX_DEPTH = 128
-"""The deepest nesting of lists; a dict counts twice. Real messages stay below ten."""
+UNIT = 255  # the part of a list's tag that is the tag of its elements
+MAX_DEPTH = 128  # the deepest nesting of lists; a dict counts twice. Real messages stay below ten
 
 _SIZES = {INT8: 1, INT16: 2, INT32: 4, INT64: 8, VOCAB32: 4}
 _FORMATS = {INT8: "b", INT16: "h", INT32: "i", INT64: "q"}

@@ -19,8 +19,7 @@ from yarp_compat.wire.errors import WireError
 from yarp_compat.wire.tags import MAX_DEPTH
 from yarp_compat.wire.values import DictKey, Float32, Vocab, Vocab64, entries_of, plain, vocab32, vocab64
 
-LARGEST_WORK = 4 << 20
-"""Characters looked at, beyond its own, in a text that is not well formed."""
+LARGEST_WORK = 4 << 20  # characters looked at, beyond its own, in a text that is not well formed
 
 _NEXT = re.compile(
     r"""[ \t\n\r,]*+ (?: (\() | (?:

@@ -169,8 +169,7 @@ class Value(ValueBase, _Comparable):
         return f"Value({self._value!r})"
 
 
-NULL = Value.of(None)
-"""The value that stands for a missing one."""
+NULL = Value.of(None)  # the value that stands for a missing one
 
 
 def _add(made: Callable[[Any], Any], doc: str) -> Callable[[Bottle, Any], None]:

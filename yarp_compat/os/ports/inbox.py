@@ -77,8 +77,7 @@ class Handoff(Gate):
             return message
 
 
-LIMIT = 64 << 20
-"""Bytes that wait in strict mode; whoever sends more, waits for the reader."""
+LIMIT = 64 << 20  # bytes that wait in strict mode; whoever sends more, waits for the reader
 
 
 class Inbox(Gate):
