@@ -95,8 +95,6 @@ class TransformClient(Openable, IFrameTransform):
         self._getter.close()
         self._setter.close()
 
-    # -- the Python way: errors are exceptions ------------------------------------------------------------------------
-
     def pose(self, child: str, parent: str, *, timeout: float = 0.0) -> Pose:
         """A frame's pose (4, 4) in any other, within ``timeout`` seconds; raises `TransformError` if unknown."""
         deadline = time.monotonic() + timeout
@@ -132,8 +130,6 @@ class TransformClient(Openable, IFrameTransform):
 
     def __iter__(self) -> Iterator[str]:
         return iter(self.tree().names())
-
-    # -- what `IFrameTransform` is made of ----------------------------------------------------------------------------
 
     def tree(self) -> FrameTree:
         """All frames as they are known now; of a server that is asked raises `OSError`, `CallFailed` where it fails."""

@@ -46,8 +46,6 @@ class Navigation2DServer(INavigation2DMsgs):
         self._calls = DeviceCalls(device)
         self.target_name = ""
 
-    # -- control ------------------------------------------------------------------------------------------------------
-
     def stop_navigation_RPC(self) -> ReturnValue:
         self.target_name = ""
         return self._calls.done("stopNavigation")
@@ -76,8 +74,6 @@ class Navigation2DServer(INavigation2DMsgs):
 
     def get_current_navigation_map_RPC(self, map_type: NavigationMapTypeEnum) -> tuple[ReturnValue, MapGrid2D]:
         return OK, self._calls.found("getCurrentNavigationMap", map_type, lacking="there is no such map")
-
-    # -- targets ------------------------------------------------------------------------------------------------------
 
     def goto_target_by_absolute_location_RPC(self, loc: Map2DLocation) -> ReturnValue:
         return self.goto_target_by_absolute_location_and_set_name_RPC(loc, "")
@@ -113,8 +109,6 @@ class Navigation2DServer(INavigation2DMsgs):
 
     def get_name_of_current_target_RPC(self) -> tuple[ReturnValue, str]:
         return OK, self.target_name
-
-    # -- velocities ---------------------------------------------------------------------------------------------------
 
     def apply_velocity_command_RPC(self, x_vel: float, y_vel: float, theta_vel: float, timeout: float) -> ReturnValue:
         _sound(x_vel, y_vel, theta_vel, timeout)

@@ -53,8 +53,6 @@ class ConnectingPort(PortBase):
         """The output connections."""
         return [o.route for o in self.connections.outputs]
 
-    # -- outputs ------------------------------------------------------------------------------------------------------
-
     def add_output(self, target: str) -> tuple[bool, str]:
         """Connect this port to another: ``/name``, ``carrier://name`` or ``carrier:/name``.
 
@@ -160,8 +158,6 @@ class ConnectingPort(PortBase):
                 contact = self.naming.query(output.route.target)
                 if contact is not None:
                     say_farewell(contact, self.name)
-
-    # -- inputs -------------------------------------------------------------------------------------------------------
 
     def _opened(self, sock: socket.socket, opened: Opening, rest: bytes, address: tuple[str, int]) -> None:
         """Take a connection that introduced itself; on the shared thread."""

@@ -60,8 +60,6 @@ class Input:
         self._closing = False
         self._waiting: PortMessage | None = None
 
-    # -- life ---------------------------------------------------------------------------------------------------------
-
     def start(self, loop: PortLoop) -> None:
         """Wait for the first bytes; only a connection that says something gets a thread."""
         if self._already or self._greeting:
@@ -165,8 +163,6 @@ class Input:
         """
         self.profile = dialect_of(self.port.naming, self.route.source)
         self.sock.sendall(self._greeting)
-
-    # -- messages -----------------------------------------------------------------------------------------------------
 
     def take(self) -> bool:
         """Take messages until the end; True where the connection is to be turned round."""

@@ -1,11 +1,4 @@
-"""The interface that ports need of a name server, its errors, and name servers for ports that nobody else finds.
-
-NamingError (an OSError)
-  NoNameServerError     no name server answers where it should be, or not in time
-  NameRefusedError      the name server answered, and did not take the name
-  PortError             a port does not exist, does not answer, or does not do what it is asked
-  NamingConfigError           the file that says where the name server is cannot be used
-"""
+"""The interface that ports need of a name server, its errors, and name servers for ports that nobody else finds."""
 
 # ruff: noqa: D102 - `Naming` says what each method does
 

@@ -1,10 +1,4 @@
-"""Errors in bytes or texts from the network.
-
-- ValueError
-    - WireError: these bytes mean nothing, or the values cannot be written
-        - Incomplete: they may be right, but stop early
-        - TooLargeError: they announce more than is taken
-"""
+"""Errors in bytes or texts from the network."""
 
 from __future__ import annotations
 

@@ -46,8 +46,6 @@ class Port(Contactable):
         "Whether `write` returns before the peers took the message; a slow peer then gets the newest only.",
     )
 
-    # -- writing ------------------------------------------------------------------------------------------------------
-
     def write(self, data: Any, reply: Any = None, callback: Any = None) -> bool:  # noqa: ARG002
         """Send a message; with a second argument, wait for the answer and read it into that.
 
@@ -68,8 +66,6 @@ class Port(Contactable):
             log.error("port %s cannot write: %s", core.name, err)
             return False
         return reached >= count or not wait
-
-    # -- reading ------------------------------------------------------------------------------------------------------
 
     def read(self, data: Any, willReply: bool = False) -> bool:
         """Wait for a message and read it into ``data``; ``willReply``: `reply` will be called before the next `read`.
@@ -128,8 +124,6 @@ class Port(Contactable):
     def setReader(self, reader: PortReader) -> None:
         """Have each message taken by ``reader.read(connection)`` as it comes, on its connection's thread."""
         self._reader = reader
-
-    # -- what comes from the engine -----------------------------------------------------------------------------------
 
     def _take(self, message: PortMessage) -> None:
         """Take a message, on its connection's thread."""
