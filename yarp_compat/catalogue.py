@@ -11,7 +11,9 @@ _PLACES = {
     "dev.frametransform": "FrameTransform",
     "dev.frametransform_client": "TransformClient",
     "dev.iframetransform": "IFrameTransform",
-    "dev.inavigation2d": "NavigationMapTypeEnum NavigationStatusEnum TrajectoryTypeEnum statusToString stringToStatus",
+    "dev.inavigation2d": (
+        "Navigation2DServer NavigationMapTypeEnum NavigationStatusEnum TrajectoryTypeEnum statusToString stringToStatus"
+    ),
     "dev.rangefinder": "LaserMeasurementData LaserScan2D",
     "dev.localization2d": "ILocalization2D Localization2DClient Localization2DServer LocalizationStatusEnum",
     "dev.locations": "Map2DArea Map2DLocation Map2DObject Map2DPath",
@@ -20,7 +22,6 @@ _PLACES = {
     "dev.mapgrid": "MapGrid2D",
     "dev.mapinfo": "MapGrid2DInfo MapGrid2DOrigin",
     "dev.navigation2d_client": "INavigation2D Navigation2DClient",
-    "dev.navigation2d_server": "Navigation2DServer",
     "dev.returnvalue": "CallFailed ReturnValue",
     "dev.server": "ServiceServer",
     "dev.client": "Stream",

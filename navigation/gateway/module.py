@@ -20,7 +20,7 @@ from navigation.gateway.stop import StopAnswer, waited_for
 from navigation.goals import CUT_OFF, FarClients
 from navigation.messages import NAVIGATE
 from navigation.status import STATUS, Fault, State
-from yarp_compat.dev.navigation2d_server import Navigation2DServer
+from yarp_compat.dev.inavigation2d import Navigation2DServer
 
 STATUS_TOPIC = "/navigation/status"
 _AGAIN_SECONDS = 5.0  # after so long YARP's ports say the status again, as YARP's own do

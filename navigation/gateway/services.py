@@ -139,7 +139,7 @@ _FRESH_SECONDS = 0.3
 
 
 class GatewayDevice(NavigationDevice):
-    """The gateway as a YARP device; see `yarp_compat.dev.navigation2d_server`. Called on threads of connections."""
+    """The gateway as a YARP device; see `yarp_compat.dev.inavigation2d`. Called on threads of connections."""
 
     def __init__(
         self,

@@ -20,10 +20,9 @@ from navigation.robot_goto.local_grid import RESOLUTION, SIDE
 from navigation.robot_goto.steering import INFLUENCE, STILL, DriveCommand
 from navigation.status import NO_GOAL, Fault, PlanError
 from navigation.yarp import Calls
-from yarp_compat.dev.inavigation2d import NavigationMapTypeEnum, TrajectoryTypeEnum
+from yarp_compat.dev.inavigation2d import Navigation2DServer, NavigationMapTypeEnum, TrajectoryTypeEnum
 from yarp_compat.dev.locations import Map2DLocation, Map2DPath
 from yarp_compat.dev.mapgrid import MapGrid2D
-from yarp_compat.dev.navigation2d_server import Navigation2DServer
 from yarp_compat.dev.returnvalue import OK, CallFailed, ReturnCode, ReturnValue
 from yarp_compat.dev.robotgoto_commands import RobotGotoMsgs
 from yarp_compat.os.data.stamp import Stamp

@@ -21,11 +21,10 @@ from navigation.robot_path_planner.ground import Ground
 from navigation.robot_path_planner.planner import PathPlanner
 from navigation.status import NO_GOAL, Fault, PlanError, PlannerStatus
 from navigation.yarp import Calls, location_of
-from yarp_compat.dev.inavigation2d import NavigationMapTypeEnum, TrajectoryTypeEnum
+from yarp_compat.dev.inavigation2d import Navigation2DServer, NavigationMapTypeEnum, TrajectoryTypeEnum
 from yarp_compat.dev.locations import Map2DLocation, Map2DPath
 from yarp_compat.dev.mapflag import COLOURS, MapFlag, picture_of_flags
 from yarp_compat.dev.mapgrid import MapGrid2D
-from yarp_compat.dev.navigation2d_server import Navigation2DServer
 from yarp_compat.sig.image import ImageRgb
 
 _SPHERES, _LINES, _ARROW, _DELETE_ALL = 7, 4, 0, 3

@@ -1,7 +1,12 @@
-"""INavigation2D on the wire: goals, their control, and velocities (`INavigation2DMsgs.thrift`, `INavigation2D.h`).
+"""INavigation2D on the wire, and for a planner: goals, their control, and velocities (`INavigation2DMsgs.thrift`).
 
 Requests are the same in all releases from 3.6 on; ``follow_path`` came with 3.10. Maps, localisation, and what YARP's
-client computes from them, are asked of other servers: see `yarp_compat.dev.navigation2d_client`.
+client computes from them, are asked of other servers: see `yarp_compat.dev.navigation2d_client`. A planner's port
+answers by ``Server(Navigation2DServer(Mine()))``, as YARP's ``navigation2D_nws_yarp`` makes it of a device::
+
+    class Mine:
+        def gotoTargetByAbsoluteLocation(self, loc: Map2DLocation) -> None: ...
+        def getNavigationStatus(self) -> str: return "moving"
 """
 
 # mypy: disable-error-code="empty-body"
@@ -9,11 +14,13 @@ client computes from them, are asked of other servers: see `yarp_compat.dev.navi
 
 from __future__ import annotations
 
+import math
 from enum import Enum
 
 from yarp_compat.dev.locations import Map2DLocation, Map2DPath
 from yarp_compat.dev.mapgrid import MapGrid2D
-from yarp_compat.dev.returnvalue import ReturnValue
+from yarp_compat.dev.returnvalue import OK, CallFailed, ReturnCode, ReturnValue
+from yarp_compat.dev.server import DeviceCalls
 from yarp_compat.dev.service import Service, rpc
 
 _STATUS = "navigation_status_"
@@ -97,3 +104,114 @@ class INavigation2DMsgs(Service):
     ) -> ReturnValue: ...
     def get_last_velocity_command_RPC(self) -> tuple[ReturnValue, float, float, float]: ...
     def get_name_of_current_target_RPC(self) -> tuple[ReturnValue, str]: ...
+
+
+_NO_TARGET = "there is no target"
+_FARTHEST = 1e7  # metres: farther than maps go
+
+
+class Navigation2DServer(INavigation2DMsgs):
+    """Answers with a device. What it gets is sound: a goal's x and y are on some map, a path has waypoints.
+
+    A heading that is no number means that any will do, as it does to YARP's robotGoto. ``target_name`` is the name of
+    the current target, or "".
+
+    Args:
+        device: any object with the methods of YARP's INavigation2DTargetActions, ...ControlActions and
+            ...VelocityActions, or some of them; see `DeviceCalls`. They run on the threads of the connections, several
+            at a time. ``getNavigationStatus`` returns a status or its name (``moving``);
+            ``gotoTargetByRelativeLocation`` always has a heading.
+    """
+
+    def __init__(self, device: object) -> None:
+        super().__init__()
+        self._calls = DeviceCalls(device)
+        self.target_name = ""
+
+    def stop_navigation_RPC(self) -> ReturnValue:
+        self.target_name = ""
+        return self._calls.done("stopNavigation")
+
+    def resume_navigation_RPC(self) -> ReturnValue:
+        return self._calls.done("resumeNavigation")
+
+    def suspend_navigation_RPC(self, time_s: float) -> ReturnValue:
+        """YARP's robotGoto too stays where it is for ever where the time is 0 or below."""
+        return self._calls.done("suspendNavigation", time_s if time_s > 0 else math.inf)
+
+    def recompute_current_navigation_path_RPC(self) -> ReturnValue:
+        return self._calls.done("recomputeCurrentNavigationPath")
+
+    def get_navigation_status_RPC(self) -> tuple[ReturnValue, NavigationStatusEnum]:
+        status = self._calls.found("getNavigationStatus", lacking="there is no status")
+        if isinstance(status, str):
+            status = NavigationStatusEnum[f"navigation_status_{status.removeprefix('navigation_status_')}"]
+        return OK, status
+
+    def get_current_nav_waypoint_RPC(self) -> tuple[ReturnValue, Map2DLocation]:
+        return OK, self._calls.found("getCurrentNavigationWaypoint", lacking="there is no waypoint")
+
+    def get_all_navigation_waypoints_RPC(self, trajectory_type: TrajectoryTypeEnum) -> tuple[ReturnValue, Map2DPath]:
+        return OK, self._calls.found("getAllNavigationWaypoints", trajectory_type, lacking="there is no way")
+
+    def get_current_navigation_map_RPC(self, map_type: NavigationMapTypeEnum) -> tuple[ReturnValue, MapGrid2D]:
+        return OK, self._calls.found("getCurrentNavigationMap", map_type, lacking="there is no such map")
+
+    def goto_target_by_absolute_location_RPC(self, loc: Map2DLocation) -> ReturnValue:
+        return self.goto_target_by_absolute_location_and_set_name_RPC(loc, "")
+
+    def goto_target_by_absolute_location_and_set_name_RPC(self, loc: Map2DLocation, name: str) -> ReturnValue:
+        _sound_goal(loc.x, loc.y, loc.theta)
+        outcome = self._calls.done("gotoTargetByAbsoluteLocation", loc)
+        if outcome:
+            self.target_name = name
+        return outcome
+
+    def goto_target_by_relative_location1_RPC(self, x: float, y: float) -> ReturnValue:
+        return self.goto_target_by_relative_location2_RPC(x, y, math.nan)
+
+    def goto_target_by_relative_location2_RPC(self, x: float, y: float, theta: float) -> ReturnValue:
+        _sound_goal(x, y, theta)
+        outcome = self._calls.done("gotoTargetByRelativeLocation", x, y, theta)
+        return self._unnamed(outcome)
+
+    def follow_path_RPC(self, path: Map2DPath) -> ReturnValue:
+        if not path.waypoints:
+            raise CallFailed(ReturnCode.METHOD_FAILED, "the path has no waypoints")
+        for place in path:
+            _sound_goal(place.x, place.y, place.theta)
+        return self._unnamed(self._calls.done("followPath", path))
+
+    def get_absolute_location_of_current_target_RPC(self) -> tuple[ReturnValue, Map2DLocation]:
+        return OK, self._calls.found("getAbsoluteLocationOfCurrentTarget", lacking=_NO_TARGET)
+
+    def get_relative_location_of_current_target_RPC(self) -> tuple[ReturnValue, float, float, float]:
+        x, y, theta = self._calls.found("getRelativeLocationOfCurrentTarget", lacking=_NO_TARGET)
+        return OK, x, y, theta
+
+    def get_name_of_current_target_RPC(self) -> tuple[ReturnValue, str]:
+        return OK, self.target_name
+
+    def apply_velocity_command_RPC(self, x_vel: float, y_vel: float, theta_vel: float, timeout: float) -> ReturnValue:
+        _sound(x_vel, y_vel, theta_vel, timeout)
+        return self._calls.done("applyVelocityCommand", x_vel, y_vel, theta_vel, timeout)
+
+    def get_last_velocity_command_RPC(self) -> tuple[ReturnValue, float, float, float]:
+        x, y, theta = self._calls.found("getLastVelocityCommand", lacking="nothing was commanded")
+        return OK, x, y, theta
+
+    def _unnamed(self, outcome: ReturnValue) -> ReturnValue:
+        if outcome:
+            self.target_name = ""
+        return outcome
+
+
+def _sound_goal(x: float, y: float, theta: float) -> None:
+    _sound(x, y, 0.0 if math.isnan(theta) else theta)
+    if max(abs(x), abs(y)) > _FARTHEST:
+        raise CallFailed(ReturnCode.METHOD_FAILED, f"({x:g}, {y:g}) is on no map")
+
+
+def _sound(*numbers: float) -> None:
+    if not all(map(math.isfinite, numbers)):
+        raise CallFailed(ReturnCode.METHOD_FAILED, f"{numbers} are not all finite numbers")

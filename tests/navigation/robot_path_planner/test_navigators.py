@@ -17,8 +17,8 @@ from navigation.robot_path_planner.navigators import YarpNavigator
 from navigation.status import State
 from tests.support.ports import free_port
 from tests.support.wait import until
+from yarp_compat.dev.inavigation2d import Navigation2DServer
 from yarp_compat.dev.locations import Map2DLocation
-from yarp_compat.dev.navigation2d_server import Navigation2DServer
 from yarp_compat.dev.returnvalue import CallFailed, ReturnCode
 from yarp_compat.dev.server import Server
 from yarp_compat.naming.client import NameClient

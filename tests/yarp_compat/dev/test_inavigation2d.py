@@ -15,6 +15,7 @@ from tests.yarp_compat.dev.written import Bytes, Says, listed, text, vocab
 from yarp_compat.dev.basecontrol import OdometryData
 from yarp_compat.dev.inavigation2d import (
     INavigation2DMsgs,
+    Navigation2DServer,
     NavigationMapTypeEnum,
     NavigationStatusEnum,
     TrajectoryTypeEnum,
@@ -24,7 +25,6 @@ from yarp_compat.dev.inavigation2d import (
 from yarp_compat.dev.localization2d import ILocalization2DMsgs, Localization2DServer, LocalizationStatusEnum
 from yarp_compat.dev.locations import Map2DLocation, Map2DPath
 from yarp_compat.dev.mapgrid import MapGrid2D
-from yarp_compat.dev.navigation2d_server import Navigation2DServer
 from yarp_compat.dev.returnvalue import OK, CallFailed, ReturnCode, ReturnValue
 from yarp_compat.dev.server import Server
 from yarp_compat.dev.service import Service

@@ -14,12 +14,16 @@ from tests.yarp_compat.dev.test_inavigation2d import COVARIANCE, FAILED, LOCALIZ
 from tests.yarp_compat.ports.conftest import MakePort, make_port, naming
 from yarp_compat.dev.basecontrol import OdometryData
 from yarp_compat.dev.client import Stream
-from yarp_compat.dev.inavigation2d import NavigationMapTypeEnum, NavigationStatusEnum, TrajectoryTypeEnum
+from yarp_compat.dev.inavigation2d import (
+    Navigation2DServer,
+    NavigationMapTypeEnum,
+    NavigationStatusEnum,
+    TrajectoryTypeEnum,
+)
 from yarp_compat.dev.localization2d import ILocalization2DMsgs, Localization2DClient, Localization2DServer
 from yarp_compat.dev.locations import Map2DArea, Map2DLocation, Map2DPath
 from yarp_compat.dev.mapgrid import MapGrid2D
 from yarp_compat.dev.navigation2d_client import Navigation2DClient
-from yarp_compat.dev.navigation2d_server import Navigation2DServer
 from yarp_compat.dev.returnvalue import OK, CallFailed, ReturnCode, ReturnValue
 from yarp_compat.dev.server import Server
 from yarp_compat.os.data.stdvector import BVector, SVector

@@ -7,8 +7,7 @@ from typing import Any
 import pytest
 
 from tests.yarp_compat.dev.test_service import FAIL, Wire
-from yarp_compat.dev.inavigation2d import INavigation2DMsgs, NavigationStatusEnum
-from yarp_compat.dev.navigation2d_server import Navigation2DServer
+from yarp_compat.dev.inavigation2d import INavigation2DMsgs, Navigation2DServer, NavigationStatusEnum
 from yarp_compat.dev.returnvalue import OK, CallFailed, ReturnCode, ReturnValue
 from yarp_compat.dev.robotgoto_commands import RobotGotoMsgs
 from yarp_compat.dev.server import Server
