@@ -103,9 +103,8 @@ class Odometry2DClient(ServiceClient[IOdometry2DMsgs]):
     def __init__(self, server: str, name: str = "", **options: Unpack[ClientOptions]) -> None:
         mine = name.rstrip("/")
         super().__init__(IOdometry2DMsgs, f"{server}/rpc", mine and f"{mine}/rpc", **options)
-        self._stream = Stream(
-            f"{server}/odometry:o", OdometryData, mine and f"{mine}/odometry:i", naming=options.get("naming")
-        )
+        own, naming = mine and f"{mine}/odometry:i", options.get("naming")
+        self._stream = Stream(f"{server}/odometry:o", OdometryData, own, naming=naming)
         self._last: tuple[OdometryData, float] | None = None
 
     def open(self) -> Self:

@@ -17,7 +17,7 @@ from typing import Self, Unpack
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from yarp_compat.dev import frametransform
+from yarp_compat.dev import frametransform as tf
 from yarp_compat.dev.client import ClientOptions, ServiceClient
 from yarp_compat.dev.frametransform import CLIENT, GET, SERVER, SET, STREAM, FrameTransform
 from yarp_compat.dev.frametree import FrameTree, Pose, TransformError, transform_of
@@ -58,12 +58,8 @@ class TransformClient(Openable, IFrameTransform):
     ) -> None:
         self._naming = options["naming"] = options.get("naming") or NameClient()
         own = name and name + CLIENT
-        self._setter = ServiceClient(
-            frametransform.FrameTransformStorageSetRPC, server + SERVER + SET, _of(own, SET), **options
-        )
-        self._getter = ServiceClient(
-            frametransform.FrameTransformStorageGetRPC, server + SERVER + GET, _of(own, GET), **options
-        )
+        self._setter = ServiceClient(tf.FrameTransformStorageSetRPC, server + SERVER + SET, _of(own, SET), **options)
+        self._getter = ServiceClient(tf.FrameTransformStorageGetRPC, server + SERVER + GET, _of(own, GET), **options)
         self._streamed = server + SERVER + STREAM
         self._input = (
             PortCore(_of(own, STREAM).replace(":o", ":i"), on_message=self._take, naming=self._naming, is_output=False)
@@ -191,8 +187,8 @@ class TransformClient(Openable, IFrameTransform):
         """Reads a streamed message, in the release that the server's replies told."""
         generation = self._getter.generation
         if generation is not Generation.YARP_3_11:
-            return frametransform.AllTransforms.from_bytes(payload).transforms_list
-        source, found = ElementReader(payload, generation.profile, generation), frametransform.AllTransforms()
+            return tf.AllTransforms.from_bytes(payload).transforms_list
+        source, found = ElementReader(payload, generation.profile, generation), tf.AllTransforms()
         found._read(source)
         source.finish()
         return found.transforms_list

@@ -205,9 +205,8 @@ class Navigation2DClient(Openable, INavigation2D):
             reached(IMap2DMsgs, maps, "locations"),
             reached(ILocalization2DMsgs, localization, "localization"),
         )
-        self._people = (
-            Server(f"{name}/user_commands/rpc", self._respond, naming=options.get("naming")) if name else None
-        )
+        naming = options.get("naming")
+        self._people = Server(f"{name}/user_commands/rpc", self._respond, naming=naming) if name else None
 
     def open(self) -> Self:
         """Open the ports and connect them; errors as of `ServiceClient.open`."""

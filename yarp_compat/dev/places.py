@@ -68,9 +68,7 @@ class Places(TextFile):
             lines.append(_line(name, area.map_id, corners, area.description, count=len(area.points)))
         lines.append("Paths:")
         for name, path in sorted(self.paths.items()):
-            poses = [
-                f"({_pose_text(value_text(pose.map_id), [pose.x, pose.y, pose.theta])})" for pose in path.waypoints
-            ]
+            poses = [f"({_pose_text(value_text(one.map_id), [one.x, one.y, one.theta])})" for one in path.waypoints]
             lines.append(" ".join([value_text(name), *poses, _quoted(path.description)]))
         return "\n".join(lines) + "\n"
 

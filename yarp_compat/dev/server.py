@@ -102,14 +102,14 @@ class Server:
         if call is None:
             return self._special(words, arguments, peer, profile, link, text=text)
         if text:
-            return self._called(call, arguments, GenerationDecision(peer, Generation.YARP_3_6, "it is text"), found)
-        if "_" in _first_word(payload, found) and not self.generations.of(peer, profile, link).sure:
+            reason = "it is text"
+        elif "_" in _first_word(payload, found) and not self.generations.of(peer, profile, link).sure:
             # generated code splits names: this is a person at `yarp rpc`, or a script, who reads a Bottle
-            return self._called(
-                call, arguments, GenerationDecision(peer, Generation.YARP_3_6, "its words are typed"), found
-            )
-        decision = self._learned(call, found, peer, profile, link)
-        return self._called(call, arguments, decision, decision.generation.profile, acked=acked)
+            reason = "its words are typed"
+        else:
+            decision = self._learned(call, found, peer, profile, link)
+            return self._called(call, arguments, decision, decision.generation.profile, acked=acked)
+        return self._called(call, arguments, GenerationDecision(peer, Generation.YARP_3_6, reason), found)
 
     def _learned(
         self, call: Call, found: Profile, peer: str, profile: Profile | None, link: PeerAddress
@@ -123,12 +123,8 @@ class Server:
         decision = generations.of(peer, profile, link)
         cure = generations.hint(decision) if call.tells else ""
         if cure:
-            log.warning(
-                "nothing tells which release of YARP %s is of; its calls are answered as %s does, with care (%s)",
-                peer or "?",
-                decision.generation.value,
-                cure,
-            )
+            what = "nothing tells which release of YARP %s is of; its calls are answered as %s does, with care (%s)"
+            log.warning(what, peer or "?", decision.generation.value, cure)
         return decision
 
     def _commanded(self, payload: Buffer, profile: Profile | None, likely: Profile) -> bytes | None:

@@ -267,12 +267,8 @@ class NameClient:
         return sorted({"127.0.0.1", towards})
 
     def _about(self) -> dict[str, Words]:
-        return {
-            "offers": list(CARRIERS),
-            "accepts": list(CARRIERS),
-            "ips": self._own_addresses(),
-            "process": [os.getpid()],
-        }
+        known = list(CARRIERS)
+        return {"offers": known, "accepts": known, "ips": self._own_addresses(), "process": [os.getpid()]}
 
 
 @dataclass(slots=True)

@@ -129,11 +129,8 @@ class Network:
         """Whether a port is registered and answers."""
         quiet = style.quiet if isinstance(style, ContactStyle) else style
         timeout = _timeout(style) if isinstance(style, ContactStyle) else {}
-        return _done(
-            lambda: connections.exists(RUNTIME.naming, port, **timeout),
-            f"cannot tell whether {port} exists",
-            quiet=quiet,
-        )
+        what = f"cannot tell whether {port} exists"
+        return _done(lambda: connections.exists(RUNTIME.naming, port, **timeout), what, quiet=quiet)
 
     @staticmethod
     def sync(port: str, quiet: bool = True) -> bool:
@@ -166,9 +163,8 @@ class Network:
         """Register a name with this address."""
         a = contact.address
         register = RUNTIME.naming.register
-        return Contact.of(
-            _value(lambda: register(a.name, a.host, max(a.port, 0), carrier=a.carrier), f"cannot register {a.name}")
-        )
+        problem = f"cannot register {a.name}"
+        return Contact.of(_value(lambda: register(a.name, a.host, max(a.port, 0), carrier=a.carrier), problem))
 
     @staticmethod
     def unregisterName(name: str) -> Contact:
@@ -187,13 +183,11 @@ class Network:
         plain = value.plain if isinstance(value, Value) else value
         values = plain if isinstance(plain, (list, tuple)) else [plain]
 
-        problem = f"cannot set the property {key} of {name}"
-
         def set_property() -> bool:
             RUNTIME.naming.set_property(name, key, *values)
             return True
 
-        return _done(set_property, problem)
+        return _done(set_property, f"cannot set the property {key} of {name}")
 
     @staticmethod
     def getProperty(name: str, key: str) -> Value | None:

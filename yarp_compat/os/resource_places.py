@@ -28,11 +28,9 @@ class Directories:
 
     def data_home(self) -> Path:
         """The user's own data: contexts and robots that were edited."""
-        own = {
-            "win32": self._home() / "AppData" / "Roaming",
-            "darwin": self._home() / "Library" / "Application Support",
-        }
-        default = own.get(self.platform, self._home() / ".local" / "share")
+        home = self._home()
+        own = {"win32": home / "AppData" / "Roaming", "darwin": home / "Library" / "Application Support"}
+        default = own.get(self.platform, home / ".local" / "share")
         if self.environment.get("YARP_DATA_HOME"):
             return Path(self.environment["YARP_DATA_HOME"])
         return Path(self.environment.get(self._variable("APPDATA", "XDG_DATA_HOME")) or default) / "yarp"

@@ -95,9 +95,7 @@ class ConnectingPort(PortBase):
             return
         there = port_of_process(contact)
         if there is None:
-            raise ConnectionRefusedError(
-                f"{route.target} is not a port of this process, which the carrier local is for"
-            )
+            raise ConnectionRefusedError(f"{route.target} is no port of this process, which the carrier local is for")
         ours, theirs = socket.socketpair()
         there.attach(theirs, Opening(carrier, self.name, qualifiers, 0))
         self._take_output(ours, route, carrier, there.profile)

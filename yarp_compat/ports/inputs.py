@@ -81,9 +81,8 @@ class Input:
             self._begin()
 
     def _begin(self) -> None:
-        self._thread = threading.Thread(
-            target=self._run, name=f"yarp {self.route.source} > {self.port.name}", daemon=True
-        )
+        name = f"yarp {self.route.source} > {self.port.name}"
+        self._thread = threading.Thread(target=self._run, name=name, daemon=True)
         self._thread.start()
 
     def close(self) -> None:

@@ -145,9 +145,8 @@ class Output:
         """Wait for a condition, with the lock held; whether it came true."""
         self._waiters += 1
         try:
-            return self._changed.wait_for(
-                condition, None if deadline is None else max(0.0, deadline - time.monotonic())
-            )
+            left = None if deadline is None else max(0.0, deadline - time.monotonic())
+            return self._changed.wait_for(condition, left)
         finally:
             self._waiters -= 1
 

@@ -9,7 +9,6 @@ from __future__ import annotations
 import socket
 import time
 from collections.abc import Callable, Sequence
-from types import TracebackType
 from typing import Any, Self
 
 from yarp_compat.ports.naming import PortError
@@ -48,9 +47,7 @@ class LineSocket:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, err: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, kind: object, err: BaseException | None, trace: object) -> None:
         self.close()
         if isinstance(err, OSError) and self._explain:
             raise self._explain(err) from None

@@ -114,6 +114,7 @@ class PageInput(Input):
 
     def _answer(self, request: PageRequest) -> bytes:
         query = request.query
+        outer = query.get("outer", "auto")
         if request.path == "favicon.ico":
             return http.response(b"", "image/x-icon", "404 Not Found")
         if request.foreign and (query or request.path):
@@ -126,11 +127,9 @@ class PageInput(Input):
         if "req" in query:
             fields = {"format": "json", **query, "REQUEST_URI": request.target}
             values = [*from_text(query["req"]), *([key, fields[key]] for key in sorted(fields))]
-            return self._message(values, query.get("outer", "auto"))
+            return self._message(values, outer)
         if "data" in query:
-            return self._message(
-                from_text(query["data"]), query.get("outer", "auto") if query.get("format") == "json" else ""
-            )
+            return self._message(from_text(query["data"]), outer if query.get("format") == "json" else "")
         if not request.path:
             return self._page(self.port.obey(PortCommand("*")))
         words = [*from_text(request.path.replace("/", " ")), *([[k, v] for k, v in query.items()])]

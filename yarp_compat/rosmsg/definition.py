@@ -31,6 +31,9 @@ class DefinitionError(ValueError):
     """A ``.msg`` text that cannot be read, or a type of which none is known."""
 
 
+Constants = dict[str, int | float | str | bool]
+
+
 @dataclass(frozen=True, slots=True)
 class MessageField:
     """One field."""
@@ -52,7 +55,7 @@ class MessageDefinition:
 
     name: str
     fields: tuple[MessageField, ...]
-    constants: dict[str, int | float | str | bool]
+    constants: Constants
 
 
 def full_name(name: str, package: str = "") -> str:
@@ -91,21 +94,18 @@ def parse(text: str, name: str) -> dict[str, MessageDefinition]:
 
 def _definition(text: str, name: str) -> MessageDefinition:
     fields: dict[str, MessageField] = {}
-    constants: dict[str, int | float | str | bool] = {}
+    constants: Constants = {}
     package = name.split("/")[0]
     for number, line in enumerate(text.split("\n"), 1):
         try:
             _read_line(line.strip(), package, fields, constants)
         except (ValueError, KeyError) as err:
-            raise DefinitionError(
-                f"the definition of {name} cannot be read: line {number}, {line.strip()[:80]!r}: {err}"
-            ) from None
+            where = f"line {number}, {line.strip()[:80]!r}"
+            raise DefinitionError(f"the definition of {name} cannot be read: {where}: {err}") from None
     return MessageDefinition(name, tuple(fields.values()), constants)
 
 
-def _read_line(
-    line: str, package: str, fields: dict[str, MessageField], constants: dict[str, int | float | str | bool]
-) -> None:
+def _read_line(line: str, package: str, fields: dict[str, MessageField], constants: Constants) -> None:
     bare = line.partition("#")[0].strip()
     # A constant string takes the rest of its line, comments and all.
     is_text = line.startswith(STRINGS) and "=" in bare.replace("<=", "")

@@ -118,9 +118,8 @@ class Message(Portable):
         values = {}
         for field in self._definition.fields:
             try:
-                values[field.name] = (
-                    self._read_array(source, field) if field.is_array else self._read_single(source, field)
-                )
+                read = self._read_array if field.is_array else self._read_single
+                values[field.name] = read(source, field)
             except WireError as err:
                 if field.is_message:
                     raise

@@ -51,9 +51,7 @@ def with_envelope(key: str, envelope: str) -> bytes:
     return command_bytes(key, f"{key} {envelope}") if envelope else command_bytes(key)
 
 
-def parse_command(
-    data: bytes | bytearray | memoryview, offset: int = 0, end: int | None = None
-) -> tuple[PortCommand, int]:
+def parse_command(data: Buffer, offset: int = 0, end: int | None = None) -> tuple[PortCommand, int]:
     """A command in binary, and where the data behind it begin; raises `WireError` where it is none, or too long."""
     end = len(data) if end is None else end
     if end - offset < _HEAD.size:
@@ -68,7 +66,7 @@ def parse_command(
     stop = told.find(b"\0")
     if stop < 0:
         raise WireError(
-            f"a port command's text of {length} bytes has no end within its message, or within {LONGEST_TEXT} bytes"
+            f"a port command's text of {length} bytes has no end in its message, or in {LONGEST_TEXT} bytes"
         )
     text = _text(told[:stop])
     return PortCommand(text[:1], text), offset + stop + 1

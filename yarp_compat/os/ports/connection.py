@@ -253,6 +253,5 @@ def report(core: PortCore, reporter: PortReport, event: ConnectionEvent | None =
 def _connection(name: str, route: ConnectionRoute, *, incoming: bool, created: bool) -> PortInfo:
     kind = "input" if incoming else "output"
     words = f"There is an {kind} connection from {route.source} to {route.target} using {route.carrier}"
-    return PortInfo(
-        PortInfo.PORTINFO_CONNECTION, incoming, created, name, route.source, route.target, route.carrier, words
-    )
+    tag = PortInfo.PORTINFO_CONNECTION
+    return PortInfo(tag, incoming, created, name, route.source, route.target, route.carrier, words)

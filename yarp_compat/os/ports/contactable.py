@@ -276,9 +276,8 @@ class Contactable:
         """Connect this port's output to another port."""
         core = self._core
         if core is None or self._interrupted or self._is_output is False:
-            log.error(
-                "%s cannot be connected: the port is %s", name, "closed" if core is None else "not an open output"
-            )
+            state = "closed" if core is None else "not an open output"
+            log.error("%s cannot be connected: the port is %s", name, state)
             return False
         target = name.toString() if isinstance(name, Contact) else name
         if carrier:
