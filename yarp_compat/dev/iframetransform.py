@@ -22,6 +22,7 @@ from yarp_compat.wire.errors import WireError
 
 _OK = ReturnCode.OK
 _FAILED = ReturnCode.METHOD_FAILED
+Question = Callable[[FrameTree], Any]
 
 
 class IFrameTransform(ABC):
@@ -158,7 +159,7 @@ class IFrameTransform(ABC):
     def _connected(one: str, other: str) -> Callable[[FrameTree], bool]:
         return lambda tree: tree.connected(one, other)
 
-    def _asked(self, question: Callable[[FrameTree], Any]) -> tuple[ReturnValue, Any]:
+    def _asked(self, question: Question) -> tuple[ReturnValue, Any]:
         """The answer to a question about the frames; None where it has none."""
         try:
             return ReturnValue(_OK), question(self.tree())
@@ -167,9 +168,7 @@ class IFrameTransform(ABC):
         except (OSError, WireError):
             return ReturnValue(ReturnCode.COMMUNICATION), None
 
-    def _set(
-        self, child: str, parent: str, transform: Matrix, wrong: Callable[[FrameTree], bool], *, static: bool
-    ) -> ReturnValue:
+    def _set(self, child: str, parent: str, transform: Matrix, wrong: Question, *, static: bool) -> ReturnValue:
         outcome, refused = self._asked(wrong)
         if child == parent or refused or not outcome:
             return _or_failed(outcome)

@@ -50,7 +50,7 @@ class MapGrid2D(MapGrid2DInfo, Portable):
         super().__init__("", 2, 2, 1.0)
         self._occupancy = np.zeros((2, 2), np.uint8)
         self._flags = np.zeros((2, 2), np.uint8)
-        self._compressed = True
+        self.compressed = True  # whether the cells are zipped on the wire
 
     @classmethod
     def of(
@@ -267,7 +267,7 @@ class MapGrid2D(MapGrid2DInfo, Portable):
         except ValueError as error:
             log.error("%s", error)
             return False
-        found._compressed = self._compressed
+        found.compressed = self.compressed
         self._become(found)
         return True
 
@@ -302,13 +302,8 @@ class MapGrid2D(MapGrid2DInfo, Portable):
 
     def enable_map_compression_over_network(self, enable: bool) -> bool:
         """Whether the cells are zipped on the wire."""
-        self._compressed = bool(enable)
+        self.compressed = bool(enable)
         return True
-
-    @property
-    def compressed(self) -> bool:
-        """Whether the cells are zipped on the wire."""
-        return self._compressed
 
     def isIdenticalTo(self, other: MapGrid2D) -> bool:
         """Whether all is the same: the name, where it lies, and every cell."""
@@ -331,7 +326,7 @@ class MapGrid2D(MapGrid2DInfo, Portable):
             self._flags.copy(), self._occupancy.copy(),
             name=self.m_map_name, resolution=self.m_resolution, origin=self.m_origin,
         )  # fmt: skip
-        made._compressed = self._compressed
+        made.compressed = self.compressed
         return made
 
     def _at(self, cell: Pair) -> tuple[int, int] | None:
@@ -347,10 +342,10 @@ class MapGrid2D(MapGrid2DInfo, Portable):
         for number in (*self.getOrigin(), self.m_resolution):
             out.float64(number)
         out.string(self.m_map_name)
-        out.integer(int(self._compressed), INT8)
+        out.integer(int(self.compressed), INT8)
         for cells in (self._occupancy, self._flags):
             flat = np.ascontiguousarray(cells).reshape(-1)
-            out.blob(zlib.compress(flat.data) if self._compressed else flat.data)
+            out.blob(zlib.compress(flat.data) if self.compressed else flat.data)
 
     def _read(self, source: ElementReader) -> None:
         count = source.begin()
@@ -368,7 +363,7 @@ class MapGrid2D(MapGrid2DInfo, Portable):
             found = MapGrid2D.of(flags, occupancy, name=name, resolution=resolution, origin=(x, y, theta))
         except ValueError as error:
             raise WireError(str(error)) from None
-        found._compressed = compressed
+        found.compressed = compressed
         self.__dict__.update(found.__dict__)
 
 

@@ -13,6 +13,7 @@ from typing import Any, overload
 from yarp_compat.os.data.property_base import PropertyBase
 from yarp_compat.os.data.value_base import ValueBase, cloned, integer, plain_of, word_of
 from yarp_compat.wire import tags
+from yarp_compat.wire.accessors import getter
 from yarp_compat.wire.binary import decode, decode_prefix, encode, encode_parts
 from yarp_compat.wire.elements import ElementReader, ElementWriter
 from yarp_compat.wire.framing import Buffer
@@ -210,9 +211,7 @@ class Bottle(Portable, _Comparable):
         """The Bottle that stands for a missing list; it cannot be changed."""
         return _NULL
 
-    def isNull(self) -> bool:
-        """Whether it stands for a missing list."""
-        return self._null
+    isNull = getter("_null", bool, "Whether it stands for a missing list.")
 
     addInt8 = _add(lambda x: Int8(integer(x, 8)), "Add an int of one byte.")
     addInt16 = _add(lambda x: Int16(integer(x, 16)), "Add an int of two bytes.")

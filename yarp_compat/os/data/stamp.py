@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from typing import TYPE_CHECKING, ClassVar
 
 from yarp_compat.os.time import now
-from yarp_compat.wire.accessors import getter
+from yarp_compat.wire.accessors import always, getter
 from yarp_compat.wire.errors import WireError
 from yarp_compat.wire.portable import Portable
 from yarp_compat.wire.tags import INT32
@@ -35,9 +35,7 @@ class Stamp(Portable):
         """Whether there is a sequence number."""
         return self._count >= 0
 
-    def getMaxCount(self) -> int:
-        """The number after which the next is 0."""
-        return _LARGEST
+    getMaxCount = always(_LARGEST, "The number after which the next is 0.")
 
     def update(self, time: float | None = None) -> None:
         """Take the next number, and a time or the time now."""

@@ -33,29 +33,12 @@ class StdVector(list[Any]):
         self.extend([self.ZERO if value is None else value] * (size - len(self)))
 
 
-class DVector(StdVector):
-    """Of numbers."""
-
-    ZERO = 0.0
+def _class(name: str, base: type[StdVector], zero: Any, doc: str) -> type[StdVector]:
+    return type(name, (base,), {"ZERO": zero, "__doc__": doc, "__module__": __name__})
 
 
-class IVector(StdVector):
-    """Of whole numbers."""
-
-    ZERO = 0
-
-
-class ShortVector(IVector):
-    """Of whole numbers from -32768 to 32767."""
-
-
-class BVector(StdVector):
-    """Of truths."""
-
-    ZERO = False
-
-
-class SVector(StdVector):
-    """Of texts."""
-
-    ZERO = ""
+DVector = _class("DVector", StdVector, 0.0, "Of numbers.")
+IVector = _class("IVector", StdVector, 0, "Of whole numbers.")
+ShortVector = _class("ShortVector", IVector, 0, "Of whole numbers from -32768 to 32767.")
+BVector = _class("BVector", StdVector, False, "Of truths.")
+SVector = _class("SVector", StdVector, "", "Of texts.")

@@ -8,6 +8,7 @@ from collections.abc import Callable
 from typing import Any
 
 from yarp_compat.wire import tags
+from yarp_compat.wire.accessors import always
 from yarp_compat.wire.binary import decode, decode_prefix, encode
 from yarp_compat.wire.elements import ElementReader, ElementWriter
 from yarp_compat.wire.errors import WireError
@@ -183,9 +184,7 @@ class ValueBase(Portable):
         (tag, first) = (int.from_bytes(data[at : at + 4], "little") for at in (0, 8))
         return tag & tags.UNIT or first
 
-    def isLeaf(self) -> bool:
-        """False, as for all values that are not part of YARP's insides."""
-        return False
+    isLeaf = always(False, "False, as for all values that are not part of YARP's insides.")
 
     def _number(self) -> int | float:
         value = self._value

@@ -14,13 +14,8 @@ class Gate:
 
     def __init__(self) -> None:
         self._changed = threading.Condition()
-        self._closed = False
+        self.is_closed = False  # whether nothing will come any more
         self._interrupted = False
-
-    @property
-    def is_closed(self) -> bool:
-        """Whether nothing will come any more."""
-        return self._closed
 
     def wake(self) -> None:
         """Wake waiting threads, which check whether to go on waiting."""
@@ -41,7 +36,7 @@ class Gate:
     def close(self) -> None:
         """Let everybody go, for good."""
         with self._changed:
-            self._closed = True
+            self.is_closed = True
             self._changed.notify_all()
 
 
@@ -55,20 +50,20 @@ class Handoff(Gate):
     def give(self, message: PortMessage) -> bool:
         """Wait until the message was taken; False when the place was closed first."""
         with self._changed:
-            self._changed.wait_for(lambda: self._message is None or self._closed)
-            if self._closed:
+            self._changed.wait_for(lambda: self._message is None or self.is_closed)
+            if self.is_closed:
                 return False
             self._message = message
             self._changed.notify_all()
-            self._changed.wait_for(lambda: self._message is not message or self._closed)
+            self._changed.wait_for(lambda: self._message is not message or self.is_closed)
             return self._message is not message
 
     def take(self, *, will_reply: bool) -> PortMessage | None:
         """Wait for a message; None when interrupted or closed. With ``will_reply`` its sender goes on waiting."""
         with self._changed:
-            self._changed.wait_for(lambda: self._message is not None or self._closed or self._interrupted)
+            self._changed.wait_for(lambda: self._message is not None or self.is_closed or self._interrupted)
             message = self._message
-            if message is None or self._closed or self._interrupted:
+            if message is None or self.is_closed or self._interrupted:
                 return None
             if will_reply and message.wants_reply:
                 message.later()
@@ -97,12 +92,12 @@ class Inbox(Gate):
         """Keep a message: in strict mode behind the others, else in their place."""
         with self._changed:
             if self.strict:
-                self._changed.wait_for(lambda: self._bytes < LIMIT or self._closed)
+                self._changed.wait_for(lambda: self._bytes < LIMIT or self.is_closed)
             else:
                 self.dropped += len(self._messages)
                 self._messages.clear()
                 self._bytes = 0
-            if not self._closed:
+            if not self.is_closed:
                 self._messages.append(message)
                 self._bytes += memoryview(message.payload).nbytes
                 self._changed.notify_all()
@@ -115,8 +110,8 @@ class Inbox(Gate):
         over = stopped or (lambda: self._interrupted)
         with self._changed:
             if wait:
-                self._changed.wait_for(lambda: self._messages or self._closed or over())
-            if self._closed or over() or not self._messages:
+                self._changed.wait_for(lambda: self._messages or self.is_closed or over())
+            if self.is_closed or over() or not self._messages:
                 return None
             message = self._messages.popleft()
             self._bytes -= memoryview(message.payload).nbytes

@@ -73,7 +73,19 @@ class Node:
         self.close()
 
 
-class Publisher(BufferedPort):
+class _TopicPort(BufferedPort):
+    """A port for messages of one type, given by its class or name, on a ROS topic."""
+
+    def __init__(self, content: type[Any] | str) -> None:
+        super().__init__(message_class(content) if isinstance(content, str) else content)
+
+    def topic(self, name: str) -> bool:
+        """Publish on or subscribe to this topic, as the newest node (or the one behind ``@`` in the name)."""
+        self.includeNodeInName(True)
+        return self.open(name)
+
+
+class Publisher(_TopicPort):
     """Publishes messages of one type on a ROS topic.
 
     Args:
@@ -89,18 +101,13 @@ class Publisher(BufferedPort):
     """
 
     def __init__(self, content: type[Any] | str, topic: str = "", *, latched: bool = False) -> None:
-        super().__init__(message_class(content) if isinstance(content, str) else content)
+        super().__init__(content)
         self.setWriteOnly()
         self._wait = True
         self._latched = latched
         self._kept: bytes | None = None
         if topic:
             self.topic(topic)
-
-    def topic(self, name: str) -> bool:
-        """Publish on this topic, as the newest node (or the one behind ``@`` in the name)."""
-        self.includeNodeInName(True)
-        return self.open(name)
 
     def enableBackgroundWrite(self, backgroundFlag: bool) -> None:
         """Whether writing a message returns before the peers took it; a slow peer then gets the newest only."""
@@ -147,19 +154,14 @@ class Publisher(BufferedPort):
             core.write(kept, strict=True, chosen=lambda output: output.route.target == event.route.target)
 
 
-class Subscriber(BufferedPort):
+class Subscriber(_TopicPort):
     """Reads messages of one type from a ROS topic; arguments as of `Publisher`."""
 
     def __init__(self, content: type[Any] | str, topic: str = "") -> None:
-        super().__init__(message_class(content) if isinstance(content, str) else content)
+        super().__init__(content)
         self.setReadOnly()
         if topic:
             self.topic(topic)
-
-    def topic(self, name: str) -> bool:
-        """Subscribe to this topic, as the newest node (or the one behind ``@`` in the name)."""
-        self.includeNodeInName(True)
-        return self.open(name)
 
     def read(self, shouldWait: Any = True) -> Any:
         """The next message or None, as `BufferedPort.read`; given a message, wait, fill it, return whether it was."""
