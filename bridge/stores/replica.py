@@ -9,13 +9,15 @@ from collections import deque
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 from bridge.concurrency import SerialExecutor
 from bridge.stores.entry import LATEST, OLDEST, Stamp, StoreEntry, StoreError, Version, conflict, follow
 from bridge.stores.table import EntryTable
 
 _log = logging.getLogger(__name__)
+
+T = TypeVar("T")
 
 _DAY_NS = 86_400 * 1_000_000_000
 _MOST_CONFLICTS = 20  # conflicts that the status names
@@ -170,26 +172,20 @@ class Replica:
 
         It is called on the replica's own thread, for one change after the other, and is to return soon.
         """
-        watch = (frozenset(kinds), heard)
-        with self._lock:
-            self._watches.append(watch)
-
-        def close() -> None:
-            with self._lock:
-                if watch in self._watches:
-                    self._watches.remove(watch)
-
-        return close
+        return self._joined(self._watches, (frozenset(kinds), heard))
 
     def on_write(self, send: Sent) -> Callable[[], None]:
         """Have what is written here sent, on the writer's thread, until the returned function is called."""
+        return self._joined(self._senders, send)
+
+    def _joined(self, among: list[T], what: T) -> Callable[[], None]:
         with self._lock:
-            self._senders.append(send)
+            among.append(what)
 
         def close() -> None:
             with self._lock:
-                if send in self._senders:
-                    self._senders.remove(send)
+                if what in among:
+                    among.remove(what)
 
         return close
 

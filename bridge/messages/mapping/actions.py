@@ -19,8 +19,7 @@ from bridge.messages.definitions.schema import Definition, Schema, World
 from bridge.messages.definitions.text import closure, full_text
 from bridge.messages.errors import MessageTypeError
 from bridge.messages.mapping.fields import says_the_same
-from bridge.messages.mapping.messages import MessageMapping, derive_ros1, derive_ros2
-from bridge.messages.mapping.services import unknown_type
+from bridge.messages.mapping.messages import MessageMapping, derive_ros1, derive_ros2, unknown_type
 from bridge.messages.transcode.conversion import SideType
 
 _UUID = "unique_identifier_msgs/msg/UUID"

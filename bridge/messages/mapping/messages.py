@@ -89,6 +89,23 @@ def _ros1_constant(constant: Constant) -> Constant:
     return Constant(constant.name, constant.base, text)
 
 
+def unknown_type(name: str, world: World, wanted: str = "", known: str = "", kind: str = "srv") -> MessageTypeError:
+    """What to say of a message (``msg``), a service or an action that cannot be used, and the cure."""
+    package, kind = name.split("/")[0], "action" if "/action/" in name and kind == "srv" else kind
+    if wanted and known:
+        word = "md5" if world is World.ROS1 else "hash"
+        return MessageTypeError(
+            f"{name} has the {word} {wanted} there but {known} here: the definitions differ",
+            f"use the same version of {package} on both sides",
+        )
+    what = {"msg": "type", "srv": "service", "action": "action"}[kind]
+    heard = "" if kind == "msg" else ", and no connection announces one"
+    return MessageTypeError(
+        f"no definition of the {world.value} {what} {name} is known{heard}",
+        f"install {package}, or put its .{kind} files into a folder that types.folders names",
+    )
+
+
 ANY_MD5 = ("", "*")  # what a ROS 1 endpoint announces that takes any definition
 
 
@@ -141,7 +158,7 @@ class MessageMapping:
                 derived = None if ros2 is None else self.to_ros1(ros2)
                 if derived is not None and derived.name == name and wanted in ("", self.ros1.fingerprint(derived)):
                     return derived
-        raise self._unknown(name, wanted, self.ros1, "md5")
+        raise unknown_type(name, World.ROS1, wanted, " or ".join(self.ros1.fingerprints(name)), "msg")
 
     def find_ros2(self, name: str, type_hash: str = "") -> Schema:
         """The ROS 2 message ``name``; where ROS 1 alone has it, the one derived from there."""
@@ -153,21 +170,7 @@ class MessageMapping:
                 ros2 = self.to_ros2(ros1)
                 if ros2.name == name and type_hash in ("", self.ros2.fingerprint(ros2)):
                     return ros2
-        raise self._unknown(name, type_hash, self.ros2, "hash")
-
-    def _unknown(self, name: str, wanted: str, library: DefinitionLibrary, word: str) -> MessageTypeError:
-        world = library.world.value
-        known = library.fingerprints(name)
-        package = name.split("/")[0]
-        if wanted and known:
-            return MessageTypeError(
-                f"{name} has the {word} {wanted} there but {' or '.join(known)} here: the definitions differ",
-                f"use the same version of {package} on both sides",
-            )
-        return MessageTypeError(
-            f"no definition of the {world} type {name} is known",
-            f"install {package}, or put its .msg files into a folder that types.folders names",
-        )
+        raise unknown_type(name, World.ROS2, type_hash, " or ".join(self.ros2.fingerprints(name)), "msg")
 
     def _ros1_variants(self, ros2_name: str) -> Iterator[Schema]:
         """All ROS 1 definitions that may stand for a ROS 2 name, the likeliest first."""

@@ -12,7 +12,7 @@ from bridge.messages.definitions.schema import Schema, World
 from bridge.messages.definitions.text import closure, full_text
 from bridge.messages.errors import MessageTypeError
 from bridge.messages.mapping.fields import says_the_same
-from bridge.messages.mapping.messages import MessageMapping, derive_ros1, derive_ros2
+from bridge.messages.mapping.messages import MessageMapping, derive_ros1, derive_ros2, unknown_type
 from bridge.messages.transcode.conversion import ServiceConversion, SideType
 
 
@@ -43,22 +43,6 @@ def ros2_service(root: Schema) -> ServiceSchema:
         raise MessageTypeError(f"the definition that was announced of {root.name} is not that of a service")
     request, response = (root.sub(f"{root.name}_{part}") for part in CONTENTS["srv"])
     return ServiceSchema(root.name, rihs01(root), request, response)
-
-
-def unknown_type(name: str, world: World, wanted: str = "", known: str = "") -> MessageTypeError:
-    """What to say of a service or action that cannot be used, and the cure."""
-    package, kind = name.split("/")[0], "action" if "/action/" in name else "srv"
-    if wanted and known:
-        word = "md5" if world is World.ROS1 else "hash"
-        return MessageTypeError(
-            f"{name} has the {word} {wanted} there but {known} here: the definitions differ",
-            f"use the same version of {package} on both sides",
-        )
-    what = "action" if kind == "action" else "service"
-    return MessageTypeError(
-        f"no definition of the {world.value} {what} {name} is known, and no connection announces one",
-        f"install {package}, or put its .{kind} files into a folder that types.folders names",
-    )
 
 
 class ServiceMapping:

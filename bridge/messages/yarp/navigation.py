@@ -144,30 +144,21 @@ def _pose(location: Map2DLocation) -> Message:
     return {"position": {"x": location.x, "y": location.y}, "orientation": turned(location.theta)}
 
 
-def _read_location(source: ElementReader) -> Map2DLocation:
-    found = Map2DLocation()
-    found._read(source)
-    return found
-
-
 class _Pose:
-    def to_yarp(self, message: Mapping[str, Any], out: ElementWriter) -> None:
-        _location(message["header"]["frame_id"], message["pose"])._write(out)
-
-    def to_ros(self, source: ElementReader, stamp_ns: int, missing: Missing) -> Message:
-        found = _read_location(source)
-        return {"header": header(stamp_ns, missing.frame or found.map_id), "pose": _pose(found)}
-
-
-class _UncertainPose:
     """YARP has no covariance."""
 
+    def __init__(self, *, covariant: bool) -> None:
+        self._covariant = covariant
+
     def to_yarp(self, message: Mapping[str, Any], out: ElementWriter) -> None:
-        _location(message["header"]["frame_id"], message["pose"]["pose"])._write(out)
+        pose = message["pose"]["pose"] if self._covariant else message["pose"]
+        _location(message["header"]["frame_id"], pose)._write(out)
 
     def to_ros(self, source: ElementReader, stamp_ns: int, missing: Missing) -> Message:
-        found = _read_location(source)
-        return {"header": header(stamp_ns, missing.frame or found.map_id), "pose": {"pose": _pose(found)}}
+        found = Map2DLocation()
+        found._read(source)
+        pose = {"pose": _pose(found)} if self._covariant else _pose(found)
+        return {"header": header(stamp_ns, missing.frame or found.map_id), "pose": pose}
 
 
 class _Path:
@@ -175,9 +166,8 @@ class _Path:
 
     def to_yarp(self, message: Mapping[str, Any], out: ElementWriter) -> None:
         frame = message["header"]["frame_id"]
-        Map2DPath([_location(pose["header"]["frame_id"] or frame, pose["pose"]) for pose in message["poses"]])._write(
-            out
-        )
+        places = [_location(pose["header"]["frame_id"] or frame, pose["pose"]) for pose in message["poses"]]
+        Map2DPath(places)._write(out)
 
     def to_ros(self, source: ElementReader, stamp_ns: int, missing: Missing) -> Message:
         path = Map2DPath()
@@ -193,8 +183,8 @@ NAVIGATION: Mapping[str, NaturalType] = {
     "geometry_msgs/msg/Twist": _Velocity(),
     "geometry_msgs/msg/TwistStamped": _StampedVelocity(),
     "sensor_msgs/msg/JointState": _Joints(),
-    "geometry_msgs/msg/PoseStamped": _Pose(),
-    "geometry_msgs/msg/PoseWithCovarianceStamped": _UncertainPose(),
+    "geometry_msgs/msg/PoseStamped": _Pose(covariant=False),
+    "geometry_msgs/msg/PoseWithCovarianceStamped": _Pose(covariant=True),
     "nav_msgs/msg/Path": _Path(),
     "nav_msgs/msg/OccupancyGrid": Grid(),
 }
