@@ -23,10 +23,7 @@ class ScanError(ValueError):
 
 
 def of_ros(message: Mapping[str, Any], time_ns: int, *, hangs: bool = False) -> Turn:
-    """The turn of a ``sensor_msgs/msg/LaserScan``; raises `ScanError` if its angles or limits are none.
-
-    The time is ns of the taker's clock; ``hangs``: the laser hangs upside down.
-    """
+    """The turn of a ``LaserScan`` at ns of the taker's clock, upside down if it ``hangs``; raises `ScanError`."""
     made = _turn(
         time_ns, message["angle_min"], message["angle_increment"], message["range_min"], message["range_max"],
         np.array(message["ranges"], np.float64),

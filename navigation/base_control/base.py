@@ -24,42 +24,27 @@ than half of the time-out of the wheels' driver."""
 
 
 class DrivenBase:
-    """Decides each period what the wheels do, and adds up what they did.
-
-    Args:
-        section: what it is and may do; see `navigation.base_control.settings.resolved`.
-
-    Attributes:
-        inputs: by name; their ranks are those of the section.
-        most: what it may do at most.
-        limiter: what keeps it within its limits.
-        odometry: where it has come to.
-        choice: what it drives by.
-        idle: whether it is told to stand still, whatever the inputs command.
-    """
+    """Decides each period what the wheels do, and adds up what they did."""
 
     def __init__(self, section: BaseControlSection) -> None:
-        self.section, self.most = section, limits(section)
+        self.section, self.most = section, limits(section)  # what it is, and may do at most
         base = kinematics(section.kind, section.wheel_radius, section.wheel_distance)
+        # by name; their ranks are the section's
         self.inputs = {one.name: CommandInput(one.name, one.timeout) for one in section.inputs}
         self._arbiter = Arbiter(list(self.inputs.values()), section.period)
-        self.limiter = Limiter(base, self.most)
-        self.odometry = WheelOdometry(base)
+        self.limiter = Limiter(base, self.most)  # keeps it within its limits
+        self.odometry = WheelOdometry(base)  # where it has come to
         self.full = FullControl(section.joystick_linear_vel, section.joystick_angular_vel)
         self.motors_filter: int = section.motors_filter
-        self.choice = NOBODY
-        self.idle = False
+        self.choice = NOBODY  # what it drives by
+        self.idle = False  # whether it stands still, whatever the inputs command
         self._still = 0  # periods in a row in which the wheels were to stand still
         self._last: float | None = None
         self._told = STILL
         self._measured: float | None = None
 
     def step(self, now: float) -> Array:
-        """The wheels' velocities for the next period, rad/s.
-
-        Args:
-            now: seconds, of the clock by which the inputs' commands came.
-        """
+        """The wheels' velocities for the next period, rad/s; in seconds of the clock by which commands came."""
         seconds = self.section.period if self._last is None else min(max(now - self._last, 0.0), MAX_STEP)
         self._last = now
         self.choice = self._arbiter.choose(now)

@@ -46,15 +46,9 @@ class FullControl(NamedTuple):
 def of_bottle(values: Sequence[object], full: FullControl) -> Velocity:
     """The velocity of ``(type a b c gain)``, as joysticks and RobotGoto write it to ``control:i`` and ``joystick1:i``.
 
-    Type 1 is ``(1 direction_deg linear_percent angular_percent gain_percent)``, 2 ``(2 direction_deg m/s deg/s
-    gain_percent)``, 3 ``(3 x_m/s y_m/s deg/s gain_percent)``. A missing gain is 100.
-
-    Args:
-        values: the Bottle's plain values.
-        full: what 100 percent of type 1 are.
-
-    Raises:
-        CommandError: it has another type or form, or a gain that is not within 0 and 100.
+    Type 1 is ``(1 direction_deg linear_percent angular_percent gain_percent)`` of what ``full`` says, 2 ``(2
+    direction_deg m/s deg/s gain_percent)``, 3 ``(3 x_m/s y_m/s deg/s gain_percent)``. A missing gain is 100. Raises
+    `CommandError` for another type or form, or a gain that is not within 0 and 100.
     """
     numbers = [value for value in values if isinstance(value, (int, float)) and not isinstance(value, bool)]
     if len(numbers) != len(values) or len(numbers) not in (4, 5):
@@ -103,12 +97,7 @@ ABSURD = 10.0
 
 
 class CommandInput:
-    """One input, with the last command that came by it. Commands come from any thread.
-
-    Args:
-        name: as people know it.
-        timeout: seconds after which its last command counts as zero.
-    """
+    """One input with its last command, which is zero after ``timeout`` seconds. Commands come from any thread."""
 
     def __init__(self, name: str, timeout: float = DEFAULT_TIMEOUT) -> None:
         self.name, self.timeout = name, timeout
@@ -118,15 +107,9 @@ class CommandInput:
         self.last: tuple[Velocity, float, float] | None = None
 
     def command(self, velocity: Velocity, now: float, timeout: float | None = None) -> None:
-        """Take a command.
+        """Take a command at seconds of `Arbiter.choose`'s clock; a shorter time-out may come with it.
 
-        Args:
-            velocity: what is wanted.
-            now: the time, seconds of the clock that `Arbiter.choose` is asked by.
-            timeout: a shorter time-out that came with the command.
-
-        Raises:
-            CommandError: it holds NaN, infinity or an absurd value. The last good one goes on until its time-out.
+        Raises `CommandError` for NaN, infinity or an absurd value. The last good one goes on until its time-out.
         """
         if not all(map(math.isfinite, velocity)):
             self.refused += 1
@@ -161,12 +144,7 @@ NOBODY = CommandChoice()
 
 
 class Arbiter:
-    """Chooses among inputs, once each period.
-
-    Args:
-        inputs: the highest rank first.
-        period: seconds between two choices.
-    """
+    """Chooses among inputs, the highest rank first, once each period (seconds)."""
 
     def __init__(self, inputs: Sequence[CommandInput], period: float) -> None:
         self.inputs = tuple(inputs)

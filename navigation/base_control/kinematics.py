@@ -51,12 +51,11 @@ class Kinematics:
 
 
 def kinematics(kind: str, wheel_radius: float, wheel_distance: float) -> Kinematics:
-    """A kind of base with its measures; raises `KinematicsError` if there is no such kind or a measure is not positive.
+    """A kind of base; raises `KinematicsError` if there is no such kind or a measure is not positive.
 
-    Args:
-        kind: ``cer`` (R1: two driven wheels, left and right) or ``ikart_V1`` (three omnidirectional wheels).
-        wheel_radius: metres (``geom_r``).
-        wheel_distance: metres (``geom_L``): between the wheels of ``cer``, from the centre to a wheel of ``ikart_V1``.
+    ``cer`` is R1's: two driven wheels, left and right; ``ikart_V1`` has three omnidirectional ones. The radius
+    (``geom_r``) and the distance (``geom_L``) are metres, the latter between ``cer``'s wheels, from the centre to one
+    of ``ikart_V1``'s.
     """
     for name, value in (("geom_r", wheel_radius), ("geom_L", wheel_distance)):
         if not (math.isfinite(value) and 0.0 < value < 10.0):

@@ -42,11 +42,7 @@ class BaseLimits:
 
 
 class Limiter:
-    """Keeps a base within its limits; one `step` each period.
-
-    Args:
-        limits: what it may do; may be replaced while it drives.
-    """
+    """Keeps a base within its limits, which may be replaced while it drives; one `step` each period."""
 
     def __init__(self, kinematics: Kinematics, limits: BaseLimits) -> None:
         self.kinematics, self.limits = kinematics, limits

@@ -52,11 +52,7 @@ class VelocityRpc(INavigation2DVelocityActionsMsgs):
 
 
 class OdometryRpc(IOdometry2DMsgs):
-    """Serves ``odometry2D_nwc_yarp``.
-
-    Args:
-        reset: begins the odometry at zero; called on the thread of the caller's connection.
-    """
+    """Serves ``odometry2D_nwc_yarp``; ``reset`` begins it at zero, on the thread of the caller's connection."""
 
     def __init__(self, reset: Callable[[], None]) -> None:
         super().__init__()

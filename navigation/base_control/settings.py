@@ -33,13 +33,9 @@ STALE = {
 
 
 def resolved(section: BaseControlSection) -> tuple[BaseControlSection, list[str]]:
-    """A section with the file that it names laid under it, its inputs, and its wheels' joints.
+    """A section with its file laid under it, its inputs and joints; and what is odd there, each ``file:line: ...``.
 
-    Returns:
-        the section, and what is odd in the file, each ``file:line: ...``.
-
-    Raises:
-        RuntimeError: the file is not there or cannot be used, or the joints do not fit; the text says where and why.
+    Raises `RuntimeError` if the file cannot be used, or the joints do not fit; the text says where and why.
     """
     section, notes = laid_under(section, section.ini, read_file)
     try:

@@ -85,13 +85,7 @@ def spatial(covariance: Floats) -> Floats:
 
 
 def particles_cdr(stamp: Mapping[str, int], frame: str, cloud: Floats) -> bytes:
-    """A ``geometry_msgs/PoseArray`` in CDR; a thousand poses as values would take milliseconds.
-
-    Args:
-        stamp: of its header.
-        frame: of its header.
-        cloud: (n, 3) metres and radians.
-    """
+    """A ``PoseArray`` in CDR of (n, 3) metres and radians; a thousand poses as values would take milliseconds."""
     name = frame.encode() + b"\0"
     head = struct.pack("<iII", stamp["sec"], stamp["nanosec"], len(name)) + name
     head += bytes(-len(head) % 4) + struct.pack("<I", len(cloud))

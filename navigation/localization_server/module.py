@@ -19,15 +19,14 @@ from bridge.modules.module import Module
 from bridge.stores.entry import StoreError
 from bridge.worker import Health
 from navigation.frames import FramesError, RobotFrames
+from navigation.localization_server import estimate as estimates
 from navigation.localization_server.estimate import (
-    POSE_COVARIANCE,
     Floats,
     LocalizationStatus,
     OdometryEstimator,
     PoseEstimate,
     plane_of,
     pose_of,
-    unknown,
 )
 from navigation.localization_server.other_server import OtherServer
 from navigation.localization_server.own import OwnLocalizer
@@ -49,11 +48,7 @@ _MOST_POSES = 500  # particles that an answer has at most: each is a whole locat
 
 
 class LocalizationServer(Module):
-    """Says where the robot is.
-
-    Attributes:
-        source: who knows it: our own localiser, or whom the section names.
-    """
+    """Says where the robot is."""
 
     name = "localization_server"
 
@@ -66,7 +61,7 @@ class LocalizationServer(Module):
         self._start: tuple[str, Start] | None = None
         self._resting = False
         self._motion = OdometryEstimator()
-        self.source = self._made()
+        self.source = self._made()  # who knows it: our own localiser, or whom the section names
         self._told = PosePublisher(
             host,
             self._frames,
@@ -76,7 +71,7 @@ class LocalizationServer(Module):
         )
         self._follow_maps()
         if self.source.hears_starts:
-            host.node.subscription(section.initialpose, POSE_COVARIANCE, self._start_told, Qos(depth=1))
+            host.node.subscription(section.initialpose, estimates.POSE_COVARIANCE, self._start_told, Qos(depth=1))
         server = Localization2DServer(LocalizationDevice(self, Calls(host.loop)))
         for port in section.ports:
             host.yarp.serve(f"{port}/rpc", server)
@@ -229,8 +224,8 @@ class LocalizationServer(Module):
         }
 
     def stop(self) -> None:
-        """Publish that the pose is unknown, so that planners stand at once, and end all subscriptions."""
-        self._told.tell(unknown("the localisation has ended"), None, None, self.map_name)
+        """Publish that the pose is estimates.unknown, so that planners stand at once, and end all subscriptions."""
+        self._told.tell(estimates.unknown("the localisation has ended"), None, None, self.map_name)
         self.source.close()
         self._maps.close()
 

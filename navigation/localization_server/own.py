@@ -1,5 +1,7 @@
 """Midspan's own localiser, fed from the hub; it keeps its last pose over restarts."""
 
+# ruff: noqa: D102 - `PoseSource` says what each does
+
 from __future__ import annotations
 
 import json
@@ -46,7 +48,6 @@ class OwnLocalizer(PoseSource):
         host.node.subscription(section.scan, SCAN, self._scan, Qos(depth=2))
 
     def estimate(self) -> PoseEstimate:
-        """The estimate of now, or the reason why there is none."""
         localizer = self._localizer
         if localizer is None:
             return unknown(self._trouble)
@@ -66,18 +67,15 @@ class OwnLocalizer(PoseSource):
             return  # the localiser tells how long nothing was heard
 
     def correction(self) -> Pose | None:
-        """The odometry's frame on the map; None while the laser is silent: what does not hold any more ages."""
         localizer = self._localizer
         if localizer is None or localizer.scan_age(self._now_ns()) > SCAN_AGE:
             return None
         return localizer.correction
 
     def cloud(self) -> Floats:
-        """The particles."""
         return np.empty((0, 3)) if self._localizer is None else self._localizer.cloud()
 
     def initial(self, pose: Pose, covariance: Floats | None) -> None:
-        """Begin there."""
         if self._localizer is None:
             raise RuntimeError(f"nobody can be localised: {self._trouble}")
         self._heed_odometry(self._localizer)
@@ -87,7 +85,6 @@ class OwnLocalizer(PoseSource):
             raise RuntimeError(str(err)) from None
 
     def use_map(self, grid: MapGrid2D, start: Start | None) -> None:
-        """Hold scans against another map, from where the robot is now unless somebody said."""
         before = self._localizer.estimate() if self._localizer else None
         if start is None and before is not None and before.pose is not None:
             start = Start(before.pose, before.covariance if self._map == grid.name else None)
@@ -119,20 +116,16 @@ class OwnLocalizer(PoseSource):
             self._unkept = True
 
     def close(self) -> None:
-        """Keep where the robot is for the next start."""
         self._keep(self.estimate(), now=True)
 
     def rest(self, *, on: bool) -> None:
-        """Take up no scans, or again."""
         self._resting = on
 
     def forget(self) -> None:
-        """The clock was set back."""
         if self._localizer is not None:
             self._localizer.forget_time()
 
     def status(self) -> dict[str, Any]:
-        """How it is getting on."""
         found: dict[str, Any] = {"scans": self._scans, "left_out": self._left_out, "laser": self._laser}
         if self._localizer is not None:
             found |= {"updates": self._localizer.updates, "searches": self._localizer.searches}
@@ -185,12 +178,7 @@ class Memory:
         new.replace(self._file)
 
     def recall(self, map_name: str, *, of_this_run: bool) -> Pose | None:
-        """The pose that was kept on a map, if any.
-
-        Args:
-            map_name: the map in use.
-            of_this_run: only one that was kept since the daemon began, so that nobody moved the robot since.
-        """
+        """The pose kept on a map, if any; ``of_this_run``: since the daemon began, and nobody moved the robot since."""
         try:
             kept = json.loads(self._file.read_text(encoding="utf-8"))
             x, y, theta = map(float, kept["pose"])

@@ -9,15 +9,8 @@ from bridge.hub.wire.qos import LATCHED, Qos
 from bridge.modules.host import Host
 from bridge.tf.stamped import TF, TF_TYPE, Stamped, write
 from navigation.frames import RobotFrames
-from navigation.localization_server.estimate import (
-    POSE_COVARIANCE,
-    POSES,
-    Floats,
-    LocalizationStatus,
-    PoseEstimate,
-    particles_cdr,
-    spatial,
-)
+from navigation.localization_server import estimate as estimates
+from navigation.localization_server.estimate import Floats, LocalizationStatus, PoseEstimate
 from navigation.messages import STRING, pose_message
 from navigation.pose import Pose
 from navigation.yarp import location_of
@@ -31,21 +24,15 @@ _NOWHERE = OdometryData(*[math.nan] * 9)
 
 
 class PosePublisher:
-    """Publishes the pose for all sides. On the module's thread.
-
-    Args:
-        ports: what YARP ports begin with.
-        tf: whether the odometry's frame on the map is published.
-        ahead: seconds for which that is said to hold.
-    """
+    """Publishes the pose for all sides, ``tf`` for so many seconds ``ahead``. On the module's thread."""
 
     def __init__(self, host: Host, frames: RobotFrames, ports: Sequence[str], *, tf: bool, ahead: float) -> None:
         self._clock, self._frames, self._ahead_ns = host.clock, frames, round(ahead * 1e9)
         node = host.node
-        self._pose = node.publisher(POSE, POSE_COVARIANCE, Qos(depth=1))
+        self._pose = node.publisher(POSE, estimates.POSE_COVARIANCE, Qos(depth=1))
         self._status = node.publisher(STATUS, STRING, LATCHED, priority="state")
         self._reason = node.publisher(REASON, STRING, LATCHED, priority="state")
-        self._particles = node.publisher(PARTICLES, POSES, LATCHED)
+        self._particles = node.publisher(PARTICLES, estimates.POSES, LATCHED)
         self._tf = node.publisher(TF, TF_TYPE, Qos(depth=100)) if tf else None
         self._streams = [host.yarp.output(f"{port}/streaming:o") for port in ports]
         self._odometries = [host.yarp.output(f"{port}/odometry:o") for port in ports]
@@ -53,14 +40,7 @@ class PosePublisher:
         self._last: tuple[LocalizationStatus, str] | None = None
 
     def tell(self, found: PoseEstimate, correction: Pose | None, odometry: OdometryData | None, map_name: str) -> None:
-        """Publish where the robot is now.
-
-        Args:
-            found: where it is.
-            correction: the odometry's frame on the map, to be published.
-            odometry: how fast it is.
-            map_name: of the map in use.
-        """
+        """Publish where the robot is, how fast, and the odometry's frame on the map, where that is to be published."""
         self._tell_status(found)
         now = self._clock.now_ns()
         seconds, nanoseconds = divmod(now, 1_000_000_000)
@@ -71,7 +51,7 @@ class PosePublisher:
                     "stamp": {"sec": seconds, "nanosec": nanoseconds},
                     "frame_id": self._frames.map_frame,
                 },
-                "pose": {"pose": pose_message(pose), "covariance": spatial(found.covariance)},
+                "pose": {"pose": pose_message(pose), "covariance": estimates.spatial(found.covariance)},
             })  # fmt: skip
         if self._tf is not None and correction is not None:
             turned = (0.0, 0.0, math.sin(correction.theta / 2.0), math.cos(correction.theta / 2.0))
@@ -105,4 +85,4 @@ class PosePublisher:
 
     def tell_particles(self, cloud: Floats) -> None:
         """Publish where it may be."""
-        self._particles.publish_cdr(particles_cdr(self._clock.stamp(), self._frames.map_frame, cloud))
+        self._particles.publish_cdr(estimates.particles_cdr(self._clock.stamp(), self._frames.map_frame, cloud))

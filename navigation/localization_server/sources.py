@@ -1,5 +1,7 @@
 """The sources of the robot's pose: frames that another localiser publishes, a topic, or a YARP port."""
 
+# ruff: noqa: D102 - `PoseSource` says what each does
+
 from __future__ import annotations
 
 import math
@@ -15,21 +17,8 @@ from bridge.hub.wire.qos import LATCHED, Qos
 from bridge.modules.host import Host
 from bridge.modules.loop import Newest
 from navigation.frames import LATE, FramesError, RobotFrames
-from navigation.localization_server.estimate import (
-    ODOMETRY,
-    PARTICLES,
-    POSE_COVARIANCE,
-    POSE_STAMPED,
-    POSES,
-    Floats,
-    LocalizationStatus,
-    PoseEstimate,
-    covariance_of,
-    plane_of,
-    pose_of,
-    spatial,
-    unknown,
-)
+from navigation.localization_server import estimate as estimates
+from navigation.localization_server.estimate import Floats, LocalizationStatus, PoseEstimate, plane_of, pose_of, unknown
 from navigation.maps.grid import to_grid, turned
 from navigation.messages import pose_message, stamp_ns
 from navigation.pose import Pose
@@ -46,19 +35,15 @@ class Start(NamedTuple):
 
 def start_covariance(section: LocalizationServerSection) -> Floats:
     """The covariance of a start that comes without one."""
-    return covariance_of(section.initial_spread[0], math.radians(section.initial_spread[1]))
+    return estimates.covariance_of(section.initial_spread[0], math.radians(section.initial_spread[1]))
 
 
 class PoseSource(ABC):
-    """One that says where the robot is. On the module's thread.
+    """One that says where the robot is. On the module's thread."""
 
-    Attributes:
-        hears_starts: whether starts that are told on a topic are for it; who hears them by itself is not told twice.
-        corrects: whether the odometry's frame on the map is to be published for it.
-    """
-
+    # whether starts that are told on a topic are for it; who hears them by itself is not told twice
     hears_starts = False
-    corrects = False
+    corrects = False  # whether the odometry's frame on the map is to be published for it
 
     @abstractmethod
     def estimate(self) -> PoseEstimate:
@@ -101,20 +86,15 @@ it, until the robot drives."""
 
 
 class FrameSource(PoseSource):
-    """Whoever publishes the odometry's frame on the map.
-
-    Args:
-        section: the frames, and how sure a pose is.
-    """
+    """Whoever publishes the odometry's frame on the map."""
 
     def __init__(self, host: Host, section: LocalizationServerSection, frames: RobotFrames) -> None:
         self._host, self._section, self._frames = host, section, frames
-        self._covariance = covariance_of(section.usual_spread[0], math.radians(section.usual_spread[1]))
+        self._covariance = estimates.covariance_of(section.usual_spread[0], math.radians(section.usual_spread[1]))
         self._known = False
-        self._starts = host.node.publisher(section.initialpose, POSE_COVARIANCE, Qos(depth=1))
+        self._starts = host.node.publisher(section.initialpose, estimates.POSE_COVARIANCE, Qos(depth=1))
 
     def estimate(self) -> PoseEstimate:
-        """The pose of the frames: it is newer than any topic's."""
         try:
             pose = self._frames.pose()
         except FramesError as err:
@@ -123,14 +103,12 @@ class FrameSource(PoseSource):
         return PoseEstimate(pose, self._covariance, 1.0, LocalizationStatus.OK, "")
 
     def initial(self, pose: Pose, covariance: Floats | None) -> None:
-        """Publish the start on the topic of such localisers."""
         topic = self._section.initialpose
         if not self._host.node.hub.graph.subscriptions(topic):
             raise RuntimeError(f"nobody hears {topic}: is the localiser there, and does a rule let it cross?")
         self._starts.publish(self._start_message(Start(pose, covariance)))
 
     def forget(self) -> None:
-        """The clock was set back."""
         self._known = False
 
     def _start_message(self, start: Start) -> dict[str, Any]:
@@ -138,7 +116,7 @@ class FrameSource(PoseSource):
         covariance = start_covariance(self._section) if start.covariance is None else start.covariance
         return {
             "header": {"stamp": self._host.clock.stamp(), "frame_id": self._frames.map_frame},
-            "pose": {"pose": pose_message(start.pose), "covariance": spatial(covariance)},
+            "pose": {"pose": pose_message(start.pose), "covariance": estimates.spatial(covariance)},
         }
 
 
@@ -153,16 +131,15 @@ class AmclSource(FrameSource):
         self._due: tuple[MapGrid2D, Start | None] | None = None
         self._map_trouble = ""
         self._set_map = node.client(section.set_map, "nav_msgs/srv/SetMap") if section.set_map else None
-        node.subscription(section.amcl_pose, POSE_COVARIANCE, self._posed, LATCHED)
+        node.subscription(section.amcl_pose, estimates.POSE_COVARIANCE, self._posed, LATCHED)
         for topic, kind, listed in (
-            (section.particlecloud, POSES, self._clouded),
-            (section.particle_cloud, PARTICLES, self._weighted),
+            (section.particlecloud, estimates.POSES, self._clouded),
+            (section.particle_cloud, estimates.PARTICLES, self._weighted),
         ):
             if topic:
                 node.subscription(topic, kind, listed, LATCHED)
 
     def estimate(self) -> PoseEstimate:
-        """The pose of the frames, as sure as amcl said last."""
         if self._due is not None:
             self._send_map()
         found = super().estimate()
@@ -173,7 +150,6 @@ class AmclSource(FrameSource):
         return found
 
     def cloud(self) -> Floats:
-        """The last particles of amcl."""
         return self._cloud
 
     def use_map(self, grid: MapGrid2D, start: Start | None) -> None:
@@ -186,7 +162,6 @@ class AmclSource(FrameSource):
             self._send_map()
 
     def status(self) -> dict[str, Any]:
-        """Whether it has the map."""
         return {"set_map": self._map_trouble or ("waits" if self._due else "done")}
 
     def _send_map(self) -> None:
@@ -240,7 +215,7 @@ class Given(PoseSource):
 
     def __init__(self, host: Host, section: LocalizationServerSection, frames: RobotFrames, place: str) -> None:
         self._host, self._section, self._frames, self.place = host, section, frames, place
-        self._usual = covariance_of(section.usual_spread[0], math.radians(section.usual_spread[1]))
+        self._usual = estimates.covariance_of(section.usual_spread[0], math.radians(section.usual_spread[1]))
         self._covariance = self._usual
         self._pose: Pose | None = None
         self._correction: Pose | None = None
@@ -272,7 +247,6 @@ class Given(PoseSource):
         self._trouble = why
 
     def estimate(self) -> PoseEstimate:
-        """The pose, or the reason why there is none."""
         if self._pose is None:
             return unknown(self._trouble or f"no pose has come from {self.place}")
         age = (self._host.clock.now_ns() - self._heard_ns) / 1e9
@@ -291,7 +265,6 @@ class Given(PoseSource):
         return pose
 
     def correction(self) -> Pose | None:
-        """The odometry's frame on the map, as long as the pose holds."""
         return self._correction if self.estimate().pose is not None else None
 
     def initial(self, pose: Pose, covariance: Floats | None) -> None:  # noqa: ARG002 - whatever is said
@@ -302,7 +275,6 @@ class Given(PoseSource):
         """Ignore it: poses come as before."""
 
     def forget(self) -> None:
-        """The clock was set back."""
         self._pose = self._correction = None
 
 
@@ -312,9 +284,11 @@ class TopicSource(Given):
     def __init__(self, host: Host, section: LocalizationServerSection, frames: RobotFrames) -> None:
         super().__init__(host, section, frames, section.topic)
         node, topic, newest = host.node, section.topic, Qos(depth=1)
-        node.subscription(topic, POSE_COVARIANCE, lambda message: self._covered(message, message["pose"]), newest)
-        node.subscription(topic, ODOMETRY, lambda message: self._covered(message, message["pose"]), newest)
-        node.subscription(topic, POSE_STAMPED, lambda message: self._covered(message, message), newest)
+        node.subscription(
+            topic, estimates.POSE_COVARIANCE, lambda message: self._covered(message, message["pose"]), newest
+        )
+        node.subscription(topic, estimates.ODOMETRY, lambda message: self._covered(message, message["pose"]), newest)
+        node.subscription(topic, estimates.POSE_STAMPED, lambda message: self._covered(message, message), newest)
 
     def _covered(self, message: Mapping[str, Any], part: Mapping[str, Any]) -> None:
         frame = message["header"]["frame_id"].lstrip("/")
