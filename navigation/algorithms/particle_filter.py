@@ -43,14 +43,10 @@ def spread(mean: Floats, covariance: Floats, count: int, rng: np.random.Generato
 def drive(
     particles: Floats, step: tuple[float, float, float], alphas: Alphas, rng: np.random.Generator, *, holonomic: bool
 ) -> None:
-    """Move all particles, each a little otherwise.
+    """Move all particles (n, 3), each a little otherwise, as far as odometry may be off (``alphas``).
 
-    Args:
-        particles: (n, 3), changed.
-        step: x, y, theta that odometry says the base went, in the frame that it had before: metres, radians.
-        alphas: how far that may be off.
-        rng: where chance comes from.
-        holonomic: whether the base can go sideways.
+    The step is x, y, theta that odometry says the base went, in the frame that it had before: metres, radians.
+    ``holonomic``: it can go sideways.
     """
     dx, dy, turned = step
     way = math.hypot(dx, dy)

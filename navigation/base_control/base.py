@@ -15,9 +15,7 @@ from navigation.base_control.limits import FILTERS, Limiter, smoothed
 from navigation.base_control.settings import limits
 from navigation.yarp import Commands
 
-MAX_STEP = 0.1
-"""Seconds that one step may count for: after a standstill the base does not catch up on accelerations."""
-
+MAX_STEP = 0.1  # seconds that one step may count for: after a standstill the base does not catch up on accelerations
 SETTLED, REPEAT = 0.5, 0.04
 """Seconds after which a base that is to stand still does so, and seconds between two commands to it from then on: less
 than half of the time-out of the wheels' driver."""

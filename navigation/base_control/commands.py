@@ -89,9 +89,7 @@ def _shown(values: Sequence[object]) -> str:
 
 
 KEPT_PERIODS = 100
-DEFAULT_TIMEOUT = 0.1
-"""Seconds after which an input is silent where its section does not say (``max_timeout``)."""
-
+DEFAULT_TIMEOUT = 0.1  # seconds after which an input is silent where its section does not say (``max_timeout``)
 ABSURD = 10.0
 """No base of ours drives (m/s) or turns (rad/s) faster: such a command is an error in its units or its sender."""
 

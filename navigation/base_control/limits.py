@@ -17,9 +17,7 @@ from dataclasses import dataclass
 from navigation.base_control.commands import STILL, Velocity
 from navigation.base_control.kinematics import Array, Kinematics
 
-FILTERS = (0, 1, 2, 4, 8)
-"""The corner frequencies that filters can have, Hz; 0 is none."""
-
+FILTERS = (0, 1, 2, 4, 8)  # the corner frequencies that filters can have, Hz; 0 is none
 _NEAR = 1e-12
 
 

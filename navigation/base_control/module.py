@@ -28,9 +28,7 @@ from navigation.base_control.settings import resolved
 JOINTS = "sensor_msgs/msg/JointState"
 RESET = "std_srvs/srv/Trigger"
 
-SILENT_SECONDS = 0.5
-"""After so long without encoders the module reports that there is no odometry."""
-
+SILENT_SECONDS = 0.5  # after so long without encoders the module reports that there is no odometry
 _BEAT = 0.1
 
 

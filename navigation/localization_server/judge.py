@@ -19,22 +19,16 @@ _STOOD = (0.01, math.radians(0.5))
 REFUTING, REFUTING_SCANS = 0.15, 3
 """The share of beams that go through walls which speaks against a pose, and so many such scans in a row."""
 
-WIDEST = 0.5
-"""Metres that the particles' spread (standard deviation) may have where the robot is localised."""
+WIDEST = 0.5  # metres that the particles' spread (standard deviation) may have where the robot is localised
 
 
 class Judge:
-    """Looks at each scan's fit.
-
-    Attributes:
-        quality: share of the last scans that the map explains, less what speaks against the pose.
-        status: whether the robot is localised.
-        reason: why not.
-    """
+    """Looks at each scan's fit."""
 
     def __init__(self, settings: LocaliserSection) -> None:
         self._settings = settings
-        self.quality = 0.0
+        self.quality = 0.0  # share of the last scans that the map explains, less what speaks against the pose
+        # whether the robot is localised, and why not
         self.status, self.reason = LocalizationStatus.NOT_YET, "no start was given"
         self._begin()
 
@@ -79,14 +73,9 @@ class Judge:
         return self._dropped >= REFUTING_SCANS
 
     def take(self, share: float, against: float, wide: float, odometry: Pose, why: str = "") -> None:
-        """Look at a scan.
+        """Look at a scan: the share of it that the map explains, less what speaks against the pose, and the latter's.
 
-        Args:
-            share: of it that the map explains, less what speaks against the pose.
-            against: share of what speaks against the pose.
-            wide: metres over which the particles are spread.
-            odometry: where odometry says that the base is.
-            why: why the scan explains nothing, where that is known.
+        The particles are spread over ``wide`` metres; ``why`` says why the scan explains nothing, where that is known.
         """
         settings = self._settings
         self.quality = share if self._anew else _MEMORY * self.quality + (1.0 - _MEMORY) * share

@@ -24,9 +24,7 @@ from yarp_compat.dev.mapgrid import MapFlag, MapGrid2D
 
 Floats = NDArray[np.float64]
 
-SCAN_AGE, _ODOMETRY_AGE = 1.0, 1.0
-"""Seconds after which the laser, or odometry, counts as silent."""
-
+SCAN_AGE, _ODOMETRY_AGE = 1.0, 1.0  # seconds after which the laser, or odometry, counts as silent
 _INDEPENDENT = 30.0  # as how many independent measurements a scan counts, since neighbouring beams err together
 _EXPLAINED_WITHIN = 0.15  # metres from a wall within which the map explains a beam's end
 _SURE, _BETTER = 0.9, 0.1
@@ -169,15 +167,10 @@ class Localizer:
         return self._judge.status, self._judge.reason
 
     def scan(self, stamp_ns: int, points: Floats, odometry: Pose | None = None) -> bool:
-        """Take up a scan.
+        """Take up a scan; whether the filter ran: it does where the base has moved, and after a start.
 
-        Args:
-            stamp_ns: when it was taken.
-            points: (n, 2) where its beams ended, in the base's frame, metres.
-            odometry: where odometry says that the base was then; None: what was taken up says it.
-
-        Returns:
-            Whether the filter ran: it does where the base has moved, and after a start.
+        ``points`` are (n, 2), where its beams ended in the base's frame, metres; ``odometry`` is where odometry says
+        that the base was then, None: what was taken up says it.
         """
         self._scan_ns = stamp_ns
         odometry = odometry or self._track.at(stamp_ns)
