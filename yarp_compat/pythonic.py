@@ -74,10 +74,7 @@ class Received:
 class OpenPort(Openable):
     """A port that is open between ``with`` and its end. See `Reader`, `Writer`, `Client` and `Server`.
 
-    Args:
-        name: the port's name; empty lets the name server choose one.
-        naming: knows the names; by default the name server of ``yarp.conf``.
-        options: more arguments of `PortCore`.
+    An empty name lets the name server choose one, by default that of ``yarp.conf``; more options as of `PortCore`.
     """
 
     def __init__(self, name: str = "", *, naming: Naming | None = None, **options: Any) -> None:
@@ -110,13 +107,10 @@ class OpenPort(Openable):
 
 
 class Reader(OpenPort):
-    """Reads: iteration gives each message as a `Received`, and ends when the port is closed.
+    """Reads: iteration gives each message as a `Received`, and ends when the port is closed; more as of `OpenPort`.
 
-    Args:
-        strict: give every message; by default the newest one only.
-        patient: a message that wants a reply may get it after the next ones were read; by default it gets an empty one
-            when the next is read.
-        name, options: as of `OpenPort`.
+    ``strict``: every message, not the newest only. ``patient``: a reply that is wanted may come after the next messages
+    were read; by default it is an empty one when the next is read.
     """
 
     def __init__(self, name: str = "", *, strict: bool = False, patient: bool = False, **options: Any) -> None:
@@ -176,12 +170,7 @@ class Writer(OpenPort):
 
 
 class Client(OpenPort):
-    """Asks one server.
-
-    Args:
-        server: the server's port.
-        name, options: as of `OpenPort`.
-    """
+    """Asks one server, by its port's name; more as of `OpenPort`."""
 
     def __init__(self, server: str, name: str = "", **options: Any) -> None:
         super().__init__(name, is_input=False, rpc=True, **options)
@@ -199,12 +188,7 @@ class Client(OpenPort):
 
 
 class Server(OpenPort):
-    """Answers: ``respond(values)`` returns an answer's values, on the thread of the client's connection.
-
-    Args:
-        respond: makes the answer.
-        name, options: as of `OpenPort`.
-    """
+    """Answers: ``respond(values)`` returns an answer, on the client's connection's thread; more as of `OpenPort`."""
 
     def __init__(self, name: str, respond: Callable[[list[Any]], Content], **options: Any) -> None:
         super().__init__(name, is_output=False, rpc=True, **options)

@@ -67,16 +67,10 @@ T = TypeVar("T", bound=Portable)
 
 
 class Stream(Openable, Generic[T]):
-    """Hears a port that writes one kind of data, between ``with`` and its end.
+    """Hears a port that writes one ``kind`` of data, such as `Map2DLocation`, between ``with`` and its end.
 
-    A position whose coordinates are no numbers is that of a robot which does not know where it is.
-
-    Args:
-        source: the port; ``udp://robot/odometry:o`` says the carrier too.
-        kind: `Map2DLocation`, `OdometryData`, `Bottle` for the text of a ``status:o``, ...
-        name: the own port's name; empty lets the name server choose one.
-        strict: give every message; by default the newest one only.
-        naming: knows the names; by default the name server of ``yarp.conf``.
+    A position whose coordinates are no numbers is that of a robot which does not know where it is. The source may say
+    the carrier: ``udp://robot/odometry:o``. ``strict``: every message, not the newest only; more as of `OpenPort`.
     """
 
     def __init__(
@@ -125,13 +119,10 @@ class ClientOptions(TypedDict, total=False):
 
 
 class ServiceClient(Client, Generic[S]):
-    """Calls a server's methods: ``client.remote.get_map_names_RPC()``.
+    """Calls a server's methods: ``client.remote.get_map_names_RPC()``; options as of `ClientOptions`.
 
-    Args:
-        interface: what the server offers.
-        server: its port; ``fast_tcp://map2D_nws_yarp/rpc`` says the carrier too.
-        name: the own port's name; empty lets the name server choose one.
-        options: as of `ClientOptions`.
+    ``server`` is its port, ``fast_tcp://map2D_nws_yarp/rpc`` says the carrier too; ``name`` is the own port's, empty
+    lets the name server choose one.
     """
 
     def __init__(self, interface: type[S], server: str, name: str = "", **options: Unpack[ClientOptions]) -> None:

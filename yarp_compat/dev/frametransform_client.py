@@ -43,14 +43,10 @@ class TransformClient(Openable, IFrameTransform):
     """Frames of a server, between ``with`` and its end.
 
     The server streams all that it has; the client takes that apart when somebody asks. What came longer ago than
-    `LIFETIME` is no longer known, by this machine's clock alone.
-
-    Args:
-        server: begins the names of the server's ports: ``/robot`` for ``/robot/frameTransformServer/...``.
-        name: begins the names of the own ports, as ``/gui`` for ``/gui/frameTransformClient/...``; empty lets the name
-            server choose them.
-        streaming: hear the server's stream; else ask the server whenever somebody asks here.
-        options: as of `ClientOptions`.
+    `LIFETIME` is no longer known, by this machine's clock alone. Unless it is ``streaming``, the server is asked
+    whenever somebody asks here. ``server`` begins the names of its ports (``/robot`` for
+    ``/robot/frameTransformServer/...``), ``name`` those of the own ones, empty lets the name server choose them;
+    options as of `ClientOptions`.
     """
 
     def __init__(

@@ -227,8 +227,6 @@ class NameServer(Openable):
         """Count what changed; with the lock held, so that who saw a number has not seen less than it stands for."""
         self.changes += answer.changed
 
-    # -- who asks ------------------------------------------------------------------------------------------------
-
     def _line(self, line: str, address: tuple[str, int]) -> bytes:
         """A command of a name client, as a line; the answer's bytes."""
         try:
@@ -251,8 +249,6 @@ class NameServer(Openable):
             message.reply(_in_lines(values), plain=True)
         else:
             message.reply(encode(values, message.peer.profile or self._profile))
-
-    # -- what it remembers ---------------------------------------------------------------------------------------
 
     def _recall(self) -> None:
         if self._state is None:

@@ -26,18 +26,11 @@ EMPTY = b"\x00\x01\x00\x00\x00\x00\x00\x00"  # a Bottle with nothing in it
 
 
 class Input:
-    """One input connection; subclasses handle its bytes.
+    """One input connection, whose peer has introduced itself; subclasses handle its bytes.
 
     The messages of one connection are taken one after another, each when the port's owner is done with the one before;
-    so a sender that waits for acknowledgements goes no faster than the owner.
-
-    Args:
-        port: whose input it is.
-        sock: connected; the peer has introduced itself.
-        opened: the introduction.
-        already: what came behind that.
-        address: the peer's.
-        greeting: the answer to the introduction, where the peer has not got it yet.
+    so a sender that waits for acknowledgements goes no faster than the owner. ``already`` came behind the introduction;
+    ``greeting`` answers that, where the peer has not got it yet.
     """
 
     def __init__(

@@ -61,8 +61,6 @@ class Output:
         self._current: Item | None = None
         self._speaker = OutputSocket(sock, route, carrier, limit)
 
-    # -- writing ------------------------------------------------------------------------------------------------------
-
     def begin(self, buffers: list[Buffer], strict: bool, wait: bool) -> Item | None:
         """Send a message as far as that goes at once; the rest follows. None where the peer is gone.
 
@@ -165,8 +163,6 @@ class Output:
         else:
             self._loop.call(self._drive)
 
-    # -- the queue ----------------------------------------------------------------------------------------------------
-
     def _queue(self, item: Item, strict: bool) -> None:
         """Let a message wait for its turn; with the lock held."""
         item.own()
@@ -238,8 +234,6 @@ class Output:
         self._current = Item([], ours=True)
         return self.finish(self._current, deadline)
 
-    # -- requests -----------------------------------------------------------------------------------------------------
-
     def request(self, buffers: list[Buffer], parse: ReplyEnd | None, deadline: float | None) -> bytes:
         """Send a message that wants a reply, and wait for it until the deadline of the monotonic clock.
 
@@ -279,8 +273,6 @@ class Output:
             raise ConnectionAbortedError(self._speaker.gone())
         if deadline is not None and time.monotonic() > deadline:
             raise TimeoutError(f"no reply from {self.route.target} in time")
-
-    # -- the end ------------------------------------------------------------------------------------------------------
 
     def check(self) -> None:
         """Look whether the idle peer is there, and has acknowledged: with the lock, so that writers find it free."""

@@ -84,8 +84,6 @@ class PortCore(ConnectingPort):
         self._listener: Listener | None = None
         self._interrupted = False
 
-    # -- life ---------------------------------------------------------------------------------------------------------
-
     def open(self) -> PortContact:
         """Register the port and listen, after a close under way; raises `NamingError`, `OSError` for the address."""
         self._closed.wait()
@@ -163,24 +161,17 @@ class PortCore(ConnectingPort):
     def on_event(self, on_event: OnEvent | None) -> None:
         self.connections.on_event = on_event
 
-    # -- writing ------------------------------------------------------------------------------------------------------
-
     def write(
         self, payload: Content, envelope: str = "", *, strict: bool = False, wait: bool = False,
         timeout: float | None = None, text: Callable[[], str] | None = None,
         chosen: Callable[[AnyOutput], bool] | None = None,
     ) -> int:  # fmt: skip
-        """Send a message to all outputs; returns how many took it. A text carrier takes Bottles only.
+        """Send a message to all outputs, or the ``chosen``; returns how many took it. Text carriers take Bottles only.
 
-        Args:
-            payload: its bytes, in one or several buffers; or what makes them in the dialect of each output.
-            envelope: sent with it.
-            strict: queue it behind messages that are still on their way to a peer; the oldest make room in a full
-                queue. Else it takes the place of what waits.
-            wait: return when all peers took it, and acknowledged it where the carrier does that; else never wait.
-            timeout: seconds to wait at most.
-            text: makes the line for text carriers; by default the payload's own text.
-            chosen: which of the outputs get it; by default all.
+        The payload may be what makes it in each output's dialect. ``strict``: queue it behind messages that are still
+        on their way to a peer, the oldest of which make room in a full queue; else it takes their place. ``wait``:
+        return when all peers took it, and acknowledged it where the carrier does that, ``timeout`` seconds at most;
+        else never wait. ``text`` makes the line for text carriers, by default the payload's own.
         """
         if self._interrupted:
             self.counters.dropped["interrupted"] += 1
@@ -254,8 +245,6 @@ class PortCore(ConnectingPort):
     def lost(self) -> Counter[str]:
         """Messages that its outputs dropped, by reason; those of outputs that have ended too."""
         return self.connections.lost
-
-    # -- on the shared thread, and what comes in ----------------------------------------------------------------------
 
     def _look(self) -> None:
         """On the shared thread, now and then: are the peers of idle outputs still there."""

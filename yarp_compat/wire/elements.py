@@ -33,19 +33,12 @@ _TAGGED_FLOAT32, _TAGGED_FLOAT64 = struct.Struct("<if"), struct.Struct("<id")
 
 
 class ElementReader:
-    """A place in a payload.
+    """A place (``at``) in a payload, whose tags are a profile's.
 
     Every method takes what comes next, and raises :class:`WireError` where that is something else and
-    :class:`Incomplete` where the bytes end before it does.
-
-    Args:
-        data: the payload.
-        profile: whose tags it has.
-        generation: how a call's outcome is written in it; by default as the newest release of the profile does.
-        at: where to begin.
-
-    ``left`` are the elements left in the list, below 0 outside of any; ``unit`` is the tag of all its elements, 0 where
-    each has its own.
+    :class:`Incomplete` where the bytes end before it does. A call's outcome is read as ``generation`` writes it, by
+    default the profile's newest. ``left`` are the elements left in the list, below 0 outside of any; ``unit`` is the
+    tag of all its elements, 0 where each has its own.
     """
 
     __slots__ = ("_outer", "at", "data", "generation", "left", "profile", "unit")

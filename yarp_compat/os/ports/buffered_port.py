@@ -103,8 +103,6 @@ class BufferedPort(Contactable, TypedReaderCallback):
         self._prepared: Any = None
         self._spare: Any = None
 
-    # -- writing ------------------------------------------------------------------------------------------------------
-
     def prepare(self) -> Any:
         """The object to fill and then to `write`. It may hold what was written before: clear it where that matters."""
         self._prepared = self._spare if self._spare is not None else self._content()
@@ -140,8 +138,6 @@ class BufferedPort(Contactable, TypedReaderCallback):
         """Wait until all that was written has been sent."""
         if self._core is not None:
             self._core.wait_writes()
-
-    # -- reading ------------------------------------------------------------------------------------------------------
 
     def read(self, shouldWait: bool = True) -> Any:
         """The newest message, or in strict mode the oldest unread; None without one. ``shouldWait``: for one."""
@@ -202,8 +198,6 @@ class BufferedPort(Contactable, TypedReaderCallback):
 
     setReader = setReplier
 
-    # -- callbacks ----------------------------------------------------------------------------------------------------
-
     def onRead(self, datum: Any, reader: Any = None) -> None:
         """Take one message after ``useCallback()``: for classes derived from this one."""
 
@@ -230,8 +224,6 @@ class BufferedPort(Contactable, TypedReaderCallback):
             return content
 
         self._thread = CallbackThread(self.getName(), take, self._callback, self, self._callback_lock)
-
-    # -- the port's life ----------------------------------------------------------------------------------------------
 
     def _began(self) -> None:
         self._gate = self._inbox = Inbox()
