@@ -67,6 +67,9 @@ class FrameMeter:
         return made
 
 
+QUIET, MOST = 0.25, 1.0
+"""Seconds without news after which all frames are known where every publisher spoke, and seconds listened at most."""
+
 PATIENCE = 5.0
 """Seconds within which the first transform is to come."""
 
@@ -96,6 +99,8 @@ class TransformListener:
         self.clock = RunClock(simulated=client.config.clock.simulated)
         self._meters: dict[str, FrameMeter] = {}
         self._authorities: dict[bytes, str] = {}
+        self._known: set[tuple[str, str, bytes]] = set()  # frame, parent and publisher
+        self._news = 0.0  # when there was a new one
         self._lock = threading.Lock()
         self._bad = ""
         namespace = absolute(namespace).rstrip("/") if namespace else ""
@@ -117,6 +122,24 @@ class TransformListener:
             time.sleep(min(left, _LOOK_SECONDS))
             self.look()
 
+    def gather(self) -> float:
+        """Hear until all frames are known, as far as can be told, and at most `MOST`; the seconds that it took."""
+        began = time.monotonic()
+        while (passed := time.monotonic() - began) < MOST:
+            if time.monotonic() - max(began, self._news) >= QUIET and self._all_spoke():
+                break
+            time.sleep(_FIRST_LOOK_SECONDS)
+            self.look()
+        return passed
+
+    def _all_spoke(self) -> bool:
+        """Whether each publisher was heard; False where one speaks for a side: it may have many programs behind it."""
+        with self._lock:
+            heard = {gid for _, _, gid in self._known}
+        topics = {feed.topic for feed in self._feeds}
+        others = [e for e in self.client.hub.graph.publishers() if e.topic in topics and not e.own]
+        return all(e.origin is None and not e.pending and e.gid in heard for e in others)
+
     def look(self) -> None:
         """Take up publishers that came."""
         for feed in self._feeds:
@@ -135,6 +158,10 @@ class TransformListener:
         with self._lock:
             for transform in read(cdr):
                 name = transform.child_frame_id.lstrip("/")
+                known = name, transform.frame_id, sample.gid
+                if known not in self._known:
+                    self._known.add(known)
+                    self._news = arrived
                 meter = self._meters.get(name)
                 if meter is None:
                     meter = self._meters[name] = FrameMeter()

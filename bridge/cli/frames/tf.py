@@ -15,13 +15,11 @@ from rich.table import Table
 from rich.text import Text
 
 from bridge.cli.arguments import add_verb, add_verbs, number_in
-from bridge.cli.frames.feed import FrameMeter, TransformListener, add_tf_arguments, open_listener
+from bridge.cli.frames.feed import MOST, QUIET, FrameMeter, TransformListener, add_tf_arguments, open_listener
 from bridge.cli.output import CliError, clean, duration, make_console, print_json, rate
 from bridge.tf import tree
 from bridge.tf.errors import InvalidArgumentError, TransformError
 from bridge.tf.transform import FrameInfo, Quaternion, Transform
-
-_DURATION = 1.0
 
 
 def register(parser: argparse.ArgumentParser) -> None:
@@ -33,19 +31,20 @@ def register(parser: argparse.ArgumentParser) -> None:
 
 
 def _register_list_and_tree(verbs: Any) -> None:
-    listing = add_verb(verbs, "list", _list, "all frames", "Lists the frames published within --duration.", hub=False)
+    listing = add_verb(verbs, "list", _list, "all frames", "Lists the frames that are published.", hub=False)
     listing.add_argument("-v", "--verbose", action="store_true", help="with parents, authorities, rates, newest stamps")
     drawing = add_verb(
         verbs, "tree", _tree, "the tree of frames, as text or for Graphviz",
-        "Draws the tree of the frames that are published within --duration. Marks loops, and frames to which several"
-        " programs give different parents.",
+        "Draws the tree of the frames that are published. Marks loops, and frames to which several programs give"
+        " different parents.",
         example="midspan tf tree --dot | dot -Tpdf > frames.pdf", hub=False,
     )  # fmt: skip
     drawing.add_argument("--dot", action="store_true", help="print it for Graphviz")
     for parser in (listing, drawing):
         parser.add_argument(
-            "--duration", type=float, default=_DURATION, metavar="SECONDS",
-            help=f"how long to listen once a transform came (default {_DURATION:g}); a slow frame needs longer",
+            "--duration", type=float, metavar="SECONDS",
+            help="how long to listen once a transform came; a slow frame needs longer (default: until every node of the"
+            f" hub spoke and {QUIET:g} s brought no other frame, and {MOST:g} s where others are heard too)",
         )  # fmt: skip
         parser.add_argument("--json", action="store_true", help="print all that is known of each frame as JSON")
         add_tf_arguments(parser)
@@ -92,7 +91,10 @@ def frame_json(info: FrameInfo) -> dict[str, Any]:
 
 def _frames(args: argparse.Namespace, listener: TransformListener) -> list[FrameInfo]:
     listener.wait()
-    listener.listen(args.duration)
+    if args.duration is not None:
+        listener.listen(args.duration)
+    elif (passed := listener.gather()) < MOST:
+        print(f"listened for {passed:.1f} s; for slow frames: --duration SECONDS", file=sys.stderr)
     return listener.buffer.frames()
 
 

@@ -97,6 +97,24 @@ def test_the_tree_has_the_frames_of_all(midspan: Midspan) -> None:
     assert frames["odom"]["sources"][0]["authority"] == "ROS 1 by robot1"
 
 
+def test_it_listens_until_every_node_spoke(
+    midspan: Midspan, network: HubNetwork, registry: Registry, closing: list[Any]
+) -> None:
+    nodes = FakeWorker(network, "one"), FakeWorker(network, "two")
+    closing.extend(nodes)
+    for node, (parent, child) in zip(nodes, ("ab", "bc"), strict=True):
+        cdr = write([Stamped(parent, child, 0, (0.0, 0.0, 0.0), UNIT)])
+        node.publish("/tf_static", TF, registry.ros2(TF).type_id, cdr)
+    done = seen(midspan, "list", fits=lambda done: "listened for 0." in done.err)
+    assert done.out.split() == ["a", "b", "c"]
+
+
+@pytest.mark.usefixtures("robot")
+def test_it_listens_longer_where_a_side_speaks(midspan: Midspan) -> None:
+    """Behind its one publisher there may be many programs."""
+    assert "listened for" not in seen(midspan, "list", fits=lambda done: done.out.split() == ALL).err
+
+
 @pytest.mark.usefixtures("robot")
 def test_echo_says_where_a_frame_is(midspan: Midspan) -> None:
     done = midspan("tf", "echo", "map", "laser", "--count", "2", "--rate", "50", "--json", "--timeout", "20")
