@@ -9,6 +9,7 @@ from itertools import takewhile
 from typing import Any
 
 from bridge.hub.wire.qos import LATCHED, Durability, Qos
+from bridge.modules.endpoints import Subscription
 from bridge.modules.host import Host
 from bridge.tf.buffer import TransformBuffer
 from bridge.tf.errors import TransformError
@@ -45,11 +46,26 @@ class RobotFrames:
         self._odometry_age, self._localization_age = odometry_age, localization_age
         self._now_ns = host.clock.now_ns
         self.buffer = TransformBuffer(now=self._now_ns)
-        # at once: a base says its odometry a hundred times a second, and each module would be woken for it
-        hear = host.node.subscription_cdr
-        hear(TF, TF_TYPE, partial(self._hear, static=False), Qos(depth=_DEPTH), at_once=True)
-        hear(TF_STATIC, TF_TYPE, partial(self._hear, static=True), _STATIC, at_once=True)
+        self._node = host.node
+        self._ends: list[Subscription] = []
+        self.listen()
         host.clock.on_jump(self.buffer.clear)
+
+    def listen(self) -> None:
+        """Follow the frames; done at the start, and after `rest`."""
+        # at once: a base says its odometry a hundred times a second, and each module would be woken for it
+        hear = partial(self._node.subscription_cdr, type_name=TF_TYPE, at_once=True)
+        self._ends = [
+            hear(TF, heard=partial(self._hear, static=False), qos=Qos(depth=_DEPTH)),
+            hear(TF_STATIC, heard=partial(self._hear, static=True), qos=_STATIC),
+        ]
+
+    def rest(self) -> None:
+        """Follow the frames no more, and forget them."""
+        ends, self._ends = self._ends, []
+        for end in ends:
+            self._node.release(end)
+        self.buffer.clear()
 
     def _hear(self, cdr: bytes, *, static: bool) -> None:
         self.buffer.set_message(cdr, static=static)

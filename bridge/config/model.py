@@ -18,6 +18,7 @@ from bridge.config.sections.ros import Ros1Section, Ros2Section
 from bridge.config.sections.routing import RoutingSection
 from bridge.config.sections.section import Section, setting, subsection
 from bridge.config.sections.sim import ClockSection, SimSection
+from bridge.config.sections.web import WebSection
 from bridge.config.sections.yarp import YarpSection
 from bridge.config.sections.zenoh import ZenohSection
 from bridge.sides import imported, own_sides
@@ -79,6 +80,7 @@ class Config(Section):
     navigation: NavigationSection = subsection(
         NavigationSection, "Planners and clients; see docs/navigation/navigation.md."
     )
+    web: WebSection = subsection(WebSection, "The console in the browser; see docs/operate/console.md.")
     limits: LimitsSection = subsection(LimitsSection, "What is refused for its size.")
     log: LogSection = subsection(LogSection, "Logging.")
 

@@ -102,6 +102,12 @@ WORKERS = (
         sections=frozenset({"sim", "clock", "types", "limits", "yarp"}),
         environment="sim.environment",
     ),
+    WorkerKind(
+        "web",
+        "bridge.web.worker:WebWorker",
+        sections=frozenset({"web", "navigation", "types", "limits"}),
+        environment="bridge.web.environment",
+    ),
 )
 
 

@@ -19,6 +19,7 @@ from bridge.demo.progress import STILL_SECONDS, DemoRun, Part
 from bridge.demo.sandbox import SYSTEM_PYTHON, Sandbox
 from bridge.demo.shutdown import Shutdown, end_all
 from bridge.demo.tracking import RobotTracker
+from bridge.web import environment as web
 from yarp_compat.naming import connections
 from yarp_compat.naming.client import NameClient
 from yarp_compat.naming.config import Address
@@ -128,8 +129,9 @@ class RoomsDemo(DemoRun):
     def next(self) -> str:
         """What can be tried while it runs, in one line."""
         sandbox = self._sandbox
+        page = f"http://127.0.0.1:{sandbox.web_port}/ in a browser, or " if sandbox.config.web.enabled else ""
         return (
-            f"midspan goto bedroom --router tcp/127.0.0.1:{sandbox.router_port}  (ROS_MASTER_URI={sandbox.master},"
+            f"{page}midspan goto bedroom --router tcp/127.0.0.1:{sandbox.router_port}  (ROS_MASTER_URI={sandbox.master},"
             f" ROS_DOMAIN_ID={sandbox.domain}, YARP's names at 127.0.0.1:{sandbox.yarp_port})"
         )
 
@@ -186,10 +188,14 @@ class RoomsDemo(DemoRun):
 
 
 def laid_over(template: Path) -> dict[str, Any]:
-    """What the demo changes of a configuration: the store's files by their whole paths, and nobody to wait for."""
-    store = load(template).store
-    files = {"maps": store.maps, "locations": store.locations}
-    return {"store": {key: str(file) for key, file in files.items() if file is not None}, "sim": {"people": False}}
+    """What the demo changes of a configuration: the store's files by their whole paths, nobody to wait for, a console."""
+    config = load(template)
+    files = {"maps": config.store.maps, "locations": config.store.locations}
+    return {
+        "store": {key: str(file) for key, file in files.items() if file is not None},
+        "sim": {"people": False},
+        "web": {"enabled": not web.available(config)},
+    }
 
 
 def _holds(ready: Callable[[], object]) -> bool:

@@ -55,7 +55,7 @@ class Sandbox:
         self.folder = Path(tempfile.mkdtemp(prefix="midspan-demo-", dir=_base()))
         try:
             self._hold, self.domain = _hold_domain()
-            self.master_port, self.router_port, self.yarp_port = _free_ports(3, self.domain)
+            self.master_port, self.router_port, self.yarp_port, self.web_port = _free_ports(4, self.domain)
             # a package alone on a path of its own: what else lies beside it must not reach the system's Python
             self.system_path = self.folder / "system"
             self.system_path.mkdir()
@@ -138,6 +138,7 @@ class Sandbox:
             "ros1": {"enabled": True, "master": self.master},
             "ros2": {"enabled": True, "domain": self.domain},
             "yarp": {"enabled": yarp, "nameserver": "embedded", "address": f"127.0.0.1:{self.yarp_port}"},
+            "web": {"listen": f"127.0.0.1:{self.web_port}"},
         }
         self.config_file.write_text(yaml.safe_dump(_merged(base, own), sort_keys=False), encoding="utf-8")
         return load(self.config_file)

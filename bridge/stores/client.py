@@ -37,8 +37,12 @@ class StoreClient:
 
     def keys(self) -> set[tuple[str, str]]:
         """Kind and name of every value."""
-        answer = json.loads(self._ask("digest", "", b"{}")[0].body or b"{}")
-        return {(kind, name) for kind, name, _, _, size in answer.get("entries", []) if size}
+        return {(kind, name) for kind, name, _, _, size in self.digest() if size}
+
+    def digest(self) -> list[list[Any]]:
+        """Kind, name, version and size of every value, to be compared with a later one."""
+        found: list[list[Any]] = json.loads(self._ask("digest", "", b"{}")[0].body or b"{}").get("entries", [])
+        return sorted(found, key=lambda entry: entry[:2])
 
     def names(self, kind: ValueKind[Any]) -> list[str]:
         """The names of a kind's values, sorted."""

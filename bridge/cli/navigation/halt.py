@@ -6,6 +6,7 @@ import argparse
 import threading
 import time
 from collections.abc import Collection, Iterable
+from dataclasses import dataclass
 from typing import Any
 
 from bridge.cli.arguments import add_hub_arguments
@@ -51,40 +52,67 @@ def register(parser: argparse.ArgumentParser) -> None:
     parser.set_defaults(run=run)
 
 
+@dataclass(frozen=True)
+class Halted:
+    """What was halted.
+
+    Attributes:
+        topics: those of velocities, with how many listen on the hub.
+        cancels: what became of each action's goals.
+        bases: who was asked to halt, and why it is not known to stand; "" where it is.
+        trouble: why the configured planner may drive on; "" where it does not.
+    """
+
+    topics: dict[str, int]
+    cancels: list[GoalCancellation]
+    bases: dict[str, str]
+    trouble: str
+
+    @property
+    def failed(self) -> list[GoalCancellation]:
+        """The actions whose goals could not be cancelled."""
+        return [cancel for cancel in self.cancels if cancel.error]
+
+
 def run(args: argparse.Namespace) -> int:
     """Halt everything; 1 where something did not answer."""
     with open_client(args) as client:
         client.settle()
-        types = Types(client)
-        zeros = ZeroVelocities(client, types)
-        cancels = [GoalCancellation(client, types, name) for name in actions(client)]
-        zeros.put()
-        bases: dict[str, str] = {}
-        asking = threading.Thread(target=lambda: bases.update(_halted(client)), daemon=True)
-        asking.start()
-        end = time.monotonic() + args.seconds
-        never = threading.Event()
-        while time.monotonic() < end:
-            never.wait(_PERIOD)
-            zeros.put()
-        asking.join()  # it has a time limit of its own
-        topics = {topic: zeros.listeners(topic) for topic in zeros.topics}
-        zeros.close()
-        trouble = unreached(client.config.navigation, bases, [cancel.name for cancel in cancels])
-    goals = {cancel.name: cancel.found for cancel in cancels}
-    failed = [cancel for cancel in cancels if cancel.error]
+        found = halt(client, Types(client), args.seconds)
     if args.json:
-        errors = {cancel.name: cancel.error for cancel in failed} | {base: why for base, why in bases.items() if why}
-        errors |= {"navigation": trouble} if trouble else {}
-        stands = {base: not why for base, why in bases.items()}
-        print_json({"topics": topics, "goals": goals, "bases": stands, "errors": errors})
+        errors = {cancel.name: cancel.error for cancel in found.failed}
+        errors |= {base: why for base, why in found.bases.items() if why}
+        errors |= {"navigation": found.trouble} if found.trouble else {}
+        goals = {cancel.name: cancel.found for cancel in found.cancels}
+        stands = {base: not why for base, why in found.bases.items()}
+        print_json({"topics": found.topics, "goals": goals, "bases": stands, "errors": errors})
     else:
-        _tell(topics, cancels, bases)
-    if trouble:
-        raise CliError(trouble)
-    if not (topics or goals or bases):
+        _tell(found.topics, found.cancels, found.bases)
+    if found.trouble:
+        raise CliError(found.trouble)
+    if not (found.topics or found.cancels or found.bases):
         raise CliError("nothing to halt: the hub has no topic of velocities, no action and no BaseControl")
-    return 1 if failed or any(bases.values()) else 0
+    return 1 if found.failed or any(found.bases.values()) else 0
+
+
+def halt(client: CliClient, types: Types, seconds: float = DEFAULT_SECONDS) -> Halted:
+    """Halt everything on the hub, and repeat zero for so many seconds."""
+    zeros = ZeroVelocities(client, types)
+    cancels = [GoalCancellation(client, types, name) for name in actions(client)]
+    zeros.put()
+    bases: dict[str, str] = {}
+    asking = threading.Thread(target=lambda: bases.update(_halted(client)), daemon=True)
+    asking.start()
+    end = time.monotonic() + seconds
+    never = threading.Event()
+    while time.monotonic() < end:
+        never.wait(_PERIOD)
+        zeros.put()
+    asking.join()  # it has a time limit of its own
+    topics = {topic: zeros.listeners(topic) for topic in zeros.topics}
+    zeros.close()
+    trouble = unreached(client.config.navigation, bases, [cancel.name for cancel in cancels])
+    return Halted(topics, cancels, bases, trouble)
 
 
 def unreached(section: NavigationSection, asked: Iterable[str], cancelled: Collection[str]) -> str:

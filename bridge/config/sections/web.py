@@ -1,0 +1,51 @@
+"""The section ``web``: the console, a page for people who watch and drive."""
+
+from __future__ import annotations
+
+import ipaddress
+import re
+
+from pydantic import field_validator
+
+from bridge.config.sections.section import OptionalTopic, Section, setting
+
+_ADDRESS = re.compile(r"(?:\[(?P<six>[0-9A-Fa-f:.]+)\]|(?P<name>[^\[\]:/\s]+)):(?P<port>\d{1,5})")
+
+
+class WebSection(Section):
+    """The console."""
+
+    enabled: bool = setting(False, "Whether it runs.")
+    listen: str = setting(
+        "127.0.0.1:8480", "Address and port of the page, of this machine alone (127.0.0.0/8 or [::1]); port 0: any."
+    )
+    laser: OptionalTopic = setting("/scan", 'Topic of the laser that the map shows; "": none.')
+    path: OptionalTopic = setting("", 'Topic of the path that the map shows; "": that of the chosen planner.')
+    radius: float = setting(0.3, "Metres: the disc that the map draws for the robot.", gt=0.0, le=10.0)
+    speed: float = setting(0.3, "m/s that driving by hand commands at the most.", gt=0.0, le=2.0)
+    turn: float = setting(0.6, "rad/s that driving by hand commands at the most.", gt=0.0, le=3.0)
+
+    @field_validator("listen")
+    @classmethod
+    def _listens_here(cls, value: str) -> str:
+        address, _ = split(value)
+        if address != "localhost" and not _is_loopback(address):
+            msg = f"{address} is no address of this machine alone: the console has neither TLS nor tokens yet"
+            raise ValueError(msg)
+        return value
+
+
+def split(listen: str) -> tuple[str, int]:
+    """Address and port; raises `ValueError`."""
+    found = _ADDRESS.fullmatch(listen)
+    if found is None or int(found["port"]) > 65535:
+        msg = f"{listen!r} is no address and port: write it as 127.0.0.1:8480 or [::1]:8480"
+        raise ValueError(msg)
+    return found["six"] or found["name"], int(found["port"])
+
+
+def _is_loopback(address: str) -> bool:
+    try:
+        return ipaddress.ip_address(address).is_loopback
+    except ValueError:
+        return False

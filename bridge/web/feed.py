@@ -1,0 +1,124 @@
+"""What pages watch: the newest value of each feed, followed on the hub only while a page watches it."""
+
+from __future__ import annotations
+
+import json
+import math
+from abc import ABC, abstractmethod
+from collections.abc import Callable
+from typing import Any, Protocol
+
+
+class Watcher(Protocol):
+    """A page; called on the module's thread."""
+
+    def changed(self, name: str, n: int, text: str) -> None:
+        """A feed has a new value; ``text`` is the message for the page."""
+
+
+class Feed(ABC):
+    """One feed. All on the module's thread.
+
+    Args:
+        name: as pages ask for it.
+    """
+
+    def __init__(self, name: str) -> None:
+        self.name = name
+        self._watchers: set[Watcher] = set()
+        self._n = 0
+        self._text = ""
+        self._value = ""
+
+    @property
+    def watched(self) -> bool:
+        """Whether any page watches it."""
+        return bool(self._watchers)
+
+    def watch(self, watcher: Watcher) -> None:
+        """Send a page the newest value, now and when it changes."""
+        begins = not self._watchers
+        self._watchers.add(watcher)
+        if begins:
+            self.open()
+        elif self._text:
+            watcher.changed(self.name, self._n, self._text)
+
+    def unwatch(self, watcher: Watcher) -> None:
+        """Send it no more; without any page the feed follows nothing."""
+        if watcher in self._watchers:
+            self._watchers.discard(watcher)
+            if not self._watchers:
+                self.close()
+                self._text = self._value = ""
+
+    def put(self, value: Any, why: str = "") -> None:
+        """Take a new value, None with ``why`` where there is none; one that is as before is not sent again."""
+        if not self._watchers:
+            return  # what was on its way when the last page left
+        said = {"value": value, "why": why} if value is None else {"value": value}
+        text = json.dumps(finite(said), ensure_ascii=False, separators=(",", ":"))
+        if text == self._value:
+            return
+        self._value = text
+        self._n += 1
+        head = json.dumps({"op": "value", "feed": self.name, "n": self._n}, ensure_ascii=False, separators=(",", ":"))
+        self._text = f"{head[:-1]},{text[1:]}"
+        for watcher in tuple(self._watchers):
+            watcher.changed(self.name, self._n, self._text)
+
+    @abstractmethod
+    def open(self) -> None:
+        """Follow what it is made of: the first page came."""
+
+    @abstractmethod
+    def close(self) -> None:
+        """Follow it no more."""
+
+
+def finite(value: Any) -> Any:
+    """The value, with None for numbers that JSON has not."""
+    if isinstance(value, dict):
+        return {key: finite(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [finite(item) for item in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
+Make = Callable[[str], Feed]
+
+
+class Feeds:
+    """All feeds of the console by name; those of a topic (``topic:/name``) are made as they are asked for.
+
+    Args:
+        fixed: the feeds that are there always.
+        of_topic: makes the feed of a topic by its name.
+    """
+
+    MOST_TOPICS = 100
+    """Topics that all pages together may watch."""
+
+    def __init__(self, fixed: list[Feed], of_topic: Make) -> None:
+        self._fixed = {feed.name: feed for feed in fixed}
+        self._of_topic = of_topic
+        self._topics: dict[str, Feed] = {}
+
+    def find(self, name: str) -> Feed:
+        """The feed with a name; raises `LookupError` with the reason where there is none."""
+        if name in self._fixed:
+            return self._fixed[name]
+        if not name.startswith("topic:/"):
+            raise LookupError(f"there is no feed {name[:80]!r}; there are {', '.join(self._fixed)} and topic:/NAME")
+        if name not in self._topics:
+            self._topics = {each: feed for each, feed in self._topics.items() if feed.watched}
+            if len(self._topics) >= self.MOST_TOPICS:
+                raise LookupError(f"{self.MOST_TOPICS} topics are watched already; close some")
+            self._topics[name] = self._of_topic(name)
+        return self._topics[name]
+
+    def close(self) -> None:
+        """Follow nothing more."""
+        for feed in (*self._fixed.values(), *self._topics.values()):
+            if feed.watched:
+                feed.close()

@@ -1,0 +1,107 @@
+"""Driving by hand: a velocity for as long as a page says so, and zero at once when it does not."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from typing import Any, Protocol
+
+from bridge.hub.wire.qos import Qos
+from bridge.modules.host import Host
+from bridge.modules.loop import Timer
+
+HOLD_SECONDS = 0.3
+"""A page that has been silent for so long holds nothing."""
+
+TWIST = "geometry_msgs/msg/Twist"
+_PERIOD = 0.05
+_ZERO = (0.0, 0.0, 0.0)
+
+Velocity = tuple[float, float, float]
+
+
+class Holder(Protocol):
+    """The page that drives; called on the module's thread."""
+
+    who: str
+
+    def held(self, x: float, y: float, turn: float) -> None:
+        """Say what is commanded for it."""
+
+    def refuse(self, why: str) -> None:
+        """Say why it may not drive."""
+
+
+class Hold:
+    """Publishes what one page holds, 20 times a second, then zero once, then nothing. All on the module's thread.
+
+    Args:
+        host: the console's.
+        topic: of the base's velocities (``geometry_msgs/msg/Twist``).
+        most: the largest speed and turn, m/s and rad/s.
+        driven: why nobody may drive by hand now, "" where one may.
+
+    A planner that begins meanwhile ends the hold with its next word.
+    """
+
+    def __init__(self, host: Host, topic: str, most: tuple[float, float], driven: Callable[[], str]) -> None:
+        self._host, self._topic, self._most, self._driven = host, topic, most, driven
+        self._holder: Holder | None = None
+        self._velocity: Velocity = _ZERO
+        self._until = 0.0
+        self._timer: Timer | None = None
+        self._out: Any = None
+
+    def hold(self, page: Holder, x: float, y: float, turn: float, arrived: float) -> None:
+        """Drive so for a page; ``arrived``: when it said so (monotonic seconds), which may be long ago here."""
+        now = time.monotonic()
+        if now - arrived > HOLD_SECONDS:
+            return
+        holder = self._holder
+        why = self._driven() if holder in (None, page) else f"{holder.who} drives by hand"
+        if why:
+            self.release(page)
+            page.refuse(why)
+            return
+        if self._holder is None:
+            self._host.log.info("%s drives by hand", page.who)
+            self._holder = page
+            self._out = self._out or self._host.node.publisher(self._topic, TWIST, Qos(depth=1), priority="command")
+            self._timer = self._host.loop.every(_PERIOD, self._again)
+        speed, most_turn = self._most
+        self._velocity = (_within(x, speed), _within(y, speed), _within(turn, most_turn))
+        self._until = arrived + HOLD_SECONDS
+        self._publish()
+
+    def release(self, page: Holder) -> None:
+        """Stop driving for a page."""
+        if page is self._holder:
+            self.stop()
+
+    def stop(self) -> None:
+        """Command zero once, whoever holds."""
+        if self._holder is None:
+            return
+        page, self._holder, self._velocity = self._holder, None, _ZERO
+        if self._timer is not None:
+            self._timer.close()
+            self._timer = None
+        self._publish()
+        page.held(*_ZERO)
+        self._host.log.info("%s no longer drives by hand", page.who)
+
+    def _again(self) -> None:
+        if time.monotonic() > self._until:
+            self.stop()
+        else:
+            self._publish()
+
+    def _publish(self) -> None:
+        x, y, turn = self._velocity
+        self._out.publish({"linear": {"x": x, "y": y}, "angular": {"z": turn}})
+        if self._holder is not None:
+            self._holder.held(x, y, turn)
+
+
+def _within(value: float, most: float) -> float:
+    return min(max(value, -most), most)

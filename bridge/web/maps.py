@@ -1,0 +1,281 @@
+"""The feeds of the store: the map in use with its pictures, the other maps, the places."""
+
+from __future__ import annotations
+
+import hashlib
+import io
+import logging
+import threading
+from collections import OrderedDict
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image
+
+from bridge.concurrency import SerialExecutor
+from bridge.config.model import Config
+from bridge.hub.errors import HubError
+from bridge.hub.wire.qos import LATCHED
+from bridge.modules.host import Host
+from bridge.stores.client import StoreClient
+from bridge.stores.entry import StoreError
+from bridge.stores.kinds import AREA, LOCATION, MAP, PATH
+from bridge.stores.wire import prefix
+from bridge.web.feed import Feed
+from bridge.web.robot import TopicsFeed, place
+from navigation.maps.grid import from_grid
+from navigation.messages import GRID
+from navigation.pose import Pose
+from yarp_compat.dev.mapgrid import MapFlag, MapGrid2D
+
+_log = logging.getLogger("midspan.web")
+
+LOOK_SECONDS = 1.0
+"""So often the store is asked for what is new."""
+
+_MOST_PICTURES = 4
+_TINTS = {
+    MapFlag.KEEP_OUT: (214, 40, 40, 110),
+    MapFlag.TEMPORARY_OBSTACLE: (240, 140, 20, 120),
+    MapFlag.ENLARGED_OBSTACLE: (150, 110, 200, 100),
+}
+"""Colour and opacity of flags over the occupancy."""
+
+
+def occupancy_png(grid: MapGrid2D) -> bytes:
+    """The occupancy as a picture of greys with opacity: free white, occupied black, unknown clear."""
+    values = np.asarray(grid.occupancy, np.uint8)
+    known = values <= 100
+    grey = np.where(grid.flags == MapFlag.WALL, 0, 255 - np.minimum(values, 100).astype(np.uint16) * 255 // 100)
+    known |= (grid.flags == MapFlag.WALL) | (grid.flags == MapFlag.FREE)
+    opacity = np.where(known & (grid.flags != MapFlag.UNKNOWN), 255, 0)
+    return _png(np.dstack([grey.astype(np.uint8), opacity.astype(np.uint8)]), "LA")
+
+
+def flags_png(grid: MapGrid2D) -> bytes | None:
+    """The flags that planners heed as tints; None where no cell has one."""
+    tints = np.zeros((256, 4), np.uint8)
+    for flag, colour in _TINTS.items():
+        tints[flag] = colour
+    picture = tints[grid.flags]
+    return _png(picture, "RGBA") if picture.any() else None
+
+
+def _png(cells: NDArray[np.uint8], mode: str) -> bytes:
+    out = io.BytesIO()
+    Image.frombytes(mode, (cells.shape[1], cells.shape[0]), np.ascontiguousarray(cells).tobytes()).save(
+        out, "PNG", compress_level=3
+    )
+    return out.getvalue()
+
+
+class Pictures:
+    """The newest pictures by their addresses. Safe to use from any thread."""
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._kept: OrderedDict[str, bytes] = OrderedDict()
+
+    def put(self, name: str, picture: bytes) -> str:
+        """Keep a picture; its address."""
+        version = hashlib.sha256(picture).hexdigest()[:12]
+        address = f"/map/{name}.png?v={version}"
+        with self._lock:
+            self._kept[address] = picture
+            self._kept.move_to_end(address)
+            while len(self._kept) > _MOST_PICTURES:
+                self._kept.popitem(last=False)
+        return address
+
+    def get(self, name: str, version: str) -> bytes | None:
+        """The picture at an address, None where it is gone."""
+        with self._lock:
+            return self._kept.get(f"/map/{name}.png?v={version}")
+
+
+@dataclass(frozen=True)
+class StoreView:
+    """What pages are shown of the store."""
+
+    maps: dict[str, Any]
+    places: dict[str, Any]
+    grid: MapGrid2D | None
+    name: str
+
+
+class StoreFollower:
+    """Asks the store for what is new while a feed of it is watched.
+
+    The questions run on a thread of their own, what they find is handed to the feeds on the module's.
+    """
+
+    def __init__(self, host: Host, config: Config) -> None:
+        self._host, self._config = host, config
+        self._executor = SerialExecutor("midspan-web-store")
+        self._client: StoreClient | None = None
+        self._feeds: dict[Feed, Callable[[StoreView], None]] = {}
+        self._timer: Any = None
+        self._asking = False
+        self._digest: Any = None
+        self._view: StoreView | None = None
+
+    def begin(self, feed: Feed, take: Callable[[StoreView], None]) -> None:
+        """Hand a feed what there is, and what is new."""
+        self._feeds[feed] = take
+        if self._timer is None:
+            self._timer = self._host.loop.every(LOOK_SECONDS, self.look)
+        if self._view is not None:
+            take(self._view)
+        self.look()
+
+    def end(self, feed: Feed) -> None:
+        """Hand it nothing more."""
+        self._feeds.pop(feed, None)
+        if not self._feeds and self._timer is not None:
+            self._timer.close()
+            self._timer = self._view = self._digest = None
+
+    def client(self) -> StoreClient:
+        """The store on the hub; raises `StoreError` where there is none. Waits; not on the module's thread."""
+        if self._client is None:
+            space = self._host.node.hub.keyspace(prefix(self._config.hub.domain))
+            self._client = StoreClient(space, self._config.name)
+        return self._client
+
+    def look(self) -> None:
+        """Ask now, unless it is being asked."""
+        if not self._asking:
+            self._asking = True
+            self._executor.submit(self._ask)
+
+    def close(self) -> None:
+        """Ask no more."""
+        self._executor.close()
+
+    def _ask(self) -> None:
+        try:
+            view, why = self._read(), ""
+        except (StoreError, HubError) as err:
+            view, why, self._client, self._digest = None, str(err), None, None
+        except Exception as err:
+            _log.exception("the store")
+            view, why = None, f"{type(err).__name__}: {err}"
+        self._host.loop.post(partial(self._found, view, why))
+
+    def _read(self) -> StoreView | None:
+        """What the store has; None where that is as before."""
+        client = self.client()
+        digest = client.digest()
+        if digest == self._digest:
+            return None
+        name = client.current_map()
+        grid = client.get(MAP, name) if name else None
+        view = StoreView({"names": client.names(MAP), "current": name}, _places(client), grid, name)
+        self._digest = digest
+        return view
+
+    def _found(self, view: StoreView | None, why: str) -> None:
+        self._asking = False
+        if why:
+            for feed in tuple(self._feeds):
+                feed.put(None, why)
+        elif view is not None:
+            self._view = view
+            for take in tuple(self._feeds.values()):
+                take(view)
+
+
+def _places(client: StoreClient) -> dict[str, Any]:
+    locations = {
+        name: {"map": one.map_id, **place(Pose(one.x, one.y, float(np.radians(one.theta))))}
+        for name, one in client.all(LOCATION).items()
+    }
+    areas = {
+        name: {"map": one.map_id, "points": [[point.x, point.y] for point in one.points]}
+        for name, one in client.all(AREA).items()
+    }
+    paths = {
+        name: {"map": one.waypoints[0].map_id, "points": [[point.x, point.y] for point in one.waypoints]}
+        for name, one in client.all(PATH).items()
+        if one.waypoints
+    }
+    return {"locations": locations, "areas": areas, "paths": paths}
+
+
+class StoreFeed(Feed):
+    """``maps`` or ``places``: a part of what the store has."""
+
+    def __init__(self, name: str, store: StoreFollower, part: Callable[[StoreView], Any]) -> None:
+        super().__init__(name)
+        self._store, self._part = store, part
+
+    def open(self) -> None:
+        """Follow the store."""
+        self._store.begin(self, lambda view: self.put(self._part(view)))
+
+    def close(self) -> None:
+        """Rest."""
+        self._store.end(self)
+
+
+class MapFeed(TopicsFeed):
+    """``map``: the map in use, of the store or of the topic that the configuration names."""
+
+    def __init__(self, host: Host, config: Config, store: StoreFollower, pictures: Pictures) -> None:
+        super().__init__(host, "map")
+        self._source, self._store, self._pictures = config.navigation.map, store, pictures
+        self._drawing = SerialExecutor("midspan-web-map")
+        self._shown: MapGrid2D | None = None
+
+    def open(self) -> None:
+        """Follow the map."""
+        if self._source == "store":
+            self._store.begin(self, self._of_store)
+        else:
+            self.follow(self._source, GRID, self._of_topic, LATCHED)
+
+    def close(self) -> None:
+        """Rest."""
+        super().close()
+        self._store.end(self)
+        self._shown = None
+
+    def end(self) -> None:
+        """End its thread."""
+        self._drawing.close()
+
+    def _of_store(self, view: StoreView) -> None:
+        if view.grid is None:
+            self.put(None, "no map is in use; choose one, or import one with 'midspan map import'")
+        elif view.grid is not self._shown:
+            self._shown = view.grid
+            self._drawing.submit(partial(self._draw, view.grid, view.name))
+
+    def _of_topic(self, message: dict[str, Any]) -> None:
+        try:
+            grid = from_grid(message, self._source)
+        except ValueError as err:
+            self.put(None, f"{self._source}: {err}")
+            return
+        self._drawing.submit(partial(self._draw, grid, self._source))
+
+    def _draw(self, grid: MapGrid2D, name: str) -> None:
+        """On a thread of its own: a picture of 16 million cells takes seconds."""
+        picture = self._pictures.put("occupancy", occupancy_png(grid))
+        tints = flags_png(grid)
+        flags = self._pictures.put("flags", tints) if tints is not None else None
+        x, y, theta = grid.origin.to_ros()
+        value = {
+            "name": name,
+            "width": grid.m_width,
+            "height": grid.m_height,
+            "resolution": grid.resolution,
+            "origin": {"x": x, "y": y, "theta": theta},
+            "image": picture,
+            "flags": flags,
+        }
+        self._host.loop.post(lambda: self.put(value))

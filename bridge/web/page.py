@@ -1,0 +1,256 @@
+"""One page's conversation over its WebSocket; see docs/operate/console_protocol.md. On the server's event loop."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import logging
+import math
+import threading
+import time
+from collections.abc import Callable
+from typing import Any
+
+from starlette.websockets import WebSocket, WebSocketDisconnect, WebSocketState
+
+from bridge.web.feed import Feeds
+from bridge.web.hold import Hold
+from bridge.web.verbs import VerbError, Verbs
+
+_log = logging.getLogger("midspan.web")
+
+MOST_FEEDS = 64
+MOST_CALLS = 16
+MOST_ERRORS = 20
+MOST_WAITING = 200
+MOST_BYTES = 64 * 1024
+_POLICY, _TRY_AGAIN = 1008, 1013
+
+
+Post = Callable[[Callable[[], Any]], None]
+"""Runs an action on the module's thread."""
+
+
+class BadMessageError(ValueError):
+    """A message of a page that cannot be used; the text says why."""
+
+
+class Page:
+    """Serves one socket until it ends."""
+
+    def __init__(
+        self, socket: WebSocket, hello: dict[str, Any], feeds: Feeds, verbs: Verbs, hold: Hold, post: Post
+    ) -> None:
+        self._socket, self._hello, self._feeds, self._verbs, self._hold, self._post = (
+            socket, hello, feeds, verbs, hold, post,
+        )  # fmt: skip
+        self._loop = asyncio.get_running_loop()
+        self._wake = asyncio.Event()
+        self._lock = threading.Lock()
+        self._news: dict[str, tuple[int, str]] = {}  # newest values that are not sent yet
+        self._replies: list[str] = []
+        self._drawing: dict[str, int] = {}  # feeds whose value the page has not yet taken
+        self._watched: set[str] = set()
+        self._calls: set[asyncio.Task[None]] = set()
+        self._errors = 0
+        self._wish: tuple[float, float, float, float] | None = None  # the newest hold that is not taken up yet
+        self._posted = 0
+        self.who = f"{socket.client.host}:{socket.client.port}" if socket.client else "a page"
+
+    async def serve(self) -> None:
+        """Converse until the socket ends; what the page held or watched ends with it."""
+        self._say(self._hello)
+        sender = asyncio.create_task(self._send())
+        try:
+            await self._receive()
+        except (WebSocketDisconnect, RuntimeError):  # starlette's, where the other end has gone
+            pass
+        finally:
+            self._post(self._leave)
+            sender.cancel()  # calls go on: a stop is a stop, though nobody waits for its answer any more
+
+    def _leave(self) -> None:
+        self._hold.release(self)
+        for name in self._watched:
+            self._feeds.find(name).unwatch(self)
+
+    # -- called on the module's thread ---------------------------------------------------------------------------------
+
+    def changed(self, name: str, n: int, text: str) -> None:
+        """Keep a feed's newest value until the page takes it."""
+        with self._lock:
+            self._news[name] = (n, text)
+        self._call_soon(self._wake.set)
+
+    def held(self, x: float, y: float, turn: float) -> None:
+        """Tell the page what is commanded for it."""
+        self._call_soon(lambda: self._say({"op": "held", "x": x, "y": y, "turn": turn}))
+
+    def refuse(self, why: str) -> None:
+        """Tell the page why what it asked for is not done."""
+        self._call_soon(lambda: self._say({"op": "error", "error": why}))
+
+    def _call_soon(self, action: Callable[[], Any]) -> None:
+        try:
+            self._loop.call_soon_threadsafe(action)
+        except RuntimeError:  # the server has ended
+            return
+
+    # -- on the server's event loop ------------------------------------------------------------------------------------
+
+    async def _send(self) -> None:
+        while True:
+            await self._wake.wait()
+            self._wake.clear()
+            while self._replies:
+                await self._socket.send_text(self._replies.pop(0))
+            for text in self._due():
+                await self._socket.send_text(text)
+
+    def _due(self) -> list[str]:
+        """The newest values of the feeds whose last one the page has taken."""
+        with self._lock:
+            due = [name for name in self._news if name not in self._drawing]
+            found = [(name, *self._news.pop(name)) for name in due]
+        self._drawing.update((name, n) for name, n, _ in found)
+        return [text for _, _, text in found]
+
+    def _say(self, message: dict[str, Any]) -> None:
+        self._replies.append(json.dumps(message, ensure_ascii=False))
+        self._wake.set()
+
+    async def _receive(self) -> None:
+        while self._socket.application_state is WebSocketState.CONNECTED:
+            message = await self._socket.receive()
+            if message["type"] == "websocket.disconnect":
+                return
+            try:
+                self._take(_parsed(message))
+            except BadMessageError as err:
+                self._errors += 1
+                self._say({"op": "error", "error": str(err)})
+                if self._errors > MOST_ERRORS:
+                    _log.warning("%s: its socket is closed after %d bad messages: %s", self.who, MOST_ERRORS, err)
+                    await self._socket.close(_POLICY)
+                    return
+
+    def _take(self, message: dict[str, Any]) -> None:
+        match message:
+            case {"op": "watch", "feed": str(name), **rest} if not rest:
+                self._watch(name)
+            case {"op": "unwatch", "feed": str(name), **rest} if not rest:
+                self._unwatch(name)
+            case {"op": "took", "feed": str(name), "n": int(n), **rest} if not rest:
+                if self._drawing.get(name) == n:
+                    del self._drawing[name]
+                    self._wake.set()
+            case {"op": "call", "id": int(number), "verb": str(verb), **rest} if set(rest) <= {"args"}:
+                self._call(number, verb, rest.get("args", {}))
+            case {"op": "hold", "x": x, "y": y, "turn": turn, **rest} if not rest and _numbers(x, y, turn):
+                self._hold_on(float(x), float(y), float(turn))
+            case {"op": "release", **rest} if not rest:
+                self._wish = None
+                self._do(lambda: self._hold.release(self))
+            case _:
+                raise BadMessageError(f"no message of a page: {json.dumps(message)[:200]}")
+
+    def _watch(self, name: str) -> None:
+        if name in self._watched:
+            return
+        if len(self._watched) >= MOST_FEEDS:
+            raise BadMessageError(f"a page watches at most {MOST_FEEDS} feeds")
+        self._watched.add(name)
+
+        def watch() -> None:
+            try:
+                self._feeds.find(name).watch(self)
+            except LookupError as err:
+                self.refuse(str(err))
+                self._call_soon(lambda: self._watched.discard(name))
+
+        self._do(watch)
+
+    def _unwatch(self, name: str) -> None:
+        if name not in self._watched:
+            return
+        self._watched.discard(name)
+        self._drawing.pop(name, None)
+
+        def unwatch() -> None:
+            self._feeds.find(name).unwatch(self)
+            with self._lock:
+                self._news.pop(name, None)
+
+        self._do(unwatch)
+
+    def _hold_on(self, x: float, y: float, turn: float) -> None:
+        if not self._verbs.may_drive:
+            raise BadMessageError("this page may watch, not drive")
+        waits = self._wish is not None
+        self._wish = (x, y, turn, time.monotonic())
+        if not waits:
+            self._do(self._take_wish)
+
+    def _take_wish(self) -> None:
+        """On the module's thread: the newest hold alone, and none that was let go meanwhile."""
+        wish, self._wish = self._wish, None
+        if wish is not None:
+            self._hold.hold(self, *wish)
+
+    def _do(self, action: Callable[[], Any]) -> None:
+        """Run an action on the module's thread; raises `BadMessageError` where too many wait for it."""
+        if self._posted >= MOST_WAITING:
+            raise BadMessageError(f"{MOST_WAITING} messages of this page wait already")
+        self._posted += 1
+
+        def run() -> None:
+            self._posted -= 1
+            action()
+
+        self._post(run)
+
+    def _call(self, number: int, verb: str, args: Any) -> None:
+        if not isinstance(args, dict):
+            raise BadMessageError("args are an object")
+        if len(self._calls) >= MOST_CALLS and not self._verbs.is_stop(verb):
+            self._reply(number, error=f"{MOST_CALLS} calls of this page wait for their answers already")
+            return
+        call = asyncio.create_task(self._run(number, verb, args))
+        self._calls.add(call)
+        call.add_done_callback(self._calls.discard)
+
+    async def _run(self, number: int, verb: str, args: dict[str, Any]) -> None:
+        try:
+            value = await asyncio.wrap_future(self._verbs.begin(verb, args, self.who))
+        except VerbError as err:
+            self._reply(number, error=str(err))
+        except Exception as err:
+            _log.exception("%s: %s", self.who, verb)
+            self._reply(number, error=f"{type(err).__name__}: {err}")
+        else:
+            self._reply(number, value=value)
+
+    def _reply(self, number: int, *, value: Any = None, error: str = "") -> None:
+        self._say({"op": "reply", "id": number, "ok": not error, **({"error": error} if error else {"value": value})})
+
+
+def _parsed(message: Any) -> dict[str, Any]:
+    """The JSON object of a frame; raises `BadMessageError`."""
+    text = message.get("text")
+    if not isinstance(text, str):
+        raise BadMessageError("messages are JSON in text frames")
+    try:
+        found = json.loads(text, parse_constant=_refused_number)
+    except (ValueError, RecursionError) as err:
+        raise BadMessageError(f"not JSON: {str(err)[:200]}") from None
+    if not isinstance(found, dict):
+        raise BadMessageError("a message is a JSON object")
+    return found
+
+
+def _refused_number(word: str) -> float:
+    raise ValueError(f"{word} is no number of JSON")
+
+
+def _numbers(*values: Any) -> bool:
+    return all(isinstance(v, int | float) and not isinstance(v, bool) and math.isfinite(v) for v in values)

@@ -1,0 +1,332 @@
+"""The feeds of the robot: where it is, what its laser sees, where it drives to. All on the module's thread."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from bridge.config.model import Config
+from bridge.hub.wire.qos import LATCHED, Qos, Reliability
+from bridge.modules.endpoints import Subscription
+from bridge.modules.host import Host
+from bridge.modules.loop import Timer
+from bridge.web.feed import Feed
+from navigation.frames import FramesError, RobotFrames
+from navigation.gateway.planner_link import PATH
+from navigation.maps.grid import yaw_of
+from navigation.messages import stamp_ns
+from navigation.pose import Pose
+from navigation.scan import SCAN
+from navigation.status import STATUS
+
+STATUS_TOPIC = "/navigation/status"
+ODOMETRY = "nav_msgs/msg/Odometry"
+FRAMES_SECONDS, ROBOT_SECONDS = 1.0, 0.1
+MOST_POINTS = 2000
+"""Of a path or a scan; of longer ones every second, third ... is sent."""
+_CORNERS = 16
+
+
+class FrameFollower:
+    """The frames of all sides, followed while anybody needs them."""
+
+    def __init__(self, host: Host, config: Config) -> None:
+        self._host, self._config = host, config
+        self._users = 0
+        self._frames: RobotFrames | None = None
+
+    @property
+    def frames(self) -> RobotFrames:
+        """The frames; raises `FramesError` while nobody follows them."""
+        if self._frames is None:
+            raise FramesError("the frames are not followed")
+        return self._frames
+
+    def begin(self) -> None:
+        """One more needs them."""
+        self._users += 1
+        if self._frames is None:
+            section = self._config.navigation
+            self._frames = RobotFrames(self._host, section.frame, section.base_frame)
+        elif self._users == 1:
+            self._frames.listen()
+
+    def end(self) -> None:
+        """One less."""
+        self._users -= 1
+        if not self._users:
+            self.frames.rest()
+
+
+class FrameFeed(Feed):
+    """A feed that looks at the frames again and again."""
+
+    def __init__(self, host: Host, follower: FrameFollower, name: str, seconds: float) -> None:
+        super().__init__(name)
+        self._host, self._follower, self._seconds = host, follower, seconds
+        self._timer: Timer | None = None
+
+    def open(self) -> None:
+        """Follow the frames."""
+        self._follower.begin()
+        self._timer = self._host.loop.every(self._seconds, self.look)
+        self.look()
+
+    def close(self) -> None:
+        """Rest."""
+        if self._timer is not None:
+            self._timer.close()
+        self._follower.end()
+
+    def look(self) -> None:
+        """Put the value of now."""
+
+
+class RobotFeed(FrameFeed):
+    """``robot``: pose and footprint."""
+
+    def __init__(self, host: Host, follower: FrameFollower, radius: float) -> None:
+        super().__init__(host, follower, "robot", ROBOT_SECONDS)
+        turns = (math.tau * corner / _CORNERS for corner in range(_CORNERS))
+        self._footprint = [[round(radius * math.cos(turn), 3), round(radius * math.sin(turn), 3)] for turn in turns]
+
+    def look(self) -> None:
+        """Put where the robot is."""
+        try:
+            pose = self._follower.frames.pose()
+        except FramesError as err:
+            self.put(None, str(err))
+            return
+        self.put({"pose": place(pose), "footprint": self._footprint})
+
+
+class FramesFeed(FrameFeed):
+    """``frames``: all frames that have a parent."""
+
+    def __init__(self, host: Host, follower: FrameFollower) -> None:
+        super().__init__(host, follower, "frames", FRAMES_SECONDS)
+
+    def look(self) -> None:
+        """Put the tree."""
+        now = self._host.clock.now_ns()
+        self.put(
+            [
+                {
+                    "name": info.name,
+                    "parent": info.parent,
+                    "age": None if info.static else round(max(now - info.newest, 0) / 1e9, 1),
+                    "rate": round(info.rate, 1),
+                }
+                for info in self._follower.frames.buffer.frames()
+            ]
+        )
+
+
+class TopicsFeed(Feed):
+    """A feed made of topics of the hub, subscribed to while it is watched."""
+
+    def __init__(self, host: Host, name: str) -> None:
+        super().__init__(name)
+        self._host = host
+        self._ends: list[Subscription] = []
+
+    def follow(self, topic: str, type_name: str, heard: Callable[[dict[str, Any]], None], qos: Qos) -> None:
+        """Subscribe until it is closed."""
+        self._ends.append(self._host.node.subscription(topic, type_name, heard, qos))
+
+    def close(self) -> None:
+        """Subscribe to nothing."""
+        ends, self._ends = self._ends, []
+        for end in ends:
+            self._host.node.release(end)
+
+
+class LaserFeed(TopicsFeed):
+    """``laser``: what the laser sees, on the map, at most ten times a second."""
+
+    def __init__(self, host: Host, follower: FrameFollower, topic: str) -> None:
+        super().__init__(host, "laser")
+        self._follower, self._topic = follower, topic
+        self._timer: Timer | None = None
+        self._scan: dict[str, Any] | None = None
+
+    def open(self) -> None:
+        """Follow laser and frames."""
+        if not self._topic:
+            self.put(None, "no laser is configured (web.laser)")
+            return
+        self._follower.begin()
+        self.follow(self._topic, SCAN, self._take, Qos(Reliability.BEST_EFFORT, depth=1))
+        self._timer = self._host.loop.every(ROBOT_SECONDS, self._look)
+
+    def close(self) -> None:
+        """Rest."""
+        super().close()
+        if self._timer is not None:
+            self._timer.close()
+            self._timer = None
+            self._follower.end()
+
+    def _take(self, scan: dict[str, Any]) -> None:
+        self._scan = scan
+
+    def _look(self) -> None:
+        scan, self._scan = self._scan, None
+        if scan is None:
+            return
+        frames, header = self._follower.frames, scan["header"]
+        try:
+            laser = frames.transform(frames.base_frame, header["frame_id"])
+            at = frames.correction() @ frames.transform(
+                frames.odom_frame, frames.base_frame, stamp_ns(header), extrapolate=ROBOT_SECONDS * 2
+            )
+        except FramesError as err:
+            self.put(None, str(err))
+            return
+        self.put({"points": points_of(scan, at @ laser)})
+
+
+class PathFeed(TopicsFeed):
+    """``path``: the way of the chosen planner."""
+
+    def __init__(self, host: Host, config: Config, driving: DrivingFeed) -> None:
+        super().__init__(host, "path")
+        self._config, self._driving = config, driving
+        self._topic = ""
+
+    def open(self) -> None:
+        """Follow the planner that is chosen."""
+        self._driving.on_change(self._choose)
+        self._driving.watch(self)
+        self._choose()
+
+    def close(self) -> None:
+        """Rest."""
+        super().close()
+        self._topic = ""
+        self._driving.unwatch(self)
+
+    def changed(self, name: str, n: int, text: str) -> None:
+        """Nothing: `_choose` hears of it."""
+
+    def _choose(self) -> None:
+        if not self.watched:
+            return
+        topic = self._config.web.path or self._of(self._driving.planner)
+        if topic != self._topic:
+            super().close()
+            self._topic = topic
+            if topic:
+                self.follow(topic, PATH, self._take, LATCHED)
+        if not self._driving.drives or not topic:
+            self.put({"points": []})
+
+    def _of(self, planner: str) -> str:
+        other = self._config.navigation.others.get(planner)
+        return other.path if other else f"/planner/{planner}/path" if planner else ""
+
+    def _take(self, path: dict[str, Any]) -> None:
+        if not self._driving.drives:
+            return
+        poses = path["poses"][:: max(1, math.ceil(len(path["poses"]) / MOST_POINTS))]
+        spots = [pose["pose"]["position"] for pose in poses]
+        self.put({"points": [round(float(spot[axis]), 3) for spot in spots for axis in "xy"]})
+
+
+class DrivingFeed(TopicsFeed):
+    """``driving``: what the gateway says of the drive at hand."""
+
+    MOVING = frozenset({"preparing_before_move", "moving", "waiting_obstacle", "thinking"})
+
+    def __init__(self, host: Host, config: Config) -> None:
+        super().__init__(host, "driving")
+        self._config = config
+        self._status: dict[str, Any] | None = None
+        self._changes: list[Callable[[], None]] = []
+        self.planner = config.navigation.planner
+
+    def on_change(self, action: Callable[[], None]) -> None:
+        """Call this when the state or the planner changed."""
+        if action not in self._changes:
+            self._changes.append(action)
+
+    @property
+    def drives(self) -> bool:
+        """Whether a planner has the base now, as far as is known."""
+        return self._status is not None and self._status["state"] in self.MOVING
+
+    @property
+    def busy(self) -> str:
+        """Why nobody may drive by hand, "" where one may."""
+        return f"{self.planner} drives; pause or stop it first" if self.drives else ""
+
+    def open(self) -> None:
+        """Follow the gateway."""
+        self.follow(STATUS_TOPIC, STATUS, self._take, LATCHED)
+        self._say()
+
+    def close(self) -> None:
+        """Rest."""
+        super().close()
+        self._status = None
+
+    def chose(self, planner: str) -> None:
+        """Another planner was chosen."""
+        self.planner = planner
+        self._say()
+        self._tell()
+
+    def _take(self, status: dict[str, Any]) -> None:
+        self._status = status
+        self._say()
+        self._tell()
+
+    def _tell(self) -> None:
+        for action in self._changes:
+            action()
+
+    def _say(self) -> None:
+        section, status = self._config.navigation, self._status
+        if not section.planner:
+            self.put(None, "no planner is configured (navigation.planner)")
+        elif status is None:
+            self.put(None, "the gateway has not said yet how it is")
+        else:
+            goal = status["goal"]["pose"]
+            at = Pose(float(goal["position"]["x"]), float(goal["position"]["y"]), yaw_of(goal["orientation"]))
+            self.put(
+                {
+                    "state": status["state"],
+                    "reason": status["reason"],
+                    "goal": place(at) if any(status["goal_id"]) and (self.drives or self._paused) else None,
+                    "planner": self.planner,
+                    "planners": list(section.choices),
+                }
+            )
+
+    @property
+    def _paused(self) -> bool:
+        return self._status is not None and self._status["state"] == "paused"
+
+
+def place(pose: Pose) -> dict[str, float]:
+    """A pose for pages, to the millimetre."""
+    return {"x": round(pose.x, 3), "y": round(pose.y, 3), "theta": round(pose.theta, 4)}
+
+
+def points_of(scan: dict[str, Any], laser: Pose) -> list[float]:
+    """Where the beams of a ``LaserScan`` end on the map, to the centimetre: x, y, x, y ...
+
+    Beams that saw nothing are left out. Source: sensor_msgs/LaserScan.
+    """
+    ranges = np.asarray(scan["ranges"], np.float64)
+    angles = laser.theta + scan["angle_min"] + scan["angle_increment"] * np.arange(len(ranges))
+    kept = np.isfinite(ranges) & (ranges >= scan["range_min"]) & (ranges <= scan["range_max"])
+    step = max(1, math.ceil(int(kept.sum()) / MOST_POINTS))
+    ranges, angles = ranges[kept][::step], angles[kept][::step]
+    ends = np.stack([laser.x + ranges * np.cos(angles), laser.y + ranges * np.sin(angles)], axis=1)
+    found: list[float] = np.round(ends, 2).reshape(-1).tolist()
+    return found

@@ -1,0 +1,204 @@
+"""The console's HTTP server: the page's files, the map's pictures, the socket. It answers this page alone.
+
+A strange page in the operator's browser must not drive a robot: each request's ``Host`` is one that this server has
+(which keeps out names that are made to point here), and a socket's ``Origin`` is this server's own page (OWASP, "DNS
+rebinding" and "Cross-site WebSocket hijacking").
+"""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+import socket
+import threading
+from collections.abc import Awaitable, Callable
+from pathlib import Path
+from typing import Any
+
+import uvicorn
+from starlette.applications import Starlette
+from starlette.requests import Request
+from starlette.responses import PlainTextResponse, Response
+from starlette.routing import Mount, Route, WebSocketRoute
+from starlette.staticfiles import StaticFiles
+from starlette.types import ASGIApp, Message, Receive, Scope, Send
+from starlette.websockets import WebSocket
+
+from bridge.config.sections.web import split
+from bridge.web.maps import Pictures
+from bridge.web.page import MOST_BYTES
+
+_log = logging.getLogger("midspan.web")
+
+PROTOCOL = "midspan.console.1"
+MOST_PAGES = 50
+STATIC = Path(__file__).parent / "static"
+HEADERS = {
+    "content-security-policy": (
+        "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' data: blob:; connect-src 'self';"
+        " font-src 'self'; manifest-src 'self'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
+    ),
+    "x-content-type-options": "nosniff",
+    "x-frame-options": "DENY",
+    "referrer-policy": "no-referrer",
+    "cross-origin-opener-policy": "same-origin",
+    "cross-origin-resource-policy": "same-origin",
+    "cache-control": "no-cache",
+}
+_START_SECONDS = 10.0
+_STOP_SECONDS = 1.5
+_NAMES = ("localhost", "127.0.0.1", "[::1]")
+
+Serve = Callable[[WebSocket], Awaitable[None]]
+
+
+class OwnOnly:
+    """Lets requests through that name this server as their host, sockets only from this server's own page."""
+
+    def __init__(self, app: ASGIApp, hosts: Callable[[], frozenset[str]]) -> None:
+        self._app, self._hosts = app, hosts
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Serve or refuse one request."""
+        if scope["type"] not in ("http", "websocket"):
+            await self._app(scope, receive, send)
+            return
+        why = refusal(scope, self._hosts())
+        if not why:
+            await self._app(scope, receive, _with_headers(send))
+            return
+        _log.warning("a request from %s is refused: %s", (scope.get("client") or ("?",))[0], why)
+        if scope["type"] == "websocket":
+            await WebSocket(scope, receive, send).close(1008)
+        else:
+            await PlainTextResponse(f"{why}\n", 403, HEADERS)(scope, receive, send)
+
+
+def refusal(scope: Scope, hosts: frozenset[str]) -> str:
+    """Why a request is not answered, "" where it is."""
+    found: dict[str, list[str]] = {}
+    for name, value in scope["headers"]:
+        found.setdefault(name.decode("latin-1").lower(), []).append(value.decode("latin-1"))
+    host, origin = found.get("host", []), found.get("origin", [])
+    if len(host) != 1 or host[0].lower() not in hosts:
+        return f"no such host here: {', '.join(host)[:80]!r}"
+    own = f"http://{host[0].lower()}"
+    if any(each.lower() != own for each in origin):
+        return f"a page of {', '.join(origin)[:80]!r} may not ask"
+    if scope["type"] == "websocket" and not origin and "user-agent" in found and "Mozilla" in found["user-agent"][0]:
+        return "a browser that does not say which page asks"
+    if found.get("sec-fetch-site", ["same-origin"])[0] not in ("same-origin", "none"):
+        return "another site's page may not ask"
+    return ""
+
+
+def _with_headers(send: Send) -> Send:
+    async def sending(message: Message) -> None:
+        if message["type"] == "http.response.start":
+            names = {name.lower() for name, _ in message.get("headers", ())}
+            added = [(k.encode(), v.encode()) for k, v in HEADERS.items() if k.encode() not in names]
+            message["headers"] = [*message.get("headers", ()), *added]
+        await send(message)
+
+    return sending
+
+
+class WebServer:
+    """Serves on a thread of its own.
+
+    Args:
+        listen: address and port.
+        serve: converses with a page until its socket ends.
+    """
+
+    def __init__(self, listen: str, serve: Serve, pictures: Pictures) -> None:
+        self._serve, self._pictures = serve, pictures
+        address, port = split(listen)
+        self._pages = 0
+        family = socket.AF_INET6 if ":" in address else socket.AF_INET
+        self._socket = socket.socket(family)
+        try:
+            self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+            self._socket.bind((address, port))
+        except OSError as err:
+            self._socket.close()
+            raise RuntimeError(f"the console cannot listen on {listen}: {err.strerror}; set web.listen") from None
+        self.port: int = self._socket.getsockname()[1]
+        host = f"[{address}]" if ":" in address else address
+        self._hosts = frozenset(f"{name}:{self.port}" for name in (*_NAMES, host))
+        self.address = f"http://{host}:{self.port}/"
+        self._server = uvicorn.Server(
+            uvicorn.Config(
+                self._app(), log_config=None, access_log=False, lifespan="off", ws_max_size=MOST_BYTES,
+                ws_max_queue=16, limit_concurrency=4 * MOST_PAGES, timeout_graceful_shutdown=1, server_header=False,
+                h11_max_incomplete_event_size=16 * 1024, timeout_keep_alive=5, ws="websockets-sansio",
+            )
+        )  # fmt: skip
+        self._server.install_signal_handlers = lambda: None  # type: ignore[attr-defined]
+        self._thread = threading.Thread(target=self._run, name="midspan-web-server", daemon=True)
+        self._trouble = ""
+
+    def start(self) -> None:
+        """Begin to serve."""
+        self._thread.start()
+
+    @property
+    def trouble(self) -> str:
+        """Why it does not serve, "" where it does."""
+        return self._trouble or ("" if self._thread.is_alive() else "the server has ended")
+
+    @property
+    def pages(self) -> int:
+        """How many sockets are open."""
+        return self._pages
+
+    def close(self) -> None:
+        """Close every socket and end the thread."""
+        self._server.should_exit = True
+        self._server.force_exit = True
+        if self._thread.is_alive():
+            self._thread.join(_STOP_SECONDS)
+        self._socket.close()
+
+    def _run(self) -> None:
+        try:
+            asyncio.run(self._server.serve([self._socket]))
+        except Exception as err:
+            _log.exception("the server")
+            self._trouble = f"{type(err).__name__}: {err}"
+
+    def _app(self) -> ASGIApp:
+        routes = [
+            WebSocketRoute("/socket", self._page),
+            Route("/map/{name:str}.png", self._picture),
+            Route("/", self._index),
+            Mount("/", StaticFiles(directory=STATIC)),
+        ]
+        return OwnOnly(Starlette(routes=routes), lambda: self._hosts)
+
+    async def _index(self, _request: Request) -> Response:
+        return Response((STATIC / "index.html").read_bytes(), media_type="text/html; charset=utf-8")
+
+    async def _picture(self, request: Request) -> Response:
+        found = self._pictures.get(request.path_params["name"], request.query_params.get("v", ""))
+        if found is None:
+            return PlainTextResponse("this picture is gone; the feed 'map' says the address of the newest\n", 404)
+        return Response(found, media_type="image/png", headers={"cache-control": "private, max-age=86400, immutable"})
+
+    async def _page(self, page: WebSocket) -> None:
+        if PROTOCOL not in page.scope.get("subprotocols", ()) or self._pages >= MOST_PAGES:
+            await page.close(1008)
+            return
+        self._pages += 1
+        try:
+            await page.accept(PROTOCOL)
+            await self._serve(page)
+        finally:
+            self._pages -= 1
+
+
+def hello(daemon: str, version: str, frame: str, most: tuple[float, float], hold_seconds: float) -> dict[str, Any]:
+    """The first message to a page."""
+    speed = {"x": most[0], "turn": most[1]}
+    head = {"op": "hello", "daemon": daemon, "version": version, "role": "drive", "frame": frame}
+    return {**head, "hold_seconds": hold_seconds, "speed": speed}

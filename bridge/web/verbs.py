@@ -1,0 +1,272 @@
+"""What pages may ask for: goals, stops, places, explanations. Each call is logged with who made it."""
+
+from __future__ import annotations
+
+import logging
+import math
+import threading
+from collections.abc import Callable, Mapping
+from concurrent.futures import Future
+from dataclasses import dataclass
+from functools import partial
+from typing import Any
+
+from bridge.cli.client import CliClient
+from bridge.cli.messages import Types
+from bridge.cli.navigation.halt import halt
+from bridge.cli.output import CliError
+from bridge.concurrency import WorkerPool
+from bridge.config.model import Config
+from bridge.config.sections.navigation import ACTION
+from bridge.hub.endpoints.calls import CallError
+from bridge.hub.errors import HubError
+from bridge.hub.wire.qos import Qos
+from bridge.modules.clients import ActionClient, Client, SentGoal
+from bridge.modules.host import Host
+from bridge.stores.client import StoreClient
+from bridge.stores.entry import StoreError
+from bridge.stores.kinds import LOCATION
+from bridge.stores.store import Write
+from bridge.web.hub_feeds import explain
+from navigation.constraints import Constraints
+from navigation.messages import NAVIGATE, pose_message
+from navigation.pose import Pose
+from yarp_compat.dev.locations import Map2DLocation
+
+_log = logging.getLogger("midspan.web")
+
+TRIGGER, NAMED, POSE_COVARIANCE = (
+    "std_srvs/srv/Trigger", "midspan_msgs/srv/Named", "geometry_msgs/msg/PoseWithCovarianceStamped",
+)  # fmt: skip
+INITIAL_POSE = "/initialpose"
+ANSWER_SECONDS, STOP_SECONDS = 5.0, 12.0
+GOAL_SECONDS = 5.0
+_THREADS = 4
+_STOP_THREADS = 2
+_COVARIANCE = {0: 0.25, 7: 0.25, 35: 0.07}
+"""Of a pose that a person set, as RViz says it: m^2 and rad^2 on the diagonal of x, y and heading."""
+
+
+class VerbError(RuntimeError):
+    """What was asked for is not done; the text says why."""
+
+
+@dataclass(frozen=True)
+class Verb:
+    """One verb: the arguments that it must and may have, each with its check, and what does it."""
+
+    run: Callable[..., Any]
+    needs: Mapping[str, Callable[[Any], Any]]
+    may: Mapping[str, Callable[[Any], Any]]
+    drives: bool = True
+    stops: bool = False
+
+
+def _number(value: Any) -> float:
+    if isinstance(value, bool) or not isinstance(value, int | float) or not abs(value) <= 1e6:
+        raise ValueError("is a number")
+    return float(value)
+
+
+def _name(value: Any) -> str:
+    if not isinstance(value, str) or not value.strip() or len(value) > 255:
+        raise ValueError("is a name of up to 255 characters")
+    return value.strip()
+
+
+class Verbs:
+    """Runs them. `begin` may be called on any thread.
+
+    Args:
+        chose: called with the planner that was chosen, on the module's thread.
+        stop_hold: ends driving by hand, on the module's thread.
+    """
+
+    may_drive = True
+
+    def __init__(
+        self,
+        host: Host,
+        config: Config,
+        client: CliClient,
+        types: Types,
+        store: Callable[[], StoreClient],
+        *,
+        chose: Callable[[str], None],
+        stop_hold: Callable[[], None],
+    ) -> None:
+        self._host, self._config, self._client, self._types, self._store = host, config, client, types, store
+        self._chose, self._stop_hold = chose, stop_hold
+        self._pool = WorkerPool(_THREADS, "midspan-web-call")
+        self._stops = WorkerPool(_STOP_THREADS, "midspan-web-stop")  # a stop waits for no other call
+        self._lock = threading.Lock()
+        self._clients: dict[str, Client] = {}
+        self._goals: ActionClient | None = None
+        xy, pose, named = {"x": _number, "y": _number}, dict.fromkeys(("x", "y", "theta"), _number), {"name": _name}
+        self._verbs = {
+            "goto": Verb(self._goto, xy, {"theta": _number}),
+            "goto_place": Verb(partial(self._named, "go_to"), named, {}),
+            "stop": Verb(self._stop, {}, {}, stops=True),
+            "pause": Verb(partial(self._trigger, "pause"), {}, {}, stops=True),
+            "resume": Verb(partial(self._trigger, "resume"), {}, {}),
+            "halt": Verb(self._halt, {}, {}, stops=True),
+            "choose_planner": Verb(self._choose, named, {}),
+            "set_pose": Verb(self._set_pose, pose, {}),
+            "keep_place": Verb(self._keep, {**named, **pose}, {}),
+            "delete_place": Verb(self._delete, named, {}),
+            "use_map": Verb(lambda name: self._store().use_map(name), named, {}),
+            "explain": Verb(lambda name: explain(client, name), named, {}, drives=False),
+        }
+
+    def is_stop(self, verb: str) -> bool:
+        """Whether a verb makes robots stand; such a call is never refused for want of room."""
+        return verb in self._verbs and self._verbs[verb].stops
+
+    def begin(self, verb: str, args: Mapping[str, Any], who: str) -> Future[Any]:
+        """Do it on a thread that may wait; the result, or `VerbError`, is the future's. Raises `VerbError`."""
+        found = self._verbs.get(verb)
+        if found is None:
+            raise VerbError(f"there is no verb {verb[:80]!r}; there are {', '.join(self._verbs)}")
+        if found.drives and not self.may_drive:
+            raise VerbError("this page may watch, not drive")
+        checked = _checked(verb, found, args)
+        if found.drives:
+            _log.info("%s: %s %s", who, verb, " ".join(f"{key}={value}" for key, value in checked.items()))
+        if verb in ("stop", "halt"):
+            self._host.loop.post(self._stop_hold)
+        return (self._stops if found.stops else self._pool).submit(partial(_run, found.run, checked))
+
+    def close(self) -> None:
+        """End the threads."""
+        self._pool.close(1.0)
+        self._stops.close(1.0)
+
+    # -- on threads that may wait --------------------------------------------------------------------------------------
+
+    def _goto(self, x: float, y: float, theta: float | None = None) -> str:
+        """Send a goal; returns once the gateway has taken it."""
+        pose = {"header": {"frame_id": self._config.navigation.frame}, "pose": pose_message(Pose(x, y, theta or 0.0))}
+        goal: dict[str, Any] = {"pose": pose}
+        if theta is None:
+            goal["behavior_tree"] = Constraints(heading=False).to_text()
+        done: Future[str] = Future()
+
+        def look(sent: SentGoal) -> None:
+            if done.done():
+                return
+            if sent.accepted:
+                done.set_result(f"drives to {x:.2f}, {y:.2f} m")
+            else:
+                self._host.loop.after(0.02, lambda: look(sent))
+
+        def ended(_goal: SentGoal, result: dict[str, Any] | None, why: str) -> None:
+            if not done.done():
+                said = why or (result or {}).get("error_msg", "") or "the goal ended at once"
+                done.set_exception(VerbError(said))
+
+        def send() -> None:
+            self._goals = self._goals or self._host.node.action_client(ACTION, NAVIGATE)
+            look(self._goals.send(goal, ended))
+
+        self._host.loop.call(send)
+        try:
+            return done.result(GOAL_SECONDS)
+        except TimeoutError:
+            raise VerbError(f"the gateway has not said within {GOAL_SECONDS:g} s whether it takes the goal") from None
+
+    def _trigger(self, name: str, seconds: float = ANSWER_SECONDS) -> str:
+        return self._ask(f"/navigation/{name}", TRIGGER, {}, seconds)
+
+    def _stop(self) -> str:
+        return self._trigger("stop", STOP_SECONDS)
+
+    def _named(self, service: str, name: str) -> str:
+        return self._ask(f"/navigation/{service}", NAMED, {"name": name}, ANSWER_SECONDS)
+
+    def _choose(self, name: str) -> str:
+        said = self._named("choose_planner", name)
+        self._host.loop.post(lambda: self._chose(name))
+        return said
+
+    def _ask(self, name: str, type_name: str, request: dict[str, Any], seconds: float) -> str:
+        """Call a service that answers with ``success`` and ``message``; the message."""
+        done: Future[dict[str, Any] | CallError] = Future()
+
+        def call() -> None:
+            client = self._clients.get(name) or self._host.node.client(name, type_name)
+            self._clients[name] = client
+            client.call(request, done.set_result)
+
+        self._host.loop.call(call)
+        try:
+            reply = done.result(seconds)
+        except TimeoutError:
+            raise VerbError(f"{name} has not answered in {seconds:g} s") from None
+        if isinstance(reply, CallError):
+            raise VerbError(f"{name}: {reply}")
+        if not reply["success"]:
+            raise VerbError(str(reply["message"]) or f"{name} refuses")
+        return str(reply["message"])
+
+    def _halt(self) -> str:
+        found = halt(self._client, self._types)
+        troubles = [f"{name}: {why}" for name, why in found.bases.items() if why]
+        troubles += [f"{cancel.name}: its goals are not cancelled: {cancel.error}" for cancel in found.failed]
+        if found.trouble or troubles:
+            raise VerbError("; ".join(filter(None, (found.trouble, *troubles))))
+        return "every base that answers stands" if found.bases else "zero velocity is said, and no base has answered"
+
+    def _set_pose(self, x: float, y: float, theta: float) -> str:
+        graph = self._host.node.hub.graph
+        if not graph.subscriptions(INITIAL_POSE):
+            raise VerbError(f"nobody hears {INITIAL_POSE}: is the localiser there, and does a rule let it cross?")
+        covariance = [_COVARIANCE.get(at, 0.0) for at in range(36)]
+        message = {
+            "header": {"stamp": self._host.clock.stamp(), "frame_id": self._config.navigation.frame},
+            "pose": {"pose": pose_message(Pose(x, y, theta)), "covariance": covariance},
+        }
+        self._host.loop.call(lambda: self._initial_pose.publish(message))
+        return f"the localiser is told that the robot is at {x:.2f}, {y:.2f} m"
+
+    @property
+    def _initial_pose(self) -> Any:
+        with self._lock:
+            if not hasattr(self, "_initial"):
+                self._initial = self._host.node.publisher(INITIAL_POSE, POSE_COVARIANCE, Qos(depth=1))
+            return self._initial
+
+    def _keep(self, name: str, x: float, y: float, theta: float) -> str:
+        store = self._store()
+        store.write([Write(LOCATION, name, Map2DLocation(store.current_map(), x, y, math.degrees(theta)))])
+        return f"{name} is kept"
+
+    def _delete(self, name: str) -> str:
+        store = self._store()
+        if name not in store.names(LOCATION):
+            raise VerbError(f"there is no place {name!r}")
+        store.write([Write(LOCATION, name, None)])
+        return f"{name} is deleted"
+
+
+def _run(action: Callable[..., Any], args: dict[str, Any]) -> Any:
+    try:
+        return action(**args)
+    except (CliError, HubError, StoreError, TimeoutError) as err:
+        raise VerbError(str(err)) from None
+
+
+def _checked(verb: str, found: Verb, args: Mapping[str, Any]) -> dict[str, Any]:
+    known = {**found.needs, **found.may}
+    for key in args:
+        if key not in known:
+            raise VerbError(f"{verb} has no argument {str(key)[:80]!r}; it has {', '.join(known) or 'none'}")
+    for key in found.needs:
+        if key not in args:
+            raise VerbError(f"{verb} needs {key}")
+    checked = {}
+    for key, value in args.items():
+        try:
+            checked[key] = known[key](value)
+        except ValueError as err:
+            raise VerbError(f"{verb}: {key} {err}, not {value!r:.80}") from None
+    return checked

@@ -1,0 +1,147 @@
+"""The worker of the console."""
+
+from __future__ import annotations
+
+import logging
+import os
+from importlib.metadata import PackageNotFoundError, version
+from typing import Any
+
+import psutil
+from starlette.websockets import WebSocket
+
+from bridge.cli.client import CliClient
+from bridge.cli.messages import Types
+from bridge.concurrency import SerialExecutor
+from bridge.config.model import Config
+from bridge.messages.registry import Registry
+from bridge.modules.host import Host
+from bridge.web.feed import Feeds
+from bridge.web.hold import HOLD_SECONDS, Hold
+from bridge.web.hub_feeds import AskingFeed, StatusAsker, TopicFeed, list_topics
+from bridge.web.maps import MapFeed, Pictures, StoreFeed, StoreFollower
+from bridge.web.page import Page
+from bridge.web.robot import DrivingFeed, FrameFollower, FramesFeed, LaserFeed, PathFeed, RobotFeed
+from bridge.web.server import WebServer, hello
+from bridge.web.verbs import Verbs
+from bridge.worker import Health, Worker, costs
+
+_log = logging.getLogger("midspan.web")
+
+
+class WebWorker(Worker):
+    """Serves the console's page, and is a node of the hub like any module."""
+
+    def __init__(self) -> None:
+        self._config: Config | None = None
+        self._console: Console | None = None
+
+    def start(self, config: Config) -> None:
+        """Open the node and the server; raises `RuntimeError` where the address is taken."""
+        self._config = config
+        self._console = Console(config)
+        self._console.start()
+        _log.info("the console is at %s", self._console.server.address)
+
+    def reload(self, config: Config) -> bool:
+        """A page comes back by itself, so a new start is all that is needed."""
+        return config == self._config
+
+    def health(self) -> Health:
+        """Where the page is; raises `TimeoutError` where the module's thread hangs."""
+        assert self._console is not None
+        console = self._console
+        console.host.loop.computes()
+        if console.server.trouble:
+            raise RuntimeError(console.server.trouble)
+        pages = console.server.pages
+        return Health("running", console.server.address + (f", {pages} open" if pages else ""))
+
+    def stop(self) -> None:
+        """Close the page's sockets and the node."""
+        console, self._console = self._console, None
+        if console is not None:
+            console.close()
+
+
+class Console:
+    """The parts of the console, put together."""
+
+    def __init__(self, config: Config) -> None:
+        section = config.web
+        types = config.types
+        registry = Registry(folders=list(types.folders), mapping_rules=list(types.mapping_rules))
+        pictures = Pictures()
+        self.server = WebServer(section.listen, self._serve, pictures)
+        try:
+            self.host = host = Host("web", config, registry)
+        except BaseException:
+            self.server.close()
+            raise
+        self._process = psutil.Process(os.getpid())
+        client = CliClient(host.node.hub, config, f"the hub of {config.name}")
+        known = Types(client)
+        self._asking, self._decoding = SerialExecutor("midspan-web-ask"), SerialExecutor("midspan-web-decode")
+        follower, self._store = FrameFollower(host, config), StoreFollower(host, config)
+        driving = DrivingFeed(host, config)
+        self._map = MapFeed(host, config, self._store, pictures)
+        self._feeds = Feeds(
+            [
+                RobotFeed(host, follower, section.radius),
+                LaserFeed(host, follower, section.laser),
+                PathFeed(host, config, driving),
+                driving,
+                self._map,
+                StoreFeed("maps", self._store, lambda view: view.maps),
+                StoreFeed("places", self._store, lambda view: view.places),
+                AskingFeed(host, "status", self._asking, StatusAsker(client)),
+                AskingFeed(host, "topics", self._asking, lambda: list_topics(client)),
+                FramesFeed(host, follower),
+            ],
+            lambda name: TopicFeed(host, client, known, self._decoding, name),
+        )
+        most = (section.speed, section.turn)
+        self._hold = Hold(host, config.navigation.velocity, most, lambda: driving.busy)
+        self._driving = driving
+        self._verbs = Verbs(
+            host, config, client, known, self._store.client, chose=driving.chose, stop_hold=self._hold.stop
+        )
+        self._hello = hello(config.name, _version(), config.navigation.frame, most, HOLD_SECONDS)
+
+    def start(self) -> None:
+        """Begin to serve."""
+        loop = self.host.loop
+        loop.start()
+        loop.call(lambda: self._driving.watch(self))  # always: who holds must not drive against a planner
+        self.host.answer("status", self._status)
+        loop.every(1.0, self.host.tick)
+        self.server.start()
+
+    def changed(self, name: str, n: int, text: str) -> None:
+        """Nothing: it watches for `DrivingFeed.busy` alone."""
+
+    async def _serve(self, socket: WebSocket) -> None:
+        await Page(socket, self._hello, self._feeds, self._verbs, self._hold, self.host.loop.post).serve()
+
+    def _status(self, _params: Any) -> dict[str, Any]:
+        about = {"side": "web", "state": "running", "text": self.server.address, "pages": self.server.pages}
+        return {**about, "pid": os.getpid(), **costs(self._process), **self.host.status()}
+
+    def close(self) -> None:
+        """Stop the robot where a page drives it, then leave."""
+        self.server.close()
+        self.host.loop.call(self._hold.stop)
+        self.host.loop.call(self._feeds.close)
+        self._verbs.close()
+        for executor in (self._asking, self._decoding):
+            executor.close()
+        self._store.close()
+        self._map.end()
+        self.host.close()
+
+
+def _version() -> str:
+    try:
+        return version("midspan")
+    except PackageNotFoundError:
+        return ""
