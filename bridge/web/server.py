@@ -120,6 +120,7 @@ class WebServer:
         try:
             self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
             self._socket.bind((address, port))
+            self._socket.listen(128)  # who comes before the server turns waits
         except OSError as err:
             self._socket.close()
             raise RuntimeError(f"the console cannot listen on {listen}: {err.strerror}; set web.listen") from None

@@ -1,0 +1,55 @@
+"""The console in the test's own process, on a hub of its own."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from bridge.config.model import Config
+from bridge.hub.session import Hub
+from bridge.messages.registry import Registry
+from bridge.web.worker import Console
+from tests.contract.hubside import HubSide
+from tests.support.quick_hub import QuickHub
+
+
+class Desk:
+    """A console and a program on its hub (``far``)."""
+
+    def __init__(self, folder: Path) -> None:
+        self._folder = folder
+        self._hubs = QuickHub()
+        self.far = HubSide(Hub.open(self._hubs.settings("far")), Registry())
+        self.console = self.open()
+
+    def open(self, **sections: Any) -> Console:
+        config = Config.model_validate({
+            "name": "here",
+            "state": self._folder,
+            "hub": {"listen": self._hubs.endpoint},
+            "navigation": {"planner": "nav2"},
+            **sections,
+            "web": {"enabled": True, "listen": "127.0.0.1:0", **sections.get("web", {})},
+        })  # fmt: skip
+        console = Console(config)
+        console.start()
+        return console
+
+    @property
+    def port(self) -> int:
+        return self.console.server.port
+
+    def close(self) -> None:
+        self.console.close()
+        self.far.hub.close()
+        self._hubs.stop_router()
+
+
+@pytest.fixture
+def desk(tmp_path: Path) -> Iterator[Desk]:
+    made = Desk(tmp_path)
+    yield made
+    made.close()

@@ -1,0 +1,96 @@
+"""A page of the tests: speaks the console's protocol over a real WebSocket."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import time
+from collections.abc import Callable
+from typing import Any, Self
+
+from websockets.sync.client import ClientConnection, connect
+from websockets.typing import Subprotocol
+
+PROTOCOL = "midspan.console.1"
+
+
+class TestPage:
+    """Takes each value at once unless it is told to be slow.
+
+    Attributes:
+        values: the newest message of each feed.
+        counts: how many came of each.
+        said: everything else that came.
+    """
+
+    __test__ = False
+
+    def __init__(self, port: int, *, takes: bool = True, **options: Any) -> None:
+        options.setdefault("origin", f"http://127.0.0.1:{port}")
+        self._stack = contextlib.ExitStack()
+        address = f"ws://127.0.0.1:{port}/socket"
+        self.socket: ClientConnection = self._stack.enter_context(
+            connect(address, subprotocols=[Subprotocol(PROTOCOL)], max_size=None, **options)
+        )
+        self.takes = takes
+        self.values: dict[str, dict[str, Any]] = {}
+        self.counts: dict[str, int] = {}
+        self.said: list[dict[str, Any]] = []
+        self._calls = 0
+
+    def send(self, **message: Any) -> None:
+        self.socket.send(json.dumps(message))
+
+    def watch(self, *feeds: str) -> None:
+        for feed in feeds:
+            self.send(op="watch", feed=feed)
+
+    def read(self, seconds: float = 0.05) -> bool:
+        """Read one message; whether there was one."""
+        try:
+            message = json.loads(self.socket.recv(timeout=seconds))
+        except TimeoutError:
+            return False
+        if message["op"] == "value":
+            feed = message["feed"]
+            self.values[feed] = message
+            self.counts[feed] = self.counts.get(feed, 0) + 1
+            if self.takes:
+                self.send(op="took", feed=feed, n=message["n"])
+        else:
+            self.said.append(message)
+        return True
+
+    def until(self, condition: Callable[[], Any], what: str, seconds: float = 30.0) -> Any:
+        """Read until a condition is true."""
+        end = time.monotonic() + seconds
+        while not (found := condition()):
+            assert time.monotonic() < end, f"not within {seconds:g} s: {what}; {self.values} {self.said}"
+            self.read()
+        return found
+
+    def value(self, feed: str, wanted: Callable[[Any], Any] = bool, what: str = "") -> Any:
+        """A feed's newest value, once it is as wanted."""
+        what = what or f"the feed {feed} has a value"
+        self.until(lambda: feed in self.values and wanted(self.values[feed]["value"]), what)
+        return self.values[feed]["value"]
+
+    def call(self, verb: str, **args: Any) -> dict[str, Any]:
+        """Call a verb; the reply."""
+        self._calls += 1
+        number = self._calls
+        self.send(op="call", id=number, verb=verb, args=args)
+        found: dict[str, Any] = self.until(
+            lambda: next((m for m in self.said if m["op"] == "reply" and m["id"] == number), None),
+            f"{verb} is answered",
+        )
+        return found
+
+    def errors(self) -> list[str]:
+        return [message["error"] for message in self.said if message["op"] == "error"]
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._stack.close()

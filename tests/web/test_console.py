@@ -1,0 +1,345 @@
+"""The console on a real hub, by its protocol."""
+
+from __future__ import annotations
+
+import json
+import math
+import socket
+import threading
+import time
+from typing import Any
+
+import pytest
+
+from bridge.hub.wire.qos import Qos
+from bridge.messages.json import from_json
+from bridge.web.hold import HOLD_SECONDS
+from tests.support.wait import until
+from tests.web.conftest import Desk
+from tests.web.page import TestPage
+
+TF = "tf2_msgs/TFMessage"
+
+
+def transform(parent: str, child: str, x: float, y: float, yaw: float = 0.0) -> dict[str, Any]:
+    now = time.time_ns()
+    return {
+        "header": {"stamp": {"sec": now // 10**9, "nanosec": now % 10**9}, "frame_id": parent},
+        "child_frame_id": child,
+        "transform": {
+            "translation": {"x": x, "y": y, "z": 0.0},
+            "rotation": {"x": 0.0, "y": 0.0, "z": math.sin(yaw / 2), "w": math.cos(yaw / 2)},
+        },
+    }
+
+
+@pytest.fixture
+def frames(desk: Desk) -> Any:
+    """Says where the robot is, again and again."""
+    out = desk.far.advertise("/tf", TF)
+    over = threading.Event()
+
+    def say() -> None:
+        while not over.wait(0.05):
+            moved = [transform("map", "odom", 1.0, 2.0), transform("odom", "base_link", 0.5, 0.0, math.pi / 2)]
+            desk.far.publish(out, {"transforms": moved})
+
+    thread = threading.Thread(target=say)
+    thread.start()
+    yield
+    over.set()
+    thread.join()
+
+
+def test_hello(desk: Desk) -> None:
+    with TestPage(desk.port) as page:
+        page.until(lambda: page.said, "it says who it is")
+        assert page.said[0] | {"version": ""} == {
+            "op": "hello", "daemon": "here", "version": "", "role": "drive", "frame": "map",
+            "hold_seconds": HOLD_SECONDS, "speed": {"x": 0.3, "turn": 0.6},
+        }  # fmt: skip
+
+
+@pytest.mark.usefixtures("frames")
+def test_where_the_robot_is(desk: Desk) -> None:
+    with TestPage(desk.port) as page:
+        page.watch("robot", "frames")
+        found = page.value("robot")
+        assert found["pose"] == pytest.approx({"x": 1.5, "y": 2.0, "theta": math.pi / 2}, abs=1e-3)
+        names = {frame["name"]: frame["parent"] for frame in page.value("frames")}
+        assert names == {"odom": "map", "base_link": "odom"}
+
+
+def test_why_it_is_not_known_where_the_robot_is(desk: Desk) -> None:
+    with TestPage(desk.port) as page:
+        page.watch("robot")
+        page.until(lambda: "robot" in page.values, "something is said of the robot")
+        assert page.values["robot"]["value"] is None
+        assert "not known where" in page.values["robot"]["why"]
+
+
+@pytest.mark.usefixtures("frames")
+def test_the_laser_on_the_map(desk: Desk) -> None:
+    with TestPage(desk.port) as page:
+        page.watch("robot", "laser")
+        page.value("robot")
+        scan = desk.far.advertise("/scan", "sensor_msgs/LaserScan")
+
+        def publish() -> bool:
+            stamp = transform("", "", 0, 0)["header"]["stamp"]
+            ranges = [1.0, 2.0, math.inf, 0.01]
+            head = {"header": {"stamp": stamp, "frame_id": "base_link"}, "range_min": 0.05, "range_max": 10.0}
+            turned = {"angle_min": 0.0, "angle_increment": math.pi / 2, "ranges": ranges}
+            desk.far.publish(scan, {**head, **turned})
+            page.read()
+            return bool(page.values.get("laser", {}).get("value"))
+
+        until(publish, "the laser is seen", every=0.05)
+        # the robot looks along y: one metre ahead, two to its left
+        assert page.values["laser"]["value"]["points"] == pytest.approx([1.5, 3.0, -0.5, 2.0], abs=0.02)
+
+
+def test_nothing_is_followed_while_nobody_watches(desk: Desk) -> None:
+    graph = desk.far.hub.graph
+    assert not graph.subscriptions("/tf")
+    with TestPage(desk.port) as one, TestPage(desk.port) as other:
+        for page in (one, other):
+            page.watch("robot", "topic:/heard")
+        until(lambda: len(graph.subscriptions("/tf")) == 1, "one subscription serves both")
+        one.send(op="unwatch", feed="robot")
+        other.until(lambda: "robot" in other.values, "the other is still served")
+        assert graph.subscriptions("/tf")
+    until(lambda: not graph.subscriptions("/tf"), "nobody follows the frames any more")
+
+
+def test_a_topic_as_a_tree(desk: Desk) -> None:
+    out = desk.far.advertise("/heard", "std_msgs/Int32MultiArray")
+    with TestPage(desk.port) as page:
+        page.watch("topic:/heard")
+
+        def publish() -> bool:
+            desk.far.publish(out, {"data": list(range(100))})
+            page.read()
+            return bool(page.values.get("topic:/heard", {}).get("value"))
+
+        until(publish, "the message is seen", every=0.05)
+        found = page.values["topic:/heard"]["value"]
+        assert found["type"] == "std_msgs/msg/Int32MultiArray"
+        assert found["message"]["data"] == [*range(32), {"...": 100}]
+
+
+@pytest.mark.usefixtures("frames")
+def test_a_slow_page_gets_the_newest_alone(desk: Desk) -> None:
+    with TestPage(desk.port, takes=False) as slow, TestPage(desk.port) as quick:
+        for page in (slow, quick):
+            page.watch("frames")
+        first = slow.until(lambda: slow.values.get("frames"), "a first value")
+        quick.until(lambda: quick.counts.get("frames", 0) >= 3, "values for who takes them")
+        while slow.read():
+            pass
+        assert slow.counts["frames"] == 1
+        slow.send(op="took", feed="frames", n=first["n"])
+        slow.until(lambda: slow.counts["frames"] == 2, "the next one once it is taken")
+        assert slow.values["frames"]["n"] > first["n"] + 1
+
+
+def test_topics_and_workers(desk: Desk) -> None:
+    desk.far.advertise("/said", "std_msgs/String")
+    with TestPage(desk.port) as page:
+        page.watch("topics", "status")
+        found = page.value("topics", lambda topics: any(one["topic"] == "/said" for one in topics or ()))
+        one = next(one for one in found if one["topic"] == "/said")
+        assert one == {"topic": "/said", "type": "std_msgs/msg/String", "publishers": 1, "subscribers": 0}
+        assert isinstance(page.value("status")["workers"], list)
+
+
+class Base:
+    """Hears velocities on the hub, with when each came."""
+
+    def __init__(self, desk: Desk) -> None:
+        self.heard: list[tuple[float, float, float]] = []
+        registry = desk.far.registry
+        self._zero = from_json(registry, "geometry_msgs/msg/Twist", {})
+        name = "geometry_msgs/msg/Twist"
+        desk.far.hub.subscription("/cmd_vel", name, registry.ros2(name).type_id, Qos(depth=10), self._take)
+        self._desk = desk
+
+    def _take(self, sample: Any) -> None:
+        from bridge.messages.json import to_json
+
+        said = to_json(self._desk.far.registry, "geometry_msgs/msg/Twist", sample.data())
+        self.heard.append((time.monotonic(), said["linear"]["x"], said["angular"]["z"]))
+
+    def drives(self) -> bool:
+        return bool(self.heard) and self.heard[-1][1:] != (0.0, 0.0)
+
+    def stands(self) -> bool:
+        return bool(self.heard) and self.heard[-1][1:] == (0.0, 0.0)
+
+
+def hold(page: TestPage, base: Base, seconds: float = 0.0, x: float = 0.1) -> None:
+    """Hold until the base drives, and for so long after."""
+    end = time.monotonic() + 30
+    while not base.drives():
+        assert time.monotonic() < end, f"the base does not drive: {page.said}"
+        page.send(op="hold", x=x, y=0.0, turn=0.0)
+        page.read(0.05)
+    until_ = time.monotonic() + seconds
+    while time.monotonic() < until_:
+        page.send(op="hold", x=x, y=0.0, turn=0.0)
+        page.read(0.05)
+
+
+def test_a_hold_drives_while_it_is_said(desk: Desk) -> None:
+    base = Base(desk)
+    with TestPage(desk.port) as page:
+        hold(page, base, 0.6, x=5.0)
+        assert base.heard[-1][1] == 0.3, "no faster than the configuration says"
+        page.send(op="release")
+        until(base.stands, "it stands once the page lets go")
+        count = len(base.heard)
+        page.watch("topics")
+        page.value("topics")
+        page.until(lambda: page.counts["topics"] >= 1, "a while")
+        assert len(base.heard) == count, "one zero, then silence"
+
+
+@pytest.mark.parametrize("how", ["silent", "cut", "closed"])
+def test_a_page_that_goes_stops_the_base(desk: Desk, how: str) -> None:
+    base = Base(desk)
+    with TestPage(desk.port) as page:
+        hold(page, base)
+        if how == "cut":
+            page.socket.socket.shutdown(socket.SHUT_RDWR)
+        elif how == "closed":
+            page.socket.close()
+        until(base.stands, "it stands")
+
+
+def test_one_page_drives_at_a_time(desk: Desk) -> None:
+    base = Base(desk)
+    with TestPage(desk.port) as one, TestPage(desk.port) as other:
+        hold(one, base)
+        stop = time.monotonic() + 30
+        while not other.errors():
+            assert time.monotonic() < stop
+            one.send(op="hold", x=0.1, y=0.0, turn=0.0)
+            one.read(0.02)
+            other.send(op="hold", x=-0.1, y=0.0, turn=0.0)
+            other.read(0.05)
+        assert "drives by hand" in other.errors()[0]
+        assert all(x >= 0.0 for _, x, _ in base.heard)
+
+
+def test_no_hold_against_a_planner(desk: Desk) -> None:
+    base = Base(desk)
+    status = desk.far.advertise("/navigation/status", "midspan_msgs/NavigationStatus", latched=True)
+    desk.far.publish(status, {"state": "moving"})
+    with TestPage(desk.port) as page:
+        page.watch("driving")
+        page.value("driving", lambda value: value and value["state"] == "moving")
+        page.send(op="hold", x=0.1, y=0.0, turn=0.0)
+        page.until(page.errors, "it says why not")
+        assert page.errors() == ["nav2 drives; pause or stop it first"]
+        desk.far.publish(status, {"state": "idle"})
+        page.value("driving", lambda value: value and value["state"] == "idle")
+        hold(page, base)
+        desk.far.publish(status, {"state": "moving"})
+        page.value("driving", lambda value: value and value["state"] == "moving")
+        page.send(op="hold", x=0.1, y=0.0, turn=0.0)
+        until(base.stands, "a planner that begins ends the hold")
+
+
+@pytest.mark.parametrize(
+    "text",
+    ["", "{", "[]", "1", '"hold"', "{}", '{"op": "hold"}', '{"op": "hold", "x": NaN, "y": 0, "turn": 0}',
+     '{"op": "hold", "x": true, "y": 0, "turn": 0}', '{"op": "hold", "x": 1e999, "y": 0, "turn": 0}',
+     '{"op": "watch"}', '{"op": "watch", "feed": 3}', '{"op": "watch", "feed": "robot", "more": 1}',
+     '{"op": "call", "id": "1", "verb": "stop"}', '{"op": "call", "id": 1, "verb": "stop", "args": []}', "[" * 5000],
+)  # fmt: skip
+def test_bad_messages_are_named(desk: Desk, text: str) -> None:
+    base = Base(desk)
+    with TestPage(desk.port) as page:
+        page.socket.send(text)
+        page.until(page.errors, "it says that this is no message")
+        reply = page.call("explain", name="/x")
+        assert reply["ok"], "the socket goes on"
+    assert not base.drives()
+
+
+def test_a_page_of_bad_messages_alone_is_closed(desk: Desk) -> None:
+    with TestPage(desk.port) as page:
+        for _ in range(30):
+            page.socket.send("{")
+        with pytest.raises(Exception, match="1008"):
+            page.until(lambda: False, "it is closed")
+    with TestPage(desk.port) as page:
+        page.until(lambda: page.said, "others are served")
+
+
+@pytest.mark.parametrize(
+    ("verb", "args", "why"),
+    [
+        ("fly", {}, "there is no verb 'fly'; there are goto"),
+        ("goto", {"x": 1.0}, "goto needs y"),
+        ("goto", {"x": 1.0, "y": "2"}, "goto: y is a number, not '2'"),
+        ("goto", {"x": 1.0, "y": 1e9}, "goto: y is a number, not 1000000000.0"),
+        ("goto", {"x": 1.0, "y": 2.0, "z": 3.0}, "goto has no argument 'z'; it has x, y, theta"),
+        ("keep_place", {"name": " ", "x": 0, "y": 0, "theta": 0}, "keep_place: name is a name of up to 255 characters"),
+        ("set_pose", {"x": 0, "y": 0, "theta": 0}, "nobody hears /initialpose"),
+        ("use_map", {"name": "house"}, "no daemon on the hub keeps a store"),
+    ],
+)
+def test_calls_that_cannot_be(desk: Desk, verb: str, args: dict[str, Any], why: str) -> None:
+    with TestPage(desk.port) as page:
+        reply = page.call(verb, **args)
+        assert not reply["ok"]
+        assert why in reply["error"]
+
+
+def test_where_the_robot_is_said_to_be(desk: Desk) -> None:
+    heard = desk.far.subscribe("/initialpose", "geometry_msgs/PoseWithCovarianceStamped")
+    with TestPage(desk.port) as page:
+        reply: dict[str, Any] = {}
+
+        def told() -> bool:
+            reply.update(page.call("set_pose", x=1.0, y=2.0, theta=math.pi))
+            return bool(reply["ok"])
+
+        until(told, "the pose is taken once the listener is known")
+        found = desk.far.wait(heard, 1)[0]
+        assert found["header"]["frame_id"] == "map"
+        assert found["pose"]["pose"]["position"] == {"x": 1.0, "y": 2.0, "z": 0.0}
+        assert found["pose"]["pose"]["orientation"]["z"] == pytest.approx(1.0)
+
+
+def test_a_stop_goes_to_the_gateway_and_ends_a_hold(desk: Desk) -> None:
+    stops = desk.far.serve("/navigation/stop", "std_srvs/Trigger", reply={"success": True, "message": "stands"})
+    base = Base(desk)
+    with TestPage(desk.port) as page:
+        hold(page, base)
+        reply: dict[str, Any] = {}
+
+        def stopped() -> bool:
+            reply.update(page.call("stop"))
+            return bool(reply["ok"])
+
+        until(stopped, "the gateway is asked")
+        assert reply["value"] == "stands"
+        until(base.stands, "the hold ended")
+    assert stops is not None
+
+
+def test_too_many_topics(desk: Desk) -> None:
+    with TestPage(desk.port) as page:
+        for number in range(70):
+            page.watch(f"topic:/t{number}")
+        page.until(page.errors, "it says how many a page may watch")
+        assert "at most 64 feeds" in page.errors()[0]
+
+
+def test_messages_are_bounded(desk: Desk) -> None:
+    with TestPage(desk.port) as page:
+        page.socket.send(json.dumps({"op": "watch", "feed": "x" * 100_000}))
+        with pytest.raises(Exception, match="1009"):
+            page.until(lambda: False, "it is closed")

@@ -1,0 +1,111 @@
+"""The console's server answers its own page alone."""
+
+from __future__ import annotations
+
+import http.client
+import socket
+
+import pytest
+from websockets.exceptions import InvalidStatus
+
+from bridge.web.server import WebServer, refusal
+from tests.web.conftest import Desk
+from tests.web.page import TestPage
+
+OWN = frozenset({"127.0.0.1:8480", "localhost:8480"})
+
+
+def scope(kind: str = "http", **headers: str) -> dict[str, object]:
+    named = [(name.replace("_", "-").encode(), value.encode()) for name, value in headers.items()]
+    return {"type": kind, "headers": named}
+
+
+@pytest.mark.parametrize("host", ["127.0.0.1:8480", "localhost:8480", "LOCALHOST:8480"])
+def test_own_hosts(host: str) -> None:
+    assert not refusal(scope(host=host), OWN)
+
+
+@pytest.mark.parametrize("host", ["evil.example:8480", "127.0.0.1", "127.0.0.1:80", "localhost:8480.evil.example", ""])
+def test_names_that_are_made_to_point_here_are_refused(host: str) -> None:
+    assert "no such host" in refusal(scope(host=host), OWN)
+
+
+def test_two_hosts_or_none_are_refused() -> None:
+    assert refusal({"type": "http", "headers": [(b"host", b"localhost:8480")] * 2}, OWN)
+    assert refusal({"type": "http", "headers": []}, OWN)
+
+
+@pytest.mark.parametrize("origin", ["http://evil.example", "null", "https://localhost:8480", "http://localhost:8481"])
+@pytest.mark.parametrize("kind", ["http", "websocket"])
+def test_pages_of_others_are_refused(kind: str, origin: str) -> None:
+    assert refusal(scope(kind, host="localhost:8480", origin=origin), OWN)
+    assert not refusal(scope(kind, host="localhost:8480", origin="http://localhost:8480"), OWN)
+
+
+def test_another_sites_request_is_refused() -> None:
+    assert refusal(scope(host="localhost:8480", sec_fetch_site="cross-site"), OWN)
+    assert not refusal(scope(host="localhost:8480", sec_fetch_site="same-origin"), OWN)
+
+
+def test_a_browsers_socket_says_whose_it_is() -> None:
+    assert refusal(scope("websocket", host="localhost:8480", user_agent="Mozilla/5.0"), OWN)
+    assert not refusal(scope("websocket", host="localhost:8480", user_agent="Python"), OWN)
+
+
+def ask(port: int, path: str, **headers: str) -> tuple[int, dict[str, str], bytes]:
+    connection = http.client.HTTPConnection("127.0.0.1", port, timeout=10)
+    try:
+        connection.request("GET", path, headers=headers)
+        answer = connection.getresponse()
+        return answer.status, {name.lower(): value for name, value in answer.getheaders()}, answer.read()
+    finally:
+        connection.close()
+
+
+def test_the_page_and_its_policy(desk: Desk) -> None:
+    status, headers, body = ask(desk.port, "/")
+    assert status == 200
+    assert b"<title>" in body
+    policy = headers["content-security-policy"]
+    assert "default-src 'none'" in policy
+    assert "unsafe" not in policy
+    assert "frame-ancestors 'none'" in policy
+    assert headers["x-content-type-options"] == "nosniff"
+    assert ask(desk.port, "/app.js")[0] == 200
+
+
+@pytest.mark.parametrize("path", ["/../worker.py", "/%2e%2e/worker.py", "/..%2fworker.py", "/map/none.png", "/none"])
+def test_nothing_else_is_there(desk: Desk, path: str) -> None:
+    status, headers, body = ask(desk.port, path)
+    assert status == 404
+    assert b"import" not in body
+    assert "content-security-policy" in headers
+
+
+def test_strange_hosts_get_nothing(desk: Desk) -> None:
+    status, _, body = ask(desk.port, "/", Host=f"evil.example:{desk.port}")
+    assert status == 403
+    assert b"no such host" in body
+
+
+def test_strange_pages_get_no_socket(desk: Desk) -> None:
+    for options in ({"origin": "http://evil.example"}, {"additional_headers": {"Sec-Fetch-Site": "cross-site"}}):
+        with pytest.raises(InvalidStatus):
+            TestPage(desk.port, **options)
+    assert desk.console.server.pages == 0
+
+
+def test_an_address_that_is_taken_is_named(desk: Desk) -> None:
+    with pytest.raises(RuntimeError, match=rf"cannot listen on 127.0.0.1:{desk.port}: .*in use; set web.listen"):
+        WebServer(f"127.0.0.1:{desk.port}", None, None)  # type: ignore[arg-type]
+
+
+def test_half_requests_do_not_keep_others_out(desk: Desk) -> None:
+    open_ = [socket.create_connection(("127.0.0.1", desk.port)) for _ in range(20)]
+    try:
+        for one in open_:
+            one.sendall(b"GET / HTTP/1.1\r\nHost: ")
+        assert ask(desk.port, "/")[0] == 200
+    finally:
+        for one in open_:
+            one.close()
