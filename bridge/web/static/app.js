@@ -1,0 +1,110 @@
+// The page: its views by #hash, the line to the console, STOP.
+
+import { types, write } from "./dom.js";
+import { driveView } from "./drive.js";
+import { framesView } from "./frames.js";
+import { placesView } from "./places.js";
+import { ask, say } from "./say.js";
+import { Socket } from "./socket.js";
+import { statusView } from "./status.js";
+import { topicsView } from "./topics.js";
+import { mood, stateWords } from "./words.js";
+
+const MAKERS = { drive: driveView, places: placesView, status: statusView, topics: topicsView, frames: framesView };
+const byId = (id) => document.getElementById(id);
+
+const socket = new Socket(`${location.protocol === "https:" ? "wss" : "ws"}://${location.host}/socket`);
+const views = {}; // name -> {show(), hide(), look(rest of the hash)}, made when first shown
+let shown = null;
+
+// -- views
+
+function route() {
+  const [name, ...rest] = location.hash.slice(1).split("/");
+  const wanted = Object.hasOwn(MAKERS, name) ? name : "drive";
+  if (shown !== wanted) {
+    if (shown !== null) {
+      views[shown].hide();
+      byId(shown).hidden = true;
+    }
+    shown = wanted;
+    views[wanted] ??= MAKERS[wanted](byId(wanted), socket);
+    byId(wanted).hidden = false;
+    views[wanted].show();
+    byId("main").scrollTop = 0;
+  }
+  views[wanted].look?.(decoded(rest.join("/")));
+  for (const tab of byId("tabs").children) {
+    if (tab.hash === `#${wanted}`) tab.setAttribute("aria-current", "page");
+    else tab.removeAttribute("aria-current");
+  }
+  showLine(); // what a new view has for driving is off while nobody may drive
+}
+
+function decoded(text) {
+  try {
+    return decodeURIComponent(text);
+  } catch {
+    return ""; // a hash that somebody typed
+  }
+}
+
+// -- the line
+
+let lastState = "";
+
+function showLine() {
+  const { open, hello } = socket;
+  const state = open && hello ? "open" : lastState === "" ? "begin" : "lost";
+  document.body.dataset.line = state;
+  document.body.dataset.role = hello?.role ?? "watch";
+  write(byId("daemon"), hello?.daemon ?? "Midspan");
+  document.title = `${state === "lost" ? "(lost) " : ""}${hello?.daemon ?? ""} – Midspan`.replace(/^ – /, "");
+  const role = hello?.role === "watch" ? "Watching only" : "Connected";
+  write(byId("line-text"), state === "open" ? role : state === "begin" ? "Connecting" : "No connection");
+  write(byId("lost"), state === "lost" ? "Connection lost. What you see is old. Trying again …" : "");
+  for (const part of document.querySelectorAll(".drives")) part.inert = !socket.mayDrive;
+  if (state === "open" && lastState === "lost") say("Connected again.");
+  if (state !== "begin") lastState = state;
+}
+
+function showDriving(driving, why) {
+  const place = byId("driving");
+  place.dataset.mood = driving ? mood(driving) : "calm";
+  write(place, driving ? stateWords(driving) : why || "");
+}
+
+// -- STOP
+
+let stopped = 0; // when STOP was pressed last
+
+function stop() {
+  const now = performance.now();
+  if (now - stopped < 300) return; // the click that follows a touch
+  stopped = now;
+  dispatchEvent(new Event("midspan-stop")); // a hand that drives lets go
+  socket.release();
+  ask(socket, "STOP", "halt", {}, "STOP: every base stands, every goal is cancelled.");
+}
+
+byId("stop").addEventListener("pointerdown", (event) => event.button === 0 && stop());
+byId("stop").addEventListener("click", stop);
+addEventListener(
+  "keydown",
+  (event) => {
+    if (event.key !== " " || types(event.target)) return;
+    event.preventDefault(); // nor is the button that has the focus pressed
+    event.stopPropagation();
+    if (!event.repeat) stop();
+  },
+  true,
+);
+addEventListener("keyup", (event) => event.key === " " && !types(event.target) && event.preventDefault(), true);
+
+socket.addEventListener("state", showLine);
+socket.addEventListener("refused", (event) => say(event.detail, { bad: true }));
+socket.watch("driving", showDriving);
+addEventListener("hashchange", route);
+setTimeout(() => lastState === "" && ((lastState = "lost"), showLine()), 3000);
+showLine();
+route();

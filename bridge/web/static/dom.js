@@ -1,0 +1,80 @@
+// Makes elements. Text of robots goes in as text alone, never as markup.
+
+const SVG = "http://www.w3.org/2000/svg";
+
+/** An element: `text`, `on` (listeners by event) and attributes; true sets an attribute without a value. */
+export function el(tag, { text, on = {}, ...attributes } = {}, ...children) {
+  return filled(document.createElement(tag), text, on, attributes, children);
+}
+
+/** The same for SVG. */
+export function svg(tag, { text, on = {}, ...attributes } = {}, ...children) {
+  return filled(document.createElementNS(SVG, tag), text, on, attributes, children);
+}
+
+function filled(element, text, on, attributes, children) {
+  for (const [name, value] of Object.entries(attributes)) {
+    if (value !== false && value !== null && value !== undefined) {
+      element.setAttribute(name, value === true ? "" : value);
+    }
+  }
+  for (const [event, listener] of Object.entries(on)) element.addEventListener(event, listener);
+  if (text !== undefined) element.textContent = text;
+  element.append(...children.filter((child) => child !== null && child !== undefined));
+  return element;
+}
+
+/** A button with words on it. */
+export function button(text, pressed, attributes = {}) {
+  return el("button", { type: "button", text, on: { click: pressed }, ...attributes });
+}
+
+/** An icon of one path, 24 x 24, for a button that has a label of its own. */
+export function icon(d) {
+  return svg("svg", { viewBox: "0 0 24 24", "aria-hidden": "true", class: "icon" }, svg("path", { d }));
+}
+
+/** Write a text only where it changed, so that a page of values costs nothing while they stand. */
+export function write(element, text) {
+  if (element.textContent !== text) element.textContent = text;
+}
+
+/** Set or take away an attribute, only where it changed. */
+export function mark(element, name, value) {
+  const old = element.getAttribute(name);
+  if (value === null || value === undefined || value === false) {
+    if (old !== null) element.removeAttribute(name);
+  } else if (old !== String(value)) {
+    element.setAttribute(name, value);
+  }
+}
+
+/**
+ * Bring the children of `parent` in line with `items`: rows stay where their key stays.
+ * `key` names an item, `make` makes its row (an element), `fill` writes an item's values into a row.
+ */
+export function rows(parent, items, key, make, fill) {
+  const old = new Map();
+  for (const row of parent.children) old.set(row.dataset.key, row);
+  let next = parent.firstElementChild;
+  for (const item of items) {
+    const name = key(item);
+    let row = old.get(name);
+    if (row === undefined) {
+      row = make(item);
+      row.dataset.key = name;
+    } else {
+      old.delete(name);
+    }
+    if (row === next) next = next.nextElementSibling;
+    else parent.insertBefore(row, next);
+    fill(row, item);
+  }
+  for (const row of old.values()) row.remove();
+}
+
+/** Whether keys that are pressed now are meant as text. */
+export function types(target) {
+  return target instanceof Element
+    && (target.isContentEditable || target.matches("textarea, select, input:not([type=range]):not([type=checkbox])"));
+}

@@ -1,0 +1,140 @@
+// The view Drive: the map, what the robot does, where it may be sent, driving by hand.
+
+import { button, el, mark, rows, write } from "./dom.js";
+import { degrees, metres, position } from "./format.js";
+import { MapBlock } from "./map.js";
+import { PointMenu } from "./pointmenu.js";
+import { goTo, goToPlace, goToTyped, keepPlace, robotIsAt } from "./poses.js";
+import { ask } from "./say.js";
+import { teleop } from "./teleop.js";
+import { isBusy, mood, stateWords } from "./words.js";
+
+/** Builds the view; `look` takes `x,y` to show on the map. */
+export function driveView(root, socket) {
+  const heading = () => map.values.robot?.pose?.theta ?? 0;
+  const tools = {
+    go: { label: "Go here", drives: true, icon: "M12 21V9M6 12l6-8 6 8", hint: "Press where to go; drag to set the heading.",
+      done: (pose) => goTo(socket, pose) },
+    robot: { label: "Robot is here", drives: true, icon: "M12 3l6 16-6-4-6 4z", hint: "Press where the robot is; drag to where it looks.",
+      done: (pose) => robotIsAt(socket, pose, heading()) },
+    keep: { label: "Keep place", drives: true, icon: "M12 21s-6-6-6-11a6 6 0 0 1 12 0c0 5-6 11-6 11zM12 8v5M9.5 10.5h5", hint: "Press the place; drag to set its heading.",
+      done: (pose) => keepPlace(socket, pose, heading()) },
+    measure: { label: "Measure", icon: "M3 16L16 3l5 5L8 21zM8 11l2 2M11 8l3 3M14 5l2 2", hint: "Drag from one point to another.", done: () => {} },
+  };
+  const map = new MapBlock(socket, tools, (at, place, pixel) => {
+    const off = { disabled: !socket.mayDrive };
+    menu.open(place ?? position(at.x, at.y), pixel, [
+      place ? [`Go to ${place}`, () => goToPlace(socket, place), off] : ["Go here", () => goTo(socket, at), off],
+      ["Go here, with a heading …", () => goToTyped(socket, { ...at, theta: heading() }), off],
+      ["Robot is here …", () => robotIsAt(socket, at, heading()), off],
+      ["Keep this place …", () => keepPlace(socket, at, heading()), off],
+      ["Measure", () => map.choose("measure")],
+    ]);
+  });
+  const menu = new PointMenu(map.element, () => {
+    map.point = null;
+    map.redraw();
+  });
+  const doing = doingBlock(socket);
+  const sending = sendBlock(socket);
+  const byHand = teleop(socket);
+  const panel = el("div", { class: "panel" }, doing.element, sending.element, byHand.element);
+  const choose = (hand) => {
+    panel.dataset.part = hand ? "hand" : "go";
+    choice.children[0].setAttribute("aria-pressed", String(!hand));
+    choice.children[1].setAttribute("aria-pressed", String(hand));
+    byHand.end();
+  };
+  const choice = el("div", { class: "parts", role: "group", "aria-label": "How to drive" },
+    button("Send", () => choose(false)), button("By hand", () => choose(true)));
+  doing.element.after(choice);
+  choose(false);
+  root.append(map.element, panel);
+
+  let ends = [];
+  return {
+    show() {
+      ends = [socket.watch("driving", doing.take), socket.watch("driving", sending.takeDriving),
+        socket.watch("places", sending.takePlaces), socket.watch("map", sending.takeMap)];
+      map.show();
+    },
+    look(rest) {
+      const look = rest.split(",").map(Number);
+      if (rest && look.length === 2 && look.every(Number.isFinite)) map.look(...look);
+    },
+    hide() {
+      for (const end of ends) end();
+      byHand.end();
+      menu.close();
+      map.hide();
+    },
+  };
+}
+
+/** What it does now, with Pause and Stop. */
+function doingBlock(socket) {
+  const state = el("p", { class: "state", "aria-live": "polite" });
+  const reason = el("p", { class: "reason" });
+  const goal = el("dd");
+  const left = el("dd");
+  let driving = null;
+  const pause = button("Pause", () => (driving?.state === "paused"
+    ? ask(socket, "Go on", "resume", {}, "Going on.") : ask(socket, "Pause", "pause", {}, "Paused.")));
+  const end = button("End drive", () => ask(socket, "End drive", "stop", {}, "The drive has ended."));
+  const element = el("section", { class: "block doing", "aria-label": "What it does now" },
+    state, reason,
+    el("dl", { class: "facts" }, el("dt", { text: "Goal" }), goal, el("dt", { text: "Left" }), left),
+    el("div", { class: "buttons drives" }, pause, end));
+  return {
+    element,
+    take(value, why) {
+      driving = value;
+      element.dataset.mood = value ? mood(value) : "calm";
+      write(state, value ? stateWords(value) : "Not known");
+      write(reason, (value ? value.reason : why) || "");
+      const at = value?.goal;
+      write(goal, at ? `${position(at.x, at.y)}  ${degrees(at.theta)}` : "–");
+      write(left, metres(value?.distance, 1));
+      const paused = value?.state === "paused";
+      write(pause, paused ? "Go on" : "Pause");
+      mark(pause, "disabled", !paused && !isBusy(value) ? "" : null);
+      mark(end, "disabled", paused || isBusy(value) || value?.goal ? null : "");
+    },
+  };
+}
+
+/** Places of the map in use to send it to, and the planner. */
+function sendBlock(socket) {
+  let [places, why, current] = [null, "", undefined];
+  const list = el("ul", { class: "places-list drives" });
+  const empty = el("p", { class: "empty" });
+  const planner = el("select", { id: "planner", on: {
+    change: () => ask(socket, `Planner ${planner.value}`, "choose_planner", { name: planner.value }, `${planner.value} plans from now on.`),
+  } });
+  const element = el("section", { class: "block send", "aria-labelledby": "send-to" },
+    el("h2", { text: "Send to", id: "send-to" }), list, empty,
+    el("label", { class: "field row drives", for: "planner" }, el("span", { text: "Planner" }), planner));
+  const show = () => {
+    const names = Object.entries(places?.locations ?? {})
+      .filter(([, place]) => current === undefined || place.map === current).map(([name]) => name).sort();
+    write(empty, names.length ? "" : why || "No places on this map. Keep one: press the map.");
+    rows(list, names, (name) => name, (name) => el("li", {}, button(name, () => goToPlace(socket, name))), () => {});
+  };
+  return {
+    element,
+    takePlaces(value, reason) {
+      [places, why] = [value, reason];
+      show();
+    },
+    takeMap(map) {
+      current = map?.name;
+      show();
+    },
+    takeDriving(driving) {
+      const planners = driving?.planners ?? [];
+      rows(planner, planners, (name) => name, (name) => el("option", { value: name, text: name }), () => {});
+      if (driving?.planner && document.activeElement !== planner) planner.value = driving.planner;
+      mark(planner, "disabled", planners.length ? null : "");
+    },
+  };
+}

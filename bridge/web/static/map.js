@@ -1,0 +1,363 @@
+// The map: what is on it, what moves on it, and what fingers do to it.
+
+import { button, el, icon, mark, write } from "./dom.js";
+import { degrees, position } from "./format.js";
+import { gestures } from "./gestures.js";
+import { layerMenu } from "./layers.js";
+import { MapImage } from "./mapimage.js";
+import * as scene from "./scene.js";
+import { say } from "./say.js";
+import { toCells, Viewport } from "./viewport.js";
+
+const NEAR = 18; // px to a place that a tap means
+const NARROW = 560; // px: then the tools go right across, as in drive.css
+const ROOM = { top: 12, right: 68, bottom: 68, left: 12 }; // what the controls cover
+const NARROW_ROOM = { top: 64, right: 6, bottom: 108, left: 6 };
+const LOW = 360; // px of height: then the map goes below the controls
+const LOW_ROOM = { top: 6, right: 6, bottom: 6, left: 6 };
+const AIMED = 14; // px that a finger must go to set a heading
+
+/**
+ * The map in a block of the page.
+ *
+ * `tools`: {name: {label, hint, icon, done(pose)}}; a tool takes one press on the map, whose drag sets the heading
+ * (`theta` is missing without a drag). `menu(at, place)`: the operator touched the map at `at` ({x, y}), perhaps
+ * the named place. Feeds are followed between `show` and `hide`.
+ */
+export class MapBlock {
+  constructor(socket, tools, menu) {
+    this.socket = socket;
+    this.tools = tools;
+    this.menu = menu;
+    this.view = new Viewport();
+    this.values = {}; // newest value of each feed
+    this.images = {}; // layer -> MapImage
+    this.watches = {}; // feed -> what ends it
+    this.follows = false;
+    this.placed = false; // whether the window was set to a map or a robot once
+    this.tool = null;
+    this.aim = null; // {x, y, theta}: the press that goes on
+    this.measured = [];
+    this.point = null; // what the menu that is open speaks of
+    this.dirty = false;
+    this.frame = 0;
+    this.shown = false;
+    this.layers = layerMenu(() => this.layersChanged());
+    this.build();
+    this.themes();
+    socket.addEventListener("frame", () => this.dirty && this.draw());
+    socket.addEventListener("state", () => this.redraw());
+  }
+
+  build() {
+    this.canvas = el("canvas", {
+      tabindex: "0", role: "application", "aria-roledescription": "map",
+      "aria-label": "Map. Arrow keys move it, plus and minus zoom, F follows the robot, Enter opens the menu at the middle.",
+      on: { keydown: (event) => this.key(event) },
+    });
+    this.context = this.canvas.getContext("2d", { alpha: false });
+    this.hint = el("p", { class: "hint", role: "status" });
+    this.pose = el("p", { class: "pose", "aria-label": "Position of the robot" });
+    this.toolButtons = Object.entries(this.tools).map(([name, tool]) =>
+      el("button", { type: "button", class: tool.drives ? "drives" : "", "aria-pressed": "false", title: tool.label,
+        on: { click: () => this.choose(this.tool === name ? null : name) } }, icon(tool.icon), el("span", { text: tool.label })));
+    this.followButton = round("Follow the robot", "M12 4v3M12 17v3M4 12h3M17 12h3M12 8a4 4 0 1 0 0 8a4 4 0 0 0 0-8z", () => this.follow(!this.follows));
+    const corner = el("div", { class: "corner" },
+      round("Zoom in", "M12 5v14M5 12h14", () => this.zoom(1.4)),
+      round("Zoom out", "M5 12h14", () => this.zoom(1 / 1.4)),
+      round("Show the whole map", "M4 9V4h5M15 4h5v5M20 15v5h-5M9 20H4v-5", () => this.fit()),
+      this.followButton,
+      this.layers.element);
+    this.element = el("div", { class: "map" }, this.canvas, this.pose, this.hint, corner,
+      el("div", { class: "tools", role: "toolbar", "aria-label": "Tools of the map" }, ...this.toolButtons));
+    gestures(this.canvas, {
+      aims: () => this.tool !== null,
+      press: (x, y) => this.press(x, y),
+      aim: (x, y) => this.turn(x, y),
+      let: (x, y) => this.let(x, y),
+      forget: () => this.forget(),
+      pan: (dx, dy) => this.pan(dx, dy),
+      zoom: (factor, x, y) => this.zoom(factor, x, y),
+      tap: (x, y) => this.tap(x, y),
+    });
+    new ResizeObserver(() => this.sized()).observe(this.element);
+  }
+
+  // -- feeds
+
+  show() {
+    this.shown = true;
+    this.layersChanged();
+    this.sized();
+  }
+
+  hide() {
+    this.shown = false;
+    this.choose(null);
+    this.layersChanged();
+  }
+
+  layersChanged() {
+    const wanted = new Set(this.shown ? ["robot", "driving", "map"] : []);
+    if (this.shown) for (const feed of this.layers.feeds()) wanted.add(feed);
+    for (const [feed, end] of Object.entries(this.watches)) {
+      if (wanted.has(feed)) continue;
+      end();
+      delete this.watches[feed];
+      delete this.values[feed];
+    }
+    for (const feed of wanted) {
+      this.watches[feed] ??= this.socket.watch(feed, (value, why) => this.take(feed, value, why));
+    }
+    this.loadImages();
+    this.redraw();
+  }
+
+  take(feed, value, why) {
+    this.values[feed] = value;
+    this.redraw();
+    if (feed === "robot") this.robotMoved(value, why);
+    if (feed === "map") this.mapChanged(value, why);
+    if (!this.placed && (feed === "map" || feed === "robot") && value) this.fit();
+  }
+
+  robotMoved(robot, why) {
+    const pose = robot?.pose;
+    write(this.pose, pose ? `${position(pose.x, pose.y)}  ${degrees(pose.theta)}` : why || "Where the robot is, is not known.");
+    mark(this.pose, "data-why", pose ? null : "1");
+    if (this.follows && pose) Object.assign(this.view, { x: pose.x, y: pose.y });
+  }
+
+  mapChanged(map, why) {
+    if (this.mapName !== undefined && map && this.mapName !== map.name) this.placed = false;
+    if (map) this.mapName = map.name;
+    this.noMap = map ? "" : why || "There is no map.";
+    this.loadImages();
+    this.showHint();
+  }
+
+  loadImages() {
+    const map = this.values.map;
+    for (const layer of ["image", "flags"]) {
+      const url = map && (layer === "image" || this.layers.on("flags")) ? map[layer] : null;
+      const old = this.images[layer];
+      if ((old?.url ?? null) === (url ?? null) && old?.dark === (old && this.isDark(layer))) continue;
+      delete this.images[layer];
+      if (!url) {
+        old?.close();
+        continue;
+      }
+      const made = (this.images[layer] = new MapImage(url, this.isDark(layer)));
+      made.old = old; // shown until the new one is there
+      made.load().then(
+        () => this.redraw(),
+        (error) => made.gone || say(`Map: ${error.message}`, { bad: true }),
+      ).finally(() => {
+        old?.close();
+        made.old = null;
+      });
+    }
+  }
+
+  isDark(layer) {
+    return layer === "image" && this.dark.matches;
+  }
+
+  themes() {
+    this.dark = matchMedia("(prefers-color-scheme: dark)");
+    this.colours = scene.colours();
+    this.dark.addEventListener("change", () => {
+      this.colours = scene.colours();
+      this.loadImages();
+      this.redraw();
+    });
+  }
+
+  // -- the window
+
+  sized() {
+    const { clientWidth: width, clientHeight: height } = this.element;
+    if (!width || !height) return;
+    this.ratio = Math.min(devicePixelRatio, 2);
+    Object.assign(this.canvas, { width: Math.round(width * this.ratio), height: Math.round(height * this.ratio) });
+    Object.assign(this.view, { width, height });
+    if (!this.moved) this.placed = false; // still the whole map
+    if (!this.placed && (this.values.map || this.values.robot)) this.fit();
+    this.draw();
+  }
+
+  fit() {
+    const { map, robot } = this.values;
+    const { width, height } = this.view;
+    if (map) this.view.fit(map, height < LOW ? LOW_ROOM : width < NARROW ? NARROW_ROOM : ROOM);
+    else if (robot) Object.assign(this.view, { x: robot.pose.x, y: robot.pose.y, scale: 50 });
+    this.placed = Boolean(map || robot);
+    this.moved = false;
+    if (this.follows) this.follow(false);
+    this.redraw();
+  }
+
+  follow(on) {
+    this.follows = on;
+    this.followButton.setAttribute("aria-pressed", String(on));
+    const pose = this.values.robot?.pose;
+    if (!on || !pose) return;
+    this.moved = true;
+    Object.assign(this.view, { x: pose.x, y: pose.y });
+    this.redraw();
+  }
+
+  /** Bring a place into the middle. */
+  look(x, y) {
+    this.follow(false);
+    this.moved = this.placed = true;
+    Object.assign(this.view, { x, y, scale: Math.max(this.view.scale, 40) });
+    this.redraw();
+  }
+
+  pan(dx, dy) {
+    if (this.follows) this.follow(false);
+    this.moved = true;
+    this.view.pan(dx, dy);
+    this.redraw();
+  }
+
+  zoom(factor, x, y) {
+    this.moved = true;
+    if (this.follows) this.view.zoom(factor);
+    else this.view.zoom(factor, x, y);
+    this.redraw();
+  }
+
+  // -- tools
+
+  choose(name) {
+    this.tool = name;
+    this.forget();
+    if (name !== "measure") this.measured = [];
+    Object.keys(this.tools).forEach((each, i) => this.toolButtons[i].setAttribute("aria-pressed", String(each === name)));
+    this.element.classList.toggle("aims", name !== null);
+    this.showHint();
+    this.redraw();
+  }
+
+  showHint() {
+    write(this.hint, this.tool ? this.tools[this.tool].hint : this.noMap || "");
+  }
+
+  press(px, py) {
+    const [x, y] = this.view.toMap(px, py);
+    this.aim = { x, y };
+    this.pressed = [px, py];
+    if (this.tool === "measure") this.measured = [this.aim];
+    this.redraw();
+  }
+
+  turn(px, py) {
+    const [x, y] = this.view.toMap(px, py);
+    if (this.tool === "measure") this.measured = [this.aim, { x, y }];
+    else if (Math.hypot(px - this.pressed[0], py - this.pressed[1]) < AIMED) delete this.aim.theta;
+    else this.aim.theta = Math.atan2(y - this.aim.y, x - this.aim.x);
+    this.redraw();
+  }
+
+  let(px, py) {
+    this.turn(px, py);
+    const [tool, pose] = [this.tool, this.aim];
+    this.aim = null;
+    if (tool !== "measure") this.choose(null); // a tool works once
+    this.tools[tool].done(pose, this.measured);
+  }
+
+  forget() {
+    this.aim = null;
+    this.redraw();
+  }
+
+  tap(px, py) {
+    let [x, y] = this.view.toMap(px, py);
+    const map = this.values.map?.name;
+    const place = Object.entries(this.values.places?.locations ?? {}).find(([, each]) => {
+      const [ex, ey] = this.view.to(each.x, each.y);
+      return each.map === map && Math.hypot(ex - px, ey - py) < NEAR;
+    });
+    if (place) ({ x, y } = place[1]);
+    this.point = { x, y };
+    this.redraw();
+    this.menu({ x, y }, place?.[0] ?? null, this.view.to(x, y));
+  }
+
+  key(event) {
+    const step = 60;
+    const actions = {
+      ArrowLeft: () => this.pan(step, 0), ArrowRight: () => this.pan(-step, 0),
+      ArrowUp: () => this.pan(0, step), ArrowDown: () => this.pan(0, -step),
+      "+": () => this.zoom(1.25), "=": () => this.zoom(1.25), "-": () => this.zoom(0.8),
+      f: () => this.follow(!this.follows), F: () => this.follow(!this.follows),
+      Enter: () => this.tap(this.view.width / 2, this.view.height / 2),
+      Escape: () => this.choose(null),
+    };
+    if (!(event.key in actions) || event.ctrlKey || event.metaKey || event.altKey) return;
+    event.preventDefault();
+    actions[event.key]();
+  }
+
+  // -- drawing
+
+  redraw() {
+    this.dirty = true;
+    this.frame ||= requestAnimationFrame(() => {
+      this.frame = 0;
+      if (this.dirty) this.draw(); // unless it was drawn with new values meanwhile
+    });
+  }
+
+  draw() {
+    this.dirty = false;
+    if (!this.shown || !this.canvas.width) return;
+    const { context, view, values, colours: colour, ratio } = this;
+    context.setTransform(1, 0, 0, 1, 0, 0);
+    context.fillStyle = colour.floor;
+    context.fillRect(0, 0, this.canvas.width, this.canvas.height);
+    if (values.map) this.drawImages(context, values.map);
+    context.setTransform(ratio, 0, 0, ratio, 0, 0);
+    if (!values.map) scene.drawGrid(context, view, colour);
+    this.drawPlaces(context, view, values, colour);
+    if (this.layers.on("path")) scene.drawPath(context, view, values.path?.points ?? [], colour);
+    if (this.layers.on("laser")) scene.drawLaser(context, view, values.laser?.points ?? [], colour);
+    if (values.driving?.goal) scene.drawPose(context, view, values.driving.goal, colour.path, colour);
+    if (values.robot?.pose) scene.drawRobot(context, view, values.robot, colour, !this.socket.open);
+    if (this.measured.length === 2) scene.drawMeasure(context, view, this.measured, colour);
+    else if (this.aim) scene.drawPose(context, view, this.aim, colour.accent, colour, 44);
+    if (this.point) scene.drawPose(context, view, this.point, colour.accent, colour);
+    scene.drawScale(context, view, colour, view.width < NARROW ? 76 : 16);
+  }
+
+  drawImages(context, map) {
+    for (const layer of ["image", "flags"]) {
+      const made = this.images[layer];
+      const image = made?.levels.length ? made : made?.old;
+      if (!image) continue;
+      const { scale, part } = toCells(context, this.view, map, this.ratio);
+      image.draw(context, scale, part);
+    }
+  }
+
+  drawPlaces(context, view, { places, map }, colour) {
+    if (!places) return;
+    const here = (named) => Object.entries(named ?? {}).filter(([, each]) => !map || each.map === map.name);
+    if (this.layers.on("areas")) {
+      for (const [name, { points }] of here(places.areas)) scene.drawArea(context, view, name, points, colour);
+      for (const [name, { points }] of here(places.paths)) scene.drawNamedPath(context, view, name, points, colour);
+    }
+    if (this.layers.on("places")) {
+      for (const [name, place] of here(places.locations)) scene.drawPlace(context, view, name, place, colour);
+    }
+  }
+}
+
+function round(label, path, pressed) {
+  const made = button(undefined, pressed, { class: "round", "aria-label": label, title: label });
+  made.append(icon(path));
+  return made;
+}

@@ -1,0 +1,89 @@
+// The image of a map in several sizes, so that panning a large one costs what the window shows and no more.
+
+const SMALLEST = 512; // an image is halved until no side is longer
+
+/** An image of a map; `dark`: drawn as light walls on a dark floor. */
+export class MapImage {
+  constructor(url, dark) {
+    this.url = url;
+    this.dark = dark;
+    this.levels = []; // each half the one before
+    this.gone = false;
+  }
+
+  /** Fetch it; rejects with an Error in words. */
+  async load() {
+    const reply = await fetch(this.url);
+    if (!reply.ok) throw new Error(`the image of the map did not come (${reply.status})`);
+    const whole = await createImageBitmap(await reply.blob());
+    const levels = [this.dark ? inverted(whole) : whole];
+    for (let last = whole; Math.max(last.width, last.height) > SMALLEST;) {
+      last = halved(levels.at(-1));
+      levels.push(last);
+    }
+    if (this.gone) return;
+    this.levels = levels;
+  }
+
+  /** Let its memory go. */
+  close() {
+    this.gone = true;
+    for (const level of this.levels) level.close?.();
+    this.levels = [];
+  }
+
+  /**
+   * Draw the part that the window shows. The context's transform is that of the image: one unit is one cell, the
+   * first row on top; `scale`: device pixels a cell; `part`: the cells in sight, {left, top, right, bottom}.
+   */
+  draw(context, scale, part) {
+    if (!this.levels.length) return;
+    const wanted = Math.max(0, Math.floor(Math.log2(1 / scale)));
+    const level = Math.min(wanted, this.levels.length - 1);
+    const image = this.levels[level];
+    const [acrossX, acrossY] = [image.width / this.levels[0].width, image.height / this.levels[0].height];
+    const left = Math.max(0, Math.floor(part.left * acrossX));
+    const top = Math.max(0, Math.floor(part.top * acrossY));
+    const right = Math.min(image.width, Math.ceil(part.right * acrossX));
+    const bottom = Math.min(image.height, Math.ceil(part.bottom * acrossY));
+    if (right <= left || bottom <= top) return;
+    context.imageSmoothingEnabled = scale < 1;
+    context.drawImage(
+      image, left, top, right - left, bottom - top,
+      left / acrossX, top / acrossY, (right - left) / acrossX, (bottom - top) / acrossY,
+    );
+  }
+}
+
+function canvas(width, height) {
+  const made = document.createElement("canvas");
+  made.width = width;
+  made.height = height;
+  return made;
+}
+
+function halved(image) {
+  const half = canvas(Math.max(1, image.width >> 1), Math.max(1, image.height >> 1));
+  const context = half.getContext("2d");
+  context.imageSmoothingQuality = "high";
+  context.drawImage(image, 0, 0, half.width, half.height);
+  return half;
+}
+
+function inverted(image) {
+  const made = canvas(image.width, image.height);
+  const context = made.getContext("2d");
+  context.drawImage(image, 0, 0);
+  context.globalCompositeOperation = "difference";
+  context.fillStyle = "#fff";
+  context.fillRect(0, 0, made.width, made.height);
+  context.globalCompositeOperation = "multiply"; // walls not quite as bright as the robot
+  context.fillStyle = "#93a5b4";
+  context.fillRect(0, 0, made.width, made.height);
+  context.globalCompositeOperation = "screen"; // the floor not quite black
+  context.fillStyle = "#14191e";
+  context.fillRect(0, 0, made.width, made.height);
+  context.globalCompositeOperation = "destination-in"; // nothing where the image has nothing
+  context.drawImage(image, 0, 0);
+  return made;
+}

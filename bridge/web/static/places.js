@@ -1,0 +1,121 @@
+// The view Places: maps, places, and what else has a name on a map.
+
+import { button, el, mark, rows, write } from "./dom.js";
+import { degrees, metres } from "./format.js";
+import { goToPlace } from "./poses.js";
+import { ask, question } from "./say.js";
+import { searchField, Table } from "./table.js";
+
+/** Builds the view. */
+export function placesView(root, socket) {
+  let [map, places, why] = [undefined, null, ""];
+  const maps = mapsBlock(socket);
+  const locations = locationTable(socket, () => map);
+  const shapes = shapeTable();
+  const number = el("span", { class: "count" });
+  const shapeBlock = el("section", { class: "block", "aria-labelledby": "shapes-title" },
+    el("div", { class: "heading" }, el("h2", { text: "Areas and paths", id: "shapes-title" })), shapes.element);
+  root.append(
+    maps.element,
+    el("section", { class: "block", "aria-labelledby": "places-title" },
+      el("div", { class: "heading" }, el("h2", { text: "Places", id: "places-title" }), number,
+        searchField("Search places", (text) => {
+          locations.find(text);
+          shapes.find(text);
+        })), locations.element),
+    shapeBlock,
+  );
+
+  function show() {
+    const named = (of) => Object.entries(places?.[of] ?? {}).map(([name, each]) => ({ name, of, ...each }));
+    const found = named("locations").sort((a, b) => (b.map === map) - (a.map === map) || (a.name < b.name ? -1 : 1));
+    locations.fill(found, why || "No places. Keep one: press the map.");
+    write(number, String(found.length));
+    const others = [...named("areas"), ...named("paths")];
+    shapes.fill(others, "");
+    mark(shapeBlock, "hidden", others.length ? null : "");
+  }
+
+  socket.addEventListener("state", () => show());
+  let ends = [];
+  return {
+    show() {
+      ends = [
+        socket.watch("maps", (value, reason) => {
+          map = value?.current;
+          maps.take(value, reason);
+          show();
+        }),
+        socket.watch("places", (value, reason) => {
+          [places, why] = [value, reason];
+          show();
+        }),
+      ];
+    },
+    hide() {
+      for (const end of ends) end();
+    },
+  };
+}
+
+function mapsBlock(socket) {
+  const list = el("ul", { class: "maps drives" });
+  const empty = el("p", { class: "empty" });
+  return {
+    element: el("section", { class: "block", "aria-labelledby": "maps-title" },
+      el("div", { class: "heading" }, el("h2", { text: "Maps", id: "maps-title" })), list, empty),
+    take(maps, why) {
+      const names = maps?.names ?? [];
+      write(empty, names.length ? "" : why || "No maps.");
+      rows(list, names, (name) => name, (name) => el("li", {}, button(name, () => use(socket, name))), (row, name) => {
+        mark(row.firstChild, "aria-pressed", String(name === maps.current));
+      });
+    },
+  };
+}
+
+async function use(socket, name) {
+  const sure = await question(`Use the map ${name}?`, {}, "Use it", { text: "Planner and localiser work on this map from then on." });
+  if (sure) await ask(socket, `Use the map ${name}`, "use_map", { name }, `The map is ${name} now.`);
+}
+
+function locationTable(socket, current) {
+  return new Table("Places", [
+    { label: "Name", class: "wide", head: true, value: (p) => p.name, text: (p) => p.name },
+    { label: "Map", class: "way", value: (p) => p.map, text: (p) => p.map },
+    { label: "x", class: "num", value: (p) => p.x, text: (p) => metres(p.x) },
+    { label: "y", class: "num", value: (p) => p.y, text: (p) => metres(p.y) },
+    { label: "Heading", class: "num", value: (p) => p.theta, text: (p) => degrees(p.theta) },
+    { label: "Do", class: "do", made: (place) => actions(socket, current, place) },
+  ], (place) => place.name);
+}
+
+function actions(socket, current, { name }) {
+  const go = button("Go", () => goToPlace(socket, name), { "aria-label": `Go to ${name}` });
+  const look = el("a", { class: "button", text: "Show", "aria-label": `Show ${name} on the map` });
+  const away = button("Delete", () => remove(socket, name), { "aria-label": `Delete ${name}` });
+  return {
+    element: el("div", { class: "buttons" }, go, look, away),
+    update(place) {
+      const here = current() === undefined || place.map === current();
+      mark(go, "disabled", socket.mayDrive && here ? null : "");
+      mark(away, "disabled", socket.mayDrive ? null : "");
+      mark(look, "href", here ? `#drive/${place.x},${place.y}` : null);
+      mark(look, "aria-disabled", here ? null : "true");
+    },
+  };
+}
+
+async function remove(socket, name) {
+  const sure = await question(`Delete ${name}?`, {}, "Delete", { text: "Nobody can be sent there by name any more.", danger: true });
+  if (sure) await ask(socket, `Delete ${name}`, "delete_place", { name }, `Deleted ${name}.`);
+}
+
+function shapeTable() {
+  return new Table("Areas and paths", [
+    { label: "Name", class: "wide", head: true, value: (s) => s.name, text: (s) => s.name },
+    { label: "Kind", class: "way", value: (s) => s.of, text: (s) => (s.of === "areas" ? "area" : "path") },
+    { label: "Map", class: "way", value: (s) => s.map, text: (s) => s.map },
+    { label: "Points", class: "num", value: (s) => s.points.length, text: (s) => String(s.points.length) },
+  ], (shape) => `${shape.of} ${shape.name}`);
+}

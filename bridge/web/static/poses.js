@@ -1,0 +1,68 @@
+// What an operator asks for at a pose on the map: drive there, the robot is there, keep it as a place.
+
+import { degrees, position } from "./format.js";
+import { ask, question, say } from "./say.js";
+
+const LONGEST_NAME = 64;
+
+const inDegrees = (theta) => String(Math.round((theta * 180) / Math.PI));
+
+/** A number that a person typed, a comma for a point or not; NaN if it is none. */
+const typed = (text) => (text === "" ? NaN : Number(text.replace(",", ".").replace("°", "")));
+
+function poseFields({ x, y, theta }, headingNeeded) {
+  const numeric = { inputmode: "text", pattern: "\\s*[\\-+]?[0-9]*[.,]?[0-9]+\\s*°?\\s*", title: "a number" };
+  return {
+    x: { label: "x, metres", value: x.toFixed(2), ...numeric },
+    y: { label: "y, metres", value: y.toFixed(2), ...numeric },
+    theta: {
+      label: headingNeeded ? "Heading, degrees" : "Heading, degrees (empty: any)",
+      value: theta === undefined ? "" : inDegrees(theta), ...numeric, required: headingNeeded,
+    },
+  };
+}
+
+function poseOf(answer) {
+  const pose = { x: typed(answer.x), y: typed(answer.y) };
+  if (answer.theta !== "") pose.theta = (typed(answer.theta) * Math.PI) / 180;
+  if (Object.values(pose).every(Number.isFinite)) return pose;
+  say("That is no position: write numbers.", { bad: true });
+  return null;
+}
+
+const words = ({ x, y, theta }) => position(x, y) + (theta === undefined ? "" : `, heading ${degrees(theta)}`);
+
+/** Drive to a pose. */
+export const goTo = (socket, pose) => ask(socket, `Go to ${words(pose)}`, "goto", pose, `Driving to ${words(pose)}.`);
+
+/** Drive to a named place. */
+export const goToPlace = (socket, name) => ask(socket, `Go to ${name}`, "goto_place", { name }, `Driving to ${name}.`);
+
+/** Drive to a pose that is typed. */
+export async function goToTyped(socket, pose) {
+  const answer = await question("Go here", poseFields(pose, false), "Go");
+  const wanted = answer && poseOf(answer);
+  if (wanted) await goTo(socket, wanted);
+}
+
+/** The robot is at a pose; the heading is asked for where `pose` has none. */
+export async function robotIsAt(socket, pose, heading = 0) {
+  let known = pose;
+  if (pose.theta === undefined) {
+    const answer = await question("Robot is here", poseFields({ ...pose, theta: heading }, true), "Set");
+    known = answer && poseOf(answer);
+  }
+  if (known) await ask(socket, `Robot is at ${words(known)}`, "set_pose", known, `The robot is at ${words(known)}.`);
+}
+
+/** Keep a pose under a name that is asked for. */
+export async function keepPlace(socket, pose, heading = 0) {
+  const fields = {
+    name: { label: "Name", value: "", maxlength: LONGEST_NAME },
+    ...poseFields({ ...pose, theta: pose.theta ?? heading }, true),
+  };
+  const answer = await question("Keep this place", fields, "Keep");
+  const kept = answer && poseOf(answer);
+  if (!kept) return;
+  await ask(socket, `Keep ${answer.name}`, "keep_place", { name: answer.name, ...kept }, `Kept ${answer.name} at ${words(kept)}.`);
+}

@@ -1,0 +1,229 @@
+// Draws what lies on the map. `to(x, y)` gives the pixel of a place, `scale` the pixels a metre.
+
+const LONGEST = 24; // letters of a name on the map
+
+/** The colours of the page's theme, by the names of style.css. */
+export function colours() {
+  const style = getComputedStyle(document.documentElement);
+  const names = ["floor", "grid", "ink", "muted", "accent", "laser", "path", "area", "goal", "halo", "bad"];
+  return Object.fromEntries(names.map((name) => [name, style.getPropertyValue(`--${name}`).trim()]));
+}
+
+/** Metres as a grid, where there is no map. */
+export function drawGrid(context, view, colour) {
+  const step = niceStep(60 / view.scale);
+  const [left, top] = view.toMap(0, 0);
+  const [right, bottom] = view.toMap(view.width, view.height);
+  context.strokeStyle = colour.grid;
+  context.lineWidth = 1;
+  context.beginPath();
+  for (let x = Math.ceil(left / step) * step; x < right; x += step) {
+    const [px] = view.to(x, 0);
+    context.moveTo(Math.round(px) + 0.5, 0);
+    context.lineTo(Math.round(px) + 0.5, view.height);
+  }
+  for (let y = Math.ceil(bottom / step) * step; y < top; y += step) {
+    const [, py] = view.to(0, y);
+    context.moveTo(0, Math.round(py) + 0.5);
+    context.lineTo(view.width, Math.round(py) + 0.5);
+  }
+  context.stroke();
+}
+
+/** The largest of 1, 2, 5 times a power of ten that is at most `most`. */
+export function niceStep(most) {
+  const power = 10 ** Math.floor(Math.log10(most));
+  return [5, 2, 1].find((each) => each * power <= most) * power;
+}
+
+/** A length as a bar in the corner, so many pixels above the edge. */
+export function drawScale(context, view, colour, above) {
+  const metres = niceStep(110 / view.scale);
+  const wide = metres * view.scale;
+  const [x, y] = [view.width - 16 - wide, view.height - above - 0.5];
+  const text = metres >= 1 ? `${metres} m` : `${Math.round(metres * 100)} cm`;
+  context.lineWidth = 5;
+  context.strokeStyle = colour.halo;
+  const line = () => {
+    context.beginPath();
+    context.moveTo(x, y - 5);
+    context.lineTo(x, y);
+    context.lineTo(x + wide, y);
+    context.lineTo(x + wide, y - 5);
+    context.stroke();
+  };
+  line();
+  context.lineWidth = 1.5;
+  context.strokeStyle = colour.ink;
+  line();
+  label(context, text, x + wide / 2, y - 8, colour, { align: "center" });
+}
+
+/** A text that stays readable on any map. */
+export function label(context, text, x, y, colour, { align = "left", ink = colour.ink, bold = false } = {}) {
+  context.font = `${bold ? "600 " : ""}13px system-ui, sans-serif`;
+  context.textAlign = align;
+  context.textBaseline = "alphabetic";
+  context.lineJoin = "round";
+  context.lineWidth = 4;
+  context.strokeStyle = colour.halo;
+  context.strokeText(text, x, y);
+  context.fillStyle = ink;
+  context.fillText(text, x, y);
+}
+
+/** Pairs of x, y in one flat list, joined by a line. */
+export function drawPath(context, view, points, colour) {
+  if (points.length < 4) return;
+  context.lineJoin = context.lineCap = "round";
+  const line = () => {
+    context.beginPath();
+    for (let i = 0; i + 1 < points.length; i += 2) context.lineTo(...view.to(points[i], points[i + 1]));
+    context.stroke();
+  };
+  context.lineWidth = 6;
+  context.strokeStyle = colour.halo;
+  line();
+  context.lineWidth = 3;
+  context.strokeStyle = colour.path;
+  line();
+}
+
+/** What the laser sees. */
+export function drawLaser(context, view, points, colour) {
+  const size = Math.max(2, Math.min(5, view.scale * 0.04));
+  context.fillStyle = colour.laser;
+  for (let i = 0; i + 1 < points.length; i += 2) {
+    const [x, y] = view.to(points[i], points[i + 1]);
+    context.fillRect(x - size / 2, y - size / 2, size, size);
+  }
+}
+
+/** The robot: footprint and where it looks. `old`: the line is lost, it may be elsewhere. */
+export function drawRobot(context, view, { pose, footprint }, colour, old) {
+  const [cos, sin] = [Math.cos(pose.theta), Math.sin(pose.theta)];
+  const at = (x, y) => view.to(pose.x + cos * x - sin * y, pose.y + sin * x + cos * y);
+  const outline = footprint?.length > 2 ? footprint : disc(0.25);
+  const reach = Math.max(...outline.map(([x, y]) => Math.hypot(x, y)));
+  const ink = old ? colour.muted : colour.accent;
+  context.lineJoin = "round";
+  shape(context, outline.map(([x, y]) => at(x, y)));
+  context.fillStyle = ink;
+  context.globalAlpha = 0.25;
+  context.fill();
+  context.globalAlpha = 1;
+  context.lineWidth = 2;
+  context.strokeStyle = ink;
+  context.stroke();
+  const size = Math.max(reach * 0.75, 9 / view.scale); // to be found on a large map too
+  shape(context, [[1, 0], [-0.7, 0.65], [-0.35, 0], [-0.7, -0.65]].map(([x, y]) => at(x * size, y * size)));
+  context.lineWidth = 3;
+  context.strokeStyle = colour.halo;
+  context.stroke();
+  context.fillStyle = ink;
+  context.fill();
+}
+
+const disc = (radius) => Array.from({ length: 24 }, (_, i) => [radius * Math.cos(i / 3.82), radius * Math.sin(i / 3.82)]);
+
+function shape(context, points) {
+  context.beginPath();
+  for (const point of points) context.lineTo(...point);
+  context.closePath();
+}
+
+/** A place: a dot with its heading and name. */
+export function drawPlace(context, view, name, place, colour) {
+  const [x, y] = view.to(place.x, place.y);
+  context.lineWidth = 2;
+  context.strokeStyle = colour.goal;
+  context.fillStyle = colour.halo;
+  context.beginPath();
+  context.moveTo(x, y);
+  context.lineTo(x + 13 * Math.cos(place.theta), y - 13 * Math.sin(place.theta));
+  context.stroke();
+  context.beginPath();
+  context.arc(x, y, 4.5, 0, 2 * Math.PI);
+  context.fill();
+  context.stroke();
+  label(context, name.length > LONGEST ? `${name.slice(0, LONGEST)}…` : name, x + 10, y + 17, colour);
+}
+
+/** An area: its outline and name. */
+export function drawArea(context, view, name, points, colour) {
+  if (points.length < 2) return;
+  const pixels = points.map(([x, y]) => view.to(x, y));
+  shape(context, pixels);
+  context.fillStyle = colour.area;
+  context.globalAlpha = 0.14;
+  context.fill();
+  context.globalAlpha = 1;
+  context.setLineDash([6, 4]);
+  context.lineWidth = 1.5;
+  context.strokeStyle = colour.area;
+  context.stroke();
+  context.setLineDash([]);
+  const middle = [0, 1].map((axis) => pixels.reduce((sum, pixel) => sum + pixel[axis], 0) / pixels.length);
+  label(context, name, ...middle, colour, { align: "center", ink: colour.area });
+}
+
+/** A named path: a dotted line and its name. */
+export function drawNamedPath(context, view, name, points, colour) {
+  if (!points.length) return;
+  const pixels = points.map(([x, y]) => view.to(x, y));
+  context.beginPath();
+  for (const pixel of pixels) context.lineTo(...pixel);
+  context.setLineDash([2, 6]);
+  context.lineCap = "round";
+  context.lineWidth = 3;
+  context.strokeStyle = colour.area;
+  context.stroke();
+  context.setLineDash([]);
+  label(context, name, pixels[0][0] + 8, pixels[0][1] - 8, colour, { ink: colour.area });
+}
+
+/** The goal, or a pose that a finger sets: a ring and, with a heading, an arrow. */
+export function drawPose(context, view, { x, y, theta }, ink, colour, length = 30) {
+  const [px, py] = view.to(x, y);
+  const line = () => {
+    context.beginPath();
+    context.arc(px, py, 9, 0, 2 * Math.PI);
+    if (typeof theta === "number") {
+      const [dx, dy] = [Math.cos(theta), -Math.sin(theta)];
+      const [ex, ey] = [px + length * dx, py + length * dy];
+      context.moveTo(px + 9 * dx, py + 9 * dy);
+      context.lineTo(ex, ey);
+      context.moveTo(ex - 9 * dx - 6 * dy, ey - 9 * dy + 6 * dx);
+      context.lineTo(ex, ey);
+      context.lineTo(ex - 9 * dx + 6 * dy, ey - 9 * dy - 6 * dx);
+    }
+    context.stroke();
+  };
+  context.lineJoin = context.lineCap = "round";
+  context.lineWidth = 6;
+  context.strokeStyle = colour.halo;
+  line();
+  context.lineWidth = 2.5;
+  context.strokeStyle = ink;
+  line();
+}
+
+/** A measured length between two places. */
+export function drawMeasure(context, view, [a, b], colour) {
+  const [ax, ay] = view.to(a.x, a.y);
+  const [bx, by] = view.to(b.x, b.y);
+  for (const [width, ink] of [[5, colour.halo], [2, colour.ink]]) {
+    context.lineWidth = width;
+    context.strokeStyle = ink;
+    context.beginPath();
+    context.moveTo(ax, ay);
+    context.lineTo(bx, by);
+    for (const [x, y] of [[ax, ay], [bx, by]]) {
+      context.moveTo(x + 4, y);
+      context.arc(x, y, 4, 0, 2 * Math.PI);
+    }
+    context.stroke();
+  }
+  const text = `${Math.hypot(b.x - a.x, b.y - a.y).toFixed(2)} m`;
+  label(context, text, (ax + bx) / 2, (ay + by) / 2 - 9, colour, { align: "center", bold: true });
+}

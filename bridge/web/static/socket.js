@@ -1,0 +1,209 @@
+// The WebSocket to the console: feeds, calls, driving by hand. See docs/operate/console_protocol.md.
+
+const PROTOCOL = "midspan.console.1";
+const FIRST_WAIT = 250;
+const LONGEST_WAIT = 2000;
+const OPENING = 2500; // an attempt that is not answered for so long is given up
+const SILENCE = 2000; // after so long without a word the console is asked for one
+const ANSWER = 2000; // and after so long without an answer the line counts as dead
+
+/**
+ * Joins the console and joins it again by itself.
+ *
+ * Events: `state` (`open`, `hello` or why the line is lost), `held` (detail: what is commanded), `refused`
+ * (detail: words), `frame` (the newest values have been handed out and are to be drawn now).
+ */
+export class Socket extends EventTarget {
+  constructor(address) {
+    super();
+    this.address = address;
+    this.open = false;
+    this.hello = null;
+    this.link = null;
+    this.wait = FIRST_WAIT;
+    this.timer = 0;
+    this.feeds = new Map(); // name -> {takers, n, value, why, has}
+    this.due = new Set(); // feeds whose newest value is not drawn
+    this.frame = 0;
+    this.calls = new Map();
+    this.nextId = 1;
+    this.heard = 0;
+    this.asked = 0;
+    document.addEventListener("visibilitychange", () => this.watchAll(!document.hidden));
+    addEventListener("offline", () => this.lose());
+    addEventListener("online", () => this.join());
+    setInterval(() => this.listen(), 500);
+    this.join();
+  }
+
+  get mayDrive() {
+    return this.open && this.hello?.role === "drive";
+  }
+
+  // -- the line
+
+  join() {
+    clearTimeout(this.timer);
+    if (this.link !== null) return;
+    const link = new WebSocket(this.address, PROTOCOL);
+    this.link = link;
+    this.timer = setTimeout(() => this.lose(link), OPENING);
+    link.addEventListener("open", () => link === this.link && this.opened());
+    link.addEventListener("message", (event) => link === this.link && this.take(event.data));
+    link.addEventListener("close", () => this.lose(link));
+  }
+
+  opened() {
+    clearTimeout(this.timer);
+    this.open = true;
+    this.wait = FIRST_WAIT;
+    this.heard = performance.now();
+    this.asked = 0;
+    this.tell("state");
+    this.watchAll(!document.hidden);
+  }
+
+  lose(link = this.link) {
+    if (link === null || link !== this.link) return;
+    clearTimeout(this.timer);
+    this.link = null;
+    this.open = false;
+    this.due.clear();
+    link.close();
+    for (const call of this.calls.values()) {
+      call.failed(new Error("The connection was lost before the answer came. It may have been done."));
+    }
+    this.calls.clear();
+    this.timer = setTimeout(() => this.join(), this.wait);
+    this.wait = Math.min(2 * this.wait, LONGEST_WAIT);
+    this.tell("state");
+  }
+
+  /** A network that vanishes closes no socket: ask for a sign of life where there was none for long. */
+  listen() {
+    const now = performance.now();
+    if (!this.open || document.hidden) {
+      this.asked = 0;
+      this.heard = now;
+    } else if (this.asked && now - this.asked > ANSWER) {
+      this.lose();
+    } else if (!this.asked && now - this.heard > SILENCE) {
+      this.asked = now;
+      this.call("ping").catch(() => {}); // an answer is a sign of life, whatever it says
+    }
+  }
+
+  send(message) {
+    if (this.open) this.link.send(JSON.stringify(message));
+    return this.open;
+  }
+
+  tell(type, detail) {
+    this.dispatchEvent(new CustomEvent(type, { detail }));
+  }
+
+  take(text) {
+    this.heard = performance.now();
+    this.asked = 0;
+    const message = JSON.parse(text);
+    switch (message.op) {
+      case "hello":
+        this.hello = message;
+        return this.tell("state");
+      case "value":
+        return this.keep(message);
+      case "reply":
+        return this.answer(message);
+      case "held":
+        return this.tell("held", message);
+      case "error":
+        return this.tell("refused", message.error);
+    }
+  }
+
+  // -- feeds
+
+  /** Hand each newest value of a feed to `taker(value, why)`, once a frame; returns what ends it. */
+  watch(name, taker) {
+    let feed = this.feeds.get(name);
+    if (feed === undefined) {
+      feed = { takers: new Set(), n: 0, value: null, why: "", has: false };
+      this.feeds.set(name, feed);
+      if (!document.hidden) this.send({ op: "watch", feed: name });
+    }
+    feed.takers.add(taker);
+    if (feed.has) taker(feed.value, feed.why);
+    return () => {
+      feed.takers.delete(taker);
+      if (feed.takers.size || this.feeds.get(name) !== feed) return;
+      this.feeds.delete(name);
+      this.due.delete(name);
+      if (!document.hidden) this.send({ op: "unwatch", feed: name });
+    };
+  }
+
+  watchAll(on) {
+    if (!on) this.due.clear();
+    for (const name of this.feeds.keys()) this.send({ op: on ? "watch" : "unwatch", feed: name });
+  }
+
+  keep({ feed: name, n, value, why = "" }) {
+    const feed = this.feeds.get(name);
+    if (feed === undefined || document.hidden) return;
+    Object.assign(feed, { n, value, why, has: true });
+    this.due.add(name);
+    this.frame ||= requestAnimationFrame(() => this.draw());
+  }
+
+  draw() {
+    this.frame = 0;
+    const drawn = [...this.due];
+    this.due.clear();
+    for (const name of drawn) {
+      const { takers, value, why } = this.feeds.get(name);
+      for (const taker of takers) guarded(() => taker(value, why));
+    }
+    guarded(() => this.tell("frame"));
+    for (const name of drawn) {
+      const feed = this.feeds.get(name);
+      if (feed !== undefined) this.send({ op: "took", feed: name, n: feed.n });
+    }
+  }
+
+  // -- calls
+
+  /** Ask for something; resolves with the reply's value, rejects with an Error in words. Nothing is kept for later. */
+  call(verb, args = {}) {
+    const id = this.nextId++;
+    return new Promise((done, failed) => {
+      if (!this.send({ op: "call", id, verb, args })) failed(new Error("There is no connection. Nothing was sent."));
+      else this.calls.set(id, { done, failed });
+    });
+  }
+
+  answer({ id, ok, value, error }) {
+    const call = this.calls.get(id);
+    this.calls.delete(id);
+    if (ok) call?.done(value);
+    else call?.failed(new Error(error));
+  }
+
+  // -- driving by hand
+
+  /** Say a velocity, unless an earlier word still waits on this side: a late one must never drive. */
+  hold(x, y, turn) {
+    return this.open && this.link.bufferedAmount === 0 && this.send({ op: "hold", x, y, turn });
+  }
+
+  release() {
+    this.send({ op: "release" });
+  }
+}
+
+function guarded(action) {
+  try {
+    action();
+  } catch (error) {
+    console.error(error);
+  }
+}

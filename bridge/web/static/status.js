@@ -1,0 +1,136 @@
+// The view Status: workers, what was refused with its cure, and every route.
+
+import { button, el, mark, rows, write } from "./dom.js";
+import { bytes, count, percent, rate, seconds } from "./format.js";
+import { Series, Spark } from "./curve.js";
+import { say } from "./say.js";
+import { searchField, Table, twoLines } from "./table.js";
+
+const GOOD = new Set(["running", "ready", "up", "ok"]);
+
+const routeKey = (route) => JSON.stringify([route.daemon, route.side, route.direction, route.topic]);
+const workerKey = (worker) => JSON.stringify([worker.daemon, worker.worker]);
+
+/** Builds the view. */
+export function statusView(root, socket) {
+  const curves = new Map(); // of a route -> its rates of the last minute
+  const workers = workerTable();
+  const routes = routeTable(curves);
+  const refused = refusedList();
+  const found = el("span", { class: "count" });
+  const search = searchField("Search routes", (text) => {
+    routes.find(text);
+    told();
+  });
+  let last = null;
+  const told = () => {
+    const shown = routes.body.childElementCount;
+    const all = last?.routes.length ?? 0;
+    write(found, shown === all ? String(all) : `${shown} of ${all}`);
+  };
+  const why = el("p", { class: "empty" });
+  root.append(
+    why,
+    refused.element,
+    block("Workers", "workers", workers.element),
+    block("Routes", "routes", routes.element, found, search),
+  );
+  let end = null;
+  return {
+    show() {
+      end = socket.watch("status", (status, reason) => {
+        last = status;
+        write(why, status ? "" : reason || "Waiting for the status.");
+        if (status === null) return;
+        remember(curves, status.routes);
+        workers.fill(status.workers, "No workers.");
+        routes.fill(status.routes, "No routes.");
+        refused.fill(status.refused);
+        told();
+      });
+    },
+    hide() {
+      end();
+    },
+  };
+}
+
+function block(title, id, content, ...beside) {
+  return el("section", { class: `block ${id}`, "aria-labelledby": `${id}-title` },
+    el("div", { class: "heading" }, el("h2", { text: title, id: `${id}-title` }), ...beside), content);
+}
+
+/** Add each route's rate to its curve; curves of routes that are gone go too. */
+function remember(curves, routes) {
+  const gone = new Set(curves.keys());
+  for (const route of routes) {
+    const key = routeKey(route);
+    gone.delete(key);
+    if (!curves.has(key)) curves.set(key, new Series());
+    curves.get(key).add(route.rate);
+  }
+  for (const key of gone) curves.delete(key);
+}
+
+function workerTable() {
+  const name = (worker) => worker.worker;
+  return new Table("Workers", [
+    { label: "Worker", class: "wide", head: true, value: name, text: (w) => `${w.worker} ${w.daemon}`,
+      made: () => twoLines(name, (worker) => worker.daemon) },
+    { label: "State", class: "state", value: (w) => w.state, text: (w) => `${w.state} ${w.text}`,
+      mood: (w) => (GOOD.has(w.state) ? "calm" : "bad"), made: () => twoLines((w) => w.state, (w) => w.text) },
+    { label: "Processor", class: "num", down: true, value: (w) => w.cpu, text: (w) => percent(w.cpu) },
+    { label: "Memory", class: "num", down: true, value: (w) => w.rss, text: (w) => bytes(w.rss) },
+    { label: "Restarts", class: "num", down: true, value: (w) => w.restarts, text: (w) => count(w.restarts),
+      mood: (w) => (w.restarts ? "held" : "calm") },
+  ], workerKey);
+}
+
+function routeTable(curves) {
+  return new Table("Routes", [
+    { label: "Topic", class: "wide", head: true, value: (r) => r.topic, text: (r) => `${r.topic} ${r.type}`,
+      made: () => twoLines((r) => r.topic, (r) => r.type) },
+    { label: "Way", class: "way", value: (r) => `${r.side} ${r.direction}`, text: (r) => `${r.side} ${r.direction} ${r.daemon}`,
+      made: () => twoLines((r) => `${r.side} ${r.direction}`, (r) => r.daemon) },
+    { label: "Rate", class: "num", down: true, value: (r) => r.rate, text: (r) => rate(r.rate) },
+    { label: "Last minute", class: "curve", made: (item) => {
+      const spark = new Spark("Rate of the last minute");
+      return { element: spark.element, update: () => spark.draw(curves.get(routeKey(item)) ?? new Series()) };
+    } },
+    { label: "Bytes/s", class: "num", down: true, value: (r) => r.bytes_per_second, text: (r) => bytes(r.bytes_per_second) },
+    { label: "Dropped", class: "num", down: true, value: (r) => r.dropped, text: (r) => count(r.dropped),
+      mood: (r) => (r.dropped ? "held" : "calm") },
+    { label: "Latency", class: "num", down: true, value: (r) => r.latency, text: (r) => seconds(r.latency) },
+  ], routeKey);
+}
+
+/** What does not cross, why, and what to write to mend it. */
+function refusedList() {
+  const list = el("ul", { class: "refusals" });
+  const number = el("span", { class: "count" });
+  const element = block("Refused", "refused", list, number);
+  return {
+    element,
+    fill(refused) {
+      mark(element, "hidden", refused.length ? null : "");
+      write(number, String(refused.length));
+      rows(list, refused, (each) => JSON.stringify([each.side, each.topic, each.reason, each.cure]), refusal, () => {});
+    },
+  };
+}
+
+function refusal({ side, topic, reason, cure }) {
+  return el("li", {},
+    el("p", {}, el("strong", { text: topic }), ` on ${side}`),
+    el("p", { class: "reason", text: reason }),
+    cure ? el("div", { class: "cure" }, el("code", { text: cure }), button("Copy", () => copy(cure), { "aria-label": `Copy the cure for ${topic}` })) : null);
+}
+
+async function copy(text) {
+  try {
+    await navigator.clipboard.writeText(text);
+    say("Copied.");
+  } catch {
+    say("The browser does not let this page copy: select the text by hand.", { bad: true });
+  }
+}

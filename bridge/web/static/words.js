@@ -1,0 +1,38 @@
+// What the robot does, in words.
+
+import { metres } from "./format.js";
+
+const STATES = {
+  idle: "Standing",
+  preparing_before_move: "Getting ready",
+  moving: "Driving",
+  waiting_obstacle: "Waiting: something is in the way",
+  goal_reached: "Arrived",
+  aborted: "Gave up the goal",
+  failing: "In trouble",
+  paused: "Paused",
+  thinking: "Planning",
+  error: "Error",
+};
+
+const BUSY = new Set(["preparing_before_move", "moving", "waiting_obstacle", "thinking"]);
+const BAD = new Set(["aborted", "failing", "error"]);
+
+/** The state of `driving`, in words. */
+export const stateWords = (driving) => STATES[driving.state] ?? String(driving.state).replaceAll("_", " ");
+
+/** Whether it is on its way. */
+export const isBusy = (driving) => BUSY.has(driving?.state);
+
+/** How the state looks: `busy`, `bad`, `held` or `calm`. */
+export function mood(driving) {
+  if (BAD.has(driving?.state)) return "bad";
+  if (driving?.state === "paused" || driving?.state === "waiting_obstacle") return "held";
+  return isBusy(driving) ? "busy" : "calm";
+}
+
+/** One line: state and what is left to drive. */
+export function drivingLine(driving) {
+  const left = isBusy(driving) && typeof driving.distance === "number" ? `, ${metres(driving.distance, 1)} left` : "";
+  return stateWords(driving) + left;
+}
