@@ -18,6 +18,8 @@ marked = $$(grep -rlF --include='*.py' 'mark.$(1)' tests)
 help: ## list the targets
 	@sed -n 's/^\([a-z-]*\):.*## /\1\t/p' $(MAKEFILE_LIST) | expand -t 12
 
+test test-all: export BROWSER = yes # what the console is tested with
+
 setup: ## install what is missing; done by the others
 	@scripts/setup.sh
 

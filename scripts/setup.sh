@@ -4,6 +4,7 @@
 # .cache/setup.log; here stands what is being done, how long that takes, and how far it is. Knows these variables:
 #   PYTHON         the Python to make the virtual environment with (3.11 or newer)
 #   CI=true        whatever cannot be had is an error
+#   BROWSER=yes    Chromium, too, for the tests of the console
 #   MIDSPAN_CACHE  where built message packages go; default ~/.cache/midspan/interfaces
 # Where /opt/ros/jazzy is sourced, its packages are used and no ROS 2 wheels are installed.
 set -eu
@@ -17,6 +18,10 @@ ros1="python3-actionlib python3-actionlib-msgs python3-diagnostic-msgs python3-g
     python3-visualization-msgs"
 if [ "${CI:-}" = true ]; then
     tools="$tools systemd procps" # procps: the units reload by /bin/kill
+    BROWSER=yes
+fi
+if [ -n "${BROWSER:-}" ]; then
+    tools="$tools chromium chromium-driver"
 fi
 
 log=.cache/setup.log

@@ -35,6 +35,7 @@ VERBS: dict[str, Verb] = {
     "sim": Verb(
         "bridge.cli.daemon.sim:register", "run the simulated base alone; make maps and pictures of floor plans"
     ),
+    "web": Verb("bridge.cli.daemon.web:register", "print or open the address of the console in the browser"),
     "status": Verb("bridge.cli.inspection.status:register_status", "show daemons, workers and routes"),
     "top": Verb("bridge.cli.inspection.status:register_top", "live table of all routes"),
     "explain": Verb("bridge.cli.inspection.explain:register", "say why a topic is or is not bridged"),

@@ -10,6 +10,7 @@ import numpy as np
 
 from bridge.config.model import Config
 from bridge.hub.wire.qos import LATCHED, Qos, Reliability
+from bridge.messages.actions import names, types
 from bridge.modules.endpoints import Subscription
 from bridge.modules.host import Host
 from bridge.modules.loop import Timer
@@ -17,7 +18,7 @@ from bridge.web.feed import Feed
 from navigation.frames import FramesError, RobotFrames
 from navigation.gateway.planner_link import PATH
 from navigation.maps.grid import yaw_of
-from navigation.messages import stamp_ns
+from navigation.messages import NAVIGATE, stamp_ns
 from navigation.pose import Pose
 from navigation.scan import SCAN
 from navigation.status import STATUS
@@ -245,6 +246,7 @@ class DrivingFeed(TopicsFeed):
         super().__init__(host, "driving")
         self._config = config
         self._status: dict[str, Any] | None = None
+        self._distance: float | None = None
         self._changes: list[Callable[[], None]] = []
         self.planner = config.navigation.planner
 
@@ -264,25 +266,39 @@ class DrivingFeed(TopicsFeed):
         return f"{self.planner} drives; pause or stop it first" if self.drives else ""
 
     def open(self) -> None:
-        """Follow the gateway."""
+        """Follow the gateway, and the planner's feedback."""
         self.follow(STATUS_TOPIC, STATUS, self._take, LATCHED)
+        section = self._config.navigation
+        if section.planner:
+            topic, kind = names(section.at(self.planner)).feedback, types(NAVIGATE).feedback
+            self.follow(topic, kind, self._progress, Qos(depth=1))
         self._say()
 
     def close(self) -> None:
         """Rest."""
         super().close()
-        self._status = None
+        self._status = self._distance = None
 
     def chose(self, planner: str) -> None:
         """Another planner was chosen."""
-        self.planner = planner
+        status, self.planner = self._status, planner
+        self.close()
+        self.open()
+        self._status = status
         self._say()
         self._tell()
 
     def _take(self, status: dict[str, Any]) -> None:
         self._status = status
+        if not self.drives:
+            self._distance = None
         self._say()
         self._tell()
+
+    def _progress(self, message: dict[str, Any]) -> None:
+        left = float(message["feedback"]["distance_remaining"])
+        self._distance = round(left, 1) if math.isfinite(left) else None
+        self._say()
 
     def _tell(self) -> None:
         for action in self._changes:
@@ -302,6 +318,7 @@ class DrivingFeed(TopicsFeed):
                     "state": status["state"],
                     "reason": status["reason"],
                     "goal": place(at) if any(status["goal_id"]) and (self.drives or self._paused) else None,
+                    "distance": self._distance if self.drives else None,
                     "planner": self.planner,
                     "planners": list(section.choices),
                 }

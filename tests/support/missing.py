@@ -19,6 +19,7 @@ _MARK = "not on this machine: "
 ROS1 = f"{_MARK}ROS 1 (`make setup` installs it from apt on Debian 12 and Ubuntu 24.04, as root or with sudo)"
 ROS2 = f"{_MARK}ROS 2 (`make setup` installs its wheels on Linux with x86_64; elsewhere source /opt/ros/jazzy)"
 DART = f"{_MARK}DART (`make setup` installs dartpy where there is a wheel: Linux, Python up to 3.13)"
+BROWSER = f"{_MARK}Chromium (`make test` installs it from apt on Debian 12, as root or with sudo)"
 COMPILER = f"{_MARK}a C compiler (apt install g++ python3-dev, then `make setup`)"
 
 _PACKAGES = {"rospy": ROS1, "rosgraph": ROS1, "genpy": ROS1, "rclpy": ROS2, "rosidl_parser": ROS2, "dartpy": DART}
@@ -40,6 +41,7 @@ def lacking() -> frozenset[str]:
         ROS1: has_ros1(),
         ROS2: find_spec("rclpy") is not None,
         DART: find_spec("dartpy") is not None,
+        BROWSER: bool(shutil.which("chromium") and shutil.which("chromedriver")),
         COMPILER: shutil.which("g++") is not None,
     }
     return frozenset(reason for reason, found in there.items() if not found)

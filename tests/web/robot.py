@@ -1,0 +1,83 @@
+"""A daemon with the demo's robot and the console, on ports of a test's own, without ROS 1 and ROS 2."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+import urllib.error
+import urllib.request
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from tests.support.ports import free_port
+from tests.support.process import Process
+from tests.support.wait import until
+from tests.web.page import TestPage
+
+ROOT = Path(__file__).parents[2]
+CONFIG = ROOT / "configs" / "navigation.yaml"
+
+
+class WebRobot:
+    """The robot drives once `ready` has returned."""
+
+    def __init__(self, folder: Path) -> None:
+        self.port, self._router, self.names = free_port(), free_port(), free_port()
+        self.file = folder / "midspan.yaml"
+        config: dict[str, Any] = yaml.safe_load(CONFIG.read_text())
+        store = {key: str(CONFIG.parent / file) for key, file in config["store"].items()}
+        own = {
+            "name": "web-test",
+            "state": str(folder / "state"),
+            "hub": {"listen": f"tcp/127.0.0.1:{self._router}"},
+            "ros1": {"enabled": False},
+            "ros2": {"enabled": False},
+            "store": store,
+            "sim": {**config["sim"], "people": False},
+            "yarp": {**config["yarp"], "address": f"127.0.0.1:{self.names}", "ip": "127.0.0.1"},
+            "web": {"enabled": True, "listen": f"127.0.0.1:{self.port}"},
+        }
+        self.file.write_text(yaml.safe_dump({**config, **own}))
+        self.daemon = self._start()
+
+    @property
+    def address(self) -> str:
+        return f"http://127.0.0.1:{self.port}/"
+
+    def _start(self) -> Process:
+        return Process([sys.executable, "-m", "bridge.cli.main", "run", "--config", self.file])
+
+    def ready(self) -> None:
+        """Wait until the page is there and the robot can drive."""
+        until(self._answers, f"the page is there; {self.daemon.output()[-2000:]}", 60)
+        with TestPage(self.port) as page:
+            page.watch("robot", "driving", "places")
+            page.value("robot", what="it is known where the robot is")
+            page.value("driving", lambda value: value and value["state"] == "idle")
+            page.value("places", lambda value: value and "kitchen" in value["locations"])
+
+    def _answers(self) -> bool:
+        try:
+            with urllib.request.urlopen(self.address, timeout=5) as answer:
+                return bool(answer.status == 200)
+        except (urllib.error.URLError, OSError):
+            return False
+
+    def command(self, *words: str) -> str:
+        """What a verb prints."""
+        done = subprocess.run(
+            [sys.executable, "-m", "bridge.cli.main", *words, "--config", str(self.file)],
+            capture_output=True, text=True, timeout=60, check=True,
+        )  # fmt: skip
+        return done.stdout.strip()
+
+    def kill_daemon_and_start_again(self) -> None:
+        """Kill the daemon and every worker, and start it anew."""
+        self.daemon.signal(9)
+        self.daemon.stop()
+        self.daemon = self._start()
+
+    def close(self) -> None:
+        self.daemon.stop()

@@ -1,0 +1,286 @@
+"""The page in a real Chromium, with the simulated robot behind it."""
+
+from __future__ import annotations
+
+import contextlib
+import math
+import shutil
+import time
+from collections.abc import Iterator
+from typing import Any
+
+import pytest
+from selenium.common.exceptions import StaleElementReferenceException
+from selenium.webdriver import ActionChains, Chrome, ChromeOptions, Keys
+from selenium.webdriver.chrome.service import Service
+from selenium.webdriver.common.by import By
+from selenium.webdriver.remote.webelement import WebElement
+
+from tests.support.missing import BROWSER, DART, need
+from tests.support.wait import until
+from tests.web.page import TestPage
+from tests.web.robot import WebRobot
+
+FREE = (6.0, 4.8)
+"""In the corridor."""
+NEAR = 0.4
+HANG = "const end = Date.now() + 4000; setTimeout(() => { while (Date.now() < end); }, 0)"
+"""Four seconds in which no script of the page runs."""
+
+
+@pytest.fixture(scope="module")
+def robot(tmp_path_factory: pytest.TempPathFactory) -> Iterator[WebRobot]:
+    for reason in (BROWSER, DART):
+        need(reason)
+    made = WebRobot(tmp_path_factory.mktemp("web"))
+    try:
+        made.ready()
+        yield made
+    finally:
+        made.close()
+
+
+@pytest.fixture(scope="module")
+def chrome(robot: WebRobot, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Chrome]:
+    options = ChromeOptions()
+    profile = tmp_path_factory.mktemp("chrome")
+    for word in (
+        "--headless=new", "--no-sandbox", "--disable-dev-shm-usage", "--disable-gpu", "--window-size=1280,800",
+        f"--user-data-dir={profile}", "--disable-background-networking",
+    ):  # fmt: skip
+        options.add_argument(word)
+    options.binary_location = str(shutil.which("chromium"))
+    options.set_capability("goog:loggingPrefs", {"browser": "ALL"})
+    made = Chrome(options, Service(shutil.which("chromedriver")))
+    try:
+        made.get(robot.address)
+        yield made
+    finally:
+        made.quit()
+
+
+class Operator:
+    """Somebody at the page."""
+
+    def __init__(self, chrome: Chrome, robot: WebRobot) -> None:
+        self.chrome, self.robot = chrome, robot
+
+    def open(self, view: str) -> None:
+        self.chrome.get(f"{self.robot.address}#{view}")
+        until(lambda: self.line() == "Connected", "the page is connected")
+
+    def line(self) -> str:
+        return self.chrome.find_element(By.ID, "line-text").text
+
+    def button(self, words: str, within: str = "") -> WebElement:
+        """The button in sight with these words or this name, within an element of a kind."""
+
+        def found() -> WebElement | None:
+            for each in self.chrome.find_elements(By.CSS_SELECTOR, f"{within} button"):
+                with contextlib.suppress(StaleElementReferenceException):  # a list that was filled anew meanwhile
+                    if words in (each.text, each.accessible_name) and each.is_displayed():
+                        return each
+            return None
+
+        made = until(found, f"there is a button {words!r}")
+        assert made is not None
+        return made
+
+    def map_at(self, x: float, y: float) -> WebElement:
+        """The map with a place in its middle."""
+        self.open(f"drive/{x},{y}")
+        canvas = self.chrome.find_element(By.TAG_NAME, "canvas")
+        until(lambda: canvas.is_displayed() and canvas.size["width"] > 100, "the map is there")
+        return canvas
+
+    def said(self) -> str:
+        return " ".join(self.chrome.find_element(By.ID, name).text for name in ("said", "wrong"))
+
+    def errors(self) -> list[str]:
+        """What the browser complains of: scripts that fail, and whatever breaks the policy."""
+        entries: list[dict[str, Any]] = self.chrome.get_log("browser")  # type: ignore[no-untyped-call]
+        quiet = ("WebSocket connection", "ERR_CONNECTION_REFUSED")
+        return [e["message"] for e in entries if e["level"] == "SEVERE" and not any(q in e["message"] for q in quiet)]
+
+
+@pytest.fixture
+def operator(chrome: Chrome, robot: WebRobot) -> Iterator[Operator]:
+    made = Operator(chrome, robot)
+    made.open("drive")
+    yield made
+    with TestPage(robot.port) as page:
+        page.call("stop")
+    assert made.errors() == []
+
+
+@pytest.fixture
+def watch(robot: WebRobot) -> Iterator[TestPage]:
+    """The robot as another page sees it."""
+    with TestPage(robot.port) as page:
+        page.watch("robot", "driving", "places", "topic:/cmd_vel", "topic:/odom")
+        page.value("robot")
+        yield page
+
+
+def stands(page: TestPage) -> bool:
+    twist = page.values.get("topic:/odom", {}).get("value")
+    if not twist:
+        return False
+    speed = twist["message"]["twist"]["twist"]
+    return abs(speed["linear"]["x"]) < 0.01 and abs(speed["angular"]["z"]) < 0.01
+
+
+def moves(page: TestPage) -> bool:
+    return bool(page.values.get("topic:/odom", {}).get("value")) and not stands(page)
+
+
+def distance(place: dict[str, float], spot: tuple[float, float]) -> float:
+    return math.dist((place["x"], place["y"]), spot)
+
+
+def off(page: TestPage, x: float, y: float) -> float:
+    return distance(page.values["robot"]["value"]["pose"], (x, y))
+
+
+def test_a_press_on_the_map_sends_the_robot(operator: Operator, watch: TestPage) -> None:
+    canvas = operator.map_at(*FREE)
+    operator.button("Go here").click()
+    ActionChains(operator.chrome).move_to_element(canvas).click().perform()
+    watch.value(
+        "driving", lambda value: value["goal"] and math.dist((value["goal"]["x"], value["goal"]["y"]), FREE) < 0.1
+    )
+    watch.until(lambda: watch.values["driving"]["value"]["state"] == "goal_reached", "it arrives", 120)
+    assert off(watch, *FREE) < NEAR
+    until(lambda: "arriv" in operator.chrome.find_element(By.ID, "driving").text.lower(), "the page says so")
+
+
+def test_a_drag_gives_the_heading(operator: Operator, watch: TestPage) -> None:
+    canvas = operator.map_at(*FREE)
+    operator.button("Go here").click()
+    ActionChains(operator.chrome).move_to_element(canvas).click_and_hold().move_by_offset(0, 80).release().perform()
+    found = watch.value("driving", lambda value: value["goal"] and abs(value["goal"]["theta"] + math.pi / 2) < 0.05)
+    assert distance(found["goal"], FREE) < 0.1
+
+
+@pytest.mark.parametrize("how", ["button", "space"])
+def test_stop_while_it_drives(operator: Operator, watch: TestPage, how: str) -> None:
+    pose = watch.values["robot"]["value"]["pose"]
+    place = max(
+        watch.value("places")["locations"].items(),
+        key=lambda item: math.dist((item[1]["x"], item[1]["y"]), (pose["x"], pose["y"])),
+    )[0]
+    operator.button(place).click()
+    watch.until(lambda: moves(watch), "it drives", 60)
+    operator.open("topics" if how == "button" else "drive")
+    if how == "button":
+        operator.button("STOP").click()
+    else:
+        operator.chrome.find_element(By.TAG_NAME, "body").send_keys(Keys.SPACE)
+    watch.until(lambda: stands(watch), "it stands", 30)
+    watch.value("driving", lambda value: value["state"] not in ("moving", "preparing_before_move"))
+
+
+def drive_by_hand(operator: Operator, watch: TestPage) -> None:
+    button = operator.button("Turn left")
+    ActionChains(operator.chrome).click_and_hold(button).perform()
+    watch.until(lambda: moves(watch), "it turns while the button is held", 30)
+
+
+def test_by_hand_while_it_is_held(operator: Operator, watch: TestPage) -> None:
+    drive_by_hand(operator, watch)
+    ActionChains(operator.chrome).release().perform()
+    watch.until(lambda: stands(watch), "it stands once the finger lifts", 30)
+
+
+@pytest.mark.parametrize("how", ["the page's script stands still", "the tab's socket is cut", "the tab hides"])
+def test_by_hand_when_the_page_fails(operator: Operator, watch: TestPage, how: str) -> None:
+    drive_by_hand(operator, watch)
+    try:
+        if how == "the page's script stands still":
+            operator.chrome.execute_script(
+                "const end = Date.now() + 4000; setTimeout(() => { while (Date.now() < end); }, 0)"
+            )
+            began = time.monotonic()
+            watch.until(lambda: stands(watch), "it stands though the page says nothing", 30)
+            assert time.monotonic() - began < 4.0, "while the page still hangs"
+        elif how == "the tab's socket is cut":
+            operator.chrome.execute_cdp_cmd("Network.enable", {})
+            operator.chrome.execute_cdp_cmd(
+                "Network.emulateNetworkConditions",
+                {"offline": True, "latency": 0, "downloadThroughput": 0, "uploadThroughput": 0},
+            )
+            watch.until(lambda: stands(watch), "it stands", 30)
+        else:
+            operator.chrome.switch_to.new_window("tab")
+            watch.until(lambda: stands(watch), "it stands", 30)
+    finally:
+        if how == "the tab's socket is cut":
+            operator.chrome.execute_cdp_cmd(
+                "Network.emulateNetworkConditions",
+                {"offline": False, "latency": 0, "downloadThroughput": -1, "uploadThroughput": -1},
+            )
+        if how == "the tab hides":
+            operator.chrome.close()
+            operator.chrome.switch_to.window(operator.chrome.window_handles[0])
+        ActionChains(operator.chrome).release().perform()
+
+
+def test_a_place_is_kept_for_all(operator: Operator, watch: TestPage, robot: WebRobot) -> None:
+    canvas = operator.map_at(*FREE)
+    operator.button("Keep place").click()
+    ActionChains(operator.chrome).move_to_element(canvas).click().perform()
+    name = until(lambda: operator.chrome.switch_to.active_element, "the name is asked for")
+    name.send_keys("here be tea", Keys.ENTER)
+    found = watch.value("places", lambda value: "here be tea" in value["locations"])["locations"]["here be tea"]
+    assert distance(found, FREE) < 0.1
+    assert "here be tea" in robot.command("location", "list")
+    operator.open("places")
+    operator.button("Delete here be tea").click()
+    operator.button("Delete", "dialog").click()
+    watch.value("places", lambda value: "here be tea" not in value["locations"])
+
+
+def test_two_tabs_agree(operator: Operator, watch: TestPage) -> None:
+    first = operator.chrome.current_window_handle
+    operator.chrome.switch_to.new_window("tab")
+    try:
+        operator.open("drive")
+        operator.button("kitchen").click()
+        watch.until(lambda: moves(watch), "it drives", 60)
+        operator.chrome.switch_to.window(first)
+        until(lambda: "driv" in operator.chrome.find_element(By.ID, "driving").text.lower(), "the first tab says so")
+        operator.button("End drive").click()
+        watch.until(lambda: stands(watch), "it stands", 30)
+    finally:
+        for handle in operator.chrome.window_handles:
+            if handle != first:
+                operator.chrome.switch_to.window(handle)
+                operator.chrome.close()
+        operator.chrome.switch_to.window(first)
+
+
+@pytest.mark.parametrize("width", [360, 2560])
+@pytest.mark.parametrize("view", ["drive", "places", "status", "topics", "frames"])
+def test_every_view_fits(operator: Operator, view: str, width: int) -> None:
+    chrome = operator.chrome
+    chrome.execute_cdp_cmd(
+        "Emulation.setDeviceMetricsOverride",
+        {"width": width, "height": 780, "deviceScaleFactor": 1, "mobile": width < 500},
+    )
+    try:
+        operator.open(view)
+        wide = chrome.execute_script("return [document.documentElement.scrollWidth, innerWidth]")
+        assert wide[0] <= wide[1], "nothing sticks out to the side"
+        stop = chrome.find_element(By.ID, "stop")
+        assert stop.is_displayed(), "STOP is in sight"
+        assert stop.location["x"] + stop.size["width"] <= width
+    finally:
+        chrome.execute_cdp_cmd("Emulation.clearDeviceMetricsOverride", {})
+
+
+def test_the_daemon_comes_back(operator: Operator, robot: WebRobot) -> None:
+    robot.kill_daemon_and_start_again()
+    until(lambda: operator.line() != "Connected", "the page says that the line is gone")
+    until(lambda: operator.line() == "Connected", "the page recovers by itself", 60)
+    robot.ready()
+    assert robot.command("web") == robot.address
