@@ -130,9 +130,9 @@ class RoomsDemo(DemoRun):
         """What can be tried while it runs, in one line."""
         sandbox = self._sandbox
         page = f"http://127.0.0.1:{sandbox.web_port}/ in a browser, or " if sandbox.config.web.enabled else ""
+        networks = f"ROS_MASTER_URI={sandbox.master}, ROS_DOMAIN_ID={sandbox.domain}, YARP's names at 127.0.0.1:"
         return (
-            f"{page}midspan goto bedroom --router tcp/127.0.0.1:{sandbox.router_port}  (ROS_MASTER_URI={sandbox.master},"
-            f" ROS_DOMAIN_ID={sandbox.domain}, YARP's names at 127.0.0.1:{sandbox.yarp_port})"
+            f"{page}midspan goto bedroom --router tcp/127.0.0.1:{sandbox.router_port}  ({networks}{sandbox.yarp_port})"
         )
 
     def stay(self, course: RobotTracker) -> None:
@@ -188,7 +188,7 @@ class RoomsDemo(DemoRun):
 
 
 def laid_over(template: Path) -> dict[str, Any]:
-    """What the demo changes of a configuration: the store's files by their whole paths, nobody to wait for, a console."""
+    """What the demo changes of a configuration: whole paths of the store's files, nobody to wait for, a console."""
     config = load(template)
     files = {"maps": config.store.maps, "locations": config.store.locations}
     return {

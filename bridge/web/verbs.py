@@ -115,6 +115,7 @@ class Verbs:
             "keep_place": Verb(self._keep, {**named, **pose}, {}),
             "delete_place": Verb(self._delete, named, {}),
             "use_map": Verb(lambda name: self._store().use_map(name), named, {}),
+            "ping": Verb(lambda: None, {}, {}, drives=False),
             "explain": Verb(lambda name: explain(client, name), named, {}, drives=False),
         }
 
