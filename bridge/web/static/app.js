@@ -84,7 +84,7 @@ function stop() {
   stopped = now;
   dispatchEvent(new Event("midspan-stop")); // a hand that drives lets go
   socket.release();
-  ask(socket, "STOP", "halt", {}, "STOP: every base stands, every goal is cancelled.");
+  ask(socket, "STOP", "halt", {}); // the console says whether every base stands
 }
 
 byId("stop").addEventListener("pointerdown", (event) => event.button === 0 && stop());

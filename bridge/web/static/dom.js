@@ -55,7 +55,10 @@ export function mark(element, name, value) {
  */
 export function rows(parent, items, key, make, fill) {
   const old = new Map();
-  for (const row of parent.children) old.set(row.dataset.key, row);
+  for (const row of [...parent.children]) {
+    old.get(row.dataset.key)?.remove(); // two items of one key: their rows are made anew
+    old.set(row.dataset.key, row);
+  }
   let next = parent.firstElementChild;
   for (const item of items) {
     const name = key(item);

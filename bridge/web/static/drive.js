@@ -73,8 +73,8 @@ export function driveView(root, socket) {
 
 /** What it does now, with Pause and Stop. */
 function doingBlock(socket) {
-  const state = el("p", { class: "state", "aria-live": "polite" });
-  const reason = el("p", { class: "reason" });
+  const state = el("p", { class: "state" });
+  const reason = el("p", { class: "reason", "aria-live": "polite" });
   const goal = el("dd");
   const left = el("dd");
   let driving = null;

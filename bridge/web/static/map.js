@@ -3,6 +3,7 @@
 import { button, el, icon, mark, write } from "./dom.js";
 import { degrees, position } from "./format.js";
 import { gestures } from "./gestures.js";
+import { Labels } from "./labels.js";
 import { layerMenu } from "./layers.js";
 import { MapImage } from "./mapimage.js";
 import * as scene from "./scene.js";
@@ -57,7 +58,7 @@ export class MapBlock {
     });
     this.context = this.canvas.getContext("2d", { alpha: false });
     this.hint = el("p", { class: "hint", role: "status" });
-    this.pose = el("p", { class: "pose", "aria-label": "Position of the robot" });
+    this.pose = el("p", { class: "pose", title: "Where the robot is: x, y in metres, heading" });
     this.toolButtons = Object.entries(this.tools).map(([name, tool]) =>
       el("button", { type: "button", class: tool.drives ? "drives" : "", "aria-pressed": "false", title: tool.label,
         on: { click: () => this.choose(this.tool === name ? null : name) } }, icon(tool.icon), el("span", { text: tool.label })));
@@ -322,9 +323,11 @@ export class MapBlock {
     if (values.map) this.drawImages(context, values.map);
     context.setTransform(ratio, 0, 0, ratio, 0, 0);
     if (!values.map) scene.drawGrid(context, view, colour);
-    this.drawPlaces(context, view, values, colour);
+    const named = this.named(values);
+    scene.drawPlaces(context, view, named, colour);
     if (this.layers.on("path")) scene.drawPath(context, view, values.path?.points ?? [], colour);
     if (this.layers.on("laser")) scene.drawLaser(context, view, values.laser?.points ?? [], colour);
+    scene.drawNames(new Labels(context, view.width, colour), view, named, colour);
     if (values.driving?.goal) scene.drawPose(context, view, values.driving.goal, colour.path, colour);
     if (values.robot?.pose) scene.drawRobot(context, view, values.robot, colour, !this.socket.open);
     if (this.measured.length === 2) scene.drawMeasure(context, view, this.measured, colour);
@@ -343,16 +346,13 @@ export class MapBlock {
     }
   }
 
-  drawPlaces(context, view, { places, map }, colour) {
-    if (!places) return;
-    const here = (named) => Object.entries(named ?? {}).filter(([, each]) => !map || each.map === map.name);
-    if (this.layers.on("areas")) {
-      for (const [name, { points }] of here(places.areas)) scene.drawArea(context, view, name, points, colour);
-      for (const [name, { points }] of here(places.paths)) scene.drawNamedPath(context, view, name, points, colour);
-    }
-    if (this.layers.on("places")) {
-      for (const [name, place] of here(places.locations)) scene.drawPlace(context, view, name, place, colour);
-    }
+  /** What has a name on the map in use, as far as its layer is on. */
+  named({ places, map }) {
+    const here = (named, layer) => (this.layers.on(layer) ? Object.entries(named ?? {}) : [])
+      .filter(([, each]) => !map || each.map === map.name);
+    return {
+      areas: here(places?.areas, "areas"), paths: here(places?.paths, "areas"), locations: here(places?.locations, "places"),
+    };
   }
 }
 

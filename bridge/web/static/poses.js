@@ -52,7 +52,7 @@ export async function robotIsAt(socket, pose, heading = 0) {
     const answer = await question("Robot is here", poseFields({ ...pose, theta: heading }, true), "Set");
     known = answer && poseOf(answer);
   }
-  if (known) await ask(socket, `Robot is at ${words(known)}`, "set_pose", known, `The robot is at ${words(known)}.`);
+  if (known) await ask(socket, `Robot is at ${words(known)}`, "set_pose", known);
 }
 
 /** Keep a pose under a name that is asked for. */

@@ -23,13 +23,16 @@ export function say(text, { bad = false } = {}) {
   return line;
 }
 
-/** Call a verb, tell what was asked and then what came; resolves to whether it was done. */
-export async function ask(socket, what, verb, args, done = `${what}: done.`) {
+/**
+ * Call a verb, tell what was asked and then what came: `done`, or else the console's own words.
+ * Resolves to whether it was done.
+ */
+export async function ask(socket, what, verb, args, done) {
   const line = say(`${what} …`);
   try {
     const value = await socket.call(verb, args);
     line.remove();
-    say(typeof value === "string" && value ? `${what}: ${value}` : done);
+    say(done ?? `${what}: ${typeof value === "string" && value ? value : "done"}.`);
     return true;
   } catch (error) {
     line.remove();

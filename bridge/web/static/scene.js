@@ -1,7 +1,5 @@
 // Draws what lies on the map. `to(x, y)` gives the pixel of a place, `scale` the pixels a metre.
 
-const LONGEST = 24; // letters of a name on the map
-
 /** The colours of the page's theme, by the names of style.css. */
 export function colours() {
   const style = getComputedStyle(document.documentElement);
@@ -56,19 +54,19 @@ export function drawScale(context, view, colour, above) {
   context.lineWidth = 1.5;
   context.strokeStyle = colour.ink;
   line();
-  label(context, text, x + wide / 2, y - 8, colour, { align: "center" });
+  label(context, text, x + wide / 2, y - 8, colour);
 }
 
-/** A text that stays readable on any map. */
-export function label(context, text, x, y, colour, { align = "left", ink = colour.ink, bold = false } = {}) {
+/** A text in the middle of x that stays readable on any map. */
+function label(context, text, x, y, colour, bold = false) {
   context.font = `${bold ? "600 " : ""}13px system-ui, sans-serif`;
-  context.textAlign = align;
+  context.textAlign = "center";
   context.textBaseline = "alphabetic";
   context.lineJoin = "round";
   context.lineWidth = 4;
   context.strokeStyle = colour.halo;
   context.strokeText(text, x, y);
-  context.fillStyle = ink;
+  context.fillStyle = colour.ink;
   context.fillText(text, x, y);
 }
 
@@ -132,8 +130,15 @@ function shape(context, points) {
   context.closePath();
 }
 
-/** A place: a dot with its heading and name. */
-export function drawPlace(context, view, name, place, colour) {
+/** Areas, paths and places, without their names. */
+export function drawPlaces(context, view, { areas, paths, locations }, colour) {
+  for (const [, { points }] of areas) drawArea(context, view, points, colour);
+  for (const [, { points }] of paths) drawNamedPath(context, view, points, colour);
+  for (const [, place] of locations) drawPlace(context, view, place, colour);
+}
+
+/** A place: a dot with its heading. */
+function drawPlace(context, view, place, colour) {
   const [x, y] = view.to(place.x, place.y);
   context.lineWidth = 2;
   context.strokeStyle = colour.goal;
@@ -146,16 +151,15 @@ export function drawPlace(context, view, name, place, colour) {
   context.arc(x, y, 4.5, 0, 2 * Math.PI);
   context.fill();
   context.stroke();
-  label(context, name.length > LONGEST ? `${name.slice(0, LONGEST)}…` : name, x + 10, y + 17, colour);
 }
 
-/** An area: its outline and name. */
-export function drawArea(context, view, name, points, colour) {
+/** An area: its outline. */
+function drawArea(context, view, points, colour) {
   if (points.length < 2) return;
   const pixels = points.map(([x, y]) => view.to(x, y));
   shape(context, pixels);
   context.fillStyle = colour.area;
-  context.globalAlpha = 0.14;
+  context.globalAlpha = 0.07;
   context.fill();
   context.globalAlpha = 1;
   context.setLineDash([6, 4]);
@@ -163,12 +167,10 @@ export function drawArea(context, view, name, points, colour) {
   context.strokeStyle = colour.area;
   context.stroke();
   context.setLineDash([]);
-  const middle = [0, 1].map((axis) => pixels.reduce((sum, pixel) => sum + pixel[axis], 0) / pixels.length);
-  label(context, name, ...middle, colour, { align: "center", ink: colour.area });
 }
 
-/** A named path: a dotted line and its name. */
-export function drawNamedPath(context, view, name, points, colour) {
+/** A named path: a dotted line. */
+function drawNamedPath(context, view, points, colour) {
   if (!points.length) return;
   const pixels = points.map(([x, y]) => view.to(x, y));
   context.beginPath();
@@ -179,7 +181,25 @@ export function drawNamedPath(context, view, name, points, colour) {
   context.strokeStyle = colour.area;
   context.stroke();
   context.setLineDash([]);
-  label(context, name, pixels[0][0] + 8, pixels[0][1] - 8, colour, { ink: colour.area });
+}
+
+/** The names of places, then those of areas and paths where there is room. */
+export function drawNames(labels, view, { areas, paths, locations }, colour) {
+  for (const [name, place] of locations) {
+    const [x, y] = view.to(place.x, place.y);
+    labels.put(name, [[x + 10, y + 17], [x + 10, y - 8], [x - 10, y + 17, "right"], [x - 10, y - 8, "right"]], colour.ink);
+  }
+  for (const [name, { points }] of areas) {
+    const pixels = points.map(([x, y]) => view.to(x, y));
+    const [left, top] = [0, 1].map((axis) => Math.min(...pixels.map((pixel) => pixel[axis])));
+    const right = Math.max(...pixels.map(([x]) => x));
+    labels.put(name, [[left + 14, top + 24], [left + 14, top + 42]], colour.area, right - left - 20);
+  }
+  for (const [name, { points }] of paths) {
+    if (!points.length) continue;
+    const [x, y] = view.to(...points[0]);
+    labels.put(name, [[x + 8, y - 8], [x + 8, y + 18]], colour.area);
+  }
 }
 
 /** The goal, or a pose that a finger sets: a ring and, with a heading, an arrow. */
@@ -225,5 +245,5 @@ export function drawMeasure(context, view, [a, b], colour) {
     context.stroke();
   }
   const text = `${Math.hypot(b.x - a.x, b.y - a.y).toFixed(2)} m`;
-  label(context, text, (ax + bx) / 2, (ay + by) / 2 - 9, colour, { align: "center", bold: true });
+  label(context, text, (ax + bx) / 2, (ay + by) / 2 - 9, colour, true);
 }

@@ -8,7 +8,7 @@ import { searchField, Table, twoLines } from "./table.js";
 
 const GOOD = new Set(["running", "ready", "up", "ok"]);
 
-const routeKey = (route) => JSON.stringify([route.daemon, route.side, route.direction, route.topic]);
+const routeKey = (route) => JSON.stringify([route.daemon, route.side, route.direction, route.topic, route.type]);
 const workerKey = (worker) => JSON.stringify([worker.daemon, worker.worker]);
 
 /** Builds the view. */

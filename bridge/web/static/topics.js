@@ -18,7 +18,7 @@ export function topicsView(root, socket) {
   const showList = (why) => {
     const words = search.toLowerCase().split(/\s+/).filter(Boolean);
     const found = (topics ?? []).filter((each) => words.every((word) => `${each.topic} ${each.type}`.toLowerCase().includes(word)));
-    rows(list, found.slice(0, MOST_TOPICS), (each) => each.topic, topicRow, ({ parts }, each) => {
+    rows(list, found.slice(0, MOST_TOPICS), (each) => `${each.topic} ${each.type}`, topicRow, ({ parts }, each) => {
       write(parts.type, each.type);
       write(parts.sides, `${ends(each.publishers)} → ${ends(each.subscribers)}`);
       mark(parts.link, "aria-current", each.topic === chosen ? "true" : null);

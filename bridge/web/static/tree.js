@@ -5,7 +5,7 @@ import { number } from "./format.js";
 
 const CUT = "..."; // {"...": 360} stands for what a long array has beyond the ones shown
 const JOIN = "\n"; // between the keys of a path: no key of a message has it
-const DEEP = 2; // levels that are open at first
+const DEEP = 3; // levels that are open at first
 const FEW = 12; // and only branches with so few children
 
 const isBranch = (value) => value !== null && typeof value === "object";

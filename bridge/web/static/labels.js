@@ -1,0 +1,43 @@
+// Names on the map that do not cover each other: who comes first has the room.
+
+const FONT = "13px system-ui, sans-serif";
+const HIGH = 16; // px of a line
+const LONGEST = 24; // letters of a name
+
+/** The names of one drawing. */
+export class Labels {
+  /** `width`: pixels of the window, which no name leaves at its sides. */
+  constructor(context, width, colour) {
+    this.context = context;
+    this.width = width;
+    this.colour = colour;
+    this.taken = []; // boxes [left, top, right, bottom]
+  }
+
+  /** Write a name at the first of `spots` ([x, y, align]) that is free; where none is, not at all. */
+  put(name, spots, ink, most = Infinity) {
+    const { context, colour } = this;
+    const text = name.length > LONGEST ? `${name.slice(0, LONGEST)}…` : name;
+    context.font = FONT;
+    const wide = context.measureText(text).width;
+    if (wide > most) return;
+    for (const [x, y, align] of spots) {
+      const left = align === "right" ? x - wide : x;
+      const box = [left - 2, y - HIGH + 3, left + wide + 2, y + 3];
+      if (box[0] < 0 || box[2] > this.width) continue;
+      if (this.taken.some((other) => overlap(box, other))) continue;
+      this.taken.push(box);
+      context.textAlign = "left";
+      context.textBaseline = "alphabetic";
+      context.lineJoin = "round";
+      context.lineWidth = 4;
+      context.strokeStyle = colour.halo;
+      context.strokeText(text, left, y);
+      context.fillStyle = ink;
+      context.fillText(text, left, y);
+      return;
+    }
+  }
+}
+
+const overlap = (a, b) => a[0] < b[2] && b[0] < a[2] && a[1] < b[3] && b[1] < a[3];
