@@ -5,10 +5,9 @@ import { degrees, position } from "./format.js";
 import { gestures } from "./gestures.js";
 import { Labels } from "./labels.js";
 import { layerMenu } from "./layers.js";
-import { MapImage } from "./mapimage.js";
+import { MapImages } from "./mapimages.js";
 import * as scene from "./scene.js";
-import { say } from "./say.js";
-import { toCells, Viewport } from "./viewport.js";
+import { Viewport } from "./viewport.js";
 
 const NEAR = 18; // px to a place that a tap means
 const NARROW = 560; // px: then the tools go right across, as in drive.css
@@ -32,7 +31,6 @@ export class MapBlock {
     this.menu = menu;
     this.view = new Viewport();
     this.values = {}; // newest value of each feed
-    this.images = {}; // layer -> MapImage
     this.watches = {}; // feed -> what ends it
     this.follows = false;
     this.placed = false; // whether the window was set to a map or a robot once
@@ -43,6 +41,7 @@ export class MapBlock {
     this.dirty = false;
     this.frame = 0;
     this.shown = false;
+    this.images = new MapImages(() => this.redraw());
     this.layers = layerMenu(() => this.layersChanged());
     this.build();
     this.themes();
@@ -110,7 +109,7 @@ export class MapBlock {
     for (const feed of wanted) {
       this.watches[feed] ??= this.socket.watch(feed, (value, why) => this.take(feed, value, why));
     }
-    this.loadImages();
+    this.images.show(this.values.map, this.layers.on("flags"), this.dark.matches);
     this.redraw();
   }
 
@@ -133,35 +132,8 @@ export class MapBlock {
     if (this.mapName !== undefined && map && this.mapName !== map.name) this.placed = false;
     if (map) this.mapName = map.name;
     this.noMap = map ? "" : why || "There is no map.";
-    this.loadImages();
+    this.images.show(this.values.map, this.layers.on("flags"), this.dark.matches);
     this.showHint();
-  }
-
-  loadImages() {
-    const map = this.values.map;
-    for (const layer of ["image", "flags"]) {
-      const url = map && (layer === "image" || this.layers.on("flags")) ? map[layer] : null;
-      const old = this.images[layer];
-      if ((old?.url ?? null) === (url ?? null) && old?.dark === (old && this.isDark(layer))) continue;
-      delete this.images[layer];
-      if (!url) {
-        old?.close();
-        continue;
-      }
-      const made = (this.images[layer] = new MapImage(url, this.isDark(layer)));
-      made.old = old; // shown until the new one is there
-      made.load().then(
-        () => this.redraw(),
-        (error) => made.gone || say(`Map: ${error.message}`, { bad: true }),
-      ).finally(() => {
-        old?.close();
-        made.old = null;
-      });
-    }
-  }
-
-  isDark(layer) {
-    return layer === "image" && this.dark.matches;
   }
 
   themes() {
@@ -169,7 +141,7 @@ export class MapBlock {
     this.colours = scene.colours();
     this.dark.addEventListener("change", () => {
       this.colours = scene.colours();
-      this.loadImages();
+      this.images.show(this.values.map, this.layers.on("flags"), this.dark.matches);
       this.redraw();
     });
   }
@@ -320,7 +292,7 @@ export class MapBlock {
     context.setTransform(1, 0, 0, 1, 0, 0);
     context.fillStyle = colour.floor;
     context.fillRect(0, 0, this.canvas.width, this.canvas.height);
-    if (values.map) this.drawImages(context, values.map);
+    if (values.map) this.images.draw(context, view, values.map, ratio);
     context.setTransform(ratio, 0, 0, ratio, 0, 0);
     if (!values.map) scene.drawGrid(context, view, colour);
     const named = this.named(values);
@@ -334,16 +306,6 @@ export class MapBlock {
     else if (this.aim) scene.drawPose(context, view, this.aim, colour.accent, colour, 44);
     if (this.point) scene.drawPose(context, view, this.point, colour.accent, colour);
     scene.drawScale(context, view, colour, view.width < NARROW ? 76 : 16);
-  }
-
-  drawImages(context, map) {
-    for (const layer of ["image", "flags"]) {
-      const made = this.images[layer];
-      const image = made?.levels.length ? made : made?.old;
-      if (!image) continue;
-      const { scale, part } = toCells(context, this.view, map, this.ratio);
-      image.draw(context, scale, part);
-    }
   }
 
   /** What has a name on the map in use, as far as its layer is on. */

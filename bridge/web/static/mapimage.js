@@ -8,7 +8,6 @@ export class MapImage {
     this.url = url;
     this.dark = dark;
     this.levels = []; // each half the one before
-    this.gone = false;
   }
 
   /** Fetch it; rejects with an Error in words. */
@@ -21,13 +20,11 @@ export class MapImage {
       last = halved(levels.at(-1));
       levels.push(last);
     }
-    if (this.gone) return;
     this.levels = levels;
   }
 
   /** Let its memory go. */
   close() {
-    this.gone = true;
     for (const level of this.levels) level.close?.();
     this.levels = [];
   }
