@@ -14,6 +14,13 @@ from typing import Any
 
 import zenoh
 
+BEHIND = zenoh.Priority.DATA_LOW
+"""How goes what is large and waits where a link is full: in a queue of its own, behind all others.
+
+While it is put into a link's queue, all else for that queue waits, from whichever node of the session. A reply goes as
+its query.
+"""
+
 _thread = threading.local()
 
 

@@ -4,17 +4,19 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Iterator
+from contextlib import closing
 from dataclasses import replace
 
 import pytest
 
+from bridge.hub.endpoints.keyspace import KeyItem
 from bridge.hub.errors import HubClosedError
 from bridge.hub.session import Hub, HubSession
 from bridge.hub.wire.qos import Qos
 from tests.hub.endpoints.test_sdk import STRING, STRING_HASH
 from tests.hub.endpoints.test_services import HASH as SERVICE_HASH
 from tests.hub.endpoints.test_services import SERVICE, Serving, call, client
-from tests.hub.parts import BEST_EFFORT_LATCHED, LATCHED, STREAM, Heard, matched, see_each_other, talk
+from tests.hub.parts import BEST_EFFORT_LATCHED, HASH, LATCHED, STREAM, TYPE, Heard, matched, see_each_other, talk
 from tests.support.hub import HubNetwork
 from tests.support.wait import until
 
@@ -220,3 +222,44 @@ def test_what_one_publishes_in_the_callback_of_another_comes_too(one: Hub, two: 
     two.subscription("/ask", STRING, STRING_HASH, STREAM, lambda sample: answers.put(b"re " + sample.data()))
     one.publisher("/ask", STRING, STRING_HASH, STREAM).put(b"you")
     assert heard.texts() == ["re you"], "before put returned"
+
+
+PATIENT = {
+    "transport": {"link": {"tx": {"queue": {"congestion_control": {"block": {"wait_before_close": 30_000_000}}}}}}
+}
+"""zenoh gives up a link that does not take what must not be lost after 5 s, by default."""
+
+
+def test_what_waits_for_one_who_does_not_read_holds_up_no_neighbour(network: HubNetwork) -> None:
+    """It is sent by one node. Another one's samples, which that reader is to get too, reach others meanwhile."""
+    settings, read, ended = replace(network.settings("x"), shared_memory=False), threading.Event(), threading.Event()
+    with (
+        Hub.open(replace(settings, node="stands")) as stands,
+        Hub.open(replace(settings, node="far")) as far,
+        closing(HubSession.open(replace(settings, zenoh=PATIENT), shared=True)) as session,
+    ):
+        one, two = Hub.on(session, "one", "one"), Hub.on(session, "two", "two")
+        see_each_other(one, stands, far)
+        heard, _ = Heard(far, "/odom"), Heard(stands, "/odom")
+        values, stop = one.keyspace("values"), talk(one, "/stop")
+        stands.keyspace("values").subscribe("**", lambda _: None)
+        stands.subscription("/stop", TYPE, HASH, STREAM, lambda _: read.wait(60.0) and None)
+        odometry = talk(two, "/odom")
+        until(lambda: len(two.graph.subscriptions("/odom")) == 2, "both are seen")
+        matched(stop)
+
+        def send() -> None:
+            values.send(KeyItem("large", bytes(30 << 20)))
+            ended.set()
+
+        sending = threading.Thread(target=send)
+        try:
+            stop.put(b"x")
+            sending.start()
+            for number in range(100):
+                odometry.put(b"%d" % number)
+                until(lambda number=number: len(heard.samples) > number, f"{number} is heard", 5.0)
+            assert not ended.is_set(), "it was sent: this shows nothing"
+        finally:
+            read.set()
+            sending.join(30.0)

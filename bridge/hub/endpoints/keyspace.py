@@ -16,7 +16,7 @@ from typing import Any
 import zenoh
 
 from bridge.hub.errors import HubClosedError, HubError, zenoh_reason
-from bridge.hub.zenoh_compat import answer, follow_tokens, keep_thread_state, subscribe, undeclare
+from bridge.hub.zenoh_compat import BEHIND, answer, follow_tokens, keep_thread_state, subscribe, undeclare
 
 _log = logging.getLogger(__name__)
 
@@ -107,6 +107,7 @@ class KeySpace:
             "timestamp": stamp,
             "attachment": attached,
             "congestion_control": zenoh.CongestionControl.BLOCK,
+            "priority": BEHIND,
             "allowed_destination": zenoh.Locality.REMOTE,
         }
         try:
@@ -161,6 +162,7 @@ class KeySpace:
                 target=zenoh.QueryTarget.ALL,
                 consolidation=zenoh.ConsolidationMode.NONE,
                 timeout=seconds,
+                priority=BEHIND,
                 payload=body,
                 allowed_destination=zenoh.Locality.REMOTE,
                 cancellation_token=token,

@@ -21,7 +21,7 @@ import zenoh
 from zenoh import ext
 
 from bridge.concurrency import DelayedCalls, SerialExecutor
-from bridge.hub.zenoh_compat import follow_tokens, subscribe, undeclare
+from bridge.hub.zenoh_compat import BEHIND, follow_tokens, subscribe, undeclare
 
 HEARTBEAT = 0.5
 """Seconds after which a latched publisher publishes its last sample's number, as rmw_zenoh's do."""
@@ -186,6 +186,7 @@ class LatchedHistory:
                 consolidation=zenoh.ConsolidationMode.NONE,
                 accept_replies=zenoh.ReplyKeyExpr.ANY,
                 timeout=ANSWER_SECONDS,
+                priority=BEHIND,
                 allowed_destination=self._reach,
             )
         except zenoh.ZError:

@@ -19,7 +19,7 @@ from bridge.hub.graph import HubGraph
 from bridge.hub.graph.tokens import gid_of
 from bridge.hub.wire.keys import pack_attachment
 from bridge.hub.wire.qos import History, Qos, Reliability
-from bridge.hub.zenoh_compat import keep_thread_state, undeclare
+from bridge.hub.zenoh_compat import BEHIND, keep_thread_state, undeclare
 from bridge.hub.zenoh_config import POOL
 from bridge.resources import LARGE_MESSAGES
 
@@ -29,13 +29,6 @@ MAX_CACHE = 10_000
 
 LARGE = POOL
 """Bytes from which a message does not fit the shared memory, and goes over the links in hundreds of packets."""
-
-_BEHIND = zenoh.Priority.DATA_LOW
-"""How a publisher's samples go once one was `LARGE`: in a queue of their own, behind all others.
-
-While one is put into a link's queue all else for that queue waits, up to 2 s. What comes after a large one goes the
-same way, so that nothing overtakes it.
-"""
 
 
 @dataclass(frozen=True, slots=True)
@@ -140,7 +133,8 @@ class _PlainSink:
 
     def send(self, payload: bytes, attached: bytes) -> None:
         if len(payload) > LARGE and self._large is None and not self._blocks:
-            self._large = self._declare(congestion_control=zenoh.CongestionControl.DROP, priority=_BEHIND)
+            # what comes after a large one goes the same way, so that nothing overtakes it
+            self._large = self._declare(congestion_control=zenoh.CongestionControl.DROP, priority=BEHIND)
             self._put = self._putter(self._large)
         self._put(payload, attachment=attached)
 
