@@ -20,7 +20,7 @@ _ZERO = (0.0, 0.0, 0.0)
 Velocity = tuple[float, float, float]
 
 
-class Holder(Protocol):
+class HandDriver(Protocol):
     """The page that drives; called on the module's thread."""
 
     who: str
@@ -32,7 +32,7 @@ class Holder(Protocol):
         """Say why it may not drive."""
 
 
-class Hold:
+class HandDriving:
     """Publishes what one page holds, 20 times a second, then zero once, then nothing. All on the module's thread.
 
     Args:
@@ -46,13 +46,13 @@ class Hold:
 
     def __init__(self, host: Host, topic: str, most: tuple[float, float], driven: Callable[[], str]) -> None:
         self._host, self._topic, self._most, self._driven = host, topic, most, driven
-        self._holder: Holder | None = None
+        self._holder: HandDriver | None = None
         self._velocity: Velocity = _ZERO
         self._until = 0.0
         self._timer: Timer | None = None
         self._out: Any = None
 
-    def hold(self, page: Holder, x: float, y: float, turn: float, arrived: float) -> None:
+    def hold(self, page: HandDriver, x: float, y: float, turn: float, arrived: float) -> None:
         """Drive so for a page; ``arrived``: when it said so (monotonic seconds), which may be long ago here."""
         now = time.monotonic()
         if now - arrived > HOLD_SECONDS:
@@ -73,7 +73,7 @@ class Hold:
         self._until = arrived + HOLD_SECONDS
         self._publish()
 
-    def release(self, page: Holder) -> None:
+    def release(self, page: HandDriver) -> None:
         """Stop driving for a page."""
         if page is self._holder:
             self.stop()

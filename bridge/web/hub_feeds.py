@@ -153,7 +153,7 @@ def explain(client: CliClient, name: str) -> list[dict[str, Any]]:
     ]
 
 
-class TopicFeed(Feed):
+class MessageFeed(Feed):
     """``topic:/name``: the newest message of a topic, at most five times a second."""
 
     def __init__(self, host: Host, client: CliClient, types: Types, executor: SerialExecutor, name: str) -> None:

@@ -14,7 +14,7 @@ from typing import Any
 from starlette.websockets import WebSocket, WebSocketDisconnect, WebSocketState
 
 from bridge.web.feed import Feeds
-from bridge.web.hold import Hold
+from bridge.web.hold import HandDriving
 from bridge.web.verbs import VerbError, Verbs
 
 _log = logging.getLogger("midspan.web")
@@ -39,7 +39,7 @@ class Page:
     """Serves one socket until it ends."""
 
     def __init__(
-        self, socket: WebSocket, hello: dict[str, Any], feeds: Feeds, verbs: Verbs, hold: Hold, post: Post
+        self, socket: WebSocket, hello: dict[str, Any], feeds: Feeds, verbs: Verbs, hold: HandDriving, post: Post
     ) -> None:
         self._socket, self._hello, self._feeds, self._verbs, self._hold, self._post = (
             socket, hello, feeds, verbs, hold, post,

@@ -52,7 +52,7 @@ class VerbError(RuntimeError):
 
 
 @dataclass(frozen=True)
-class Verb:
+class PageVerb:
     """One verb: the arguments that it must and may have, each with its check, and what does it."""
 
     run: Callable[..., Any]
@@ -104,19 +104,19 @@ class Verbs:
         self._goals: ActionClient | None = None
         xy, pose, named = {"x": _number, "y": _number}, dict.fromkeys(("x", "y", "theta"), _number), {"name": _name}
         self._verbs = {
-            "goto": Verb(self._goto, xy, {"theta": _number}),
-            "goto_place": Verb(partial(self._named, "go_to"), named, {}),
-            "stop": Verb(self._stop, {}, {}, stops=True),
-            "pause": Verb(partial(self._trigger, "pause"), {}, {}, stops=True),
-            "resume": Verb(partial(self._trigger, "resume"), {}, {}),
-            "halt": Verb(self._halt, {}, {}, stops=True),
-            "choose_planner": Verb(self._choose, named, {}),
-            "set_pose": Verb(self._set_pose, pose, {}),
-            "keep_place": Verb(self._keep, {**named, **pose}, {}),
-            "delete_place": Verb(self._delete, named, {}),
-            "use_map": Verb(lambda name: self._store().use_map(name), named, {}),
-            "ping": Verb(lambda: None, {}, {}, drives=False),
-            "explain": Verb(lambda name: explain(client, name), named, {}, drives=False),
+            "goto": PageVerb(self._goto, xy, {"theta": _number}),
+            "goto_place": PageVerb(partial(self._named, "go_to"), named, {}),
+            "stop": PageVerb(self._stop, {}, {}, stops=True),
+            "pause": PageVerb(partial(self._trigger, "pause"), {}, {}, stops=True),
+            "resume": PageVerb(partial(self._trigger, "resume"), {}, {}),
+            "halt": PageVerb(self._halt, {}, {}, stops=True),
+            "choose_planner": PageVerb(self._choose, named, {}),
+            "set_pose": PageVerb(self._set_pose, pose, {}),
+            "keep_place": PageVerb(self._keep, {**named, **pose}, {}),
+            "delete_place": PageVerb(self._delete, named, {}),
+            "use_map": PageVerb(lambda name: self._store().use_map(name), named, {}),
+            "ping": PageVerb(lambda: None, {}, {}, drives=False),
+            "explain": PageVerb(lambda name: explain(client, name), named, {}, drives=False),
         }
 
     def is_stop(self, verb: str) -> bool:
@@ -256,7 +256,7 @@ def _run(action: Callable[..., Any], args: dict[str, Any]) -> Any:
         raise VerbError(str(err)) from None
 
 
-def _checked(verb: str, found: Verb, args: Mapping[str, Any]) -> dict[str, Any]:
+def _checked(verb: str, found: PageVerb, args: Mapping[str, Any]) -> dict[str, Any]:
     known = {**found.needs, **found.may}
     for key in args:
         if key not in known:

@@ -17,8 +17,8 @@ from bridge.config.model import Config
 from bridge.messages.registry import Registry
 from bridge.modules.host import Host
 from bridge.web.feed import Feeds
-from bridge.web.hold import HOLD_SECONDS, Hold
-from bridge.web.hub_feeds import AskingFeed, StatusAsker, TopicFeed, list_topics
+from bridge.web.hold import HOLD_SECONDS, HandDriving
+from bridge.web.hub_feeds import AskingFeed, StatusAsker, MessageFeed, list_topics
 from bridge.web.maps import MapFeed, Pictures, StoreFeed, StoreFollower
 from bridge.web.page import Page
 from bridge.web.robot import DrivingFeed, FrameFollower, FramesFeed, LaserFeed, PathFeed, RobotFeed
@@ -98,10 +98,10 @@ class Console:
                 AskingFeed(host, "topics", self._asking, lambda: list_topics(client)),
                 FramesFeed(host, follower),
             ],
-            lambda name: TopicFeed(host, client, known, self._decoding, name),
+            lambda name: MessageFeed(host, client, known, self._decoding, name),
         )
         most = (section.speed, section.turn)
-        self._hold = Hold(host, config.navigation.velocity, most, lambda: driving.busy)
+        self._hold = HandDriving(host, config.navigation.velocity, most, lambda: driving.busy)
         self._driving = driving
         self._verbs = Verbs(
             host, config, client, known, self._store.client, chose=driving.chose, stop_hold=self._hold.stop
