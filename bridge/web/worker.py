@@ -18,7 +18,7 @@ from bridge.messages.registry import Registry
 from bridge.modules.host import Host
 from bridge.web.feed import Feeds
 from bridge.web.hold import HOLD_SECONDS, HandDriving
-from bridge.web.hub_feeds import AskingFeed, StatusAsker, MessageFeed, list_topics
+from bridge.web.hub_feeds import AskingFeed, MessageFeed, StatusAsker, list_topics
 from bridge.web.maps import MapFeed, Pictures, StoreFeed, StoreFollower
 from bridge.web.page import Page
 from bridge.web.robot import DrivingFeed, FrameFollower, FramesFeed, LaserFeed, PathFeed, RobotFeed
