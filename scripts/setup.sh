@@ -234,9 +234,16 @@ environment() {
     printf '%s\n' "$made_from" >.venv/midspan-setup
 }
 
+# Midspan's own bytecode, which pip compiles for its packages alone: where PYTHONDONTWRITEBYTECODE is set, each of seven
+# processes would else compile what it imports at each start (0.2 s of 0.65 s), and everywhere at the first.
+bytecode() {
+    .venv/bin/python -m compileall -q -j 2 bridge navigation sim yarp_compat >/dev/null 2>&1 || true # a folder read alone
+}
+
 system_packages
 environment
 kernels
+bytecode
 if .venv/bin/python -c 'import rclpy' 2>/dev/null; then
     # tells by itself what it builds
     .venv/bin/midspan interfaces build >/dev/null
