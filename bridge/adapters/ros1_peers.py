@@ -46,8 +46,9 @@ class ExhaustedError(Ros1Error):
 
 def unanswered(what: str, err: OSError) -> Ros1Error:
     """What a failed connection means; ``what`` says what went wrong where it is the peer's fault."""
-    # without a descriptor a host's name cannot be looked up either, and the resolver does not say why
-    own = err.errno in resources.OUT or (isinstance(err, socket.gaierror) and not resources.has_descriptor())
+    # without a descriptor a host's name cannot be looked up either, and the resolver tells any number that it finds
+    peers = isinstance(err, ConnectionError | TimeoutError)
+    own = err.errno in resources.OUT or (not peers and not resources.has_descriptor())
     if own:
         return ExhaustedError(f"this process has no file descriptor left to connect to it with; {resources.RAISE}")
     refused = isinstance(err, ConnectionRefusedError)
