@@ -61,8 +61,15 @@ def pytest_configure(config: pytest.Config) -> None:
     config.pluginmanager.register(missing)
 
 
+@pytest.hookimpl(tryfirst=True)
+def pytest_collection() -> None:
+    """What is made as tests are collected stays: Python need not look through it again and again."""
+    gc.disable()
+
+
 def pytest_collection_finish() -> None:
-    """What is there by now stays: Python need not look through it again and again."""
+    """The same from now on."""
+    gc.enable()
     gc.freeze()
 
 

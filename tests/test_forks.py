@@ -84,6 +84,16 @@ def test_each_has_its_own_environment_session_and_modules(start: Start) -> None:
     assert (first.output(), second.output()) == ("1 True False\n", "None True False\n")
 
 
+def test_a_variable_that_is_not_given_is_not_there(tmp_path: Path) -> None:
+    file = tmp_path / "program.py"
+    file.write_text("import os; print(sorted({'HOME', 'LANG_OF_A_TEST'} & set(os.environ)))")
+    env = {**os.environ, "LANG_OF_A_TEST": "x"}
+    env.pop("HOME", None)
+    with Process([sys.executable, file], env, imports=("json",)) as program:
+        assert program.popen.wait(20) == 0
+        assert program.output() == "['LANG_OF_A_TEST']\n"
+
+
 def test_pythons_own_settings_are_heeded(start: Start) -> None:
     program = start("import sys; print(sys.flags.optimize)", PYTHONOPTIMIZE="1")
     assert program.popen.wait(20) == 0

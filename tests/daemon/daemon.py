@@ -10,6 +10,7 @@ from pathlib import Path
 
 import psutil
 
+from tests.support.forks import DAEMON
 from tests.support.process import Process
 from tests.support.wait import until
 
@@ -52,13 +53,14 @@ class Daemon:
         """Start a daemon with other limits (`bridge.daemon.slot.Timing`), as on a machine with so many cores."""
         options = [f"{name}={seconds}" for name, seconds in limits.items()]
         command = [sys.executable, "-m", "tests.daemon.quick", str(self.file), str(cores), *options]
-        process = Process(command, self.env)
+        process = Process(command, self.env, imports=DAEMON)
         self.processes.append(process)
         return process
 
     def midspan(self, *arguments: str, env: dict[str, str] | None = None) -> Process:
         """Start any midspan command."""
-        process = Process([sys.executable, "-m", "bridge.cli.main", *arguments], {**self.env, **(env or {})})
+        command = [sys.executable, "-m", "bridge.cli.main", *arguments]
+        process = Process(command, {**self.env, **(env or {})}, imports=DAEMON)
         self.processes.append(process)
         return process
 

@@ -19,6 +19,7 @@ from bridge.interfaces.definition import read_folders
 from bridge.messages.registry import Registry
 from tests.contract.hubside import HubSide
 from tests.contract.side import CUSTOM_FOLDER, CUSTOM_TYPES
+from tests.support.forks import DAEMON
 from tests.support.hub import SDK_PROGRAM
 from tests.support.missing import COMPILER, ROS2, need
 from tests.support.peer import Peer, stop_all
@@ -76,7 +77,7 @@ class Deployment:
 
     def run(self) -> None:
         """Start the daemon; returns when the workers have joined, which come up one after the other."""
-        self.daemon = Process([*MIDSPAN, "run", "--config", self.file], dict(os.environ))
+        self.daemon = Process([*MIDSPAN, "run", "--config", self.file], imports=DAEMON)
         until(self.joined, f"the workers of {self._sides} have joined", 40, every=0.05)
         self._own = len(self._open)
 

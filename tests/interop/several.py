@@ -18,6 +18,7 @@ import yaml
 
 from bridge.hub.session import Hub, HubSettings
 from tests.interop.deployment import ANSWER_SECONDS, MIDSPAN
+from tests.support.forks import DAEMON
 from tests.support.peer import Peer
 from tests.support.ports import free_port
 from tests.support.process import Process
@@ -94,7 +95,7 @@ class Daemon:
 
     def start(self) -> None:
         """Start it; does not wait for anything."""
-        self.process = Process([*MIDSPAN, "run", "--config", self.file], dict(os.environ))
+        self.process = Process([*MIDSPAN, "run", "--config", self.file], imports=DAEMON)
 
     def status(self, side: str) -> dict[str, Any]:
         """One of its workers' status."""

@@ -29,6 +29,7 @@ from bridge.modules.host import Node
 from bridge.modules.loop import EventLoop
 from sim import export
 from sim.plan import load_plan
+from tests.support.forks import DAEMON
 from tests.support.missing import COMPILER, DART, need
 from tests.support.ports import free_port
 from tests.support.process import Process
@@ -191,7 +192,8 @@ class Chain:
     def start(self) -> None:
         """Start the daemon, and hear what it says."""
         self.write()
-        self.daemon = Process([sys.executable, "-m", "bridge.cli.main", "run", "--config", self.file], dict(os.environ))
+        command = [sys.executable, "-m", "bridge.cli.main", "run", "--config", self.file]
+        self.daemon = Process(command, imports=DAEMON)
         self.client = self.join("client")
         self.listen(self.client, self.client)
 

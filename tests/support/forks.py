@@ -27,6 +27,9 @@ _TESTS = SERVER.parents[1]
 PYTHONS = (sys.executable, "/usr/bin/python3")
 """Midspan's own, and ROS 1's."""
 
+DAEMON = ("bridge.config.load", "bridge.daemon.process", "bridge.daemon.supervisor")
+"""What `midspan run` and a worker that runs alone import. A daemon that is forked starts its workers as any does."""
+
 _AT_START = ("PYTHON", "LD_", "_ROS_WHEELS", "MALLOC_", "GLIBC_", "MIDSPAN_")
 """Beginnings of the names of variables that Python, the linker or Midspan read as they start or are imported."""
 
