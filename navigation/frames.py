@@ -54,10 +54,10 @@ class RobotFrames:
     def listen(self) -> None:
         """Follow the frames; done at the start, and after `rest`."""
         # at once: a base says its odometry a hundred times a second, and each module would be woken for it
-        hear = partial(self._node.subscription_cdr, type_name=TF_TYPE, at_once=True)
+        hear = self._node.subscription_cdr
         self._ends = [
-            hear(TF, heard=partial(self._hear, static=False), qos=Qos(depth=_DEPTH)),
-            hear(TF_STATIC, heard=partial(self._hear, static=True), qos=_STATIC),
+            hear(TF, TF_TYPE, partial(self._hear, static=False), Qos(depth=_DEPTH), at_once=True),
+            hear(TF_STATIC, TF_TYPE, partial(self._hear, static=True), _STATIC, at_once=True),
         ]
 
     def rest(self) -> None:
