@@ -164,7 +164,7 @@ def become(request: dict[str, Any]) -> None:
         sys.path.insert(0, str(Path(args[0]).parent))
         module.__file__ = args[0]
         code = compile(Path(args[0]).read_bytes(), args[0], "exec")
-    sys.argv = sys.orig_argv = args
+    sys.argv, sys.orig_argv = args, [sys.executable, *request["args"]]  # what a program runs itself again with
     sys.modules["__main__"] = module
     assert code is not None
     exec(code, module.__dict__)
