@@ -23,6 +23,7 @@ import sys
 import time
 from collections.abc import Iterator, Sequence
 from pathlib import Path
+from typing import Any
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
@@ -52,6 +53,11 @@ _UP_SECONDS = 60.0
 PARTS = ("start", "robot", "idle", "cli")
 
 
+def _laid_over() -> dict[str, Any]:
+    """What the demo lays over its configuration, without the console: the aims are of what bridges and drives."""
+    return {**laid_over(CONFIG), "web": {"enabled": False}}
+
+
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the benchmark."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
@@ -61,13 +67,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
     add_json_option(parser)
     args = parser.parse_args(arguments)
     rows: list[Row] = []
-    with Processes(laid_over(CONFIG), CONFIG, yarp=True) as bare:
+    with Processes(_laid_over(), CONFIG, yarp=True) as bare:
         bare.start_master()
         peers, peer_seconds = _peers(bare)
         if "start" in args.parts:
             rows += _start(bare, peers, peer_seconds)
     if "robot" in args.parts or "cli" in args.parts:
-        with _daemon(Processes(laid_over(CONFIG), CONFIG, yarp=True), (*SIDES, DRIVER)) as (robot, seconds):
+        with _daemon(Processes(_laid_over(), CONFIG, yarp=True), (*SIDES, DRIVER)) as (robot, seconds):
             if "robot" in args.parts:
                 rows += [*seconds, *_robot(robot, peers, args.seconds)]
             if "cli" in args.parts:
