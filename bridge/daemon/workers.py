@@ -105,7 +105,7 @@ WORKERS = (
     WorkerKind(
         "web",
         "bridge.web.worker:WebWorker",
-        sections=frozenset({"web", "navigation", "types", "limits"}),
+        sections=frozenset({"web", "navigation", "modules", "types", "limits"}),
         environment="bridge.web.environment",
     ),
 )

@@ -57,12 +57,12 @@ class Feed(ABC):
         if not self._watchers:
             return  # what was on its way when the last page left
         said = {"value": value, "why": why} if value is None else {"value": value}
-        text = json.dumps(finite(said), ensure_ascii=False, separators=(",", ":"))
+        text = _json(said)
         if text == self._value:
             return
         self._value = text
         self._n += 1
-        head = json.dumps({"op": "value", "feed": self.name, "n": self._n}, ensure_ascii=False, separators=(",", ":"))
+        head = _json({"op": "value", "feed": self.name, "n": self._n})
         self._text = f"{head[:-1]},{text[1:]}"
         for watcher in tuple(self._watchers):
             watcher.changed(self.name, self._n, self._text)
@@ -74,6 +74,16 @@ class Feed(ABC):
     @abstractmethod
     def close(self) -> None:
         """Follow it no more."""
+
+
+def _json(value: Any) -> str:
+    try:
+        return _ENCODER.encode(value)
+    except ValueError:
+        return _ENCODER.encode(finite(value))
+
+
+_ENCODER = json.JSONEncoder(ensure_ascii=False, separators=(",", ":"), allow_nan=False)
 
 
 def finite(value: Any) -> Any:

@@ -9,11 +9,11 @@ from typing import Any, Protocol
 from bridge.hub.wire.qos import Qos
 from bridge.modules.host import Host
 from bridge.modules.loop import Timer
+from navigation.messages import TWIST
 
 HOLD_SECONDS = 0.3
 """A page that has been silent for so long holds nothing."""
 
-TWIST = "geometry_msgs/msg/Twist"
 _PERIOD = 0.05
 _ZERO = (0.0, 0.0, 0.0)
 
@@ -59,6 +59,8 @@ class HandDriving:
             return
         holder = self._holder
         why = self._driven() if holder in (None, page) else f"{holder.who} drives by hand"
+        if not self._topic:
+            why = "no topic of velocities is configured (navigation.velocity)"
         if why:
             self.release(page)
             page.refuse(why)

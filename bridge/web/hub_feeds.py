@@ -25,7 +25,7 @@ from bridge.web.feed import Feed
 
 STATUS_SECONDS = 1.0
 TOPIC_SECONDS = 0.2
-MOST_ITEMS, MOST_TEXT, MOST_DEPTH = 32, 2000, 16
+MOST_ITEMS, MOST_TEXT, MOST_DEPTH, MOST_BYTES = 32, 2000, 16, 4 << 20
 _ASK_SECONDS = 1.0
 _ROUTE = ("direction", "topic", "hub_topic", "type", "kind", "state", "rate", "bytes", "error")
 _DECISION = ("daemon", "direction", "decision", "why", "cure")
@@ -216,10 +216,13 @@ class MessageFeed(Feed):
     def _decode(self, sample: HubSample, type_name: str, type_hash: str) -> None:
         """On a thread that may wait: the type's definition may have to be asked for."""
         why, message = "", None
-        try:
-            message = cut(self._types.decode(type_name, type_hash, sample.data()))
-        except (CliError, ConversionError, HubError) as err:
-            why = str(err)
+        if len(sample.payload) > MOST_BYTES:
+            why = f"a message of {len(sample.payload)} bytes is not shown: pages get at most {MOST_BYTES}"
+        else:
+            try:
+                message = cut(self._types.decode(type_name, type_hash, sample.data()))
+            except (CliError, ConversionError, HubError) as err:
+                why = str(err)
         self._host.loop.post(partial(self._decoded, type_name, message, why))
 
     def _decoded(self, type_name: str, message: Any, why: str) -> None:

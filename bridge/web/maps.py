@@ -18,6 +18,7 @@ from PIL import Image
 
 from bridge.concurrency import SerialExecutor
 from bridge.config.model import Config
+from bridge.hub.endpoints.keyspace import KeySpace
 from bridge.hub.errors import HubError
 from bridge.hub.wire.qos import LATCHED
 from bridge.modules.host import Host
@@ -116,7 +117,9 @@ class StoreFollower:
     def __init__(self, host: Host, config: Config) -> None:
         self._host, self._config = host, config
         self._executor = SerialExecutor("midspan-web-store")
+        self._space: KeySpace | None = None
         self._client: StoreClient | None = None
+        self._lock = threading.Lock()
         self._feeds: dict[Feed, Callable[[StoreView], None]] = {}
         self._timer: Any = None
         self._asking = False
@@ -141,10 +144,11 @@ class StoreFollower:
 
     def client(self) -> StoreClient:
         """The store on the hub; raises `StoreError` where there is none. Waits; not on the module's thread."""
-        if self._client is None:
-            space = self._host.node.hub.keyspace(prefix(self._config.hub.domain))
-            self._client = StoreClient(space, self._config.name)
-        return self._client
+        with self._lock:
+            if self._client is None:
+                self._space = self._space or self._host.node.hub.keyspace(prefix(self._config.hub.domain))
+                self._client = StoreClient(self._space, self._config.name)
+            return self._client
 
     def look(self) -> None:
         """Ask now, unless it is being asked."""

@@ -8,24 +8,26 @@ import logging
 import math
 import threading
 import time
+from collections import deque
 from collections.abc import Callable
 from typing import Any
 
 from starlette.websockets import WebSocket, WebSocketDisconnect, WebSocketState
 
-from bridge.web.feed import Feeds
+from bridge.web.feed import Feed, Feeds
 from bridge.web.hold import HandDriving
 from bridge.web.verbs import VerbError, Verbs
 
 _log = logging.getLogger("midspan.web")
 
 MOST_FEEDS = 64
-MOST_CALLS = 16
+MOST_CALLS, MOST_STOPS = 16, 64
+"""Calls of a page that may wait for their answers; a stop finds room beside all others."""
 MOST_ERRORS = 20
 MOST_WAITING = 200
 MOST_BYTES = 64 * 1024
-_POLICY, _TRY_AGAIN = 1008, 1013
-
+MOST_REPLIES = 500
+_POLICY = 1008
 
 Post = Callable[[Callable[[], Any]], None]
 """Runs an action on the module's thread."""
@@ -48,11 +50,14 @@ class Page:
         self._wake = asyncio.Event()
         self._lock = threading.Lock()
         self._news: dict[str, tuple[int, str]] = {}  # newest values that are not sent yet
-        self._replies: list[str] = []
+        self._replies: deque[str] = deque()
+        self._held = ""  # the newest of what is commanded for it, where that is not sent yet
         self._drawing: dict[str, int] = {}  # feeds whose value the page has not yet taken
-        self._watched: set[str] = set()
+        self._watched: set[str] = set()  # as the page has asked, on the server's event loop
+        self._open: dict[str, Feed] = {}  # as it is, on the module's thread
         self._calls: set[asyncio.Task[None]] = set()
         self._errors = 0
+        self._deaf = False
         self._wish: tuple[float, float, float, float] | None = None  # the newest hold that is not taken up yet
         self._posted = 0
         self.who = f"{socket.client.host}:{socket.client.port}" if socket.client else "a page"
@@ -71,8 +76,8 @@ class Page:
 
     def _leave(self) -> None:
         self._hold.release(self)
-        for name in self._watched:
-            self._feeds.find(name).unwatch(self)
+        while self._open:
+            self._open.popitem()[1].unwatch(self)
 
     # -- called on the module's thread ---------------------------------------------------------------------------------
 
@@ -84,7 +89,9 @@ class Page:
 
     def held(self, x: float, y: float, turn: float) -> None:
         """Tell the page what is commanded for it."""
-        self._call_soon(lambda: self._say({"op": "held", "x": x, "y": y, "turn": turn}))
+        with self._lock:
+            self._held = json.dumps({"op": "held", "x": x, "y": y, "turn": turn})
+        self._call_soon(self._wake.set)
 
     def refuse(self, why: str) -> None:
         """Tell the page why what it asked for is not done."""
@@ -103,19 +110,23 @@ class Page:
             await self._wake.wait()
             self._wake.clear()
             while self._replies:
-                await self._socket.send_text(self._replies.pop(0))
+                await self._socket.send_text(self._replies.popleft())
             for text in self._due():
                 await self._socket.send_text(text)
 
     def _due(self) -> list[str]:
-        """The newest values of the feeds whose last one the page has taken."""
+        """What is commanded for it, and the newest values of the feeds whose last one the page has taken."""
         with self._lock:
             due = [name for name in self._news if name not in self._drawing]
             found = [(name, *self._news.pop(name)) for name in due]
+            held, self._held = self._held, ""
         self._drawing.update((name, n) for name, n, _ in found)
-        return [text for _, _, text in found]
+        return [*filter(None, [held]), *(text for _, _, text in found)]
 
     def _say(self, message: dict[str, Any]) -> None:
+        if len(self._replies) >= MOST_REPLIES:  # it asks, and reads no answers
+            self._deaf = True
+            return
         self._replies.append(json.dumps(message, ensure_ascii=False))
         self._wake.set()
 
@@ -129,10 +140,11 @@ class Page:
             except BadMessageError as err:
                 self._errors += 1
                 self._say({"op": "error", "error": str(err)})
-                if self._errors > MOST_ERRORS:
-                    _log.warning("%s: its socket is closed after %d bad messages: %s", self.who, MOST_ERRORS, err)
-                    await self._socket.close(_POLICY)
-                    return
+            if self._errors > MOST_ERRORS or self._deaf:
+                why = f"it reads none of {MOST_REPLIES} answers" if self._deaf else f"{MOST_ERRORS} bad messages"
+                _log.warning("%s: its socket is closed: %s", self.who, why)
+                await self._socket.close(_POLICY)
+                return
 
     def _take(self, message: dict[str, Any]) -> None:
         match message:
@@ -163,7 +175,8 @@ class Page:
 
         def watch() -> None:
             try:
-                self._feeds.find(name).watch(self)
+                feed = self._open[name] = self._feeds.find(name)
+                feed.watch(self)
             except LookupError as err:
                 self.refuse(str(err))
                 self._call_soon(lambda: self._watched.discard(name))
@@ -177,15 +190,14 @@ class Page:
         self._drawing.pop(name, None)
 
         def unwatch() -> None:
-            self._feeds.find(name).unwatch(self)
+            if name in self._open:
+                self._open.pop(name).unwatch(self)
             with self._lock:
                 self._news.pop(name, None)
 
         self._do(unwatch)
 
     def _hold_on(self, x: float, y: float, turn: float) -> None:
-        if not self._verbs.may_drive:
-            raise BadMessageError("this page may watch, not drive")
         waits = self._wish is not None
         self._wish = (x, y, turn, time.monotonic())
         if not waits:
@@ -201,10 +213,12 @@ class Page:
         """Run an action on the module's thread; raises `BadMessageError` where too many wait for it."""
         if self._posted >= MOST_WAITING:
             raise BadMessageError(f"{MOST_WAITING} messages of this page wait already")
-        self._posted += 1
+        with self._lock:
+            self._posted += 1
 
         def run() -> None:
-            self._posted -= 1
+            with self._lock:
+                self._posted -= 1
             action()
 
         self._post(run)
@@ -212,8 +226,9 @@ class Page:
     def _call(self, number: int, verb: str, args: Any) -> None:
         if not isinstance(args, dict):
             raise BadMessageError("args are an object")
-        if len(self._calls) >= MOST_CALLS and not self._verbs.is_stop(verb):
-            self._reply(number, error=f"{MOST_CALLS} calls of this page wait for their answers already")
+        most = MOST_STOPS if self._verbs.is_stop(verb) else MOST_CALLS
+        if len(self._calls) >= most:
+            self._reply(number, error=f"{most} calls of this page wait for their answers already")
             return
         call = asyncio.create_task(self._run(number, verb, args))
         self._calls.add(call)

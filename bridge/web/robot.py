@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from bridge.cli.navigation.gateway import STATUS_TOPIC
 from bridge.config.model import Config
 from bridge.hub.wire.qos import LATCHED, Qos, Reliability
 from bridge.messages.actions import names, types
@@ -15,16 +16,14 @@ from bridge.modules.endpoints import Subscription
 from bridge.modules.host import Host
 from bridge.modules.loop import Timer
 from bridge.web.feed import Feed
-from navigation.frames import FramesError, RobotFrames
+from navigation.frames import LATE, FramesError, RobotFrames, laser_pose
 from navigation.gateway.planner_link import PATH
 from navigation.maps.grid import yaw_of
 from navigation.messages import NAVIGATE, stamp_ns
 from navigation.pose import Pose
 from navigation.scan import SCAN
-from navigation.status import STATUS
+from navigation.status import STATUS, State
 
-STATUS_TOPIC = "/navigation/status"
-ODOMETRY = "nav_msgs/msg/Odometry"
 FRAMES_SECONDS, ROBOT_SECONDS = 1.0, 0.1
 MOST_POINTS = 2000
 """Of a path or a scan; of longer ones every second, third ... is sent."""
@@ -180,10 +179,8 @@ class LaserFeed(TopicsFeed):
             return
         frames, header = self._follower.frames, scan["header"]
         try:
-            laser = frames.transform(frames.base_frame, header["frame_id"])
-            at = frames.correction() @ frames.transform(
-                frames.odom_frame, frames.base_frame, stamp_ns(header), extrapolate=ROBOT_SECONDS * 2
-            )
+            laser = laser_pose(frames, header["frame_id"])
+            at = _moved(frames, stamp_ns(header))
         except FramesError as err:
             self.put(None, str(err))
             return
@@ -197,21 +194,16 @@ class PathFeed(TopicsFeed):
         super().__init__(host, "path")
         self._config, self._driving = config, driving
         self._topic = ""
+        driving.on_change(self._choose)
 
     def open(self) -> None:
         """Follow the planner that is chosen."""
-        self._driving.on_change(self._choose)
-        self._driving.watch(self)
         self._choose()
 
     def close(self) -> None:
         """Rest."""
         super().close()
         self._topic = ""
-        self._driving.unwatch(self)
-
-    def changed(self, name: str, n: int, text: str) -> None:
-        """Nothing: `_choose` hears of it."""
 
     def _choose(self) -> None:
         if not self.watched:
@@ -238,9 +230,9 @@ class PathFeed(TopicsFeed):
 
 
 class DrivingFeed(TopicsFeed):
-    """``driving``: what the gateway says of the drive at hand."""
+    """``driving``: what the gateway says of the drive at hand. The console itself watches it all the time."""
 
-    MOVING = frozenset({"preparing_before_move", "moving", "waiting_obstacle", "thinking"})
+    STANDING = frozenset(state.value for state in State if state.ended or state is State.PAUSED)
 
     def __init__(self, host: Host, config: Config) -> None:
         super().__init__(host, "driving")
@@ -252,13 +244,12 @@ class DrivingFeed(TopicsFeed):
 
     def on_change(self, action: Callable[[], None]) -> None:
         """Call this when the state or the planner changed."""
-        if action not in self._changes:
-            self._changes.append(action)
+        self._changes.append(action)
 
     @property
     def drives(self) -> bool:
         """Whether a planner has the base now, as far as is known."""
-        return self._status is not None and self._status["state"] in self.MOVING
+        return self._status is not None and self._status["state"] not in self.STANDING
 
     @property
     def busy(self) -> str:
@@ -327,6 +318,14 @@ class DrivingFeed(TopicsFeed):
     @property
     def _paused(self) -> bool:
         return self._status is not None and self._status["state"] == "paused"
+
+
+def _moved(frames: RobotFrames, stamp: int) -> Pose:
+    """Where the robot was on the map at a time; the odometry says it better than a localiser that speaks seldom."""
+    try:
+        return frames.correction() @ frames.transform(frames.odom_frame, frames.base_frame, stamp, extrapolate=LATE)
+    except FramesError:
+        return frames.transform(frames.map_frame, frames.base_frame, stamp, extrapolate=LATE)
 
 
 def place(pose: Pose) -> dict[str, float]:

@@ -22,6 +22,7 @@ from bridge.hub.endpoints.calls import CallError
 from bridge.hub.errors import HubError
 from bridge.hub.wire.qos import Qos
 from bridge.modules.clients import ActionClient, Client, SentGoal
+from bridge.modules.endpoints import Publisher
 from bridge.modules.host import Host
 from bridge.stores.client import StoreClient
 from bridge.stores.entry import StoreError
@@ -38,7 +39,6 @@ _log = logging.getLogger("midspan.web")
 TRIGGER, NAMED, POSE_COVARIANCE = (
     "std_srvs/srv/Trigger", "midspan_msgs/srv/Named", "geometry_msgs/msg/PoseWithCovarianceStamped",
 )  # fmt: skip
-INITIAL_POSE = "/initialpose"
 ANSWER_SECONDS, STOP_SECONDS = 5.0, 12.0
 GOAL_SECONDS = 5.0
 _THREADS = 4
@@ -58,7 +58,7 @@ class PageVerb:
     run: Callable[..., Any]
     needs: Mapping[str, Callable[[Any], Any]]
     may: Mapping[str, Callable[[Any], Any]]
-    drives: bool = True
+    commands: bool = True
     stops: bool = False
 
 
@@ -82,8 +82,6 @@ class Verbs:
         stop_hold: ends driving by hand, on the module's thread.
     """
 
-    may_drive = True
-
     def __init__(
         self,
         host: Host,
@@ -98,10 +96,10 @@ class Verbs:
         self._host, self._config, self._client, self._types, self._store = host, config, client, types, store
         self._chose, self._stop_hold = chose, stop_hold
         self._pool = WorkerPool(_THREADS, "midspan-web-call")
-        self._stops = WorkerPool(_STOP_THREADS, "midspan-web-stop")  # a stop waits for no other call
         self._lock = threading.Lock()
         self._clients: dict[str, Client] = {}
         self._goals: ActionClient | None = None
+        self._starts: Publisher | None = None
         xy, pose, named = {"x": _number, "y": _number}, dict.fromkeys(("x", "y", "theta"), _number), {"name": _name}
         self._verbs = {
             "goto": PageVerb(self._goto, xy, {"theta": _number}),
@@ -115,9 +113,12 @@ class Verbs:
             "keep_place": PageVerb(self._keep, {**named, **pose}, {}),
             "delete_place": PageVerb(self._delete, named, {}),
             "use_map": PageVerb(lambda name: self._store().use_map(name), named, {}),
-            "ping": PageVerb(lambda: None, {}, {}, drives=False),
-            "explain": PageVerb(lambda name: explain(client, name), named, {}, drives=False),
+            "ping": PageVerb(lambda: None, {}, {}, commands=False),
+            "explain": PageVerb(lambda name: explain(client, name), named, {}, commands=False),
         }
+        stops = [name for name, verb in self._verbs.items() if verb.stops]
+        self._stops = {name: WorkerPool(_STOP_THREADS, f"midspan-web-{name}") for name in stops}
+        self._newest: dict[str, Future[Any]] = {}
 
     def is_stop(self, verb: str) -> bool:
         """Whether a verb makes robots stand; such a call is never refused for want of room."""
@@ -128,19 +129,27 @@ class Verbs:
         found = self._verbs.get(verb)
         if found is None:
             raise VerbError(f"there is no verb {verb[:80]!r}; there are {', '.join(self._verbs)}")
-        if found.drives and not self.may_drive:
-            raise VerbError("this page may watch, not drive")
         checked = _checked(verb, found, args)
-        if found.drives:
+        if found.commands:
             _log.info("%s: %s %s", who, verb, " ".join(f"{key}={value}" for key, value in checked.items()))
         if verb in ("stop", "halt"):
             self._host.loop.post(self._stop_hold)
-        return (self._stops if found.stops else self._pool).submit(partial(_run, found.run, checked))
+        job = partial(_run, found.run, checked)
+        return self._begin_stop(verb, job) if found.stops else self._pool.submit(job)
+
+    def _begin_stop(self, verb: str, job: Callable[[], Any]) -> Future[Any]:
+        """A stop waits for no other verb; where two of its kind run, those who ask meanwhile share the next one."""
+        with self._lock:
+            newest = self._newest.get(verb)
+            if newest is None or newest.running() or newest.done():
+                newest = self._newest[verb] = self._stops[verb].submit(job)
+            return newest
 
     def close(self) -> None:
         """End the threads."""
         self._pool.close(1.0)
-        self._stops.close(1.0)
+        for pool in self._stops.values():
+            pool.close(1.0)
 
     # -- on threads that may wait --------------------------------------------------------------------------------------
 
@@ -165,14 +174,18 @@ class Verbs:
                 said = why or (result or {}).get("error_msg", "") or "the goal ended at once"
                 done.set_exception(VerbError(said))
 
-        def send() -> None:
+        def send() -> SentGoal:
             self._goals = self._goals or self._host.node.action_client(ACTION, NAVIGATE)
-            look(self._goals.send(goal, ended))
+            sent = self._goals.send(goal, ended)
+            look(sent)
+            return sent
 
-        self._host.loop.call(send)
+        sent: SentGoal = self._host.loop.call(send)
         try:
             return done.result(GOAL_SECONDS)
         except TimeoutError:
+            done.cancel()
+            self._host.loop.post(sent.cancel)  # nobody expects the robot to set out later
             raise VerbError(f"the gateway has not said within {GOAL_SECONDS:g} s whether it takes the goal") from None
 
     def _trigger(self, name: str, seconds: float = ANSWER_SECONDS) -> str:
@@ -218,23 +231,23 @@ class Verbs:
         return "every base that answers stands" if found.bases else "zero velocity is said, and no base has answered"
 
     def _set_pose(self, x: float, y: float, theta: float) -> str:
-        graph = self._host.node.hub.graph
-        if not graph.subscriptions(INITIAL_POSE):
-            raise VerbError(f"nobody hears {INITIAL_POSE}: is the localiser there, and does a rule let it cross?")
+        topic = self._config.modules.localization_server.initialpose
+        if not topic or not self._host.node.hub.graph.subscriptions(topic):
+            raise VerbError(
+                f"nobody hears {topic or 'of a start'}: is the localiser there, and does a rule let it cross?"
+            )
         covariance = [_COVARIANCE.get(at, 0.0) for at in range(36)]
         message = {
             "header": {"stamp": self._host.clock.stamp(), "frame_id": self._config.navigation.frame},
             "pose": {"pose": pose_message(Pose(x, y, theta)), "covariance": covariance},
         }
-        self._host.loop.call(lambda: self._initial_pose.publish(message))
-        return f"the localiser is told that the robot is at {x:.2f}, {y:.2f} m"
 
-    @property
-    def _initial_pose(self) -> Any:
-        with self._lock:
-            if not hasattr(self, "_initial"):
-                self._initial = self._host.node.publisher(INITIAL_POSE, POSE_COVARIANCE, Qos(depth=1))
-            return self._initial
+        def publish() -> None:
+            self._starts = self._starts or self._host.node.publisher(topic, POSE_COVARIANCE, Qos(depth=1))
+            self._starts.publish(message)
+
+        self._host.loop.call(publish)
+        return f"the localiser is told that the robot is at {x:.2f}, {y:.2f} m"
 
     def _keep(self, name: str, x: float, y: float, theta: float) -> str:
         store = self._store()

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import logging
 import os
-from importlib.metadata import PackageNotFoundError, version
 from typing import Any
 
 import psutil
 from starlette.websockets import WebSocket
 
+from bridge import __version__
 from bridge.cli.client import CliClient
 from bridge.cli.messages import Types
 from bridge.concurrency import SerialExecutor
@@ -106,7 +106,7 @@ class Console:
         self._verbs = Verbs(
             host, config, client, known, self._store.client, chose=driving.chose, stop_hold=self._hold.stop
         )
-        self._hello = hello(config.name, _version(), config.navigation.frame, most, HOLD_SECONDS)
+        self._hello = hello(config.name, __version__, config.navigation.frame, most, HOLD_SECONDS)
 
     def start(self) -> None:
         """Begin to serve."""
@@ -138,10 +138,3 @@ class Console:
         self._store.close()
         self._map.end()
         self.host.close()
-
-
-def _version() -> str:
-    try:
-        return version("midspan")
-    except PackageNotFoundError:
-        return ""

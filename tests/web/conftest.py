@@ -21,15 +21,15 @@ class Desk:
 
     def __init__(self, folder: Path) -> None:
         self._folder = folder
-        self._hubs = QuickHub()
-        self.far = HubSide(Hub.open(self._hubs.settings("far")), Registry())
+        self.hubs = QuickHub()
+        self.far = HubSide(Hub.open(self.hubs.settings("far")), Registry())
         self.console = self.open()
 
     def open(self, **sections: Any) -> Console:
         config = Config.model_validate({
             "name": "here",
             "state": self._folder,
-            "hub": {"listen": self._hubs.endpoint},
+            "hub": {"listen": self.hubs.endpoint},
             "navigation": {"planner": "nav2"},
             **sections,
             "web": {"enabled": True, "listen": "127.0.0.1:0", **sections.get("web", {})},
@@ -38,6 +38,11 @@ class Desk:
         console.start()
         return console
 
+    def open_with(self, **sections: Any) -> None:
+        """The console once more, with sections of the configuration."""
+        self.console.close()
+        self.console = self.open(**sections)
+
     @property
     def port(self) -> int:
         return self.console.server.port
@@ -45,7 +50,7 @@ class Desk:
     def close(self) -> None:
         self.console.close()
         self.far.hub.close()
-        self._hubs.stop_router()
+        self.hubs.stop_router()
 
 
 @pytest.fixture

@@ -11,9 +11,14 @@ from typing import Any
 
 import pytest
 
+from bridge.config.sections.navigation import ACTION
 from bridge.hub.wire.qos import Qos
 from bridge.messages.json import from_json
+from bridge.modules.action_server import Goal
+from bridge.web import verbs
 from bridge.web.hold import HOLD_SECONDS
+from navigation.messages import NAVIGATE
+from tests.navigation.gateway.rig import Program
 from tests.support.wait import until
 from tests.web.conftest import Desk
 from tests.web.page import TestPage
@@ -128,6 +133,19 @@ def test_a_topic_as_a_tree(desk: Desk) -> None:
         assert found["message"]["data"] == [*range(32), {"...": 100}]
 
 
+def test_a_large_message_is_not_shown(desk: Desk) -> None:
+    out = desk.far.advertise("/heard", "std_msgs/String")
+    with TestPage(desk.port) as page:
+        page.watch("topic:/heard")
+
+        def publish() -> str:
+            desk.far.publish(out, {"data": "x" * (4 << 20)})
+            page.read()
+            return str(page.values.get("topic:/heard", {}).get("why", ""))
+
+        assert "is not shown" in until(publish, "it says why", every=0.05)
+
+
 @pytest.mark.usefixtures("frames")
 def test_a_slow_page_gets_the_newest_alone(desk: Desk) -> None:
     with TestPage(desk.port, takes=False) as slow, TestPage(desk.port) as quick:
@@ -216,6 +234,15 @@ def test_a_page_that_goes_stops_the_base(desk: Desk, how: str) -> None:
         until(base.stands, "it stands")
 
 
+def test_no_hold_without_a_topic_of_velocities(desk: Desk) -> None:
+    desk.open_with(navigation={"planner": "nav2", "velocity": ""})
+    with TestPage(desk.port) as page:
+        page.send(op="hold", x=0.1, y=0.0, turn=0.0)
+        page.until(page.errors, "it says why not")
+        assert page.errors() == ["no topic of velocities is configured (navigation.velocity)"]
+        assert page.call("ping")["ok"]
+
+
 def test_one_page_drives_at_a_time(desk: Desk) -> None:
     base = Base(desk)
     with TestPage(desk.port) as one, TestPage(desk.port) as other:
@@ -297,8 +324,10 @@ def test_calls_that_cannot_be(desk: Desk, verb: str, args: dict[str, Any], why: 
         assert why in reply["error"]
 
 
-def test_where_the_robot_is_said_to_be(desk: Desk) -> None:
-    heard = desk.far.subscribe("/initialpose", "geometry_msgs/PoseWithCovarianceStamped")
+@pytest.mark.parametrize("topic", ["/initialpose", "/r1/start"])
+def test_where_the_robot_is_said_to_be(desk: Desk, topic: str) -> None:
+    desk.open_with(modules={"localization_server": {"initialpose": topic}})
+    heard = desk.far.subscribe(topic, "geometry_msgs/PoseWithCovarianceStamped")
     with TestPage(desk.port) as page:
         reply: dict[str, Any] = {}
 
@@ -330,12 +359,61 @@ def test_a_stop_goes_to_the_gateway_and_ends_a_hold(desk: Desk) -> None:
     assert stops is not None
 
 
+def test_a_goal_whose_answer_does_not_come_is_cancelled(desk: Desk, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(verbs, "GOAL_SECONDS", 0.5)
+    gateway = LateGateway(desk.hubs.settings("gateway"))
+    try:
+        with TestPage(desk.port) as page:
+            page.until(lambda: desk.far.hub.graph.servers(f"{ACTION}/_action/send_goal"), "the gateway is there")
+            reply: dict[str, Any] = {}
+
+            def asked() -> bool:
+                reply.update(page.call("goto", x=1.0, y=2.0))
+                return gateway.asked.is_set()
+
+            until(asked, "the gateway is asked")
+            assert "the gateway has not said within 0.5 s" in reply["error"]
+        gateway.may_answer.set()
+        assert gateway.cancelled.wait(30)
+    finally:
+        gateway.may_answer.set()
+        gateway.close()
+
+
+class LateGateway(Program):
+    """Takes a goal no sooner than it may."""
+
+    def __init__(self, settings: Any) -> None:
+        super().__init__(settings)
+        self.asked, self.may_answer, self.cancelled = threading.Event(), threading.Event(), threading.Event()
+        self.on(lambda: self.node.action_server(ACTION, NAVIGATE, self._take, self._cancel))
+
+    def _take(self, goal: Goal) -> bool:
+        self.asked.set()
+        self.may_answer.wait(30)
+        goal.execute()
+        return True
+
+    def _cancel(self, goal: Goal) -> bool:
+        self.cancelled.set()
+        self.loop.post(lambda: goal.canceled({}))
+        return True
+
+
 def test_too_many_topics(desk: Desk) -> None:
     with TestPage(desk.port) as page:
         for number in range(70):
             page.watch(f"topic:/t{number}")
         page.until(page.errors, "it says how many a page may watch")
         assert "at most 64 feeds" in page.errors()[0]
+
+
+def test_a_feed_that_is_none_hinders_nobody(desk: Desk) -> None:
+    with TestPage(desk.port) as page:
+        page.watch("topics", "nothing:of this name")
+        page.until(page.errors, "it says that there is no such feed")
+        page.send(op="unwatch", feed="nothing:of this name")
+        page.value("topics", lambda topics: topics is not None)
 
 
 def test_messages_are_bounded(desk: Desk) -> None:
