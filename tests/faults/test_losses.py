@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Callable, Iterator
 
 import pytest
@@ -17,11 +18,33 @@ from benchmarks.losses.outcome import Outcome
 pytestmark = [pytest.mark.thorough, pytest.mark.alone]
 
 
+class Fields:
+    """roscore, the daemon, and programs of each side that talk to each other; anew after a test that failed."""
+
+    def __init__(self) -> None:
+        self._field: Field | None = None
+
+    @contextlib.contextmanager
+    def one(self) -> Iterator[Field]:
+        """That of the test before, unless that failed."""
+        field = self._field = self._field or Field(patient=False)
+        try:
+            yield field
+        except BaseException:
+            self.close()
+            raise
+
+    def close(self) -> None:
+        field, self._field = self._field, None
+        if field is not None:
+            field.close()
+
+
 @pytest.fixture(scope="module")
-def field() -> Iterator[Field]:
-    """roscore, the daemon, and programs of each side that talk to each other."""
-    with Field(patient=False) as made:
-        yield made
+def fields() -> Iterator[Fields]:
+    made = Fields()
+    yield made
+    made.close()
 
 
 LOSSES: dict[str, Callable[[Field], Outcome]] = {
@@ -38,17 +61,20 @@ LOSSES: dict[str, Callable[[Field], Outcome]] = {
 
 
 @pytest.mark.parametrize("loss", LOSSES)
-def test_everything_comes_back(field: Field, loss: str) -> None:
-    outcome = LOSSES[loss](field)
-    assert outcome.good, f"{outcome}\n{field.words()}"
+def test_everything_comes_back(fields: Fields, loss: str) -> None:
+    with fields.one() as field:
+        outcome = LOSSES[loss](field)
+        assert outcome.good, f"{outcome}\n{field.words()}"
 
 
-def test_workers_that_are_killed_again_and_again_leave_no_more_than_once(field: Field) -> None:
-    files, _ = litter(field, kills=2, ways=["the workers"])
-    assert files.ours <= files.peer, f"{files}\n{field.words()}"
+def test_workers_that_are_killed_again_and_again_leave_no_more_than_once(fields: Fields) -> None:
+    with fields.one() as field:
+        files, _ = litter(field, kills=2, ways=["the workers"])
+        assert files.ours <= files.peer, f"{files}\n{field.words()}"
 
 
-def test_the_successor_of_a_killed_daemon_is_active_within_three_seconds(field: Field) -> None:
-    outcome = cases.daemon(field)
-    assert outcome.good, f"{outcome}\n{field.words()}"
-    assert outcome.seconds < 3.0, f"{outcome}\n{field.words()}"
+def test_the_successor_of_a_killed_daemon_is_active_within_three_seconds(fields: Fields) -> None:
+    with fields.one() as field:
+        outcome = cases.daemon(field)
+        assert outcome.good, f"{outcome}\n{field.words()}"
+        assert outcome.seconds < 3.0, f"{outcome}\n{field.words()}"
