@@ -77,6 +77,11 @@ def daemon_socket(config: Config) -> Path:
     return _socket_in_state(config, f"{config.name}.daemon.sock")
 
 
+def log_socket(config: Config) -> Path:
+    """The socket on which the daemon tells its newest log lines; raises like `control_socket`."""
+    return _socket_in_state(config, f"{config.name}.log.sock")
+
+
 def _socket_in_state(config: Config, name: str) -> Path:
     path = _in_state(config, name)
     if len(os.fsencode(path)) > _MAX_SOCKET_PATH:

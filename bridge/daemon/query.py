@@ -67,6 +67,9 @@ class QueryServer:
             if err.errno == errno.EMFILE:
                 self._turn_away()
             return
+        self._accepted(client)
+
+    def _accepted(self, client: socket.socket) -> None:
         with contextlib.suppress(OSError), client:
             client.setblocking(False)  # an answer is far smaller than a socket's buffer
             client.sendall(json.dumps(self._document()).encode())
@@ -96,12 +99,21 @@ def ask_daemon(config: Config, seconds: float = 1.0) -> dict[str, Any] | None:
         ``text`` (what it is at, also while it starts), ``since`` (seconds in this phase), ``still`` (seconds for which
         a starting or running one has neither come further nor computed), ``pid``, ``restarts``.
     """
+    return ask_socket(config, state_file.daemon_socket, b"", seconds)
+
+
+def ask_socket(
+    config: Config, path: Callable[[Config], Path], question: bytes, seconds: float
+) -> dict[str, Any] | None:
+    """The answer on one of the daemon's sockets, None where there is none."""
     config = config.model_copy(update={"state": state_folder(config).absolute()})
     answer = b""
     with socket.socket(socket.AF_UNIX) as sock:
         sock.settimeout(seconds)
         try:
-            sock.connect(str(state_file.daemon_socket(config)))
+            sock.connect(str(path(config)))
+            if question:  # even no bytes at all cannot be sent to a server that has answered and left
+                sock.sendall(question)
             while data := sock.recv(1 << 16):
                 answer += data
                 if len(answer) > _MAX_ANSWER:

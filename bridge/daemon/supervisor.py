@@ -15,6 +15,7 @@ from bridge.config.load import load
 from bridge.config.model import Config
 from bridge.daemon import log
 from bridge.daemon.lock import Lock
+from bridge.daemon.log_query import KeptLines, LogServer
 from bridge.daemon.loop import SelectorLoop
 from bridge.daemon.notify import Notifier
 from bridge.daemon.query import Phase, QueryServer
@@ -92,9 +93,11 @@ class Supervisor:
 
     def run(self) -> None:
         """Run until asked to stop; raises `RuntimeError` where the state folder is another daemon's, or unusable."""
-        socket = state_file.daemon_socket(self._config)
+        socket, log_socket = state_file.daemon_socket(self._config), state_file.log_socket(self._config)
         lock = self._only_one()
-        query = QueryServer(self._loop, socket, self.document)
+        query, kept = QueryServer(self._loop, socket, self.document), KeptLines()
+        log_query = LogServer(self._loop, log_socket, kept)
+        logging.getLogger().addHandler(kept)
         self._begun = self._stepped = time.monotonic()
         try:
             logger.info("%s: limit of open files %d", self._config.name, raise_open_files())
@@ -106,6 +109,8 @@ class Supervisor:
                     self._reload()
         finally:
             self._end()
+            logging.getLogger().removeHandler(kept)
+            log_query.close()
             query.close()
             lock.close()
             self._notify.close()

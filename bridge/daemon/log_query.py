@@ -1,0 +1,110 @@
+"""The daemon's newest log lines, its own and its workers', on a Unix socket in its state folder."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import logging
+import socket
+from collections import deque
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from bridge import state_file
+from bridge.config.model import Config
+from bridge.daemon.loop import SelectorLoop
+from bridge.daemon.query import QueryServer, ask_socket
+
+OWN = "daemon"
+"""The name under which the daemon's own lines are kept."""
+
+_LEVELS = ((logging.ERROR, "error"), (logging.WARNING, "warning"), (logging.INFO, "info"))
+_MOST_ASKING = 8
+_QUESTION = 100
+_LONGEST = 8 << 10
+
+
+class KeptLines(logging.Handler):
+    """Keeps the newest lines, each with a number of its own: at most so many, and so many bytes of text."""
+
+    def __init__(self, most: int = 2000, most_bytes: int = 512 << 10) -> None:
+        super().__init__()
+        self._most, self._most_bytes = most, most_bytes
+        self._lines: deque[dict[str, Any]] = deque()
+        self._bytes = 0
+        self._n = 0
+
+    def emit(self, record: logging.LogRecord) -> None:
+        """Keep a record's lines."""
+        text = record.getMessage()
+        if record.exc_info:
+            text += "\n" + logging.Formatter().formatException(record.exc_info)
+        level = next((name for least, name in _LEVELS if record.levelno >= least), "debug")
+        for whole in text.split("\n"):
+            self._n += 1
+            line = whole[:_LONGEST]
+            about = {"n": self._n, "time": round(record.created, 3), "level": level}
+            self._lines.append({**about, "worker": getattr(record, "worker", OWN), "text": line})
+            self._bytes += len(line)
+        while len(self._lines) > self._most or (self._bytes > self._most_bytes and len(self._lines) > 1):
+            self._bytes -= len(self._lines.popleft()["text"])
+
+    def after(self, n: int, most_bytes: int = 64 << 10) -> dict[str, Any]:
+        """``last`` (number of the newest line) and ``lines`` behind line ``n``: the oldest of them that fit."""
+        self.acquire()
+        try:
+            last, kept = self._n, [line for line in self._lines if line["n"] > n]
+        finally:
+            self.release()
+        room, found = most_bytes, list[dict[str, Any]]()
+        for line in kept:
+            room -= len(json.dumps(line)) + 2
+            if room < 0 and found:
+                break
+            found.append(line)
+        return {"last": last, "lines": found}
+
+
+class LogServer(QueryServer):
+    """Answers each connection that names a line's number with what came after it, and closes it."""
+
+    def __init__(self, loop: SelectorLoop, path: Path, kept: KeptLines) -> None:
+        self._kept = kept
+        self._asking: deque[socket.socket] = deque()
+        super().__init__(loop, path, dict)
+
+    def _accepted(self, client: socket.socket) -> None:
+        client.setblocking(False)
+        while len(self._asking) >= _MOST_ASKING:
+            self._leave(self._asking[0])  # it connected, and asks nothing
+        self._asking.append(client)
+        self._loop.on_readable(client.fileno(), partial(self._tell, client))
+
+    def _tell(self, client: socket.socket) -> None:
+        with contextlib.suppress(OSError, ValueError):
+            after = int(client.recv(_QUESTION))
+            client.sendall(json.dumps(self._kept.after(after)).encode())  # far smaller than a socket's buffer
+        self._leave(client)
+
+    def _leave(self, client: socket.socket) -> None:
+        self._asking.remove(client)
+        self._loop.forget(client.fileno())
+        client.close()
+
+    def close(self) -> None:
+        """Stop listening and remove the socket."""
+        while self._asking:
+            self._leave(self._asking[0])
+        super().close()
+
+
+def ask_log(config: Config, after: int, seconds: float = 1.0) -> dict[str, Any] | None:
+    """The newest log lines of this configuration's daemon, None where none runs.
+
+    Returns:
+        ``last``, the number of the newest line, which is less than ``after`` where the daemon began anew; ``lines``
+        behind the line ``after``, the oldest first, as many as fit: ``n``, ``time`` (s since 1970), ``level``
+        (``error``, ``warning``, ``info``, ``debug``), ``worker`` (`OWN`: the daemon itself) and ``text``.
+    """
+    return ask_socket(config, state_file.log_socket, b"%d\n" % after, seconds)

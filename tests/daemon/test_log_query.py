@@ -1,0 +1,116 @@
+"""What the daemon tells of its log."""
+
+from __future__ import annotations
+
+import contextlib
+import logging
+import socket
+import threading
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from bridge.config.model import Config
+from bridge.daemon.log_query import OWN, KeptLines, LogServer, ask_log
+from bridge.daemon.loop import SelectorLoop
+from tests.daemon.daemon import Daemon
+from tests.support.wait import until
+
+
+def said(kept: KeptLines, text: str, level: int = logging.INFO, **more: object) -> None:
+    record = logging.LogRecord("midspan", level, "", 0, text, None, None)
+    record.__dict__.update(more)
+    kept.handle(record)
+
+
+def test_lines_are_numbered_and_told_behind_a_number() -> None:
+    kept = KeptLines()
+    said(kept, "one")
+    said(kept, "two\nthree", logging.ERROR, worker="ros1")
+    found = kept.after(1)
+    assert found["last"] == 3
+    assert [(line["n"], line["level"], line["worker"], line["text"]) for line in found["lines"]] == [
+        (2, "error", "ros1", "two"),
+        (3, "error", "ros1", "three"),
+    ]
+    assert kept.after(0)["lines"][0]["worker"] == OWN
+    assert kept.after(3) == {"last": 3, "lines": []}
+
+
+def test_lines_are_bounded() -> None:
+    kept = KeptLines(most=10, most_bytes=1000)
+    for number in range(50):
+        said(kept, str(number))
+    assert [line["text"] for line in kept.after(0)["lines"]] == [str(number) for number in range(40, 50)]
+    for _ in range(20):
+        said(kept, "x" * 300)
+    assert len(kept.after(0)["lines"]) == 3
+    said(kept, "y" * 100_000)
+    assert len(kept.after(0)["lines"][-1]["text"]) < 10_000
+
+
+def test_an_answer_is_bounded_and_loses_nothing() -> None:
+    kept, found = KeptLines(), list[str]()
+    for number in range(300):
+        said(kept, f"{number} {'x' * 1000}")
+    n = 0
+    while lines := kept.after(n, 10_000)["lines"]:
+        assert len(lines) < 12
+        found += [line["text"].split()[0] for line in lines]
+        n = lines[-1]["n"]
+    assert found == [str(number) for number in range(300)]
+
+
+@pytest.fixture
+def served(tmp_path: Path) -> Iterator[tuple[Config, KeptLines]]:
+    loop, kept, over = SelectorLoop(), KeptLines(), threading.Event()
+    server = LogServer(loop, tmp_path / "test.log.sock", kept)
+
+    def turn() -> None:
+        while not over.is_set():
+            loop.step(0.2)
+
+    thread = threading.Thread(target=turn)
+    thread.start()
+    yield Config(name="test", state=tmp_path), kept
+    over.set()
+    loop.wake()
+    thread.join()
+    server.close()
+    loop.close()
+
+
+def test_who_asks_nothing_or_nonsense_hinders_nobody(served: tuple[Config, KeptLines]) -> None:
+    config, kept = served
+    said(kept, "x" * 8000)
+    for _ in range(30):
+        said(kept, "y" * 3000)
+    with contextlib.ExitStack() as stack:
+        for number in range(20):
+            silent = stack.enter_context(socket.socket(socket.AF_UNIX))
+            silent.connect(str(config.state) + "/test.log.sock")
+            if number % 2:
+                silent.sendall(b"tell me all\n")
+        found = until(lambda: ask_log(config, 0, 10.0), "an answer, once there is room to wait for one")
+        assert found is not None
+        assert found["last"] == 31
+        assert found["lines"][0]["text"] == "x" * 8000
+
+
+def test_nobody_answers() -> None:
+    assert ask_log(Config(name="nobody", state=Path("/nowhere")), 0) is None
+
+
+@pytest.mark.thorough
+def test_the_daemon_tells_its_workers_lines_too(daemon: Daemon) -> None:
+    config = Config(name="test", state=daemon.folder / "state")
+    daemon.order("ros1", "never")
+    process = daemon.start()
+    daemon.wait_ready(process)
+
+    def texts() -> list[tuple[str, str]]:
+        return [(line["worker"], line["text"]) for line in (ask_log(config, 0) or {"lines": []})["lines"]]
+
+    until(lambda: any("ros1 cannot work" in text for worker, text in texts() if worker == OWN), "the daemon's own line")
+    assert any(text.startswith("ready: ") for _, text in texts())
