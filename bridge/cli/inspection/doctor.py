@@ -5,21 +5,23 @@ from __future__ import annotations
 import argparse
 import dataclasses
 import os
+from collections.abc import Sequence
+from pathlib import Path
 
 from rich.console import Console
 from rich.text import Text
 
 from bridge.cli.arguments import add_hub_arguments
 from bridge.cli.client import CliClient, client_config, connect
-from bridge.cli.inspection.status import absent_workers, document_of
+from bridge.cli.inspection.status import absent, absent_workers, document_of
 from bridge.cli.output import CliError, clean, make_console, print_json
 from bridge.config.document import ConfigError
-from bridge.config.load import find
+from bridge.config.load import find, load
 from bridge.config.model import Config
 from bridge.doctor import context
-from bridge.doctor.check import Finding, Report, Result, examine
+from bridge.doctor.check import Report, Result, examine
 from bridge.doctor.checks import CHECKS
-from bridge.doctor.context import CheckContext, HubSnapshot
+from bridge.doctor.context import CheckContext, Document, HubSnapshot
 
 _STYLES = {Result.OK: "green", Result.WARN: "yellow", Result.FAIL: "bold red", Result.SKIP: "dim"}
 _CLOCK_SECONDS = 0.5
@@ -52,7 +54,7 @@ def run(args: argparse.Namespace) -> int:
     checks = [check for check in CHECKS if not args.only or check.id in args.only]
     reports = examine(_look_around(args), checks)
     if args.json:
-        print_json([_as_json(report, finding) for report in reports for finding in report.findings])
+        print_json(as_json(reports))
     else:
         _show(make_console(), reports)
     failed = any(finding.result is Result.FAIL for report in reports for finding in report.findings)
@@ -66,24 +68,45 @@ def _look_around(args: argparse.Namespace) -> CheckContext:
     except (ConfigError, OSError) as err:
         hub = HubSnapshot("the hub was not asked: the configuration cannot be used")
         return CheckContext(config_text=str(err), config_good=False, environ=environ, hub=hub)
-    view = _look_at_hub(config)
+    view = _with_silent(_look_at_hub(config), absent_workers(args))
+    return CheckContext(config, _good(args.config or find()), environ=environ, hub=view)
+
+
+def look_from(client: CliClient, file: Path | None) -> CheckContext:
+    """What the checks look at, for a program of the daemon's that is on the hub; ``file``: the configuration's."""
+    environ, view = dict(os.environ), snapshot(client)
+    view = _with_silent(view, absent(client.config))
+    try:
+        load(file)
+    except ConfigError as err:
+        return CheckContext(client.config, str(err), config_good=False, environ=environ, hub=view)
+    return CheckContext(client.config, _good(file), environ=environ, hub=view)
+
+
+def _good(file: Path | None) -> str:
+    return f"{file} is good" if file is not None else "no configuration file: all defaults"
+
+
+def _with_silent(view: HubSnapshot, silent: Sequence[Document]) -> HubSnapshot:
     answering = {(document.get("daemon"), document.get("worker")) for document in view.documents}
-    silent = [d for d in absent_workers(args) if (d.get("daemon"), d.get("worker")) not in answering]
-    view = dataclasses.replace(view, documents=[*view.documents, *silent])
-    file = args.config or find()
-    text = f"{file} is good" if file is not None else "no configuration file: all defaults"
-    return CheckContext(config, text, environ=environ, hub=view)
+    more = [d for d in silent if (d.get("daemon"), d.get("worker")) not in answering]
+    return dataclasses.replace(view, documents=[*view.documents, *more])
 
 
 def _look_at_hub(config: Config) -> HubSnapshot:
     try:
         with connect(config) as client:
-            documents = [document_of(answer) for answer in client.ask("status")]
-            client.settle()
-            endpoints = [e for e in client.hub.graph.endpoints() if not e.own]
-            return HubSnapshot("", documents, endpoints, _clocks(client))
+            return snapshot(client)
     except CliError as err:
         return HubSnapshot(str(err))
+
+
+def snapshot(client: CliClient) -> HubSnapshot:
+    """The hub as a client finds it."""
+    documents = [document_of(answer) for answer in client.ask("status")]
+    client.settle()
+    endpoints = [e for e in client.hub.graph.endpoints() if not e.own]
+    return HubSnapshot("", documents, endpoints, _clocks(client))
 
 
 def _clocks(client: CliClient) -> dict[str, context.Offset]:
@@ -118,5 +141,10 @@ def _show(console: Console, reports: list[Report]) -> None:
     console.print(Text(f"\n{words}"))
 
 
-def _as_json(report: Report, finding: Finding) -> dict[str, str]:
-    return {"check": report.check.id, "title": report.check.title, **dataclasses.asdict(finding)}
+def as_json(reports: Sequence[Report]) -> list[dict[str, str]]:
+    """One entry for each finding: ``check``, ``title``, ``result``, ``seen`` and ``cure``."""
+    return [
+        {"check": report.check.id, "title": report.check.title, **dataclasses.asdict(finding)}
+        for report in reports
+        for finding in report.findings
+    ]

@@ -18,6 +18,7 @@ from bridge.cli.client import CliClient, client_config, open_client
 from bridge.cli.documents import Document, arrow, connected_lines, dicts, port_list, route_list, routes_table, texts
 from bridge.cli.inspection.refusals import Refusal, refusals
 from bridge.cli.output import CliError, clean, duration, is_number, make_console, plural, print_json, side_name, size
+from bridge.config.model import Config
 from bridge.daemon.query import Phase, ask_daemon
 from bridge.hub.control import WorkerAnswer
 
@@ -72,7 +73,12 @@ def absent_workers(args: argparse.Namespace) -> list[Document]:
     """Workers that are to run and do not yet answer on the hub, by the word of this machine's daemon."""
     if args.router is not None or args.hub_domain is not None:
         return []  # that hub is another daemon's
-    said = ask_daemon(client_config(args)) or {}
+    return absent(client_config(args))
+
+
+def absent(config: Config) -> list[Document]:
+    """The same for the daemon of a configuration."""
+    said = ask_daemon(config) or {}
     return [
         {
             "daemon": said["daemon"],
