@@ -148,10 +148,11 @@ def read(file: Path, *, repeating: KeyPath | None = None) -> Document:
 
     The keys of the map at ``repeating`` may come several times; it becomes a list of maps with one key each.
     """
-    return parse(file, _text(file), repeating=repeating)
+    return parse(file, text_of(file), repeating=repeating)
 
 
-def _text(file: Path) -> str:
+def text_of(file: Path) -> str:
+    """A file's text; raises `ConfigError` as `read`."""
     try:
         if not file.is_file():
             reason = "is not a file" if file.exists() else "no such file"

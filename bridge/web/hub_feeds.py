@@ -32,17 +32,19 @@ _DECISION = ("daemon", "direction", "decision", "why", "cure")
 
 
 class AskingFeed(Feed):
-    """A feed whose value is asked for each second on a thread that may wait."""
+    """A feed whose value is asked for again and again, on a thread that may wait."""
 
-    def __init__(self, host: Host, name: str, executor: SerialExecutor, ask: Callable[[], Any]) -> None:
+    def __init__(
+        self, host: Host, name: str, executor: SerialExecutor, ask: Callable[[], Any], seconds: float = STATUS_SECONDS
+    ) -> None:
         super().__init__(name)
-        self._host, self._executor, self._ask = host, executor, ask
+        self._host, self._executor, self._ask, self._seconds = host, executor, ask, seconds
         self._timer: Any = None
         self._asking = False
 
     def open(self) -> None:
-        """Ask now and each second."""
-        self._timer = self._host.loop.every(STATUS_SECONDS, self._look)
+        """Ask now, and again after each pause."""
+        self._timer = self._host.loop.every(self._seconds, self._look)
         self._look()
 
     def close(self) -> None:

@@ -80,6 +80,7 @@ class Verbs:
     Args:
         chose: called with the planner that was chosen, on the module's thread.
         stop_hold: ends driving by hand, on the module's thread.
+        more: verbs of other subjects.
     """
 
     def __init__(
@@ -92,6 +93,7 @@ class Verbs:
         *,
         chose: Callable[[str], None],
         stop_hold: Callable[[], None],
+        more: Mapping[str, PageVerb],
     ) -> None:
         self._host, self._config, self._client, self._types, self._store = host, config, client, types, store
         self._chose, self._stop_hold = chose, stop_hold
@@ -115,6 +117,7 @@ class Verbs:
             "use_map": PageVerb(lambda name: self._store().use_map(name), named, {}),
             "ping": PageVerb(lambda: None, {}, {}, commands=False),
             "explain": PageVerb(lambda name: explain(client, name), named, {}, commands=False),
+            **more,
         }
         stops = [name for name, verb in self._verbs.items() if verb.stops]
         self._stops = {name: WorkerPool(_STOP_THREADS, f"midspan-web-{name}") for name in stops}

@@ -19,6 +19,8 @@ from bridge.modules.host import Host
 from bridge.web.feed import Feeds
 from bridge.web.hold import HOLD_SECONDS, HandDriving
 from bridge.web.hub_feeds import AskingFeed, MessageFeed, StatusAsker, list_topics
+from bridge.web.inspection import inspection_verbs
+from bridge.web.log_feed import LogFollower, log_feed
 from bridge.web.maps import MapFeed, Pictures, StoreFeed, StoreFollower
 from bridge.web.page import Page
 from bridge.web.robot import DrivingFeed, FrameFollower, FramesFeed, LaserFeed, PathFeed, RobotFeed
@@ -85,6 +87,7 @@ class Console:
         follower, self._store = FrameFollower(host, config), StoreFollower(host, config)
         driving = DrivingFeed(host, config)
         self._map = MapFeed(host, config, self._store, pictures)
+        log = LogFollower(config)
         self._feeds = Feeds(
             [
                 RobotFeed(host, follower, section.radius),
@@ -97,6 +100,7 @@ class Console:
                 AskingFeed(host, "status", self._asking, StatusAsker(client)),
                 AskingFeed(host, "topics", self._asking, lambda: list_topics(client)),
                 FramesFeed(host, follower),
+                log_feed(host, self._asking, log),
             ],
             lambda name: MessageFeed(host, client, known, self._decoding, name),
         )
@@ -104,8 +108,9 @@ class Console:
         self._hold = HandDriving(host, config.navigation.velocity, most, lambda: driving.busy)
         self._driving = driving
         self._verbs = Verbs(
-            host, config, client, known, self._store.client, chose=driving.chose, stop_hold=self._hold.stop
-        )
+            host, config, client, known, self._store.client, chose=driving.chose, stop_hold=self._hold.stop,
+            more=inspection_verbs(client, log),
+        )  # fmt: skip
         self._hello = hello(config.name, __version__, config.navigation.frame, most, HOLD_SECONDS)
 
     def start(self) -> None:

@@ -93,6 +93,12 @@ class Operator:
         until(lambda: canvas.is_displayed() and canvas.size["width"] > 100, "the map is there")
         return canvas
 
+    def texts(self, selector: str) -> list[str]:
+        """The texts of elements that may be filled anew meanwhile."""
+        script = "return [...document.querySelectorAll(arguments[0])].map((each) => each.textContent)"
+        found: list[str] = self.chrome.execute_script(script, selector)
+        return found
+
     def said(self) -> str:
         return " ".join(self.chrome.find_element(By.ID, name).text for name in ("said", "wrong"))
 
@@ -260,7 +266,7 @@ def test_two_tabs_agree(operator: Operator, watch: TestPage) -> None:
 
 
 @pytest.mark.parametrize("width", [360, 2560])
-@pytest.mark.parametrize("view", ["drive", "places", "status", "topics", "frames"])
+@pytest.mark.parametrize("view", ["drive", "places", "status", "topics", "frames", "system"])
 def test_every_view_fits(operator: Operator, view: str, width: int) -> None:
     chrome = operator.chrome
     chrome.execute_cdp_cmd(
@@ -276,6 +282,21 @@ def test_every_view_fits(operator: Operator, view: str, width: int) -> None:
         assert stop.location["x"] + stop.size["width"] <= width
     finally:
         chrome.execute_cdp_cmd("Emulation.clearDeviceMetricsOverride", {})
+
+
+def test_the_system(operator: Operator, robot: WebRobot) -> None:
+    chrome = operator.chrome
+    operator.open("system")
+    field = chrome.find_element(By.CSS_SELECTOR, ".logs input")
+    field.send_keys("the console is at")
+    there = [f"the console is at {robot.address}"]
+    until(lambda: operator.texts(".log .text") == there, "the log, searched")
+    operator.open("system/config")
+    until(lambda: "No problem" in chrome.find_element(By.CSS_SELECTOR, ".verdict").text, "the configuration is checked")
+    assert "name: web-test" in operator.texts(".config li")
+    operator.open("system/doctor")
+    operator.button("Look now").click()
+    until(lambda: chrome.find_elements(By.CSS_SELECTOR, ".findings li"), "the doctor's findings", 60)
 
 
 def test_the_daemon_comes_back(operator: Operator, robot: WebRobot) -> None:

@@ -7,10 +7,11 @@ import { placesView } from "./places.js";
 import { ask, say } from "./say.js";
 import { Socket } from "./socket.js";
 import { statusView } from "./status.js";
+import { systemView } from "./system.js";
 import { topicsView } from "./topics.js";
 import { mood, stateWords } from "./words.js";
 
-const MAKERS = { drive: driveView, places: placesView, status: statusView, topics: topicsView, frames: framesView };
+const MAKERS = { drive: driveView, places: placesView, status: statusView, topics: topicsView, frames: framesView, system: systemView };
 const byId = (id) => document.getElementById(id);
 
 const socket = new Socket(`${location.protocol === "https:" ? "wss" : "ws"}://${location.host}/socket`);

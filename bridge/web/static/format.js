@@ -39,6 +39,13 @@ export function seconds(value) {
   return value < 100 ? `${value.toFixed(1)} s` : `${Math.round(value)} s`;
 }
 
+/** The time of day, of seconds since 1970. */
+export function clock(value) {
+  const date = new Date(value * 1000);
+  const two = (part) => String(part).padStart(2, "0");
+  return `${two(date.getHours())}:${two(date.getMinutes())}:${two(date.getSeconds())}.${String(date.getMilliseconds()).padStart(3, "0")}`;
+}
+
 /** A share in percent. */
 export const percent = (value) => (known(value) ? `${Math.round(value * 100)} %` : NONE);
 

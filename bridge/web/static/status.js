@@ -1,9 +1,9 @@
 // The view Status: workers, what was refused with its cure, and every route.
 
-import { button, el, mark, rows, write } from "./dom.js";
+import { cureLine } from "./cure.js";
+import { el, mark, rows, write } from "./dom.js";
 import { bytes, count, percent, rate, seconds } from "./format.js";
 import { Series, Spark } from "./curve.js";
-import { say } from "./say.js";
 import { searchField, Table, twoLines } from "./table.js";
 
 const GOOD = new Set(["running", "ready", "up", "ok"]);
@@ -123,14 +123,5 @@ function refusal({ side, topic, reason, cure }) {
   return el("li", {},
     el("p", {}, el("strong", { text: topic }), ` on ${side}`),
     el("p", { class: "reason", text: reason }),
-    cure ? el("div", { class: "cure" }, el("code", { text: cure }), button("Copy", () => copy(cure), { "aria-label": `Copy the cure for ${topic}` })) : null);
-}
-
-async function copy(text) {
-  try {
-    await navigator.clipboard.writeText(text);
-    say("Copied.");
-  } catch {
-    say("The browser does not let this page copy: select the text by hand.", { bad: true });
-  }
+    cureLine(cure, topic));
 }

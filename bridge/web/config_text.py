@@ -1,0 +1,130 @@
+"""The configuration as pages are shown it: the file's own text with its comments, without what is secret."""
+
+from __future__ import annotations
+
+import dataclasses
+import re
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import yaml
+from yaml.nodes import MappingNode, Node, ScalarNode, SequenceNode
+
+from bridge.config.document import ConfigError, Problem, Yaml12Loader, text_of
+from bridge.config.generate import example
+from bridge.config.load import find, loads
+from bridge.config.model import Config
+from bridge.daemon.query import ask_daemon
+
+HIDDEN = "(hidden)"
+
+_NAME = r"passw|passphrase|pwd|secret|token|credential|private|api_?key|access_?key|_base64"
+_SECRET = re.compile(_NAME, re.IGNORECASE)
+_COMMENT = re.compile(rf"(#[^\n]*?(?:{_NAME})[\w-]*[\"']?\s*[:=]\s*)([^\s#][^\n]*)", re.IGNORECASE)
+_USER = re.compile(r"(//)[^/\s:@]+:[^/\s@]+(@)")
+_PEM = re.compile(r"-----BEGIN [^-]*-----.*?(?:-----END [^-]*-----|\Z)", re.DOTALL)
+_PATIENCE = 5.0
+_TELLING = 8
+"""A secret with fewer characters is hidden where it stands; a longer one wherever it is said again."""
+
+
+class Secrets(NamedTuple):
+    """What of a configuration nobody is shown: where it stands in the text, and what it is."""
+
+    places: tuple[tuple[int, int], ...] = ()
+    words: tuple[str, ...] = ()
+
+    def hide(self, text: str) -> str:
+        """A text about the configuration, without its secrets."""
+        for word in self.words:
+            text = text.replace(word, HIDDEN)
+        return _PEM.sub(HIDDEN, _USER.sub(rf"\g<1>{HIDDEN}\g<2>", text))
+
+
+def secrets_of(text: str) -> Secrets:
+    """The secrets of a YAML text: all below a key that is named like one. Raises `yaml.YAMLError`, `RecursionError`."""
+    root = Yaml12Loader(text).get_single_node()
+    found: set[tuple[int, int]] = set()
+    words: set[str] = set()
+    for node in _secret(root, under=False, seen=set()) if root is not None else ():
+        start, end = node.start_mark.index, node.end_mark.index
+        found.add((start, start + len(text[start:end].rstrip())))
+        words.add(node.value)
+    telling = (word for word in words if len(word) >= _TELLING)
+    return Secrets(tuple(sorted(found)), tuple(sorted(telling, key=len, reverse=True)))
+
+
+def _secret(node: Node, *, under: bool, seen: set[tuple[int, bool]]) -> Iterator[ScalarNode]:
+    if (id(node), under) in seen:  # an alias of what was looked at
+        return
+    seen.add((id(node), under))
+    match node:
+        case MappingNode():
+            for key, child in node.value:
+                if under:
+                    yield from _secret(key, under=True, seen=seen)
+                named = isinstance(key, ScalarNode) and _SECRET.search(key.value) is not None
+                yield from _secret(child, under=under or named, seen=seen)
+        case SequenceNode():
+            for child in node.value:
+                yield from _secret(child, under=under, seen=seen)
+        case ScalarNode() if under:
+            yield node
+
+
+def without_secrets(text: str, secrets: Secrets) -> str:
+    """A configuration's text, with `HIDDEN` in the place of each secret."""
+    parts, at = [], 0
+    for start, end in secrets.places:
+        parts += [text[at:start], HIDDEN] if start >= at else []
+        at = max(at, end)
+    shown = "".join([*parts, text[at:]])
+    return _COMMENT.sub(rf"\g<1>{HIDDEN}", secrets.hide(shown))
+
+
+def config_file(config: Config) -> Path | None:
+    """The file that the daemon has its configuration from, None where there is none."""
+    said = ask_daemon(config, _PATIENCE) or {}
+    return Path(said["config"]) if said.get("config") else find()
+
+
+def show_config(config: Config) -> dict[str, Any]:
+    """The value of the verb ``config``: the file, its text without secrets, and what ``config check`` says of it."""
+    file = config_file(config)
+    if file is None:
+        return {"file": None, "text": example(), "why": "", "problems": []}
+    text = why = ""
+    problems: tuple[Problem, ...] = ()
+    secrets = Secrets()
+    try:
+        text = text_of(file)
+        secrets = secrets_of(text)
+        loads(text, file)
+    except ConfigError as err:
+        problems = err.problems
+        why = "" if text else str(err)
+    except (yaml.YAMLError, RecursionError):
+        text, problems = "", _no_yaml(text, file)
+        why = "The file is no YAML, so what is secret in it cannot be told: it is not shown."
+    return {
+        "file": str(file),
+        "text": without_secrets(text, secrets) if text else None,
+        "why": why,
+        "problems": [_problem(problem, secrets) for problem in problems],
+    }
+
+
+def _no_yaml(text: str, file: Path) -> tuple[Problem, ...]:
+    try:
+        loads(text, file)
+    except ConfigError as err:
+        return err.problems
+    return ()
+
+
+def _problem(problem: Problem, secrets: Secrets) -> dict[str, Any]:
+    said = secrets.hide(problem.text)
+    if _SECRET.search(problem.key):
+        said = f"is not as it must be; 'midspan config check {problem.file}' on the machine says why"
+    return {**dataclasses.asdict(problem), "file": str(problem.file), "text": said}

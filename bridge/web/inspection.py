@@ -1,0 +1,57 @@
+"""Verbs that look at the daemon and its machine: its log, the doctor, the configuration."""
+
+from __future__ import annotations
+
+import contextlib
+import threading
+from typing import Any
+
+import yaml
+
+from bridge.cli.client import CliClient
+from bridge.config.document import ConfigError, text_of
+from bridge.web.config_text import Secrets, config_file, secrets_of, show_config
+from bridge.web.log_feed import LogFollower, log_verb
+from bridge.web.verbs import PageVerb, VerbError
+
+
+class Doctor:
+    """Runs the checks of ``midspan doctor``, one run at a time. Waits; not on the module's thread."""
+
+    def __init__(self, client: CliClient) -> None:
+        self._client = client
+        self._lock = threading.Lock()
+
+    def __call__(self) -> list[dict[str, str]]:
+        """One entry for each finding; raises `VerbError` where the doctor is at work already."""
+        if not self._lock.acquire(blocking=False):
+            raise VerbError("the doctor is at work already; ask again in a moment")
+        try:
+            return self._examine()
+        finally:
+            self._lock.release()
+
+    def _examine(self) -> list[dict[str, str]]:
+        from bridge.cli.inspection.doctor import as_json, look_from  # a console that never asks needs none of it
+        from bridge.doctor.check import examine
+        from bridge.doctor.checks import CHECKS
+
+        file = config_file(self._client.config)
+        secrets = Secrets()
+        with contextlib.suppress(ConfigError, yaml.YAMLError, RecursionError):
+            secrets = secrets_of(text_of(file)) if file is not None else secrets
+        reports = examine(look_from(self._client, file), CHECKS)
+        return [{key: secrets.hide(text) for key, text in entry.items()} for entry in as_json(reports)]
+
+
+def inspection_verbs(client: CliClient, log: LogFollower) -> dict[str, PageVerb]:
+    """The verbs by name."""
+
+    def config() -> dict[str, Any]:
+        return show_config(client.config)
+
+    return {
+        "log": log_verb(log),
+        "doctor": PageVerb(Doctor(client), {}, {}, commands=False),
+        "config": PageVerb(config, {}, {}, commands=False),
+    }

@@ -1,0 +1,235 @@
+"""What the console shows of the daemon itself: log, doctor, configuration."""
+
+from __future__ import annotations
+
+import logging
+import threading
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from bridge.daemon.log_query import KeptLines, LogServer
+from bridge.daemon.loop import SelectorLoop
+from bridge.daemon.query import QueryServer
+from bridge.web import inspection
+from bridge.web.config_text import HIDDEN, secrets_of, without_secrets
+from tests.support.wait import until
+from tests.web.conftest import Desk
+from tests.web.page import TestPage
+
+
+class Daemon:
+    """What a daemon tells on its sockets."""
+
+    def __init__(self, folder: Path, file: Path) -> None:
+        self._loop = SelectorLoop()
+        self.kept = KeptLines()
+        self._over = False
+        self._servers = [
+            QueryServer(self._loop, folder / "here.daemon.sock", lambda: {"config": str(file)}),
+            LogServer(self._loop, folder / "here.log.sock", self.kept),
+        ]
+        self._thread = threading.Thread(target=self._turn)
+        self._thread.start()
+
+    def _turn(self) -> None:
+        while not self._over:
+            self._loop.step(0.2)
+
+    def say(self, text: str, level: int = logging.INFO, worker: str = "ros1") -> None:
+        record = logging.LogRecord("midspan", level, "", 0, text, None, None)
+        record.worker = worker
+        self.kept.handle(record)
+
+    def close(self) -> None:
+        if self._over:
+            return
+        self._over = True
+        self._loop.wake()
+        self._thread.join()
+        for server in self._servers:
+            server.close()
+        self._loop.close()
+
+
+@pytest.fixture
+def file(tmp_path: Path) -> Path:
+    return tmp_path / "midspan.yaml"
+
+
+@pytest.fixture
+def daemon(desk: Desk, tmp_path: Path, file: Path) -> Iterator[Daemon]:
+    assert desk.port
+    made = Daemon(tmp_path, file)
+    yield made
+    made.close()
+
+
+def test_the_log_live_and_filtered(desk: Desk, daemon: Daemon) -> None:
+    daemon.say("the first")
+    with TestPage(desk.port) as page:
+        page.watch("log")
+        assert page.value("log") == {"last": 1, "workers": ["ros1"]}
+        daemon.say("no master\nanywhere", logging.WARNING)
+        daemon.say("a port is taken", logging.ERROR, "yarp")
+        assert page.value("log", lambda value: value and value["last"] == 4)["workers"] == ["ros1", "yarp"]
+
+        def texts(**args: Any) -> list[str]:
+            return [line["text"] for line in page.call("log", **args)["value"]["lines"]]
+
+        assert texts() == ["the first", "no master", "anywhere", "a port is taken"]
+        assert texts(after=2) == ["anywhere", "a port is taken"]
+        assert texts(level="warning") == ["no master", "anywhere", "a port is taken"]
+        assert texts(level="error", worker="ros1") == []
+        assert texts(text="PORT a") == ["a port is taken"]
+        assert page.call("log", after=4)["value"] == {"last": 4, "lines": []}
+
+
+def test_a_long_log_is_read_whole_and_told_in_part(desk: Desk, daemon: Daemon) -> None:
+    for number in range(1500):
+        daemon.say(f"line {number} {'x' * 200}")
+    with TestPage(desk.port) as page:
+        page.watch("log")
+        page.value("log", lambda value: value and value["last"] == 1500)
+        lines = page.call("log")["value"]["lines"]
+        assert [line["n"] for line in lines] == list(range(1001, 1501)), "the newest"
+
+
+def test_the_log_of_another_daemon_begins_anew(desk: Desk, daemon: Daemon, tmp_path: Path, file: Path) -> None:
+    for number in range(5):
+        daemon.say(str(number))
+    with TestPage(desk.port) as page:
+        page.watch("log")
+        page.value("log", lambda value: value and value["last"] == 5)
+        daemon.close()
+        page.until(lambda: page.values["log"]["value"] is None, "nobody answers")
+        assert "the daemon does not answer" in page.values["log"]["why"]
+        again = Daemon(tmp_path, file)
+        try:
+            again.say("anew")
+            page.value("log", lambda value: value and value["last"] == 1)
+            assert [line["text"] for line in page.call("log")["value"]["lines"]] == ["anew"]
+        finally:
+            again.close()
+
+
+@pytest.mark.parametrize(
+    ("args", "why"),
+    [
+        ({"after": -1}, "log: after is the number of a line, not -1"),
+        ({"after": True}, "log: after is the number of a line, not True"),
+        ({"level": "loud"}, "log: level is one of debug, info, warning, error, not 'loud'"),
+        ({"text": "x" * 300}, "log: text is a text of up to 200 characters"),
+        ({"side": "ros1"}, "log has no argument 'side'; it has after, level, worker, text"),
+    ],
+)
+def test_filters_that_cannot_be(desk: Desk, args: dict[str, Any], why: str) -> None:
+    with TestPage(desk.port) as page:
+        assert why in page.call("log", **args)["error"]
+
+
+def test_the_configuration_with_its_comments(desk: Desk, daemon: Daemon, file: Path) -> None:
+    assert daemon
+    file.write_text("# of the lab's robot\nname: here\nhub:\n  zenoh: {transport: {auth: {password: hunter2}}}\n")
+    with TestPage(desk.port) as page:
+        found = page.call("config")["value"]
+        assert found["file"] == str(file)
+        assert found["text"] == (
+            f"# of the lab's robot\nname: here\nhub:\n  zenoh: {{transport: {{auth: {{password: {HIDDEN}}}}}}}\n"
+        )
+        assert found["problems"] == []
+
+
+def test_the_check_names_every_problem(desk: Desk, daemon: Daemon, file: Path) -> None:
+    assert daemon
+    file.write_text("nam: here\nlog:\n  level: loud\n")
+    with TestPage(desk.port) as page:
+        problems = page.call("config")["value"]["problems"]
+        assert [(each["line"], each["key"]) for each in problems] == [(1, "nam"), (3, "log.level")]
+        assert problems[0]["text"] == "unknown key 'nam'; did you mean 'name'?"
+
+
+def test_a_configuration_that_cannot_be_read(desk: Desk, daemon: Daemon, file: Path) -> None:
+    assert daemon
+    with TestPage(desk.port) as page:
+        found = page.call("config")["value"]
+        assert found["text"] is None
+        assert "no such file" in found["why"]
+        file.write_text("name: [\npassword: hunter2hunter2\n")
+        found = page.call("config")["value"]
+        assert found["text"] is None
+        assert "no YAML" in found["why"]
+        assert "not valid YAML" in found["problems"][0]["text"]
+        assert "hunter2" not in str(found)
+
+
+@pytest.mark.parametrize(
+    ("text", "secret"),
+    [
+        ("password: hunter2\n", "hunter2"),
+        ("web:\n  tokens:\n    - abcdef\n    - {name: me, token: ghijkl}\n", "abcdef"),
+        ("tokens: {s3cr3t: drive}\n", "s3cr3t"),
+        ("key: |\n  -----BEGIN PRIVATE KEY-----\n  MIIE\n  -----END PRIVATE KEY-----\nname: x\n", "MIIE"),
+        ("shared: &it correcthorse\napi_key: *it\n", "correcthorse"),
+        ("# password: hunter2\n", "hunter2"),
+        ("name: x # the token: hunter2\n", "hunter2"),
+        ("listen: tls://me:hunter2@host:1\n", "hunter2"),
+        ("secret: 'two\n  lines'\n", "lines"),
+        ("'connect_private_key_base64': AAAA\n", "AAAA"),
+        ("# it was correcthorse once\npassword: correcthorse\n", "correcthorse"),
+        ("? token\n: hunter2\n", "hunter2"),
+    ],
+)
+def test_secrets_are_hidden(text: str, secret: str) -> None:
+    shown = without_secrets(text, secrets_of(text))
+    assert secret not in shown
+    assert HIDDEN in shown
+    assert shown.count("\n") >= text.count("\n") - 3
+
+
+def test_what_is_no_secret_stays() -> None:
+    text = "name: here # whose token is elsewhere\nkeys: /etc/midspan/keys\nzenoh:\n  keys: [{key: robot/pose}]\n"
+    assert without_secrets(text, secrets_of(text)) == text
+
+
+def test_problems_do_not_tell_secrets(desk: Desk, daemon: Daemon, file: Path) -> None:
+    assert daemon
+    file.write_text("web:\n  token: hunter2\nname: correct horse\nsecret: correct horse\n")
+    with TestPage(desk.port) as page:
+        said = str(page.call("config")["value"])
+        assert "hunter2" not in said
+        assert "correct horse" not in said
+
+
+def test_the_doctor_looks(desk: Desk, daemon: Daemon, file: Path) -> None:
+    assert daemon
+    file.write_text("nam: here\n")
+    with TestPage(desk.port) as page:
+        found = page.call("doctor")["value"]
+        about = {entry["check"]: entry for entry in found}
+        assert about["config"]["result"] == "fail", about["config"]
+        assert "did you mean 'name'?" in about["config"]["seen"]
+        assert about["config"]["cure"]
+        assert {"kernels", "clock", "shm-size"} <= about.keys()
+
+
+def test_one_doctor_at_a_time(desk: Desk, monkeypatch: pytest.MonkeyPatch) -> None:
+    may_end = threading.Event()
+    monkeypatch.setattr(inspection.Doctor, "_examine", lambda _self: [] if may_end.wait(30) else None)
+    with TestPage(desk.port) as one, TestPage(desk.port) as other:
+        one.send(op="call", id=1, verb="doctor")
+        said: dict[str, Any] = {}
+
+        def refused() -> bool:
+            other.send(op="call", id=7, verb="doctor") if not said else None
+            said.update(next((m for m in other.said if m.get("id") == 7), {}))
+            other.read()
+            return bool(said)
+
+        until(refused, "the second is refused")
+        assert "the doctor is at work already" in said["error"]
+        may_end.set()
+        one.until(lambda: any(m.get("id") == 1 and m["ok"] for m in one.said), "the first is answered")
+        assert other.call("doctor")["ok"], "and the next may look again"
