@@ -18,13 +18,14 @@ from bridge.messages.registry import Registry
 from bridge.modules.host import Host
 from bridge.web.feed import Feeds
 from bridge.web.hold import HOLD_SECONDS, HandDriving
-from bridge.web.hub_feeds import AskingFeed, MessageFeed, StatusAsker, list_topics
+from bridge.web.hub_feeds import AskingFeed, StatusAsker, list_topics
 from bridge.web.inspection import inspection_verbs
 from bridge.web.log_feed import LogFollower, log_feed
 from bridge.web.maps import MapFeed, Pictures, StoreFeed, StoreFollower
 from bridge.web.page import Page
 from bridge.web.robot import DrivingFeed, FrameFollower, FramesFeed, LaserFeed, PathFeed, RobotFeed
 from bridge.web.server import WebServer, hello
+from bridge.web.topic_feeds import MessageFeed
 from bridge.web.verbs import Verbs
 from bridge.worker import Health, Worker, costs
 
