@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any, Protocol
 
 
@@ -99,32 +99,35 @@ Make = Callable[[str], Feed]
 
 
 class Feeds:
-    """All feeds of the console by name; those of a topic (``topic:/name``) are made as they are asked for.
+    """All feeds of the console by name; those of topics (``topic:/name``) are made as they are asked for.
 
     Args:
         fixed: the feeds that are there always.
-        of_topic: makes the feed of a topic by its name.
+        made: makes the feed of a topic by its name, for each beginning of such a name; raises `LookupError` where the
+            rest of the name is none.
     """
 
     MOST_TOPICS = 100
     """Topics that all pages together may watch."""
 
-    def __init__(self, fixed: list[Feed], of_topic: Make) -> None:
+    def __init__(self, fixed: list[Feed], made: Mapping[str, Make]) -> None:
         self._fixed = {feed.name: feed for feed in fixed}
-        self._of_topic = of_topic
+        self._made = made
         self._topics: dict[str, Feed] = {}
 
     def find(self, name: str) -> Feed:
         """The feed with a name; raises `LookupError` with the reason where there is none."""
         if name in self._fixed:
             return self._fixed[name]
-        if not name.startswith("topic:/"):
-            raise LookupError(f"there is no feed {name[:80]!r}; there are {', '.join(self._fixed)} and topic:/NAME")
+        make = next((make for begin, make in self._made.items() if name.startswith(begin)), None)
+        if make is None:
+            known = ", ".join((*self._fixed, *(f"{begin}NAME" for begin in self._made)))
+            raise LookupError(f"there is no feed {name[:80]!r}; there are {known}")
         if name not in self._topics:
             self._topics = {each: feed for each, feed in self._topics.items() if feed.watched}
             if len(self._topics) >= self.MOST_TOPICS:
                 raise LookupError(f"{self.MOST_TOPICS} topics are watched already; close some")
-            self._topics[name] = self._of_topic(name)
+            self._topics[name] = make(name)
         return self._topics[name]
 
     def close(self) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from abc import abstractmethod
 from functools import partial
 from typing import Any
 
@@ -22,13 +23,21 @@ RATE_SECONDS = 1.0
 MOST_ITEMS, MOST_TEXT, MOST_DEPTH, MOST_BYTES = 32, 2000, 16, 4 << 20
 
 
-class MessageFeed(Feed):
-    """``topic:/name``: the newest message of a topic, at most five times a second."""
+class NewestFeed(Feed):
+    """A feed made of the newest message of a topic, at most five times a second.
 
-    def __init__(self, host: Host, client: CliClient, types: Types, executor: SerialExecutor, name: str) -> None:
+    Args:
+        executor: where messages are decoded.
+        name: as pages ask for it.
+        topic: the topic, with ``@`` and its type where pages say which of several they mean.
+    """
+
+    most_bytes = MOST_BYTES
+
+    def __init__(self, host: Host, client: CliClient, executor: SerialExecutor, name: str, topic: str) -> None:
         super().__init__(name)
-        self._host, self._client, self._types, self._executor = host, client, types, executor
-        self._topic = name.removeprefix("topic:")
+        self._host, self._client, self._executor = host, client, executor
+        self._topic, _, self._type = topic.partition("@")
         self._ends: dict[tuple[str, str], HubSubscription] = {}
         self._newest: tuple[HubSample, str, str] | None = None
         self._count, self._since = 0, 0.0
@@ -49,6 +58,9 @@ class MessageFeed(Feed):
         """Subscribe no more."""
         for timer in self._timers:
             timer.close()
+        self._leave()
+
+    def _leave(self) -> None:
         ends, self._ends = self._ends, {}
         for end in ends.values():
             end.close()
@@ -56,7 +68,14 @@ class MessageFeed(Feed):
     def _find(self) -> None:
         groups: dict[tuple[str, str], list[Any]] = {}
         for endpoint in self._host.node.hub.graph.publishers(self._topic):
-            groups.setdefault((endpoint.type_name, endpoint.type_hash), []).append(endpoint)
+            if self._type in ("", endpoint.type_name):
+                groups.setdefault((endpoint.type_name, endpoint.type_hash), []).append(endpoint)
+        types = sorted({type_name for type_name, _ in groups})
+        if len(types) > 1:
+            self._leave()
+            said = f"{self._topic} is published with several types: {', '.join(types)}"
+            self.put(None, f"{said}; watch {self.name}@TYPE to have one of them")
+            return
         for (type_name, type_hash), endpoints in groups.items():
             if (type_name, type_hash) not in self._ends:
                 qos = combined_qos([endpoint.qos for endpoint in endpoints])
@@ -64,7 +83,8 @@ class MessageFeed(Feed):
                 hub = self._host.node.hub
                 self._ends[type_name, type_hash] = hub.subscription(self._topic, type_name, type_hash, qos, take)
         if not self._ends:
-            self.put(None, f"nobody publishes {self._topic} on the hub")
+            what = f"{self._topic} as {self._type}" if self._type else self._topic
+            self.put(None, f"nobody publishes {what} on the hub")
 
     def _take(self, type_name: str, type_hash: str, sample: HubSample) -> None:
         """On zenoh's thread: keep the newest."""
@@ -77,26 +97,47 @@ class MessageFeed(Feed):
         self._find()
 
     def _look(self) -> None:
+        if self._busy:
+            return
         newest, self._newest = self._newest, None
-        if newest is not None and not self._busy:
+        if newest is not None:
             self._busy = True
             self._executor.submit(partial(self._decode, *newest))
 
     def _decode(self, sample: HubSample, type_name: str, type_hash: str) -> None:
         """On a thread that may wait: the type's definition may have to be asked for."""
-        why, message = "", None
-        if len(sample.payload) > MOST_BYTES:
-            why = f"a message of {len(sample.payload)} bytes is not shown: pages get at most {MOST_BYTES}"
+        why, value = "", None
+        if len(sample.payload) > self.most_bytes:
+            why = f"a message of {len(sample.payload)} bytes is not shown: pages get at most {self.most_bytes}"
         else:
             try:
-                message = cut(self._types.decode(type_name, type_hash, sample.data()))
+                value = self.value(type_name, type_hash, sample.data())
             except (CliError, ConversionError, HubError) as err:
                 why = str(err)
-        self._host.loop.post(partial(self._decoded, type_name, message, why))
+            except Exception as err:  # whatever a message holds, the feeds go on
+                why = f"it cannot be shown: {type(err).__name__}: {err}"
+        self._host.loop.post(partial(self._decoded, type_name, value, why))
 
-    def _decoded(self, type_name: str, message: Any, why: str) -> None:
+    def _decoded(self, type_name: str, value: dict[str, Any] | None, why: str) -> None:
         self._busy = False
-        self.put(None if why else {"type": type_name, "message": message, "rate": self._rate}, why)
+        if self.watched and (self._ends or why):
+            self.put(None if value is None else {"type": type_name, **value, "rate": self._rate}, why)
+
+    @abstractmethod
+    def value(self, type_name: str, type_hash: str, cdr: bytes) -> dict[str, Any]:
+        """What pages are shown of a message. Waits; raises `CliError` or `ConversionError` where that cannot be."""
+
+
+class MessageFeed(NewestFeed):
+    """``topic:/name``: the newest message as a tree."""
+
+    def __init__(self, host: Host, client: CliClient, types: Types, executor: SerialExecutor, name: str) -> None:
+        super().__init__(host, client, executor, name, name.removeprefix("topic:"))
+        self._types = types
+
+    def value(self, type_name: str, type_hash: str, cdr: bytes) -> dict[str, Any]:
+        """The message's fields; of long arrays and texts the beginning."""
+        return {"message": cut(self._types.decode(type_name, type_hash, cdr))}
 
 
 def cut(value: Any, depth: int = 0) -> Any:

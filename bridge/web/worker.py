@@ -19,6 +19,7 @@ from bridge.modules.host import Host
 from bridge.web.feed import Feeds
 from bridge.web.hold import HOLD_SECONDS, HandDriving
 from bridge.web.hub_feeds import AskingFeed, StatusAsker, list_topics
+from bridge.web.image_feed import ImageFeed
 from bridge.web.inspection import inspection_verbs
 from bridge.web.log_feed import LogFollower, log_feed
 from bridge.web.maps import MapFeed, Pictures, StoreFeed, StoreFollower
@@ -103,7 +104,10 @@ class Console:
                 FramesFeed(host, follower),
                 log_feed(host, self._asking, log),
             ],
-            lambda name: MessageFeed(host, client, known, self._decoding, name),
+            {
+                "topic:/": lambda name: MessageFeed(host, client, known, self._decoding, name),
+                "image:": lambda name: ImageFeed(host, client, known, self._decoding, name),
+            },
         )
         most = (section.speed, section.turn)
         self._hold = HandDriving(host, config.navigation.velocity, most, lambda: driving.busy)

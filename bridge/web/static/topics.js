@@ -3,6 +3,7 @@
 import { button, el, mark, rows, write } from "./dom.js";
 import { Chart, Series } from "./curve.js";
 import { number, rate } from "./format.js";
+import { pictureBlock, PICTURES } from "./picture.js";
 import { searchField } from "./table.js";
 import { at, pathWords, Tree } from "./tree.js";
 
@@ -18,10 +19,14 @@ export function topicsView(root, socket) {
   const showList = (why) => {
     const words = search.toLowerCase().split(/\s+/).filter(Boolean);
     const found = (topics ?? []).filter((each) => words.every((word) => `${each.topic} ${each.type}`.toLowerCase().includes(word)));
+    const often = new Map(); // how many types a name has
+    for (const { topic: name } of topics ?? []) often.set(name, (often.get(name) ?? 0) + 1);
     rows(list, found.slice(0, MOST_TOPICS), (each) => `${each.topic} ${each.type}`, topicRow, ({ parts }, each) => {
+      const name = often.get(each.topic) > 1 ? `${each.topic}@${each.type}` : each.topic;
       write(parts.type, each.type);
       write(parts.sides, `${ends(each.publishers)} → ${ends(each.subscribers)}`);
-      mark(parts.link, "aria-current", each.topic === chosen ? "true" : null);
+      mark(parts.link, "href", `#topics/${encodeURIComponent(name)}`);
+      mark(parts.link, "aria-current", name === chosen ? "true" : null);
     });
     const left = found.length - MOST_TOPICS;
     write(empty, left > 0 ? `${left} more: search to see them.` : found.length ? "" : topics?.length ? "Nothing found." : why || "No topics.");
@@ -60,7 +65,7 @@ const ends = (value) => (Array.isArray(value) ? value.length : (value ?? "–"))
 
 function topicRow({ topic }) {
   const [type, sides] = [el("span", { class: "second" }), el("span", { class: "ends", title: "Publishers → subscribers" })];
-  const link = el("a", { href: `#topics/${encodeURIComponent(topic)}` }, el("span", { class: "first", text: topic }), type, sides);
+  const link = el("a", {}, el("span", { class: "first", text: topic }), type, sides);
   return Object.assign(el("li", {}, link), { parts: { type, sides, link } });
 }
 
@@ -75,6 +80,7 @@ function topicBlock(socket) {
   const body = el("div", { class: "message" });
   const opened = new Map(); // topic -> Map path -> whether its branch is open
   const curves = new Map(); // path -> {series, chart, row}
+  const picture = pictureBlock(socket);
   let [topic, tree, newest, end] = ["", null, null, () => {}];
 
   function pick(path) {
@@ -109,7 +115,7 @@ function topicBlock(socket) {
     const name = topic;
     let found;
     try {
-      found = await socket.call("explain", { name });
+      found = await socket.call("explain", { name: name.split("@")[0] });
     } catch (error) {
       found = [{ side: "", decision: "Not known", why: error.message, cure: "" }];
     }
@@ -124,7 +130,7 @@ function topicBlock(socket) {
     el("div", { class: "heading" },
       el("a", { href: "#topics", class: "back", text: "All topics" }), title, often,
       button("Why does it cross?", explain, { class: "why" })),
-    type, crossing, why, charts, body);
+    type, crossing, why, picture.element, charts, body);
   return {
     element,
     choose(name) {
@@ -136,8 +142,9 @@ function topicBlock(socket) {
       for (const path of [...curves.keys()]) drop(path);
       crossing.replaceChildren();
       body.replaceChildren();
+      picture.close();
       element.hidden = !name;
-      write(title, name);
+      write(title, name.split("@")[0]);
       write(type, "");
       write(often, "");
       if (!name) return;
@@ -150,6 +157,7 @@ function topicBlock(socket) {
         newest = value?.message ?? null;
         if (!value) return;
         write(type, value.type);
+        if (PICTURES.has(value.type)) picture.open(name);
         write(often, rate(value.rate));
         tree.fill(value.message);
         plot(value.message);

@@ -1,0 +1,58 @@
+"""The feed ``image:WIDTH:/name``: the newest picture of a topic, no larger than the page shows it."""
+
+from __future__ import annotations
+
+import base64
+import io
+from typing import Any
+
+from PIL import Image
+
+from bridge.cli.client import CliClient
+from bridge.cli.messages import Types
+from bridge.concurrency import SerialExecutor
+from bridge.messages.errors import ConversionError
+from bridge.messages.values import MessageReader
+from bridge.modules.host import Host
+from bridge.web.pictures import decode
+from bridge.web.topic_feeds import NewestFeed
+
+PREFIX = "image:"
+WIDTHS = (160, 320, 640, 1280)
+"""Pixels at most, in width and in height; few, so that pages share what is made."""
+
+TYPES = ("sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage")
+_QUALITY = 75
+
+
+class ImageFeed(NewestFeed):
+    """The newest picture as a JPEG, scaled down. Raises `LookupError` where its name says no width of `WIDTHS`."""
+
+    most_bytes = 64 << 20
+
+    def __init__(self, host: Host, client: CliClient, types: Types, executor: SerialExecutor, name: str) -> None:
+        width, _, topic = name.removeprefix(PREFIX).partition(":")
+        if not (width.isascii() and width.isdecimal() and int(width) in WIDTHS and topic.startswith("/")):
+            sizes = ", ".join(map(str, WIDTHS))
+            raise LookupError(f"{name[:80]!r} is no feed of pictures: ask for image:WIDTH:/NAME, WIDTH one of {sizes}")
+        super().__init__(host, client, executor, name, topic)
+        self._types, self._most = types, int(width)
+
+    def value(self, type_name: str, type_hash: str, cdr: bytes) -> dict[str, Any]:
+        """The picture, and what it was made of."""
+        if type_name not in TYPES:
+            raise ConversionError(f"{type_name} is no picture; those are {' and '.join(TYPES)}")
+        self._types.prepare(type_name, type_hash)
+        registry = self._types.registry
+        checked = registry.hub_check(type_name, type_hash)(cdr)
+        message = MessageReader(registry.schema(type_name, type_hash), checked).message()
+        picture = decode(message, self._most)
+        about = {"frame": message["header"]["frame_id"], "encoding": picture.encoding, "range": picture.range}
+        size = {"width": picture.width, "height": picture.height}
+        return {**about, **size, "image": f"data:image/jpeg;base64,{base64.b64encode(_jpeg(picture.image)).decode()}"}
+
+
+def _jpeg(image: Image.Image) -> bytes:
+    out = io.BytesIO()
+    image.save(out, "JPEG", quality=_QUALITY)
+    return out.getvalue()

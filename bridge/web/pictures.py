@@ -1,0 +1,185 @@
+"""Pictures of ``sensor_msgs``, scaled down for the eye.
+
+Source: sensor_msgs/image_encodings.hpp for the encodings, REP 118 for depth, compressed_depth_image_transport for the
+12 bytes before its PNG.
+"""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image, UnidentifiedImageError
+
+from bridge.messages.errors import ConversionError
+
+MOST_PIXELS = 50_000_000
+_FORMATS = ("JPEG", "PNG", "WEBP")
+_DEPTH_HEAD = 12
+
+Cells = NDArray[Any]
+
+
+@dataclass(frozen=True)
+class Picture:
+    """A picture, with the size and encoding of its message.
+
+    ``range``: what black and white stand for where the message holds measures (depth, mostly), else None.
+    """
+
+    image: Image.Image
+    width: int
+    height: int
+    encoding: str
+    range: tuple[float, float] | None = None
+
+
+def decode(message: Mapping[str, Any], most: int) -> Picture:
+    """The picture of an ``Image`` or a ``CompressedImage``, neither side above ``most`` pixels.
+
+    Raises `ConversionError` with why there is none.
+    """
+    return _compressed(message, most) if "format" in message else _raw(message, most)
+
+
+def _colours(order: tuple[int, ...]) -> Callable[[Cells], Image.Image]:
+    return lambda cells: Image.fromarray(np.ascontiguousarray(cells[..., list(order)]), "RGB")
+
+
+def _mono(cells: Cells) -> Image.Image:
+    return Image.fromarray(np.ascontiguousarray(cells[..., 0]), "L")
+
+
+_OCTETS: Mapping[str, tuple[int, Callable[[Cells], Image.Image]]] = {
+    **dict.fromkeys(("mono8", "8UC1"), (1, _mono)),
+    "rgb8": (3, _colours((0, 1, 2))),
+    **dict.fromkeys(("bgr8", "8UC3"), (3, _colours((2, 1, 0)))),
+    "rgba8": (4, _colours((0, 1, 2))),
+    **dict.fromkeys(("bgra8", "8UC4"), (4, _colours((2, 1, 0)))),
+}
+"""Channels of an octet each, and how they become a picture."""
+
+_MEASURES = {"mono16": "u2", "16UC1": "u2", "16SC1": "i2", "32SC1": "i4", "32FC1": "f4", "64FC1": "f8"}
+"""One number a pixel, of which only the order tells: shown from the smallest to the largest."""
+
+_BAYER = {
+    "bayer_rggb8": ((0, 0), (1, 1)), "bayer_bggr8": ((1, 1), (0, 0)),
+    "bayer_gbrg8": ((1, 0), (0, 1)), "bayer_grbg8": ((0, 1), (1, 0)),
+}  # fmt: skip
+"""Row and column of red and of blue in each square of four; the others are green."""
+
+_YUV = {
+    **dict.fromkeys(("yuv422", "uyvy"), (1, 0, 3, 2)),
+    **dict.fromkeys(("yuv422_yuy2", "yuyv"), (0, 1, 2, 3)),
+}
+"""Where the first brightness, U, the second brightness and V are among the four octets of two pixels."""
+
+KNOWN = (*_OCTETS, *_MEASURES, *_BAYER, *_YUV)
+
+
+def _raw(message: Mapping[str, Any], most: int) -> Picture:
+    encoding, width, height = message["encoding"], int(message["width"]), int(message["height"])
+    if encoding not in KNOWN:
+        raise ConversionError(f"pictures encoded as {encoding[:40]!r} are not shown; those of {', '.join(KNOWN)} are")
+    if not 0 < width * height <= MOST_PIXELS:
+        raise ConversionError(f"a picture of {width} x {height} pixels is not shown: at most {MOST_PIXELS} are")
+    order = ">" if message["is_bigendian"] else "<"
+    kind = np.dtype(order + _MEASURES[encoding]) if encoding in _MEASURES else np.dtype(np.uint8)
+    values = width * (_OCTETS[encoding][0] if encoding in _OCTETS else 2 if encoding in _YUV else 1)
+    rows = _rows(message, height, values * kind.itemsize).view(kind).reshape(height, values)
+    about = (width, height, encoding)
+    if encoding in _MEASURES:
+        return _of_measures(rows[:: _step(height, most), :: _step(width, most)], most, *about)
+    if encoding in _OCTETS:
+        channels, make = _OCTETS[encoding]
+        cells = rows.reshape(height, width, channels)
+        image = make(cells[:: _step(height, most), :: _step(width, most)])
+    elif encoding in _BAYER:
+        image = _bayer(rows, *_BAYER[encoding])
+    else:
+        image = _yuv(rows, _YUV[encoding])
+    return Picture(_fitted(image, width, height, most), *about)
+
+
+def _rows(message: Mapping[str, Any], height: int, octets: int) -> Cells:
+    """The rows without what pads them."""
+    data, step = np.frombuffer(message["data"], np.uint8), int(message["step"])
+    if step < octets:
+        raise ConversionError(f"a row has {step} bytes (step), and {octets} are needed for its pixels")
+    if len(data) < step * (height - 1) + octets:
+        raise ConversionError(f"the picture has {len(data)} bytes, and {height} rows of {step} are needed")
+    if len(data) < step * height:  # the last row is not padded
+        data = np.concatenate([data, np.zeros(step * height - len(data), np.uint8)])
+    return np.ascontiguousarray(data[: step * height].reshape(height, step)[:, :octets])
+
+
+def _step(size: int, most: int) -> int:
+    """Of so many pixels one is taken, before what is left is scaled with care."""
+    return max(1, size // (2 * most))
+
+
+def _fitted(image: Image.Image, width: int, height: int, most: int) -> Image.Image:
+    """The picture in the proportions of its message, within ``most``."""
+    scale = min(1.0, most / max(width, height))
+    size = max(1, round(width * scale)), max(1, round(height * scale))
+    return image if image.size == size else image.resize(size, Image.Resampling.BILINEAR)
+
+
+def _of_measures(values: Cells, most: int, width: int, height: int, encoding: str) -> Picture:
+    numbers = values.astype(np.float64)
+    known = np.isfinite(numbers) & (numbers != 0)  # a depth of 0 is none
+    low, high = (float(numbers[known].min()), float(numbers[known].max())) if known.any() else (0.0, 0.0)
+    shade = (np.where(known, numbers, low) - low) * (255.0 / (high - low) if high > low else 0.0)
+    image = Image.fromarray(np.where(known, shade, 0.0).astype(np.uint8), "L")
+    return Picture(_fitted(image, width, height, most), width, height, encoding, (low, high))
+
+
+def _bayer(rows: Cells, red: tuple[int, int], blue: tuple[int, int]) -> Image.Image:
+    """At half the size: each square of four makes one pixel."""
+    even = rows[: rows.shape[0] // 2 * 2, : rows.shape[1] // 2 * 2]
+    if not even.size:
+        raise ConversionError("a picture of one row or column has no colours")
+
+    def at(place: tuple[int, int]) -> Cells:
+        return even[place[0] :: 2, place[1] :: 2]
+
+    greens = [(y, x) for y in (0, 1) for x in (0, 1) if (y, x) not in (red, blue)]
+    green = ((at(greens[0]).astype(np.uint16) + at(greens[1])) // 2).astype(np.uint8)
+    return Image.fromarray(np.dstack([at(red), green, at(blue)]), "RGB")
+
+
+def _yuv(rows: Cells, places: tuple[int, int, int, int]) -> Image.Image:
+    """At half the width: two pixels share their colour."""
+    pairs = rows[:, : rows.shape[1] // 4 * 4].reshape(rows.shape[0], -1, 4)
+    if not pairs.size:
+        raise ConversionError("a picture of one column has no colours")
+    first, u, second, v = (pairs[..., place] for place in places)
+    bright = ((first.astype(np.uint16) + second) // 2).astype(np.uint8)
+    return Image.frombytes(
+        "YCbCr", (pairs.shape[1], pairs.shape[0]), np.dstack([bright, u, v]).tobytes()
+    ).convert("RGB")  # fmt: skip
+
+
+def _compressed(message: Mapping[str, Any], most: int) -> Picture:
+    how = str(message["format"])
+    data = bytes(message["data"])
+    if "compressedDepth" in how:
+        data = data[_DEPTH_HEAD:]
+    try:
+        with Image.open(io.BytesIO(data), formats=_FORMATS) as image:
+            width, height = image.size
+            if not 0 < width * height <= MOST_PIXELS:
+                raise ConversionError(f"a picture of {width} x {height} pixels is not shown: at most {MOST_PIXELS} are")
+            image.draft("RGB" if image.mode != "L" else "L", (most, most))  # a JPEG is read at a part of its size
+            image.load()
+            about = (width, height, how or str(image.format).lower())
+            if image.mode.startswith("I"):
+                return _of_measures(np.asarray(image), most, *about)
+            return Picture(_fitted(image.convert("L" if image.mode == "L" else "RGB"), width, height, most), *about)
+    except (UnidentifiedImageError, OSError, SyntaxError, ValueError, Image.DecompressionBombError) as err:
+        what = how[:40] or "of no format"
+        raise ConversionError(f"the compressed picture ({what}) cannot be read: {err}") from None
