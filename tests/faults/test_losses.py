@@ -73,8 +73,9 @@ def test_workers_that_are_killed_again_and_again_leave_no_more_than_once(fields:
         assert files.ours <= files.peer, f"{files}\n{field.words()}"
 
 
-def test_the_successor_of_a_killed_daemon_is_active_within_three_seconds(fields: Fields) -> None:
+def test_the_successor_of_a_killed_daemon_waits_for_no_lease(fields: Fields) -> None:
+    """The dead one's leases last 20 s; benchmarks/recovery.py holds the successor to 3 s."""
     with fields.one() as field:
         outcome = cases.daemon(field)
         assert outcome.good, f"{outcome}\n{field.words()}"
-        assert outcome.seconds < 3.0, f"{outcome}\n{field.words()}"
+        assert outcome.seconds < 15.0, f"{outcome}\n{field.words()}"
