@@ -134,7 +134,7 @@ def _of_measures(values: Cells, most: int, width: int, height: int, encoding: st
     known = np.isfinite(numbers) & (numbers != 0)  # a depth of 0 is none
     low, high = (float(numbers[known].min()), float(numbers[known].max())) if known.any() else (0.0, 0.0)
     shade = (np.where(known, numbers, low) - low) * (255.0 / (high - low) if high > low else 0.0)
-    image = Image.fromarray(np.where(known, shade, 0.0).astype(np.uint8), "L")
+    image = Image.fromarray(np.rint(np.where(known, shade, 0.0)).astype(np.uint8), "L")
     return Picture(_fitted(image, width, height, most), width, height, encoding, (low, high))
 
 

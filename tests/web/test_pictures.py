@@ -78,7 +78,7 @@ def test_measures_are_shown_from_the_smallest_to_the_largest(encoding: str, kind
     cells = np.array([[0, 100], [200, 300]], kind)
     found = decode(message(encoding, cells, big=kind[0] == ">"), 320)
     assert found.range == (100.0, 300.0)
-    assert list(found.image.tobytes()) == [0, 0, 127, 255]
+    assert list(found.image.tobytes()) == [0, 0, 128, 255]
 
 
 def test_measures_without_any() -> None:
