@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import json
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, TypeVar
 
 from bridge.hub.endpoints.keyspace import KeySpace
 from bridge.hub.errors import HubError
-from bridge.stores.entry import StoreError, check_name
+from bridge.stores.entry import StoreError, check_name, json_object
 from bridge.stores.kinds import CURRENT, MAP, ValueKind
-from bridge.stores.store import THE_MAP, Write
+from bridge.stores.store import THE_MAP, Write, rename_writes
 from bridge.stores.wire import key_of
 
 T = TypeVar("T")
@@ -19,6 +19,7 @@ T = TypeVar("T")
 _SECONDS = 10.0
 _FIND_SECONDS = 2.0
 _FIND_AGAIN = 0.05
+_TRIES = 8
 _ALIVE = "@sync/alive/*/*"
 
 
@@ -58,6 +59,27 @@ class StoreClient:
 
     def write(self, writes: Sequence[Write[Any]]) -> None:
         """Write and delete in one transaction, on that daemon's disk when this returns; raises `StoreError`."""
+        self._write(writes, {})
+
+    def change(self, made: Callable[[], Sequence[Write[Any]]]) -> None:
+        """Write what ``made`` makes of what the store holds; raises `StoreError`.
+
+        Where one of its keys was written meanwhile, nothing is written, and it is made anew: nobody's change is lost.
+        """
+        for _ in range(_TRIES):
+            known = {f"{kind}/{name}": [ns, replica] for kind, name, ns, replica, _ in self.digest()}
+            writes = made()
+            keys = [f"{each.kind.name}/{each.name}" for each in writes]
+            if self._write(writes, {key: known.get(key) for key in keys}):
+                return
+        raise StoreError("others write the same all the time; try again")
+
+    def rename(self, kind: ValueKind[Any], old: str, new: str) -> None:
+        """Give a value another name; raises `StoreError` where the old one is not there or the new one is."""
+        self.change(lambda: rename_writes(self, kind, old, new))
+
+    def _write(self, writes: Sequence[Write[Any]], stamps: Mapping[str, list[Any] | None]) -> bool:
+        """Write; False, and nothing is written, where a key has another stamp than this."""
         bodies: list[bytes] = []
         heads: list[Mapping[str, Any]] = []
         for each in writes:
@@ -67,7 +89,9 @@ class StoreClient:
             else:
                 bodies.append(each.kind.encode(each.name, each.value)[0])
                 heads.append({"key": key, "size": len(bodies[-1])})
-        self._ask("write", "", b"\n".join((json.dumps({"writes": heads}).encode(), b"".join(bodies))))
+        head = json.dumps({"writes": heads, **({"stamps": stamps} if stamps else {})}).encode()
+        said = self._ask("write", "", b"\n".join((head, b"".join(bodies))))[0].body
+        return not json_object(said or b"{}").get("stale")
 
     def current_map(self) -> str:
         """The name of the map that is in use, "" where none was chosen."""

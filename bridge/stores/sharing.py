@@ -6,7 +6,7 @@ Beneath ``midspan/store/<domain>/``::
     @sync/alive/<zid>/<daemon>  a token for each replica
     @sync/digest/<zid>          asks a replica where it has other versions than these digests show
     @sync/fetch/<zid>/**        asks it for entries; each answer is under .../<kind>/<name>
-    @sync/write/<zid>           asks it to write (`bridge.stores.client`)
+    @sync/write/<zid>           asks it to write (`bridge.stores.client`), perhaps only over the versions of some stamps
 
 A key that starts with ``@`` is not heard by those who listen to everything, and a machine that the door does not trust
 can ask for values and digests but neither write nor answer (`bridge.hub.security.access`).
@@ -19,7 +19,7 @@ import logging
 import threading
 import time
 from collections.abc import Iterable, Sequence
-from dataclasses import replace
+from dataclasses import astuple, replace
 from typing import Any
 
 from bridge.concurrency import SerialExecutor
@@ -188,8 +188,9 @@ class StoreSync:
 
     def _answer_write(self, question: KeyQuery) -> None:
         end = question.body.find(b"\n", 0, _MOST_WRITE)
-        writes = json_object(question.body[: max(end, 0)], _NO_OBJECT).get("writes")
-        if not isinstance(writes, list):
+        head = json_object(question.body[: max(end, 0)], _NO_OBJECT)
+        writes, stamps = head.get("writes"), head.get("stamps", {})
+        if not isinstance(writes, list) or not isinstance(stamps, dict):
             raise StoreError("it has nothing to write")
         changes: dict[Key, Body | None] = {}
         start = end + 1
@@ -204,8 +205,13 @@ class StoreSync:
             changes[key] = body, KINDS[kind].encoding
         if start != len(question.body):
             raise StoreError("the values are not as long as they should be")
-        write_all(self._replica, changes)
-        question.reply(KeyItem(f"@sync/write/{self._zid}", b"{}"))
+        with self._replica.still():
+            versions = self._replica.versions() if stamps else {}
+            now = {"/".join(key): list(astuple(stamp)) for key, (stamp, _) in versions.items()}
+            stale = any(now.get(key) != stamp for key, stamp in stamps.items())
+            if not stale:
+                write_all(self._replica, changes)
+        question.reply(KeyItem(f"@sync/write/{self._zid}", b'{"stale": true}' if stale else b"{}"))
 
     # Alignment
 

@@ -6,11 +6,11 @@ What is written is on the disk when the call returns, and on its way to the othe
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
-from typing import Any, Generic, TypeVar
+from dataclasses import dataclass, replace
+from typing import Any, Generic, Protocol, TypeVar
 
 from bridge.stores.entry import StoreError, check_name
-from bridge.stores.kinds import AREA, BEHAVIOUR, CURRENT, MAP, ValueKind
+from bridge.stores.kinds import AREA, BEHAVIOUR, CURRENT, LOCATION, MAP, OBJECT, PATH, ValueKind
 from bridge.stores.replica import Body, Change, Heard, Key, Replica
 from yarp_compat.dev.extras import AreaBehaviour
 
@@ -29,6 +29,56 @@ class Write(Generic[T]):
     kind: ValueKind[T]
     name: str
     value: T | None
+
+
+class Values(Protocol):
+    """The store, or a client of it."""
+
+    def get(self, kind: ValueKind[T], name: str) -> T | None:
+        """A value, None where there is none."""
+
+    def all(self, kind: ValueKind[T]) -> dict[str, T]:
+        """All values of a kind."""
+
+    def names(self, kind: ValueKind[Any]) -> list[str]:
+        """The names of a kind's values."""
+
+    def current_map(self) -> str:
+        """The name of the map that is in use, "" where none was chosen."""
+
+
+def rename_writes(values: Values, kind: ValueKind[Any], old: str, new: str) -> list[Write[Any]]:
+    """What gives a value another name; raises `StoreError` where the old one is not there or the new one is.
+
+    What an area asks of robots goes along; so do, with a map, the places that are on it.
+    """
+    value = values.get(kind, old)
+    if value is None:
+        raise StoreError(f"there is no {kind.name} {old!r}")
+    if check_name(new) in values.names(kind):
+        raise StoreError(f"{kind.name} {new!r} is there already")
+    writes: list[Write[Any]] = [Write(kind, new, value), Write(kind, old, None)]
+    beside = _BESIDE.get(kind.name)
+    kept = None if beside is None else values.get(beside, old)
+    if beside is not None and kept is not None:
+        writes.append(Write(beside, new, kept))
+    return writes + (_moved(values, old, new) if kind is MAP else [])
+
+
+def _moved(values: Values, old: str, new: str) -> list[Write[Any]]:
+    """What brings the places of a map to another one, and chooses that where the map was in use."""
+    writes: list[Write[Any]] = []
+    kinds: tuple[ValueKind[Any], ...] = (LOCATION, AREA, OBJECT)
+    for kind in kinds:
+        here = {name: value for name, value in values.all(kind).items() if value.map_id == old}
+        writes += [Write(kind, name, replace(value, map_id=new)) for name, value in here.items()]
+    for name, path in values.all(PATH).items():
+        if any(point.map_id == old for point in path.waypoints):
+            points = [replace(point, map_id=new) if point.map_id == old else point for point in path.waypoints]
+            writes.append(Write(PATH, name, replace(path, waypoints=points)))
+    if values.current_map() == old:
+        writes.append(Write(CURRENT, THE_MAP, new))
+    return writes
 
 
 class Store:
@@ -71,19 +121,8 @@ class Store:
 
     def rename(self, kind: ValueKind[Any], old: str, new: str) -> None:
         """Give a value another name; raises `StoreError` where the old one is not there or the new one is."""
-        check_name(new)
         with self.replica.still():
-            changes: dict[Key, Body | None] = {}
-            for each in (kind, *filter(None, [_BESIDE.get(kind.name)])):
-                value = self.get(each, old)
-                if each is kind and value is None:
-                    raise StoreError(f"there is no {kind.name} {old!r}")
-                if each is kind and self.replica.has(kind.name, new):
-                    raise StoreError(f"{kind.name} {new!r} is there already")
-                if value is not None:
-                    changes[each.name, new] = each.encode(new, value)
-                    changes[each.name, old] = None
-            self.replica.write(changes)
+            self.write(rename_writes(self, kind, old, new))
 
     def write(self, writes: Sequence[Write[Any]]) -> None:
         """Write and delete in one transaction, of a key the last; raises `StoreError`, and nothing has changed."""

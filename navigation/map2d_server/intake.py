@@ -54,7 +54,8 @@ class MapIntake:
         self._next = time.monotonic() + self._rule.period
         try:
             grid = from_grid(waiting[1], self._rule.name)
-            self._keep(grid)
+            with self._store.replica.still():  # nor are flags lost that somebody paints meanwhile
+                self._keep(grid)
         except (StoreError, ValueError) as error:
             self._told(f"{self.topic}: {error}")
 

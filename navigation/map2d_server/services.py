@@ -86,9 +86,10 @@ class MapAnswers(IMap2DMsgs):
         return OK
 
     def clear_map_temporary_flags_RPC(self, map_name: str) -> ReturnValue:
-        _, found = self._get(MAP, map_name)
-        found.clearMapTemporaryFlags()
-        return self._put(MAP, map_name, found)
+        with self._store.replica.still():  # nor is what somebody paints meanwhile lost
+            _, found = self._get(MAP, map_name)
+            found.clearMapTemporaryFlags()
+            return self._put(MAP, map_name, found)
 
     def enable_maps_compression_RPC(self, enable_compression: bool) -> ReturnValue:
         self._compressed = enable_compression

@@ -7,7 +7,9 @@ import json
 import logging
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import pytest
 import zenoh
@@ -16,7 +18,7 @@ from bridge.hub.endpoints.keyspace import KeySpace
 from bridge.hub.session import Hub
 from bridge.stores.client import StoreClient
 from bridge.stores.entry import StoreError
-from bridge.stores.kinds import AREA, BEHAVIOUR, LOCATION, MAP
+from bridge.stores.kinds import AREA, BEHAVIOUR, LOCATION, MAP, PATH
 from bridge.stores.replica import StoreLimits
 from bridge.stores.store import Write
 from bridge.stores.wire import prefix
@@ -25,7 +27,8 @@ from tests.stores.test_store import KITCHEN, grid
 from tests.support.quick_hub import QuickHub
 from tests.support.wait import until
 from yarp_compat.dev.extras import AreaBehaviour
-from yarp_compat.dev.locations import Map2DArea, Map2DLocation
+from yarp_compat.dev.locations import Map2DArea, Map2DLocation, Map2DPath
+from yarp_compat.sig.vec2d import Vec2D
 
 SECONDS = 30.0
 
@@ -241,6 +244,53 @@ def test_a_client_reads_what_it_wrote(hub: QuickHub, tmp_path: Path) -> None:
             two.replica.limits = StoreLimits(keys=1)
             with pytest.raises(StoreError, match=r"store\.keys"):
                 client.write([Write(LOCATION, "one more", KITCHEN)])
+
+
+def test_a_change_is_made_of_the_newest_version(hub: QuickHub, tmp_path: Path) -> None:
+    with Hub.open(hub.settings("cli")) as session, Shared(tmp_path, "one", hub.endpoint) as one:
+        client = StoreClient(session.keyspace(prefix(0)), "one")
+        one.store.put(LOCATION, "kitchen", KITCHEN)
+        seen = []
+
+        def moved() -> list[Write[Any]]:
+            found = client.get(LOCATION, "kitchen")
+            assert found is not None
+            seen.append(found.x)
+            if len(seen) == 1:  # somebody else writes between reading and writing
+                one.store.put(LOCATION, "kitchen", replace(found, y=7.0))
+            return [Write(LOCATION, "kitchen", replace(found, x=found.x + 1.0))]
+
+        client.change(moved)
+        assert len(seen) == 2
+        assert one.store.get(LOCATION, "kitchen") == replace(KITCHEN, x=KITCHEN.x + 1.0, y=7.0)
+        with pytest.raises(StoreError, match="others write the same all the time"):
+            client.change(lambda: (one.store.put(LOCATION, "new", KITCHEN), [Write(LOCATION, "new", None)])[1])
+        assert one.store.get(LOCATION, "new") == KITCHEN
+
+
+def test_a_client_renames_a_map_with_what_is_on_it(hub: QuickHub, tmp_path: Path) -> None:
+    with Hub.open(hub.settings("cli")) as session, Shared(tmp_path, "one", hub.endpoint) as one:
+        client, store = StoreClient(session.keyspace(prefix(0)), "one"), one.store
+        corners = [Vec2D(0, 0), Vec2D(1, 0), Vec2D(1, 1)]
+        elsewhere = replace(KITCHEN, map_id="m2")
+        way = Map2DPath([KITCHEN, elsewhere])
+        store.write([
+            Write(MAP, "m1", grid()), Write(LOCATION, "kitchen", KITCHEN), Write(LOCATION, "far", elsewhere),
+            Write(AREA, "hall", Map2DArea("m1", corners)), Write(BEHAVIOUR, "hall", AreaBehaviour(keep_out=True)),
+            Write(PATH, "way", way),
+        ])  # fmt: skip
+        store.use_map("m1")
+        client.rename(MAP, "m1", "house")
+        client.rename(AREA, "hall", "big hall")
+        assert (store.names(MAP), store.current_map()) == (["house"], "house")
+        there = replace(KITCHEN, map_id="house")
+        assert store.all(LOCATION) == {"kitchen": there, "far": elsewhere}
+        assert store.all(AREA) == {"big hall": Map2DArea("house", corners)}
+        assert store.all(BEHAVIOUR) == {"big hall": AreaBehaviour(keep_out=True)}
+        assert store.get(PATH, "way") == Map2DPath([there, elsewhere])
+        for old, new, why in (("none", "x", "there is no location 'none'"), ("far", "kitchen", "is there already")):
+            with pytest.raises(StoreError, match=why):
+                client.rename(LOCATION, old, new)
 
 
 def test_a_client_that_was_first_waits_for_the_store(hub: QuickHub, tmp_path: Path) -> None:

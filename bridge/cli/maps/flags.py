@@ -48,21 +48,32 @@ def run(args: argparse.Namespace) -> int:
     if not (shaped or args.enlarge is not None or args.clear_temporary):
         raise CliError("say what to change: --flag with a shape, --enlarge or --clear-temporary")
     with open_stored(args) as (_, stored):
-        grid = named_map(stored, args.name)
-        before = grid.flags.copy()
-        if args.clear_temporary:
-            grid.clearMapTemporaryFlags()
-        if shaped:
-            part, inside = cells_of(grid, _corners(args, stored, grid))
-            if not inside.any():
-                raise CliError(f"the shape has no cell on {grid.name}")
-            grid.flags[part][inside] = _FLAGS[args.flag]
-        if args.enlarge is not None and not (math.isfinite(args.enlarge) and grid.enlargeObstacles(args.enlarge)):
-            raise CliError(f"obstacles cannot be enlarged by {args.enlarge} m")
-        changed = int(np.count_nonzero(before != grid.flags))
-        stored.write([Write(MAP, grid.name, grid)])
-    print(f"{clean(grid.name)}: {changed} cells changed")
+        name, changed = "", 0
+
+        def edited() -> list[Write[Any]]:
+            nonlocal name, changed
+            grid = named_map(stored, args.name)
+            name, changed = grid.name, _edit(args, stored, grid)
+            return [Write(MAP, name, grid)]
+
+        stored.change(edited)
+    print(f"{clean(name)}: {changed} cells changed")
     return 0
+
+
+def _edit(args: argparse.Namespace, stored: StoreClient, grid: MapGrid2D) -> int:
+    """Change the flags of a map as asked; how many cells changed."""
+    before = grid.flags.copy()
+    if args.clear_temporary:
+        grid.clearMapTemporaryFlags()
+    if args.flag is not None:
+        part, inside = cells_of(grid, _corners(args, stored, grid))
+        if not inside.any():
+            raise CliError(f"the shape has no cell on {grid.name}")
+        grid.flags[part][inside] = _FLAGS[args.flag]
+    if args.enlarge is not None and not (math.isfinite(args.enlarge) and grid.enlargeObstacles(args.enlarge)):
+        raise CliError(f"obstacles cannot be enlarged by {args.enlarge} m")
+    return int(np.count_nonzero(before != grid.flags))
 
 
 def _corners(args: argparse.Namespace, stored: StoreClient, grid: MapGrid2D) -> list[Vec2D]:
