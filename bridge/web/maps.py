@@ -151,8 +151,8 @@ class StoreFollower:
             return self._client
 
     def look(self) -> None:
-        """Ask now, unless it is being asked."""
-        if not self._asking:
+        """Ask now, unless it is being asked, or nobody wants to know."""
+        if not self._asking and self._feeds:
             self._asking = True
             self._executor.submit(self._ask)
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import logging
-import math
 import threading
 from collections.abc import Callable, Mapping
 from concurrent.futures import Future
@@ -26,13 +25,10 @@ from bridge.modules.endpoints import Publisher
 from bridge.modules.host import Host
 from bridge.stores.client import StoreClient
 from bridge.stores.entry import StoreError
-from bridge.stores.kinds import LOCATION
-from bridge.stores.store import Write
 from bridge.web.hub_feeds import explain
 from navigation.constraints import Constraints
 from navigation.messages import NAVIGATE, pose_message
 from navigation.pose import Pose
-from yarp_compat.dev.locations import Map2DLocation
 
 _log = logging.getLogger("midspan.web")
 
@@ -62,16 +58,25 @@ class PageVerb:
     stops: bool = False
 
 
-def _number(value: Any) -> float:
+def number_of(value: Any) -> float:
+    """Check a number."""
     if isinstance(value, bool) or not isinstance(value, int | float) or not abs(value) <= 1e6:
         raise ValueError("is a number")
     return float(value)
 
 
-def _name(value: Any) -> str:
+def name_of(value: Any) -> str:
+    """Check a name."""
     if not isinstance(value, str) or not value.strip() or len(value) > 255:
         raise ValueError("is a name of up to 255 characters")
     return value.strip()
+
+
+def truth_of(value: Any) -> bool:
+    """Check a truth value."""
+    if value is True or value is False:
+        return bool(value)
+    raise ValueError("is true or false")
 
 
 class Verbs:
@@ -102,9 +107,10 @@ class Verbs:
         self._clients: dict[str, Client] = {}
         self._goals: ActionClient | None = None
         self._starts: Publisher | None = None
-        xy, pose, named = {"x": _number, "y": _number}, dict.fromkeys(("x", "y", "theta"), _number), {"name": _name}
+        xy, pose = dict.fromkeys(("x", "y"), number_of), dict.fromkeys(("x", "y", "theta"), number_of)
+        named = {"name": name_of}
         self._verbs = {
-            "goto": PageVerb(self._goto, xy, {"theta": _number}),
+            "goto": PageVerb(self._goto, xy, {"theta": number_of}),
             "goto_place": PageVerb(partial(self._named, "go_to"), named, {}),
             "stop": PageVerb(self._stop, {}, {}, stops=True),
             "pause": PageVerb(partial(self._trigger, "pause"), {}, {}, stops=True),
@@ -112,8 +118,6 @@ class Verbs:
             "halt": PageVerb(self._halt, {}, {}, stops=True),
             "choose_planner": PageVerb(self._choose, named, {}),
             "set_pose": PageVerb(self._set_pose, pose, {}),
-            "keep_place": PageVerb(self._keep, {**named, **pose}, {}),
-            "delete_place": PageVerb(self._delete, named, {}),
             "use_map": PageVerb(lambda name: self._store().use_map(name), named, {}),
             "ping": PageVerb(lambda: None, {}, {}, commands=False),
             "explain": PageVerb(lambda name: explain(client, name), named, {}, commands=False),
@@ -134,7 +138,7 @@ class Verbs:
             raise VerbError(f"there is no verb {verb[:80]!r}; there are {', '.join(self._verbs)}")
         checked = _checked(verb, found, args)
         if found.commands:
-            _log.info("%s: %s %s", who, verb, " ".join(f"{key}={value}" for key, value in checked.items()))
+            _log.info("%s: %s %s", who, verb, " ".join(f"{key}={value!s:.100}" for key, value in args.items()))
         if verb in ("stop", "halt"):
             self._host.loop.post(self._stop_hold)
         job = partial(_run, found.run, checked)
@@ -251,18 +255,6 @@ class Verbs:
 
         self._host.loop.call(publish)
         return f"the localiser is told that the robot is at {x:.2f}, {y:.2f} m"
-
-    def _keep(self, name: str, x: float, y: float, theta: float) -> str:
-        store = self._store()
-        store.write([Write(LOCATION, name, Map2DLocation(store.current_map(), x, y, math.degrees(theta)))])
-        return f"{name} is kept"
-
-    def _delete(self, name: str) -> str:
-        store = self._store()
-        if name not in store.names(LOCATION):
-            raise VerbError(f"there is no place {name!r}")
-        store.write([Write(LOCATION, name, None)])
-        return f"{name} is deleted"
 
 
 def _run(action: Callable[..., Any], args: dict[str, Any]) -> Any:

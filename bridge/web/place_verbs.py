@@ -1,0 +1,115 @@
+"""What pages ask of the places in the store: keep, rename and delete locations, areas and paths."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from typing import Any
+
+from bridge.stores.client import StoreClient
+from bridge.stores.entry import check_name
+from bridge.stores.kinds import AREA, LOCATION, PATH, ValueKind
+from bridge.stores.store import Write
+from bridge.web.verbs import PageVerb, VerbError, name_of, number_of, truth_of
+from yarp_compat.dev.locations import Map2DArea, Map2DLocation
+from yarp_compat.sig.vec2d import Vec2D
+
+MOST_CORNERS = 500
+_SMALLEST = 1e-4
+"""Square metres; corners that enclose less are all on one line."""
+
+_KINDS: dict[str, ValueKind[Any]] = {kind.name: kind for kind in (LOCATION, AREA, PATH)}
+_WORDS = {LOCATION.name: "place", AREA.name: "area", PATH.name: "path"}
+
+Corners = list[tuple[float, float]]
+
+
+def kind_of(value: Any) -> ValueKind[Any]:
+    """Check a kind of places."""
+    if not isinstance(value, str) or value not in _KINDS:
+        raise ValueError(f"is one of {', '.join(_KINDS)}")
+    return _KINDS[value]
+
+
+def corners_of(value: Any) -> Corners:
+    """Check the corners of an area."""
+    if not isinstance(value, list) or not 3 <= len(value) <= MOST_CORNERS:
+        raise ValueError(f"are 3 to {MOST_CORNERS} corners")
+    try:
+        found = [(number_of(x), number_of(y)) for x, y in value]
+    except (TypeError, ValueError):
+        raise ValueError("are corners [x, y] in metres") from None
+    if _on_a_line(found):
+        raise ValueError("are corners that enclose something, not all on one line")
+    return found
+
+
+def _on_a_line(corners: Corners) -> bool:
+    """Whether corners enclose nothing."""
+    first = corners[0]
+    far = max(corners, key=lambda corner: math.dist(first, corner))
+    across, up = far[0] - first[0], far[1] - first[1]
+    return max(abs(across * (y - first[1]) - up * (x - first[0])) for x, y in corners) < _SMALLEST
+
+
+class PlaceVerbs:
+    """Their verbs, on threads that may wait.
+
+    Args:
+        store: the store; raises `StoreError` where there is none.
+        changed: called after each change.
+    """
+
+    def __init__(self, store: Callable[[], StoreClient], changed: Callable[[], None]) -> None:
+        self._store, self._changed = store, changed
+
+    def verbs(self) -> dict[str, PageVerb]:
+        """The verbs by name."""
+        named, kind, again = {"name": name_of}, {"kind": kind_of}, {"replace": truth_of}
+        pose = dict.fromkeys(("x", "y", "theta"), number_of)
+        return {
+            "keep_place": PageVerb(self._keep_place, {**named, **pose}, again),
+            "keep_area": PageVerb(self._keep_area, {**named, "points": corners_of}, again),
+            "delete_place": PageVerb(self._delete, named, kind),
+            "rename_place": PageVerb(self._rename, {**named, "to": name_of}, kind),
+        }
+
+    def _keep_place(self, name: str, x: float, y: float, theta: float, *, replace: bool = False) -> str:
+        def made(map_name: str) -> Write[Any]:
+            return Write(LOCATION, name, Map2DLocation(map_name, x, y, math.degrees(theta)))
+
+        return self._keep(LOCATION, name, made, replace=replace)
+
+    def _keep_area(self, name: str, points: Corners, *, replace: bool = False) -> str:
+        def made(map_name: str) -> Write[Any]:
+            if not map_name:
+                raise VerbError("no map is in use; choose the one that the area is on")
+            return Write(AREA, name, Map2DArea(map_name, [Vec2D(*point) for point in points]))
+
+        return self._keep(AREA, name, made, replace=replace)
+
+    def _keep(self, kind: ValueKind[Any], name: str, made: Callable[[str], Write[Any]], *, replace: bool) -> str:
+        store = self._store()
+        check_name(name)
+
+        def writes() -> Sequence[Write[Any]]:
+            if not replace and name in store.names(kind):
+                raise VerbError(f"there is the {_WORDS[kind.name]} {name!r} already")
+            return [made(store.current_map())]
+
+        store.change(writes)
+        self._changed()
+        return f"{name} is kept"
+
+    def _delete(self, name: str, kind: ValueKind[Any] = LOCATION) -> str:
+        store = self._store()
+        if name not in store.names(kind):
+            raise VerbError(f"there is no {_WORDS[kind.name]} {name!r}")
+        store.write([Write(kind, name, None)])
+        self._changed()
+        return f"{name} is deleted"
+
+    def _rename(self, name: str, to: str, kind: ValueKind[Any] = LOCATION) -> str:
+        self._store().rename(kind, name, to)
+        self._changed()
+        return f"{name} is called {to} now"

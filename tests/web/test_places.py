@@ -1,0 +1,107 @@
+"""What pages do with the places of the store, on a real hub."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from bridge.stores.kinds import AREA, BEHAVIOUR, CURRENT, LOCATION, MAP, PATH
+from bridge.stores.store import Store, Write
+from tests.stores.parts import Shared
+from tests.web.conftest import Desk
+from tests.web.page import TestPage
+from yarp_compat.dev.extras import AreaBehaviour
+from yarp_compat.dev.locations import Map2DArea, Map2DLocation, Map2DPath
+from yarp_compat.dev.mapgrid import MapGrid2D
+from yarp_compat.sig.vec2d import Vec2D
+
+SQUARE = [[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]]
+HALL = Map2DArea("house", [Vec2D(x, y) for x, y in SQUARE])
+
+
+@pytest.fixture
+def store(desk: Desk, tmp_path: Path) -> Iterator[Store]:
+    """A daemon's store on the console's hub, with a map in use."""
+    with Shared(tmp_path, "here", desk.hubs.endpoint) as shared:
+        shared.store.write([Write(MAP, "house", MapGrid2D.of(np.zeros((4, 5)), name="house", resolution=0.1))])
+        shared.store.use_map("house")
+        yield shared.store
+
+
+@pytest.fixture
+def page(desk: Desk, store: Store) -> Iterator[TestPage]:
+    assert store is not None
+    with TestPage(desk.port) as made:
+        made.watch("places")
+        made.value("places")
+        yield made
+
+
+def test_an_area_is_kept_for_all(page: TestPage, store: Store) -> None:
+    assert page.call("keep_area", name="hall", points=SQUARE) == {
+        "op": "reply", "id": 1, "ok": True, "value": "hall is kept",
+    }  # fmt: skip
+    assert store.get(AREA, "hall") == HALL
+    assert page.value("places", lambda value: value["areas"])["areas"]["hall"] == {"map": "house", "points": SQUARE}
+    again = page.call("keep_area", name="hall", points=SQUARE[:3])
+    assert again["error"] == "there is the area 'hall' already"
+    assert page.call("keep_area", name="hall", points=SQUARE[:3], replace=True)["ok"]
+    page.value("places", lambda value: len(value["areas"]["hall"]["points"]) == 3)
+
+
+def test_a_place_is_not_lost_to_another_of_its_name(page: TestPage, store: Store) -> None:
+    pose = {"name": "desk", "y": 0.0, "theta": 0.0}
+    assert page.call("keep_place", x=1.0, **pose)["ok"]
+    assert page.call("keep_place", x=2.0, **pose)["error"] == "there is the place 'desk' already"
+    assert store.get(LOCATION, "desk") == Map2DLocation("house", 1.0)
+    assert page.call("keep_place", x=2.0, replace=True, **pose)["ok"]
+    assert store.get(LOCATION, "desk") == Map2DLocation("house", 2.0)
+
+
+def test_all_kinds_are_renamed_and_deleted(page: TestPage, store: Store) -> None:
+    desk, way = Map2DLocation("house", 1.0), Map2DPath([Map2DLocation("house", 1.0)])
+    store.write([
+        Write(LOCATION, "desk", desk), Write(AREA, "hall", HALL), Write(PATH, "way", way),
+        Write(BEHAVIOUR, "hall", AreaBehaviour(keep_out=True)),
+    ])  # fmt: skip
+    assert page.call("rename_place", name="desk", to="my desk")["ok"]
+    assert page.call("rename_place", name="hall", to="lobby", kind="area")["ok"]
+    assert page.call("rename_place", name="way", to="round", kind="path")["ok"]
+    found = page.value("places", lambda value: "round" in value["paths"])
+    assert [list(found[kind]) for kind in ("locations", "areas", "paths")] == [["my desk"], ["lobby"], ["round"]]
+    assert store.get(BEHAVIOUR, "lobby") == AreaBehaviour(keep_out=True)
+    for kind, name in (("location", "my desk"), ("area", "lobby"), ("path", "round")):
+        assert page.call("delete_place", name=name, kind=kind)["ok"]
+    page.value("places", lambda value: value == {"locations": {}, "areas": {}, "paths": {}})
+    assert store.names(BEHAVIOUR) == []
+
+
+@pytest.mark.parametrize(
+    ("verb", "args", "why"),
+    [
+        ("keep_area", {"name": "a", "points": SQUARE[:2]}, "points are 3 to 500 corners"),
+        ("keep_area", {"name": "a", "points": [[0, 0]] * 501}, "points are 3 to 500 corners"),
+        ("keep_area", {"name": "a", "points": [[0, 0], [1, 1], [2]]}, "points are corners [x, y] in metres"),
+        ("keep_area", {"name": "a", "points": [[0, 0], [1, 1], [2, "2"]]}, "points are corners [x, y] in metres"),
+        ("keep_area", {"name": "a", "points": [[0, 0], [1, 1], [2, 2]]}, "not all on one line"),
+        ("keep_area", {"name": "a/b", "points": SQUARE}, "the name 'a/b' has /"),
+        ("keep_area", {"name": "a", "points": SQUARE, "replace": 1}, "replace is true or false"),
+        ("delete_place", {"name": "none", "kind": "area"}, "there is no area 'none'"),
+        ("delete_place", {"name": "none", "kind": "map"}, "kind is one of location, area, path"),
+        ("delete_place", {"name": "none", "kind": []}, "kind is one of location, area, path"),
+        ("rename_place", {"name": "none", "to": "x"}, "there is no location 'none'"),
+    ],
+)
+def test_what_cannot_be_is_refused_in_words(page: TestPage, verb: str, args: dict[str, Any], why: str) -> None:
+    reply = page.call(verb, **args)
+    assert not reply["ok"]
+    assert why in reply["error"]
+
+
+def test_an_area_needs_a_map(page: TestPage, store: Store) -> None:
+    store.clear(CURRENT)
+    assert "no map is in use" in page.call("keep_area", name="a", points=SQUARE)["error"]
