@@ -246,6 +246,42 @@ def test_a_place_is_kept_for_all(operator: Operator, watch: TestPage, robot: Web
     watch.value("places", lambda value: "here be tea" not in value["locations"])
 
 
+def test_an_area_is_drawn_for_all(operator: Operator, watch: TestPage, robot: WebRobot) -> None:
+    canvas = operator.map_at(*FREE)
+    operator.button("Edit map").click()
+    chain = ActionChains(operator.chrome).move_to_element_with_offset(canvas, -40, -20)
+    chain.click_and_hold().move_by_offset(80, 40).release().perform()
+    name = until(lambda: operator.chrome.switch_to.active_element, "the name is asked for")
+    name.send_keys("tea corner", Keys.ENTER)
+    corners = watch.value("places", lambda value: "tea corner" in value["areas"])["areas"]["tea corner"]["points"]
+    middle = (sum(x for x, _ in corners) / 4, sum(y for _, y in corners) / 4)
+    assert math.dist(middle, FREE) < 0.1
+    assert "tea corner" in robot.command("location", "list", "--kind", "area")
+    operator.button("Done").click()
+    operator.open("places")
+    operator.button("Rename tea corner").click()
+    field = until(lambda: operator.chrome.switch_to.active_element, "the new name is asked for")
+    field.send_keys(Keys.CONTROL, "a", Keys.NULL, "coffee corner", Keys.ENTER)
+    watch.value("places", lambda value: "coffee corner" in value["areas"] and "tea corner" not in value["areas"])
+    operator.button("Delete coffee corner").click()
+    operator.button("Delete", "dialog").click()
+    watch.value("places", lambda value: "coffee corner" not in value["areas"])
+
+
+def test_an_area_by_its_corners_on_the_keyboard(operator: Operator, watch: TestPage) -> None:
+    canvas = operator.map_at(*FREE)
+    operator.button("Edit map").send_keys(Keys.ENTER)
+    for key in (Keys.ARROW_RIGHT, Keys.ARROW_UP, Keys.ARROW_LEFT):
+        canvas.send_keys(Keys.ENTER, key)
+    canvas.send_keys(Keys.BACKSPACE, Keys.ENTER)
+    operator.button("Finish").send_keys(Keys.ENTER)
+    name = until(lambda: operator.chrome.switch_to.active_element, "the name is asked for")
+    name.send_keys("by keys", Keys.ENTER)
+    found = watch.value("places", lambda value: "by keys" in value["areas"])["areas"]["by keys"]["points"]
+    assert len(found) == 3
+    watch.call("delete_place", name="by keys", kind="area")
+
+
 def test_two_tabs_agree(operator: Operator, watch: TestPage) -> None:
     first = operator.chrome.current_window_handle
     operator.chrome.switch_to.new_window("tab")

@@ -1,8 +1,10 @@
 // The view Drive: the map, what the robot does, where it may be sent, driving by hand.
 
 import { button, el, mark, rows, write } from "./dom.js";
+import { editBar } from "./edit.js";
 import { degrees, metres, position } from "./format.js";
 import { MapBlock } from "./map.js";
+import { remove, rename } from "./names.js";
 import { PointMenu } from "./pointmenu.js";
 import { goTo, goToPlace, goToTyped, keepPlace, robotIsAt } from "./poses.js";
 import { ask } from "./say.js";
@@ -18,19 +20,30 @@ export function driveView(root, socket) {
     robot: { label: "Robot is here", drives: true, icon: "M12 3l6 16-6-4-6 4z", hint: "Press where the robot is; drag to where it looks.",
       done: (pose) => robotIsAt(socket, pose, heading()) },
     keep: { label: "Keep place", drives: true, icon: "M12 21s-6-6-6-11a6 6 0 0 1 12 0c0 5-6 11-6 11zM12 8v5M9.5 10.5h5", hint: "Press the place; drag to set its heading.",
-      done: (pose) => keepPlace(socket, pose, heading()) },
+      done: (pose) => keepPlace(socket, map.values.places, pose, heading()) },
     measure: { label: "Measure", icon: "M3 16L16 3l5 5L8 21zM8 11l2 2M11 8l3 3M14 5l2 2", hint: "Drag from one point to another.", done: () => {} },
+    edit: { label: "Edit map", drives: true, icon: "M4 20l1-4L16 5l3 3L8 19zM13.5 7.5l3 3", open: () => {
+      menu.close();
+      editing.open();
+    } },
   };
-  const map = new MapBlock(socket, tools, (at, place, pixel) => {
+  const map = new MapBlock(socket, tools, (at, place, pixel, shape) => {
     const off = { disabled: !socket.mayDrive };
+    const named = place ? { kind: "location", name: place } : shape;
     menu.open(place ?? position(at.x, at.y), pixel, [
       place ? [`Go to ${place}`, () => goToPlace(socket, place), off] : ["Go here", () => goTo(socket, at), off],
       ["Go here, with a heading …", () => goToTyped(socket, { ...at, theta: heading() }), off],
       ["Robot is here …", () => robotIsAt(socket, at, heading()), off],
-      ["Keep this place …", () => keepPlace(socket, at, heading()), off],
+      ["Keep this place …", () => keepPlace(socket, map.values.places, at, heading()), off],
       ["Measure", () => map.choose("measure")],
+      ...(named ? [
+        [`Rename ${named.name} …`, () => rename(socket, named.kind, named.name), off],
+        [`Delete ${named.name} …`, () => remove(socket, named.kind, named.name), off],
+      ] : []),
     ]);
   });
+  const editing = editBar(map, socket, () => map.toolButtons.at(-1).focus());
+  map.element.append(editing.element);
   const menu = new PointMenu(map.element, () => {
     map.point = null;
     map.redraw();
@@ -66,6 +79,7 @@ export function driveView(root, socket) {
       for (const end of ends) end();
       byHand.end();
       menu.close();
+      editing.close();
       map.hide();
     },
   };

@@ -21,8 +21,9 @@ const AIMED = 14; // px that a finger must go to set a heading
  * The map in a block of the page.
  *
  * `tools`: {name: {label, hint, icon, done(pose)}}; a tool takes one press on the map, whose drag sets the heading
- * (`theta` is missing without a drag). `menu(at, place)`: the operator touched the map at `at` ({x, y}), perhaps
- * the named place. Feeds are followed between `show` and `hide`.
+ * (`theta` is missing without a drag). A tool with `open()` does that
+ * instead. `menu(at, place, pixel, shape)`: the operator touched the map at `at` ({x, y}), perhaps the named place, or
+ * within a shape ({kind, name}). Feeds are followed between `show` and `hide`.
  */
 export class MapBlock {
   constructor(socket, tools, menu) {
@@ -36,6 +37,7 @@ export class MapBlock {
     this.placed = false; // whether the window was set to a map or a robot once
     this.tool = null;
     this.aim = null; // {x, y, theta}: the press that goes on
+    this.editor = null; // what has the fingers instead: see `edit`
     this.measured = [];
     this.point = null; // what the menu that is open speaks of
     this.dirty = false;
@@ -52,7 +54,7 @@ export class MapBlock {
   build() {
     this.canvas = el("canvas", {
       tabindex: "0", role: "application", "aria-roledescription": "map",
-      "aria-label": "Map. Arrow keys move it, plus and minus zoom, F follows the robot, Enter opens the menu at the middle.",
+      "aria-label": "Map. Arrow keys move it, plus and minus zoom, F follows the robot, Enter opens the menu at the middle; while the map is edited, Enter draws at the middle.",
       on: { keydown: (event) => this.key(event) },
     });
     this.context = this.canvas.getContext("2d", { alpha: false });
@@ -60,7 +62,7 @@ export class MapBlock {
     this.pose = el("p", { class: "pose", title: "Where the robot is: x, y in metres, heading" });
     this.toolButtons = Object.entries(this.tools).map(([name, tool]) =>
       el("button", { type: "button", class: tool.drives ? "drives" : "", "aria-pressed": "false", title: tool.label,
-        on: { click: () => this.choose(this.tool === name ? null : name) } }, icon(tool.icon), el("span", { text: tool.label })));
+        on: { click: () => (tool.open ? tool.open() : this.choose(this.tool === name ? null : name)) } }, icon(tool.icon), el("span", { text: tool.label })));
     this.followButton = round("Follow the robot", "M12 4v3M12 17v3M4 12h3M17 12h3M12 8a4 4 0 1 0 0 8a4 4 0 0 0 0-8z", () => this.follow(!this.follows));
     const corner = el("div", { class: "corner" },
       round("Zoom in", "M12 5v14M5 12h14", () => this.zoom(1.4)),
@@ -68,13 +70,13 @@ export class MapBlock {
       round("Show the whole map", "M4 9V4h5M15 4h5v5M20 15v5h-5M9 20H4v-5", () => this.fit()),
       this.followButton,
       this.layers.element);
-    this.element = el("div", { class: "map" }, this.canvas, this.pose, this.hint, corner,
-      el("div", { class: "tools", role: "toolbar", "aria-label": "Tools of the map" }, ...this.toolButtons));
+    this.toolRow = el("div", { class: "tools", role: "toolbar", "aria-label": "Tools of the map" }, ...this.toolButtons);
+    this.element = el("div", { class: "map" }, this.canvas, this.pose, this.hint, corner, this.toolRow);
     gestures(this.canvas, {
-      aims: () => this.tool !== null,
+      aims: () => this.tool !== null || this.editor !== null,
       press: (x, y) => this.press(x, y),
       aim: (x, y) => this.turn(x, y),
-      let: (x, y) => this.let(x, y),
+      let: (x, y, far) => this.let(x, y, far),
       forget: () => this.forget(),
       pan: (dx, dy) => this.pan(dx, dy),
       zoom: (factor, x, y) => this.zoom(factor, x, y),
@@ -93,7 +95,7 @@ export class MapBlock {
 
   hide() {
     this.shown = false;
-    this.choose(null);
+    this.edit(null);
     this.layersChanged();
   }
 
@@ -215,10 +217,24 @@ export class MapBlock {
   }
 
   showHint() {
-    write(this.hint, this.tool ? this.tools[this.tool].hint : this.noMap || "");
+    write(this.hint, this.editor?.hint ?? (this.tool ? this.tools[this.tool].hint : this.noMap || ""));
+  }
+
+  /**
+   * Let an editor have the fingers: {press(px, py), move(px, py), let(px, py, far), forget(), key(event) -> whether it
+   * was meant, draw(context, view, colour), hint}; null: no more.
+   */
+  edit(editor) {
+    this.choose(null);
+    this.editor = editor;
+    this.toolRow.hidden = editor !== null;
+    this.element.classList.toggle("aims", editor !== null);
+    this.showHint();
+    this.redraw();
   }
 
   press(px, py) {
+    if (this.editor) return this.editor.press(px, py);
     const [x, y] = this.view.toMap(px, py);
     this.aim = { x, y };
     this.pressed = [px, py];
@@ -227,6 +243,7 @@ export class MapBlock {
   }
 
   turn(px, py) {
+    if (this.editor) return this.editor.move(px, py);
     const [x, y] = this.view.toMap(px, py);
     if (this.tool === "measure") this.measured = [this.aim, { x, y }];
     else if (Math.hypot(px - this.pressed[0], py - this.pressed[1]) < AIMED) delete this.aim.theta;
@@ -234,7 +251,8 @@ export class MapBlock {
     this.redraw();
   }
 
-  let(px, py) {
+  let(px, py, far) {
+    if (this.editor) return this.editor.let(px, py, far);
     this.turn(px, py);
     const [tool, pose] = [this.tool, this.aim];
     this.aim = null;
@@ -243,6 +261,7 @@ export class MapBlock {
   }
 
   forget() {
+    this.editor?.forget();
     this.aim = null;
     this.redraw();
   }
@@ -257,7 +276,16 @@ export class MapBlock {
     if (place) ({ x, y } = place[1]);
     this.point = { x, y };
     this.redraw();
-    this.menu({ x, y }, place?.[0] ?? null, this.view.to(x, y));
+    this.menu({ x, y }, place?.[0] ?? null, this.view.to(x, y), this.shapeAt(x, y));
+  }
+
+  /** The area that a place is in, or the path that it is on: {kind, name}; null where there is none. */
+  shapeAt(x, y) {
+    const { areas, paths } = this.named(this.values);
+    const [path] = paths.find(([, { points }]) => scene.farFrom(points, x, y) * this.view.scale < NEAR / 2) ?? [];
+    if (path !== undefined) return { kind: "path", name: path };
+    const [area] = areas.findLast(([, { points }]) => scene.inside(points, x, y)) ?? [];
+    return area === undefined ? null : { kind: "area", name: area };
   }
 
   key(event) {
@@ -270,6 +298,7 @@ export class MapBlock {
       Enter: () => this.tap(this.view.width / 2, this.view.height / 2),
       Escape: () => this.choose(null),
     };
+    if (this.editor?.key(event)) return event.preventDefault();
     if (!(event.key in actions) || event.ctrlKey || event.metaKey || event.altKey) return;
     event.preventDefault();
     actions[event.key]();
@@ -302,6 +331,10 @@ export class MapBlock {
     scene.drawNames(new Labels(context, view.width, colour), view, named, colour);
     if (values.driving?.goal) scene.drawPose(context, view, values.driving.goal, colour.path, colour);
     if (values.robot?.pose) scene.drawRobot(context, view, values.robot, colour, !this.socket.open);
+    if (this.editor) {
+      this.editor.draw(context, view, colour);
+      if (document.activeElement === this.canvas) scene.drawCross(context, view, colour);
+    }
     if (this.measured.length === 2) scene.drawMeasure(context, view, this.measured, colour);
     else if (this.aim) scene.drawPose(context, view, this.aim, colour.accent, colour, 44);
     if (this.point) scene.drawPose(context, view, this.point, colour.accent, colour);

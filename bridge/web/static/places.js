@@ -2,6 +2,7 @@
 
 import { button, el, mark, rows, write } from "./dom.js";
 import { degrees, metres } from "./format.js";
+import { remove, rename } from "./names.js";
 import { goToPlace } from "./poses.js";
 import { ask, question } from "./say.js";
 import { searchField, Table } from "./table.js";
@@ -11,7 +12,7 @@ export function placesView(root, socket) {
   let [map, places, why] = [undefined, null, ""];
   const maps = mapsBlock(socket);
   const locations = locationTable(socket, () => map);
-  const shapes = shapeTable();
+  const shapes = shapeTable(socket, () => map);
   const number = el("span", { class: "count" });
   const shapeBlock = el("section", { class: "block", "aria-labelledby": "shapes-title" },
     el("div", { class: "heading" }, el("h2", { text: "Areas and paths", id: "shapes-title" })), shapes.element);
@@ -93,29 +94,49 @@ function locationTable(socket, current) {
 function actions(socket, current, { name }) {
   const go = button("Go", () => goToPlace(socket, name), { "aria-label": `Go to ${name}` });
   const look = el("a", { class: "button", text: "Show", "aria-label": `Show ${name} on the map` });
-  const away = button("Delete", () => remove(socket, name), { "aria-label": `Delete ${name}` });
+  const changing = changes(socket, "location", name);
   return {
-    element: el("div", { class: "buttons" }, go, look, away),
+    element: el("div", { class: "buttons" }, go, look, ...changing.elements),
     update(place) {
       const here = current() === undefined || place.map === current();
       mark(go, "disabled", socket.mayDrive && here ? null : "");
-      mark(away, "disabled", socket.mayDrive ? null : "");
       mark(look, "href", here ? `#drive/${place.x},${place.y}` : null);
       mark(look, "aria-disabled", here ? null : "true");
+      changing.update();
     },
   };
 }
 
-async function remove(socket, name) {
-  const sure = await question(`Delete ${name}?`, {}, "Delete", { text: "Nobody can be sent there by name any more.", danger: true });
-  if (sure) await ask(socket, `Delete ${name}`, "delete_place", { name }, `Deleted ${name}.`);
+/** The buttons that change what has a name. */
+function changes(socket, kind, name) {
+  const elements = [
+    button("Rename", () => rename(socket, kind, name), { "aria-label": `Rename ${name}` }),
+    button("Delete", () => remove(socket, kind, name), { "aria-label": `Delete ${name}` }),
+  ];
+  return { elements, update: () => elements.forEach((each) => mark(each, "disabled", socket.mayDrive ? null : "")) };
 }
 
-function shapeTable() {
+function shapeActions(socket, current, { of, name }) {
+  const look = el("a", { class: "button", text: "Show", "aria-label": `Show ${name} on the map` });
+  const changing = changes(socket, of === "areas" ? "area" : "path", name);
+  return {
+    element: el("div", { class: "buttons" }, look, ...changing.elements),
+    update({ map, points }) {
+      const here = (current() === undefined || map === current()) && points.length > 0;
+      const middle = [0, 1].map((axis) => points.reduce((sum, point) => sum + point[axis], 0) / points.length);
+      mark(look, "href", here ? `#drive/${middle.map((part) => part.toFixed(2))}` : null);
+      mark(look, "aria-disabled", here ? null : "true");
+      changing.update();
+    },
+  };
+}
+
+function shapeTable(socket, current) {
   return new Table("Areas and paths", [
     { label: "Name", class: "wide", head: true, value: (s) => s.name, text: (s) => s.name },
     { label: "Kind", class: "way", value: (s) => s.of, text: (s) => (s.of === "areas" ? "area" : "path") },
     { label: "Map", class: "way", value: (s) => s.map, text: (s) => s.map },
     { label: "Points", class: "num", value: (s) => s.points.length, text: (s) => String(s.points.length) },
+    { label: "Do", class: "do", made: (shape) => shapeActions(socket, current, shape) },
   ], (shape) => `${shape.of} ${shape.name}`);
 }

@@ -1,9 +1,8 @@
 // What an operator asks for at a pose on the map: drive there, the robot is there, keep it as a place.
 
 import { degrees, position } from "./format.js";
+import { keep, LONGEST_NAME } from "./names.js";
 import { ask, question, say } from "./say.js";
-
-const LONGEST_NAME = 64;
 
 const inDegrees = (theta) => String(Math.round((theta * 180) / Math.PI));
 
@@ -55,8 +54,8 @@ export async function robotIsAt(socket, pose, heading = 0) {
   if (known) await ask(socket, `Robot is at ${words(known)}`, "set_pose", known);
 }
 
-/** Keep a pose under a name that is asked for. */
-export async function keepPlace(socket, pose, heading = 0) {
+/** Keep a pose under a name that is asked for; `places` as in `keep`. */
+export async function keepPlace(socket, places, pose, heading = 0) {
   const fields = {
     name: { label: "Name", value: "", maxlength: LONGEST_NAME },
     ...poseFields({ ...pose, theta: pose.theta ?? heading }, true),
@@ -64,5 +63,5 @@ export async function keepPlace(socket, pose, heading = 0) {
   const answer = await question("Keep this place", fields, "Keep");
   const kept = answer && poseOf(answer);
   if (!kept) return;
-  await ask(socket, `Keep ${answer.name}`, "keep_place", { name: answer.name, ...kept }, `Kept ${answer.name} at ${words(kept)}.`);
+  await keep(socket, places, "location", "keep_place", { name: answer.name, ...kept }, `Kept ${answer.name} at ${words(kept)}.`);
 }

@@ -228,6 +228,43 @@ export function drawPose(context, view, { x, y, theta }, ink, colour, length = 3
   line();
 }
 
+/** A cross in the middle of the window, where keys set what fingers set elsewhere. */
+export function drawCross(context, view, colour) {
+  const [x, y] = [Math.round(view.width / 2) + 0.5, Math.round(view.height / 2) + 0.5];
+  for (const [width, ink] of [[5, colour.halo], [2, colour.ink]]) {
+    context.lineWidth = width;
+    context.strokeStyle = ink;
+    context.beginPath();
+    for (const [dx, dy] of [[1, 0], [-1, 0], [0, 1], [0, -1]]) {
+      context.moveTo(x + 4 * dx, y + 4 * dy);
+      context.lineTo(x + 14 * dx, y + 14 * dy);
+    }
+    context.stroke();
+  }
+}
+
+/** Whether a place is inside of a polygon. */
+export function inside(points, x, y) {
+  let odd = false;
+  points.forEach(([ax, ay], i) => {
+    const [bx, by] = points[(i + 1) % points.length];
+    if (ay > y !== by > y && x < ax + ((y - ay) * (bx - ax)) / (by - ay)) odd = !odd;
+  });
+  return odd;
+}
+
+/** How far a place is from a line of points. */
+export function farFrom(points, x, y) {
+  let least = Infinity;
+  points.forEach(([bx, by], i) => {
+    const [ax, ay] = points[Math.max(i - 1, 0)];
+    const [dx, dy] = [bx - ax, by - ay];
+    const share = Math.min(1, Math.max(0, ((x - ax) * dx + (y - ay) * dy) / (dx * dx + dy * dy || 1)));
+    least = Math.min(least, Math.hypot(ax + share * dx - x, ay + share * dy - y));
+  });
+  return least;
+}
+
 /** A measured length between two places. */
 export function drawMeasure(context, view, [a, b], colour) {
   const [ax, ay] = view.to(a.x, a.y);

@@ -1,0 +1,44 @@
+// Editing the map: the tools' row makes room for what draws areas and paints flags.
+
+import { AreaEditor } from "./area.js";
+import { button, el, icon } from "./dom.js";
+
+const EDITORS = {
+  area: { label: "Area", icon: "M5 6l13-2 2 13-12 3zM5 6v0M18 4v0", make: (map, socket) => new AreaEditor(map, socket) },
+};
+
+/** The row; returns {element, open(), close()}. `left` is called when editing ends. */
+export function editBar(map, socket, left) {
+  const made = {}; // the editors, as far as they were needed: what is drawn stays while another one is at work
+  const choices = Object.fromEntries(Object.entries(EDITORS).map(([name, { label, icon: path }]) => [name,
+    el("button", { type: "button", "aria-pressed": "false", title: label, on: { click: () => choose(name) } }, icon(path), el("span", { text: label }))]));
+  const controls = el("div", { class: "controls", role: "group", "aria-label": "Editing" });
+  const done = button("Done", () => {
+    close();
+    left();
+  }, { class: "primary" });
+  const element = el("div", { class: "tools editing drives", role: "toolbar", "aria-label": "Editing the map", hidden: true },
+    ...Object.values(choices), controls, done);
+
+  function choose(name) {
+    const editor = made[name] ??= EDITORS[name].make(map, socket);
+    for (const [each, choice] of Object.entries(choices)) choice.setAttribute("aria-pressed", String(each === name));
+    controls.replaceChildren(...editor.controls);
+    map.edit(editor);
+  }
+
+  function close() {
+    element.hidden = true;
+    map.edit(null);
+  }
+
+  element.addEventListener("keydown", (event) => event.key === "Escape" && done.click());
+  return {
+    element,
+    close,
+    open() {
+      element.hidden = false;
+      choose("area");
+    },
+  };
+}
