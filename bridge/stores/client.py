@@ -70,7 +70,7 @@ class StoreClient:
             known = {f"{kind}/{name}": [ns, replica] for kind, name, ns, replica, _ in self.digest()}
             writes = made()
             keys = [f"{each.kind.name}/{each.name}" for each in writes]
-            if self._write(writes, {key: known.get(key) for key in keys}):
+            if not writes or self._write(writes, {key: known.get(key) for key in keys}):
                 return
         raise StoreError("others write the same all the time; try again")
 

@@ -47,30 +47,30 @@ _TINTS = {
 """Colour and opacity of flags over the occupancy."""
 
 
-def occupancy_png(grid: MapGrid2D) -> bytes:
-    """The occupancy as a picture of greys with opacity: free white, occupied black, unknown clear."""
-    values = np.asarray(grid.occupancy, np.uint8)
-    known = values <= 100
-    grey = np.where(grid.flags == MapFlag.WALL, 0, 255 - np.minimum(values, 100).astype(np.uint16) * 255 // 100)
-    known |= (grid.flags == MapFlag.WALL) | (grid.flags == MapFlag.FREE)
-    opacity = np.where(known & (grid.flags != MapFlag.UNKNOWN), 255, 0)
-    return _png(np.dstack([grey.astype(np.uint8), opacity.astype(np.uint8)]), "LA")
+Cells = NDArray[np.uint8]
 
 
-def flags_png(grid: MapGrid2D) -> bytes | None:
-    """The flags that planners heed as tints; None where no cell has one."""
+def occupancy_picture(grid: MapGrid2D) -> Cells:
+    """The occupancy as greys with opacity (height, width, 2): free white, occupied black, unknown clear."""
+    values, wall = np.asarray(grid.occupancy, np.uint8), grid.flags == MapFlag.WALL
+    grey = np.where(wall, 0, 255 - np.minimum(values, 100).astype(np.uint16) * 255 // 100)
+    opacity = np.where(((values <= 100) | wall) & (grid.flags != MapFlag.UNKNOWN), 255, 0)
+    return np.dstack([np.where(opacity, grey, 0).astype(np.uint8), opacity.astype(np.uint8)])
+
+
+def flags_picture(grid: MapGrid2D) -> Cells | None:
+    """The flags that planners heed as tints (height, width, 4); None where no cell has one."""
     tints = np.zeros((256, 4), np.uint8)
     for flag, colour in _TINTS.items():
         tints[flag] = colour
     picture = tints[grid.flags]
-    return _png(picture, "RGBA") if picture.any() else None
+    return picture if picture.any() else None
 
 
-def _png(cells: NDArray[np.uint8], mode: str) -> bytes:
+def _png(cells: Cells) -> bytes:
     out = io.BytesIO()
-    Image.frombytes(mode, (cells.shape[1], cells.shape[0]), np.ascontiguousarray(cells).tobytes()).save(
-        out, "PNG", compress_level=3
-    )
+    mode = {2: "LA", 4: "RGBA"}[cells.shape[2]]
+    Image.frombytes(mode, (cells.shape[1], cells.shape[0]), cells.tobytes()).save(out, "PNG", compress_level=3)
     return out.getvalue()
 
 
@@ -81,10 +81,13 @@ class Pictures:
         self._lock = threading.Lock()
         self._kept: OrderedDict[str, bytes] = OrderedDict()
 
-    def put(self, name: str, picture: bytes) -> str:
-        """Keep a picture; its address."""
-        version = hashlib.sha256(picture).hexdigest()[:12]
+    def put(self, name: str, cells: Cells) -> str:
+        """Keep a picture; its address, which tells its content. One that is kept already is not packed again."""
+        version = hashlib.sha256(np.ascontiguousarray(cells).data).hexdigest()[:12]
         address = f"/map/{name}.png?v={version}"
+        with self._lock:
+            known = self._kept.get(address)
+        picture = _png(cells) if known is None else known
         with self._lock:
             self._kept[address] = picture
             self._kept.move_to_end(address)
@@ -125,6 +128,7 @@ class StoreFollower:
         self._asking = False
         self._digest: Any = None
         self._view: StoreView | None = None
+        self._map: tuple[Any, MapGrid2D | None] | None = None
 
     def begin(self, feed: Feed, take: Callable[[StoreView], None]) -> None:
         """Hand a feed what there is, and what is new."""
@@ -140,7 +144,7 @@ class StoreFollower:
         self._feeds.pop(feed, None)
         if not self._feeds and self._timer is not None:
             self._timer.close()
-            self._timer = self._view = self._digest = None
+            self._timer = self._view = self._digest = self._map = None
 
     def client(self) -> StoreClient:
         """The store on the hub; raises `StoreError` where there is none. Waits; not on the module's thread."""
@@ -164,7 +168,7 @@ class StoreFollower:
         try:
             view, why = self._read(), ""
         except (StoreError, HubError) as err:
-            view, why, self._client, self._digest = None, str(err), None, None
+            view, why, self._client, self._digest, self._map = None, str(err), None, None, None
         except Exception as err:
             _log.exception("the store")
             view, why = None, f"{type(err).__name__}: {err}"
@@ -177,7 +181,11 @@ class StoreFollower:
         if digest == self._digest:
             return None
         name = client.current_map()
-        grid = client.get(MAP, name) if name else None
+        stamp = next((entry for entry in digest if entry[:2] == [MAP.name, name]), None)
+        kept = self._map
+        if kept is None or kept[0] != stamp:
+            kept = self._map = stamp, client.get(MAP, name) if stamp else None
+        grid = kept[1]
         view = StoreView({"names": client.names(MAP), "current": name}, _places(client), grid, name)
         self._digest = digest
         return view
@@ -269,8 +277,8 @@ class MapFeed(TopicsFeed):
 
     def _draw(self, grid: MapGrid2D, name: str) -> None:
         """On a thread of its own: a picture of 16 million cells takes seconds."""
-        picture = self._pictures.put("occupancy", occupancy_png(grid))
-        tints = flags_png(grid)
+        picture = self._pictures.put("occupancy", occupancy_picture(grid))
+        tints = flags_picture(grid)
         flags = self._pictures.put("flags", tints) if tints is not None else None
         x, y, theta = grid.origin.to_ros()
         value = {

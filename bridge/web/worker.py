@@ -24,6 +24,7 @@ from bridge.web.inspection import inspection_verbs
 from bridge.web.log_feed import LogFollower, log_feed
 from bridge.web.maps import MapFeed, Pictures, StoreFeed, StoreFollower
 from bridge.web.page import Page
+from bridge.web.paint import Painter
 from bridge.web.place_verbs import PlaceVerbs
 from bridge.web.robot import DrivingFeed, FrameFollower, FramesFeed, LaserFeed, PathFeed, RobotFeed
 from bridge.web.server import WebServer, hello
@@ -113,10 +114,10 @@ class Console:
         most = (section.speed, section.turn)
         self._hold = HandDriving(host, config.navigation.velocity, most, lambda: driving.busy)
         self._driving = driving
-        places = PlaceVerbs(self._store.client, lambda: host.loop.post(self._store.look))
+        written = (self._store.client, lambda: host.loop.post(self._store.look))
         self._verbs = Verbs(
             host, config, client, known, self._store.client, chose=driving.chose, stop_hold=self._hold.stop,
-            more={**inspection_verbs(client, log), **places.verbs()},
+            more={**inspection_verbs(client, log), **PlaceVerbs(*written).verbs(), **Painter(*written).verbs()},
         )  # fmt: skip
         self._hello = hello(config.name, __version__, config.navigation.frame, most, HOLD_SECONDS)
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import json
 import math
 import shutil
 import time
@@ -280,6 +281,35 @@ def test_an_area_by_its_corners_on_the_keyboard(operator: Operator, watch: TestP
     found = watch.value("places", lambda value: "by keys" in value["areas"])["areas"]["by keys"]["points"]
     assert len(found) == 3
     watch.call("delete_place", name="by keys", kind="area")
+
+
+def kept_out(robot: WebRobot) -> int:
+    """How many cells of the map in use are to be kept out of."""
+    found: dict[str, int] = json.loads(robot.command("map", "list", "--json"))[0]["flags"]
+    return found.get("keep_out", 0)
+
+
+def test_flags_are_painted_and_taken_back(operator: Operator, watch: TestPage, robot: WebRobot) -> None:
+    watch.watch("map")
+    clean = watch.value("map")["flags"]
+    canvas = operator.map_at(*FREE)
+    operator.button("Edit map").click()
+    operator.button("Paint").click()
+    chain = ActionChains(operator.chrome).move_to_element_with_offset(canvas, -30, 0)
+    chain.click_and_hold().move_by_offset(30, 0).move_by_offset(30, 0).release().perform()
+    watch.value("map", lambda value: value["flags"] != clean)
+    painted = kept_out(robot)
+    assert painted > 10
+    operator.button("Undo").click()
+    watch.value("map", lambda value: value["flags"] == clean)
+    until(lambda: operator.button("Redo").is_enabled(), "it can be done again")
+    canvas.send_keys(Keys.CONTROL, "y")
+    watch.value("map", lambda value: value["flags"] != clean)
+    assert kept_out(robot) == painted
+    until(lambda: operator.button("Undo").is_enabled(), "it can be taken back again")
+    canvas.send_keys(Keys.CONTROL, "z")
+    watch.value("map", lambda value: value["flags"] == clean)
+    operator.button("Done").click()
 
 
 def test_two_tabs_agree(operator: Operator, watch: TestPage) -> None:

@@ -2,9 +2,11 @@
 
 import { AreaEditor } from "./area.js";
 import { button, el, icon } from "./dom.js";
+import { PaintEditor } from "./paint.js";
 
 const EDITORS = {
   area: { label: "Area", icon: "M5 6l13-2 2 13-12 3zM5 6v0M18 4v0", make: (map, socket) => new AreaEditor(map, socket) },
+  paint: { label: "Paint", icon: "M14 4l6 6-8 8-6-6zM6 12c-3 1-1 6-4 7 3 2 8 1 10-1", make: (map, socket) => new PaintEditor(map, socket) },
 };
 
 /** The row; returns {element, open(), close()}. `left` is called when editing ends. */
@@ -16,7 +18,7 @@ export function editBar(map, socket, left) {
   const done = button("Done", () => {
     close();
     left();
-  }, { class: "primary" });
+  }, { class: "primary done" });
   const element = el("div", { class: "tools editing drives", role: "toolbar", "aria-label": "Editing the map", hidden: true },
     ...Object.values(choices), controls, done);
 
@@ -29,6 +31,7 @@ export function editBar(map, socket, left) {
 
   function close() {
     element.hidden = true;
+    map.element.parentElement?.classList.remove("edits");
     map.edit(null);
   }
 
@@ -38,6 +41,7 @@ export function editBar(map, socket, left) {
     close,
     open() {
       element.hidden = false;
+      map.element.parentElement.classList.add("edits"); // a phone's map has all the room then
       choose("area");
     },
   };

@@ -131,7 +131,7 @@ export class MapBlock {
   }
 
   mapChanged(map, why) {
-    if (this.mapName !== undefined && map && this.mapName !== map.name) this.placed = false;
+    if (map && this.mapName !== map.name && (this.mapName !== undefined || !this.moved)) this.placed = false;
     if (map) this.mapName = map.name;
     this.noMap = map ? "" : why || "There is no map.";
     this.images.show(this.values.map, this.layers.on("flags"), this.dark.matches);

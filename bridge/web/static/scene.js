@@ -3,7 +3,7 @@
 /** The colours of the page's theme, by the names of style.css. */
 export function colours() {
   const style = getComputedStyle(document.documentElement);
-  const names = ["floor", "grid", "ink", "muted", "accent", "laser", "path", "area", "goal", "halo", "bad"];
+  const names = ["floor", "grid", "ink", "muted", "accent", "laser", "path", "area", "goal", "halo", "bad", "held"];
   return Object.fromEntries(names.map((name) => [name, style.getPropertyValue(`--${name}`).trim()]));
 }
 

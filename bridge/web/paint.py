@@ -1,0 +1,138 @@
+"""Flags that pages paint on a map of the store, with what undoes each change.
+
+A run is ``[row, column, length, flag]`` or ``[row, column, length, flag, was]``: cells of one row of the map's picture,
+first row on top; flags as YARP numbers them. Without a flag (null) cells become what the occupancy says. With ``was``
+only those change that have this flag now, so that an undo leaves alone what somebody else has painted since.
+"""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from itertools import pairwise
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from bridge.stores.client import StoreClient
+from bridge.stores.kinds import MAP
+from bridge.stores.store import Write
+from bridge.web.verbs import PageVerb, VerbError, name_of
+from yarp_compat.dev.mapflag import MAX_CELLS, MapFlag, flags_of
+from yarp_compat.dev.mapgrid import MapGrid2D
+
+MOST_RUNS, MOST_CELLS, MOST_PIECES = 2000, 200_000, 20_000
+"""Of a call: its runs, their cells, the runs of what undoes it."""
+
+
+class Run(NamedTuple):
+    """Cells of one row, and what they become."""
+
+    row: int
+    column: int
+    length: int
+    flag: int | None  #: None: what the occupancy says
+    was: int | None  #: the flag that they must have now; None: any
+
+
+def _whole(value: Any, most: int) -> int:
+    if isinstance(value, bool) or not isinstance(value, int) or not 0 <= value <= most:
+        raise ValueError(f"{value!r:.40} is no whole number up to {most}")
+    return value
+
+
+def _run(value: Any) -> Run:
+    if not isinstance(value, list) or len(value) not in (4, 5):
+        raise ValueError(f"{value!r:.40} is no run")
+    row, column, length = (_whole(part, MAX_CELLS) for part in value[:3])
+    flag, was = (None if part is None else _whole(part, max(MapFlag)) for part in (*value[3:], None)[:2])
+    return Run(row, column, length, flag, was)
+
+
+def runs_of(value: Any) -> list[Run]:
+    """Check the runs of a call."""
+    if not isinstance(value, list) or not 1 <= len(value) <= MOST_RUNS:
+        raise ValueError(f"are 1 to {MOST_RUNS} runs")
+    try:
+        found = [_run(each) for each in value]
+    except ValueError as err:
+        raise ValueError(f"are runs [row, column, length, flag], where {err}") from None
+    if sum(run.length for run in found) > MOST_CELLS:
+        raise ValueError(f"have up to {MOST_CELLS} cells")
+    return found
+
+
+def size_of(value: Any) -> tuple[int, int]:
+    """Check the size of a map."""
+    if not isinstance(value, list) or len(value) != 2:
+        raise ValueError("is [width, height] of the map")
+    return _whole(value[0], MAX_CELLS), _whole(value[1], MAX_CELLS)
+
+
+def paint(grid: MapGrid2D, runs: Iterable[Run]) -> list[Run]:
+    """Change the flags of a map; the runs that undo it. Raises `VerbError` where a run leaves the map."""
+    undo: list[Run] = []
+    for run in runs:
+        end = run.column + run.length
+        if run.row >= grid.height() or end > grid.width():
+            raise VerbError(
+                f"row {run.row}, columns {run.column} to {end}: the map has {grid.width()} x {grid.height()}"
+            )
+        cells = grid.flags[run.row, run.column : end]
+        occupancy = grid.occupancy[run.row, run.column : end]
+        wanted = flags_of(occupancy) if run.flag is None else np.full_like(cells, run.flag)
+        changes = cells != wanted
+        if run.was is not None:
+            changes &= cells == run.was
+        undo.extend(
+            Run(run.row, run.column + first, last - first, int(cells[first]), int(wanted[first]))
+            for first, last in _alike(np.where(changes, cells * np.uint8(8) + wanted, np.uint8(255)))
+        )
+        if len(undo) > MOST_PIECES:
+            raise VerbError(f"it changes more than {MOST_PIECES} pieces; paint less at once")
+        cells[changes] = wanted[changes]
+    return undo[::-1]  # the newest first: runs of one call may lie over each other
+
+
+def _alike(marks: np.ndarray[Any, np.dtype[np.uint8]]) -> Iterator[tuple[int, int]]:
+    """Where neighbours have one mark, first and behind the last; 255 is none."""
+    edges = [0, *(np.flatnonzero(marks[1:] != marks[:-1]) + 1).tolist(), len(marks)]
+    for first, last in pairwise(edges):
+        if last > first and marks[first] != 255:
+            yield first, last
+
+
+class Painter:
+    """The verb, on threads that may wait.
+
+    Args:
+        store: the store; raises `StoreError` where there is none.
+        changed: called after each change.
+    """
+
+    def __init__(self, store: Callable[[], StoreClient], changed: Callable[[], None]) -> None:
+        self._store, self._changed = store, changed
+        self._one = threading.Lock()  # pages wait for each other here, and not by trying again
+
+    def verbs(self) -> dict[str, PageVerb]:
+        """The verb by its name."""
+        return {"paint_flags": PageVerb(self._paint, {"map": name_of, "size": size_of, "runs": runs_of}, {})}
+
+    def _paint(self, map: str, size: tuple[int, int], runs: Sequence[Run]) -> dict[str, Any]:  # noqa: A002
+        store = self._store()
+        undo: list[Run] = []
+
+        def painted() -> list[Write[Any]]:
+            grid = store.get(MAP, map)
+            if grid is None:
+                raise VerbError(f"there is no map {map!r} in the store; {', '.join(store.names(MAP)) or 'it has none'}")
+            if grid.getSize_in_cells() != size:
+                raise VerbError(f"the map {map!r} has another size now: {grid.width()} x {grid.height()} cells")
+            undo[:] = paint(grid, runs)
+            return [Write(MAP, map, grid)] if undo else []
+
+        with self._one:
+            store.change(painted)
+        if undo:
+            self._changed()
+        return {"changed": sum(run.length for run in undo), "undo": [list(run) for run in undo]}

@@ -1,0 +1,151 @@
+"""Flags that pages paint, on a real hub."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from bridge.stores.kinds import LOCATION, MAP
+from bridge.stores.store import Store, Write
+from bridge.web.maps import Pictures, flags_picture, occupancy_picture
+from bridge.web.paint import MOST_CELLS, MOST_PIECES, MOST_RUNS, Run, paint, runs_of
+from bridge.web.verbs import VerbError
+from tests.stores.parts import Shared
+from tests.web.conftest import Desk
+from tests.web.page import TestPage
+from yarp_compat.dev.locations import Map2DLocation
+from yarp_compat.dev.mapgrid import UNKNOWN, MapFlag, MapGrid2D
+
+FREE, KEEP_OUT, TEMPORARY, WALL = MapFlag.FREE, MapFlag.KEEP_OUT, MapFlag.TEMPORARY_OBSTACLE, MapFlag.WALL
+
+
+def house(width: int = 6, height: int = 4) -> MapGrid2D:
+    """Free, with a wall in the last column."""
+    flags = np.zeros((height, width), np.uint8)
+    flags[:, -1] = WALL
+    return MapGrid2D.of(flags, name="house", resolution=0.1)
+
+
+def asked(*runs: list[Any]) -> list[Run]:
+    return runs_of(list(runs))
+
+
+def test_runs_and_what_undoes_them() -> None:
+    grid = house()
+    before = grid.flags.copy()
+    undo = paint(grid, asked([1, 0, 6, KEEP_OUT], [1, 2, 2, TEMPORARY]))
+    assert grid.flags[1].tolist() == [1, 1, 2, 2, 1, 1]
+    assert (grid.flags[[0, 2, 3]] == before[[0, 2, 3]]).all()
+    redo = paint(grid, undo)
+    assert (grid.flags == before).all()
+    paint(grid, redo)
+    assert grid.flags[1].tolist() == [1, 1, 2, 2, 1, 1]
+
+
+def test_an_undo_leaves_alone_what_others_painted_since() -> None:
+    grid = house()
+    undo = paint(grid, asked([1, 0, 4, KEEP_OUT]))
+    paint(grid, asked([1, 1, 1, WALL]))
+    redo = paint(grid, undo)
+    assert grid.flags[1].tolist() == [0, WALL, 0, 0, 0, WALL]
+    assert sum(run.length for run in redo) == 3
+
+
+def test_erased_cells_are_what_the_occupancy_says() -> None:
+    grid = house()
+    grid.occupancy[1, 3] = UNKNOWN
+    paint(grid, asked([1, 0, 6, KEEP_OUT]))
+    paint(grid, asked([1, 0, 6, None]))
+    assert grid.flags[1].tolist() == [0, 0, 0, MapFlag.UNKNOWN, 0, WALL]
+
+
+@pytest.mark.parametrize("run", [[4, 0, 1, 1], [0, 5, 2, 1], [0, 6, 1, 1]])
+def test_no_run_leaves_the_map(run: list[int]) -> None:
+    with pytest.raises(VerbError, match="the map has 6 x 4"):
+        paint(house(), asked(run))
+
+
+def test_what_undoes_it_is_bounded() -> None:
+    wide = 2 * MOST_PIECES
+    grid = MapGrid2D.of(np.arange(wide, dtype=np.uint8).reshape(1, wide) % 2, name="house")
+    with pytest.raises(VerbError, match="paint less at once"):
+        paint(grid, asked([0, 0, wide, KEEP_OUT + 1]))
+
+
+@pytest.mark.parametrize(
+    "runs",
+    ["", [], [[1, 2, 3]], [[1, 2, 3, 4, 5, 6]], [[0, 0, 1, 6]], [[0, 0, 1, -1]], [[0, 0, 1.5, 1]], [[0, True, 1, 1]],
+     [[-1, 0, 1, 1]], [[0, 0, 1 << 40, 1]], [[0, 0, 1, 1]] * (MOST_RUNS + 1), [[0, 0, MOST_CELLS + 1, 1]], [None]],
+)  # fmt: skip
+def test_runs_that_are_none(runs: Any) -> None:
+    with pytest.raises(ValueError, match=r"^(are|have)"):
+        runs_of(runs)
+
+
+def test_pictures_tell_what_they_show() -> None:
+    grid, pictures = house(), Pictures()
+    assert flags_picture(grid) is None
+    walls = pictures.put("occupancy", occupancy_picture(grid))
+    grid.flags[1, 1] = KEEP_OUT
+    assert pictures.put("occupancy", occupancy_picture(grid)) == walls, "keep-out cells are on the other picture"
+    tints = flags_picture(grid)
+    assert tints is not None
+    assert np.argwhere(tints[..., 3]).tolist() == [[1, 1]]
+    grid.flags[1, 2], grid.flags[1, 5] = WALL, MapFlag.UNKNOWN
+    grid.occupancy[2, 2], grid.flags[2, 2] = UNKNOWN, FREE
+    grey, opacity = np.moveaxis(occupancy_picture(grid), 2, 0)
+    assert (grey[1, 2], opacity[1, 2], opacity[1, 5]) == (0, 255, 0)
+    assert opacity[2, 2] == 0, "planners do not know this cell either"
+
+
+@pytest.fixture
+def store(desk: Desk, tmp_path: Path) -> Iterator[Store]:
+    with Shared(tmp_path, "here", desk.hubs.endpoint) as shared:
+        shared.store.put(MAP, "house", house())
+        shared.store.use_map("house")
+        yield shared.store
+
+
+def flags(store: Store) -> list[list[int]]:
+    grid = store.get(MAP, "house")
+    assert grid is not None
+    found: list[list[int]] = grid.flags.tolist()
+    return found
+
+
+def test_what_one_page_paints_all_see(desk: Desk, store: Store) -> None:
+    whole = {"map": "house", "size": [6, 4]}
+    with TestPage(desk.port) as one, TestPage(desk.port) as other:
+        other.watch("map")
+        assert other.value("map")["flags"] is None
+        first = one.call("paint_flags", runs=[[1, 0, 3, KEEP_OUT]], **whole)["value"]
+        assert first == {"changed": 3, "undo": [[1, 0, 3, FREE, KEEP_OUT]]}
+        other.value("map", lambda value: value["flags"])
+        assert other.call("paint_flags", runs=[[1, 2, 3, TEMPORARY]], **whole)["ok"]
+        assert flags(store)[1] == [1, 1, 2, 2, 2, WALL]
+        one.call("paint_flags", runs=first["undo"], **whole)
+        assert flags(store)[1] == [0, 0, 2, 2, 2, WALL], "what the other painted is not lost"
+        image = other.values["map"]["value"]["image"]
+        store.write([Write(LOCATION, "desk", Map2DLocation("house", 1.0))])
+        one.watch("places")
+        one.value("places", lambda value: value["locations"])
+        assert other.values["map"]["value"]["image"] == image
+
+
+@pytest.mark.parametrize(
+    ("args", "why"),
+    [
+        ({"map": "none", "size": [6, 4]}, "there is no map 'none' in the store; house"),
+        ({"map": "house", "size": [6, 5]}, "the map 'house' has another size now: 6 x 4 cells"),
+        ({"map": "house", "size": [6]}, "paint_flags: size is [width, height] of the map"),
+    ],
+)
+def test_what_cannot_be_painted_is_told(desk: Desk, store: Store, args: dict[str, Any], why: str) -> None:
+    with TestPage(desk.port) as page:
+        reply = page.call("paint_flags", runs=[[0, 0, 1, KEEP_OUT]], **args)
+        assert why in reply["error"]
+    assert flags(store) == house().flags.tolist()
