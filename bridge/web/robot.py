@@ -252,6 +252,16 @@ class DrivingFeed(TopicsFeed):
         return self._status is not None and self._status["state"] not in self.STANDING
 
     @property
+    def state(self) -> str:
+        """The gateway's state, "" where it is not known."""
+        return "" if self._status is None else str(self._status["state"])
+
+    @property
+    def goal_id(self) -> bytes:
+        """The id of the goal that the gateway speaks of; zeros without one."""
+        return bytes(16) if self._status is None else bytes(self._status["goal_id"])
+
+    @property
     def busy(self) -> str:
         """Why nobody may drive by hand, "" where one may."""
         return f"{self.planner} drives; pause or stop it first" if self.drives else ""

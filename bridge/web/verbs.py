@@ -84,8 +84,9 @@ class Verbs:
 
     Args:
         chose: called with the planner that was chosen, on the module's thread.
-        stop_hold: ends driving by hand, on the module's thread.
-        more: verbs of other subjects.
+        before: what happens on the module's thread as a verb of a name begins.
+        between: pauses or resumes what is between two goals; what it has done, "" where that is for the gateway.
+        more: verbs of other files.
     """
 
     def __init__(
@@ -97,11 +98,12 @@ class Verbs:
         store: Callable[[], StoreClient],
         *,
         chose: Callable[[str], None],
-        stop_hold: Callable[[], None],
+        before: Mapping[str, Callable[[], None]],
+        between: Callable[[str], str],
         more: Mapping[str, PageVerb],
     ) -> None:
         self._host, self._config, self._client, self._types, self._store = host, config, client, types, store
-        self._chose, self._stop_hold = chose, stop_hold
+        self._chose, self._before, self._between = chose, before, between
         self._pool = WorkerPool(_THREADS, "midspan-web-call")
         self._lock = threading.Lock()
         self._clients: dict[str, Client] = {}
@@ -113,8 +115,8 @@ class Verbs:
             "goto": PageVerb(self._goto, xy, {"theta": number_of}),
             "goto_place": PageVerb(partial(self._named, "go_to"), named, {}),
             "stop": PageVerb(self._stop, {}, {}, stops=True),
-            "pause": PageVerb(partial(self._trigger, "pause"), {}, {}, stops=True),
-            "resume": PageVerb(partial(self._trigger, "resume"), {}, {}),
+            "pause": PageVerb(partial(self._pause, "pause"), {}, {}, stops=True),
+            "resume": PageVerb(partial(self._pause, "resume"), {}, {}),
             "halt": PageVerb(self._halt, {}, {}, stops=True),
             "choose_planner": PageVerb(self._choose, named, {}),
             "set_pose": PageVerb(self._set_pose, pose, {}),
@@ -139,8 +141,8 @@ class Verbs:
         checked = _checked(verb, found, args)
         if found.commands:
             _log.info("%s: %s %s", who, verb, " ".join(f"{key}={value!s:.100}" for key, value in args.items()))
-        if verb in ("stop", "halt"):
-            self._host.loop.post(self._stop_hold)
+        if verb in self._before:
+            self._host.loop.post(self._before[verb])
         job = partial(_run, found.run, checked)
         return self._begin_stop(verb, job) if found.stops else self._pool.submit(job)
 
@@ -197,6 +199,10 @@ class Verbs:
 
     def _trigger(self, name: str, seconds: float = ANSWER_SECONDS) -> str:
         return self._ask(f"/navigation/{name}", TRIGGER, {}, seconds)
+
+    def _pause(self, name: str) -> str:
+        said: str = self._host.loop.call(lambda: self._between(name))
+        return said or self._trigger(name)
 
     def _stop(self) -> str:
         return self._trigger("stop", STOP_SECONDS)

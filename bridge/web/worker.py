@@ -25,6 +25,7 @@ from bridge.web.log_feed import LogFollower, log_feed
 from bridge.web.maps import MapFeed, Pictures, StoreFeed, StoreFollower
 from bridge.web.page import Page
 from bridge.web.paint import Painter
+from bridge.web.patrol import ANOTHER, STOPPED, Patrol
 from bridge.web.place_verbs import PlaceVerbs
 from bridge.web.robot import DrivingFeed, FrameFollower, FramesFeed, LaserFeed, PathFeed, RobotFeed
 from bridge.web.server import WebServer, hello
@@ -90,6 +91,7 @@ class Console:
         self._asking, self._decoding = SerialExecutor("midspan-web-ask"), SerialExecutor("midspan-web-decode")
         follower, self._store = FrameFollower(host, config), StoreFollower(host, config)
         driving = DrivingFeed(host, config)
+        self._patrol = Patrol(host, driving)
         self._map = MapFeed(host, config, self._store, pictures)
         log = LogFollower(config)
         self._feeds = Feeds(
@@ -98,6 +100,7 @@ class Console:
                 LaserFeed(host, follower, section.laser),
                 PathFeed(host, config, driving),
                 driving,
+                self._patrol.feed,
                 self._map,
                 StoreFeed("maps", self._store, lambda view: view.maps),
                 StoreFeed("places", self._store, lambda view: view.places),
@@ -112,12 +115,19 @@ class Console:
             },
         )
         most = (section.speed, section.turn)
-        self._hold = HandDriving(host, config.navigation.velocity, most, lambda: driving.busy)
+        self._hold = HandDriving(host, config.navigation.velocity, most, lambda: driving.busy or self._patrol.busy)
         self._driving = driving
         written = (self._store.client, lambda: host.loop.post(self._store.look))
         self._verbs = Verbs(
-            host, config, client, known, self._store.client, chose=driving.chose, stop_hold=self._hold.stop,
-            more={**inspection_verbs(client, log), **PlaceVerbs(*written).verbs(), **Painter(*written).verbs()},
+            host, config, client, known, self._store.client, chose=driving.chose, between=self._patrol.between,
+            before={
+                **dict.fromkeys(("stop", "halt"), self._stand),
+                **dict.fromkeys(("goto", "goto_place"), lambda: self._patrol.end(ANOTHER)),
+            },
+            more={
+                **inspection_verbs(client, log), **PlaceVerbs(*written).verbs(), **Painter(*written).verbs(),
+                **self._patrol.verbs(),
+            },
         )  # fmt: skip
         self._hello = hello(config.name, __version__, config.navigation.frame, most, HOLD_SECONDS)
 
@@ -136,6 +146,10 @@ class Console:
     async def _serve(self, socket: WebSocket) -> None:
         await Page(socket, self._hello, self._feeds, self._verbs, self._hold, self.host.loop.post).serve()
 
+    def _stand(self) -> None:
+        self._hold.stop()
+        self._patrol.end(STOPPED)
+
     def _status(self, _params: Any) -> dict[str, Any]:
         about = {"side": "web", "state": "running", "text": self.server.address, "pages": self.server.pages}
         return {**about, "pid": os.getpid(), **costs(self._process), **self.host.status()}
@@ -143,7 +157,7 @@ class Console:
     def close(self) -> None:
         """Stop the robot where a page drives it, then leave."""
         self.server.close()
-        self.host.loop.call(self._hold.stop)
+        self.host.loop.call(self._stand)
         self.host.loop.call(self._feeds.close)
         self._verbs.close()
         for executor in (self._asking, self._decoding):

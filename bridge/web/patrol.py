@@ -1,0 +1,218 @@
+"""A patrol: the robot drives to places in turn, again and again, until somebody ends it. All on the module's thread.
+
+It sends one goal at a time by the gateway's action, each once the one before was reached. Whatever else becomes of a
+goal ends the patrol: a stop, a goal of anybody else, a place that cannot be reached. The page that began it may go.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
+from typing import Any
+
+from bridge.config.sections.navigation import ACTION
+from bridge.hub.endpoints.calls import CallError
+from bridge.messages.actions import GoalState
+from bridge.modules.clients import ActionClient, Client, SentGoal
+from bridge.modules.host import Host
+from bridge.modules.loop import Timer
+from bridge.web.feed import Feed
+from bridge.web.robot import DrivingFeed
+from bridge.web.verbs import PageVerb, VerbError, name_of, number_of
+from navigation.gateway.services import GET_LOCATION
+from navigation.messages import NAVIGATE
+
+MOST_PLACES = 50
+SHORTEST, USUAL, LONGEST = 1.0, 2.0, 3600.0
+"""Seconds that it stands at a place: a stop that is on its way then comes before the next goal."""
+
+ANSWER_SECONDS = 5.0
+_LOCATE = "/navigation/get_location"
+STOPPED, ANOTHER = "the robot was stopped", "somebody gave another goal"
+
+
+def places_of(value: Any) -> list[str]:
+    """Check the places of a patrol."""
+    if not isinstance(value, list) or not 2 <= len(value) <= MOST_PLACES:
+        raise ValueError(f"are 2 to {MOST_PLACES} names")
+    return [name_of(each) for each in value]
+
+
+def wait_of(value: Any) -> float:
+    """Check the seconds at each place."""
+    if not SHORTEST <= number_of(value) <= LONGEST:
+        raise ValueError(f"is {SHORTEST:g} to {LONGEST:g} seconds")
+    return float(value)
+
+
+class PatrolFeed(Feed):
+    """``patrol``: the one at hand, or how the last one ended."""
+
+    def __init__(self) -> None:
+        super().__init__("patrol")
+        self._now: Mapping[str, Any] | None = None
+
+    def open(self) -> None:
+        """Say how it is."""
+        self.put(self._now, "" if self._now else "there was no patrol")
+
+    def close(self) -> None:
+        """Rest: it follows nothing."""
+
+    def tell(self, value: Mapping[str, Any]) -> None:
+        """Say how it is now."""
+        self._now = value
+        self.put(value)
+
+
+class Patrol:
+    """The patrol of a console; one at a time.
+
+    Args:
+        driving: tells whether somebody stops the robot, or sends it elsewhere, while it stands at a place.
+    """
+
+    def __init__(self, host: Host, driving: DrivingFeed) -> None:
+        self._host, self._driving = host, driving
+        self.feed = PatrolFeed()
+        self._locate: Client | None = None
+        self._goals: ActionClient | None = None
+        self._places: Sequence[str] = ()
+        self._wait = USUAL
+        self._at = self._round = 0
+        self._step = 0  # grows with each: what belongs to an earlier one comes too late
+        self._active = self._held = self._seen = False
+        self._goal: SentGoal | None = None
+        self._newest = b""  # the id of the newest goal
+        self._timer: Timer | None = None
+        driving.on_change(self._look)
+
+    def verbs(self) -> dict[str, PageVerb]:
+        """The verb by its name."""
+        return {"patrol": PageVerb(self._patrol, {"places": places_of}, {"wait": wait_of})}
+
+    @property
+    def busy(self) -> str:
+        """Why nobody may drive by hand, "" where one may."""
+        return "a patrol is under way; pause or stop it first" if self._active and not self._held else ""
+
+    def end(self, why: str) -> None:
+        """End it, and its goal."""
+        if not self._active:
+            return
+        self._active = self._held = False
+        self._next_step()
+        goal, self._goal = self._goal, None
+        if goal is not None:
+            goal.cancel()
+        self._host.log.info("the patrol has ended: %s", why)
+        self._tell("ended", why)
+
+    def between(self, verb: str) -> str:
+        """What answers ``pause`` or ``resume`` while no goal is under way that the gateway could pause; "": nothing."""
+        if not self._active or self._goal is not None:
+            return ""
+        if verb == "pause" and not self._held:
+            self._held = True
+            self._next_step()
+            self._tell("held")
+            return "the patrol is paused"
+        if verb == "resume" and self._held:
+            self._held = False
+            self._find()
+            return "the patrol goes on"
+        return ""
+
+    # -- step by step --------------------------------------------------------------------------------------------------
+
+    def _patrol(self, places: Sequence[str], wait: float = USUAL) -> str:
+        self._host.loop.call(partial(self._begin, places, wait))
+        return f"patrols {len(places)} places"
+
+    def _begin(self, places: Sequence[str], wait: float) -> None:
+        if self._active:
+            raise VerbError("a patrol is under way; stop it first")
+        self._places, self._wait, self._at, self._round = places, wait, 0, 1
+        self._active, self._held, self._seen = True, False, False
+        self._host.log.info("patrols %s", ", ".join(places))
+        self._find()
+
+    def _next_step(self) -> int:
+        self._step += 1
+        if self._timer is not None:
+            self._timer.close()
+            self._timer = None
+        return self._step
+
+    def _within(self, seconds: float, action: Callable[[], Any]) -> None:
+        self._timer = self._host.loop.after(seconds, action)
+
+    def _find(self) -> None:
+        """Ask where the next place is now."""
+        step = self._next_step()
+        self._locate = self._locate or self._host.node.client(_LOCATE, GET_LOCATION)
+        self._locate.call({"name": self._place}, partial(self._found, step))
+        self._within(ANSWER_SECONDS, lambda: self.end(f"{_LOCATE} has not answered in {ANSWER_SECONDS:g} s"))
+        self._tell("drives")
+
+    def _found(self, step: int, reply: dict[str, Any] | CallError) -> None:
+        if step != self._step:
+            return
+        if isinstance(reply, CallError):
+            self.end(f"{_LOCATE}: {reply}")
+        elif not reply["success"]:
+            self.end(str(reply["message"]))
+        else:
+            step = self._next_step()
+            self._goals = self._goals or self._host.node.action_client(ACTION, NAVIGATE)
+            self._goal = self._goals.send({"pose": reply["pose"]}, self._ended)
+            self._newest = self._goal.id
+            self._within(ANSWER_SECONDS, self._accepted)
+
+    def _accepted(self) -> None:
+        if self._goal is not None and self._goal.accepted is None:
+            self.end(f"the gateway has not said within {ANSWER_SECONDS:g} s whether it takes the goal")
+
+    def _ended(self, goal: SentGoal, result: dict[str, Any] | None, why: str) -> None:
+        if goal is not self._goal:
+            return
+        self._goal = None
+        if goal.status is not GoalState.SUCCEEDED:
+            said = why or (result or {}).get("error_msg", "") or "the goal was given up"
+            self.end(f"on the way to {self._place}: {said}")
+            return
+        self._next_step()
+        self._held = False
+        self._within(self._wait, self._go_on)
+        self._tell("waits")
+
+    def _go_on(self) -> None:
+        self._at = (self._at + 1) % len(self._places)
+        self._round += not self._at
+        self._find()
+
+    # -- what others do ------------------------------------------------------------------------------------------------
+
+    def _look(self) -> None:
+        """The gateway's status: its order tells a stop or another's goal between two goals of ours."""
+        if not self._active:
+            return
+        state, of = self._driving.state, self._driving.goal_id
+        if self._goal is not None and of == self._goal.id:
+            self._seen = True
+            held = state == "paused"
+            if held != self._held:
+                self._held = held
+                self._tell("held" if held else "drives")
+        elif self._seen and state == "idle":
+            self.end(STOPPED)
+        elif self._seen and self._goal is None and any(of) and of != self._newest:
+            self.end(ANOTHER)
+
+    @property
+    def _place(self) -> str:
+        return self._places[self._at]
+
+    def _tell(self, state: str, why: str = "") -> None:
+        now = {"state": state, "places": list(self._places), "at": self._at, "round": self._round}
+        self.feed.tell({**now, "wait": self._wait, "why": why})

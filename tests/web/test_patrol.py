@@ -1,0 +1,257 @@
+"""A patrol over a gateway of the test's own, on a real hub."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+import pytest
+
+from bridge.config.sections.navigation import ACTION
+from bridge.hub.wire.qos import LATCHED
+from bridge.modules.action_server import Goal
+from bridge.modules.services import Answer
+from bridge.web import patrol
+from navigation.messages import NAVIGATE
+from navigation.status import NO_GOAL, STATUS, PlannerStatus, State, status_message
+from tests.navigation.gateway.rig import Program, pose
+from tests.support.wait import until
+from tests.web.conftest import Desk
+from tests.web.page import TestPage
+
+PLACES = {"a": 1.0, "b": 2.0, "c": 3.0}
+
+
+class FakeGateway(Program):
+    """Takes one goal at a time, and says how it is."""
+
+    def __init__(self, settings: Any) -> None:
+        super().__init__(settings)
+        self.goals: list[Goal] = []
+        self.now: Goal | None = None
+        self.at_once = 0  # the most goals that were active together
+        self.on(self._open)
+
+    def _open(self) -> None:
+        self._status = self.node.publisher("/navigation/status", STATUS, LATCHED)
+        self.node.action_server(ACTION, NAVIGATE, self._take, self._cancel)
+        self.node.server("/navigation/get_location", "midspan_msgs/srv/GetLocation", self._find)
+        for name in ("pause", "resume", "stop"):
+            self.node.server(f"/navigation/{name}", "std_srvs/srv/Trigger", getattr(self, f"_{name}"))
+        self.say(State.IDLE)
+
+    def say(self, state: State, goal_id: bytes = NO_GOAL) -> None:
+        self._status.publish(status_message({"sec": 0, "nanosec": 0}, PlannerStatus(state), goal_id=goal_id))
+
+    def _take(self, goal: Goal) -> bool:
+        self.at_once = max(self.at_once, 1 + (self.now is not None))
+        if self.now is not None:
+            self.now.canceled({"error_msg": "another client gave another goal, which took its place"})
+        self.now = goal
+        self.goals.append(goal)
+        goal.execute()
+        self.say(State.MOVING, goal.id)
+        return True
+
+    def _cancel(self, goal: Goal) -> bool:
+        self.loop.post(lambda: self._stop({}, lambda _reply: None) if goal is self.now else None)
+        return True
+
+    def _find(self, request: dict[str, Any], answer: Answer) -> None:
+        place = PLACES.get(request["name"])
+        if place is None:
+            answer({"success": False, "message": f"there is no location or area {request['name']!r}"})
+        else:
+            answer({"success": True, "message": "", "pose": pose(place)})
+
+    def _pause(self, _request: Any, answer: Answer) -> None:
+        if self.now is None:
+            answer({"success": False, "message": "there is no goal to pause"})
+            return
+        self.say(State.PAUSED, self.now.id)
+        answer({"success": True, "message": ""})
+
+    def _resume(self, _request: Any, answer: Answer) -> None:
+        assert self.now is not None
+        self.say(State.MOVING, self.now.id)
+        answer({"success": True, "message": ""})
+
+    def _stop(self, _request: Any, answer: Answer) -> None:
+        goal, self.now = self.now, None
+        if goal is not None:
+            goal.canceled({"error_msg": "it was stopped"})
+        self.say(State.IDLE)
+        answer({"success": True, "message": "stands"})
+
+    def at(self, count: int) -> float:
+        """Where the so manieth goal leads, once it is there."""
+        until(lambda: len(self.goals) >= count, f"goal {count} is there", 30)
+        return float(self.goals[count - 1].goal["pose"]["pose"]["position"]["x"])
+
+    def reach(self) -> None:
+        def done() -> None:
+            goal, self.now = self.now, None
+            assert goal is not None
+            goal.succeed({})
+            self.say(State.REACHED)
+
+        self.on(done)
+
+    def give_up(self, why: str) -> None:
+        def done() -> None:
+            goal, self.now = self.now, None
+            assert goal is not None
+            goal.abort({"error_code": 9006, "error_msg": why})
+            self.say(State.ABORTED)
+
+        self.on(done)
+
+
+@pytest.fixture
+def gateway(desk: Desk) -> Iterator[FakeGateway]:
+    made = FakeGateway(desk.hubs.settings("gateway"))
+    yield made
+    made.close()
+
+
+@pytest.fixture
+def page(desk: Desk, gateway: FakeGateway) -> Iterator[TestPage]:
+    with TestPage(desk.port) as made:
+        made.watch("driving", "patrol")
+        made.value("driving", lambda value: value and value["state"] == "idle")
+        graph = desk.console.host.node.hub.graph
+        made.until(lambda: graph.servers(f"{ACTION}/_action/send_goal"), "the gateway is known")
+        made.until(lambda: graph.servers("/navigation/stop"), "all of it")
+        yield made
+    assert gateway.at_once <= 1
+
+
+def begin(page: TestPage, *places: str, wait: float = 1.0) -> None:
+    reply = page.call("patrol", places=list(places), wait=wait)
+    assert reply["ok"], reply
+
+
+def state(page: TestPage, wanted: str) -> dict[str, Any]:
+    found: dict[str, Any] = page.value("patrol", lambda value: value and value["state"] == wanted, f"it {wanted}")
+    return found
+
+
+def test_it_drives_to_places_in_turn(page: TestPage, gateway: FakeGateway) -> None:
+    page.until(lambda: page.values.get("patrol", {}).get("why") == "there was no patrol", "it says so")
+    begin(page, "a", "b", "a", "c")
+    for count, place in enumerate(("a", "b", "a", "c", "a", "b"), 1):
+        assert gateway.at(count) == PLACES[place]
+        gateway.reach()
+    found = page.value("patrol", lambda value: (value["round"], value["at"]) == (2, 1))
+    assert found["places"] == ["a", "b", "a", "c"]
+
+
+def test_it_goes_on_though_the_page_goes(desk: Desk, page: TestPage, gateway: FakeGateway) -> None:
+    with TestPage(desk.port) as other:
+        begin(other, "a", "b")
+        gateway.at(1)
+    gateway.reach()
+    assert gateway.at(2) == PLACES["b"]
+    assert "a patrol is under way" in page.call("patrol", places=["c", "a"])["error"]
+
+
+@pytest.mark.parametrize("how", ["console", "elsewhere"])
+@pytest.mark.parametrize("where", ["driving", "at a place"])
+def test_a_stop_ends_it(desk: Desk, page: TestPage, gateway: FakeGateway, how: str, where: str) -> None:
+    begin(page, "a", "b", wait=2.0)
+    gateway.at(1)
+    page.value("driving", lambda value: value["state"] == "moving")
+    if where == "at a place":
+        gateway.reach()
+        state(page, "waits")
+        page.value("driving", lambda value: value["state"] == "goal_reached")
+    if how == "console":
+        assert page.call("stop")["ok"]
+    else:
+        desk.far.call("/navigation/stop", "std_srvs/Trigger").result(20)
+    assert "stopped" in state(page, "ended")["why"]
+    begin(page, "c", "a")
+    assert gateway.at(2) == PLACES["c"], "nothing is left of the patrol before"
+
+
+@pytest.mark.parametrize("where", ["driving", "at a place"])
+def test_a_goal_of_anybody_else_ends_it(desk: Desk, page: TestPage, gateway: FakeGateway, where: str) -> None:
+    begin(page, "a", "b", wait=60.0)
+    gateway.at(1)
+    page.value("driving", lambda value: value["state"] == "moving")
+    if where == "at a place":
+        gateway.reach()
+        state(page, "waits")
+    other = Program(desk.hubs.settings("other"))
+    try:
+        client = other.on(lambda: other.node.action_client(ACTION, NAVIGATE))
+        until(lambda: client.ready, "the gateway is known", 20)
+        gateway.at_once = -1 if where == "driving" else 0  # the gateway itself ends the goal before
+        other.on(lambda: client.send({"pose": pose(9.0)}, lambda *_: None))
+        assert gateway.at(2) == 9.0
+        assert "another goal" in state(page, "ended")["why"]
+    finally:
+        gateway.at_once = 0
+        other.close()
+
+
+def test_a_place_that_cannot_be_reached_ends_it(page: TestPage, gateway: FakeGateway) -> None:
+    begin(page, "a", "b")
+    gateway.at(1)
+    gateway.give_up("no way leads there")
+    assert state(page, "ended")["why"] == "on the way to a: no way leads there"
+    begin(page, "a", "gone")
+    gateway.at(2)
+    gateway.reach()
+    assert state(page, "ended")["why"] == "there is no location or area 'gone'"
+
+
+@pytest.mark.parametrize("where", ["driving", "at a place"])
+def test_it_pauses_and_goes_on(page: TestPage, gateway: FakeGateway, where: str) -> None:
+    begin(page, "a", "b", wait=1.0)
+    gateway.at(1)
+    page.value("driving", lambda value: value["state"] == "moving")
+    if where == "at a place":
+        gateway.reach()
+        state(page, "waits")
+    assert page.call("pause")["ok"]
+    state(page, "held")
+    assert page.call("resume")["ok"]
+    state(page, "drives")
+    if where == "driving":
+        gateway.reach()
+    gateway.at(2)
+
+
+def test_nobody_drives_by_hand_against_it(page: TestPage, gateway: FakeGateway) -> None:
+    begin(page, "a", "b", wait=60.0)
+    gateway.at(1)
+    gateway.reach()
+    state(page, "waits")
+    page.value("driving", lambda value: value["state"] == "goal_reached")
+    page.send(op="hold", x=0.1, y=0.0, turn=0.0)
+    page.until(page.errors, "it says why not")
+    assert page.errors() == ["a patrol is under way; pause or stop it first"]
+
+
+def test_without_a_gateway_it_says_so(desk: Desk, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(patrol, "ANSWER_SECONDS", 0.3)
+    with TestPage(desk.port) as page:
+        page.watch("patrol")
+        begin(page, "a", "b")
+        assert "/navigation/get_location" in state(page, "ended")["why"]
+
+
+@pytest.mark.parametrize(
+    ("args", "why"),
+    [
+        ({"places": ["a"]}, "places are 2 to 50 names"),
+        ({"places": ["a"] * 51}, "places are 2 to 50 names"),
+        ({"places": ["a", 1]}, "places is a name"),
+        ({"places": ["a", "b"], "wait": 0}, "wait is 1 to 3600 seconds"),
+        ({"places": ["a", "b"], "wait": "2"}, "wait is a number"),
+    ],
+)
+def test_patrols_that_are_none(desk: Desk, args: dict[str, Any], why: str) -> None:
+    with TestPage(desk.port) as page:
+        assert why in page.call("patrol", **args)["error"]
