@@ -90,8 +90,7 @@ class RobotFeed(FrameFeed):
 
     def __init__(self, host: Host, follower: FrameFollower, radius: float) -> None:
         super().__init__(host, follower, "robot", ROBOT_SECONDS)
-        turns = (math.tau * corner / _CORNERS for corner in range(_CORNERS))
-        self._footprint = [[round(radius * math.cos(turn), 3), round(radius * math.sin(turn), 3)] for turn in turns]
+        self._footprint = disc(radius)
 
     def look(self) -> None:
         """Put where the robot is."""
@@ -224,9 +223,7 @@ class PathFeed(TopicsFeed):
     def _take(self, path: dict[str, Any]) -> None:
         if not self._driving.drives:
             return
-        poses = path["poses"][:: max(1, math.ceil(len(path["poses"]) / MOST_POINTS))]
-        spots = [pose["pose"]["position"] for pose in poses]
-        self.put({"points": [round(float(spot[axis]), 3) for spot in spots for axis in "xy"]})
+        self.put({"points": points_of_path(path)})
 
 
 class DrivingFeed(TopicsFeed):
@@ -336,6 +333,19 @@ def _moved(frames: RobotFrames, stamp: int) -> Pose:
         return frames.correction() @ frames.transform(frames.odom_frame, frames.base_frame, stamp, extrapolate=LATE)
     except FramesError:
         return frames.transform(frames.map_frame, frames.base_frame, stamp, extrapolate=LATE)
+
+
+def disc(radius: float) -> list[list[float]]:
+    """A footprint: corners in metres."""
+    turns = (math.tau * corner / _CORNERS for corner in range(_CORNERS))
+    return [[round(radius * math.cos(turn), 3), round(radius * math.sin(turn), 3)] for turn in turns]
+
+
+def points_of_path(path: dict[str, Any]) -> list[float]:
+    """x, y, x, y, ... of a ``nav_msgs/Path``, in metres; of a long one every second, third ... pose."""
+    poses = path["poses"][:: max(1, math.ceil(len(path["poses"]) / MOST_POINTS))]
+    spots = [pose["pose"]["position"] for pose in poses]
+    return [round(float(spot[axis]), 3) for spot in spots for axis in "xy"]
 
 
 def place(pose: Pose) -> dict[str, float]:

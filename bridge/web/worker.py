@@ -28,6 +28,7 @@ from bridge.web.paint import Painter
 from bridge.web.patrol import ANOTHER, STOPPED, Patrol
 from bridge.web.place_verbs import PlaceVerbs
 from bridge.web.robot import DrivingFeed, FrameFollower, FramesFeed, LaserFeed, PathFeed, RobotFeed
+from bridge.web.robots import RobotsFeed
 from bridge.web.server import WebServer, hello
 from bridge.web.topic_feeds import MessageFeed
 from bridge.web.verbs import Verbs
@@ -97,6 +98,7 @@ class Console:
         self._feeds = Feeds(
             [
                 RobotFeed(host, follower, section.radius),
+                RobotsFeed(host, follower, section.robots),
                 LaserFeed(host, follower, section.laser),
                 PathFeed(host, config, driving),
                 driving,

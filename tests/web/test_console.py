@@ -75,6 +75,24 @@ def test_where_the_robot_is(desk: Desk) -> None:
         assert names == {"odom": "map", "base_link": "odom"}
 
 
+@pytest.mark.usefixtures("frames")
+def test_other_robots(desk: Desk) -> None:
+    robots = [{"name": "r2", "base_frame": "odom", "path": "/r2/plan"}, {"name": "r3", "base_frame": "r3/base_link"}]
+    desk.open_with(web={"robots": robots})
+    way = desk.far.advertise("/r2/plan", "nav_msgs/Path", latched=True)
+    spots = [{"pose": {"position": {"x": float(x), "y": 2.0}}} for x in range(3)]
+    desk.far.publish(way, {"header": {"frame_id": "map"}, "poses": spots})
+    with TestPage(desk.port) as page:
+        page.watch("robots")
+        found = page.value("robots", lambda robots: robots and robots[0]["pose"] and robots[0]["path"])
+        assert found[0]["pose"] == pytest.approx({"x": 1.0, "y": 2.0, "theta": 0.0})
+        assert found[0]["path"] == [0.0, 2.0, 1.0, 2.0, 2.0, 2.0]
+        assert max(x for x, _ in found[0]["footprint"]) == 0.3
+        assert found[1]["name"] == "r3"
+        assert found[1]["pose"] is None
+        assert "not known where r3/base_link is" in found[1]["why"]
+
+
 def test_why_it_is_not_known_where_the_robot_is(desk: Desk) -> None:
     with TestPage(desk.port) as page:
         page.watch("robot")

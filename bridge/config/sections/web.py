@@ -5,11 +5,20 @@ from __future__ import annotations
 import ipaddress
 import re
 
-from pydantic import field_validator
+from pydantic import Field, field_validator
 
-from bridge.config.sections.section import OptionalTopic, Section, setting
+from bridge.config.sections.section import FrameName, OptionalTopic, Section, setting
 
 _ADDRESS = re.compile(r"(?:\[(?P<six>[0-9A-Fa-f:.]+)\]|(?P<name>[^\[\]:/\s]+)):(?P<port>\d{1,5})")
+
+
+class OtherRobot(Section):
+    """A robot of ``web.robots``."""
+
+    name: str = Field(description="What the map writes beside it.", min_length=1, max_length=64)
+    base_frame: FrameName = Field(description="Its frame, for instance `r2/base_link`.")
+    path: OptionalTopic = setting("", 'Topic of its path (`nav_msgs/Path`) on the hub; "": none is drawn.')
+    radius: float = setting(0.3, "Metres: the disc that the map draws for it.", gt=0.0, le=10.0)
 
 
 class WebSection(Section):
@@ -22,6 +31,9 @@ class WebSection(Section):
     laser: OptionalTopic = setting("/scan", 'Topic of the laser that the map shows; "": none.')
     path: OptionalTopic = setting("", 'Topic of the path that the map shows; "": that of the chosen planner.')
     radius: float = setting(0.3, "Metres: the disc that the map draws for the robot.", gt=0.0, le=10.0)
+    robots: tuple[OtherRobot, ...] = setting(
+        (), "Other robots that the map shows, each in a colour of its own.", max_length=16
+    )
     speed: float = setting(0.3, "m/s that driving by hand commands at the most.", gt=0.0, le=2.0)
     turn: float = setting(0.6, "rad/s that driving by hand commands at the most.", gt=0.0, le=3.0)
 

@@ -5,6 +5,7 @@ import { degrees, position } from "./format.js";
 import { gestures } from "./gestures.js";
 import { Labels } from "./labels.js";
 import { layerMenu } from "./layers.js";
+import { drawRobotNames, drawRobots, seen } from "./robots.js";
 import { MapImages } from "./mapimages.js";
 import * as scene from "./scene.js";
 import { Viewport } from "./viewport.js";
@@ -100,7 +101,7 @@ export class MapBlock {
   }
 
   layersChanged() {
-    const wanted = new Set(this.shown ? ["robot", "driving", "map"] : []);
+    const wanted = new Set(this.shown ? ["robot", "robots", "driving", "map"] : []);
     if (this.shown) for (const feed of this.layers.feeds()) wanted.add(feed);
     for (const [feed, end] of Object.entries(this.watches)) {
       if (wanted.has(feed)) continue;
@@ -328,7 +329,10 @@ export class MapBlock {
     scene.drawPlaces(context, view, named, colour);
     if (this.layers.on("path")) scene.drawPath(context, view, values.path?.points ?? [], colour);
     if (this.layers.on("laser")) scene.drawLaser(context, view, values.laser?.points ?? [], colour);
-    scene.drawNames(new Labels(context, view.width, colour), view, named, colour);
+    const [labels, others] = [new Labels(context, view.width, colour), seen(values.robots)];
+    drawRobotNames(labels, view, others);
+    scene.drawNames(labels, view, named, colour);
+    drawRobots(context, view, others, colour, this.layers.on("path"), !this.socket.open);
     if (values.driving?.goal) scene.drawPose(context, view, values.driving.goal, colour.path, colour);
     if (values.robot?.pose) scene.drawRobot(context, view, values.robot, colour, !this.socket.open);
     if (this.editor) {

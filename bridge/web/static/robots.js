@@ -1,0 +1,24 @@
+// Other robots on the map, each in a colour of its own.
+
+import { drawPath, drawRobot } from "./scene.js";
+
+const COLOURS = 6; // --robot-0 to --robot-5
+
+const styled = (name) => getComputedStyle(document.documentElement).getPropertyValue(name).trim();
+
+/** The robots of the feed `robots` that are seen: [{name, pose, footprint, path, ink}]. */
+export const seen = (robots) =>
+  (robots ?? []).map((robot, i) => ({ ...robot, ink: styled(`--robot-${i % COLOURS}`) })).filter(({ pose }) => pose);
+
+/** `paths`: whether their paths are drawn; `old`: the line is lost, they may be elsewhere. */
+export function drawRobots(context, view, robots, colour, paths, old) {
+  for (const { ink, path } of robots) if (paths) drawPath(context, view, path, { ...colour, path: ink });
+  for (const robot of robots) drawRobot(context, view, robot, { ...colour, accent: robot.ink }, old);
+}
+
+export function drawRobotNames(labels, view, robots) {
+  for (const { name, pose, ink } of robots) {
+    const [x, y] = view.to(pose.x, pose.y);
+    labels.put(name, [[x + 14, y + 5], [x - 14, y + 5, "right"], [x + 14, y - 12]], ink);
+  }
+}
