@@ -17,6 +17,7 @@ from bridge.config.sections.base_control import BaseInput
 from bridge.config.sections.modules import OwnModule
 from bridge.config.sections.navigation import Planner
 from bridge.config.sections.routing import ParameterRule, QosOverride, Rule
+from bridge.config.sections.web import OtherRobot
 from bridge.config.sections.yarp import Service, Topic
 from bridge.config.sections.zenoh import Dialect, DialectKey
 
@@ -44,12 +45,25 @@ def test_example_has_every_key_and_loads_to_the_defaults() -> None:
             ("modules", "base_control", "inputs"),
             ("modules", "map2d_server", "take"),
             ("navigation", "planners"),
+            ("web", "robots"),
         )
         if any(path[: len(inner)] == inner != path for inner in lists):
             continue
         for key in path:
             part = part[key]
-    for model in (Rule, ParameterRule, QosOverride, Dialect, DialectKey, Topic, Service, OwnModule, BaseInput, Planner):
+    for model in (
+        Rule,
+        ParameterRule,
+        QosOverride,
+        Dialect,
+        DialectKey,
+        Topic,
+        Service,
+        OwnModule,
+        BaseInput,
+        Planner,
+        OtherRobot,
+    ):
         for name, info in model.model_fields.items():
             assert f"- {info.alias or name} (" in text
     assert max(len(line) for line in text.splitlines()) <= generate.WIDTH
@@ -61,7 +75,19 @@ def test_every_key_is_described() -> None:
             assert info.description, f"{model.__name__}.{name}"
 
     sections = (type(getattr(Config(), name)) for name in Config.model_fields)
-    rules = (Rule, ParameterRule, QosOverride, Dialect, DialectKey, Topic, Service, OwnModule, BaseInput, Planner)
+    rules = (
+        Rule,
+        ParameterRule,
+        QosOverride,
+        Dialect,
+        DialectKey,
+        Topic,
+        Service,
+        OwnModule,
+        BaseInput,
+        Planner,
+        OtherRobot,
+    )
     for model in (Config, *rules, *sections):
         if hasattr(model, "model_fields"):
             check(model)
