@@ -312,6 +312,26 @@ def test_flags_are_painted_and_taken_back(operator: Operator, watch: TestPage, r
     operator.button("Done").click()
 
 
+def test_a_patrol_until_somebody_ends_it(operator: Operator, watch: TestPage) -> None:
+    watch.watch("patrol")
+    operator.button("Patrol …").click()
+    for name in ("living_room", "dock"):
+        operator.button(name, ".places-list").click()
+    operator.button("Start patrol").click()
+    watch.until(
+        lambda: (watch.values.get("patrol", {}).get("value") or {}).get("at") == 1,
+        "it sets out to the second place",
+        90,
+    )
+    turn = operator.chrome.find_element(By.CLASS_NAME, "turn")
+    until(lambda: "dock (2 of 2, round 1)" in turn.text, "the page says so")
+    operator.button("End drive").click()
+    found = watch.value("patrol", lambda value: value["state"] == "ended")
+    assert "stopped" in found["why"]
+    until(lambda: "has ended" in operator.chrome.find_element(By.CLASS_NAME, "turn").text, "the page says so")
+    watch.until(lambda: stands(watch), "it stands", 30)
+
+
 def test_two_tabs_agree(operator: Operator, watch: TestPage) -> None:
     first = operator.chrome.current_window_handle
     operator.chrome.switch_to.new_window("tab")

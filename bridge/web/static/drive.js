@@ -5,6 +5,7 @@ import { editBar } from "./edit.js";
 import { degrees, metres, position } from "./format.js";
 import { MapBlock } from "./map.js";
 import { remove, rename } from "./names.js";
+import { patrolBlock } from "./patrol.js";
 import { PointMenu } from "./pointmenu.js";
 import { goTo, goToPlace, goToTyped, keepPlace, robotIsAt } from "./poses.js";
 import { ask } from "./say.js";
@@ -68,7 +69,8 @@ export function driveView(root, socket) {
   return {
     show() {
       ends = [socket.watch("driving", doing.take), socket.watch("driving", sending.takeDriving),
-        socket.watch("places", sending.takePlaces), socket.watch("map", sending.takeMap)];
+        socket.watch("places", sending.takePlaces), socket.watch("map", sending.takeMap), socket.watch("patrol", sending.takePatrol),
+        socket.watch("patrol", doing.takePatrol)];
       map.show();
     },
     look(rest) {
@@ -91,16 +93,27 @@ function doingBlock(socket) {
   const reason = el("p", { class: "reason", "aria-live": "polite" });
   const goal = el("dd");
   const left = el("dd");
-  let driving = null;
-  const pause = button("Pause", () => (driving?.state === "paused"
+  let [driving, patrol] = [null, null];
+  const pause = button("Pause", () => (pause.textContent === "Go on"
     ? ask(socket, "Go on", "resume", {}, "Going on.") : ask(socket, "Pause", "pause", {}, "Paused.")));
   const end = button("End drive", () => ask(socket, "End drive", "stop", {}, "The drive has ended."));
+  const show = () => {
+    const held = patrol?.state === "held" || driving?.state === "paused";
+    const under = isBusy(driving) || (patrol !== null && patrol.state !== "ended");
+    write(pause, held ? "Go on" : "Pause");
+    mark(pause, "disabled", held || under ? null : "");
+    mark(end, "disabled", held || under || driving?.goal ? null : "");
+  };
   const element = el("section", { class: "block doing", "aria-label": "What it does now" },
     state, reason,
     el("dl", { class: "facts" }, el("dt", { text: "Goal" }), goal, el("dt", { text: "Left" }), left),
     el("div", { class: "buttons drives" }, pause, end));
   return {
     element,
+    takePatrol(value) {
+      patrol = value;
+      show();
+    },
     take(value, why) {
       driving = value;
       element.dataset.mood = value ? mood(value) : "calm";
@@ -109,10 +122,7 @@ function doingBlock(socket) {
       const at = value?.goal;
       write(goal, at ? `${position(at.x, at.y)}  ${degrees(at.theta)}` : "–");
       write(left, metres(value?.distance, 1));
-      const paused = value?.state === "paused";
-      write(pause, paused ? "Go on" : "Pause");
-      mark(pause, "disabled", !paused && !isBusy(value) ? "" : null);
-      mark(end, "disabled", paused || isBusy(value) || value?.goal ? null : "");
+      show();
     },
   };
 }
@@ -125,17 +135,22 @@ function sendBlock(socket) {
   const planner = el("select", { id: "planner", on: {
     change: () => ask(socket, `Planner ${planner.value}`, "choose_planner", { name: planner.value }, `${planner.value} plans from now on.`),
   } });
+  const patrol = patrolBlock(socket, () => show());
+  const title = el("h2", { text: "Send to", id: "send-to" });
   const element = el("section", { class: "block send", "aria-labelledby": "send-to" },
-    el("h2", { text: "Send to", id: "send-to" }), list, empty,
+    title, list, empty, patrol.element,
     el("label", { class: "field row drives", for: "planner" }, el("span", { text: "Planner" }), planner));
   const show = () => {
     const names = Object.entries(places?.locations ?? {})
       .filter(([, place]) => current === undefined || place.map === current).map(([name]) => name).sort();
     write(empty, names.length ? "" : why || "No places on this map. Keep one: press the map.");
-    rows(list, names, (name) => name, (name) => el("li", {}, button(name, () => goToPlace(socket, name))), () => {});
+    rows(list, names, (name) => name, (name) => el("li", {}, button(name, () => (patrol.picks ? patrol.pick(name) : goToPlace(socket, name)))), () => {});
+    write(title, patrol.picks ? "Patrol" : "Send to");
+    element.classList.toggle("picks", patrol.picks);
   };
   return {
     element,
+    takePatrol: patrol.take,
     takePlaces(value, reason) {
       [places, why] = [value, reason];
       show();
