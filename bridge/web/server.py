@@ -25,6 +25,15 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 from starlette.websockets import WebSocket
 
 from bridge.config.sections.web import split
+from bridge.web.connections import (
+    MOST_CONNECTIONS,
+    BoundedWebSocket,
+    Listener,
+    ScarceLog,
+    ServerLoop,
+    TimedHttp,
+    quiet_server_log,
+)
 from bridge.web.maps import Pictures
 from bridge.web.page import MOST_BYTES
 
@@ -57,6 +66,7 @@ class OwnOnly:
 
     def __init__(self, app: ASGIApp, hosts: Callable[[], frozenset[str]]) -> None:
         self._app, self._hosts = app, hosts
+        self._refused = ScarceLog()
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Serve or refuse one request."""
@@ -67,11 +77,12 @@ class OwnOnly:
         if not why:
             await self._app(scope, receive, _with_headers(send))
             return
-        _log.warning("a request from %s is refused: %s", (scope.get("client") or ("?",))[0], why)
+        self._refused.warn(f"a request from {(scope.get('client') or ('?',))[0]} is refused: {why}")
+        answer = PlainTextResponse(f"{why}\n", 403, HEADERS)
         if scope["type"] == "websocket":
-            await WebSocket(scope, receive, send).close(1008)
+            await WebSocket(scope, receive, send).send_denial_response(answer)
         else:
-            await PlainTextResponse(f"{why}\n", 403, HEADERS)(scope, receive, send)
+            await answer(scope, receive, send)
 
 
 def refusal(scope: Scope, hosts: frozenset[str]) -> str:
@@ -116,7 +127,7 @@ class WebServer:
         address, port = split(listen)
         self._pages = 0
         family = socket.AF_INET6 if ":" in address else socket.AF_INET
-        self._socket = socket.socket(family)
+        self._socket = Listener(family)
         try:
             self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
             self._socket.bind((address, port))
@@ -131,8 +142,9 @@ class WebServer:
         self._server = uvicorn.Server(
             uvicorn.Config(
                 self._app(), log_config=None, access_log=False, lifespan="off", ws_max_size=MOST_BYTES,
-                ws_max_queue=16, limit_concurrency=4 * MOST_PAGES, timeout_graceful_shutdown=1, server_header=False,
-                h11_max_incomplete_event_size=16 * 1024, timeout_keep_alive=5, ws="websockets-sansio",
+                limit_concurrency=MOST_CONNECTIONS, timeout_graceful_shutdown=1, server_header=False,
+                h11_max_incomplete_event_size=16 * 1024, timeout_keep_alive=5, http=TimedHttp, ws=BoundedWebSocket,
+                proxy_headers=False,
             )
         )  # fmt: skip
         self._server.install_signal_handlers = lambda: None  # type: ignore[attr-defined]
@@ -162,8 +174,10 @@ class WebServer:
         self._socket.close()
 
     def _run(self) -> None:
+        quiet_server_log()
         try:
-            asyncio.run(self._server.serve([self._socket]))
+            with asyncio.Runner(loop_factory=ServerLoop) as runner:
+                runner.run(self._server.serve([self._socket]))
         except Exception as err:
             _log.exception("the server")
             self._trouble = f"{type(err).__name__}: {err}"
