@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import json
+import logging
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
 from typing import Any, Protocol
+
+_log = logging.getLogger("midspan.web")
 
 
 class Watcher(Protocol):
@@ -36,11 +39,16 @@ class Feed(ABC):
         return bool(self._watchers)
 
     def watch(self, watcher: Watcher) -> None:
-        """Send a page the newest value, now and when it changes."""
+        """Send a page the newest value, now and when it changes; raises `LookupError` where it cannot be followed."""
         begins = not self._watchers
         self._watchers.add(watcher)
         if begins:
-            self.open()
+            try:
+                self.open()
+            except Exception as err:
+                _log.exception("the feed %s", self.name)
+                self.unwatch(watcher)
+                raise LookupError(f"{self.name} cannot be followed: {err}") from None
         elif self._text:
             watcher.changed(self.name, self._n, self._text)
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import time
 from collections.abc import Callable
 from functools import partial
@@ -18,6 +19,8 @@ from bridge.hub.errors import HubError
 from bridge.modules.host import Host
 from bridge.routing.gates import TAPS
 from bridge.web.feed import Feed
+
+_log = logging.getLogger("midspan.web")
 
 STATUS_SECONDS = 1.0
 _ASK_SECONDS = 1.0
@@ -55,6 +58,9 @@ class AskingFeed(Feed):
             value, why = self._ask(), ""
         except (HubError, CliError) as err:
             value, why = None, str(err)
+        except Exception as err:  # the feed goes on: what is asked next may be good
+            _log.exception("the feed %s", self.name)
+            value, why = None, f"{type(err).__name__}: {err}"
         self._host.loop.post(partial(self._found, value, why))
 
     def _found(self, value: Any, why: str) -> None:

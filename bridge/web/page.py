@@ -5,7 +5,6 @@ from __future__ import annotations
 import asyncio
 import json
 import logging
-import math
 import threading
 import time
 from collections import deque
@@ -28,6 +27,7 @@ MOST_WAITING = 200
 MOST_BYTES = 64 * 1024
 MOST_REPLIES = 500
 _POLICY = 1008
+_LARGEST = 1e9
 
 Post = Callable[[Callable[[], Any]], None]
 """Runs an action on the module's thread."""
@@ -56,9 +56,10 @@ class Page:
         self._watched: set[str] = set()  # as the page has asked, on the server's event loop
         self._open: dict[str, Feed] = {}  # as it is, on the module's thread
         self._calls: set[asyncio.Task[None]] = set()
+        self._stops: set[asyncio.Task[None]] = set()  # those of them that make robots stand
         self._errors = 0
         self._deaf = False
-        self._wish: tuple[float, float, float, float] | None = None  # the newest hold that is not taken up yet
+        self._wish: Callable[[], None] | None = None  # the newest hold or release that is not taken up yet
         self._posted = 0
         self.who = f"{socket.client.host}:{socket.client.port}" if socket.client else "a page"
 
@@ -72,7 +73,9 @@ class Page:
             pass
         finally:
             self._post(self._leave)
-            sender.cancel()  # calls go on: a stop is a stop, though nobody waits for its answer any more
+            sender.cancel()
+            for call in self._calls - self._stops:  # what has begun goes on, and a stop is a stop
+                call.cancel()
 
     def _leave(self) -> None:
         self._hold.release(self)
@@ -161,8 +164,7 @@ class Page:
             case {"op": "hold", "x": x, "y": y, "turn": turn, **rest} if not rest and _numbers(x, y, turn):
                 self._hold_on(float(x), float(y), float(turn))
             case {"op": "release", **rest} if not rest:
-                self._wish = None
-                self._do(lambda: self._hold.release(self))
+                self._wishes(lambda: self._hold.release(self))
             case _:
                 raise BadMessageError(f"no message of a page: {json.dumps(message)[:200]}")
 
@@ -198,16 +200,22 @@ class Page:
         self._do(unwatch)
 
     def _hold_on(self, x: float, y: float, turn: float) -> None:
-        waits = self._wish is not None
-        self._wish = (x, y, turn, time.monotonic())
+        arrived = time.monotonic()
+        self._wishes(lambda: self._hold.hold(self, x, y, turn, arrived))
+
+    def _wishes(self, wish: Callable[[], None]) -> None:
+        """Have the newest hold or release taken up, and none before it; one waits at the most, and none is refused."""
+        with self._lock:
+            waits, self._wish = self._wish is not None, wish
         if not waits:
-            self._do(self._take_wish)
+            self._post(self._take_wish)
 
     def _take_wish(self) -> None:
-        """On the module's thread: the newest hold alone, and none that was let go meanwhile."""
-        wish, self._wish = self._wish, None
+        """On the module's thread."""
+        with self._lock:
+            wish, self._wish = self._wish, None
         if wish is not None:
-            self._hold.hold(self, *wish)
+            wish()
 
     def _do(self, action: Callable[[], Any]) -> None:
         """Run an action on the module's thread; raises `BadMessageError` where too many wait for it."""
@@ -226,13 +234,15 @@ class Page:
     def _call(self, number: int, verb: str, args: Any) -> None:
         if not isinstance(args, dict):
             raise BadMessageError("args are an object")
-        most = MOST_STOPS if self._verbs.is_stop(verb) else MOST_CALLS
+        stops = self._verbs.is_stop(verb)
+        most = MOST_STOPS if stops else MOST_CALLS
         if len(self._calls) >= most:
             self._reply(number, error=f"{most} calls of this page wait for their answers already")
             return
         call = asyncio.create_task(self._run(number, verb, args))
-        self._calls.add(call)
-        call.add_done_callback(self._calls.discard)
+        for calls in (self._calls, self._stops) if stops else (self._calls,):
+            calls.add(call)
+            call.add_done_callback(calls.discard)
 
     async def _run(self, number: int, verb: str, args: dict[str, Any]) -> None:
         try:
@@ -268,4 +278,4 @@ def _refused_number(word: str) -> float:
 
 
 def _numbers(*values: Any) -> bool:
-    return all(isinstance(v, int | float) and not isinstance(v, bool) and math.isfinite(v) for v in values)
+    return all(isinstance(v, int | float) and not isinstance(v, bool) and abs(v) <= _LARGEST for v in values)

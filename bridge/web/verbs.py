@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import logging
+import math
 import threading
+import time
 from collections.abc import Callable, Mapping
 from concurrent.futures import Future
 from dataclasses import dataclass
@@ -37,6 +39,8 @@ TRIGGER, NAMED, POSE_COVARIANCE = (
 )  # fmt: skip
 ANSWER_SECONDS, STOP_SECONDS = 5.0, 12.0
 GOAL_SECONDS = 5.0
+BEGIN_SECONDS = 3.0
+"""A call that had to wait for so long for others is not done."""
 _THREADS = 4
 _STOP_THREADS = 2
 _COVARIANCE = {0: 0.25, 7: 0.25, 35: 0.07}
@@ -140,10 +144,11 @@ class Verbs:
             raise VerbError(f"there is no verb {verb[:80]!r}; there are {', '.join(self._verbs)}")
         checked = _checked(verb, found, args)
         if found.commands:
-            _log.info("%s: %s %s", who, verb, " ".join(f"{key}={value!s:.100}" for key, value in args.items()))
+            said = " ".join(f"{key}={value!r}"[:100] for key, value in args.items())
+            _log.info("%s: %s %s", who, verb, said)
         if verb in self._before:
             self._host.loop.post(self._before[verb])
-        job = partial(_run, found.run, checked)
+        job = partial(_run, found.run, checked, math.inf if found.stops else time.monotonic() + BEGIN_SECONDS)
         return self._begin_stop(verb, job) if found.stops else self._pool.submit(job)
 
     def _begin_stop(self, verb: str, job: Callable[[], Any]) -> Future[Any]:
@@ -263,7 +268,9 @@ class Verbs:
         return f"the localiser is told that the robot is at {x:.2f}, {y:.2f} m"
 
 
-def _run(action: Callable[..., Any], args: dict[str, Any]) -> Any:
+def _run(action: Callable[..., Any], args: dict[str, Any], latest: float) -> Any:
+    if time.monotonic() > latest:  # nobody expects the robot to set out later
+        raise VerbError(f"it was not begun within {BEGIN_SECONDS:g} s, as others ran, and is not done; ask again")
     try:
         return action(**args)
     except (CliError, HubError, StoreError, TimeoutError) as err:

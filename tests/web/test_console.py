@@ -299,6 +299,7 @@ def test_no_hold_against_a_planner(desk: Desk) -> None:
     "text",
     ["", "{", "[]", "1", '"hold"', "{}", '{"op": "hold"}', '{"op": "hold", "x": NaN, "y": 0, "turn": 0}',
      '{"op": "hold", "x": true, "y": 0, "turn": 0}', '{"op": "hold", "x": 1e999, "y": 0, "turn": 0}',
+     '{"op": "hold", "x": ' + "9" * 400 + ', "y": 0, "turn": 0}',
      '{"op": "watch"}', '{"op": "watch", "feed": 3}', '{"op": "watch", "feed": "robot", "more": 1}',
      '{"op": "call", "id": "1", "verb": "stop"}', '{"op": "call", "id": 1, "verb": "stop", "args": []}', "[" * 5000],
 )  # fmt: skip

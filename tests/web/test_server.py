@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import http.client
+import logging
 import socket
 
 import pytest
@@ -86,6 +87,12 @@ def test_strange_hosts_get_nothing(desk: Desk) -> None:
     status, _, body = ask(desk.port, "/", Host=f"evil.example:{desk.port}")
     assert status == 403
     assert b"no such host" in body
+
+
+def test_nobody_passes_for_another_address(desk: Desk, caplog: pytest.LogCaptureFixture) -> None:
+    with caplog.at_level(logging.WARNING, "midspan.web"):
+        ask(desk.port, "/", **{"Host": "evil.example", "X-Forwarded-For": "10.9.8.7"})
+    assert "a request from 127.0.0.1 is refused" in caplog.text
 
 
 def test_strange_pages_get_no_socket(desk: Desk) -> None:

@@ -1,0 +1,192 @@
+"""What strangers and slow peers may take of the console: connections, time, memory, lines of its log."""
+
+from __future__ import annotations
+
+import contextlib
+import logging
+import socket
+import threading
+import time
+from concurrent.futures import Future
+from typing import Any
+
+import pytest
+
+from bridge.web import connections, verbs
+from bridge.web.connections import MOST_CONNECTIONS, MOST_OF_ADDRESS, ScarceLog
+from bridge.web.feed import Feed
+from bridge.web.hub_feeds import AskingFeed
+from bridge.web.verbs import VerbError
+from tests.support.wait import until
+from tests.web.conftest import Desk
+from tests.web.hostile import client_frame, opening
+from tests.web.page import TestPage
+from tests.web.test_server import ask
+
+
+def connect(port: int, source: str = "127.0.0.1") -> socket.socket:
+    return socket.create_connection(("127.0.0.1", port), 20, (source, 0))
+
+
+def is_cut(sock: socket.socket) -> bool:
+    """Whether the other end closes a connection on which nothing is said."""
+    try:
+        while sock.recv(1 << 16):
+            pass
+    except ConnectionError:
+        pass
+    return True
+
+
+def is_answered(port: int, source: str) -> bool:
+    with contextlib.suppress(ConnectionError), connect(port, source) as sock:
+        sock.sendall(b"GET / HTTP/1.0\r\n\r\n")
+        return sock.recv(100).startswith(b"HTTP/1.1")
+    return False
+
+
+def test_one_address_does_not_take_all_connections(desk: Desk) -> None:
+    with contextlib.ExitStack() as stack:
+        for _ in range(MOST_OF_ADDRESS):
+            stack.enter_context(connect(desk.port, "127.0.0.2"))
+        assert is_cut(stack.enter_context(connect(desk.port, "127.0.0.2")))
+        assert ask(desk.port, "/")[0] == 200
+    until(lambda: is_answered(desk.port, "127.0.0.2"), "their places are free again")
+
+
+def test_connections_are_bounded_in_all() -> None:
+    assert 2 * MOST_OF_ADDRESS < MOST_CONNECTIONS
+
+
+@pytest.mark.parametrize(
+    "said",
+    [b"", b"GET / HTTP/1.1\r\nHost: ", b"POST /none HTTP/1.1\r\nHost: localhost\r\nContent-Length: 1000000\r\n\r\nx"],
+)
+def test_who_never_ends_a_request_is_cut(desk: Desk, monkeypatch: pytest.MonkeyPatch, said: bytes) -> None:
+    monkeypatch.setattr(connections, "REQUEST_SECONDS", 0.3)
+    with connect(desk.port) as sock:
+        sock.sendall(said)
+        assert is_cut(sock)
+
+
+def test_a_page_outlives_the_time_of_a_request(desk: Desk, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(connections, "REQUEST_SECONDS", 0.3)
+    with TestPage(desk.port) as page, connect(desk.port) as other:
+        assert is_cut(other), "so much time has gone"
+        assert page.call("ping")["ok"]
+
+
+def test_pings_that_nobody_hears_are_not_kept(desk: Desk) -> None:
+    with connect(desk.port) as sock:
+        sock.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
+        sock.sendall(opening(f"127.0.0.1:{desk.port}"))
+        flood = client_frame(9, b"x" * 125) * 1000
+        with pytest.raises(ConnectionError):
+            sock.sendall(flood * 500)
+    assert ask(desk.port, "/")[0] == 200
+
+
+def test_a_message_has_not_too_many_parts(desk: Desk) -> None:
+    with connect(desk.port) as sock:
+        sock.sendall(opening(f"127.0.0.1:{desk.port}"))
+        until(lambda: b"hello" in sock.recv(1 << 16), "it says hello")
+        with contextlib.suppress(ConnectionError):
+            sock.sendall(client_frame(1, b"", fin=False) + client_frame(0, b"", fin=False) * 2000)
+        assert is_cut(sock)
+
+
+def test_a_call_that_waited_for_long_is_not_done(desk: Desk, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(verbs, "BEGIN_SECONDS", -1.0)
+    with TestPage(desk.port) as page:
+        assert "is not done; ask again" in page.call("ping")["error"]
+        assert "is not done" not in page.call("stop").get("error", ""), "a stop is never too late"
+
+
+def test_calls_of_a_page_that_left_are_not_begun(desk: Desk) -> None:
+    known = desk.console._verbs
+    may_end, begun = threading.Event(), []
+
+    def begin(verb: str, args: Any, who: str) -> Future[Any]:
+        return known._pool.submit(lambda: begun.append(args["n"]) or may_end.wait(30))
+
+    def waiting() -> int:
+        return len(known._pool._jobs)
+
+    known.begin, kept = begin, known.begin  # type: ignore[method-assign]
+    try:
+        with TestPage(desk.port) as page:
+            for number in range(10):
+                page.send(op="call", id=number, verb="goto", args={"n": number})
+            until(lambda: len(begun) + waiting() == 10 and len(begun) == verbs._THREADS, "some run, the others wait")
+            ends = [future for future, _ in known._pool._jobs]
+        until(lambda: all(end.cancelled() for end in ends), "those that wait are cancelled")
+    finally:
+        may_end.set()
+        known.begin = kept  # type: ignore[method-assign]
+    with TestPage(desk.port) as page:
+        assert page.call("ping")["ok"]
+    assert len(begun) == verbs._THREADS
+
+
+class Broken(Feed):
+    """Cannot be followed the first time."""
+
+    def __init__(self) -> None:
+        super().__init__("broken")
+        self.opened = 0
+
+    def open(self) -> None:
+        self.opened += 1
+        if self.opened == 1:
+            raise KeyError("no such thing")
+        self.put("good")
+
+    def close(self) -> None:
+        return
+
+
+def test_a_feed_that_fails_is_said_and_can_be_asked_for_again(desk: Desk) -> None:
+    desk.console._feeds._fixed["broken"] = Broken()
+    with TestPage(desk.port) as page, TestPage(desk.port) as other:
+        page.watch("broken")
+        page.until(page.errors, "it says so")
+        assert page.errors() == ["broken cannot be followed: 'no such thing'"]
+        page.watch("broken")
+        assert page.value("broken") == "good"
+        other.watch("broken")
+        assert other.value("broken") == "good"
+
+
+def test_a_feed_goes_on_after_an_error(desk: Desk) -> None:
+    console, asked = desk.console, []
+
+    def answer() -> str:
+        asked.append(1)
+        if len(asked) == 1:
+            raise KeyError("gone")
+        return "good"
+
+    console._feeds._fixed["asked"] = AskingFeed(console.host, "asked", console._asking, answer)
+    with TestPage(desk.port) as page:
+        page.watch("asked")
+        page.until(lambda: page.values.get("asked", {}).get("why") == "KeyError: 'gone'", "it says why there is none")
+        assert page.value("asked") == "good"
+
+
+def test_what_strangers_cause_does_not_fill_the_log(
+    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    scarce = ScarceLog()
+    with caplog.at_level(logging.WARNING, "midspan.web"):
+        for number in range(100):
+            scarce.warn(f"bad {number}")
+        assert len(caplog.messages) == 20
+        later = time.monotonic() + 11.0
+        monkeypatch.setattr(time, "monotonic", lambda: later)
+        scarce.warn("bad again")
+    assert caplog.messages[20:] == ["80 more such warnings before", "bad again"]
+
+
+def test_verb_error_is_what_a_late_call_gets() -> None:
+    with pytest.raises(VerbError, match="is not done"):
+        verbs._run(lambda: None, {}, time.monotonic() - 1.0)
