@@ -166,7 +166,7 @@ class HostileConsole:
                 pass  # the console has cut it
         if self._may_drive == math.inf:
             self._may_drive = time.monotonic() + _LATER
-        self._after(len(pieces) + 1)
+        self._after(1 + sum(piece[1] if piece[:1] == b"m" and len(piece) > 1 else 1 for piece in pieces))
 
     # -- what became of it ---------------------------------------------------------------------------------------------
 
