@@ -19,6 +19,8 @@ from uvicorn.protocols.websockets.websockets_sansio_impl import WebSocketsSansIO
 from websockets.exceptions import InvalidState
 from websockets.frames import Frame
 
+from bridge.web.access import common_name
+
 MOST_CONNECTIONS, MOST_OF_ADDRESS = 300, 100
 REQUEST_SECONDS = 20.0
 """A request's head, its body and the answer take no longer, or the connection is cut."""
@@ -105,6 +107,8 @@ class TimedHttp(H11Protocol):
     def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
         """As uvicorn's."""
         super().connection_made(transport)
+        shown = common_name(transport.get_extra_info("peercert"))
+        self.app_state = {**self.app_state, "certificate": shown}
         self._since = self.loop.time()
         self._timer = self.loop.call_later(REQUEST_SECONDS, self._look)
 

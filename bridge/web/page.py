@@ -13,8 +13,10 @@ from typing import Any
 
 from starlette.websockets import WebSocket, WebSocketDisconnect, WebSocketState
 
+from bridge.web.access import Grant
 from bridge.web.feed import Feed, Feeds
 from bridge.web.hold import HandDriving
+from bridge.web.login import who
 from bridge.web.verbs import VerbError, Verbs
 
 _log = logging.getLogger("midspan.web")
@@ -28,6 +30,7 @@ MOST_BYTES = 64 * 1024
 MOST_REPLIES = 500
 _POLICY = 1008
 _LARGEST = 1e9
+_WATCHES = "this page has the role 'watch'"
 
 Post = Callable[[Callable[[], Any]], None]
 """Runs an action on the module's thread."""
@@ -41,11 +44,19 @@ class Page:
     """Serves one socket until it ends."""
 
     def __init__(
-        self, socket: WebSocket, hello: dict[str, Any], feeds: Feeds, verbs: Verbs, hold: HandDriving, post: Post
+        self,
+        socket: WebSocket,
+        grant: Grant,
+        hello: dict[str, Any],
+        feeds: Feeds,
+        verbs: Verbs,
+        hold: HandDriving,
+        post: Post,
     ) -> None:
-        self._socket, self._hello, self._feeds, self._verbs, self._hold, self._post = (
-            socket, hello, feeds, verbs, hold, post,
+        self._socket, self._grant, self._feeds, self._verbs, self._hold, self._post = (
+            socket, grant, feeds, verbs, hold, post,
         )  # fmt: skip
+        self._hello = {**hello, "role": grant.role, "who": grant.name}
         self._loop = asyncio.get_running_loop()
         self._wake = asyncio.Event()
         self._lock = threading.Lock()
@@ -61,7 +72,7 @@ class Page:
         self._deaf = False
         self._wish: Callable[[], None] | None = None  # the newest hold or release that is not taken up yet
         self._posted = 0
-        self.who = f"{socket.client.host}:{socket.client.port}" if socket.client else "a page"
+        self.who = who(grant, f"{socket.client.host}:{socket.client.port}" if socket.client else "a page")
 
     async def serve(self) -> None:
         """Converse until the socket ends; what the page held or watched ends with it."""
@@ -200,6 +211,8 @@ class Page:
         self._do(unwatch)
 
     def _hold_on(self, x: float, y: float, turn: float) -> None:
+        if not self._grant.may_drive:
+            raise BadMessageError(f"{_WATCHES}: it may not drive by hand")
         arrived = time.monotonic()
         self._wishes(lambda: self._hold.hold(self, x, y, turn, arrived))
 
@@ -234,6 +247,9 @@ class Page:
     def _call(self, number: int, verb: str, args: Any) -> None:
         if not isinstance(args, dict):
             raise BadMessageError("args are an object")
+        if self._verbs.is_command(verb) and not self._grant.may_drive:
+            self._reply(number, error=f"{_WATCHES}: {verb} is not done")
+            return
         stops = self._verbs.is_stop(verb)
         most = MOST_STOPS if stops else MOST_CALLS
         if len(self._calls) >= most:

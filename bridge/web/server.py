@@ -11,8 +11,8 @@ import asyncio
 import logging
 import socket
 import threading
-from collections.abc import Awaitable, Callable
-from pathlib import Path
+import time
+from collections.abc import Awaitable, Callable, Sequence
 from typing import Any
 
 import uvicorn
@@ -25,6 +25,7 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 from starlette.websockets import WebSocket
 
 from bridge.config.sections.web import split
+from bridge.web.access import Access, Grant
 from bridge.web.connections import (
     MOST_CONNECTIONS,
     BoundedWebSocket,
@@ -34,14 +35,15 @@ from bridge.web.connections import (
     TimedHttp,
     quiet_server_log,
 )
+from bridge.web.login import STATIC, Guard, Login
 from bridge.web.maps import Pictures
 from bridge.web.page import MOST_BYTES
+from bridge.web.tls import ServerTls
 
 _log = logging.getLogger("midspan.web")
 
 PROTOCOL = "midspan.console.1"
 MOST_PAGES = 50
-STATIC = Path(__file__).parent / "static"
 HEADERS = {
     "content-security-policy": (
         "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' data: blob:; connect-src 'self';"
@@ -58,7 +60,7 @@ _START_SECONDS = 10.0
 _STOP_SECONDS = 1.5
 _NAMES = ("localhost", "127.0.0.1", "[::1]")
 
-Serve = Callable[[WebSocket], Awaitable[None]]
+Serve = Callable[[WebSocket, Grant], Awaitable[None]]
 
 
 class OwnOnly:
@@ -93,7 +95,7 @@ def refusal(scope: Scope, hosts: frozenset[str]) -> str:
     host, origin = found.get("host", []), found.get("origin", [])
     if len(host) != 1 or host[0].lower() not in hosts:
         return f"no such host here: {', '.join(host)[:80]!r}"
-    own = f"http://{host[0].lower()}"
+    own = f"{'https' if scope.get('scheme') in ('https', 'wss') else 'http'}://{host[0].lower()}"
     if any(each.lower() != own for each in origin):
         return f"a page of {', '.join(origin)[:80]!r} may not ask"
     if scope["type"] == "websocket" and not origin and "user-agent" in found and "Mozilla" in found["user-agent"][0]:
@@ -120,10 +122,14 @@ class WebServer:
     Args:
         listen: address and port.
         serve: converses with a page until its socket ends.
+        access: who may come in.
+        tls: where it has TLS.
     """
 
-    def __init__(self, listen: str, serve: Serve, pictures: Pictures) -> None:
-        self._serve, self._pictures = serve, pictures
+    def __init__(
+        self, listen: str, serve: Serve, pictures: Pictures, access: Access, tls: ServerTls | None = None
+    ) -> None:
+        self._serve, self._pictures, self._access = serve, pictures, access
         address, port = split(listen)
         self._pages = 0
         family = socket.AF_INET6 if ":" in address else socket.AF_INET
@@ -136,9 +142,9 @@ class WebServer:
             self._socket.close()
             raise RuntimeError(f"the console cannot listen on {listen}: {err.strerror}; set web.listen") from None
         self.port: int = self._socket.getsockname()[1]
-        host = f"[{address}]" if ":" in address else address
-        self._hosts = frozenset(f"{name}:{self.port}" for name in (*_NAMES, host))
-        self.address = f"http://{host}:{self.port}/"
+        names = [bracketed(name) for name in (tls.names if tls else (address,))]
+        self._hosts = hosts(names, self.port, tls=tls is not None)
+        self.address = f"{'https' if tls else 'http'}://{names[0]}:{self.port}/"
         self._server = uvicorn.Server(
             uvicorn.Config(
                 self._app(), log_config=None, access_log=False, lifespan="off", ws_max_size=MOST_BYTES,
@@ -147,6 +153,8 @@ class WebServer:
                 proxy_headers=False,
             )
         )  # fmt: skip
+        self._server.config.load()
+        self._server.config.ssl = tls.context if tls else None
         self._server.install_signal_handlers = lambda: None  # type: ignore[attr-defined]
         self._thread = threading.Thread(target=self._run, name="midspan-web-server", daemon=True)
         self._trouble = ""
@@ -185,11 +193,12 @@ class WebServer:
     def _app(self) -> ASGIApp:
         routes = [
             WebSocketRoute("/socket", self._page),
+            *Login(self._access).routes,
             Route("/map/{name:str}.png", self._picture),
             Route("/", self._index),
             Mount("/", StaticFiles(directory=STATIC)),
         ]
-        return OwnOnly(Starlette(routes=routes), lambda: self._hosts)
+        return OwnOnly(Guard(Starlette(routes=routes), self._access), lambda: self._hosts)
 
     async def _index(self, _request: Request) -> Response:
         return Response((STATIC / "index.html").read_bytes(), media_type="text/html; charset=utf-8")
@@ -204,16 +213,31 @@ class WebServer:
         if PROTOCOL not in page.scope.get("subprotocols", ()) or self._pages >= MOST_PAGES:
             await page.close(1008)
             return
+        grant: Grant = page.scope["state"]["grant"]
         self._pages += 1
         try:
             await page.accept(PROTOCOL)
-            await self._serve(page)
+            async with asyncio.timeout(grant.until - time.time() if grant.until else None):
+                await self._serve(page, grant)
+        except TimeoutError:  # the login has ended
+            await page.close(1008)
         finally:
             self._pages -= 1
 
 
+def hosts(names: Sequence[str], port: int, *, tls: bool) -> frozenset[str]:
+    """What a request's ``Host`` may be; the scheme's own port is left out by browsers."""
+    own = {name.lower() for name in (*_NAMES, *names)}
+    return frozenset({f"{name}:{port}" for name in own} | (own if port == (443 if tls else 80) else set()))
+
+
+def bracketed(name: str) -> str:
+    """A name or an address as it stands in an URL."""
+    return f"[{name}]" if ":" in name else name
+
+
 def hello(daemon: str, version: str, frame: str, most: tuple[float, float], hold_seconds: float) -> dict[str, Any]:
-    """The first message to a page."""
+    """The first message to a page, but for who it is."""
     speed = {"x": most[0], "turn": most[1]}
-    head = {"op": "hello", "daemon": daemon, "version": version, "role": "drive", "frame": frame}
+    head = {"op": "hello", "daemon": daemon, "version": version, "frame": frame}
     return {**head, "hold_seconds": hold_seconds, "speed": speed}

@@ -137,6 +137,10 @@ class Verbs:
         """Whether a verb makes robots stand; such a call is never refused for want of room."""
         return verb in self._verbs and self._verbs[verb].stops
 
+    def is_command(self, verb: str) -> bool:
+        """Whether a verb does more than look, so that the role ``drive`` is needed."""
+        return verb in self._verbs and self._verbs[verb].commands
+
     def begin(self, verb: str, args: Mapping[str, Any], who: str) -> Future[Any]:
         """Do it on a thread that may wait; the result, or `VerbError`, is the future's. Raises `VerbError`."""
         found = self._verbs.get(verb)

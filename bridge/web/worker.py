@@ -16,6 +16,8 @@ from bridge.concurrency import SerialExecutor
 from bridge.config.model import Config
 from bridge.messages.registry import Registry
 from bridge.modules.host import Host
+from bridge.state_file import worker_folder
+from bridge.web.access import Access, Grant, kept_secret
 from bridge.web.feed import Feeds
 from bridge.web.hold import HOLD_SECONDS, HandDriving
 from bridge.web.hub_feeds import AskingFeed, StatusAsker, list_topics
@@ -30,6 +32,7 @@ from bridge.web.place_verbs import PlaceVerbs
 from bridge.web.robot import DrivingFeed, FrameFollower, FramesFeed, LaserFeed, PathFeed, RobotFeed
 from bridge.web.robots import RobotsFeed
 from bridge.web.server import WebServer, hello
+from bridge.web.tls import ServerTls
 from bridge.web.topic_feeds import MessageFeed
 from bridge.web.verbs import Verbs
 from bridge.worker import Health, Worker, costs
@@ -60,6 +63,7 @@ class WebWorker(Worker):
         assert self._console is not None
         console = self._console
         console.host.loop.computes()
+        console.look()
         if console.server.trouble:
             raise RuntimeError(console.server.trouble)
         pages = console.server.pages
@@ -80,7 +84,9 @@ class Console:
         types = config.types
         registry = Registry(folders=list(types.folders), mapping_rules=list(types.mapping_rules))
         pictures = Pictures()
-        self.server = WebServer(section.listen, self._serve, pictures)
+        self._tls = ServerTls(config) if section.guarded else None
+        access = Access(section, kept_secret(worker_folder(config)) if section.guarded else b"")
+        self.server = WebServer(section.listen, self._serve, pictures, access, self._tls)
         try:
             self.host = host = Host("web", config, registry)
         except BaseException:
@@ -145,8 +151,13 @@ class Console:
     def changed(self, name: str, n: int, text: str) -> None:
         """Nothing: it watches for `DrivingFeed.busy` alone."""
 
-    async def _serve(self, socket: WebSocket) -> None:
-        await Page(socket, self._hello, self._feeds, self._verbs, self._hold, self.host.loop.post).serve()
+    def look(self) -> None:
+        """Take up a new certificate."""
+        if self._tls is not None:
+            self._tls.look()
+
+    async def _serve(self, socket: WebSocket, grant: Grant) -> None:
+        await Page(socket, grant, self._hello, self._feeds, self._verbs, self._hold, self.host.loop.post).serve()
 
     def _stand(self) -> None:
         self._hold.stop()

@@ -26,9 +26,10 @@ class TestPage:
     __test__ = False
 
     def __init__(self, port: int, *, takes: bool = True, **options: Any) -> None:
-        options.setdefault("origin", f"http://127.0.0.1:{port}")
+        tls = "s" if "ssl" in options else ""
+        options.setdefault("origin", f"http{tls}://127.0.0.1:{port}")
         self._stack = contextlib.ExitStack()
-        address = f"ws://127.0.0.1:{port}/socket"
+        address = f"ws{tls}://127.0.0.1:{port}/socket"
         self.socket: ClientConnection = self._stack.enter_context(
             connect(address, subprotocols=[Subprotocol(PROTOCOL)], max_size=None, **options)
         )

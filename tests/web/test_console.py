@@ -60,7 +60,7 @@ def test_hello(desk: Desk) -> None:
     with TestPage(desk.port) as page:
         page.until(lambda: page.said, "it says who it is")
         assert page.said[0] | {"version": ""} == {
-            "op": "hello", "daemon": "here", "version": "", "role": "drive", "frame": "map",
+            "op": "hello", "daemon": "here", "version": "", "role": "drive", "who": "", "frame": "map",
             "hold_seconds": HOLD_SECONDS, "speed": {"x": 0.3, "turn": 0.6},
         }  # fmt: skip
 

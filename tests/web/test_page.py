@@ -10,6 +10,7 @@ from typing import Any, cast
 from starlette.websockets import WebSocketState
 
 from bridge.web import page
+from bridge.web.access import EVERYBODY
 from bridge.web.verbs import VerbError
 
 
@@ -36,6 +37,9 @@ class StuckSocket:
 
 
 class NoVerbs:
+    def is_command(self, _verb: str) -> bool:
+        return True
+
     def is_stop(self, _verb: str) -> bool:
         return False
 
@@ -56,7 +60,9 @@ def test_a_page_that_reads_no_answers_is_closed() -> None:
 
     async def serve() -> None:
         nobody: Any = None
-        made = page.Page(cast("Any", socket), {}, nobody, cast("Any", NoVerbs()), cast("Any", NoHold()), post)
+        made = page.Page(
+            cast("Any", socket), EVERYBODY, {}, nobody, cast("Any", NoVerbs()), cast("Any", NoHold()), post
+        )
         await asyncio.wait_for(made.serve(), 30)
 
     asyncio.run(serve())

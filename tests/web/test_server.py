@@ -104,7 +104,7 @@ def test_strange_pages_get_no_socket(desk: Desk) -> None:
 
 def test_an_address_that_is_taken_is_named(desk: Desk) -> None:
     with pytest.raises(RuntimeError, match=rf"cannot listen on 127.0.0.1:{desk.port}: .*in use; set web.listen"):
-        WebServer(f"127.0.0.1:{desk.port}", None, None)  # type: ignore[arg-type]
+        WebServer(f"127.0.0.1:{desk.port}", None, None, None)  # type: ignore[arg-type]
 
 
 def test_half_requests_do_not_keep_others_out(desk: Desk) -> None:

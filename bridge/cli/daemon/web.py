@@ -1,29 +1,60 @@
-"""``midspan web``: the address of the console, or the console in a browser."""
+"""``midspan web``: the address of the console, or the console in a browser; a token for who comes from elsewhere."""
 
 from __future__ import annotations
 
 import argparse
 import re
+from typing import TYPE_CHECKING
 
 from bridge.cli.arguments import add_config
 from bridge.cli.output import CliError
+
+if TYPE_CHECKING:
+    from bridge.config.model import Config
+
+_EPILOG = """\
+examples:
+  midspan web --open
+  midspan web --token anna                # who may drive
+  midspan web --token hall --role watch   # who may look
+"""
 
 
 def register(parser: argparse.ArgumentParser) -> None:
     """Describe the verb and its arguments."""
     parser.description = "Prints the address of the console, the page on which people watch and drive."
-    parser.epilog = "Example: midspan web --open"
+    parser.epilog = _EPILOG
+    parser.formatter_class = argparse.RawDescriptionHelpFormatter
     add_config(parser)
-    parser.add_argument("--open", action="store_true", help="open it in this machine's browser")
+    one = parser.add_mutually_exclusive_group()
+    one.add_argument("--open", action="store_true", help="open it in this machine's browser")
+    one.add_argument("--token", metavar="NAME", help="make a token for a person or a program, and print it this once")
+    parser.add_argument("--role", choices=["watch", "drive"], default="drive", help="of the token (default drive)")
     parser.set_defaults(run=run)
 
 
 def run(args: argparse.Namespace) -> int:
-    """Print or open the address; raises `CliError` where the console does not run."""
+    """Print or open the address, or make a token; raises `CliError` where the console does not run."""
+    if args.token is not None:
+        return _make_token(args.token, args.role)
     from bridge.config.load import load
-    from bridge.daemon.query import Phase, ask_daemon
 
     config = load(args.config)
+    address = _address(config)
+    print(address, flush=True)
+    if address.startswith("https:"):
+        print(_how_to_get_in(config), flush=True)
+    if args.open:
+        import webbrowser
+
+        if not webbrowser.open(address):
+            raise CliError("there is no browser on this machine; open the address from elsewhere over 'ssh -L'")
+    return 0
+
+
+def _address(config: Config) -> str:
+    from bridge.daemon.query import Phase, ask_daemon
+
     if not config.web.enabled:
         raise CliError("the console is switched off: set web.enabled in the configuration")
     workers = (ask_daemon(config) or {}).get("workers")
@@ -32,13 +63,41 @@ def run(args: argparse.Namespace) -> int:
     console = next((worker for worker in workers if worker["worker"] == "web"), None)
     if console is None:
         raise CliError("the daemon runs without a console: it has not taken up this configuration")
-    address = re.match(r"http://[^\s,]+", console["text"])
+    address = re.match(r"https?://[^\s,]+", console["text"])
     if console["phase"] != Phase.UP.value or address is None:
         raise CliError(f"the console is {console['phase']}: {console['text']}")
-    print(address[0], flush=True)
-    if args.open:
-        import webbrowser
+    return address[0]
 
-        if not webbrowser.open(address[0]):
-            raise CliError("there is no browser on this machine; open the address from elsewhere over 'ssh -L'")
+
+def _how_to_get_in(config: Config) -> str:
+    from bridge.hub.security.door import key_files
+
+    people = ", ".join(f"{name} ({token.role})" for name, token in config.web.tokens.items())
+    ways = [
+        f"- the browser must know the authority: import {key_files(config).ca} there",
+        f"- log in with a token of {people}" if people else "",
+        "- or show a certificate of that authority" + _drivers(config.web.trusted),
+        "- another token: midspan web --token NAME",
+    ]
+    return "\n".join(["To get in:", *filter(None, ways)])
+
+
+def _drivers(trusted: tuple[str, ...]) -> str:
+    return f"; who may drive by it: {', '.join(trusted)}" if trusted else ", to watch"
+
+
+def _make_token(name: str, role: str) -> int:
+    from pydantic import ValidationError
+
+    from bridge.config.sections.web import WebSection
+    from bridge.hub.security.tokens import new_token
+
+    token, digest = new_token()
+    try:
+        WebSection.model_validate({"tokens": {name: {"role": role, "sha256": digest}}})
+    except ValidationError:
+        raise CliError(f"{name!r} is not a name: letters, digits, '_' and '-', 63 at the most") from None
+    print(f"The token of {name}, to be kept as a password; it is shown this once:\n\n  {token}\n")
+    print("In the configuration, which needs its hash alone:\n")
+    print(f'web:\n  tokens:\n    {name}: {{role: {role}, sha256: "{digest}"}}')
     return 0

@@ -4,12 +4,30 @@ from __future__ import annotations
 
 import ipaddress
 import re
+from typing import Annotated, Literal
 
-from pydantic import Field, field_validator
+from pydantic import Field, model_validator
 
-from bridge.config.sections.section import FrameName, OptionalTopic, Section, setting
+from bridge.config.sections.section import FrameName, OptionalTopic, Section, matching, setting
+
+Role = Literal["watch", "drive"]
+"""What a person may do: look, or command too."""
 
 _ADDRESS = re.compile(r"(?:\[(?P<six>[0-9A-Fa-f:.]+)\]|(?P<name>[^\[\]:/\s]+)):(?P<port>\d{1,5})")
+_HOST = r"[A-Za-z0-9_](?:[A-Za-z0-9_.-]{0,251}[A-Za-z0-9_])?|[0-9A-Fa-f:.]*:[0-9A-Fa-f:.]*"
+_NOBODY = "nobody could get in: give web.tokens ('midspan web --token NAME' makes one), or web.trusted for certificates"
+
+HostName = Annotated[str, matching(_HOST, "is neither a host name nor an IP address; leave port and scheme out")]
+PersonName = Annotated[str, matching(r"[A-Za-z0-9][A-Za-z0-9_-]{0,62}", "is not a name: letters, digits, '_' and '-'")]
+
+
+class TokenSection(Section):
+    """A token by which a person or a program gets in."""
+
+    role: Role = setting("drive", "`watch`: look alone; `drive`: command, too.")
+    sha256: str = Field(
+        description="SHA-256 of the token, as `midspan web --token NAME` prints it.", pattern=r"^[0-9a-f]{64}$"
+    )
 
 
 class OtherRobot(Section):
@@ -26,7 +44,18 @@ class WebSection(Section):
 
     enabled: bool = setting(False, "Whether it runs.")
     listen: str = setting(
-        "127.0.0.1:8480", "Address and port of the page, of this machine alone (127.0.0.0/8 or [::1]); port 0: any."
+        "127.0.0.1:8480",
+        "Address and port of the page; port 0: any. One that other machines reach (`0.0.0.0:8480`) has TLS, with the"
+        " certificate of `hub.open`, and needs `tokens` or `trusted`; see [the console](console.md).",
+    )
+    names: tuple[HostName, ...] = setting(
+        (), "Names and addresses that browsers open it by, with TLS; default those in the certificate."
+    )
+    tokens: dict[PersonName, TokenSection] = setting(
+        {}, 'Who gets in by a token, by name: `anna: {role: drive, sha256: "..."}`; with one, loopback has TLS, too.'
+    )
+    trusted: tuple[Annotated[str, Field(min_length=1, max_length=64)], ...] = setting(
+        (), "Who may drive by a certificate of the same authority, by the name in it; with any other one may watch."
     )
     laser: OptionalTopic = setting("/scan", 'Topic of the laser that the map shows; "": none.')
     path: OptionalTopic = setting("", 'Topic of the path that the map shows; "": that of the chosen planner.')
@@ -37,14 +66,18 @@ class WebSection(Section):
     speed: float = setting(0.3, "m/s that driving by hand commands at the most.", gt=0.0, le=2.0)
     turn: float = setting(0.6, "rad/s that driving by hand commands at the most.", gt=0.0, le=3.0)
 
-    @field_validator("listen")
-    @classmethod
-    def _listens_here(cls, value: str) -> str:
-        address, _ = split(value)
-        if address != "localhost" and not _is_loopback(address):
-            msg = f"{address} is no address of this machine alone: the console has neither TLS nor tokens yet"
+    @property
+    def guarded(self) -> bool:
+        """Whether it has TLS, and who comes must say who they are."""
+        return bool(self.tokens or self.trusted)
+
+    @model_validator(mode="after")
+    def _safe(self) -> WebSection:
+        address, _ = split(self.listen)
+        if not self.guarded and not _is_loopback(address):
+            msg = f"listen: other machines reach {address}, and {_NOBODY}"
             raise ValueError(msg)
-        return value
+        return self
 
 
 def split(listen: str) -> tuple[str, int]:
@@ -60,4 +93,4 @@ def _is_loopback(address: str) -> bool:
     try:
         return ipaddress.ip_address(address).is_loopback
     except ValueError:
-        return False
+        return address == "localhost"

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from bridge.doctor.check import Check
-from bridge.doctor.checks import bridges, hub, machine, sharedmemory, types
+from bridge.doctor.checks import bridges, console, hub, machine, sharedmemory, types
 from bridge.sides import all_sides, imported
 
 CHECKS: tuple[Check, ...] = (
@@ -11,6 +11,7 @@ CHECKS: tuple[Check, ...] = (
     Check("daemon", "the daemon and its workers", hub.look_at_workers),
     Check("router-port", "the router's port", hub.look_at_port),
     Check("keys", "the certificates by which machines join (`hub.open`)", hub.look_at_keys),
+    Check("console", "the certificate of the console (`web`)", console.look_at_certificate),
     Check("kernels", "the compiled kernels", machine.look_at_kernels),
     Check("wheels", "libraries that have no wheel on this system", machine.look_at_wheels),
     *(check for side in all_sides() if side.checks for check in imported(side.checks)),

@@ -148,8 +148,8 @@ class Authority:
         )
         try:
             self.folder.mkdir(parents=True, exist_ok=True, mode=0o700)
-            _write_private(private, text)
-            _write_private(pem, certificate.public_bytes(serialization.Encoding.PEM))
+            write_private(private, text)
+            write_private(pem, certificate.public_bytes(serialization.Encoding.PEM))
         except OSError as err:
             raise CertificateError(f"cannot write into {self.folder}: {err.strerror}") from None
         return read_certificate(pem)
@@ -241,7 +241,7 @@ def _general_name(name: str) -> x509.GeneralName:
     return x509.DNSName(name)
 
 
-def _write_private(file: Path, content: bytes) -> None:
+def write_private(file: Path, content: bytes) -> None:
     """Write a file that its owner alone can read, whole or not at all."""
     new = file.with_name(file.name + ".new")
     new.unlink(missing_ok=True)

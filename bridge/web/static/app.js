@@ -61,12 +61,27 @@ function showLine() {
   document.body.dataset.role = hello?.role ?? "watch";
   write(byId("daemon"), hello?.daemon ?? "Midspan");
   document.title = `${state === "lost" ? "(lost) " : ""}${hello?.daemon ?? ""} – Midspan`.replace(/^ – /, "");
-  const role = hello?.role === "watch" ? "Watching only" : "Connected";
+  const role = hello?.role === "watch" ? "Watching" : "Connected";
   write(byId("line-text"), state === "open" ? role : state === "begin" ? "Connecting" : "No connection");
   write(byId("lost"), state === "lost" ? "Connection lost. What you see is old. Trying again …" : "");
+  const watches = state === "open" && hello.role === "watch";
+  write(byId("watching"), watches ? `You watch${hello.who ? ` as ${hello.who}` : ""}: you may look, but not command. STOP is off, too.` : "");
+  byId("stop").disabled = watches;
+  if (state === "lost") knock();
   for (const part of document.querySelectorAll(".drives")) part.inert = !socket.mayDrive;
   if (state === "open" && lastState === "lost") say("Connected again.");
   if (state !== "begin") lastState = state;
+}
+
+let knocked = 0;
+
+/** The console may be there, and not know who this is any more. */
+async function knock() {
+  const now = Date.now();
+  if (location.protocol !== "https:" || now - knocked < 3000) return;
+  knocked = now;
+  const answer = await fetch("whoami", { cache: "no-store" }).catch(() => null);
+  if (answer?.status === 401) location.replace("login");
 }
 
 function showDriving(driving, why) {
@@ -81,6 +96,7 @@ let stopped = 0; // when STOP was pressed last
 
 function stop() {
   const now = performance.now();
+  if (byId("stop").disabled) return;
   if (now - stopped < 300) return; // the click that follows a touch
   stopped = now;
   dispatchEvent(new Event("midspan-stop")); // a hand that drives lets go

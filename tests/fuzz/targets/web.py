@@ -100,4 +100,4 @@ WORDS = [
 ]  # fmt: skip
 
 
-TARGETS = (Target("web", 10_000, _web),)
+TARGETS = (Target("web", 7_000, _web),)

@@ -1,0 +1,139 @@
+"""Who comes in: the page that asks for a token, the cookie that it gives, and the guard before everything else."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import logging
+from pathlib import Path
+from typing import Any
+
+from starlette.requests import Request
+from starlette.responses import JSONResponse, PlainTextResponse, RedirectResponse, Response
+from starlette.routing import Route
+from starlette.types import ASGIApp, Receive, Scope, Send
+from starlette.websockets import WebSocket
+
+from bridge.web.access import COOKIE, LOGIN_SECONDS, Access, Grant, TooManyError
+
+_log = logging.getLogger("midspan.web")
+
+STATIC = Path(__file__).parent / "static"
+OPEN = frozenset({"/login", "/login.js", "/login.css", "/style.css", "/icon.svg"})
+"""What who is not known yet may have."""
+MOST_BODY = 1024
+_BODY_SECONDS = 5.0
+_WHO = "say who you are: open /login in a browser, send 'Authorization: Bearer TOKEN', or show a certificate"
+
+
+class Guard:
+    """Lets in who is known; others get the login's files alone. Who it is stands in the request's state."""
+
+    def __init__(self, app: ASGIApp, access: Access) -> None:
+        self._app, self._access = app, access
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Serve or refuse one request."""
+        headers = {name.decode("latin-1").lower(): value.decode("latin-1") for name, value in scope["headers"]}
+        state = scope.setdefault("state", {})
+        try:
+            grant = self._access.grant(headers, state.get("certificate", ""), address_of(scope))
+        except TooManyError as err:
+            await _refuse(scope, receive, send, PlainTextResponse(f"{err}\n", 429))
+            return
+        if grant is None and not (scope["type"] == "http" and scope["path"] in OPEN):
+            page = scope["type"] == "http" and scope["path"] == "/"
+            answer: Response = RedirectResponse("/login", 303) if page else PlainTextResponse(f"{_WHO}\n", 401)
+            await _refuse(scope, receive, send, answer)
+            return
+        state["grant"] = grant
+        await self._app(scope, receive, send)
+
+
+async def _refuse(scope: Scope, receive: Receive, send: Send, answer: Response) -> None:
+    if scope["type"] == "websocket":
+        await WebSocket(scope, receive, send).send_denial_response(answer)
+    else:
+        await answer(scope, receive, send)
+
+
+def address_of(scope: Scope) -> str:
+    """The other end's address."""
+    return str((scope.get("client") or ("?",))[0])
+
+
+def who(grant: Grant, address: str) -> str:
+    """Somebody in words, for the log."""
+    return f"{grant.name} at {address}" if grant.name else address
+
+
+class Login:
+    """The routes by which a browser comes in and goes out."""
+
+    def __init__(self, access: Access) -> None:
+        self._access = access
+        self.routes = [
+            Route("/login", self._page, methods=["GET"]),
+            Route("/login", self._login, methods=["POST"]),
+            Route("/logout", self._logout, methods=["POST"]),
+            Route("/whoami", self._whoami, methods=["GET"]),
+        ]
+
+    async def _page(self, _request: Request) -> Response:
+        return Response((STATIC / "login.html").read_bytes(), media_type="text/html; charset=utf-8")
+
+    async def _login(self, request: Request) -> Response:
+        if "origin" not in request.headers:  # which page asks has been looked at (`server.refusal`)
+            return PlainTextResponse("only this console's own page may log in\n", 403)
+        try:
+            async with asyncio.timeout(_BODY_SECONDS):
+                token = _token(await _body(request))
+        except (ValueError, TimeoutError):
+            return PlainTextResponse('send {"token": "..."}\n', 400)
+        address = address_of(request.scope)
+        try:
+            found = self._access.login(token, address)
+        except TooManyError as err:
+            return PlainTextResponse(f"{err}\n", 429)
+        if found is None:
+            _log.warning("%s tried a wrong token", address)  # as often as `access.Slowness` lets it
+            return PlainTextResponse("no such token\n", 403)
+        grant, cookie = found
+        _log.info("%s has logged in, role %s", who(grant, address), grant.role)
+        answer = JSONResponse({"name": grant.name, "role": grant.role})
+        answer.set_cookie(COOKIE, cookie, LOGIN_SECONDS, path="/", secure=True, httponly=True, samesite="strict")
+        return answer
+
+    async def _logout(self, request: Request) -> Response:
+        if "origin" not in request.headers:
+            return PlainTextResponse("only this console's own page may log out\n", 403)
+        answer = PlainTextResponse("logged out\n")
+        answer.delete_cookie(COOKIE, path="/", secure=True, httponly=True, samesite="strict")
+        return answer
+
+    async def _whoami(self, request: Request) -> Response:
+        grant: Grant = request.scope["state"]["grant"]
+        return JSONResponse({"name": grant.name, "role": grant.role})
+
+
+async def _body(request: Request) -> bytes:
+    """The body; raises `ValueError` where it is too long."""
+    found = b""
+    async for part in request.stream():
+        found += part
+        if len(found) > MOST_BODY:
+            raise ValueError("too long")
+    return found
+
+
+def _token(body: bytes) -> str:
+    """The token in a body; raises `ValueError`."""
+    try:
+        found: Any = json.loads(body)
+    except RecursionError:
+        raise ValueError("too deep") from None
+    match found:
+        case {"token": str(token)}:
+            return token
+        case _:
+            raise ValueError("no token")

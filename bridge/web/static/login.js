@@ -1,0 +1,28 @@
+// The page that asks for a token. It leaves a cookie that no script can read, and goes to the console.
+
+const byId = (id) => document.getElementById(id);
+
+async function login(token) {
+  const answer = await fetch("login", {
+    method: "POST",
+    headers: { "content-type": "application/json" },
+    body: JSON.stringify({ token }),
+  });
+  if (!answer.ok) throw new Error((await answer.text()).trim());
+}
+
+byId("form").addEventListener("submit", async (event) => {
+  event.preventDefault();
+  const go = byId("go");
+  go.disabled = true;
+  byId("why").textContent = "";
+  try {
+    await login(byId("token").value.trim());
+    location.replace("./");
+  } catch (error) {
+    const why = error instanceof TypeError ? "the console does not answer" : error.message;
+    byId("why").textContent = `Not logged in: ${why}.`;
+    go.disabled = false;
+    byId("token").select();
+  }
+});

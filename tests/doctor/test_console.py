@@ -1,0 +1,44 @@
+"""The check of the console's certificate."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from bridge.doctor.check import Result
+from bridge.doctor.checks.console import look_at_certificate
+from bridge.hub.security.certificates import Authority
+from tests.doctor.parts import around, only
+
+TOKENS = {"anna": {"sha256": "0" * 64}}
+
+
+def place(folder: Path, **web: Any) -> Any:
+    section = {"enabled": True, "tokens": TOKENS, **web}
+    return around({"name": "robot1", "hub": {"open": {"keys": str(folder)}}, "web": section})
+
+
+def test_a_console_on_loopback_needs_none() -> None:
+    assert only(look_at_certificate(around({"web": {"enabled": True}}))).result is Result.SKIP
+
+
+def test_files_that_are_missing(tmp_path: Path) -> None:
+    found = only(look_at_certificate(place(tmp_path)))
+    assert found.result is Result.FAIL
+    assert "there is no" in found.seen
+
+
+@pytest.mark.parametrize(
+    ("days", "mode", "names", "seen"),
+    [(400, 0o600, [], "browsers find the console as robot1"), (10, 0o600, [], "expires in"),
+     (0, 0o600, [], "expired on"), (400, 0o644, [], "other users may use"),
+     (400, 0o600, ["tablet"], "browsers warn of tablet")],
+)  # fmt: skip
+def test_files_that_are_there(tmp_path: Path, days: int, mode: int, names: list[str], seen: str) -> None:
+    authority = Authority(tmp_path)
+    authority.make()
+    authority.issue("robot1", days=days)
+    (tmp_path / "robot1.key").chmod(mode)
+    assert seen in only(look_at_certificate(place(tmp_path, names=names))).seen

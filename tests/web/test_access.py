@@ -1,0 +1,339 @@
+"""Who may come in to a console that is open to others, and what each may do."""
+
+from __future__ import annotations
+
+import http.client
+import json
+import logging
+import ssl
+import stat
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from pydantic import ValidationError
+from websockets.exceptions import InvalidStatus, WebSocketException
+
+from bridge.config.sections.web import TokenSection, WebSection
+from bridge.hub.security.certificates import Authority
+from bridge.hub.security.tokens import new_token
+from bridge.web import access
+from bridge.web.access import COOKIE, Access, Grant, Slowness, TooManyError, kept_secret
+from bridge.web.server import hosts
+from tests.support.wait import until
+from tests.web.conftest import Desk
+from tests.web.page import TestPage
+from tests.web.test_bounds import connect, is_cut
+from tests.web.test_console import Base, hold
+from tests.web.test_server import ask
+
+DRIVE, WATCH = new_token(), new_token()
+TOKENS = {"anna": {"role": "drive", "sha256": DRIVE[1]}, "hall": {"role": "watch", "sha256": WATCH[1]}}
+COMMANDS = ("goto", "goto_place", "stop", "pause", "resume", "halt", "choose_planner", "set_pose", "keep_place",
+            "delete_place", "use_map")  # fmt: skip
+
+
+class GuardedDesk(Desk):
+    """A console with TLS and tokens, and keys of its own."""
+
+    def __init__(self, folder: Path, keys: Path) -> None:
+        self.keys = keys
+        authority = Authority(keys)
+        authority.make()
+        authority.issue("here", ["127.0.0.1", "robot.test"])
+        for name in ("operator1", "guest"):
+            authority.issue(name)
+        super().__init__(folder)
+
+    def open(self, **sections: Any) -> Any:
+        hub = {"listen": self.hubs.endpoint, "open": {"keys": self.keys}}
+        return super().open(hub=hub, web={"tokens": TOKENS, "trusted": ["operator1"], **sections.get("web", {})})
+
+    def tls(self, name: str = "") -> ssl.SSLContext:
+        """How a peer of a name connects, "" for one without a certificate."""
+        context = ssl.create_default_context(cafile=self.keys / "ca.pem")
+        if name:
+            context.load_cert_chain(self.keys / f"{name}.pem", self.keys / f"{name}.key")
+        return context
+
+    def ask(
+        self, method: str, path: str, body: str = "", name: str = "", **headers: str
+    ) -> tuple[int, dict[str, str], str]:
+        """The answer to a request."""
+        connection = http.client.HTTPSConnection("127.0.0.1", self.port, timeout=10, context=self.tls(name))
+        try:
+            connection.request(method, path, body or None, {k.replace("_", "-"): v for k, v in headers.items()})
+            answer = connection.getresponse()
+            return answer.status, {k.lower(): v for k, v in answer.getheaders()}, answer.read().decode()
+        finally:
+            connection.close()
+
+    def login(self, token: str, **headers: str) -> tuple[int, dict[str, str], str]:
+        """What the page does."""
+        own = {"Origin": f"https://127.0.0.1:{self.port}", **headers}
+        return self.ask("POST", "/login", json.dumps({"token": token}), **own)
+
+    def page(self, token: str = "", name: str = "", **headers: str) -> TestPage:
+        """A page of who has a token, or a certificate."""
+        if token:
+            headers["Authorization"] = f"Bearer {token}"
+        return TestPage(self.port, ssl=self.tls(name), additional_headers=headers)
+
+
+@pytest.fixture
+def guarded(tmp_path: Path) -> Iterator[GuardedDesk]:
+    made = GuardedDesk(tmp_path, tmp_path / "keys")
+    yield made
+    made.close()
+
+
+def test_others_need_tls_and_somebody_who_may() -> None:
+    assert not WebSection().guarded
+    with pytest.raises(ValidationError, match=r"other machines reach 0\.0\.0\.0, and nobody could get in"):
+        WebSection(listen="0.0.0.0:8480")
+    for more in ({"tokens": TOKENS}, {"trusted": ["operator1"]}):
+        for listen in ("0.0.0.0:8480", "127.0.0.1:8480", "[::]:8480"):
+            assert WebSection.model_validate({"listen": listen, **more}).guarded
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [{"tokens": {"a b": TOKENS["anna"]}}, {"tokens": {"a": {"role": "root", "sha256": DRIVE[1]}}},
+     {"tokens": {"a": {"role": "drive", "sha256": DRIVE[0]}}}, {"names": ["http://robot"]}, {"names": ["robot:80"]}],
+)  # fmt: skip
+def test_what_cannot_be_configured(wrong: dict[str, Any]) -> None:
+    with pytest.raises(ValidationError):
+        WebSection.model_validate(wrong)
+
+
+def test_a_stranger_gets_the_login_alone(guarded: GuardedDesk) -> None:
+    status, headers, _ = guarded.ask("GET", "/")
+    assert (status, headers["location"]) == (303, "/login")
+    status, headers, body = guarded.ask("GET", "/login")
+    assert status == 200
+    assert "default-src 'none'" in headers["content-security-policy"]
+    assert "Your token" in body
+    for path in ("/login.js", "/login.css", "/style.css", "/icon.svg"):
+        assert guarded.ask("GET", path)[0] == 200
+    for path in ("/index.html", "/app.js", "/map/occupancy.png", "/whoami", "/none", "//login", "/login/../app.js"):
+        status, _, body = guarded.ask("GET", path)
+        assert status == 401, path
+        assert "say who you are" in body
+    with pytest.raises(InvalidStatus, match="401"):
+        guarded.page()
+
+
+def test_a_login(guarded: GuardedDesk) -> None:
+    status, headers, body = guarded.login(DRIVE[0])
+    assert (status, json.loads(body)) == (200, {"name": "anna", "role": "drive"})
+    cookie, *rest = headers["set-cookie"].split("; ")
+    assert cookie.startswith(f"{COOKIE}=anna.")
+    assert DRIVE[0] not in cookie
+    assert {"HttpOnly", "Secure", "SameSite=strict", "Path=/"} <= set(rest)
+    assert not any(each.lower().startswith("domain") for each in rest)
+    assert guarded.ask("GET", "/", Cookie=f"x=1; {cookie}")[0] == 200
+    with guarded.page(Cookie=cookie) as page:
+        page.until(lambda: page.said, "it says hello")
+        assert (page.said[0]["role"], page.said[0]["who"]) == ("drive", "anna")
+    guarded.open_with()
+    assert json.loads(guarded.ask("GET", "/whoami", Cookie=cookie)[2])["name"] == "anna", "it outlasts a restart"
+    for wrong in (f"{COOKIE}=hall{cookie[len(COOKIE) + 5 :]}", cookie[:-1] + ("0" if cookie[-1] != "0" else "1")):
+        assert guarded.ask("GET", "/whoami", Cookie=wrong)[0] == 401
+    assert (
+        "Max-Age=0"
+        in guarded.ask("POST", "/logout", Origin=f"https://127.0.0.1:{guarded.port}", Cookie=cookie)[1]["set-cookie"]
+    )
+
+
+@pytest.mark.parametrize(
+    ("body", "status"),
+    [("", 400), ("[]", 400), ('{"token": 1}', 400), ("[" * 900, 400), ('{"token": "' + "x" * 2000 + '"}', 400),
+     ('{"token": "\\ud800"}', 403), ('{"token": ""}', 403)],
+)  # fmt: skip
+def test_bad_logins_are_refused(guarded: GuardedDesk, body: str, status: int) -> None:
+    own = f"https://127.0.0.1:{guarded.port}"
+    assert guarded.ask("POST", "/login", body, Origin=own)[0] == status
+    assert guarded.ask("POST", "/login", json.dumps({"token": DRIVE[0]}))[0] == 403, "not without a page"
+
+
+def test_a_watcher_commands_nothing(guarded: GuardedDesk) -> None:
+    base = Base(guarded)
+    with guarded.page(WATCH[0]) as page:
+        page.watch("topics", "topic:/cmd_vel")
+        page.value("topics", lambda topics: topics is not None)
+        for verb in COMMANDS:
+            assert page.call(verb)["error"] == f"this page has the role 'watch': {verb} is not done"
+        assert page.call("ping")["ok"]
+        page.send(op="hold", x=0.1, y=0.0, turn=0.0)
+        page.until(page.errors, "it says why not")
+        assert page.errors() == ["this page has the role 'watch': it may not drive by hand"]
+    with guarded.page(DRIVE[0]) as page:
+        hold(page, base)
+    assert {verb for verb, found in guarded.console._verbs._verbs.items() if found.commands} >= set(COMMANDS)
+
+
+@pytest.mark.parametrize(("name", "role"), [("operator1", "drive"), ("guest", "watch")])
+def test_a_certificate(guarded: GuardedDesk, name: str, role: str) -> None:
+    with guarded.page(name=name) as page:
+        page.until(lambda: page.said, "it says hello")
+        assert (page.said[0]["role"], page.said[0]["who"]) == (role, name)
+        assert ("role 'watch'" in page.call("stop").get("error", "")) == (role == "watch")
+
+
+def test_a_certificate_of_another_authority_is_none(guarded: GuardedDesk, tmp_path: Path) -> None:
+    other = Authority(tmp_path / "other")
+    other.make()
+    other.issue("operator1")
+    context = guarded.tls()
+    context.load_cert_chain(tmp_path / "other" / "operator1.pem", tmp_path / "other" / "operator1.key")
+    with pytest.raises((ssl.SSLError, ConnectionError, WebSocketException)):
+        TestPage(guarded.port, ssl=context)
+
+
+def test_each_command_is_logged_with_who_sent_it(guarded: GuardedDesk, caplog: pytest.LogCaptureFixture) -> None:
+    with caplog.at_level(logging.INFO, "midspan.web"):
+        with guarded.page(DRIVE[0]) as page:
+            page.call("delete_place", name="sofa")
+        with guarded.page(name="operator1") as page:
+            page.call("delete_place", name="chair")
+        guarded.login(DRIVE[0])
+    assert "anna at 127.0.0.1:" in caplog.text
+    assert "delete_place name='sofa'" in caplog.text
+    assert "operator1 at 127.0.0.1:" in caplog.text
+    assert DRIVE[0] not in caplog.text
+
+
+def test_wrong_tokens_are_slowed(guarded: GuardedDesk, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(access, "FIRST_WAIT", 30.0)
+    assert guarded.login("wrong")[0] == 403
+    status, _, body = guarded.login(DRIVE[0])
+    assert status == 429, "even the right one is not looked at"
+    assert "try again in" in body
+    for how in ("wrong", DRIVE[0]):
+        with pytest.raises(InvalidStatus, match="429"):
+            guarded.page(how)
+    with guarded.page(name="operator1") as page:
+        assert page.call("ping")["ok"], "who needs no token is not slowed"
+
+
+def test_slowness_is_by_address_in_all_and_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
+    now = [100.0]
+    monkeypatch.setattr(time, "monotonic", lambda: now[0])
+    slow = Slowness()
+    for wait in (1.0, 2.0, 4.0, 8.0, 16.0, 32.0, 60.0, 60.0):
+        slow.wrong("a")
+        slow.check("b")
+        now[0] += wait - 0.01
+        with pytest.raises(TooManyError):
+            slow.check("a")
+        now[0] += 0.02
+        slow.check("a")
+    slow.right("a")
+    for number in range(access.MOST_WRONG):
+        slow.wrong(f"n{number}")
+    with pytest.raises(TooManyError):
+        slow.check("b")
+    now[0] += access.WRONG_SECONDS + 1.0
+    slow.check("b")
+    for number in range(3 * access.MOST_ADDRESSES):
+        slow.wrong(f"m{number}")
+        now[0] += access.WRONG_SECONDS
+        slow.check("b")
+    assert len(slow._wrong) <= access.MOST_ADDRESSES
+    assert len(slow._recent) <= access.MOST_WRONG
+
+
+def test_a_login_ends(monkeypatch: pytest.MonkeyPatch) -> None:
+    section = WebSection(tokens={"anna": TokenSection(sha256=DRIVE[1])})
+    mine = Access(section, b"s" * 32)
+    found = mine.login(DRIVE[0], "a")
+    assert found is not None
+    headers = {"cookie": f"{COOKIE}={found[1]}"}
+    grant = mine.grant(headers, "", "a")
+    assert grant == Grant("anna", "drive", grant.until if grant else 0.0)
+    assert Access(section, b"t" * 32).grant(headers, "", "a") is None, "of another console"
+    other = WebSection(tokens={"anna": TokenSection(sha256=WATCH[1])})
+    assert Access(other, b"s" * 32).grant(headers, "", "a") is None, "the token was made anew"
+    late = time.time() + access.LOGIN_SECONDS + 10.0
+    monkeypatch.setattr(time, "time", lambda: late)
+    assert mine.grant(headers, "", "a") is None
+
+
+def test_the_secret_is_the_owners(tmp_path: Path) -> None:
+    made = kept_secret(tmp_path / "state")
+    assert kept_secret(tmp_path / "state") == made
+    assert stat.S_IMODE((tmp_path / "state" / "web.secret").stat().st_mode) == 0o600
+    (tmp_path / "file").write_text("")
+    with pytest.raises(RuntimeError, match="the console keeps there"):
+        kept_secret(tmp_path / "file")
+
+
+def test_names_of_the_certificate_are_hosts(guarded: GuardedDesk) -> None:
+    """DNS rebinding: a name that an attacker makes point here is none of them."""
+    port = guarded.port
+    token = {"Authorization": f"Bearer {DRIVE[0]}"}
+    for host in ("robot.test", "127.0.0.1", "here", "HERE.local"):
+        assert guarded.ask("GET", "/whoami", Host=f"{host}:{port}", **token)[0] == 200
+    for host in ("evil.example", "robot.test.evil.example", "10.0.0.1"):
+        status, _, body = guarded.ask("GET", "/whoami", Host=f"{host}:{port}", **token)
+        assert status == 403
+        assert "no such host here" in body
+    for origin in ("http://127.0.0.1:{}", "https://evil.example:{}"):
+        with pytest.raises(InvalidStatus, match="403"):
+            TestPage(port, ssl=guarded.tls(), additional_headers=token, origin=origin.format(port))
+    assert hosts(["robot"], 443, tls=True) >= {"robot:443", "robot"}
+    guarded.open_with(web={"names": ["tablet.test"]})
+    assert guarded.ask("GET", "/whoami", Host=f"tablet.test:{guarded.port}", **token)[0] == 200
+    assert guarded.ask("GET", "/whoami", Host=f"robot.test:{guarded.port}", **token)[0] == 403
+    assert guarded.console.server.address == f"https://tablet.test:{guarded.port}/"
+
+
+def test_without_tls_nothing_is_said(guarded: GuardedDesk) -> None:
+    with pytest.raises((http.client.HTTPException, ConnectionError)):
+        ask(guarded.port, "/login")
+
+
+def test_who_never_begins_tls_is_cut(guarded: GuardedDesk) -> None:
+    with connect(guarded.port) as sock:
+        assert is_cut(sock)
+
+
+@pytest.mark.parametrize(
+    ("break_", "why"),
+    [("missing", "there is no .*here.key"), ("expired", "here.pem expired on"), ("junk", "is not a certificate"),
+     ("other", "was not signed by"), ("unfit", "cannot have TLS")],
+)  # fmt: skip
+def test_files_that_cannot_be_used_are_named(guarded: GuardedDesk, tmp_path: Path, break_: str, why: str) -> None:
+    keys = guarded.keys
+    if break_ == "missing":
+        (keys / "here.key").unlink()
+    elif break_ == "expired":
+        Authority(keys).issue("here", days=0, replace=True)
+    elif break_ == "junk":
+        (keys / "here.pem").write_text("junk")
+    elif break_ == "other":
+        Authority(tmp_path / "other").make()
+        (tmp_path / "other" / "ca.pem").replace(keys / "ca.pem")
+    else:
+        (keys / "guest.key").replace(keys / "here.key")
+    with pytest.raises(RuntimeError, match=why):
+        guarded.open()
+
+
+def test_a_new_certificate_is_taken_up(guarded: GuardedDesk) -> None:
+    def number() -> bytes:
+        with guarded.page(DRIVE[0]) as page:
+            peer = page.socket.socket.getpeercert(binary_form=True)  # type: ignore[attr-defined]
+            assert peer
+            return bytes(peer)
+
+    before = number()
+    Authority(guarded.keys).issue("here", ["127.0.0.1"], replace=True)
+
+    def renewed() -> bool:
+        guarded.console.look()
+        return number() != before
+
+    until(renewed, "it shows the new one")

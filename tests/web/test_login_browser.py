@@ -1,0 +1,95 @@
+"""A browser that comes from elsewhere: the login, and a page that may look alone."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from selenium.webdriver import Chrome, ChromeOptions, Keys
+from selenium.webdriver.chrome.service import Service
+from selenium.webdriver.common.by import By
+
+from tests.support.missing import BROWSER, need
+from tests.support.wait import until
+from tests.web.page import TestPage
+from tests.web.test_access import DRIVE, WATCH, GuardedDesk
+
+
+@pytest.fixture
+def guarded(tmp_path: Path) -> Iterator[GuardedDesk]:
+    need(BROWSER)
+    made = GuardedDesk(tmp_path, tmp_path / "keys")
+    yield made
+    made.close()
+
+
+@pytest.fixture
+def chrome(tmp_path: Path) -> Iterator[Chrome]:
+    options = ChromeOptions()
+    for word in (
+        "--headless=new", "--no-sandbox", "--disable-dev-shm-usage", "--disable-gpu", "--window-size=360,740",
+        f"--user-data-dir={tmp_path / 'chrome'}", "--disable-background-networking", "--ignore-certificate-errors",
+    ):  # fmt: skip
+        options.add_argument(word)
+    options.binary_location = str(shutil.which("chromium"))
+    made = Chrome(options, Service(shutil.which("chromedriver")))
+    yield made
+    made.quit()
+
+
+def text(chrome: Chrome, name: str) -> str:
+    return chrome.find_element(By.ID, name).text
+
+
+def log_in(chrome: Chrome, token: str) -> None:
+    chrome.find_element(By.ID, "token").clear()
+    chrome.find_element(By.ID, "token").send_keys(token + Keys.ENTER)
+
+
+def test_log_in_and_watch(guarded: GuardedDesk, chrome: Chrome, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("bridge.web.access.FIRST_WAIT", 0.01)
+    address = f"https://127.0.0.1:{guarded.port}/"
+    chrome.get(address)
+    assert chrome.current_url == f"{address}login"
+    log_in(chrome, "wrong")
+    until(lambda: text(chrome, "why") == "Not logged in: no such token.", "it says why not")
+    log_in(chrome, WATCH[0])
+    until(lambda: chrome.current_url == address, "it goes to the console")
+    until(lambda: text(chrome, "line-text") == "Watching", "it is connected")
+    assert text(chrome, "watching") == "You watch as hall: you may look, but not command. STOP is off, too."
+    assert not chrome.find_element(By.ID, "stop").is_enabled()
+    teleop = chrome.find_element(By.CSS_SELECTOR, ".teleop")
+    assert teleop.get_attribute("inert") is not None
+    assert chrome.execute_script("return document.cookie") == "", "no script reads it"
+    port = guarded.port
+    guarded.console.close()
+    guarded.console = guarded.open(web={"listen": f"127.0.0.1:{port}", "tokens": {"anna": {"sha256": DRIVE[1]}}})
+    until(lambda: chrome.current_url == f"{address}login", "who is known no more is asked again")
+    log_in(chrome, DRIVE[0])
+    until(lambda: chrome.current_url == address and text(chrome, "line-text") == "Connected", "who may drive is let in")
+    assert chrome.find_element(By.ID, "stop").is_enabled()
+    assert text(chrome, "watching") == ""
+
+
+def test_a_strange_page_drives_nobody(
+    guarded: GuardedDesk, chrome: Chrome, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    """A page of another origin in the browser of who is logged in gets neither socket nor answer."""
+    address = f"https://127.0.0.1:{guarded.port}/"
+    chrome.get(f"{address}login")
+    log_in(chrome, DRIVE[0])
+    until(lambda: chrome.current_url == address, "it is logged in")
+    strange = tmp_path / "strange.html"
+    strange.write_text(f"""<title>begun</title><script>
+        const socket = new WebSocket("wss://127.0.0.1:{guarded.port}/socket", "midspan.console.1");
+        socket.onopen = () => document.title = "open";
+        socket.onerror = () => fetch("{address}whoami", {{credentials: "include"}})
+            .then(() => document.title = "read", () => document.title = "refused");
+    </script>""")
+    chrome.get(strange.as_uri())
+    until(lambda: chrome.title == "refused", "the page gets nothing")
+    assert caplog.text.count("a page of 'null' may not ask") == 2, "neither socket nor request was answered"
+    with TestPage(guarded.port, ssl=guarded.tls(), additional_headers={"Authorization": f"Bearer {DRIVE[0]}"}) as page:
+        assert page.call("ping")["ok"]
