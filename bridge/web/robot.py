@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import time
 from collections.abc import Callable
 from typing import Any
 
@@ -28,6 +29,8 @@ FRAMES_SECONDS, ROBOT_SECONDS = 1.0, 0.1
 MOST_POINTS = 2000
 """Of a path or a scan; of longer ones every second, third ... is sent."""
 _CORNERS = 16
+_LASER_GAP = 0.8 * ROBOT_SECONDS
+"""Seconds after which a scan is put as it comes; a laser of 10 Hz never waits for the timer."""
 
 
 class FrameFollower:
@@ -151,6 +154,7 @@ class LaserFeed(TopicsFeed):
         self._follower, self._topic = follower, topic
         self._timer: Timer | None = None
         self._scan: dict[str, Any] | None = None
+        self._looked = -math.inf
 
     def open(self) -> None:
         """Follow laser and frames."""
@@ -171,11 +175,14 @@ class LaserFeed(TopicsFeed):
 
     def _take(self, scan: dict[str, Any]) -> None:
         self._scan = scan
+        if time.monotonic() - self._looked > _LASER_GAP:
+            self._look()  # else the timer does
 
     def _look(self) -> None:
         scan, self._scan = self._scan, None
         if scan is None:
             return
+        self._looked = time.monotonic()
         frames, header = self._follower.frames, scan["header"]
         try:
             laser = laser_pose(frames, header["frame_id"])
