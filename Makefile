@@ -2,7 +2,7 @@
 
 BIN := .venv/bin
 
-.PHONY: help setup demo mix bench-peers test test-fast test-all lint types check bench lock clean
+.PHONY: help setup demo mix bench-peers test test-fast test-all lint types check bench screenshots lock clean
 .DEFAULT_GOAL := help
 
 # a file at a time to each process; bytecode is kept, or each process would compile all tests and all programs again
@@ -56,6 +56,10 @@ bench-peers: setup ## install the libraries that benchmarks compare with
 
 bench: bench-peers ## every benchmark, one after the other
 	@set -e; for file in $$(grep -l __main__ benchmarks/*.py); do echo "== $$file"; $(BIN)/python $$file; done
+
+screenshots: ## the docs' pictures of the console, made anew; ARGS=FOLDER: all views, to be looked at
+	@$(MAKE) -s setup BROWSER=yes
+	@PYTHONPATH=. $(BIN)/python scripts/screenshots.py $(ARGS)
 
 lock: setup ## choose the newest versions that fit, and write the lock files
 	@$(BIN)/python scripts/lock.py

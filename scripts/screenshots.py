@@ -1,0 +1,107 @@
+"""Pictures of the console: every view at a phone's and a desk's width, light and dark, while the robot drives.
+
+`make screenshots` writes those of the docs (docs/operate/console/*.png) anew; with a FOLDER all are written there, to
+be looked at.
+"""
+
+from __future__ import annotations
+
+import argparse
+import io
+import shutil
+import sys
+import tempfile
+import time
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+
+from PIL import Image
+from selenium.webdriver import Chrome, ChromeOptions
+from selenium.webdriver.chrome.service import Service
+
+from tests.support.wait import until
+from tests.web.page import TestPage
+from tests.web.robot import WebRobot
+
+DOCS = Path(__file__).resolve().parents[1] / "docs" / "operate" / "console"
+VIEWS = ("drive", "places", "status", "topics//scan", "frames", "system")
+WIDTHS = {"phone": (360, 740), "desk": (1440, 860)}
+IN_DOCS = {
+    "drive": ("drive", "desk", "light"),
+    "phone": ("drive", "phone", "dark"),
+    "status": ("status", "desk", "light"),
+    "topic": ("topics//scan", "desk", "dark"),
+}
+"""File in the docs: view, width and colours."""
+GOALS = ("kitchen", "bedroom")
+"""The robot drives while its pictures are taken."""
+SETTLE_SECONDS = 3.0
+"""In which curves have a beginning."""
+
+
+@contextmanager
+def browser(folder: Path) -> Iterator[Chrome]:
+    """A Chromium without a window."""
+    options = ChromeOptions()
+    options.binary_location = str(shutil.which("chromium"))
+    for word in ("--headless=new", "--no-sandbox", "--disable-gpu", "--hide-scrollbars", "--disable-dev-shm-usage"):
+        options.add_argument(word)
+    options.add_argument(f"--user-data-dir={folder / 'profile'}")
+    chrome = Chrome(options, Service(shutil.which("chromedriver")))
+    try:
+        yield chrome
+    finally:
+        chrome.quit()
+
+
+def picture(chrome: Chrome, address: str, view: str, width: str, colours: str) -> Image.Image:
+    """One view."""
+    across, down = WIDTHS[width]
+    device = {"width": across, "height": down, "deviceScaleFactor": 1, "mobile": width == "phone"}
+    chrome.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", device)
+    scheme = {"features": [{"name": "prefers-color-scheme", "value": colours}]}
+    chrome.execute_cdp_cmd("Emulation.setEmulatedMedia", scheme)
+    chrome.get("about:blank")
+    chrome.get(f"{address}#{view}")
+    until(lambda: chrome.execute_script("return document.body.dataset.line") == "open", "the page is connected")
+    time.sleep(SETTLE_SECONDS)
+    return Image.open(io.BytesIO(chrome.get_screenshot_as_png())).convert("RGB")
+
+
+def _keep(image: Image.Image, file: Path) -> None:
+    file.parent.mkdir(parents=True, exist_ok=True)
+    image.quantize(128, dither=Image.Dither.NONE).save(file, optimize=True)
+    print(file, flush=True)
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Take them."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("folder", type=Path, nargs="?", help="write all pictures there, and leave the docs alone")
+    folder: Path | None = parser.parse_args(arguments).folder
+    with tempfile.TemporaryDirectory() as place:
+        robot = WebRobot(Path(place))
+        try:
+            robot.ready()
+            with browser(Path(place)) as chrome, TestPage(robot.port) as page:
+                if folder is None:
+                    wanted = [(DOCS / f"{name}.png", *what) for name, what in IN_DOCS.items()]
+                else:
+                    wanted = [
+                        (folder / f"{view.partition('/')[0]}-{width}-{colours}.png", view, width, colours)
+                        for view in VIEWS
+                        for width in WIDTHS
+                        for colours in ("light", "dark")
+                    ]
+                for number, (file, *what) in enumerate(wanted):
+                    if number % 4 == 0:
+                        page.call("goto_place", name=GOALS[number // 4 % 2])
+                    _keep(picture(chrome, robot.address, *what), file)
+        finally:
+            robot.close()
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
