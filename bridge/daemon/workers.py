@@ -77,6 +77,9 @@ class WorkerKind:
     def config_part(self, config: Config) -> dict[str, Any]:
         """The part of the configuration that it uses, for comparison."""
         part = {name: getattr(config, name) for name in sorted({"name", "state", "hub", "log", *self.sections})}
+        if self.name == "web" and config.web.guarded:  # the console shows the door's certificate
+            door = config.hub.open
+            part["keys"] = (door.keys, door.ca, door.certificate, door.key)
         if self.name != "router":
             return {**part, "hub": config.hub.indoors}
         # the rules tell its door what commands are

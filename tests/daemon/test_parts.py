@@ -233,3 +233,15 @@ def test_workers_environment_is_not_the_daemons() -> None:
     env = worker_kinds({})["router"].child_environment(Config(), environ)
     assert env["PATH"] == "/bin"
     assert not {"NOTIFY_SOCKET", "WATCHDOG_USEC", "JOURNAL_STREAM"} & set(env)
+
+
+def test_a_console_that_shows_the_doors_certificate_starts_again_with_another() -> None:
+    kind = worker_kinds()["web"]
+    token = {"anna": {"sha256": "0" * 64}}
+    guarded, plain = ({"web": {"tokens": tokens}} for tokens in (token, {}))
+
+    def part(web: dict[str, object], keys: str) -> dict[str, object]:
+        return kind.config_part(Config.model_validate({"name": "a", **web, "hub": {"open": {"keys": keys}}}))
+
+    assert part(guarded, "/a") != part(guarded, "/b")
+    assert part(plain, "/a") == part(plain, "/b")
