@@ -11,6 +11,8 @@ from typing import Any, Self
 from websockets.sync.client import ClientConnection, connect
 from websockets.typing import Subprotocol
 
+from tests.web.protocol import check_done, check_said
+
 PROTOCOL = "midspan.console.1"
 
 
@@ -52,6 +54,7 @@ class TestPage:
             message = json.loads(self.socket.recv(timeout=seconds))
         except TimeoutError:
             return False
+        check_said(message)
         if message["op"] == "value":
             feed = message["feed"]
             self.values[feed] = message
@@ -85,6 +88,8 @@ class TestPage:
             lambda: next((m for m in self.said if m["op"] == "reply" and m["id"] == number), None),
             f"{verb} is answered",
         )
+        if found["ok"]:
+            check_done(verb, args, found["value"])
         return found
 
     def errors(self) -> list[str]:
