@@ -71,6 +71,12 @@ def test_log_in_and_watch(guarded: GuardedDesk, chrome: Chrome, monkeypatch: pyt
     until(lambda: chrome.current_url == address and text(chrome, "line-text") == "Connected", "who may drive is let in")
     assert chrome.find_element(By.ID, "stop").is_enabled()
     assert text(chrome, "watching") == ""
+    chrome.get(f"{address}login")
+    until(lambda: text(chrome, "name") == "You are logged in as anna.", "the login page knows who this is")
+    chrome.find_element(By.ID, "out").click()
+    until(lambda: not chrome.find_element(By.ID, "known").is_displayed(), "it has logged out")
+    chrome.get(address)
+    assert chrome.current_url == f"{address}login"
 
 
 def test_a_strange_page_drives_nobody(

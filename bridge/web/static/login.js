@@ -1,4 +1,4 @@
-// The page that asks for a token. It leaves a cookie that no script can read, and goes to the console.
+// The page that asks for a token, and ends a login. It leaves a cookie that no script can read, and goes to the console.
 
 const byId = (id) => document.getElementById(id);
 
@@ -10,6 +10,18 @@ async function login(token) {
   });
   if (!answer.ok) throw new Error((await answer.text()).trim());
 }
+
+/** Who has logged in already may go out, or in as somebody else. */
+async function known() {
+  const answer = await fetch("whoami", { cache: "no-store" }).catch(() => null);
+  byId("known").hidden = !answer?.ok;
+  if (answer?.ok) byId("name").textContent = `You are logged in as ${(await answer.json()).name}.`;
+}
+
+byId("out").addEventListener("click", async () => {
+  await fetch("logout", { method: "POST" }).catch(() => null);
+  known();
+});
 
 byId("form").addEventListener("submit", async (event) => {
   event.preventDefault();
@@ -26,3 +38,5 @@ byId("form").addEventListener("submit", async (event) => {
     byId("token").select();
   }
 });
+
+known();
