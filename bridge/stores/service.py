@@ -31,16 +31,19 @@ from yarp_compat.dev.places import Places, load_maps
 _log = logging.getLogger(__name__)
 
 
-def read_files(path: Path) -> list[Write[Any]]:
-    """What a file holds: a map (``.map``, ROS's YAML), a collection of maps, or places; raises `StoreError`."""
+def read_files(path: Path, jail: Path | None = None) -> list[Write[Any]]:
+    """What a file holds: a map (``.map``, ROS's YAML), a collection of maps, or places; raises `StoreError`.
+
+    With a ``jail`` the file names no other outside of that folder.
+    """
     try:
         if path.suffix.lower() != ".ini":
-            grid = MapGrid2D.load(path)
+            grid = MapGrid2D.load(path, jail)
             return [Write(MAP, grid.name or path.stem, grid)]
         if not read_text(path).lstrip().startswith("Version:"):
-            return [Write(MAP, name, grid) for name, grid in load_maps(path).items()]
-        places, beside = Places.load(path), extras_file(path)
-        return places_writes(places, Extras.load(beside) if beside.exists() else Extras())
+            return [Write(MAP, name, grid) for name, grid in load_maps(path, jail).items()]
+        places, beside = Places.load(path, jail), extras_file(path)
+        return places_writes(places, Extras.load(beside, jail) if beside.exists() else Extras())
     except MapFileError as err:
         raise StoreError(str(err)) from None
 

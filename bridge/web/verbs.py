@@ -60,6 +60,7 @@ class PageVerb:
     may: Mapping[str, Callable[[Any], Any]]
     commands: bool = True
     stops: bool = False
+    logged: bool = True  #: where it is a command
 
 
 def number_of(value: Any) -> float:
@@ -147,7 +148,7 @@ class Verbs:
         if found is None:
             raise VerbError(f"there is no verb {verb[:80]!r}; there are {', '.join(self._verbs)}")
         checked = _checked(verb, found, args)
-        if found.commands:
+        if found.commands and found.logged:
             said = " ".join(f"{key}={value!r}"[:100] for key, value in args.items())
             _log.info("%s: %s %s", who, verb, said)
         if verb in self._before:

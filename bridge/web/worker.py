@@ -24,6 +24,7 @@ from bridge.web.hub_feeds import AskingFeed, StatusAsker, list_topics
 from bridge.web.image_feed import ImageFeed
 from bridge.web.inspection import inspection_verbs
 from bridge.web.log_feed import LogFollower, log_feed
+from bridge.web.map_files import MapFileVerbs
 from bridge.web.maps import MapFeed, Pictures, StoreFeed, StoreFollower
 from bridge.web.page import Page
 from bridge.web.paint import Painter
@@ -134,7 +135,7 @@ class Console:
             },
             more={
                 **inspection_verbs(client, log), **PlaceVerbs(*written).verbs(), **Painter(*written).verbs(),
-                **self._patrol.verbs(),
+                **self._patrol.verbs(), **MapFileVerbs(*written).verbs(),
             },
         )  # fmt: skip
         self._hello = hello(config.name, __version__, config.navigation.frame, most, HOLD_SECONDS)

@@ -8,6 +8,7 @@ import math
 import shutil
 import time
 from collections.abc import Iterator
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -283,9 +284,31 @@ def test_an_area_by_its_corners_on_the_keyboard(operator: Operator, watch: TestP
     watch.call("delete_place", name="by keys", kind="area")
 
 
+def test_a_map_goes_down_and_comes_up(operator: Operator, watch: TestPage, tmp_path: Path) -> None:
+    watch.watch("maps")
+    name = watch.value("maps")["current"]
+    behaviour = {"behavior": "allow", "downloadPath": str(tmp_path)}
+    operator.chrome.execute_cdp_cmd("Page.setDownloadBehavior", behaviour)
+    operator.open("places")
+    operator.button(f"Export the map {name}").click()
+    packed = tmp_path / f"{name}.zip"
+    until(packed.exists, "the zip is there")
+    operator.chrome.find_element(By.CSS_SELECTOR, "input[type=file]").send_keys(str(packed))
+    field = until(lambda: operator.chrome.find_elements(By.CSS_SELECTOR, "dialog input"), "it asks what to replace")[0]
+    field.send_keys(Keys.CONTROL, "a", Keys.NULL, "copy", Keys.ENTER)
+    watch.value("maps", lambda value: "copy" in value["names"])
+    operator.button("Rename the map copy").send_keys(Keys.ENTER)
+    field = until(lambda: operator.chrome.find_elements(By.CSS_SELECTOR, "dialog input"), "it asks for the name")[0]
+    field.send_keys(Keys.CONTROL, "a", Keys.NULL, "spare", Keys.ENTER)
+    found = watch.value("maps", lambda value: "spare" in value["names"])
+    assert found == {"names": sorted([name, "spare"]), "current": name}
+
+
 def kept_out(robot: WebRobot) -> int:
     """How many cells of the map in use are to be kept out of."""
-    found: dict[str, int] = json.loads(robot.command("map", "list", "--json"))[0]["flags"]
+    found: dict[str, int] = next(row for row in json.loads(robot.command("map", "list", "--json")) if row["current"])[
+        "flags"
+    ]
     return found.get("keep_out", 0)
 
 

@@ -2,9 +2,9 @@
 
 import { button, el, mark, rows, write } from "./dom.js";
 import { degrees, metres } from "./format.js";
+import { mapsBlock } from "./mapslist.js";
 import { remove, rename } from "./names.js";
 import { goToPlace } from "./poses.js";
-import { ask, question } from "./say.js";
 import { searchField, Table } from "./table.js";
 
 /** Builds the view. */
@@ -57,27 +57,6 @@ export function placesView(root, socket) {
       for (const end of ends) end();
     },
   };
-}
-
-function mapsBlock(socket) {
-  const list = el("ul", { class: "maps drives" });
-  const empty = el("p", { class: "empty" });
-  return {
-    element: el("section", { class: "block", "aria-labelledby": "maps-title" },
-      el("div", { class: "heading" }, el("h2", { text: "Maps", id: "maps-title" })), list, empty),
-    take(maps, why) {
-      const names = maps?.names ?? [];
-      write(empty, names.length ? "" : why || "No maps.");
-      rows(list, names, (name) => name, (name) => el("li", {}, button(name, () => use(socket, name))), (row, name) => {
-        mark(row.firstChild, "aria-pressed", String(name === maps.current));
-      });
-    },
-  };
-}
-
-async function use(socket, name) {
-  const sure = await question(`Use the map ${name}?`, {}, "Use it", { text: "Planner and localiser work on this map from then on." });
-  if (sure) await ask(socket, `Use the map ${name}`, "use_map", { name }, `The map is ${name} now.`);
 }
 
 function locationTable(socket, current) {

@@ -1,0 +1,243 @@
+"""Maps as files of a page: parts of files come up and are imported, a map goes down as a zip; maps are renamed.
+
+Files travel as base64 in parts, by calls, so that whoever may call may send them, and nobody else.
+"""
+
+from __future__ import annotations
+
+import base64
+import binascii
+import io
+import re
+import secrets
+import tempfile
+import threading
+import time
+import zipfile
+from collections.abc import Callable, Iterable
+from pathlib import Path
+from typing import Any
+
+from bridge.stores.client import StoreClient
+from bridge.stores.entry import StoreError
+from bridge.stores.kinds import CURRENT, MAP
+from bridge.stores.service import read_files
+from bridge.stores.store import THE_MAP, Write
+from bridge.web.verbs import PageVerb, VerbError, name_of, truth_of
+from yarp_compat.dev.mapfile import MapFileError
+
+MOST_BYTES = 64 << 20
+"""Of the files of an upload, unpacked too, and of a download."""
+
+MOST_FILES, MOST_AT_ONCE = 40, 3
+MOST_PART = 48_000
+"""Characters of a part on its way up."""
+
+PART = 384 * 1024
+"""Bytes of a part on its way down."""
+
+IDLE_SECONDS = 60.0
+_NAME = re.compile(r"[\w\- ().]{1,200}")
+
+
+class Parcels:
+    """Files under keys that nobody guesses; a few at once, forgotten once idle. Safe to use from any thread."""
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._kept: dict[str, tuple[float, dict[str, bytearray]]] = {}
+
+    def new(self, files: dict[str, bytearray]) -> str:
+        """Keep files; their key. Raises `VerbError` where too many are kept."""
+        with self._lock:
+            now = time.monotonic()
+            self._kept = {key: each for key, each in self._kept.items() if now - each[0] < IDLE_SECONDS}
+            if len(self._kept) >= MOST_AT_ONCE:
+                raise VerbError(f"{MOST_AT_ONCE} files are on their way already; try again in {IDLE_SECONDS:g} s")
+            key = secrets.token_hex(8)
+            self._kept[key] = now, files
+            return key
+
+    def files(self, key: str) -> dict[str, bytearray]:
+        """The files of a key; raises `VerbError` where they are forgotten."""
+        with self._lock:
+            if key not in self._kept:
+                raise VerbError("these files are forgotten; begin again")
+            files = self._kept[key][1]
+            self._kept[key] = time.monotonic(), files
+            return files
+
+    def forget(self, key: str) -> None:
+        """Keep them no longer."""
+        with self._lock:
+            self._kept.pop(key, None)
+
+    def add(self, key: str, file: str, at: int, data: bytes) -> int:
+        """Add a part to a file; how long the file is. Raises `VerbError`."""
+        files = self.files(key)
+        with self._lock:
+            kept = files.get(file, bytearray())
+            if at != len(kept):
+                raise VerbError(f"{file}: the part at {at} does not follow on {len(kept)} bytes")
+            if len(files.keys() | {file}) > MOST_FILES or sum(map(len, files.values())) + len(data) > MOST_BYTES:
+                raise VerbError(f"up to {MOST_FILES} files of {MOST_BYTES >> 20} MB in all are taken")
+            kept += data
+            files[file] = kept
+            return len(kept)
+
+
+def file_of(value: Any) -> str:
+    """Check a file's name, without a folder."""
+    if not isinstance(value, str) or not _NAME.fullmatch(value) or value.startswith("."):
+        raise ValueError("is a file's name of letters, digits, blanks and - _ . ( )")
+    return value
+
+
+def place_of(value: Any) -> int:
+    """Check a place in a file."""
+    if isinstance(value, bool) or not isinstance(value, int) or not 0 <= value <= MOST_BYTES:
+        raise ValueError(f"is a whole number up to {MOST_BYTES}")
+    return value
+
+
+def data_of(value: Any) -> bytes:
+    """Check a part of a file."""
+    try:
+        if isinstance(value, str) and len(value) <= MOST_PART:
+            return base64.b64decode(value, validate=True)
+    except (binascii.Error, ValueError):
+        pass
+    raise ValueError(f"is base64 of up to {MOST_PART} characters")
+
+
+def unpacked(files: dict[str, bytearray]) -> dict[str, bytes]:
+    """The files, those in zips too, without their folders; raises `VerbError`."""
+    found: dict[str, bytes] = {}
+    room = MOST_BYTES
+    for name, data in files.items():
+        if not name.lower().endswith(".zip"):
+            found[name] = bytes(data)
+            continue
+        try:
+            with zipfile.ZipFile(io.BytesIO(data)) as archive:
+                for info in archive.infolist()[: MOST_FILES + 1]:
+                    inner = Path(info.filename).name
+                    if info.is_dir() or not inner:
+                        continue
+                    with archive.open(info) as stream:
+                        found[file_of(inner)] = stream.read(room + 1)
+                    room -= len(found[inner])
+                    if room < 0 or len(found) > MOST_FILES:
+                        raise VerbError(f"{name} has more than {MOST_FILES} files or {MOST_BYTES >> 20} MB")
+        except (zipfile.BadZipFile, NotImplementedError, RuntimeError, EOFError, OSError, ValueError) as err:
+            if isinstance(err, VerbError):
+                raise
+            raise VerbError(f"{name} cannot be unpacked: {err}") from None
+    return found
+
+
+def heads(names: Iterable[str]) -> list[str]:
+    """The files that name the others: maps of YARP and what lists them, else maps of ROS."""
+    by_form: dict[str, list[str]] = {}
+    for name in sorted(names):
+        by_form.setdefault(Path(name).suffix.lower(), []).append(name)
+    lists = [name for name in by_form.get(".ini", []) if not name.endswith("_extras.ini")]
+    maps = by_form.get(".map") or [*by_form.get(".yaml", []), *by_form.get(".yml", [])]
+    return lists + ([] if any("collection" in name for name in lists) else maps)
+
+
+class MapFileVerbs:
+    """Their verbs, on threads that may wait.
+
+    Args:
+        store: the store; raises `StoreError` where there is none.
+        changed: called after each change.
+    """
+
+    def __init__(self, store: Callable[[], StoreClient], changed: Callable[[], None]) -> None:
+        self._store, self._changed = store, changed
+        self._up, self._down = Parcels(), Parcels()
+
+    def verbs(self) -> dict[str, PageVerb]:
+        """The verbs by name."""
+        key, named = {"key": name_of}, {"name": name_of}
+        part = {**key, "file": file_of, "at": place_of, "data": data_of}
+        return {
+            "rename_map": PageVerb(self._rename, {**named, "to": name_of}, {}),
+            "upload": PageVerb(lambda: self._up.new({}), {}, {}),
+            "upload_part": PageVerb(self._up.add, part, {}, logged=False),
+            "import_map": PageVerb(self._import, key, {**named, "replace": truth_of, "use": truth_of}),
+            "export_map": PageVerb(self._export, named, {}, commands=False),
+            "download_part": PageVerb(self._part, {**key, "at": place_of}, {}, commands=False),
+        }
+
+    def _rename(self, name: str, to: str) -> str:
+        self._store().rename(MAP, name, to)
+        self._changed()
+        return f"{name} is called {to} now"
+
+    def _import(self, key: str, name: str = "", *, replace: bool = False, use: bool = False) -> dict[str, Any]:
+        writes = self._read(key)
+        maps = [write for write in writes if write.kind is MAP]
+        if name and len(maps) == 1:
+            writes[writes.index(maps[0])] = maps[0] = Write(MAP, name, maps[0].value)
+        store, taken = self._store(), set[tuple[str, str]]()
+        keys = {(write.kind.name, write.name) for write in writes}
+
+        def wanted() -> list[Write[Any]]:
+            nonlocal taken
+            taken = set() if replace else keys & store.keys()
+            chosen = [Write(CURRENT, THE_MAP, maps[0].name)] if use and maps else []
+            return [] if taken else [*writes, *chosen]
+
+        store.change(wanted)
+        if not taken:
+            self._up.forget(key)
+            self._changed()
+        return {
+            "done": not taken,
+            "maps": [write.name for write in maps],
+            "taken": [list(each) for each in sorted(taken)],
+        }
+
+    def _read(self, key: str) -> list[Write[Any]]:
+        files = unpacked(self._up.files(key))
+        first = heads(files)
+        if not first:
+            raise VerbError(f"no map is among {', '.join(files) or 'no files'}: .map, .yaml and .ini name the others")
+        with tempfile.TemporaryDirectory(prefix="midspan-map-") as folder:
+            for file, data in files.items():
+                (Path(folder) / file).write_bytes(data)
+            try:
+                writes = [write for head in first for write in read_files(Path(folder) / head, Path(folder))]
+            except StoreError as err:
+                raise VerbError(str(err).replace(f"{folder}/", "")) from None
+        names = [(write.kind.name, write.name) for write in writes]
+        if len(set(names)) < len(names):
+            raise VerbError("two of the files hold values of the same name")
+        return writes
+
+    def _export(self, name: str) -> dict[str, Any]:
+        grid = self._store().get(MAP, name)
+        if grid is None:
+            raise VerbError(f"there is no map {name!r} in the store")
+        packed = io.BytesIO()
+        try:
+            with tempfile.TemporaryDirectory(prefix="midspan-map-") as folder:
+                grid.save(Path(folder) / f"{name}.map")
+                with zipfile.ZipFile(packed, "w", zipfile.ZIP_DEFLATED, compresslevel=4) as archive:
+                    for file in sorted(Path(folder).iterdir()):
+                        archive.write(file, f"{name}/{file.name}")
+        except (MapFileError, ValueError) as err:
+            raise VerbError(str(err)) from None
+        data = bytearray(packed.getvalue())
+        if len(data) > MOST_BYTES:
+            raise VerbError(f"the map has {len(data) >> 20} MB; 'midspan map export' writes it to files")
+        return {"key": self._down.new({"": data}), "file": f"{name}.zip", "size": len(data)}
+
+    def _part(self, key: str, at: int) -> str:
+        data = self._down.files(key)[""]
+        part = bytes(data[at : at + PART])
+        if at + PART >= len(data):
+            self._down.forget(key)
+        return base64.b64encode(part).decode()

@@ -1,0 +1,188 @@
+"""Maps that come up from a page and go down to it, on a real hub."""
+
+from __future__ import annotations
+
+import base64
+import io
+import zipfile
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from bridge.stores.kinds import LOCATION, MAP
+from bridge.stores.store import Store, Write
+from bridge.web import map_files
+from bridge.web.map_files import Parcels, heads, unpacked
+from bridge.web.verbs import VerbError
+from tests.stores.parts import Shared
+from tests.web.conftest import Desk
+from tests.web.page import TestPage
+from yarp_compat.dev.locations import Map2DLocation
+from yarp_compat.dev.mapgrid import MapFlag, MapGrid2D
+
+
+def house(name: str = "house") -> MapGrid2D:
+    flags = np.zeros((30, 40), np.uint8)
+    flags[0], flags[5, 5] = MapFlag.WALL, MapFlag.KEEP_OUT
+    return MapGrid2D.of(flags, name=name, resolution=0.05, origin=(-1.0, 2.0, 0.0))
+
+
+@pytest.fixture
+def store(desk: Desk, tmp_path: Path) -> Iterator[Store]:
+    with Shared(tmp_path, "here", desk.hubs.endpoint) as shared:
+        shared.store.put(MAP, "house", house())
+        shared.store.use_map("house")
+        yield shared.store
+
+
+@pytest.fixture
+def page(desk: Desk, store: Store) -> Iterator[TestPage]:
+    assert store is not None
+    with TestPage(desk.port) as made:
+        yield made
+
+
+def send(page: TestPage, files: dict[str, bytes], part: int = 700) -> str:
+    """Bring files up; their key."""
+    key: str = page.call("upload")["value"]
+    for file, data in files.items():
+        for at in range(0, max(len(data), 1), part):
+            text = base64.b64encode(data[at : at + part]).decode()
+            reply = page.call("upload_part", key=key, file=file, at=at, data=text)
+            assert reply["ok"], reply
+    return key
+
+
+def written(folder: Path, grid: MapGrid2D, form: str) -> dict[str, bytes]:
+    folder.mkdir()
+    grid.save(folder / f"{grid.name}{form}")
+    return {file.name: file.read_bytes() for file in folder.iterdir()}
+
+
+def fetch(page: TestPage, name: str) -> dict[str, bytes]:
+    """The files of a map's zip."""
+    found = page.call("export_map", name=name)["value"]
+    data = b""
+    while len(data) < found["size"]:
+        data += base64.b64decode(page.call("download_part", key=found["key"], at=len(data))["value"])
+    with zipfile.ZipFile(io.BytesIO(data)) as archive:
+        assert archive.testzip() is None
+        return {info.filename: archive.read(info) for info in archive.infolist()} | {found["file"]: data}
+
+
+@pytest.mark.parametrize("form", [".map", ".yaml"])
+def test_a_map_comes_up(page: TestPage, store: Store, tmp_path: Path, form: str) -> None:
+    grid = house("office")
+    key = send(page, written(tmp_path / "files", grid, form))
+    assert page.call("import_map", key=key, use=True)["value"] == {"done": True, "maps": ["office"], "taken": []}
+    kept = store.get(MAP, "office")
+    assert kept is not None
+    assert (kept.occupancy == grid.occupancy).all()
+    assert (kept.flags == grid.flags).all() or form == ".yaml"
+    assert store.current_map() == "office"
+    assert "forgotten" in page.call("import_map", key=key)["error"]
+
+
+def test_a_map_is_not_replaced_unasked(page: TestPage, store: Store, tmp_path: Path) -> None:
+    other = house()
+    other.flags[9, 9] = MapFlag.WALL
+    key = send(page, written(tmp_path / "files", other, ".map"))
+    assert page.call("import_map", key=key)["value"]["taken"] == [["map", "house"]]
+    assert store.get(MAP, "house") == house()
+    assert page.call("import_map", key=key, name="house 2")["value"]["maps"] == ["house 2"]
+    key = send(page, written(tmp_path / "again", other, ".map"))
+    assert page.call("import_map", key=key, replace=True)["value"]["done"]
+    assert store.get(MAP, "house") == other
+
+
+def test_what_goes_down_comes_up(page: TestPage, store: Store, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(map_files, "PART", 100)
+    files = fetch(page, "house")
+    assert {"house/house.map", "house/house_grid.yaml", "house.zip"} <= set(files)
+    store.delete(MAP, "house")
+    assert page.call("import_map", key=send(page, {"house.zip": files["house.zip"]}))["value"]["done"]
+    assert store.get(MAP, "house") == house()
+
+
+def test_a_map_is_renamed_with_its_places(page: TestPage, store: Store) -> None:
+    store.write([Write(LOCATION, "desk", Map2DLocation("house", 1.0))])
+    page.watch("maps", "places")
+    assert page.call("rename_map", name="house", to="home")["ok"]
+    assert page.value("maps", lambda value: value["current"] == "home")["names"] == ["home"]
+    assert page.value("places", lambda value: value["locations"]["desk"]["map"] == "home")
+
+
+@pytest.mark.parametrize(
+    ("files", "why"),
+    [
+        ({}, "no map is among no files"),
+        ({"notes.txt": b"x"}, "no map is among notes.txt"),
+        ({"a.map": b"nothing"}, "a.map says no MapName"),
+        ({"a.yaml": b"image: ../../etc/passwd\nresolution: 0.1\norigin: [0, 0, 0]\n"}, "is outside of"),
+        ({"a.yaml": b"image: /etc/passwd\nresolution: 0.1\norigin: [0, 0, 0]\n"}, "is outside of"),
+        ({"a.yaml": b"image: a.pgm\nresolution: 0.1\norigin: [0, 0, 0]\n"}, "a.pgm: No such file"),
+        ({"a.zip": b"PK\3\4 no zip"}, "a.zip cannot be unpacked"),
+    ],
+)  # fmt: skip
+def test_files_that_are_no_map(page: TestPage, store: Store, files: dict[str, bytes], why: str) -> None:
+    reply = page.call("import_map", key=send(page, files))
+    assert why in reply["error"]
+    assert store.names(MAP) == ["house"]
+
+
+@pytest.mark.parametrize(
+    ("args", "why"),
+    [
+        ({"file": "../a.map"}, "file is a file's name"),
+        ({"file": ".bashrc"}, "file is a file's name"),
+        ({"data": "%%%%"}, "data is base64"),
+        ({"data": "A" * 48_004}, "data is base64 of up to 48000 characters"),
+        ({"at": -1}, "at is a whole number"),
+        ({"at": 7}, "the part at 7 does not follow on 0 bytes"),
+        ({"key": "guessed"}, "these files are forgotten"),
+    ],
+)
+def test_parts_that_are_none(page: TestPage, args: dict[str, Any], why: str) -> None:
+    part = {"key": page.call("upload")["value"], "file": "a.map", "at": 0, "data": "QUJD"}
+    assert why in page.call("upload_part", **{**part, **args})["error"]
+
+
+def test_uploads_are_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(map_files, "MOST_BYTES", 10)
+    monkeypatch.setattr(map_files, "MOST_FILES", 2)
+    parcels = Parcels()
+    key = parcels.new({})
+    assert parcels.add(key, "a", 0, bytes(8)) == 8
+    with pytest.raises(VerbError, match="up to 2 files"):
+        parcels.add(key, "a", 8, bytes(3))
+    assert parcels.add(key, "b", 0, b"") == 0
+    with pytest.raises(VerbError, match="up to 2 files"):
+        parcels.add(key, "c", 0, b"")
+    parcels.new({})
+    parcels.new({})
+    with pytest.raises(VerbError, match="on their way already"):
+        parcels.new({})
+    monkeypatch.setattr(map_files, "IDLE_SECONDS", 0.0)
+    parcels.new({})
+
+
+def test_zips_are_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(map_files, "MOST_BYTES", 1000)
+    packed = io.BytesIO()
+    with zipfile.ZipFile(packed, "w", zipfile.ZIP_DEFLATED) as archive:
+        archive.writestr("../deep/a.pgm", bytes(900))
+        archive.writestr("b.pgm", bytes(200))
+    with pytest.raises(VerbError, match="has more than"):
+        unpacked({"a.zip": bytearray(packed.getvalue())})
+    monkeypatch.setattr(map_files, "MOST_BYTES", 2000)
+    assert sorted(unpacked({"a.zip": bytearray(packed.getvalue())})) == ["a.pgm", "b.pgm"]
+
+
+def test_which_files_name_the_others() -> None:
+    assert heads(["a.map", "a_grid.yaml", "a.pgm"]) == ["a.map"]
+    assert heads(["a.yaml", "b.yml", "a.pgm"]) == ["a.yaml", "b.yml"]
+    assert heads(["maps_collection.ini", "a.map"]) == ["maps_collection.ini"]
+    assert heads(["locations.ini", "locations_extras.ini", "a.map"]) == ["locations.ini", "a.map"]
