@@ -26,6 +26,7 @@ from bridge.web.inspection import inspection_verbs
 from bridge.web.log_feed import LogFollower, log_feed
 from bridge.web.map_files import MapFileVerbs
 from bridge.web.maps import MapFeed, Pictures, StoreFeed, StoreFollower
+from bridge.web.obstacles import ObstaclesFeed
 from bridge.web.page import Page
 from bridge.web.paint import Painter
 from bridge.web.patrol import ANOTHER, STOPPED, Patrol
@@ -108,6 +109,7 @@ class Console:
                 RobotsFeed(host, follower, section.robots),
                 LaserFeed(host, follower, section.laser),
                 PathFeed(host, config, driving),
+                ObstaclesFeed(host, config, follower, driving),
                 driving,
                 self._patrol.feed,
                 self._map,

@@ -24,6 +24,12 @@ _LIST_SECONDS = 1.0
 """A planner that has published no list of goals for so long has none: an action server publishes it with its first."""
 
 
+def local_map_topic(section: NavigationSection, planner: str) -> str:
+    """The topic of a planner's local map (``nav_msgs/OccupancyGrid``), "" where it has none."""
+    other = section.others.get(planner)
+    return other.local_map if other else f"/planner/{_LOCAL.get(planner, planner)}/local_map"
+
+
 class PlannerLink:
     """Sends goals to a planner, and calls ``changed`` when it tells something new. On the module's thread."""
 
@@ -55,7 +61,7 @@ class PlannerLink:
         node = host.node
         topics = {
             "path": (other.path if other else "", PATH),
-            "local_map": (other.local_map if other else f"/planner/{_LOCAL.get(planner, planner)}/local_map", GRID),
+            "local_map": (local_map_topic(section, planner), GRID),
             "current_goal": (other.current_goal if other else "", POSE),
         }
         self._topics = [

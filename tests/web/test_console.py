@@ -122,6 +122,29 @@ def test_the_laser_on_the_map(desk: Desk) -> None:
         assert page.values["laser"]["value"]["points"] == pytest.approx([1.5, 3.0, -0.5, 2.0], abs=0.02)
 
 
+@pytest.mark.usefixtures("frames")
+def test_obstacles_as_the_planner_sees_them(desk: Desk) -> None:
+    out = desk.far.advertise("/local_costmap/costmap", "nav_msgs/OccupancyGrid", latched=True)
+    status = desk.far.advertise("/navigation/status", "midspan_msgs/NavigationStatus", latched=True)
+    desk.far.publish(status, {"state": "moving"})
+    origin = {"position": {"x": 1.0, "y": 0.0, "z": 0.0}, "orientation": {"z": 0.0, "w": 1.0}}
+    info = {"resolution": 0.5, "width": 3, "height": 2, "origin": origin}
+    with TestPage(desk.port) as page:
+        page.watch("obstacles", "driving", "robot")
+        page.value("driving", lambda value: value and value["state"] == "moving")
+        page.value("robot")
+        desk.far.publish(out, {"header": {"frame_id": "odom"}, "info": info, "data": [0, 99, 100, -1, 0, 0]})
+        found = page.value("obstacles", lambda value: value and value["points"])
+        # the odometry's frame is at 1, 2; the cell's middle at 1.25, 0.25 from the grid's corner
+        assert found == {"points": [3.25, 2.25], "size": 0.5}
+        desk.far.publish(status, {"state": "goal_reached"})
+        page.value("obstacles", lambda value: not value["points"])
+        desk.far.publish(status, {"state": "moving"})
+        large = {**info, "width": 1100, "height": 1000}
+        desk.far.publish(out, {"header": {"frame_id": "odom"}, "info": large, "data": [0] * 1_100_000})
+        page.until(lambda: "up to 1048576 are shown" in page.values["obstacles"].get("why", ""), "it says why not")
+
+
 def test_nothing_is_followed_while_nobody_watches(desk: Desk) -> None:
     graph = desk.far.hub.graph
     assert not graph.subscriptions("/tf")

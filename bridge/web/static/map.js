@@ -8,6 +8,7 @@ import { layerMenu } from "./layers.js";
 import { drawRobotNames, drawRobots, seen } from "./robots.js";
 import { MapImages } from "./mapimages.js";
 import * as scene from "./scene.js";
+import { Trail } from "./trail.js";
 import { Viewport } from "./viewport.js";
 
 const NEAR = 18; // px to a place that a tap means
@@ -44,6 +45,7 @@ export class MapBlock {
     this.dirty = false;
     this.frame = 0;
     this.shown = false;
+    this.trail = new Trail();
     this.images = new MapImages(() => this.redraw());
     this.layers = layerMenu(() => this.layersChanged());
     this.build();
@@ -120,6 +122,8 @@ export class MapBlock {
     this.values[feed] = value;
     this.redraw();
     if (feed === "robot") this.robotMoved(value, why);
+    if (feed === "robot") this.trail.robot(value?.pose);
+    if (feed === "driving") this.trail.driving(value);
     if (feed === "map") this.mapChanged(value, why);
     if (!this.placed && (feed === "map" || feed === "robot") && value) this.fit();
   }
@@ -327,7 +331,9 @@ export class MapBlock {
     if (!values.map) scene.drawGrid(context, view, colour);
     const named = this.named(values);
     scene.drawPlaces(context, view, named, colour);
-    if (this.layers.on("path")) scene.drawPath(context, view, values.path?.points ?? [], colour);
+    if (this.layers.on("path")) scene.drawTrail(context, view, this.trail.points, colour);
+    if (this.layers.on("path")) scene.drawPath(context, view, values.path?.points ?? [], values.robot?.pose, colour);
+    if (this.layers.on("obstacles") && values.obstacles) scene.drawObstacles(context, view, values.obstacles, colour);
     if (this.layers.on("laser")) scene.drawLaser(context, view, values.laser?.points ?? [], colour);
     const [labels, others] = [new Labels(context, view.width, colour), seen(values.robots)];
     drawRobotNames(labels, view, others);

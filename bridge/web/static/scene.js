@@ -70,21 +70,64 @@ function label(context, text, x, y, colour, bold = false) {
   context.fillText(text, x, y);
 }
 
-/** Pairs of x, y in one flat list, joined by a line. */
-export function drawPath(context, view, points, colour) {
+const PASSED = 0.35; // how much is seen of a way that lies behind
+
+/** Pairs of x, y in one flat list, joined by a line; what the robot (`pose`, if it is known) has behind it is pale. */
+export function drawPath(context, view, points, pose, colour) {
   if (points.length < 4) return;
+  const [at, x, y] = pose ? nearest(points, pose) : [0, points[0], points[1]];
+  const pixels = [];
+  for (let i = 0; i + 1 < points.length; i += 2) pixels.push(view.to(points[i], points[i + 1]));
+  const here = view.to(x, y);
   context.lineJoin = context.lineCap = "round";
-  const line = () => {
-    context.beginPath();
-    for (let i = 0; i + 1 < points.length; i += 2) context.lineTo(...view.to(points[i], points[i + 1]));
-    context.stroke();
-  };
-  context.lineWidth = 6;
-  context.strokeStyle = colour.halo;
-  line();
-  context.lineWidth = 3;
-  context.strokeStyle = colour.path;
-  line();
+  line(context, [...pixels.slice(0, at + 1), here], 3, colour.path, PASSED);
+  const left = [here, ...pixels.slice(at + 1)];
+  line(context, left, 6, colour.halo);
+  line(context, left, 3, colour.path);
+}
+
+/** The way that the robot has come. */
+export function drawTrail(context, view, points, colour) {
+  const pixels = [];
+  for (let i = 0; i + 1 < points.length; i += 2) pixels.push(view.to(points[i], points[i + 1]));
+  context.lineJoin = context.lineCap = "round";
+  line(context, pixels, 3, colour.path, PASSED);
+}
+
+function line(context, pixels, width, ink, opacity = 1) {
+  context.lineWidth = width;
+  context.strokeStyle = ink;
+  context.globalAlpha = opacity;
+  context.beginPath();
+  for (const pixel of pixels) context.lineTo(...pixel);
+  context.stroke();
+  context.globalAlpha = 1;
+}
+
+/** Where on a path a place is next to: [the number of the point before it, x, y]. */
+export function nearest(points, { x, y }) {
+  let [least, found] = [Infinity, [0, points[0], points[1]]];
+  for (let i = 0; i + 3 < points.length; i += 2) {
+    const [ax, ay, bx, by] = points.slice(i, i + 4);
+    const [dx, dy] = [bx - ax, by - ay];
+    const share = Math.min(1, Math.max(0, ((x - ax) * dx + (y - ay) * dy) / (dx * dx + dy * dy || 1)));
+    const [px, py] = [ax + share * dx, ay + share * dy];
+    const far = Math.hypot(px - x, py - y);
+    if (far < least) [least, found] = [far, [i / 2, px, py]];
+  }
+  return found;
+}
+
+/** What the planner takes for obstacles: cells of `size` metres. */
+export function drawObstacles(context, view, { points, size }, colour) {
+  const side = Math.max(3, size * view.scale);
+  context.fillStyle = colour.held;
+  context.globalAlpha = 0.5;
+  for (let i = 0; i + 1 < points.length; i += 2) {
+    const [x, y] = view.to(points[i], points[i + 1]);
+    context.fillRect(x - side / 2, y - side / 2, side, side);
+  }
+  context.globalAlpha = 1;
 }
 
 /** What the laser sees. */
