@@ -47,7 +47,7 @@ FEEDS = ("robot", "robots", "driving", "map", "laser", "path", "places")
 PAGES = 10
 SMALL, RATE = "/small", 100.0
 STEP = 0.001
-"""Metres that the robot moves with each message, and the laser's beam grows: pages tell them by it."""
+"""Metres that the robot moves in 10 ms, and by which the laser's beam grows: what is drawn is known by them."""
 MARKS = """
 window.marks = { robot: [], laser: [], map: 0 };
 const Plain = window.WebSocket;
@@ -110,10 +110,10 @@ class Robot:
             self.said["robot"][x] = now / 1e6
             frames({"transforms": [_moved(stamp, "map", "odom", 0.0), _moved(stamp, "odom", "base_link", x)]})
             if number % 10 == 0:
-                beam = round(1.0 + number * STEP / 10, 4)
-                self.said["laser"][round(beam, 3)] = now / 1e6
+                beam = round(1.0 + number * STEP, 3)
+                self.said["laser"][beam] = now / 1e6
                 turned = {"angle_min": math.pi / 2, "angle_increment": 0.01, "ranges": [beam] + [5.0] * 359}
-                head = {"header": {"stamp": stamp, "frame_id": "base_link"}, "range_min": 0.05, "range_max": 60.0}
+                head = {"header": {"stamp": stamp, "frame_id": "base_link"}, "range_min": 0.05, "range_max": 200.0}
                 laser({**head, **turned})
 
 

@@ -2,19 +2,13 @@
 
 from __future__ import annotations
 
-import hashlib
-import io
 import logging
+import math
 import threading
-from collections import OrderedDict
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 from typing import Any
-
-import numpy as np
-from numpy.typing import NDArray
-from PIL import Image
 
 from bridge.concurrency import SerialExecutor
 from bridge.config.model import Config
@@ -27,78 +21,17 @@ from bridge.stores.entry import StoreError
 from bridge.stores.kinds import AREA, LOCATION, MAP, PATH
 from bridge.stores.wire import prefix
 from bridge.web.feed import Feed
+from bridge.web.map_pictures import Pictures, flags_picture, occupancy_picture
 from bridge.web.robot import TopicsFeed, place
 from navigation.maps.grid import from_grid
 from navigation.messages import GRID
 from navigation.pose import Pose
-from yarp_compat.dev.mapgrid import MapFlag, MapGrid2D
+from yarp_compat.dev.mapgrid import MapGrid2D
 
 _log = logging.getLogger("midspan.web")
 
 LOOK_SECONDS = 1.0
 """So often the store is asked for what is new."""
-
-_MOST_PICTURES = 4
-_TINTS = {
-    MapFlag.KEEP_OUT: (214, 40, 40, 110),
-    MapFlag.TEMPORARY_OBSTACLE: (240, 140, 20, 120),
-    MapFlag.ENLARGED_OBSTACLE: (150, 110, 200, 100),
-}
-"""Colour and opacity of flags over the occupancy."""
-
-
-Cells = NDArray[np.uint8]
-
-
-def occupancy_picture(grid: MapGrid2D) -> Cells:
-    """The occupancy as greys with opacity (height, width, 2): free white, occupied black, unknown clear."""
-    values, wall = np.asarray(grid.occupancy, np.uint8), grid.flags == MapFlag.WALL
-    grey = np.where(wall, 0, 255 - np.minimum(values, 100).astype(np.uint16) * 255 // 100)
-    opacity = np.where(((values <= 100) | wall) & (grid.flags != MapFlag.UNKNOWN), 255, 0)
-    return np.dstack([np.where(opacity, grey, 0).astype(np.uint8), opacity.astype(np.uint8)])
-
-
-def flags_picture(grid: MapGrid2D) -> Cells | None:
-    """The flags that planners heed as tints (height, width, 4); None where no cell has one."""
-    tints = np.zeros((256, 4), np.uint8)
-    for flag, colour in _TINTS.items():
-        tints[flag] = colour
-    picture = tints[grid.flags]
-    return picture if picture.any() else None
-
-
-def _png(cells: Cells) -> bytes:
-    out = io.BytesIO()
-    mode = {2: "LA", 4: "RGBA"}[cells.shape[2]]
-    Image.frombytes(mode, (cells.shape[1], cells.shape[0]), cells.tobytes()).save(out, "PNG", compress_level=3)
-    return out.getvalue()
-
-
-class Pictures:
-    """The newest pictures by their addresses. Safe to use from any thread."""
-
-    def __init__(self) -> None:
-        self._lock = threading.Lock()
-        self._kept: OrderedDict[str, bytes] = OrderedDict()
-
-    def put(self, name: str, cells: Cells) -> str:
-        """Keep a picture; its address, which tells its content. One that is kept already is not packed again."""
-        version = hashlib.sha256(np.ascontiguousarray(cells).data).hexdigest()[:12]
-        address = f"/map/{name}.png?v={version}"
-        with self._lock:
-            known = self._kept.get(address)
-        picture = _png(cells) if known is None else known
-        with self._lock:
-            self._kept[address] = picture
-            self._kept.move_to_end(address)
-            while len(self._kept) > _MOST_PICTURES:
-                self._kept.popitem(last=False)
-        return address
-
-    def get(self, name: str, version: str) -> bytes | None:
-        """The picture at an address, None where it is gone."""
-        with self._lock:
-            return self._kept.get(f"/map/{name}.png?v={version}")
 
 
 @dataclass(frozen=True)
@@ -203,7 +136,7 @@ class StoreFollower:
 
 def _places(client: StoreClient) -> dict[str, Any]:
     locations = {
-        name: {"map": one.map_id, **place(Pose(one.x, one.y, float(np.radians(one.theta))))}
+        name: {"map": one.map_id, **place(Pose(one.x, one.y, math.radians(one.theta)))}
         for name, one in client.all(LOCATION).items()
     }
     areas = {
@@ -276,7 +209,7 @@ class MapFeed(TopicsFeed):
         self._drawing.submit(partial(self._draw, grid, self._source))
 
     def _draw(self, grid: MapGrid2D, name: str) -> None:
-        """On a thread of its own: a picture of 16 million cells takes seconds."""
+        """On a thread of its own: pictures of 16 million cells take a quarter of a second."""
         picture = self._pictures.put("occupancy", occupancy_picture(grid))
         tints = flags_picture(grid)
         flags = self._pictures.put("flags", tints) if tints is not None else None

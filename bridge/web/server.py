@@ -36,7 +36,7 @@ from bridge.web.connections import (
     quiet_server_log,
 )
 from bridge.web.login import STATIC, Guard, Login
-from bridge.web.maps import Pictures
+from bridge.web.map_pictures import Pictures
 from bridge.web.page import MOST_BYTES
 from bridge.web.tls import ServerTls
 
@@ -204,7 +204,8 @@ class WebServer:
         return Response((STATIC / "index.html").read_bytes(), media_type="text/html; charset=utf-8")
 
     async def _picture(self, request: Request) -> Response:
-        found = self._pictures.get(request.path_params["name"], request.query_params.get("v", ""))
+        asked = request.query_params
+        found = self._pictures.get(request.path_params["name"], asked.get("v", ""), dark="dark" in asked)
         if found is None:
             return PlainTextResponse("this picture is gone; the feed 'map' says the address of the newest\n", 404)
         return Response(found, media_type="image/png", headers={"cache-control": "private, max-age=86400, immutable"})

@@ -25,7 +25,8 @@ from bridge.web.image_feed import ImageFeed
 from bridge.web.inspection import inspection_verbs
 from bridge.web.log_feed import LogFollower, log_feed
 from bridge.web.map_files import MapFileVerbs
-from bridge.web.maps import MapFeed, Pictures, StoreFeed, StoreFollower
+from bridge.web.map_pictures import Pictures
+from bridge.web.maps import MapFeed, StoreFeed, StoreFollower
 from bridge.web.obstacles import ObstaclesFeed
 from bridge.web.page import Page
 from bridge.web.paint import Painter

@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
+import io
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from PIL import Image
 
 from bridge.stores.kinds import LOCATION, MAP
 from bridge.stores.store import Store, Write
-from bridge.web.maps import Pictures, flags_picture, occupancy_picture
+from bridge.web.map_pictures import Pictures, flags_picture, occupancy_picture
 from bridge.web.paint import MOST_CELLS, MOST_PIECES, MOST_RUNS, Run, paint, runs_of
 from bridge.web.verbs import VerbError
 from tests.stores.parts import Shared
@@ -94,12 +96,25 @@ def test_pictures_tell_what_they_show() -> None:
     assert pictures.put("occupancy", occupancy_picture(grid)) == walls, "keep-out cells are on the other picture"
     tints = flags_picture(grid)
     assert tints is not None
-    assert np.argwhere(tints[..., 3]).tolist() == [[1, 1]]
+    assert np.argwhere(tints).tolist() == [[1, 1]]
     grid.flags[1, 2], grid.flags[1, 5] = WALL, MapFlag.UNKNOWN
     grid.occupancy[2, 2], grid.flags[2, 2] = UNKNOWN, FREE
-    grey, opacity = np.moveaxis(occupancy_picture(grid), 2, 0)
-    assert (grey[1, 2], opacity[1, 2], opacity[1, 5]) == (0, 255, 0)
-    assert opacity[2, 2] == 0, "planners do not know this cell either"
+    cells = occupancy_picture(grid)
+    assert (cells[1, 2], cells[1, 5]) == (100, 101), "a wall, and nothing known"
+    assert cells[2, 2] == 101, "planners do not know this cell either"
+
+
+@pytest.mark.parametrize("dark", [False, True])
+def test_the_colours_of_pictures(*, dark: bool) -> None:
+    grid, pictures = house(), Pictures()
+    grid.flags[1, 2], grid.flags[1, 5] = WALL, MapFlag.UNKNOWN
+    address = pictures.put("occupancy", occupancy_picture(grid))
+    png = pictures.get("occupancy", address.partition("=")[2], dark=dark)
+    assert png is not None
+    picture = np.asarray(Image.open(io.BytesIO(png)).convert("RGBA"))
+    assert picture[1, 2].tolist() == ([160, 176, 190, 255] if dark else [0, 0, 0, 255]), "a wall"
+    assert picture[1, 0].tolist() == ([20, 25, 30, 255] if dark else [255, 255, 255, 255]), "free"
+    assert picture[1, 5, 3] == 0, "nothing known"
 
 
 @pytest.fixture

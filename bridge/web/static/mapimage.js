@@ -2,7 +2,7 @@
 
 const SMALLEST = 512; // an image is halved until no side is longer
 
-/** An image of a map; `dark`: drawn as light walls on a dark floor. */
+/** An image of a map; `dark`: light walls on a dark floor. */
 export class MapImage {
   constructor(url, dark) {
     this.url = url;
@@ -12,10 +12,10 @@ export class MapImage {
 
   /** Fetch it; rejects with an Error in words. */
   async load() {
-    const reply = await fetch(this.url);
+    const reply = await fetch(this.dark ? `${this.url}&dark` : this.url);
     if (!reply.ok) throw new Error(`the image of the map did not come (${reply.status})`);
     const whole = await createImageBitmap(await reply.blob());
-    const levels = [this.dark ? inverted(whole) : whole];
+    const levels = [whole];
     for (let last = whole; Math.max(last.width, last.height) > SMALLEST;) {
       last = halved(levels.at(-1));
       levels.push(last);
@@ -65,22 +65,4 @@ function halved(image) {
   context.imageSmoothingQuality = "high";
   context.drawImage(image, 0, 0, half.width, half.height);
   return half;
-}
-
-function inverted(image) {
-  const made = canvas(image.width, image.height);
-  const context = made.getContext("2d");
-  context.drawImage(image, 0, 0);
-  context.globalCompositeOperation = "difference";
-  context.fillStyle = "#fff";
-  context.fillRect(0, 0, made.width, made.height);
-  context.globalCompositeOperation = "multiply"; // walls not quite as bright as the robot
-  context.fillStyle = "#93a5b4";
-  context.fillRect(0, 0, made.width, made.height);
-  context.globalCompositeOperation = "screen"; // the floor not quite black
-  context.fillStyle = "#14191e";
-  context.fillRect(0, 0, made.width, made.height);
-  context.globalCompositeOperation = "destination-in"; // nothing where the image has nothing
-  context.drawImage(image, 0, 0);
-  return made;
 }
