@@ -56,6 +56,11 @@ class OnMap(Model):
     points: Points
 
 
+class Obstacles(Model):
+    points: Points
+    size: float
+
+
 State = Literal["idle", "preparing_before_move", "moving", "waiting_obstacle", "goal_reached", "aborted", "failing",
                 "paused", "thinking", "error"]  # fmt: skip
 
@@ -186,9 +191,9 @@ class Log(Model):
 
 
 FEEDS: dict[str, Any] = {
-    "robot": Robot, "robots": list[OtherRobot], "laser": OnMap, "path": OnMap, "driving": Driving, "map": Map,
-    "places": Places, "patrol": Patrol, "maps": Maps, "status": Status, "topics": list[Topic], "frames": list[Frame],
-    "log": Log,
+    "robot": Robot, "robots": list[OtherRobot], "laser": OnMap, "path": OnMap, "obstacles": Obstacles,
+    "driving": Driving, "map": Map, "places": Places, "patrol": Patrol, "maps": Maps, "status": Status,
+    "topics": list[Topic], "frames": list[Frame], "log": Log,
 }  # fmt: skip
 PATTERNS: dict[str, Any] = {"^topic:/": Message, "^image:[0-9]+:/": Picture}
 
@@ -246,6 +251,18 @@ class Painted(Model):
     undo: list[Run]
 
 
+class Imported(Model):
+    done: bool
+    maps: list[str]
+    taken: list[Annotated[list[str], Field(min_length=2, max_length=2)]]
+
+
+class Exported(Model):
+    key: str
+    file: str
+    size: Count
+
+
 _KIND = (Literal["location", "area", "path"], "location")
 VERBS: dict[str, tuple[dict[str, Any], Any]] = {
     "goto": ({"x": Number, "y": Number, "theta": (Number, 0.0)}, str),
@@ -275,6 +292,16 @@ VERBS: dict[str, tuple[dict[str, Any], Any]] = {
         Painted,
     ),
     "use_map": ({"name": Name}, str | None),
+    "rename_map": ({"name": Name, "to": Name}, str),
+    "upload": ({}, str),
+    "upload_part": (
+        {"key": Name, "file": Annotated[str, Field(min_length=1, max_length=200)], "at": Count,
+         "data": Annotated[str, Field(max_length=48_000)]},
+        Count,
+    ),
+    "import_map": ({"key": Name, "name": (Name, None), "replace": (bool, False), "use": (bool, False)}, Imported),
+    "export_map": ({"name": Name}, Exported),
+    "download_part": ({"key": Name, "at": Count}, str),
     "ping": ({}, None),
     "explain": ({"name": Name}, list[Decision]),
     "log": (
