@@ -281,7 +281,7 @@ def _parsed(message: Any) -> dict[str, Any]:
     if not isinstance(text, str):
         raise BadMessageError("messages are JSON in text frames")
     try:
-        found = json.loads(text, parse_constant=_refused_number)
+        found = _DECODER.decode(text)
     except (ValueError, RecursionError) as err:
         raise BadMessageError(f"not JSON: {str(err)[:200]}") from None
     if not isinstance(found, dict):
@@ -291,6 +291,9 @@ def _parsed(message: Any) -> dict[str, Any]:
 
 def _refused_number(word: str) -> float:
     raise ValueError(f"{word} is no number of JSON")
+
+
+_DECODER = json.JSONDecoder(parse_constant=_refused_number)
 
 
 def _numbers(*values: Any) -> bool:

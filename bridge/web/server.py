@@ -12,6 +12,7 @@ import logging
 import socket
 import threading
 import time
+from collections import Counter
 from collections.abc import Awaitable, Callable, Sequence
 from typing import Any
 
@@ -35,7 +36,7 @@ from bridge.web.connections import (
     TimedHttp,
     quiet_server_log,
 )
-from bridge.web.login import STATIC, Guard, Login
+from bridge.web.login import STATIC, Guard, Login, address_of
 from bridge.web.map_pictures import Pictures
 from bridge.web.page import MOST_BYTES
 from bridge.web.tls import ServerTls
@@ -43,7 +44,7 @@ from bridge.web.tls import ServerTls
 _log = logging.getLogger("midspan.web")
 
 PROTOCOL = "midspan.console.1"
-MOST_PAGES = 50
+MOST_PAGES, MOST_PAGES_OF_ADDRESS = 50, 25
 HEADERS = {
     "content-security-policy": (
         "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' data: blob:; connect-src 'self';"
@@ -131,7 +132,7 @@ class WebServer:
     ) -> None:
         self._serve, self._pictures, self._access = serve, pictures, access
         address, port = split(listen)
-        self._pages = 0
+        self._pages: Counter[str] = Counter()
         family = socket.AF_INET6 if ":" in address else socket.AF_INET
         self._socket = Listener(family)
         try:
@@ -171,7 +172,7 @@ class WebServer:
     @property
     def pages(self) -> int:
         """How many sockets are open."""
-        return self._pages
+        return self._pages.total()
 
     def close(self) -> None:
         """Close every socket and end the thread."""
@@ -211,11 +212,19 @@ class WebServer:
         return Response(found, media_type="image/png", headers={"cache-control": "private, max-age=86400, immutable"})
 
     async def _page(self, page: WebSocket) -> None:
-        if PROTOCOL not in page.scope.get("subprotocols", ()) or self._pages >= MOST_PAGES:
-            await page.close(1008)
+        address = address_of(page.scope)
+        refused = None
+        if PROTOCOL not in page.scope.get("subprotocols", ()):
+            refused = PlainTextResponse(f"the subprotocol is {PROTOCOL}\n", 400)
+        elif self._pages.total() >= MOST_PAGES or self._pages[address] >= MOST_PAGES_OF_ADDRESS:
+            refused = PlainTextResponse(
+                f"{MOST_PAGES} pages may be open, {MOST_PAGES_OF_ADDRESS} of one address\n", 503
+            )
+        if refused is not None:
+            await page.send_denial_response(refused)
             return
         grant: Grant = page.scope["state"]["grant"]
-        self._pages += 1
+        self._pages[address] += 1
         try:
             await page.accept(PROTOCOL)
             async with asyncio.timeout(grant.until - time.time() if grant.until else None):
@@ -223,7 +232,9 @@ class WebServer:
         except TimeoutError:  # the login has ended
             await page.close(1008)
         finally:
-            self._pages -= 1
+            self._pages[address] -= 1
+            if not self._pages[address]:
+                del self._pages[address]
 
 
 def hosts(names: Sequence[str], port: int, *, tls: bool) -> frozenset[str]:

@@ -11,11 +11,13 @@ from concurrent.futures import Future
 from typing import Any
 
 import pytest
+from websockets.exceptions import InvalidStatus
 
 from bridge.web import connections, verbs
 from bridge.web.connections import MOST_CONNECTIONS, MOST_OF_ADDRESS, ScarceLog
 from bridge.web.feed import Feed
 from bridge.web.hub_feeds import AskingFeed
+from bridge.web.server import MOST_PAGES_OF_ADDRESS
 from bridge.web.verbs import VerbError
 from tests.support.wait import until
 from tests.web.conftest import Desk
@@ -86,6 +88,35 @@ def test_pings_that_nobody_hears_are_not_kept(desk: Desk) -> None:
     assert ask(desk.port, "/")[0] == 200
 
 
+def test_one_address_does_not_take_all_pages(desk: Desk) -> None:
+    with contextlib.ExitStack() as stack:
+        for _ in range(MOST_PAGES_OF_ADDRESS):
+            stack.enter_context(TestPage(desk.port, source_address=("127.0.0.2", 0)))
+        with pytest.raises(InvalidStatus, match="503"):
+            TestPage(desk.port, source_address=("127.0.0.2", 0))
+        with TestPage(desk.port) as page:
+            assert page.call("ping")["ok"]
+    until(lambda: not desk.console.server.pages, "their places are free again")
+
+
+def test_answers_that_nobody_reads_are_not_kept(desk: Desk) -> None:
+    with connect(desk.port) as sock:
+        sock.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
+        sock.sendall(opening(f"127.0.0.1:{desk.port}"))
+        flood = client_frame(1, b'{"op": "call", "id": 1, "verb": "%s"}' % (b"x" * 80)) * 1000
+
+        def is_cut_off() -> bool:
+            try:
+                sock.sendall(flood)
+            except ConnectionError:
+                return True
+            return False
+
+        until(is_cut_off, "it is cut", every=0.0)
+    with TestPage(desk.port) as page:
+        assert page.call("ping")["ok"]
+
+
 def test_a_message_has_not_too_many_parts(desk: Desk) -> None:
     with connect(desk.port) as sock:
         sock.sendall(opening(f"127.0.0.1:{desk.port}"))
@@ -128,49 +159,52 @@ def test_calls_of_a_page_that_left_are_not_begun(desk: Desk) -> None:
     assert len(begun) == verbs._THREADS
 
 
+GOOD = {"names": ["house"], "current": "house"}
+
+
 class Broken(Feed):
     """Cannot be followed the first time."""
 
     def __init__(self) -> None:
-        super().__init__("broken")
+        super().__init__("maps")
         self.opened = 0
 
     def open(self) -> None:
         self.opened += 1
         if self.opened == 1:
             raise KeyError("no such thing")
-        self.put("good")
+        self.put(GOOD)
 
     def close(self) -> None:
         return
 
 
 def test_a_feed_that_fails_is_said_and_can_be_asked_for_again(desk: Desk) -> None:
-    desk.console._feeds._fixed["broken"] = Broken()
+    desk.console._feeds._fixed["maps"] = Broken()
     with TestPage(desk.port) as page, TestPage(desk.port) as other:
-        page.watch("broken")
+        page.watch("maps")
         page.until(page.errors, "it says so")
-        assert page.errors() == ["broken cannot be followed: 'no such thing'"]
-        page.watch("broken")
-        assert page.value("broken") == "good"
-        other.watch("broken")
-        assert other.value("broken") == "good"
+        assert page.errors() == ["maps cannot be followed: 'no such thing'"]
+        page.watch("maps")
+        assert page.value("maps") == GOOD
+        other.watch("maps")
+        assert other.value("maps") == GOOD
 
 
 def test_a_feed_goes_on_after_an_error(desk: Desk) -> None:
     console, asked = desk.console, []
 
-    def answer() -> str:
+    def answer() -> dict[str, Any]:
         asked.append(1)
         if len(asked) == 1:
             raise KeyError("gone")
-        return "good"
+        return GOOD
 
-    console._feeds._fixed["asked"] = AskingFeed(console.host, "asked", console._asking, answer)
+    console._feeds._fixed["maps"] = AskingFeed(console.host, "maps", console._asking, answer)
     with TestPage(desk.port) as page:
-        page.watch("asked")
-        page.until(lambda: page.values.get("asked", {}).get("why") == "KeyError: 'gone'", "it says why there is none")
-        assert page.value("asked") == "good"
+        page.watch("maps")
+        page.until(lambda: page.values.get("maps", {}).get("why") == "KeyError: 'gone'", "it says why there is none")
+        assert page.value("maps") == GOOD
 
 
 def test_what_strangers_cause_does_not_fill_the_log(

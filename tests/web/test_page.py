@@ -68,3 +68,45 @@ def test_a_page_that_reads_no_answers_is_closed() -> None:
     asyncio.run(serve())
     assert socket.closed == 1008
     assert page.MOST_REPLIES <= socket.asked <= 2 * page.MOST_REPLIES
+
+
+class Held:
+    """Keeps what is asked of it."""
+
+    def __init__(self) -> None:
+        self.said: list[Any] = []
+
+    def hold(self, _page: Any, x: float, _y: float, _turn: float, _arrived: float) -> None:
+        self.said.append(x)
+
+    def release(self, _page: Any) -> None:
+        self.said.append("release")
+
+
+class Script(StuckSocket):
+    """Says some messages, and ends."""
+
+    def __init__(self, *messages: dict[str, Any]) -> None:
+        super().__init__()
+        self._messages = [{"type": "websocket.receive", "text": json.dumps(message)} for message in messages]
+
+    async def receive(self) -> dict[str, Any]:
+        return self._messages.pop(0) if self._messages else {"type": "websocket.disconnect"}
+
+
+def test_the_newest_of_holds_and_releases_counts_however_many_wait() -> None:
+    holds = [{"op": "hold", "x": number, "y": 0, "turn": 0} for number in range(5)]
+    watches = [{"op": "watch", "feed": f"f{number}"} for number in range(10)]
+    script = Script(*watches * 30, *holds, {"op": "release"}, *watches)
+    hold, waiting = Held(), []
+
+    async def serve() -> None:
+        nobody: Any = None
+        verbs, held = cast("Any", NoVerbs()), cast("Any", hold)
+        made = page.Page(cast("Any", script), EVERYBODY, {}, nobody, verbs, held, waiting.append)
+        await asyncio.wait_for(made.serve(), 30)
+        for action in waiting[10:-1]:  # behind the ten feeds, before it has left
+            action()
+
+    asyncio.run(serve())
+    assert hold.said == ["release"]
