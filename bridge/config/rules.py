@@ -38,7 +38,7 @@ def made_rules(section: NavigationSection) -> Iterator[MadeRule]:
         of = f"navigation (planner {planner.name})"
         if planner.side != "zenoh":
             yield _rule(of, kind="action", topic=planner.action, from_=planner.side, rename=planner.on_hub)
-        if planner.velocity and planner.velocity != section.velocity:
+        if planner.velocity and section.velocity and planner.velocity != section.velocity:
             yield _rule(
                 of, kind="topic", topic=planner.velocity, type=TWIST, from_=planner.side, rename=section.velocity,
                 priority="command",
@@ -49,7 +49,8 @@ def made_rules(section: NavigationSection) -> Iterator[MadeRule]:
     for side, action, goal in (("ros1", doors.ros1, doors.ros1_goal), ("ros2", doors.ros2, doors.ros2_goal)):
         yield from _door(side, action, goal, taken.get((side, action), ""))
     yield _rule("navigation", topic="/navigation/**")
-    yield _rule("navigation.velocity", kind="topic", topic=section.velocity, type=TWIST, priority="command")
+    if section.velocity:
+        yield _rule("navigation.velocity", kind="topic", topic=section.velocity, type=TWIST, priority="command")
 
 
 def _told(section: NavigationSection) -> Iterator[MadeRule]:

@@ -166,3 +166,11 @@ def test_a_map_of_a_topic_has_the_name_under_which_it_is_taken_into_the_store() 
     assert server.taken_as("/map") == "apartment"
     assert server.taken_as("/far") == ""
     assert server.model_copy(update={"enabled": False}).taken_as("/map") == ""
+
+
+def test_without_a_topic_of_velocities_no_rule_is_made_of_it() -> None:
+    tug = {"name": "tug", "side": "ros1", "action": "/tug", "velocity": "/tug/cmd"}
+    config = Config.model_validate({"navigation": {"planner": "tug", "planners": [tug], "velocity": ""}})
+    topics = [rule.topic for rule in config.rules.rules]
+    assert "/tug" in topics
+    assert not any("cmd" in str(topic) for topic in topics)
