@@ -52,6 +52,6 @@ def inspection_verbs(client: CliClient, log: LogFollower) -> dict[str, PageVerb]
 
     return {
         "log": log_verb(log),
-        "doctor": PageVerb(Doctor(client), {}, {}, commands=False),
-        "config": PageVerb(config, {}, {}, commands=False),
+        "doctor": PageVerb(Doctor(client), {}, {}, commands=False, slow=True),
+        "config": PageVerb(config, {}, {}, commands=False, slow=True),
     }

@@ -43,6 +43,7 @@ BEGIN_SECONDS = 3.0
 """A call that had to wait for so long for others is not done."""
 _THREADS = 4
 _STOP_THREADS = 2
+_SLOW_THREADS = 3
 _COVARIANCE = {0: 0.25, 7: 0.25, 35: 0.07}
 """Of a pose that a person set, as RViz says it: m^2 and rad^2 on the diagonal of x, y and heading."""
 
@@ -53,7 +54,10 @@ class VerbError(RuntimeError):
 
 @dataclass(frozen=True)
 class PageVerb:
-    """One verb: the arguments that it must and may have, each with its check, and what does it."""
+    """One verb: the arguments that it must and may have, each with its check, and what does it.
+
+    A ``slow`` one, which may wait for long, does so on threads of its own.
+    """
 
     run: Callable[..., Any]
     needs: Mapping[str, Callable[[Any], Any]]
@@ -61,6 +65,7 @@ class PageVerb:
     commands: bool = True
     stops: bool = False
     logged: bool = True  #: where it is a command
+    slow: bool = False
 
 
 def number_of(value: Any) -> float:
@@ -110,6 +115,7 @@ class Verbs:
         self._host, self._config, self._client, self._types, self._store = host, config, client, types, store
         self._chose, self._before, self._between = chose, before, between
         self._pool = WorkerPool(_THREADS, "midspan-web-call")
+        self._slow = WorkerPool(_SLOW_THREADS, "midspan-web-slow")
         self._lock = threading.Lock()
         self._clients: dict[str, Client] = {}
         self._goals: ActionClient | None = None
@@ -154,7 +160,9 @@ class Verbs:
         if verb in self._before:
             self._host.loop.post(self._before[verb])
         job = partial(_run, found.run, checked, math.inf if found.stops else time.monotonic() + BEGIN_SECONDS)
-        return self._begin_stop(verb, job) if found.stops else self._pool.submit(job)
+        if found.stops:
+            return self._begin_stop(verb, job)
+        return (self._slow if found.slow else self._pool).submit(job)
 
     def _begin_stop(self, verb: str, job: Callable[[], Any]) -> Future[Any]:
         """A stop waits for no other verb; where two of its kind run, those who ask meanwhile share the next one."""
@@ -167,6 +175,7 @@ class Verbs:
     def close(self) -> None:
         """End the threads."""
         self._pool.close(1.0)
+        self._slow.close(1.0)
         for pool in self._stops.values():
             pool.close(1.0)
 

@@ -34,6 +34,7 @@ from bridge.web.patrol import ANOTHER, STOPPED, Patrol
 from bridge.web.place_verbs import PlaceVerbs
 from bridge.web.robot import DrivingFeed, FrameFollower, FramesFeed, LaserFeed, PathFeed, RobotFeed
 from bridge.web.robots import RobotsFeed
+from bridge.web.sending import Sending, list_services, sending_verbs
 from bridge.web.server import WebServer, hello
 from bridge.web.tls import ServerTls
 from bridge.web.topic_feeds import MessageFeed
@@ -119,6 +120,7 @@ class Console:
                 AskingFeed(host, "status", self._asking, StatusAsker(client)),
                 AskingFeed(host, "topics", self._asking, lambda: list_topics(client)),
                 FramesFeed(host, follower),
+                AskingFeed(host, "services", self._asking, lambda: list_services(client)),
                 log_feed(host, self._asking, log),
             ],
             {
@@ -128,7 +130,7 @@ class Console:
         )
         most = (section.speed, section.turn)
         self._hold = HandDriving(host, config.navigation.velocity, most, lambda: driving.busy or self._patrol.busy)
-        self._driving = driving
+        self._driving, self._sending = driving, Sending(host, config, client, known)
         written = (self._store.client, lambda: host.loop.post(self._store.look))
         self._verbs = Verbs(
             host, config, client, known, self._store.client, chose=driving.chose, between=self._patrol.between,
@@ -138,7 +140,7 @@ class Console:
             },
             more={
                 **inspection_verbs(client, log), **PlaceVerbs(*written).verbs(), **Painter(*written).verbs(),
-                **self._patrol.verbs(), **MapFileVerbs(*written).verbs(),
+                **self._patrol.verbs(), **MapFileVerbs(*written).verbs(), **sending_verbs(self._sending, known),
             },
         )  # fmt: skip
         self._hello = hello(config.name, __version__, config.navigation.frame, most, HOLD_SECONDS)
@@ -177,6 +179,7 @@ class Console:
         self.host.loop.call(self._stand)
         self.host.loop.call(self._feeds.close)
         self._verbs.close()
+        self._sending.close()
         for executor in (self._asking, self._decoding):
             executor.close()
         self._store.close()

@@ -408,6 +408,27 @@ def test_the_system(operator: Operator, robot: WebRobot) -> None:
     until(lambda: chrome.find_elements(By.CSS_SELECTOR, ".findings li"), "the doctor's findings", 60)
 
 
+def test_a_message_and_a_call_from_a_form(operator: Operator, watch: TestPage) -> None:
+    chrome = operator.chrome
+    operator.open("topics/%2Fbattery_state")
+    operator.button("Publish …").click()
+    number = until(lambda: chrome.find_elements(By.CSS_SELECTOR, ".sending input"), "the form")[0]
+    number.clear()
+    number.send_keys("3.5", Keys.ENTER)
+    until(
+        lambda: operator.texts(".form-wrong")[0].startswith("header.stamp.sec is a whole number from -2147483648"),
+        "what is wrong is said before anything is sent",
+    )
+    number.clear()
+    number.send_keys("3", Keys.ENTER)
+    until(lambda: "published on /battery_state" in operator.texts(".told"), "it is published")
+    operator.open("topics/service:%2Fsim%2Femergency_stop@std_srvs%2Fsrv%2FSetBool")
+    form = until(lambda: chrome.find_elements(By.CSS_SELECTOR, "[aria-label=Service] .sending select"), "the form")
+    assert form[0].is_displayed()
+    operator.button("Call").click()
+    until(lambda: "success" in operator.texts("[aria-label=Service] .message .key"), "the reply as a tree", 30)
+
+
 def test_the_daemon_comes_back(operator: Operator, robot: WebRobot) -> None:
     robot.kill_daemon_and_start_again()
     until(lambda: operator.line() != "Connected", "the page says that the line is gone")

@@ -48,6 +48,7 @@ class ServiceCaller:
         while not self._client.ready:
             self._ready.clear()
             if not self._client.ready and not self._ready.wait(WAIT_SECONDS):
+                self.close()
                 raise CliError(f"the server of {name} does not take calls from here")
 
     def call(self, values: dict[str, Any], done: Callable[[dict[str, Any] | CallError], None]) -> Callable[[], None]:
@@ -75,6 +76,10 @@ class ServiceCaller:
         if isinstance(reply, CallError):
             raise CliError(f"{self.name}: {clean(reply)}")
         return reply
+
+    def close(self) -> None:
+        """Withdraw the client; who calls one service and ends has no need of it."""
+        self._client.close()
 
     def _read(self, result: bytes | CallError) -> dict[str, Any] | CallError:
         if isinstance(result, CallError):

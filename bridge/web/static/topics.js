@@ -1,61 +1,103 @@
-// The view Topics: the list, and one topic with its newest message.
+// The view Topics: the lists of topics and services, and one topic with its newest message.
 
 import { button, el, mark, rows, write } from "./dom.js";
 import { Chart, Series } from "./curve.js";
 import { number, rate } from "./format.js";
+import { opener, sendBlock } from "./form.js";
 import { pictureBlock, PICTURES } from "./picture.js";
+import { say } from "./say.js";
+import { serviceBlock } from "./services.js";
 import { searchField } from "./table.js";
 import { at, pathWords, Tree } from "./tree.js";
 
 const MOST_CURVES = 6;
 const MOST_TOPICS = 500;
 
-/** Builds the view; `look` takes the name of a topic. */
+/** Builds the view; `look` takes the name of a topic, "services" or "service:" and the name of a service. */
 export function topicsView(root, socket) {
+  const topic = topicBlock(socket, (name) => topics.typesOf(name)[0]);
+  const service = serviceBlock(socket);
+  const topics = namesList(socket, "topics", "Topics", ({ topic: name }) => name, (name) => `#topics/${encodeURIComponent(name)}`,
+    (each) => [`${ends(each.publishers)} → ${ends(each.subscribers)}`, "Publishers → subscribers"]);
+  const services = namesList(socket, "services", "Services", ({ service: name }) => name, (name) => `#topics/${encodeURIComponent(`service:${name}`)}`,
+    (each) => [each.servers ? "" : "no server", "Servers"], true);
+  root.append(topics.element, services.element, topic.element, service.element);
+  let list = null;
+  return {
+    show() {},
+    look(name) {
+      const isService = name === "services" || name.startsWith("service:");
+      const wanted = isService ? services : topics;
+      if (list !== wanted) {
+        list?.hide();
+        list = wanted;
+        list.show();
+      }
+      const chosen = name === "services" ? "" : name.replace(/^service:/, "");
+      root.dataset.topic = chosen ? "one" : "none";
+      list.choose(chosen);
+      topic.choose(isService ? "" : chosen);
+      service.choose(isService ? chosen : "");
+    },
+    hide() {
+      list?.hide();
+      list = null;
+      topic.choose("");
+      service.choose("");
+    },
+  };
+}
+
+/**
+ * The list of topics or of services: {element, show(), hide(), choose(name), typesOf(name)}. `always`: a link names the
+ * type, which it does else only where a name has several.
+ */
+function namesList(socket, feed, title, nameOf, href, about, always = false) {
   const list = el("ul", { class: "topic-list" });
   const empty = el("p", { class: "empty" });
-  let [topics, search, chosen] = [null, "", ""];
-  const topic = topicBlock(socket);
-  const showList = (why) => {
+  let [items, search, chosen, end] = [null, "", "", () => {}];
+  const typesOf = (name) => (items ?? []).filter((each) => nameOf(each) === name).map(({ type }) => type);
+  const fill = (why) => {
     const words = search.toLowerCase().split(/\s+/).filter(Boolean);
-    const found = (topics ?? []).filter((each) => words.every((word) => `${each.topic} ${each.type}`.toLowerCase().includes(word)));
+    const found = (items ?? []).filter((each) => words.every((word) => `${nameOf(each)} ${each.type}`.toLowerCase().includes(word)));
     const often = new Map(); // how many types a name has
-    for (const { topic: name } of topics ?? []) often.set(name, (often.get(name) ?? 0) + 1);
-    rows(list, found.slice(0, MOST_TOPICS), (each) => `${each.topic} ${each.type}`, topicRow, ({ parts }, each) => {
-      const name = often.get(each.topic) > 1 ? `${each.topic}@${each.type}` : each.topic;
+    for (const each of items ?? []) often.set(nameOf(each), (often.get(nameOf(each)) ?? 0) + 1);
+    rows(list, found.slice(0, MOST_TOPICS), (each) => `${nameOf(each)} ${each.type}`, (each) => nameRow(nameOf(each)), ({ parts }, each) => {
+      const full = always || often.get(nameOf(each)) > 1 ? `${nameOf(each)}@${each.type}` : nameOf(each);
+      const [text, meaning] = about(each);
       write(parts.type, each.type);
-      write(parts.sides, `${ends(each.publishers)} → ${ends(each.subscribers)}`);
-      mark(parts.link, "href", `#topics/${encodeURIComponent(name)}`);
-      mark(parts.link, "aria-current", name === chosen ? "true" : null);
+      write(parts.ends, text);
+      mark(parts.ends, "title", meaning);
+      mark(parts.link, "href", href(full));
+      mark(parts.link, "aria-current", full === chosen ? "true" : null);
     });
     const left = found.length - MOST_TOPICS;
-    write(empty, left > 0 ? `${left} more: search to see them.` : found.length ? "" : topics?.length ? "Nothing found." : why || "No topics.");
+    write(empty, left > 0 ? `${left} more: search to see them.` : found.length ? "" : items?.length ? "Nothing found." : why || `No ${feed}.`);
   };
-  const field = searchField("Search topics", (text) => {
+  const field = searchField(`Search ${feed}`, (text) => {
     search = text;
-    showList();
+    fill("");
   });
-  root.append(
-    el("div", { class: "block topics" }, el("div", { class: "heading" }, el("h2", { text: "Topics" }), field), list, empty),
-    topic.element,
-  );
-  let end = null;
+  const tabs = [["Topics", "#topics"], ["Services", "#topics/services"]].map(([text, to]) => el("a", { href: to, text, "aria-current": text === title ? "true" : null }));
+  const element = el("div", { class: "block topics", hidden: true },
+    el("div", { class: "heading" }, el("nav", { class: "parts", "aria-label": "Topics or services" }, ...tabs), field), list, empty);
   return {
+    element,
+    typesOf,
     show() {
-      end = socket.watch("topics", (value, why) => {
-        topics = value;
-        showList(why);
+      element.hidden = false;
+      end = socket.watch(feed, (value, why) => {
+        items = value;
+        fill(why);
       });
-    },
-    look(name) {
-      chosen = name;
-      root.dataset.topic = name ? "one" : "none";
-      showList("");
-      topic.choose(name);
     },
     hide() {
       end();
-      topic.choose("");
+      element.hidden = true;
+    },
+    choose(name) {
+      chosen = name;
+      fill("");
     },
   };
 }
@@ -63,14 +105,14 @@ export function topicsView(root, socket) {
 /** How many ends: a number, or a list of names. */
 const ends = (value) => (Array.isArray(value) ? value.length : (value ?? "–"));
 
-function topicRow({ topic }) {
-  const [type, sides] = [el("span", { class: "second" }), el("span", { class: "ends", title: "Publishers → subscribers" })];
-  const link = el("a", {}, el("span", { class: "first", text: topic }), type, sides);
-  return Object.assign(el("li", {}, link), { parts: { type, sides, link } });
+function nameRow(name) {
+  const [type, sides] = [el("span", { class: "second" }), el("span", { class: "ends" })];
+  const link = el("a", {}, el("span", { class: "first", text: name }), type, sides);
+  return Object.assign(el("li", {}, link), { parts: { type, ends: sides, link } });
 }
 
-/** One topic: {element, choose(name)}; the empty name closes it. */
-function topicBlock(socket) {
+/** One topic: {element, choose(name)}; the empty name closes it. `typeOf(name)`: its type where nobody publishes it. */
+function topicBlock(socket, typeOf) {
   const title = el("h2");
   const type = el("p", { class: "second" });
   const often = el("span", { class: "figure" });
@@ -81,6 +123,9 @@ function topicBlock(socket) {
   const opened = new Map(); // topic -> Map path -> whether its branch is open
   const curves = new Map(); // path -> {series, chart, row}
   const picture = pictureBlock(socket);
+  const block = sendBlock("Publish once", (message) => socket.call("publish", { topic: topic.split("@")[0], type: shownType(), message }));
+  const form = opener("Publish …", socket, block, () => ({ type: shownType() }), (reason) => say(reason, { bad: true }));
+  const shownType = () => topic.split("@")[1] ?? (type.textContent || typeOf(topic) || "");
   let [topic, tree, newest, end] = ["", null, null, () => {}];
 
   function pick(path) {
@@ -129,8 +174,8 @@ function topicBlock(socket) {
   const element = el("section", { class: "block topic", "aria-label": "Topic", hidden: true },
     el("div", { class: "heading" },
       el("a", { href: "#topics", class: "back", text: "All topics" }), title, often,
-      button("Why does it cross?", explain, { class: "why" })),
-    type, crossing, why, picture.element, charts, body);
+      form.element, button("Why does it cross?", explain, { class: "why" })),
+    type, block.element, crossing, why, picture.element, charts, body);
   return {
     element,
     choose(name) {
@@ -143,6 +188,7 @@ function topicBlock(socket) {
       crossing.replaceChildren();
       body.replaceChildren();
       picture.close();
+      form.close();
       element.hidden = !name;
       write(title, name.split("@")[0]);
       write(type, "");

@@ -1,0 +1,152 @@
+"""Forms of the console: definitions, one message, one call."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+
+from bridge.hub.wire.qos import Durability
+from bridge.web import sending
+from tests.support.wait import until
+from tests.web.conftest import Desk
+from tests.web.page import TestPage
+
+
+@pytest.fixture(autouse=True)
+def settled(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(sending, "_SETTLE_SECONDS", 0.0)
+
+
+def test_a_definition_with_all_that_it_nests(desk: Desk) -> None:
+    with TestPage(desk.port) as page:
+        found = page.call("definition", type="geometry_msgs/PoseStamped")["value"]
+        assert found["type"] == found["root"] == "geometry_msgs/msg/PoseStamped"
+        assert [field["name"] for field in found["types"][found["root"]]["fields"]] == ["header", "pose"]
+        w = found["types"]["geometry_msgs/msg/Quaternion"]["fields"][3]
+        assert (w["name"], w["base"], w["shape"], w["default"]) == ("w", "float64", "single", 1)
+        assert {"std_msgs/msg/Header", "builtin_interfaces/msg/Time", "geometry_msgs/msg/Point"} <= found[
+            "types"
+        ].keys()
+
+
+def test_a_definition_with_constants(desk: Desk) -> None:
+    with TestPage(desk.port) as page:
+        found = page.call("definition", type="sensor_msgs/msg/BatteryState")["value"]
+        constants = {each["name"]: each["value"] for each in found["types"][found["root"]]["constants"]}
+        assert constants["POWER_SUPPLY_STATUS_CHARGING"] == 1
+
+
+def test_a_services_definition(desk: Desk) -> None:
+    with TestPage(desk.port) as page:
+        found = page.call("definition", type="std_srvs/SetBool", kind="service")["value"]
+        request, response = found["types"][found["root"]], found["types"][found["response"]]
+        assert [(field["name"], field["base"]) for field in request["fields"]] == [("data", "bool")]
+        assert [field["name"] for field in response["fields"]] == ["success", "message"]
+
+
+@pytest.mark.parametrize(
+    ("verb", "args", "why"),
+    [
+        ("definition", {"type": "std_msgs/Strin"}, "no worker on the hub has its definition. Did you mean"),
+        ("definition", {"type": "nonsense"}, "'nonsense' is no type"),
+        ("definition", {"type": "std_msgs/String", "kind": "action"}, "definition: kind is one of topic, service"),
+        ("publish", {"topic": "/x", "type": "std_msgs/String", "message": []}, "publish: message is an object"),
+        ("publish", {"topic": "x y", "type": "std_msgs/String", "message": {}}, "'x y' is no topic"),
+        ("publish", {"topic": "/_midspan/x", "type": "std_msgs/String", "message": {}}, "is no topic"),
+        (
+            "publish", {"topic": "/x", "type": "std_msgs/String", "message": {"dat": "y"}},
+            "std_msgs/msg/String: std_msgs/msg/String has no field 'dat'; did you mean 'data'?",
+        ),
+        (
+            "publish", {"topic": "/x", "type": "std_msgs/Int8", "message": {"data": 300}},
+            "std_msgs/msg/Int8: data is int8, not 300",
+        ),
+        ("call_service", {"name": "/x/_action/send_goal", "type": "a/srv/B", "request": {}}, "is no service"),
+    ],
+)  # fmt: skip
+def test_what_cannot_be_sent(desk: Desk, verb: str, args: dict[str, Any], why: str) -> None:
+    with TestPage(desk.port) as page:
+        assert why in page.call(verb, **args)["error"]
+
+
+@pytest.mark.parametrize(
+    ("topic", "type_name"),
+    [
+        ("/cmd_vel", "geometry_msgs/Twist"),
+        ("/cmd_vel", "std_msgs/String"),
+        ("/wheels", "std_msgs/msg/Float64"),
+        ("/anything", "geometry_msgs/msg/Twist"),
+        ("/anything", "geometry_msgs/TwistStamped"),
+        ("/tug/cmd", "std_msgs/String"),
+    ],
+)
+def test_velocities_are_refused(desk: Desk, topic: str, type_name: str) -> None:
+    desk.open_with(
+        navigation={
+            "planner": "tug",
+            "planners": [{"name": "tug", "side": "ros1", "action": "/tug", "velocity": "/tug/cmd"}],
+        },
+        routing={"rules": [{"topic": "/wheels", "priority": "command"}]},
+    )
+    with TestPage(desk.port) as page:
+        error = page.call("publish", topic=topic, type=type_name, message={})["error"]
+        assert "drive by hand in the view Drive" in error
+        assert not desk.far.hub.graph.publishers(topic)
+
+
+def test_a_message_is_published_once_and_not_kept(desk: Desk) -> None:
+    heard = desk.far.subscribe("/said", "std_msgs/String")
+    with TestPage(desk.port) as page:
+        page.until(lambda: desk.console.host.node.hub.graph.subscriptions("/said"), "the listener is known")
+        reply = page.call("publish", topic="/said", type="std_msgs/String", message={"data": "hello"})
+        assert reply["value"] == "published on /said"
+        assert desk.far.wait(heard, 1)[0] == {"data": "hello"}
+        (end,) = desk.far.hub.graph.publishers("/said")
+        assert end.qos.durability is Durability.VOLATILE
+        second = page.call("publish", topic="/said", type="std_msgs/String", message={"data": "again"})
+        while not second["ok"]:
+            second = page.call("publish", topic="/said", type="std_msgs/String", message={"data": "again"})
+        assert [each["data"] for each in desk.far.wait(heard, 2)] == ["hello", "again"]
+        assert len(desk.far.hub.graph.publishers("/said")) == 1, "the same publisher"
+
+
+def test_nobody_listens(desk: Desk, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(sending, "_MATCH_SECONDS", 0.2)
+    with TestPage(desk.port) as page:
+        reply = page.call("publish", topic="/void", type="std_msgs/Empty", message={})
+        assert reply["value"] == "published on /void, and nobody on the hub listens to it"
+
+
+def test_no_more_than_some_messages_a_second(desk: Desk, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(sending, "_MATCH_SECONDS", 0.0)
+    with TestPage(desk.port) as page:
+        for number in range(1, 13):
+            message = {"data": str(number)}
+            page.send(
+                op="call", id=1000 + number, verb="publish",
+                args={"topic": "/often", "type": "std_msgs/String", "message": message},
+            )  # fmt: skip
+        page.until(lambda: sum(m.get("id", 0) > 1000 for m in page.said) == 12, "all are answered")
+        errors = [m["error"] for m in page.said if m.get("id", 0) > 1000 and not m["ok"]]
+        assert errors
+        assert all("at most 5 messages a second are published" in error for error in errors)
+
+
+def test_a_call_and_its_reply(desk: Desk) -> None:
+    served = desk.far.serve("/light", "std_srvs/SetBool", reply={"success": True, "message": "it is on"})
+    assert served is not None
+    with TestPage(desk.port) as page:
+        page.watch("services")
+        found = page.value("services", lambda value: any(each["service"] == "/light" for each in value or ()))
+        assert next(each for each in found if each["service"] == "/light") == {
+            "service": "/light", "type": "std_srvs/srv/SetBool", "servers": 1, "clients": 0,
+        }  # fmt: skip
+        reply = page.call("call_service", name="/light", type="std_srvs/SetBool", request={"data": True})
+        assert reply["value"] == {"success": True, "message": "it is on"}
+        wrong = page.call("call_service", name="/light", type="std_srvs/SetBool", request={"data": 3})
+        assert wrong["error"] == "std_srvs/srv/SetBool: data is bool, not 3"
+        other = page.call("call_service", name="/light", type="std_srvs/Trigger", request={})
+        assert "/light is std_srvs/srv/SetBool on the hub, not std_srvs/srv/Trigger" in other["error"]
+        graph = desk.far.hub.graph
+        until(lambda: not graph.clients("/light"), "its clients are withdrawn")
