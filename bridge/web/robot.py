@@ -121,6 +121,7 @@ class FramesFeed(FrameFeed):
                     "parent": info.parent,
                     "age": None if info.static else round(max(now - info.newest, 0) / 1e9, 1),
                     "rate": round(info.rate, 1),
+                    "parents": sorted(info.parents),
                 }
                 for info in self._follower.frames.buffer.frames()
             ]

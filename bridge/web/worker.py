@@ -19,6 +19,7 @@ from bridge.modules.host import Host
 from bridge.state_file import worker_folder
 from bridge.web.access import Access, Grant, kept_secret
 from bridge.web.feed import Feeds
+from bridge.web.frame_pose import FramePoseFeed
 from bridge.web.hold import HOLD_SECONDS, HandDriving
 from bridge.web.hub_feeds import AskingFeed, StatusAsker, list_topics
 from bridge.web.image_feed import ImageFeed
@@ -125,6 +126,7 @@ class Console:
             ],
             {
                 "topic:/": lambda name: MessageFeed(host, client, known, self._decoding, name),
+                "pose:": lambda name: FramePoseFeed(host, follower, name),
                 "image:": lambda name: ImageFeed(host, client, known, self._decoding, name),
             },
         )

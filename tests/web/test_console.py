@@ -93,6 +93,21 @@ def test_other_robots(desk: Desk) -> None:
         assert "not known where r3/base_link is" in found[1]["why"]
 
 
+@pytest.mark.usefixtures("frames")
+def test_where_one_frame_is_in_another(desk: Desk) -> None:
+    with TestPage(desk.port) as page:
+        page.watch("pose:map>base_link", "pose:base_link>odom", "pose:map>camera", "pose:map", "pose:>map")
+        found = page.value("pose:map>base_link")
+        assert found["position"] == pytest.approx({"x": 1.5, "y": 2.0, "z": 0.0}, abs=1e-3)
+        assert found["angles"] == pytest.approx({"roll": 0.0, "pitch": 0.0, "yaw": math.pi / 2}, abs=1e-3)
+        assert found["age"] < 30.0
+        back = page.value("pose:base_link>odom")
+        assert back["position"] == pytest.approx({"x": 0.0, "y": 0.5, "z": 0.0}, abs=1e-3)
+        page.until(lambda: "camera" in page.values["pose:map>camera"].get("why", ""), "why there is none")
+        page.until(lambda: len(page.errors()) == 2, "names that are none")
+        assert "'pose:map' is no feed of a pose: ask for pose:REFERENCE>FRAME" in page.errors()
+
+
 def test_why_it_is_not_known_where_the_robot_is(desk: Desk) -> None:
     with TestPage(desk.port) as page:
         page.watch("robot")

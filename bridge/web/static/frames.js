@@ -1,7 +1,8 @@
-// The view Frames: the tree of /tf with the age of each frame.
+// The view Frames: the tree of /tf with the age of each frame, and where one frame is in another.
 
 import { el, mark, rows, write } from "./dom.js";
 import { rate, seconds } from "./format.js";
+import { framePose } from "./framepose.js";
 import { searchField } from "./table.js";
 
 const OLD = 2; // seconds after which a frame that moves is shown as old
@@ -13,7 +14,8 @@ export function framesView(root, socket) {
   const number = el("span", { class: "count" });
   let [frames, search] = [null, ""];
   const head = ["Frame", "Age", "Rate"].map((text, i) => el("th", { scope: "col", role: "columnheader", class: i ? "num" : "wide", text }));
-  root.append(el("section", { class: "block frames", "aria-labelledby": "frames-title" },
+  const pose = framePose(socket);
+  root.append(pose.element, el("section", { class: "block frames", "aria-labelledby": "frames-title" },
     el("div", { class: "heading" }, el("h2", { text: "Frames", id: "frames-title" }), number,
       searchField("Search frames", (text) => {
         search = text.trim().toLowerCase();
@@ -37,10 +39,13 @@ export function framesView(root, socket) {
       end = socket.watch("frames", (value, why) => {
         frames = value;
         show(why);
+        pose.offer(ordered(value ?? []).map(({ frame }) => frame.name));
       });
+      pose.show();
     },
     hide() {
       end();
+      pose.hide();
     },
   };
 }
@@ -81,14 +86,17 @@ export function ordered(frames) {
 
 function frameRow({ frame }) {
   const [name, parent] = [el("span", { class: "first", text: frame.name }), el("span", { class: "hidden" })];
-  const cell = el("th", { scope: "row", role: "rowheader", class: "wide" }, name, parent);
+  const quarrel = el("p", { class: "quarrel" });
+  const cell = el("th", { scope: "row", role: "rowheader", class: "wide" }, name, parent, quarrel);
   const [age, often] = [el("td", { role: "cell", class: "num" }), el("td", { role: "cell", class: "num" })];
-  return Object.assign(el("tr", { role: "row" }, cell, age, often), { parts: { cell, parent, age, often } });
+  return Object.assign(el("tr", { role: "row" }, cell, age, often), { parts: { cell, parent, quarrel, age, often } });
 }
 
 function fill({ parts }, { frame, depth }) {
   parts.cell.style.setProperty("--depth", Math.min(depth, 12));
+  const several = frame.parents?.length > 1;
   write(parts.parent, frame.parent ? `, below ${frame.parent}` : "");
+  write(parts.quarrel, several ? `Several say where it is: below ${frame.parents.join(", and below ")}` : "");
   write(parts.age, frame.age === undefined ? "" : frame.age === null ? "static" : seconds(frame.age));
   write(parts.often, frame.age === null || frame.age === undefined ? "" : rate(frame.rate));
   mark(parts.age, "data-mood", frame.age > OLD ? "bad" : frame.age === null ? "quiet" : "calm");
