@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from functools import partial
 from typing import Any
 
@@ -18,6 +18,7 @@ from bridge.daemon.query import ask_daemon
 from bridge.hub.errors import HubError
 from bridge.modules.host import Host
 from bridge.routing.gates import TAPS
+from bridge.sides import all_sides, label
 from bridge.web.feed import Feed
 
 _log = logging.getLogger("midspan.web")
@@ -100,16 +101,30 @@ def ask_status(client: CliClient) -> dict[str, Any]:
         for worker in said.get("workers", ())
         if worker["phase"] not in ("off", "running") and (said["daemon"], worker["worker"]) not in answering
     ]
+    restarts = {worker["pid"]: worker["restarts"] for worker in said.get("workers", ()) if worker["pid"]}
     return {
-        "workers": [_worker(document) for document in (*documents, *absent)],
+        "workers": [_worker(document, said, restarts) for document in (*documents, *absent)],
+        "machines": [_machine(document, one) for document in documents for one in dicts(document.get("machines"))],
         "routes": [_route(document, route) for document in documents for route in route_list(document)],
         "refused": [_refused(document, one) for document in documents for one in dicts(document.get("refused"))],
     }
 
 
-def _worker(document: Document) -> dict[str, Any]:
+def _worker(document: Document, said: Document, restarts: Mapping[int, int]) -> dict[str, Any]:
     found = {key: document.get(key) for key in ("daemon", "worker", "state", "cpu", "rss", "restarts")}
-    return {**found, "text": document.get("error") or document.get("text") or ""}
+    if found["restarts"] is None and document.get("daemon") == said.get("daemon"):
+        found["restarts"] = restarts.get(document.get("pid", 0))  # the daemon's word, which a worker does not know
+    side = document.get("side")
+    is_side = isinstance(side, str) and side in {each.name for each in all_sides()}
+    return {
+        **found,
+        "side": label(side) if is_side and side is not None else None,
+        "text": document.get("error") or document.get("text") or "",
+    }
+
+
+def _machine(document: Document, one: Document) -> dict[str, Any]:
+    return {"daemon": document.get("daemon"), **{key: one.get(key) for key in ("name", "address", "trusted")}}
 
 
 def _route(document: Document, route: Document) -> dict[str, Any]:

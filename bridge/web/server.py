@@ -250,6 +250,6 @@ def bracketed(name: str) -> str:
 
 def hello(daemon: str, version: str, frame: str, most: tuple[float, float], hold_seconds: float) -> dict[str, Any]:
     """The first message to a page, but for who it is."""
-    speed = {"x": most[0], "turn": most[1]}
+    speed = {"x": most[0], "y": most[0], "turn": most[1]}
     head = {"op": "hello", "daemon": daemon, "version": version, "frame": frame}
     return {**head, "hold_seconds": hold_seconds, "speed": speed}

@@ -121,6 +121,14 @@ class Worker(Model):
     cpu: float | None
     rss: int | None
     restarts: int | None
+    side: str | None
+
+
+class Machine(Model):
+    daemon: str
+    name: str | None
+    address: str | None
+    trusted: bool | None
 
 
 class Route(Model):
@@ -150,6 +158,7 @@ class Refused(Model):
 
 class Status(Model):
     workers: list[Worker]
+    machines: list[Machine]
     routes: list[Route]
     refused: list[Refused]
 
@@ -159,6 +168,13 @@ class Topic(Model):
     type: str
     publishers: Count
     subscribers: Count
+
+
+class Service(Model):
+    service: str
+    type: str
+    servers: Count
+    clients: Count
 
 
 class Message(Model):
@@ -183,6 +199,30 @@ class Frame(Model):
     parent: str
     age: float | None
     rate: float | None
+    parents: list[str]
+
+
+class Position(Model):
+    x: float
+    y: float
+    z: float
+
+
+class Rotation(Position):
+    w: float
+
+
+class Angles(Model):
+    roll: float
+    pitch: float
+    yaw: float
+
+
+class FramePose(Model):
+    position: Position
+    rotation: Rotation
+    angles: Angles
+    age: float | None
 
 
 class Log(Model):
@@ -193,9 +233,9 @@ class Log(Model):
 FEEDS: dict[str, Any] = {
     "robot": Robot, "robots": list[OtherRobot], "laser": OnMap, "path": OnMap, "obstacles": Obstacles,
     "driving": Driving, "map": Map, "places": Places, "patrol": Patrol, "maps": Maps, "status": Status,
-    "topics": list[Topic], "frames": list[Frame], "log": Log,
+    "topics": list[Topic], "frames": list[Frame], "log": Log, "services": list[Service],
 }  # fmt: skip
-PATTERNS: dict[str, Any] = {"^topic:/": Message, "^image:[0-9]+:/": Picture}
+PATTERNS: dict[str, Any] = {"^topic:/": Message, "^image:[0-9]+:/": Picture, "^pose:.+>.+": FramePose}
 
 
 # -- verbs -------------------------------------------------------------------------------------------------------------
@@ -244,6 +284,33 @@ class ConfigText(Model):
     text: str | None
     why: str
     problems: list[Problem]
+
+
+class DefinedField(Model):
+    name: str
+    base: str
+    shape: Literal["single", "array", "sequence"]
+    length: Count
+    bound: Count
+    default: JsonValue
+
+
+class Constant(Model):
+    name: str
+    base: str
+    value: bool | int | float | str
+
+
+class DefinedType(Model):
+    fields: list[DefinedField]
+    constants: list[Constant]
+
+
+class Definition(Model):
+    type: str
+    root: str
+    response: str | None = None
+    types: dict[str, DefinedType]
 
 
 class Painted(Model):
@@ -311,6 +378,9 @@ VERBS: dict[str, tuple[dict[str, Any], Any]] = {
     ),
     "doctor": ({}, list[Finding]),
     "config": ({}, ConfigText),
+    "definition": ({"type": Name, "kind": (Literal["topic", "service"], "topic")}, Definition),
+    "publish": ({"topic": Name, "type": Name, "message": dict[str, JsonValue]}, str),
+    "call_service": ({"name": Name, "type": Name, "request": dict[str, JsonValue]}, dict[str, JsonValue]),
 }  # fmt: skip
 """The arguments of each verb, those that may be left out with their default, and its value."""
 
@@ -320,6 +390,7 @@ VERBS: dict[str, tuple[dict[str, Any], Any]] = {
 
 class Speed(Model):
     x: float
+    y: float
     turn: float
 
 

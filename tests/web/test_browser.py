@@ -393,6 +393,19 @@ def test_every_view_fits(operator: Operator, view: str, width: int) -> None:
         chrome.execute_cdp_cmd("Emulation.clearDeviceMetricsOverride", {})
 
 
+def test_status_and_frames(operator: Operator) -> None:
+    chrome = operator.chrome
+    operator.open("status")
+    until(lambda: {"web-test", "YARP"} <= set(operator.texts(".graph .name")), "daemon and side are drawn")
+    chrome.find_element(By.CSS_SELECTOR, ".asking input").send_keys("/cmd_vel", Keys.ENTER)
+    until(lambda: operator.texts(".refused .crossing li"), "why it crosses", 30)
+    until(lambda: "0" in operator.texts(".workers td:last-child"), "how often each worker was restarted")
+    operator.open("frames")
+    script = "return [...document.querySelectorAll('.framepose select')].map((each) => each.value)"
+    until(lambda: chrome.execute_script(script) == ["base_link", "map"], "the robot on the map is chosen")
+    until(lambda: any(text.endswith(" m") for text in operator.texts(".framepose dd")), "where it is")
+
+
 def test_the_system(operator: Operator, robot: WebRobot) -> None:
     chrome = operator.chrome
     operator.open("system")

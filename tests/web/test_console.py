@@ -61,7 +61,7 @@ def test_hello(desk: Desk) -> None:
         page.until(lambda: page.said, "it says who it is")
         assert page.said[0] | {"version": ""} == {
             "op": "hello", "daemon": "here", "version": "", "role": "drive", "who": "", "frame": "map",
-            "hold_seconds": HOLD_SECONDS, "speed": {"x": 0.3, "turn": 0.6},
+            "hold_seconds": HOLD_SECONDS, "speed": {"x": 0.3, "y": 0.3, "turn": 0.6},
         }  # fmt: skip
 
 
@@ -224,7 +224,9 @@ def test_topics_and_workers(desk: Desk) -> None:
         found = page.value("topics", lambda topics: any(one["topic"] == "/said" for one in topics or ()))
         one = next(one for one in found if one["topic"] == "/said")
         assert one == {"topic": "/said", "type": "std_msgs/msg/String", "publishers": 1, "subscribers": 0}
-        assert isinstance(page.value("status")["workers"], list)
+        status = page.value("status")
+        assert isinstance(status["workers"], list)
+        assert status["machines"] == []
 
 
 class Base:

@@ -14,15 +14,18 @@ export function framePose(socket) {
   const age = el("span", { class: "second" });
   const why = el("p", { class: "empty" });
   const list = el("dl", { class: "pose-figures" }, ...FIGURES.flatMap((name, i) => [el("dt", { text: name }), figures[i]]));
-  const element = el("section", { class: "block pose", "aria-labelledby": "pose-title" },
+  const element = el("section", { class: "block framepose", "aria-labelledby": "pose-title" },
     el("div", { class: "heading" }, el("h2", { text: "Pose", id: "pose-title" }),
       el("label", {}, "of ", frame), el("label", {}, "in ", reference),
       button("Swap", () => {
         [frame.value, reference.value] = [reference.value, frame.value];
+        picked.add(frame).add(reference);
         follow();
       }, { "aria-label": "Swap the two frames" }), age),
     list, why);
   let [names, watched, end, shown] = ["", "", () => {}, false];
+  const picked = new Set(); // selects that somebody has chosen in; until then frames that are heard later may be better
+  for (const select of [frame, reference]) select.addEventListener("change", () => picked.add(select));
 
   function follow() {
     const wanted = shown && frame.value && reference.value ? `pose:${reference.value}>${frame.value}` : "";
@@ -52,7 +55,7 @@ export function framePose(socket) {
         const old = select.value;
         const gone = old && !sorted.includes(old) ? [old] : []; // it may come back
         select.replaceChildren(...[...sorted, ...gone].map((name) => el("option", { value: name, text: name })));
-        select.value = old || first.find((name) => sorted.includes(name)) || sorted[0] || "";
+        select.value = (picked.has(select) && old) || first.find((name) => sorted.includes(name)) || old || sorted[0] || "";
       }
       follow();
     },

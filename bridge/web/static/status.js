@@ -1,9 +1,10 @@
 // The view Status: workers, what was refused with its cure, and every route.
 
-import { cureLine } from "./cure.js";
-import { el, mark, rows, write } from "./dom.js";
+import { cureLine, explained } from "./cure.js";
+import { button, el, mark, rows, write } from "./dom.js";
 import { bytes, count, percent, rate, seconds } from "./format.js";
 import { Series, Spark } from "./curve.js";
+import { networkGraph } from "./network.js";
 import { searchField, Table, twoLines } from "./table.js";
 
 const GOOD = new Set(["running", "ready", "up", "ok"]);
@@ -16,7 +17,7 @@ export function statusView(root, socket) {
   const curves = new Map(); // of a route -> its rates of the last minute
   const workers = workerTable();
   const routes = routeTable(curves);
-  const refused = refusedList();
+  const refused = refusedList(socket);
   const found = el("span", { class: "count" });
   const search = searchField("Search routes", (text) => {
     routes.find(text);
@@ -29,9 +30,11 @@ export function statusView(root, socket) {
     write(found, shown === all ? String(all) : `${shown} of ${all}`);
   };
   const why = el("p", { class: "empty" });
+  const network = networkGraph(() => socket.hello?.daemon);
   root.append(
     why,
     refused.element,
+    block("Network", "network", network.element),
     block("Workers", "workers", workers.element),
     block("Routes", "routes", routes.element, found, search),
   );
@@ -46,6 +49,7 @@ export function statusView(root, socket) {
         workers.fill(status.workers, "No workers.");
         routes.fill(status.routes, "No routes.");
         refused.fill(status.refused);
+        network.fill(status);
         told();
       });
     },
@@ -89,7 +93,7 @@ function workerTable() {
 function routeTable(curves) {
   return new Table("Routes", [
     { label: "Topic", class: "wide", head: true, value: (r) => r.topic, text: (r) => `${r.topic} ${r.type}`,
-      made: () => twoLines((r) => r.topic, (r) => r.type) },
+      made: () => topicLines() },
     { label: "Way", class: "way", value: (r) => `${r.side} ${r.direction}`, text: (r) => `${r.side} ${r.direction} ${r.daemon}`,
       made: () => twoLines((r) => `${r.side} ${r.direction}`, (r) => r.daemon) },
     { label: "Rate", class: "num", down: true, value: (r) => r.rate, text: (r) => rate(r.rate) },
@@ -98,21 +102,53 @@ function routeTable(curves) {
       return { element: spark.element, update: () => spark.draw(curves.get(routeKey(item)) ?? new Series()) };
     } },
     { label: "Bytes/s", class: "num", down: true, value: (r) => r.bytes_per_second, text: (r) => bytes(r.bytes_per_second) },
-    { label: "Dropped", class: "num", down: true, value: (r) => r.dropped, text: (r) => count(r.dropped),
-      mood: (r) => (r.dropped ? "held" : "calm") },
+    { label: "Dropped", class: "num", down: true, value: (r) => r.dropped, text: (r) => `${count(r.dropped)} ${reasons(r)}`,
+      mood: (r) => (r.dropped ? "held" : "calm"), made: () => twoLines((r) => count(r.dropped), reasons) },
     { label: "Latency", class: "num", down: true, value: (r) => r.latency, text: (r) => seconds(r.latency) },
   ], routeKey);
 }
 
-/** What does not cross, why, and what to write to mend it. */
-function refusedList() {
+const reasons = ({ drops }) => Object.entries(drops ?? {}).filter(([, number]) => number).map(([name, number]) => `${name} ${number}`).join(", ");
+
+/** The name of a route's topic, which leads to the topic, and its type. */
+function topicLines() {
+  const [link, type] = [el("a", { class: "first" }), el("span", { class: "second" })];
+  return {
+    element: el("div", { class: "two" }, link, type),
+    update(route) {
+      const service = route.kind === "service";
+      const name = service ? `service:${route.hub_topic ?? route.topic}@${route.type}` : route.hub_topic ?? route.topic;
+      write(link, route.topic);
+      mark(link, "href", route.action || route.kind === "action" ? null : `#topics/${encodeURIComponent(name)}`);
+      write(type, route.type);
+    },
+  };
+}
+
+/** What does not cross, why, and what to write to mend it; why any name does or does not. */
+function refusedList(socket) {
   const list = el("ul", { class: "refusals" });
   const number = el("span", { class: "count" });
-  const element = block("Refused", "refused", list, number);
+  const answer = el("ul", { class: "crossing" });
+  const name = el("input", { type: "text", placeholder: "/topic, service or action", "aria-label": "Name of a topic, service or action", autocomplete: "off", spellcheck: "false", required: true, maxlength: "255" });
+  let asked = 0;
+  const form = el("form", { class: "asking", on: { submit: ask } }, name, button("Why does it cross?", () => form.requestSubmit()));
+
+  async function ask(event) {
+    event.preventDefault();
+    const [mine, wanted] = [++asked, name.value.trim()];
+    let found;
+    try {
+      found = explained(wanted, await socket.call("explain", { name: wanted }));
+    } catch (error) {
+      found = [el("li", { text: error.message })];
+    }
+    if (mine === asked) answer.replaceChildren(...found);
+  }
+
   return {
-    element,
+    element: block("What does not cross", "refused", el("div", {}, answer, list), number, form),
     fill(refused) {
-      mark(element, "hidden", refused.length ? null : "");
       write(number, String(refused.length));
       rows(list, refused, (each) => JSON.stringify([each.side, each.topic, each.reason, each.cure]), refusal, () => {});
     },

@@ -1,5 +1,6 @@
 // The view Topics: the lists of topics and services, and one topic with its newest message.
 
+import { explained } from "./cure.js";
 import { button, el, mark, rows, write } from "./dom.js";
 import { Chart, Series } from "./curve.js";
 import { number, rate } from "./format.js";
@@ -165,10 +166,7 @@ function topicBlock(socket, typeOf) {
       found = [{ side: "", decision: "Not known", why: error.message, cure: "" }];
     }
     if (name !== topic) return; // another one was chosen meanwhile
-    crossing.replaceChildren(...found.map((each) => el("li", {},
-      el("p", {}, el("strong", { text: each.side }), ` ${each.decision}`),
-      each.why ? el("p", { class: "reason", text: each.why }) : null,
-      each.cure ? el("code", { text: each.cure }) : null)));
+    crossing.replaceChildren(...explained(name.split("@")[0], found));
   }
 
   const element = el("section", { class: "block topic", "aria-label": "Topic", hidden: true },
