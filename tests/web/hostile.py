@@ -32,8 +32,9 @@ from tests.support.wait import until
 
 TWIST = "geometry_msgs/msg/Twist"
 SPEED, TURN = 0.3, 0.6
-MOST_GROWTH = 24 << 20
-"""Bytes that the worker may grow by once it is warm; measured over 100,000 requests and frames: 3 MB."""
+MOST_GROWTH = 32 << 20
+"""Bytes that the worker may grow by once it is warm. Measured: 14 MB over 135,000 requests and frames, 18 over 426,000;
+cyclic garbage waits for Python's collector, and one kind of request alone grows no further after some thousand."""
 
 _WARM = 1000
 _LOOK = 200
