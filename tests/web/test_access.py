@@ -31,8 +31,6 @@ from tests.web.test_server import ask
 
 DRIVE, WATCH = new_token(), new_token()
 TOKENS = {"anna": {"role": "drive", "sha256": DRIVE[1]}, "hall": {"role": "watch", "sha256": WATCH[1]}}
-COMMANDS = ("goto", "goto_place", "stop", "pause", "resume", "halt", "choose_planner", "set_pose", "keep_place",
-            "delete_place", "use_map")  # fmt: skip
 
 
 class GuardedDesk(Desk):
@@ -163,7 +161,9 @@ def test_a_watcher_commands_nothing(guarded: GuardedDesk) -> None:
     with guarded.page(WATCH[0]) as page:
         page.watch("topics", "topic:/cmd_vel")
         page.value("topics", lambda topics: topics is not None)
-        for verb in COMMANDS:
+        commands = {verb for verb, found in guarded.console._verbs._verbs.items() if found.commands}
+        assert {"goto", "patrol", "halt", "paint_flags"} < commands
+        for verb in commands:
             assert page.call(verb)["error"] == f"this page has the role 'watch': {verb} is not done"
         assert page.call("ping")["ok"]
         page.send(op="hold", x=0.1, y=0.0, turn=0.0)
@@ -171,7 +171,6 @@ def test_a_watcher_commands_nothing(guarded: GuardedDesk) -> None:
         assert page.errors() == ["this page has the role 'watch': it may not drive by hand"]
     with guarded.page(DRIVE[0]) as page:
         hold(page, base)
-    assert {verb for verb, found in guarded.console._verbs._verbs.items() if found.commands} >= set(COMMANDS)
 
 
 @pytest.mark.parametrize(("name", "role"), [("operator1", "drive"), ("guest", "watch")])
