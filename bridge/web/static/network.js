@@ -86,7 +86,7 @@ function box({ x, y, broad, name, about, mood, kind }) {
   return svg("g", { transform: `translate(${x} ${y})`, "data-kind": kind, "data-mood": mood },
     svg("title", { text: `${name}: ${about}` }),
     svg("rect", { x: 1, y: 1, width: broad - 2, height: HIGH - 2, rx: kind === "side" ? 22 : 6 }),
-    svg("text", { x: broad / 2, y: 20, class: "name", text: short(name, broad - 16) }),
+    svg("text", { x: broad / 2, y: 20, class: "name", text: short(name, broad - 34) }),
     svg("text", { x: broad / 2, y: 37, text: short(about, broad) }));
 }
 
