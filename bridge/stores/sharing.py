@@ -207,8 +207,8 @@ class StoreSync:
             raise StoreError("the values are not as long as they should be")
         with self._replica.still():
             versions = self._replica.versions() if stamps else {}
-            now = {"/".join(key): list(astuple(stamp)) for key, (stamp, _) in versions.items()}
-            stale = any(now.get(key) != stamp for key, stamp in stamps.items())
+            now = {text: versions.get(key_of(text)) for text in stamps}
+            stale = stamps != {text: known and list(astuple(known[0])) for text, known in now.items()}
             if not stale:
                 write_all(self._replica, changes)
         question.reply(KeyItem(f"@sync/write/{self._zid}", b'{"stale": true}' if stale else b"{}"))

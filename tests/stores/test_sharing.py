@@ -311,6 +311,8 @@ def test_hostile_questions_and_samples_are_refused(hub: QuickHub, tmp_path: Path
             b"{}",
             b"[" * 100_000,
             b'{"writes": 1}\n',
+            b'{"writes": [], "stamps": 1}\n',
+            b'{"writes": [], "stamps": {"../a": null}}\n',
             b'{"writes": [1]}\n',
             b'{"writes": [{"key": "location/a", "size": -1}]}\n',
             b'{"writes": [{"key": "location/a", "size": 1000}]}\n{}',
@@ -321,6 +323,9 @@ def test_hostile_questions_and_samples_are_refused(hub: QuickHub, tmp_path: Path
         ):
             replies = list(session.get(write, payload=body))
             assert [reply.err is not None for reply in replies] == [True], body
+        stale = b'{"writes": [{"key": "location/a", "size": 2}], "stamps": {"location/a": [1, {}]}}\n{}'
+        answers = [reply.ok.payload.to_bytes() for reply in session.get(write, payload=stale) if reply.ok]
+        assert answers == [b'{"stale": true}']
         for verb in ("digest", "fetch"):
             for body in (b"", b"[]", b'{"digests": 1, "keys": 1}', b'{"digests": [1], "keys": ["a/b/c"]}'):
                 rest = "/**" if verb == "fetch" else ""

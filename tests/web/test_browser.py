@@ -281,6 +281,7 @@ def test_an_area_by_its_corners_on_the_keyboard(operator: Operator, watch: TestP
     name.send_keys("by keys", Keys.ENTER)
     found = watch.value("places", lambda value: "by keys" in value["areas"])["areas"]["by keys"]["points"]
     assert len(found) == 3
+    operator.button("Done").click()
     watch.call("delete_place", name="by keys", kind="area")
 
 
@@ -302,6 +303,14 @@ def test_a_map_goes_down_and_comes_up(operator: Operator, watch: TestPage, tmp_p
     field.send_keys(Keys.CONTROL, "a", Keys.NULL, "spare", Keys.ENTER)
     found = watch.value("maps", lambda value: "spare" in value["names"])
     assert found == {"names": sorted([name, "spare"]), "current": name}
+
+
+def test_a_goal_by_the_keyboard(operator: Operator, watch: TestPage) -> None:
+    canvas = operator.map_at(*FREE)
+    operator.button("Go here").send_keys(Keys.ENTER)
+    canvas.send_keys(Keys.ENTER)
+    found = watch.value("driving", lambda value: value["goal"] and distance(value["goal"], FREE) < 0.1)
+    assert found["state"] not in ("idle", "goal_reached")
 
 
 def kept_out(robot: WebRobot) -> int:

@@ -57,7 +57,7 @@ export class MapBlock {
   build() {
     this.canvas = el("canvas", {
       tabindex: "0", role: "application", "aria-roledescription": "map",
-      "aria-label": "Map. Arrow keys move it, plus and minus zoom, F follows the robot, Enter opens the menu at the middle; while the map is edited, Enter draws at the middle.",
+      "aria-label": "Map. Arrow keys move it, plus and minus zoom, F follows the robot, Enter opens the menu at the middle; with a tool or while the map is edited it does there what a press does.",
       on: { keydown: (event) => this.key(event) },
     });
     this.context = this.canvas.getContext("2d", { alpha: false });
@@ -300,13 +300,24 @@ export class MapBlock {
       ArrowUp: () => this.pan(0, step), ArrowDown: () => this.pan(0, -step),
       "+": () => this.zoom(1.25), "=": () => this.zoom(1.25), "-": () => this.zoom(0.8),
       f: () => this.follow(!this.follows), F: () => this.follow(!this.follows),
-      Enter: () => this.tap(this.view.width / 2, this.view.height / 2),
+      Enter: () => this.enter(this.view.width / 2, this.view.height / 2),
       Escape: () => this.choose(null),
     };
     if (this.editor?.key(event)) return event.preventDefault();
     if (!(event.key in actions) || event.ctrlKey || event.metaKey || event.altKey) return;
     event.preventDefault();
     actions[event.key]();
+  }
+
+  /** Enter at the middle does what a press there does; for a measure it sets one end and then the other. */
+  enter(px, py) {
+    const [x, y] = this.view.toMap(px, py);
+    if (this.tool === "measure") this.measured = this.measured.length === 1 ? [this.measured[0], { x, y }] : [{ x, y }];
+    else if (this.tool) {
+      this.press(px, py);
+      this.let(px, py, false);
+    } else this.tap(px, py);
+    this.redraw();
   }
 
   // -- drawing
@@ -341,11 +352,12 @@ export class MapBlock {
     drawRobots(context, view, others, colour, this.layers.on("path"), !this.socket.open);
     if (values.driving?.goal) scene.drawPose(context, view, values.driving.goal, colour.path, colour);
     if (values.robot?.pose) scene.drawRobot(context, view, values.robot, colour, !this.socket.open);
-    if (this.editor) {
-      this.editor.draw(context, view, colour);
-      if (document.activeElement === this.canvas) scene.drawCross(context, view, colour);
-    }
-    if (this.measured.length === 2) scene.drawMeasure(context, view, this.measured, colour);
+    this.editor?.draw(context, view, colour);
+    if ((this.editor || this.tool) && document.activeElement === this.canvas) scene.drawCross(context, view, colour);
+    if (this.measured.length === 1 && !this.aim) {
+      const [x, y] = view.toMap(view.width / 2, view.height / 2);
+      scene.drawMeasure(context, view, [this.measured[0], { x, y }], colour);
+    } else if (this.measured.length === 2) scene.drawMeasure(context, view, this.measured, colour);
     else if (this.aim) scene.drawPose(context, view, this.aim, colour.accent, colour, 44);
     if (this.point) scene.drawPose(context, view, this.point, colour.accent, colour);
     scene.drawScale(context, view, colour, view.width < NARROW ? 76 : 16);
