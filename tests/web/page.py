@@ -2,17 +2,21 @@
 
 from __future__ import annotations
 
+import asyncio
 import contextlib
 import json
+import threading
 import time
-from collections.abc import Callable
-from typing import Any, Self
+from collections.abc import Callable, Coroutine
+from typing import Any, Self, TypeVar
 
+import websockets.asyncio.client
 from websockets.sync.client import ClientConnection, connect
 from websockets.typing import Subprotocol
 
 from tests.web.protocol import check_done, check_said
 
+_T = TypeVar("_T")
 PROTOCOL = "midspan.console.1"
 
 
@@ -29,11 +33,12 @@ class TestPage:
 
     def __init__(self, port: int, *, takes: bool = True, **options: Any) -> None:
         tls = "s" if "ssl" in options else ""
+        join: Any = TlsSocket if tls else connect
         options.setdefault("origin", f"http{tls}://127.0.0.1:{port}")
         self._stack = contextlib.ExitStack()
         address = f"ws{tls}://127.0.0.1:{port}/socket"
         self.socket: ClientConnection = self._stack.enter_context(
-            connect(address, subprotocols=[Subprotocol(PROTOCOL)], max_size=None, **options)
+            join(address, subprotocols=[Subprotocol(PROTOCOL)], max_size=None, **options)
         )
         self.takes = takes
         self.values: dict[str, dict[str, Any]] = {}
@@ -100,3 +105,53 @@ class TestPage:
 
     def __exit__(self, *_: object) -> None:
         self._stack.close()
+
+
+class TlsSocket:
+    """A socket over TLS, used by one thread alone.
+
+    websockets' own blocking client reads and writes on two, and an object of OpenSSL is for one thread at a time: of
+    some hundred openings beside other work one got no answer, or the process ended.
+    """
+
+    def __init__(self, address: str, **options: Any) -> None:
+        self._loop = asyncio.new_event_loop()
+        self._thread = threading.Thread(target=self._loop.run_forever, name="tls-page")
+        self._thread.start()
+
+        async def joined() -> websockets.asyncio.client.ClientConnection:
+            return await websockets.asyncio.client.connect(address, **options)
+
+        try:
+            self._inner = self._wait(joined())
+        except BaseException:
+            self._end()
+            raise
+        self.socket = self._inner.transport.get_extra_info("ssl_object")
+
+    def send(self, text: str) -> None:
+        self._wait(self._inner.send(text))
+
+    def recv(self, timeout: float) -> str | bytes:
+        async def soon() -> str | bytes:
+            async with asyncio.timeout(timeout):
+                return await self._inner.recv()
+
+        return self._wait(soon())
+
+    def _wait(self, coroutine: Coroutine[Any, Any, _T]) -> _T:
+        return asyncio.run_coroutine_threadsafe(coroutine, self._loop).result()
+
+    def _end(self) -> None:
+        self._loop.call_soon_threadsafe(self._loop.stop)
+        self._thread.join()
+        self._loop.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        try:
+            self._wait(self._inner.close())
+        finally:
+            self._end()
