@@ -15,6 +15,9 @@ from tests.support.ports import free_port
 from tests.support.process import Process
 from tests.support.wait import until
 from tests.web.page import TestPage
+from yarp_compat.dev.map2d_client import Map2DClient
+from yarp_compat.naming.client import NameClient
+from yarp_compat.naming.config import Address
 
 ROOT = Path(__file__).parents[2]
 CONFIG = ROOT / "configs" / "navigation.yaml"
@@ -64,6 +67,11 @@ class WebRobot:
                 return bool(answer.status == 200)
         except (urllib.error.URLError, OSError):
             return False
+
+    def yarp_maps(self) -> Map2DClient:
+        """A YARP client of Map2DServer."""
+        names = NameClient(Address("127.0.0.1", self.names), namespace="/root")
+        return Map2DClient(naming=names, timeout=30)
 
     def command(self, *words: str) -> str:
         """What a verb prints."""

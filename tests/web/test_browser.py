@@ -11,6 +11,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 from selenium.common.exceptions import StaleElementReferenceException
 from selenium.webdriver import ActionChains, Chrome, ChromeOptions, Keys
@@ -22,6 +23,7 @@ from tests.support.missing import BROWSER, DART, need
 from tests.support.wait import until
 from tests.web.page import TestPage
 from tests.web.robot import WebRobot
+from yarp_compat.dev.mapgrid import MapFlag
 
 FREE = (6.0, 4.8)
 """In the corridor."""
@@ -242,6 +244,9 @@ def test_a_place_is_kept_for_all(operator: Operator, watch: TestPage, robot: Web
     found = watch.value("places", lambda value: "here be tea" in value["locations"])["locations"]["here be tea"]
     assert distance(found, FREE) < 0.1
     assert "here be tea" in robot.command("location", "list")
+    with robot.yarp_maps() as yarp:
+        place = yarp.locations["here be tea"]
+        assert math.dist((place.x, place.y), FREE) < 0.1, "YARP's clients know it"
     operator.open("places")
     operator.button("Delete here be tea").click()
     operator.button("Delete", "dialog").click()
@@ -332,6 +337,8 @@ def test_flags_are_painted_and_taken_back(operator: Operator, watch: TestPage, r
     watch.value("map", lambda value: value["flags"] != clean)
     painted = kept_out(robot)
     assert painted > 10
+    with robot.yarp_maps() as yarp:
+        assert np.count_nonzero(yarp.maps["apartment"].flags == MapFlag.KEEP_OUT) == painted, "YARP's clients know it"
     operator.button("Undo").click()
     watch.value("map", lambda value: value["flags"] == clean)
     until(lambda: operator.button("Redo").is_enabled(), "it can be done again")
