@@ -39,17 +39,19 @@ from bridge.hub.session import Hub, HubSettings
 from bridge.hub.wire.qos import Qos
 from bridge.messages.json import from_json
 from bridge.messages.registry import Registry
+from bridge.web.map_pictures import TILE
 
 FIRST_VIEW, MAP_SEEN, AGE_MS, TEN_PERCENT = 1.0, 2.0, 100.0, 15.0
 """Aims: seconds to the first view and to the large map; ms from hub to pixels, p95; percent of a core for ten pages."""
 CELLS, METRES = 4000, 0.05
+TILES = math.ceil(CELLS / TILE) ** 2
 FEEDS = ("robot", "robots", "driving", "map", "laser", "path", "places")
 PAGES = 10
 SMALL, RATE = "/small", 100.0
 STEP = 0.001
 """Metres that the robot moves in 10 ms, and by which the laser's beam grows: what is drawn is known by them."""
 MARKS = """
-window.marks = { robot: [], laser: [], map: 0 };
+window.marks = { robot: [], laser: [], map: 0, tiles: 0 };
 const Plain = window.WebSocket;
 window.WebSocket = class extends Plain {
   constructor(...words) {
@@ -64,8 +66,10 @@ window.WebSocket = class extends Plain {
 };
 const draw = CanvasRenderingContext2D.prototype.drawImage;
 CanvasRenderingContext2D.prototype.drawImage = function (...words) {
-  marks.map ||= performance.now();
-  return draw.apply(this, words);
+  draw.apply(this, words);
+  if (!(words[0] instanceof ImageBitmap)) return;
+  marks.tiles += 1;
+  marks.map = performance.now();
 };
 """
 
@@ -149,7 +153,7 @@ def in_chromium(address: str, robot: Robot, seconds: float) -> list[Row]:
         try:
             chrome.execute_cdp_cmd("Page.addScriptToEvaluateOnNewDocument", {"source": MARKS})
             chrome.get(f"{address}#drive")
-            _until(lambda: chrome.execute_script("return marks.map"), "the map is drawn")
+            _until(lambda: chrome.execute_script("return marks.tiles") >= TILES, "the map is drawn")
             view = "return performance.getEntriesByName('first-contentful-paint')[0].startTime"
             first, seen = float(chrome.execute_script(view)), float(chrome.execute_script("return marks.map"))
             chrome.execute_script("marks.robot = []; marks.laser = []")

@@ -7,8 +7,9 @@ import io
 import struct
 import threading
 import zlib
-from collections import OrderedDict
+from collections import deque
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,7 +17,10 @@ from PIL import Image
 
 from yarp_compat.dev.mapgrid import MapFlag, MapGrid2D
 
-_MOST_PICTURES = 4
+TILE = 1024
+"""Cells of a tile's side: pages fetch again what changed, and no more."""
+_NEWEST = 2
+"""Pictures of a kind that are kept: a page may still fetch what it was told of a moment ago."""
 _LEVELS, _CLEAR = 101, 101
 """Greys for 0 to 100 percent occupied, and the colour of cells of which nothing is known."""
 _DARK_FREE, _DARK_WALL = (0x14, 0x19, 0x1E), (0xA0, 0xB0, 0xBE)
@@ -51,6 +55,8 @@ PALETTES = {
     ),
     "flags": Palette(_TINTED, _TINTED, bytes([0, *(tint[3] for tint in _TINTS.values())])),
 }
+CLEAR = {"occupancy": _CLEAR, "flags": 0}
+"""The number of a cell that shows nothing."""
 
 _GREYS = np.full(256, _CLEAR, np.uint8)
 _GREYS[:_LEVELS] = np.arange(_LEVELS)
@@ -73,29 +79,36 @@ def flags_picture(grid: MapGrid2D) -> Cells | None:
 
 
 class Pictures:
-    """The newest pictures by their addresses. Safe to use from any thread."""
+    """The tiles of the newest pictures by their addresses. Safe to use from any thread."""
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
-        self._kept: OrderedDict[tuple[str, str], bytes] = OrderedDict()
+        self._kept: dict[str, deque[dict[str, bytes]]] = {name: deque(maxlen=_NEWEST) for name in PALETTES}
 
-    def put(self, name: str, cells: Cells) -> str:
-        """Keep a picture; its address, which tells its content. One that is kept already is not packed again."""
-        version = hashlib.sha256(np.ascontiguousarray(cells).data).hexdigest()[:12]
+    def put(self, name: str, cells: Cells) -> dict[str, Any]:
+        """Keep a picture; ``{"size": cells of a tile's side, "tiles": rows of addresses, null where all is clear}``.
+
+        An address tells the tile's content: what did not change keeps its address, and is not packed again.
+        """
+        clear, packed, rows = CLEAR[name], dict[str, bytes](), []
+        for top in range(0, cells.shape[0], TILE):
+            rows.append(row := list[str | None]())
+            for left in range(0, cells.shape[1], TILE):
+                tile = np.ascontiguousarray(cells[top : top + TILE, left : left + TILE])
+                if np.all(tile == clear):
+                    row.append(None)
+                    continue
+                version = hashlib.sha256(b"%d " % tile.shape[1] + tile.tobytes()).hexdigest()[:12]
+                packed[version] = self.get(name, version) or _png(tile, PALETTES[name])
+                row.append(f"/map/{name}.png?v={version}")
         with self._lock:
-            known = self._kept.get((name, version))
-        picture = _png(cells, PALETTES[name]) if known is None else known
-        with self._lock:
-            self._kept[name, version] = picture
-            self._kept.move_to_end((name, version))
-            while len(self._kept) > _MOST_PICTURES:
-                self._kept.popitem(last=False)
-        return f"/map/{name}.png?v={version}"
+            self._kept[name].append(packed)
+        return {"size": TILE, "tiles": rows}
 
     def get(self, name: str, version: str, *, dark: bool = False) -> bytes | None:
         """The PNG of an address, in the colours for dark pages or light ones; None where it is gone."""
         with self._lock:
-            found = self._kept.get((name, version))
+            found = next((kept[version] for kept in self._kept.get(name, ()) if version in kept), None)
         return _recoloured(found, PALETTES[name].dark) if found is not None and dark else found
 
 

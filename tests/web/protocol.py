@@ -74,14 +74,19 @@ class Driving(Model):
     planners: list[str]
 
 
+class Tiles(Model):
+    size: Count
+    tiles: list[list[str | None]]
+
+
 class Map(Model):
     name: str
     width: Count
     height: Count
     resolution: float
     origin: Pose
-    image: str
-    flags: str | None
+    image: Tiles
+    flags: Tiles | None
 
 
 class Place(Pose):

@@ -13,7 +13,7 @@ from PIL import Image
 
 from bridge.stores.kinds import LOCATION, MAP
 from bridge.stores.store import Store, Write
-from bridge.web.map_pictures import Pictures, flags_picture, occupancy_picture
+from bridge.web.map_pictures import CLEAR, TILE, Pictures, flags_picture, occupancy_picture
 from bridge.web.paint import MOST_CELLS, MOST_PIECES, MOST_RUNS, Run, paint, runs_of
 from bridge.web.verbs import VerbError
 from tests.stores.parts import Shared
@@ -108,13 +108,34 @@ def test_pictures_tell_what_they_show() -> None:
 def test_the_colours_of_pictures(*, dark: bool) -> None:
     grid, pictures = house(), Pictures()
     grid.flags[1, 2], grid.flags[1, 5] = WALL, MapFlag.UNKNOWN
-    address = pictures.put("occupancy", occupancy_picture(grid))
+    ((address,),) = pictures.put("occupancy", occupancy_picture(grid))["tiles"]
     png = pictures.get("occupancy", address.partition("=")[2], dark=dark)
     assert png is not None
     picture = np.asarray(Image.open(io.BytesIO(png)).convert("RGBA"))
     assert picture[1, 2].tolist() == ([160, 176, 190, 255] if dark else [0, 0, 0, 255]), "a wall"
     assert picture[1, 0].tolist() == ([20, 25, 30, 255] if dark else [255, 255, 255, 255]), "free"
     assert picture[1, 5, 3] == 0, "nothing known"
+
+
+def test_a_change_is_one_tile() -> None:
+    cells, pictures = np.zeros((1500, 2100), np.uint8), Pictures()
+    cells[:, :1024] = CLEAR["occupancy"]
+    before = pictures.put("occupancy", cells)
+    assert before["size"] == TILE
+    assert [row[0] for row in before["tiles"]] == [None, None], "nothing is to be seen there"
+    cells[1100, 2050] = 100
+    after = pictures.put("occupancy", cells)
+    changed = [
+        (y, x) for y, row in enumerate(after["tiles"]) for x, one in enumerate(row) if one != before["tiles"][y][x]
+    ]
+    assert changed == [(1, 2)]
+    png = pictures.get("occupancy", after["tiles"][1][2].partition("=")[2])
+    assert png is not None
+    assert Image.open(io.BytesIO(png)).size == (2100 - 2048, 1500 - 1024)
+    old = before["tiles"][1][2].partition("=")[2]
+    assert pictures.get("occupancy", old) is not None, "a page may still be fetching it"
+    pictures.put("occupancy", cells)
+    assert pictures.get("occupancy", old) is None
 
 
 @pytest.fixture

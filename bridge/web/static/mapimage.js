@@ -2,30 +2,67 @@
 
 const SMALLEST = 512; // an image is halved until no side is longer
 
-/** An image of a map; `dark`: light walls on a dark floor. */
+/** An image of a map, put together from tiles; `dark`: light walls on a dark floor. */
 export class MapImage {
-  constructor(url, dark) {
-    this.url = url;
-    this.dark = dark;
-    this.levels = []; // each half the one before
+  constructor({ name, width, height }, dark) {
+    Object.assign(this, { name, width, height, dark });
+    this.levels = [canvas(width, height)]; // each half the one before
+    for (let [w, h] = [width, height]; Math.max(w, h) > SMALLEST;) {
+      [w, h] = [w, h].map((side) => Math.max(1, side >> 1));
+      this.levels.push(canvas(w, h));
+    }
+    this.tiles = new Map(); // where -> the address of what is drawn there, or on its way; null: nothing
   }
 
-  /** Fetch it; rejects with an Error in words. */
-  async load() {
-    const reply = await fetch(this.dark ? `${this.url}&dark` : this.url);
-    if (!reply.ok) throw new Error(`the image of the map did not come (${reply.status})`);
-    const whole = await createImageBitmap(await reply.blob());
-    const levels = [whole];
-    for (let last = whole; Math.max(last.width, last.height) > SMALLEST;) {
-      last = halved(levels.at(-1));
-      levels.push(last);
+  /** Whether tiles of this map, in these colours, belong into it. */
+  fits({ name, width, height }, dark) {
+    return this.name === name && this.width === width && this.height === height && this.dark === dark;
+  }
+
+  /** Fetch the tiles that changed; `drawn` is called after each. Rejects with an Error in words. */
+  async update({ size, tiles }, drawn) {
+    const all = tiles.flatMap((row, y) => row.map((address, x) => this.tile(address, x * size, y * size, size, drawn)));
+    await Promise.all(all);
+  }
+
+  async tile(address, left, top, size, drawn) {
+    const where = `${left}/${top}`;
+    if ((this.tiles.get(where) ?? null) === address) return;
+    this.tiles.set(where, address);
+    let image = null;
+    if (address !== null) {
+      try {
+        image = await fetched(this.dark ? `${address}&dark` : address);
+      } catch (error) {
+        if (this.tiles.get(where) === address) this.tiles.set(where, ""); // the map's next value tries again
+        throw error;
+      }
     }
-    this.levels = levels;
+    if (this.tiles.get(where) === address && this.levels.length) {
+      this.put(image, left, top, size);
+      drawn();
+    }
+    image?.close();
+  }
+
+  put(image, left, top, size) {
+    let [x, y, w, h] = [left, top, Math.min(size, this.width - left), Math.min(size, this.height - top)];
+    let source = image && [image, 0, 0, image.width, image.height];
+    for (const level of this.levels) {
+      const context = level.getContext("2d");
+      context.clearRect(x, y, w, h);
+      if (source) {
+        context.imageSmoothingQuality = "high";
+        context.drawImage(...source, x, y, w, h);
+        source = [level, x, y, w, h];
+      }
+      [x, y, w, h] = [x / 2, y / 2, w / 2, h / 2];
+    }
   }
 
   /** Let its memory go. */
   close() {
-    for (const level of this.levels) level.close?.();
+    for (const level of this.levels) level.width = level.height = 0;
     this.levels = [];
   }
 
@@ -38,7 +75,7 @@ export class MapImage {
     const wanted = Math.max(0, Math.floor(Math.log2(1 / scale)));
     const level = Math.min(wanted, this.levels.length - 1);
     const image = this.levels[level];
-    const [acrossX, acrossY] = [image.width / this.levels[0].width, image.height / this.levels[0].height];
+    const [acrossX, acrossY] = [image.width / this.width, image.height / this.height];
     const left = Math.max(0, Math.floor(part.left * acrossX));
     const top = Math.max(0, Math.floor(part.top * acrossY));
     const right = Math.min(image.width, Math.ceil(part.right * acrossX));
@@ -52,17 +89,15 @@ export class MapImage {
   }
 }
 
+async function fetched(address) {
+  const reply = await fetch(address);
+  if (!reply.ok) throw new Error(`a part of the map did not come (${reply.status})`);
+  return createImageBitmap(await reply.blob());
+}
+
 function canvas(width, height) {
   const made = document.createElement("canvas");
   made.width = width;
   made.height = height;
   return made;
-}
-
-function halved(image) {
-  const half = canvas(Math.max(1, image.width >> 1), Math.max(1, image.height >> 1));
-  const context = half.getContext("2d");
-  context.imageSmoothingQuality = "high";
-  context.drawImage(image, 0, 0, half.width, half.height);
-  return half;
 }

@@ -4,42 +4,39 @@ import { MapImage } from "./mapimage.js";
 import { say } from "./say.js";
 import { toCells } from "./viewport.js";
 
-/** Loads them as they change; the old ones stay in sight until the new ones are there. `loaded` is called then. */
+/** Loads what changed of them; a map's image stays in sight until that of another map is there. `loaded`: draw now. */
 export class MapImages {
   constructor(loaded) {
     this.loaded = loaded;
-    this.wanted = {}; // layer -> {url, dark} of the newest image
+    this.wanted = {}; // layer -> the newest image
     this.shown = {}; // layer -> the image that is drawn
   }
 
   /** Show a map (or none), with its flags or without, in the dark theme or the light one. */
   show(map, flags, dark) {
-    this.want("image", map?.image, dark);
-    this.want("flags", flags ? map?.flags : null, false);
+    this.want("image", map, map?.image, dark);
+    this.want("flags", map, flags ? map?.flags : null, false);
   }
 
-  want(layer, url, dark) {
-    const old = this.wanted[layer];
-    if (old?.url === (url ?? undefined) && (old === undefined || old.dark === dark)) return;
-    if (!url) {
+  want(layer, map, picture, dark) {
+    if (!picture) {
       delete this.wanted[layer];
       this.replace(layer, undefined);
       return;
     }
-    const made = new MapImage(url, dark);
-    this.wanted[layer] = made;
-    made.load().then(
-      () => (made === this.wanted[layer] ? this.replace(layer, made) : made.close()),
-      (error) => {
-        if (made !== this.wanted[layer]) return;
-        delete this.wanted[layer]; // the map's next value tries again
-        say(`Map: ${error.message}`, { bad: true });
-      },
+    const known = [this.wanted[layer], this.shown[layer]].find((image) => image?.fits(map, dark));
+    const image = known ?? new MapImage(map, dark);
+    if (this.wanted[layer] !== image && this.wanted[layer] !== this.shown[layer]) this.wanted[layer]?.close();
+    this.wanted[layer] = image;
+    if (this.shown[layer] === undefined) this.replace(layer, image);
+    image.update(picture, () => image === this.shown[layer] && this.loaded()).then(
+      () => image === this.wanted[layer] && this.replace(layer, image),
+      (error) => image === this.wanted[layer] && say(`Map: ${error.message}`, { bad: true }),
     );
   }
 
   replace(layer, image) {
-    this.shown[layer]?.close();
+    if (this.shown[layer] !== image) this.shown[layer]?.close();
     this.shown[layer] = image;
     this.loaded();
   }
