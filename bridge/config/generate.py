@@ -82,7 +82,8 @@ def _annotation_text(annotation: Any) -> str:
     if origin in {typing.Union, types.UnionType}:
         return " or ".join(_annotation_text(a) for a in arguments if a is not type(None))
     if origin is tuple:
-        return f"list of {_annotation_text(arguments[0])}s"
+        words = _annotation_text(arguments[0])
+        return f"list of {words}s" if not words.startswith("list of ") else f"list of lists{words.removeprefix('list')}"
     if origin is dict:
         return "map"
     if origin is typing.Annotated:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -91,9 +91,9 @@ class FrameFeed(Feed):
 class RobotFeed(FrameFeed):
     """``robot``: pose and footprint."""
 
-    def __init__(self, host: Host, follower: FrameFollower, radius: float) -> None:
+    def __init__(self, host: Host, follower: FrameFollower, footprint: Sequence[Sequence[float]]) -> None:
         super().__init__(host, follower, "robot", ROBOT_SECONDS)
-        self._footprint = disc(radius)
+        self._footprint = [list(corner) for corner in footprint]
 
     def look(self) -> None:
         """Put where the robot is."""

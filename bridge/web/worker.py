@@ -33,7 +33,7 @@ from bridge.web.page import Page
 from bridge.web.paint import Painter
 from bridge.web.patrol import ANOTHER, STOPPED, Patrol
 from bridge.web.place_verbs import PlaceVerbs
-from bridge.web.robot import DrivingFeed, FrameFollower, FramesFeed, LaserFeed, PathFeed, RobotFeed
+from bridge.web.robot import DrivingFeed, FrameFollower, FramesFeed, LaserFeed, PathFeed, RobotFeed, disc
 from bridge.web.robots import RobotsFeed
 from bridge.web.sending import Sending, list_services, sending_verbs
 from bridge.web.server import WebServer, hello
@@ -108,7 +108,7 @@ class Console:
         log = LogFollower(config)
         self._feeds = Feeds(
             [
-                RobotFeed(host, follower, section.radius),
+                RobotFeed(host, follower, section.footprint or disc(section.radius)),
                 RobotsFeed(host, follower, section.robots),
                 LaserFeed(host, follower, section.laser),
                 PathFeed(host, config, driving),

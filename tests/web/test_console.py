@@ -76,6 +76,15 @@ def test_where_the_robot_is(desk: Desk) -> None:
 
 
 @pytest.mark.usefixtures("frames")
+def test_a_footprint_with_corners(desk: Desk) -> None:
+    corners = [[0.4, 0.3], [-0.4, 0.3], [-0.4, -0.3], [0.4, -0.3]]
+    desk.open_with(web={"footprint": corners})
+    with TestPage(desk.port) as page:
+        page.watch("robot")
+        assert page.value("robot")["footprint"] == corners
+
+
+@pytest.mark.usefixtures("frames")
 def test_other_robots(desk: Desk) -> None:
     robots = [{"name": "r2", "base_frame": "odom", "path": "/r2/plan"}, {"name": "r3", "base_frame": "r3/base_link"}]
     desk.open_with(web={"robots": robots})

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import ipaddress
+import math
 import re
 from typing import Annotated, Literal
 
-from pydantic import Field, model_validator
+from pydantic import Field, field_validator, model_validator
 
 from bridge.config.sections.section import FrameName, OptionalTopic, Section, matching, setting
 
@@ -60,6 +61,9 @@ class WebSection(Section):
     laser: OptionalTopic = setting("/scan", 'Topic of the laser that the map shows; "": none.')
     path: OptionalTopic = setting("", 'Topic of the path that the map shows; "": that of the chosen planner.')
     radius: float = setting(0.3, "Metres: the disc that the map draws for the robot.", gt=0.0, le=10.0)
+    footprint: tuple[tuple[float, float], ...] = setting(
+        (), "Corners of the robot to draw in its place, x ahead and y to the left, metres: `[[0.4, 0.3], ...]`."
+    )
     robots: tuple[OtherRobot, ...] = setting(
         (), "Other robots that the map shows, each in a colour of its own.", max_length=16
     )
@@ -70,6 +74,15 @@ class WebSection(Section):
     def guarded(self) -> bool:
         """Whether it has TLS, and who comes must say who they are."""
         return bool(self.tokens or self.trusted)
+
+    @field_validator("footprint")
+    @classmethod
+    def _is_a_shape(cls, value: tuple[tuple[float, float], ...]) -> tuple[tuple[float, float], ...]:
+        if value and not 3 <= len(value) <= 64:
+            raise ValueError(f"{len(value)} corners are no footprint: give 3 to 64, or none for a disc")
+        if any(not math.isfinite(part) or abs(part) > 100.0 for corner in value for part in corner):
+            raise ValueError("corners are at most 100 metres away")
+        return value
 
     @model_validator(mode="after")
     def _safe(self) -> WebSection:
