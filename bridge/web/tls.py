@@ -6,7 +6,7 @@ import logging
 import ssl
 
 from bridge.config.model import Config
-from bridge.hub.security.certificates import read_certificate
+from bridge.hub.security.certificates import read_certificate, trouble
 from bridge.hub.security.door import KeyWatch, key_files
 
 _log = logging.getLogger("midspan.web")
@@ -24,9 +24,9 @@ class ServerTls:
 
     def __init__(self, config: Config) -> None:
         self._files = key_files(config)
-        trouble = self._files.trouble()
-        if trouble:
-            raise RuntimeError(f"the console cannot have TLS: {trouble}")
+        why = trouble(self._files)
+        if why:
+            raise RuntimeError(f"the console cannot have TLS: {why}")
         self.names = config.web.names or read_certificate(self._files.certificate).names
         self.context = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
         self.context.minimum_version = ssl.TLSVersion.TLSv1_2

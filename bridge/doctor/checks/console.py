@@ -6,7 +6,7 @@ import stat
 
 from bridge.doctor.check import Finding, Findings, fail, ok, skip, warn
 from bridge.doctor.context import CheckContext
-from bridge.hub.security.certificates import read_certificate
+from bridge.hub.security.certificates import read_certificate, trouble
 from bridge.hub.security.door import key_files
 
 SOON_DAYS = 30
@@ -19,9 +19,9 @@ def look_at_certificate(context: CheckContext) -> Findings:
     if not (web.enabled and web.guarded):
         return skip("the console runs on this machine's loopback alone, or not at all: no certificate is needed")
     files = key_files(context.config)
-    trouble = files.trouble()
-    if trouble:
-        return fail(f"the console cannot start: {trouble}", _MAKE)
+    why = trouble(files)
+    if why:
+        return fail(f"the console cannot start: {why}", _MAKE)
     own = read_certificate(files.certificate)
     findings: list[Finding] = []
     if own.days_left() < SOON_DAYS:

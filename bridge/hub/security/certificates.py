@@ -21,6 +21,9 @@ from cryptography.hazmat.primitives import hashes, serialization
 from cryptography.hazmat.primitives.asymmetric import ec
 from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
 
+from bridge.hub.errors import HubConfigError
+from bridge.hub.security.door import KeyFiles
+
 AUTHORITY = "ca"
 AUTHORITY_DAYS = 3650
 MACHINE_DAYS = 730
@@ -179,6 +182,20 @@ def signed_by(file: Path, authority: Path) -> bool:
     except (InvalidSignature, ValueError, TypeError):
         return False
     return True
+
+
+def trouble(files: KeyFiles) -> str:
+    """Why nobody would take this certificate now, "" where they would."""
+    try:
+        files.check()
+        own, signed = read_certificate(files.certificate), signed_by(files.certificate, files.ca)
+    except (HubConfigError, CertificateError) as err:
+        return str(err)
+    if own.until < datetime.now(UTC):
+        return f"{files.certificate} expired on {own.until:%Y-%m-%d}; renew it: midspan keys make NAME --replace"
+    if not signed:
+        return f"{files.certificate} was not signed by {files.ca}; copy both from the same folder of 'midspan keys'"
+    return ""
 
 
 def _load(file: Path) -> x509.Certificate:

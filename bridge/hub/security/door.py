@@ -12,7 +12,6 @@ import logging
 import os
 import ssl
 from dataclasses import dataclass
-from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
@@ -25,7 +24,6 @@ from bridge.config.sections.section import is_loopback
 from bridge.hub.errors import HubConfigError, HubError, zenoh_reason
 from bridge.hub.links import LinkLimits
 from bridge.hub.security.access import ANYBODY, access_control
-from bridge.hub.security.certificates import CertificateError, read_certificate, signed_by
 from bridge.hub.zenoh_config import MAX_PAYLOAD, connect_endpoint, make_config, router_tree
 
 KEYS = Path("/etc/midspan/keys")
@@ -50,21 +48,6 @@ class KeyFiles:
                 raise HubConfigError(f"there is no {file}; 'midspan keys make' makes it, and says what to copy here")
             if not os.access(file, os.R_OK):
                 raise HubConfigError(f"{file} cannot be read by this process's user; give it to that user (chown)")
-
-    def trouble(self) -> str:
-        """Why nobody would take this certificate now, "" where they would."""
-        try:
-            self.check()
-            own = read_certificate(self.certificate)
-            if own.until < datetime.now(UTC):
-                return f"{self.certificate} expired on {own.until:%Y-%m-%d}; renew it: midspan keys make NAME --replace"
-            if not signed_by(self.certificate, self.ca):
-                return (
-                    f"{self.certificate} was not signed by {self.ca}; copy both from the same folder of 'midspan keys'"
-                )
-        except (HubConfigError, CertificateError) as err:
-            return str(err)
-        return ""
 
 
 @dataclass(frozen=True, slots=True)
