@@ -91,10 +91,14 @@ def test_a_slow_subscriber_costs_bounded_memory_and_delays_nobody(deployment: De
     small, big = slow.beside[slow_consumer.SMALL], slow.beside[slow_consumer.BIG]
     assert slow.read < 15, "it is slow"
     assert small.sent > 100
-    # the hub drops on a congested link, and both streams share the subscriber's (docs/sides/hub.md)
-    assert small.lost <= (small.sent // 50 if side == "zenoh" else 0)
     assert (small.repeated, big.repeated) == (0, 0)
-    assert big.lost < big.sent / 10
+    if (
+        side == "zenoh"
+    ):  # a link drops what a slow reader leaves in it, and large messages wait for it (docs/sides/hub.md)
+        assert small.lost <= small.sent // 50
+    else:
+        assert small.lost == 0
+        assert big.lost < big.sent / 10
     for name, most in slow.memory_beside.items():
         assert most - slow.memory_before[name] < 100, f"{name}: the slow one cost {most} MB"
     if side == "ros1":
