@@ -14,12 +14,15 @@ import argparse
 import contextlib
 import json
 import math
+import os
 import shutil
+import signal
 import statistics
 import sys
 import tempfile
 import threading
 import time
+import urllib.request
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
@@ -41,8 +44,9 @@ from bridge.messages.json import from_json
 from bridge.messages.registry import Registry
 from bridge.web.map_pictures import TILE
 
-FIRST_VIEW, MAP_SEEN, AGE_MS, TEN_PERCENT = 1.0, 2.0, 100.0, 15.0
-"""Aims: seconds to the first view and to the large map; ms from hub to pixels, p95; percent of a core for ten pages."""
+FIRST_VIEW, MAP_SEEN, AGE_MS, BACK, TEN_PERCENT = 1.0, 2.0, 100.0, 3.0, 15.0
+"""Aims: seconds to the first view and to the large map; ms from hub to pixels, p95; seconds until the page goes on once
+the console is back; percent of a core for ten pages."""
 CELLS, METRES = 4000, 0.05
 TILES = math.ceil(CELLS / TILE) ** 2
 FEEDS = ("robot", "robots", "driving", "map", "laser", "path", "places")
@@ -138,7 +142,7 @@ def _with_map(folder: Path) -> dict[str, Any]:
     return {"web": {"enabled": True}, "store": store, "navigation": {"map": "store"}}
 
 
-def in_chromium(address: str, robot: Robot, seconds: float) -> list[Row]:
+def in_chromium(address: str, robot: Robot, worker: Callable[[], int], seconds: float) -> list[Row]:
     """Open the page in a browser with an empty profile, and watch."""
     from selenium.webdriver import Chrome, ChromeOptions
     from selenium.webdriver.chrome.service import Service
@@ -159,6 +163,7 @@ def in_chromium(address: str, robot: Robot, seconds: float) -> list[Row]:
             chrome.execute_script("marks.robot = []; marks.laser = []")
             time.sleep(seconds)
             marks: dict[str, list[list[float]]] = chrome.execute_script("return marks")
+            back = _comes_back(lambda: str(chrome.execute_script("return document.body.dataset.line")), address, worker)
         finally:
             chrome.quit()
     rows = [
@@ -170,7 +175,25 @@ def in_chromium(address: str, robot: Robot, seconds: float) -> list[Row]:
         if len(ages) < 5 * seconds:
             raise RuntimeError(f"{feed}: {len(ages)} values were seen in {seconds:g} s, of {len(marks[feed])} drawn")
         rows.append(Row(f"{feed}, hub to pixels, p95", statistics.quantiles(ages, n=20)[-1], AGE_MS, "ms"))
-    return rows
+    return [*rows, Row("page goes on once a killed console is back", back, BACK, "s")]
+
+
+def _comes_back(line: Callable[[], str], address: str, worker: Callable[[], int]) -> float:
+    """Kill the console; seconds from its successor's first answer until the page is connected again."""
+    os.kill(worker(), signal.SIGKILL)
+    _until(lambda: line() != "open", "the page notices")
+    _until(lambda: _answers(address), "the console is back")
+    begun = time.monotonic()
+    _until(lambda: line() == "open", "the page goes on")
+    return time.monotonic() - begun
+
+
+def _answers(address: str) -> bool:
+    try:
+        with urllib.request.urlopen(address, timeout=5) as answer:
+            return bool(answer.status == 200)
+    except OSError:
+        return False
 
 
 @contextlib.contextmanager
@@ -227,9 +250,12 @@ def measure(seconds: float) -> list[Row]:
     ):
         address = f"http://127.0.0.1:{deployment.place.web_port}/"
         robot.start()
-        found = ask_daemon(deployment.place.config) or {}
-        worker = next(w["pid"] for w in found["workers"] if w["worker"] == "web")
-        rows = in_chromium(address, robot, seconds)
+
+        def worker() -> int:
+            workers = (ask_daemon(deployment.place.config) or {"workers": []})["workers"]
+            return int(next(each["pid"] for each in workers if each["worker"] == "web"))
+
+        rows = in_chromium(address, robot, worker, seconds)
         for side in ("ros2", "zenoh"):
             deployment.program(side)
         deployment.ask("ros2", "publish", topics=[deployment.topic("ros2", SMALL, "string")])
@@ -238,9 +264,9 @@ def measure(seconds: float) -> list[Row]:
         alone = _latency(deployment, seconds)
         with ten_pages(address):
             time.sleep(2.0)  # each has the map and what else is said once
-            begun, before = time.monotonic(), cpu_seconds(worker)
+            begun, before = time.monotonic(), cpu_seconds(pid := worker())
             beside = _latency(deployment, seconds)
-            percent = 100 * (cpu_seconds(worker) - before) / (time.monotonic() - begun)
+            percent = 100 * (cpu_seconds(pid) - before) / (time.monotonic() - begun)
     rows.append(Row(f"{PAGES} pages", percent, TEN_PERCENT, "% of a core"))
     rows.append(Row(f"ROS 2 to the hub beside {PAGES} pages, p50", beside, alone, "ms"))
     return rows

@@ -30,7 +30,7 @@ MOST_POINTS = 2000
 """Of a path or a scan; of longer ones every second, third ... is sent."""
 _CORNERS = 16
 _LASER_GAP = 0.8 * ROBOT_SECONDS
-"""Seconds after which a scan is put as it comes; a laser of 10 Hz never waits for the timer."""
+"""Seconds between two scans at the least; one that comes sooner waits for so long, so that 10 Hz hardly ever waits."""
 
 
 class FrameFollower:
@@ -148,7 +148,7 @@ class TopicsFeed(Feed):
 
 
 class LaserFeed(TopicsFeed):
-    """``laser``: what the laser sees, on the map, at most ten times a second."""
+    """``laser``: what the laser sees, on the map, some ten times a second."""
 
     def __init__(self, host: Host, follower: FrameFollower, topic: str) -> None:
         super().__init__(host, "laser")

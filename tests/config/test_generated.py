@@ -22,6 +22,10 @@ from bridge.config.sections.yarp import Service, Topic
 from bridge.config.sections.zenoh import Dialect, DialectKey
 
 ROOT = Path(__file__).parents[2]
+ENTRIES = (
+    Rule, ParameterRule, QosOverride, Dialect, DialectKey, Topic, Service, OwnModule, BaseInput, Planner, OtherRobot,
+)  # fmt: skip
+"""Of lists of sections."""
 CONFIGS = sorted((ROOT / "configs").glob("*.yaml"))
 
 
@@ -51,19 +55,7 @@ def test_example_has_every_key_and_loads_to_the_defaults() -> None:
             continue
         for key in path:
             part = part[key]
-    for model in (
-        Rule,
-        ParameterRule,
-        QosOverride,
-        Dialect,
-        DialectKey,
-        Topic,
-        Service,
-        OwnModule,
-        BaseInput,
-        Planner,
-        OtherRobot,
-    ):
+    for model in ENTRIES:
         for name, info in model.model_fields.items():
             assert f"- {info.alias or name} (" in text
     assert max(len(line) for line in text.splitlines()) <= generate.WIDTH
@@ -75,20 +67,7 @@ def test_every_key_is_described() -> None:
             assert info.description, f"{model.__name__}.{name}"
 
     sections = (type(getattr(Config(), name)) for name in Config.model_fields)
-    rules = (
-        Rule,
-        ParameterRule,
-        QosOverride,
-        Dialect,
-        DialectKey,
-        Topic,
-        Service,
-        OwnModule,
-        BaseInput,
-        Planner,
-        OtherRobot,
-    )
-    for model in (Config, *rules, *sections):
+    for model in (Config, *ENTRIES, *sections):
         if hasattr(model, "model_fields"):
             check(model)
 

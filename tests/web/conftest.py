@@ -11,8 +11,10 @@ import pytest
 from bridge.config.model import Config
 from bridge.hub.session import Hub
 from bridge.messages.registry import Registry
+from bridge.stores.store import Store
 from bridge.web.worker import Console
 from tests.contract.hubside import HubSide
+from tests.stores.parts import Shared
 from tests.support.quick_hub import QuickHub
 
 
@@ -58,3 +60,10 @@ def desk(tmp_path: Path) -> Iterator[Desk]:
     made = Desk(tmp_path)
     yield made
     made.close()
+
+
+@pytest.fixture
+def store(desk: Desk, tmp_path: Path) -> Iterator[Store]:
+    """A daemon's store on the console's hub."""
+    with Shared(tmp_path, "here", desk.hubs.endpoint) as shared:
+        yield shared.store

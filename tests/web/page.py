@@ -34,6 +34,7 @@ class TestPage:
     def __init__(self, port: int, *, takes: bool = True, **options: Any) -> None:
         tls = "s" if "ssl" in options else ""
         join: Any = TlsSocket if tls else connect
+        options.setdefault("max_queue", None)  # else a page that reads no more cannot even be closed
         options.setdefault("origin", f"http{tls}://127.0.0.1:{port}")
         self._stack = contextlib.ExitStack()
         address = f"ws{tls}://127.0.0.1:{port}/socket"

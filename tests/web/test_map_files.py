@@ -17,7 +17,6 @@ from bridge.stores.store import Store, Write
 from bridge.web import map_files
 from bridge.web.map_files import Parcels, heads, unpacked
 from bridge.web.verbs import VerbError
-from tests.stores.parts import Shared
 from tests.web.conftest import Desk
 from tests.web.page import TestPage
 from yarp_compat.dev.locations import Map2DLocation
@@ -31,11 +30,11 @@ def house(name: str = "house") -> MapGrid2D:
 
 
 @pytest.fixture
-def store(desk: Desk, tmp_path: Path) -> Iterator[Store]:
-    with Shared(tmp_path, "here", desk.hubs.endpoint) as shared:
-        shared.store.put(MAP, "house", house())
-        shared.store.use_map("house")
-        yield shared.store
+def store(store: Store) -> Store:
+    """With a map in use."""
+    store.put(MAP, "house", house())
+    store.use_map("house")
+    return store
 
 
 @pytest.fixture

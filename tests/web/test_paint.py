@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import io
-from collections.abc import Iterator
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -16,7 +14,6 @@ from bridge.stores.store import Store, Write
 from bridge.web.map_pictures import CLEAR, TILE, Pictures, flags_picture, occupancy_picture
 from bridge.web.paint import MOST_CELLS, MOST_PIECES, MOST_RUNS, Run, paint, runs_of
 from bridge.web.verbs import VerbError
-from tests.stores.parts import Shared
 from tests.web.conftest import Desk
 from tests.web.page import TestPage
 from yarp_compat.dev.locations import Map2DLocation
@@ -139,11 +136,11 @@ def test_a_change_is_one_tile() -> None:
 
 
 @pytest.fixture
-def store(desk: Desk, tmp_path: Path) -> Iterator[Store]:
-    with Shared(tmp_path, "here", desk.hubs.endpoint) as shared:
-        shared.store.put(MAP, "house", house())
-        shared.store.use_map("house")
-        yield shared.store
+def store(store: Store) -> Store:
+    """With a map in use."""
+    store.put(MAP, "house", house())
+    store.use_map("house")
+    return store
 
 
 def flags(store: Store) -> list[list[int]]:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -11,7 +10,6 @@ import pytest
 
 from bridge.stores.kinds import AREA, BEHAVIOUR, CURRENT, LOCATION, MAP, PATH
 from bridge.stores.store import Store, Write
-from tests.stores.parts import Shared
 from tests.web.conftest import Desk
 from tests.web.page import TestPage
 from yarp_compat.dev.extras import AreaBehaviour
@@ -24,12 +22,11 @@ HALL = Map2DArea("house", [Vec2D(x, y) for x, y in SQUARE])
 
 
 @pytest.fixture
-def store(desk: Desk, tmp_path: Path) -> Iterator[Store]:
-    """A daemon's store on the console's hub, with a map in use."""
-    with Shared(tmp_path, "here", desk.hubs.endpoint) as shared:
-        shared.store.write([Write(MAP, "house", MapGrid2D.of(np.zeros((4, 5)), name="house", resolution=0.1))])
-        shared.store.use_map("house")
-        yield shared.store
+def store(store: Store) -> Store:
+    """With a map in use."""
+    store.write([Write(MAP, "house", MapGrid2D.of(np.zeros((4, 5)), name="house", resolution=0.1))])
+    store.use_map("house")
+    return store
 
 
 @pytest.fixture
