@@ -21,6 +21,8 @@ from yarp_compat.naming.config import Address
 
 ROOT = Path(__file__).parents[2]
 CONFIG = ROOT / "configs" / "navigation.yaml"
+PORTER = {"name": "porter", "base_frame": "odom", "path": "/planner/robot_path_planner/path"}
+"""Another robot: it stands where odometry began, and means to go where the first one does."""
 
 
 class WebRobot:
@@ -40,7 +42,7 @@ class WebRobot:
             "store": store,
             "sim": {**config["sim"], "people": False},
             "yarp": {**config["yarp"], "address": f"127.0.0.1:{self.names}", "ip": "127.0.0.1"},
-            "web": {"enabled": True, "listen": f"127.0.0.1:{self.port}"},
+            "web": {"enabled": True, "listen": f"127.0.0.1:{self.port}", "robots": [PORTER]},
         }
         self.file.write_text(yaml.safe_dump({**config, **own}))
         self.daemon = self._start()

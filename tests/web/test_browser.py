@@ -28,6 +28,15 @@ from yarp_compat.dev.mapgrid import MapFlag
 FREE = (6.0, 4.8)
 """In the corridor."""
 NEAR = 0.4
+PIXELS = """
+const canvas = document.querySelector("canvas");
+const [colour] = getComputedStyle(document.documentElement).getPropertyValue(arguments[0]).match(/[0-9a-f]{6}/);
+const [r, g, b] = [0, 2, 4].map((at) => parseInt(colour.slice(at, at + 2), 16));
+const { data } = canvas.getContext("2d").getImageData(0, 0, canvas.width, canvas.height);
+let count = 0;
+for (let i = 0; i < data.length; i += 4) count += data[i] === r && data[i + 1] === g && data[i + 2] === b;
+return count;
+"""
 HANG = "const end = Date.now() + 4000; setTimeout(() => { while (Date.now() < end); }, 0)"
 """Four seconds in which no script of the page runs."""
 
@@ -97,6 +106,11 @@ class Operator:
         until(lambda: canvas.is_displayed() and canvas.size["width"] > 100, "the map is there")
         return canvas
 
+    def pixels(self, colour: str) -> int:
+        """How many pixels of the map have a colour of the style."""
+        found: int = self.chrome.execute_script(PIXELS, colour)
+        return found
+
     def texts(self, selector: str) -> list[str]:
         """The texts of elements that may be filled anew meanwhile."""
         script = "return [...document.querySelectorAll(arguments[0])].map((each) => each.textContent)"
@@ -162,6 +176,15 @@ def test_a_press_on_the_map_sends_the_robot(operator: Operator, watch: TestPage)
     watch.until(lambda: watch.values["driving"]["value"]["state"] == "goal_reached", "it arrives", 120)
     assert off(watch, *FREE) < NEAR
     until(lambda: "arriv" in operator.chrome.find_element(By.ID, "driving").text.lower(), "the page says so")
+
+
+def test_another_robot_has_its_own_colour(operator: Operator, watch: TestPage) -> None:
+    watch.watch("robots")
+    watch.call("goto_place", name="corridor")
+    (porter,) = watch.value("robots", lambda robots: robots and robots[0]["pose"] and robots[0]["path"])
+    assert porter["name"] == "porter"
+    operator.map_at(porter["pose"]["x"], porter["pose"]["y"])
+    until(lambda: operator.pixels("--robot-0") > 50, "it is drawn in its colour")
 
 
 def test_a_drag_gives_the_heading(operator: Operator, watch: TestPage) -> None:

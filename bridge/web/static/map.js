@@ -346,7 +346,7 @@ export class MapBlock {
     if (this.layers.on("path")) scene.drawPath(context, view, values.path?.points ?? [], values.robot?.pose, colour);
     if (this.layers.on("obstacles") && values.obstacles) scene.drawObstacles(context, view, values.obstacles, colour);
     if (this.layers.on("laser")) scene.drawLaser(context, view, values.laser?.points ?? [], colour);
-    const [labels, others] = [new Labels(context, view.width, colour), seen(values.robots)];
+    const [labels, others] = [new Labels(context, view.width, colour), seen(values.robots, colour)];
     drawRobotNames(labels, view, others);
     scene.drawNames(labels, view, named, colour);
     drawRobots(context, view, others, colour, this.layers.on("path"), !this.socket.open);

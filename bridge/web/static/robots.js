@@ -4,15 +4,13 @@ import { drawPath, drawRobot } from "./scene.js";
 
 const COLOURS = 6; // --robot-0 to --robot-5
 
-const styled = (name) => getComputedStyle(document.documentElement).getPropertyValue(name).trim();
-
 /** The robots of the feed `robots` that are seen: [{name, pose, footprint, path, ink}]. */
-export const seen = (robots) =>
-  (robots ?? []).map((robot, i) => ({ ...robot, ink: styled(`--robot-${i % COLOURS}`) })).filter(({ pose }) => pose);
+export const seen = (robots, colour) =>
+  (robots ?? []).map((robot, i) => ({ ...robot, ink: colour[`robot-${i % COLOURS}`] })).filter(({ pose }) => pose);
 
 /** `paths`: whether their paths are drawn; `old`: the line is lost, they may be elsewhere. */
 export function drawRobots(context, view, robots, colour, paths, old) {
-  for (const { ink, path } of robots) if (paths) drawPath(context, view, path, { ...colour, path: ink });
+  for (const { ink, path, pose } of robots) if (paths) drawPath(context, view, path, pose, { ...colour, path: ink });
   for (const robot of robots) drawRobot(context, view, robot, { ...colour, accent: robot.ink }, old);
 }
 

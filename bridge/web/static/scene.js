@@ -3,7 +3,8 @@
 /** The colours of the page's theme, by the names of style.css. */
 export function colours() {
   const style = getComputedStyle(document.documentElement);
-  const names = ["floor", "grid", "ink", "muted", "accent", "laser", "path", "area", "goal", "halo", "bad", "held"];
+  const names = ["floor", "grid", "ink", "muted", "accent", "laser", "path", "area", "goal", "halo", "bad", "held",
+    "robot-0", "robot-1", "robot-2", "robot-3", "robot-4", "robot-5"];
   return Object.fromEntries(names.map((name) => [name, style.getPropertyValue(`--${name}`).trim()]));
 }
 
@@ -108,10 +109,7 @@ function line(context, pixels, width, ink, opacity = 1) {
 export function nearest(points, { x, y }) {
   let [least, found] = [Infinity, [0, points[0], points[1]]];
   for (let i = 0; i + 3 < points.length; i += 2) {
-    const [ax, ay, bx, by] = points.slice(i, i + 4);
-    const [dx, dy] = [bx - ax, by - ay];
-    const share = Math.min(1, Math.max(0, ((x - ax) * dx + (y - ay) * dy) / (dx * dx + dy * dy || 1)));
-    const [px, py] = [ax + share * dx, ay + share * dy];
+    const [px, py] = onLine(points[i], points[i + 1], points[i + 2], points[i + 3], x, y);
     const far = Math.hypot(px - x, py - y);
     if (far < least) [least, found] = [far, [i / 2, px, py]];
   }
@@ -296,14 +294,20 @@ export function inside(points, x, y) {
   return odd;
 }
 
+/** The place on the line from a to b that is next to x, y. */
+function onLine(ax, ay, bx, by, x, y) {
+  const [dx, dy] = [bx - ax, by - ay];
+  const share = Math.min(1, Math.max(0, ((x - ax) * dx + (y - ay) * dy) / (dx * dx + dy * dy || 1)));
+  return [ax + share * dx, ay + share * dy];
+}
+
 /** How far a place is from a line of points. */
 export function farFrom(points, x, y) {
   let least = Infinity;
   points.forEach(([bx, by], i) => {
     const [ax, ay] = points[Math.max(i - 1, 0)];
-    const [dx, dy] = [bx - ax, by - ay];
-    const share = Math.min(1, Math.max(0, ((x - ax) * dx + (y - ay) * dy) / (dx * dx + dy * dy || 1)));
-    least = Math.min(least, Math.hypot(ax + share * dx - x, ay + share * dy - y));
+    const [px, py] = onLine(ax, ay, bx, by, x, y);
+    least = Math.min(least, Math.hypot(px - x, py - y));
   });
   return least;
 }
