@@ -11,10 +11,10 @@ from typing import Any
 from bridge.cli.client import CliClient
 from bridge.cli.documents import Document, dicts, route_list
 from bridge.cli.graph.view import ask_decisions
-from bridge.cli.inspection.status import document_of
+from bridge.cli.inspection.status import absent, document_of
 from bridge.cli.output import CliError
 from bridge.concurrency import SerialExecutor
-from bridge.daemon.query import ask_daemon
+from bridge.daemon.query import Phase, ask_daemon
 from bridge.hub.errors import HubError
 from bridge.modules.host import Host
 from bridge.routing.gates import TAPS
@@ -25,6 +25,7 @@ _log = logging.getLogger("midspan.web")
 
 STATUS_SECONDS = 1.0
 _ASK_SECONDS = 1.0
+_NOT_HERE = {phase.value for phase in Phase} - {Phase.OFF.value, Phase.UP.value}
 _ROUTE = ("direction", "topic", "hub_topic", "type", "kind", "state", "rate", "bytes", "error")
 _DECISION = ("daemon", "direction", "decision", "why", "cure")
 
@@ -96,14 +97,10 @@ def ask_status(client: CliClient) -> dict[str, Any]:
     documents = [document_of(answer) for answer in client.ask("status", timeout=_ASK_SECONDS)]
     answering = {(str(document["daemon"]), str(document["worker"])) for document in documents}
     said = ask_daemon(client.config) or {}
-    absent = [
-        {"daemon": said["daemon"], "state": worker["phase"], **{key: worker[key] for key in ("worker", "text")}}
-        for worker in said.get("workers", ())
-        if worker["phase"] not in ("off", "running") and (said["daemon"], worker["worker"]) not in answering
-    ]
+    silent = [worker for worker in absent(said, _NOT_HERE) if (said["daemon"], worker["worker"]) not in answering]
     restarts = {worker["pid"]: worker["restarts"] for worker in said.get("workers", ()) if worker["pid"]}
     return {
-        "workers": [_worker(document, said, restarts) for document in (*documents, *absent)],
+        "workers": [_worker(document, said, restarts) for document in (*documents, *silent)],
         "machines": [_machine(document, one) for document in documents for one in dicts(document.get("machines"))],
         "routes": [_route(document, route) for document in documents for route in route_list(document)],
         "refused": [_refused(document, one) for document in documents for one in dicts(document.get("refused"))],
@@ -115,10 +112,9 @@ def _worker(document: Document, said: Document, restarts: Mapping[int, int]) -> 
     if found["restarts"] is None and document.get("daemon") == said.get("daemon"):
         found["restarts"] = restarts.get(document.get("pid", 0))  # the daemon's word, which a worker does not know
     side = document.get("side")
-    is_side = isinstance(side, str) and side in {each.name for each in all_sides()}
     return {
         **found,
-        "side": label(side) if is_side and side is not None else None,
+        "side": label(side) if isinstance(side, str) and side in {each.name for each in all_sides()} else None,
         "text": document.get("error") or document.get("text") or "",
     }
 
@@ -133,10 +129,7 @@ def _route(document: Document, route: Document) -> dict[str, Any]:
     return {
         "daemon": document.get("daemon"),
         "side": document.get("side"),
-        **{
-            key: route.get(key)
-            for key in ("direction", "topic", "hub_topic", "type", "kind", "state", "rate", "bytes", "error")
-        },
+        **{key: route.get(key) for key in _ROUTE},
         "dropped": sum(drops.values()) if isinstance(drops, dict) else 0,
         "drops": drops,
         "latency": half / 1000.0 if isinstance(half, int | float) else None,
@@ -161,10 +154,5 @@ def list_topics(client: CliClient) -> list[dict[str, Any]]:
 
 def explain(client: CliClient, name: str) -> list[dict[str, Any]]:
     """Why a topic, a service or an action crosses or does not."""
-    return [
-        {
-            "side": found.worker,
-            **{key: getattr(found, key) for key in _DECISION},
-        }
-        for found in ask_decisions(client, name, None)
-    ]
+    decisions = ask_decisions(client, name, None)
+    return [{"side": each.worker, **{key: getattr(each, key) for key in _DECISION}} for each in decisions]

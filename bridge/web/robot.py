@@ -17,6 +17,7 @@ from bridge.modules.endpoints import Subscription
 from bridge.modules.host import Host
 from bridge.modules.loop import Timer
 from bridge.web.feed import Feed
+from bridge.web.frame_feeds import FrameFeed, FrameFollower
 from navigation.frames import LATE, FramesError, RobotFrames, laser_pose
 from navigation.gateway.planner_link import PATH
 from navigation.maps.grid import yaw_of
@@ -25,67 +26,12 @@ from navigation.pose import Pose
 from navigation.scan import SCAN
 from navigation.status import STATUS, State
 
-FRAMES_SECONDS, ROBOT_SECONDS = 1.0, 0.1
+ROBOT_SECONDS = 0.1
 MOST_POINTS = 2000
 """Of a path or a scan; of longer ones every second, third ... is sent."""
 _CORNERS = 16
 _LASER_GAP = 0.8 * ROBOT_SECONDS
 """Seconds between two scans at the least; one that comes sooner waits for so long, so that 10 Hz hardly ever waits."""
-
-
-class FrameFollower:
-    """The frames of all sides, followed while anybody needs them."""
-
-    def __init__(self, host: Host, config: Config) -> None:
-        self._host, self._config = host, config
-        self._users = 0
-        self._frames: RobotFrames | None = None
-
-    @property
-    def frames(self) -> RobotFrames:
-        """The frames; raises `FramesError` while nobody follows them."""
-        if self._frames is None:
-            raise FramesError("the frames are not followed")
-        return self._frames
-
-    def begin(self) -> None:
-        """One more needs them."""
-        self._users += 1
-        if self._frames is None:
-            section = self._config.navigation
-            self._frames = RobotFrames(self._host, section.frame, section.base_frame)
-        elif self._users == 1:
-            self._frames.listen()
-
-    def end(self) -> None:
-        """One less."""
-        self._users -= 1
-        if not self._users:
-            self.frames.rest()
-
-
-class FrameFeed(Feed):
-    """A feed that looks at the frames again and again."""
-
-    def __init__(self, host: Host, follower: FrameFollower, name: str, seconds: float) -> None:
-        super().__init__(name)
-        self._host, self._follower, self._seconds = host, follower, seconds
-        self._timer: Timer | None = None
-
-    def open(self) -> None:
-        """Follow the frames."""
-        self._follower.begin()
-        self._timer = self._host.loop.every(self._seconds, self.look)
-        self.look()
-
-    def close(self) -> None:
-        """Rest."""
-        if self._timer is not None:
-            self._timer.close()
-        self._follower.end()
-
-    def look(self) -> None:
-        """Put the value of now."""
 
 
 class RobotFeed(FrameFeed):
@@ -103,29 +49,6 @@ class RobotFeed(FrameFeed):
             self.put(None, str(err))
             return
         self.put({"pose": place(pose), "footprint": self._footprint})
-
-
-class FramesFeed(FrameFeed):
-    """``frames``: all frames that have a parent."""
-
-    def __init__(self, host: Host, follower: FrameFollower) -> None:
-        super().__init__(host, follower, "frames", FRAMES_SECONDS)
-
-    def look(self) -> None:
-        """Put the tree."""
-        now = self._host.clock.now_ns()
-        self.put(
-            [
-                {
-                    "name": info.name,
-                    "parent": info.parent,
-                    "age": None if info.static else round(max(now - info.newest, 0) / 1e9, 1),
-                    "rate": round(info.rate, 1),
-                    "parents": sorted(info.parents),
-                }
-                for info in self._follower.frames.buffer.frames()
-            ]
-        )
 
 
 class TopicsFeed(Feed):

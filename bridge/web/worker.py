@@ -19,7 +19,7 @@ from bridge.modules.host import Host
 from bridge.state_file import worker_folder
 from bridge.web.access import Access, Grant, kept_secret
 from bridge.web.feed import Feeds
-from bridge.web.frame_pose import FramePoseFeed
+from bridge.web.frame_feeds import FrameFollower, FramePoseFeed, FramesFeed
 from bridge.web.hold import HOLD_SECONDS, HandDriving
 from bridge.web.hub_feeds import AskingFeed, StatusAsker, list_topics
 from bridge.web.image_feed import ImageFeed
@@ -33,7 +33,7 @@ from bridge.web.page import Page
 from bridge.web.paint import Painter
 from bridge.web.patrol import ANOTHER, STOPPED, Patrol
 from bridge.web.place_verbs import PlaceVerbs
-from bridge.web.robot import DrivingFeed, FrameFollower, FramesFeed, LaserFeed, PathFeed, RobotFeed, disc
+from bridge.web.robot import DrivingFeed, LaserFeed, PathFeed, RobotFeed, disc
 from bridge.web.robots import RobotsFeed
 from bridge.web.sending import Sending, list_services, sending_verbs
 from bridge.web.server import WebServer, hello

@@ -18,6 +18,7 @@ from bridge.cli.output import CliError, clean, make_console, print_json
 from bridge.config.document import ConfigError
 from bridge.config.load import find, load
 from bridge.config.model import Config
+from bridge.daemon.query import ask_daemon
 from bridge.doctor import context
 from bridge.doctor.check import Report, Result, examine
 from bridge.doctor.checks import CHECKS
@@ -75,7 +76,7 @@ def _look_around(args: argparse.Namespace) -> CheckContext:
 def look_from(client: CliClient, file: Path | None) -> CheckContext:
     """What the checks look at, for a program of the daemon's that is on the hub; ``file``: the configuration's."""
     environ, view = dict(os.environ), snapshot(client)
-    view = _with_silent(view, absent(client.config))
+    view = _with_silent(view, absent(ask_daemon(client.config) or {}))
     try:
         load(file)
     except ConfigError as err:

@@ -7,7 +7,7 @@ import contextlib
 import dataclasses
 import sys
 import time
-from collections.abc import Sequence
+from collections.abc import Container, Sequence
 
 from rich.console import Console, Group, RenderableType
 from rich.live import Live
@@ -18,7 +18,6 @@ from bridge.cli.client import CliClient, client_config, open_client
 from bridge.cli.documents import Document, arrow, connected_lines, dicts, port_list, route_list, routes_table, texts
 from bridge.cli.inspection.refusals import Refusal, refusals
 from bridge.cli.output import CliError, clean, duration, is_number, make_console, plural, print_json, side_name, size
-from bridge.config.model import Config
 from bridge.daemon.query import Phase, ask_daemon
 from bridge.hub.control import WorkerAnswer
 
@@ -73,12 +72,11 @@ def absent_workers(args: argparse.Namespace) -> list[Document]:
     """Workers that are to run and do not yet answer on the hub, by the word of this machine's daemon."""
     if args.router is not None or args.hub_domain is not None:
         return []  # that hub is another daemon's
-    return absent(client_config(args))
+    return absent(ask_daemon(client_config(args)) or {})
 
 
-def absent(config: Config) -> list[Document]:
-    """The same for the daemon of a configuration."""
-    said = ask_daemon(config) or {}
+def absent(said: Document, phases: Container[str] = _ABSENT) -> list[Document]:
+    """The workers of a daemon's own document that are in one of these phases."""
     return [
         {
             "daemon": said["daemon"],
@@ -89,7 +87,7 @@ def absent(config: Config) -> list[Document]:
             "restarts": worker["restarts"],
         }
         for worker in said.get("workers", ())
-        if worker["phase"] in _ABSENT
+        if worker["phase"] in phases
     ]
 
 

@@ -1,0 +1,125 @@
+"""The feeds of the frames: their tree, and where one is in another (``pose:REFERENCE>FRAME``)."""
+
+from __future__ import annotations
+
+from bridge.cli.frames.tf import angles_of
+from bridge.config.model import Config
+from bridge.modules.host import Host
+from bridge.modules.loop import Timer
+from bridge.tf.errors import TransformError
+from bridge.web.feed import Feed
+from navigation.frames import FramesError, RobotFrames
+
+PREFIX = "pose:"
+FRAMES_SECONDS, POSE_SECONDS = 1.0, 0.2
+_MOST_NAME = 255
+
+
+class FrameFollower:
+    """The frames of all sides, followed while anybody needs them."""
+
+    def __init__(self, host: Host, config: Config) -> None:
+        self._host, self._config = host, config
+        self._users = 0
+        self._frames: RobotFrames | None = None
+
+    @property
+    def frames(self) -> RobotFrames:
+        """The frames; raises `FramesError` while nobody follows them."""
+        if self._frames is None:
+            raise FramesError("the frames are not followed")
+        return self._frames
+
+    def begin(self) -> None:
+        """One more needs them."""
+        self._users += 1
+        if self._frames is None:
+            section = self._config.navigation
+            self._frames = RobotFrames(self._host, section.frame, section.base_frame)
+        elif self._users == 1:
+            self._frames.listen()
+
+    def end(self) -> None:
+        """One less."""
+        self._users -= 1
+        if not self._users:
+            self.frames.rest()
+
+
+class FrameFeed(Feed):
+    """A feed that looks at the frames again and again."""
+
+    def __init__(self, host: Host, follower: FrameFollower, name: str, seconds: float) -> None:
+        super().__init__(name)
+        self._host, self._follower, self._seconds = host, follower, seconds
+        self._timer: Timer | None = None
+
+    def open(self) -> None:
+        """Follow the frames."""
+        self._follower.begin()
+        self._timer = self._host.loop.every(self._seconds, self.look)
+        self.look()
+
+    def close(self) -> None:
+        """Rest."""
+        if self._timer is not None:
+            self._timer.close()
+        self._follower.end()
+
+    def look(self) -> None:
+        """Put the value of now."""
+
+
+class FramesFeed(FrameFeed):
+    """``frames``: all frames that have a parent."""
+
+    def __init__(self, host: Host, follower: FrameFollower) -> None:
+        super().__init__(host, follower, "frames", FRAMES_SECONDS)
+
+    def look(self) -> None:
+        """Put the tree."""
+        now = self._host.clock.now_ns()
+        self.put(
+            [
+                {
+                    "name": info.name,
+                    "parent": info.parent,
+                    "age": None if info.static else round(max(now - info.newest, 0) / 1e9, 1),
+                    "rate": round(info.rate, 1),
+                    "parents": sorted(info.parents),
+                }
+                for info in self._follower.frames.buffer.frames()
+            ]
+        )
+
+
+class FramePoseFeed(FrameFeed):
+    """At the newest time that all frames between the two have. Raises `LookupError` where its name says no two frames.
+
+    Frames that were just begun to be followed are not known yet: then the reason says so.
+    """
+
+    def __init__(self, host: Host, follower: FrameFollower, name: str) -> None:
+        super().__init__(host, follower, name, POSE_SECONDS)
+        self._reference, parted, self._frame = name.removeprefix(PREFIX).partition(">")
+        if not parted or not all(0 < len(each) <= _MOST_NAME for each in (self._reference, self._frame)):
+            raise LookupError(f"{name[:80]!r} is no feed of a pose: ask for pose:REFERENCE>FRAME")
+
+    def look(self) -> None:
+        """Put the pose of now, or why there is none."""
+        try:
+            found = self._follower.frames.buffer.lookup_transform(self._reference, self._frame)
+        except TransformError as err:
+            self.put(None, str(err).strip())
+            return
+        age = (self._host.clock.now_ns() - found.stamp) / 1e9 if found.stamp else None
+        self.put(
+            {
+                "position": dict(zip("xyz", (round(part, 4) for part in found.translation), strict=True)),
+                "rotation": dict(zip("xyzw", (round(part, 6) for part in found.rotation), strict=True)),
+                "angles": dict(
+                    zip(("roll", "pitch", "yaw"), (round(part, 5) for part in angles_of(found.rotation)), strict=True)
+                ),
+                "age": None if age is None else round(max(age, 0.0), 2),
+            }
+        )
