@@ -7,6 +7,7 @@ import re
 from typing import Any
 
 _PLACES = {
+    "dev.drivers.polydriver": "PolyDriver",
     "dev.basecontrol": "MobileBaseVelocity MobileBaseVelocityControl Odometry2DClient OdometryData",
     "dev.frametransform": "FrameTransform",
     "dev.frametransform_client": "TransformClient",
@@ -85,8 +86,8 @@ _ENUMERATORS = {
 """Enumerations whose members the bindings give by themselves: what they begin with."""
 
 _INSTEAD = {
-    r"PolyDriver|Drivers|IFrame(Grabber|Writer).*|I[A-Z]\w*(Control|Encoders|Sensor|Limits|Info|Mode)\w*": (
-        "there are no device drivers in pure Python; talk to a device's ports, or use the clients of yarp_compat.dev"
+    r"Drivers|IFrame(Grabber|Writer).*|I[A-Z]\w*(Control|Encoders|Sensor|Limits|Info|Mode)\w*": (
+        "there are no device drivers in pure Python but those of yarp.PolyDriver; talk to a device's ports"
     ),
     r"\w*(Clock)": "programs run on system time: use yarp.now() and yarp.delay()",
     r"Semaphore|Mutex|RecursiveLock|Event": "use Python's threading",

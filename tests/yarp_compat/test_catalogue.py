@@ -34,7 +34,7 @@ def test_names_are_loaded_when_used_and_need_no_numpy() -> None:
 @pytest.mark.parametrize(
     ("name", "instead"),
     [
-        ("PolyDriver", "no device drivers"),
+        ("Drivers", "yarp.PolyDriver"),
         ("IPositionControl", "no device drivers"),
         ("NetworkClock", "system time"),
         ("Semaphore", "threading"),

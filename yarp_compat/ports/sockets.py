@@ -23,7 +23,7 @@ _KEEP_ALIVE = (("TCP_KEEPIDLE", 30), ("TCP_KEEPINTVL", 10), ("TCP_KEEPCNT", 3))
 class Closable(Protocol):
     """A socket, or a port."""
 
-    def close(self) -> None:
+    def close(self) -> object:
         """Close it."""
 
 

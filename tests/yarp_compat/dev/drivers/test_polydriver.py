@@ -1,0 +1,103 @@
+"""`PolyDriver`: how devices begin and end, and what is said where they cannot begin."""
+
+from __future__ import annotations
+
+import logging
+
+import pytest
+
+import yarp_compat as yarp
+from tests.yarp_compat.dev.drivers.conftest import Serve
+from tests.yarp_compat.dev.keptmaps import KeptMaps
+from yarp_compat.dev.drivers import registry
+
+MAPS = "(device map2D_nwc_yarp) (local /mine) (remote /maps)"
+
+
+@pytest.fixture
+def maps(serve: Serve) -> KeptMaps:
+    kept = KeptMaps()
+    serve("/maps/rpc", kept)
+    return kept
+
+
+def test_a_device_is_open_until_it_is_closed(maps: KeptMaps) -> None:
+    driver = yarp.PolyDriver()
+    assert not driver.isValid()
+    assert not driver.close(), "nothing was opened"
+    assert driver.viewIMap2D() is None
+    assert driver.open(yarp.Property(MAPS))
+    assert driver.isValid()
+    assert not driver.open(yarp.Property(MAPS)), "it is open already"
+    assert driver.isValid()
+    assert driver.viewIMap2D().storeLocation("here", yarp.Map2DLocation("m1", 1.0, 2.0, 3.0))
+    assert maps.kept["location"]["here"].x == 1.0
+    assert driver.viewINavigation2D() is None, "a map server is no planner"
+    assert driver.close()
+    assert not driver.isValid()
+    assert not driver.close()
+    assert not yarp.Network.exists("/mine/mapClient_rpc")
+
+
+@pytest.mark.usefixtures("maps")
+def test_a_device_ends_with_who_holds_it_and_with_the_network() -> None:
+    driver = yarp.PolyDriver(yarp.Property(MAPS))
+    assert driver.isValid()
+    assert yarp.Network.exists("/mine/mapClient_rpc")
+    del driver
+    assert not yarp.Network.exists("/mine/mapClient_rpc")
+    again = yarp.PolyDriver(yarp.Property(MAPS))
+    yarp.Network.fini()
+    yarp.Network.init()
+    assert not again.isValid()
+    assert not yarp.Network.exists("/mine/mapClient_rpc")
+
+
+@pytest.mark.parametrize(
+    ("options", "reason"),
+    [
+        ("(device map2D_nwc_yarp) (remote /maps)", "the option 'local' of map2D_nwc_yarp is not given"),
+        ('(device map2D_nwc_yarp) (local "") (remote /maps)', "the option 'local' of map2D_nwc_yarp is empty"),
+        ('(device map2D_nwc_yarp) (local "my name") (remote /maps)', "names a port, as /robot/battery does"),
+        ("(device map2D_nwc_yarp) (local /mine) (remote /nobody)", "/nobody/rpc"),
+        ("(device map2D_nwc_yarp) (local /mine) (remote /maps) (carrier pigeon)", "pigeon"),
+        ("(device grabber)", "read the camera's port by BufferedPortImageRgb"),
+        ("(device fakeBattery)", "made for YARP's own tests"),
+        ("(device coffee_machine)", "there is no device 'coffee_machine' here; there are navigation2D_nwc_yarp"),
+        ("(local /mine)", "there is no device '(local \"/mine\")' here"),
+    ],
+)
+@pytest.mark.usefixtures("maps")
+def test_what_cannot_be_opened_is_said(caplog: pytest.LogCaptureFixture, options: str, reason: str) -> None:
+    with caplog.at_level(logging.ERROR):
+        driver = yarp.PolyDriver(yarp.Property(options))
+    assert not driver.isValid()
+    assert reason in caplog.text
+    assert not yarp.Network.exists("/mine/mapClient_rpc"), "what was opened by then is closed"
+    assert driver.close(), "as in YARP, whose open has begun"
+    assert not yarp.PolyDriver().open_str("map2D_nwc_yarp")
+
+
+def test_without_a_network_there_are_no_devices(caplog: pytest.LogCaptureFixture) -> None:
+    assert not yarp.PolyDriver(yarp.Property(MAPS)).isValid()
+    assert "Network.init()" in caplog.text
+
+
+@pytest.mark.parametrize("device", registry.names())
+def test_every_device_can_be_made_and_misses_its_options(device: str) -> None:
+    make = registry.factory(device)
+    with pytest.raises(registry.DeviceError, match=f"of {device} is not given"):
+        make(registry.DeviceOptions(device, yarp.Property()))
+
+
+def test_options_are_read_and_wrong_ones_said() -> None:
+    options = registry.DeviceOptions("x", yarp.Property("(n 1.5) (i 3) (on true) (off 0) (word fast) (list (1 2))"))
+    assert (options.number("n", 0.0), options.number("i", 0.0), options.number("none", 7.0)) == (1.5, 3.0, 7.0)
+    assert (options.flag("on", default=False), options.flag("off", default=True)) == (True, False)
+    assert options.flag("none", default=True)
+    assert options.text("word") == "fast"
+    assert options.text("none", "") == ""
+    assert options.port("word") == "/fast", "as YARP names ports"
+    for read in (options.number, lambda key, _: options.flag(key, default=False)):
+        with pytest.raises(registry.DeviceError, match=r"the option 'word' of x is .*, not fast"):
+            read("word", 0.0)

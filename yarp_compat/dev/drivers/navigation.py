@@ -1,0 +1,37 @@
+"""The clients of a planner, a map server and a localisation server as devices, with the options of YARP's own.
+
+Their names, ports and options are the same from YARP 3.6 to 4.0 (``*_nwc_yarp_params.md`` of 4.0 lists the options);
+``navigation2DClient`` and its kin are what releases before 3.7 call them.
+"""
+
+from __future__ import annotations
+
+from yarp_compat.dev.drivers.registry import DeviceOptions, OpenDevice
+from yarp_compat.dev.localization2d import Localization2DClient
+from yarp_compat.dev.map2d_client import Map2DClient
+from yarp_compat.dev.navigation2d_client import Navigation2DClient
+
+
+def navigation2d(options: DeviceOptions) -> OpenDevice:
+    """``local``, ``navigation_server``, ``map_locations_server`` and ``localization_server``: what ports begin with."""
+    client = Navigation2DClient(
+        options.port("navigation_server"),
+        options.port("map_locations_server"),
+        options.port("localization_server"),
+        options.port("local"),
+        naming=options.naming,
+    ).open()
+    return OpenDevice(client.close, {"INavigation2D": client, "IMap2D": client, "ILocalization2D": client})
+
+
+def localization2d(options: DeviceOptions) -> OpenDevice:
+    """``local`` and ``remote``: what the ports' names begin with."""
+    client = Localization2DClient(options.port("remote"), options.port("local"), naming=options.naming).open()
+    return OpenDevice(client.close, {"ILocalization2D": client})
+
+
+def map2d(options: DeviceOptions) -> OpenDevice:
+    """``local`` and ``remote``: what the ports' names begin with; ``carrier`` of the questions."""
+    server = f"{options.text('carrier', 'fast_tcp')}:/{options.port('remote')}/rpc"
+    client = Map2DClient(server, f"{options.port('local')}/mapClient_rpc", naming=options.naming).open()
+    return OpenDevice(client.close, {"IMap2D": client})

@@ -1,0 +1,112 @@
+"""``PolyDriver``: opens a device by its name, and gives its interfaces (`yarp/dev/PolyDriver.h`, ``yarp.i``).
+
+    options = yarp.Property()
+    options.put("device", "navigation2D_nwc_yarp")
+    options.put("local", "/my_script")
+    options.put("navigation_server", "/navigation2D_nws_yarp") ...
+    driver = yarp.PolyDriver(options)
+    if driver.isValid():
+        robot = driver.viewINavigation2D()
+
+What there is, and how to add to it: `yarp_compat.dev.drivers.registry`.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import logging
+from collections.abc import Callable
+from typing import Any
+
+from yarp_compat.dev.drivers import registry
+from yarp_compat.dev.drivers.registry import DeviceError, DeviceOptions, OpenDevice
+from yarp_compat.dev.returnvalue import CallFailed
+from yarp_compat.os.data.bottle import Property, Searchable
+from yarp_compat.os.runtime import RUNTIME
+from yarp_compat.wire.errors import WireError
+
+log = logging.getLogger("yarp.dev.PolyDriver")
+
+
+def _view(interface: str) -> Callable[[PolyDriver], Any]:
+    def view(self: PolyDriver) -> Any:
+        return self._viewed(interface)
+
+    view.__doc__ = f"The device as an {interface}; None where it has none, or is not open."
+    return view
+
+
+class PolyDriver:
+    """A device of any kind. It is closed at the latest when nobody holds this any more, and its views end with it."""
+
+    def __init__(self, config: Searchable | str | None = None) -> None:
+        self._device: OpenDevice | None = None
+        self._name = ""
+        self._used = False
+        if config is not None:
+            self.open(config)
+
+    def open(self, config: Searchable | str) -> bool:
+        """Open the device that the option ``device`` names, with the other options, or the device of this name alone.
+
+        False where it cannot, and the log says why; also where a device is open already.
+        """
+        if self._device is not None:
+            log.error("the device %s is open already: close it first", self._name)
+            return False
+        if isinstance(config, str):
+            config = Property({"device": config})
+        self._used = True
+        self._name = config.find("device").toString() or config.toString()
+        try:
+            self._device = self._opened(config)
+        except (DeviceError, CallFailed, OSError, WireError, ValueError) as error:
+            log.error("the device <%s> could not be opened: %s", self._name, error)
+            return False
+        RUNTIME.opened(self)
+        return True
+
+    def open_str(self, device: str) -> bool:
+        """Open a device by its name alone, as the bindings call that."""
+        return self.open(device)
+
+    def close(self) -> bool:
+        """Close the device; False where `open` was never called since the last time."""
+        device, self._device = self._device, None
+        used, self._used = self._used, False
+        if device is not None:
+            RUNTIME.closed(self)
+            device.close()
+        return used
+
+    def isValid(self) -> bool:
+        """Whether a device is open."""
+        return self._device is not None
+
+    def id(self) -> str:
+        """The option ``id``, or the device's name; empty before `open`."""
+        return self._name
+
+    viewIFrameTransform = _view("IFrameTransform")
+    viewILocalization2D = _view("ILocalization2D")
+    viewIMap2D = _view("IMap2D")
+    viewINavigation2D = _view("INavigation2D")
+
+    def _opened(self, config: Searchable) -> OpenDevice:
+        make = registry.factory(self._name)
+        if not RUNTIME.is_up:
+            raise DeviceError("YARP not initialized; call yarp.Network.init() before opening devices")
+        return make(DeviceOptions(self._name, config))
+
+    def _viewed(self, interface: str) -> Any:
+        if self._device is None:
+            log.error("there is no %s: no device is open", interface)
+            return None
+        if interface not in self._device.views:
+            log.warning("the device <%s> is no %s here, only %s", self._name, interface, ", ".join(self._device.views))
+            return None
+        return self._device.views[interface]
+
+    def __del__(self) -> None:
+        with contextlib.suppress(Exception):  # at the program's end what closes it may be gone
+            self.close()
