@@ -1,9 +1,10 @@
 """YARP's configuration files (`yarp/os/Property.cpp`, "yarp_config_file" of its documentation).
 
-A line is a key and its values, ``key value ...`` or ``key = value``; brackets may go on over several lines. ``[GROUP]``
-begins a group, ``[LIST GROUP]`` besides adds its name to a list, ``[include "file.ini"]`` takes a file in, ``[include
-GROUP "file.ini"]`` as a group, ``[import context file.ini]`` from another context. ``//`` begins a comment, and so does
-``#`` after a space; ``$NAME``, ``${NAME}`` and ``$(NAME)`` stand for environment variables or keys.
+A line is a key and its values, ``key value ...`` or ``key = value``; brackets may go on over several lines, and so does
+a line that ends in a backslash. ``[GROUP]`` begins a group, ``[LIST GROUP]`` besides adds its name to a list,
+``[include "file.ini"]`` takes a file in, ``[include GROUP "file.ini"]`` as a group, ``[import context file.ini]`` from
+another context. ``//`` begins a comment, and so does ``#`` after a space; ``$NAME``, ``${NAME}`` and ``$(NAME)`` stand
+for environment variables or keys.
 """
 
 from __future__ import annotations
@@ -17,7 +18,7 @@ from pathlib import Path
 from typing import Any, NamedTuple, Protocol
 
 from yarp_compat.wire.text import dict_of, from_text, is_complete, plain_text
-from yarp_compat.wire.values import entries_of, entry_values
+from yarp_compat.wire.values import entries_of, entry_values, merge
 
 log = logging.getLogger(__name__)
 
@@ -141,7 +142,7 @@ class _File:
             if values and group:
                 content.append(values)
             elif values:
-                entries.update(dict_of([values]))
+                merge(entries, dict_of([values]))
         _close(group, content, entries)
 
     def _note(self, line: int, *keys: str) -> None:
@@ -177,7 +178,7 @@ class _File:
         within = (*self.within, group)
         replace(self, name="", within=within).read(name, inner, wipe=False)
         if inner:
-            entries.update(dict_of([[group, *entries_of(inner)]]))
+            merge(entries, dict_of([[group, *entries_of(inner)]]))
 
     def _import(self, context: str, name: str, entries: Entries) -> None:
         """Take a file of another context."""
@@ -214,22 +215,27 @@ class _File:
 
 def _close(group: str, content: list[Any], entries: Entries) -> None:
     if group:
-        entries[group] = content[0] if len(content) == 1 else tuple(content)
+        merge(entries, {group: content[0] if len(content) == 1 else tuple(content)})
 
 
 def _list_name(key: str, name: str, entries: Entries) -> None:
     """Add a group's name to a list of names."""
-    entries.update(dict_of([[key, *entry_values(entries.get(key, ())), name]]))
+    merge(entries, dict_of([[key, *entry_values(entries.get(key, ())), name]]))
 
 
 def _lines(text: str) -> Iterator[tuple[int, str]]:
-    """Lines with the numbers of their first; those with open brackets or quotes go on."""
+    r"""Lines with the numbers of their first; those with open brackets or quotes go on, and those that end in ``\``."""
     pending = ""
     first = 1
-    for number, line in enumerate(text.split("\n"), 1):
-        first = first if pending else number
+    going_on = False
+    for number, line in enumerate(text.replace("\r", "").replace("\0", "").split("\n"), 1):
+        first = first if going_on else number
         pending += line
-        if is_complete(pending):
+        escaped = (len(line) - len(line.rstrip("\\"))) % 2 == 1
+        if escaped:
+            pending = pending[:-1]
+        going_on = escaped or not is_complete(pending)
+        if not going_on:
             yield first, pending
             pending = ""
     if pending:
@@ -259,10 +265,14 @@ def _text(path: Path) -> str | None:
     files = _inis(path)
     try:
         if files is None:
-            return path.read_text(errors="surrogateescape")
-        return "".join(file.read_text(errors="surrogateescape") + "\n[]\n" for file in files)
+            return _read(path)
+        return "".join(_read(file) + "\n[]\n" for file in files)
     except (OSError, ValueError):
         return None
+
+
+def _read(path: Path) -> str:
+    return path.read_bytes().decode("utf-8", "surrogateescape")
 
 
 def _inis(path: Path) -> list[Path] | None:

@@ -17,7 +17,7 @@ from typing import Any
 
 from yarp_compat.wire.errors import WireError
 from yarp_compat.wire.tags import MAX_DEPTH
-from yarp_compat.wire.values import DictKey, Float32, Vocab, Vocab64, entries_of, plain, vocab32, vocab64
+from yarp_compat.wire.values import DictKey, Float32, Vocab, Vocab64, entries_of, merge, plain, vocab32, vocab64
 
 LARGEST_WORK = 4 << 20  # characters looked at, beyond its own, in a text that is not well formed
 
@@ -111,12 +111,11 @@ def dict_of(entries: list[Any]) -> dict[str, Any]:
     """The dict of lists of a key and its values; the last of several for a key counts, other elements do not."""
     found: dict[str, Any] = {}
     for entry in entries:
-        if isinstance(entry, list) and entry:
-            key, *values = entry
+        if isinstance(entry, list):
+            key, *values = entry or [None]
             if type(key) is not str:
-                key = DictKey.of(key, plain_text(key))
-                found.pop(key, None)  # else the older key would stay, which may be of another type
-            found[key] = values[0] if len(values) == 1 else tuple(values)
+                key = DictKey.of(key, "" if key is None else plain_text(key))
+            merge(found, {key: values[0] if len(values) == 1 else tuple(values)})
     return found
 
 

@@ -26,7 +26,7 @@ for a tuple: ``{"n": 1, "GROUP": (["a", 1], ["b", 2])}`` is ``((GROUP (a 1) (b 2
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from functools import lru_cache
 from typing import Any
 
@@ -67,7 +67,10 @@ class Vocab(str):
 
 
 class DictKey(str):
-    """A dict's key that is not a string on the wire, where it is ``value``; it compares as its text."""
+    """A dict's key that is not a string on the wire, where it is ``value``; it compares as its text.
+
+    The value of the key of an empty list, ``()``, is None: such an entry has neither a key nor values.
+    """
 
     __slots__ = ("value",)
     value: Any
@@ -113,7 +116,21 @@ def entries_of(value: dict[Any, Any]) -> list[list[Any]]:
     wrong = [key for key in value if not isinstance(key, str)]
     if wrong:
         raise WireError(f"the key {wrong[0]!r} of a dict is no str")
-    return [[key.value if type(key) is DictKey else key, *entry_values(value[key])] for key in sorted(value)]
+    return [[*_key_of(key), *entry_values(value[key])] for key in sorted(value)]
+
+
+def _key_of(key: str) -> tuple[Any, ...]:
+    """What stands for a key on the wire; nothing for that of an empty list."""
+    if type(key) is not DictKey:
+        return (key,)
+    return () if key.value is None else (key.value,)
+
+
+def merge(into: dict[str, Any], entries: Mapping[str, Any]) -> None:
+    """Put entries into a dict. An equal key is replaced with its value: the older one may be of another type."""
+    for key in entries:
+        into.pop(key, None)
+    into.update(entries)
 
 
 def entry_values(entry: Any) -> Sequence[Any]:

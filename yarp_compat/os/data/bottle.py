@@ -21,7 +21,7 @@ from yarp_compat.wire.generation import Generation
 from yarp_compat.wire.portable import Portable
 from yarp_compat.wire.profile import Profile
 from yarp_compat.wire.text import dict_of, from_text, plain_text, to_text
-from yarp_compat.wire.values import Float32, Group, Int8, Int16, Int64, entries_of, entry_values
+from yarp_compat.wire.values import Float32, Group, Int8, Int16, Int64, entries_of, entry_values, merge
 from yarp_compat.wire.values import Vocab64 as Word64
 
 _UNITS = {0: "mixed", tags.INT32: "int", tags.VOCAB32: "vocab", 10: "float", tags.STRING: "string", tags.BLOB: "blob"}
@@ -433,7 +433,7 @@ class Property(PropertyBase, Searchable):
     def addGroup(self, key: str) -> Property:
         """Put an empty group under a key, and return it to be filled."""
         group = Group()
-        self._entries[key] = group
+        merge(self._entries, {key: group})
         return Property.of(group)
 
     def find(self, key: str) -> Value:

@@ -14,44 +14,65 @@ from yarp_compat.os.resource_places import find_in_context
 from yarp_compat.wire.binary import decode_prefix, encode_parts
 from yarp_compat.wire.elements import ElementReader, ElementWriter
 from yarp_compat.wire.portable import Portable
-from yarp_compat.wire.text import dict_of, from_text, to_text
-from yarp_compat.wire.values import entries_of, entry_values
+from yarp_compat.wire.text import dict_of, from_text, plain_text, to_text
+from yarp_compat.wire.values import entries_of, entry_values, merge
 
 _WORD = re.compile(r'"([^"]*)"?|([^ "]+)')
 
 
 def take_options(words: Sequence[str], entries: dict[str, Any]) -> None:
-    """Put the options of a command line into a dict: ``--key value ...`` and ``--GROUP::key value ...``."""
-    options: list[list[Any]] = []
+    """Put the options of a command line into a dict: ``--key value ...`` and ``--GROUP::key value ...``.
+
+    What stands before the first option, and what follows a bare ``--`` up to the next, belongs to none: YARP drops it.
+    """
+    options: list[tuple[str, list[Any]]] = []
+    values: list[Any] = []
     for word in words:
         if word.startswith("--"):
-            options.append([word[2:]])
-        elif options:
-            options[-1].append(_value(word.replace("\\", "\\\\")))
-    for name, *values in options:
-        *groups, key = (part for part in name.split("::") if part) if "::" in name else [name]
-        if not groups:
-            entries.update(dict_of([[key, *values]]))
-            continue
-        path = [*groups, key]
-        tree = [path[0], *entry_values(entries.get(path[0], ()))]
+            values = []
+            if word != "--":
+                options.append((word[2:], values))
+        else:
+            values.append(_value(word.replace("\\", "\\\\")))
+    if any("::" in name for name, _ in options):
+        for name, values in options:
+            _put_in_groups(name, values, entries)
+    else:
+        merge(entries, dict_of([[_value(name), *values] for name, values in options]))
+
+
+def _put_in_groups(name: str, values: list[Any], entries: dict[str, Any]) -> None:
+    """Set the values of ``GROUP::key``; where groups are named, a name that reads as a number is none."""
+    key = _value(name)
+    if not isinstance(key, str):
+        return
+    path = str(key).split("::")
+    if len(path) > 1 and not path[-1]:
+        del path[-1]
+    tree = [path[0], *entry_values(entries.get(path[0], ()))]
+    if len(path) > 1:
         _put(tree, path[1:], values)
-        entries.update(dict_of([tree]))
+    else:
+        tree[1:] = values
+    merge(entries, dict_of([tree]))
 
 
 def _put(tree: list[Any], path: list[str], values: list[Any]) -> None:
     """Set a value in a group, below as many groups as the path has."""
-    for entry in tree[1:]:
-        if isinstance(entry, list) and entry and entry[0] == path[0]:
-            found = entry
-            break
-    else:
+    found = next((entry for entry in tree if _name_of(entry) == path[0]), None)
+    if not isinstance(found, list):
         found = [path[0]]
         tree.append(found)
     if len(path) > 1:
         _put(found, path[1:], values)
     else:
-        found[1:] = values
+        found[:] = [path[0], *values]
+
+
+def _name_of(entry: Any) -> str:
+    """What an element of a list is found by: the text of its first value, or its own."""
+    first = (entry[0] if entry else "") if isinstance(entry, list) else entry
+    return plain_text(first)
 
 
 def _value(word: str) -> Any:
@@ -83,7 +104,7 @@ class PropertyBase(Portable):
     def put(self, key: str, value: Any) -> None:
         """Put a value under a key; a bool is an int, as YARP's bindings take it."""
         made = plain_of(int(value) if isinstance(value, bool) else value)
-        self._entries[key] = () if made is None else made
+        merge(self._entries, {key: () if made is None else made})
 
     def unput(self, key: str) -> None:
         """Remove a key."""
@@ -160,7 +181,7 @@ class PropertyBase(Portable):
         return self._entries[key]
 
     def __setitem__(self, key: str, value: Any) -> None:
-        self._entries[key] = plain_of(value)
+        merge(self._entries, {key: plain_of(value)})
 
     def __delitem__(self, key: str) -> None:
         del self._entries[key]
@@ -189,7 +210,7 @@ class PropertyBase(Portable):
     def _take(self, entries: Mapping[str, Any], wipe: bool) -> None:
         if wipe:
             self.clear()
-        self._entries.update(entries)
+        merge(self._entries, entries)
 
     def _become(self, other: Self) -> None:
         self._take(dict(other._entries), wipe=True)

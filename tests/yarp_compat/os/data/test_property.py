@@ -101,12 +101,17 @@ def test_messages_hold_what_the_text_says() -> None:
         (["--empty", ""], '(empty "")'),
         (["--G::a", "1", "--G::b::c", "2", "3", "--plain", "4"], "(G (a 1) (b (c 2 3))) (plain 4)"),
         (["--G::a", "1", "--G::a", "2"], "(G (a 2))"),
+        (["--a", "1", "--", "lost", "too", "--b", "2"], "(a 1) (b 2)"),
+        (["--", "lost"], ""),
+        (["---x", "3", "---y", "4"], '("-y" 4) (0 3)'),  # to YARP -x is a number, as in 0x
+        (["--5", "x", "--[set]", "y"], "(5 x) ([set] y)"),
+        (["--::b", "1", "--a::", "2", "--5", "lost"], '("" (b 1)) (a 2)'),
     ],
 )
 def test_command_lines(words: list[str], said: str) -> None:
     property_ = Property("(old 1)")
     property_.fromCommand(["program", *words])
-    assert property_ == Property(said)
+    assert property_.toString() == Property(said).toString()
     property_.fromCommand(["--more", "1"], skipFirst=False, wipe=False)
     assert property_.check("more")
     assert len(property_) == len(Property(said)) + 1
@@ -181,6 +186,57 @@ def test_windows_line_ends_and_values_from_the_caller() -> None:
     assert property_.toString() == "(G (b 5)) (a 1)"
     property_.fromConfig("a 2\nunclosed (1 2", wipe=False)
     assert property_.find("a").asInt32() == 2
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("k 1 \\\n2 3\n", "(k 1 2 3)"),
+        ("k 1 \\\r\n  2 \\\r\n3\r\nb 1", "(b 1) (k 1 2 3)"),
+        ("k 1\\\n2", "(k 12)"),
+        ("k 1 \\\\\nb 2", '(b 2) (k 1 "\\\\")'),  # an escaped backslash does not go on
+        ("k (1 \\\n2)", "(k (1 2))"),
+        ('k "a \\\nb"', '(k "a b")'),
+        ("[G] \\\n\nx 1", "(G (x 1))"),
+        ("k 1 # no \\\nb 2", "(k 1)"),  # the comment goes on too
+        ("k 1 \\", "(k 1)"),
+    ],
+)
+def test_a_backslash_at_a_lines_end_joins_lines(text: str, said: str) -> None:
+    """As `InputStream::readLine` of 3.9.1 to 4.0 reads."""
+    property_ = Property()
+    property_.fromConfig(text)
+    assert property_.toString() == said
+
+
+def test_a_file_is_read_alike_on_every_system(tmp_path: Path) -> None:
+    file = tmp_path / "robot.ini"
+    file.write_bytes("name caf\u00e9 \\\r\n 2\r\nb 1\rc\n".encode())
+    property_ = Property()
+    assert property_.fromConfigFile(str(file))
+    assert property_.toString() == '(b "1c") (name "caf\u00e9" 2)'
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("()", "()"),
+        ("(a (b 1)) ()", "() (a (b 1))"),
+        ("() (() 2)", "(() 2)"),
+        ('(() 1) ("" 2)', '("" 2)'),
+        ("([a] 1)", "([a] 1)"),
+        ("([a] 1) (a 2)", "(a 2)"),
+        ("(a 1) ([a] 2)", "([a] 2)"),
+    ],
+)
+def test_keys_that_are_no_strings(text: str, said: str) -> None:
+    """Of two keys of one text the last counts, and is printed as it was said."""
+    property_ = Property(text)
+    assert property_.toString() == said
+    property_.fromString("(a 3)", False)
+    assert property_.findGroup("a").toString() == "a 3"
+    property_["a"] = 4
+    assert Property(property_.toString()).toString() == property_.toString()
 
 
 def test_what_is_open_at_the_end_of_a_file_is_taken_as_it_is() -> None:
