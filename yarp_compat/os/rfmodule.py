@@ -10,7 +10,7 @@ from types import FrameType
 from typing import Any
 
 from yarp_compat.os import time as clock
-from yarp_compat.os.data.bottle import Bottle
+from yarp_compat.os.data.bottle import Bottle, Value
 from yarp_compat.os.ports.connection import ConnectionReader, PortReader
 from yarp_compat.os.resource_finder import ResourceFinder
 from yarp_compat.wire.accessors import setter
@@ -194,7 +194,9 @@ class RFModule:
         for line in sys.stdin:
             reply = Bottle()
             if self.safeRespond(Bottle(line), reply):
-                log.info("%s", reply.toString())
+                said = reply if reply.get(0).toString() == "help" else [reply.toString()]
+                for text in said:
+                    log.info("%s.", Value(text).toString())
             else:
                 log.info("Command not understood -- %s.", line.strip())
             if self.isStopping():
@@ -229,5 +231,9 @@ class _Responder(PortReader):
         understood = self._module.safeRespond(command, reply)
         writer = connection.getWriter()
         if writer is not None and reply.size() > 0:
-            reply.write(writer)
+            if reply.get(0).toString() == "many" and writer.isTextMode():
+                for value in reply.tail():
+                    Bottle(value if isinstance(value, list) else [value]).write(writer)
+            else:
+                reply.write(writer)
         return understood

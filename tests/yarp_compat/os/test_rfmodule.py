@@ -11,6 +11,7 @@ import pytest
 
 import yarp_compat as yarp
 from tests.support.wait import until
+from yarp_compat.ports import text_client
 
 pytestmark = pytest.mark.usefixtures("local")
 
@@ -32,6 +33,11 @@ class Module(yarp.RFModule):
         return self.said.count("update") < self.rounds
 
     def respond(self, command: yarp.Bottle, reply: yarp.Bottle) -> bool:
+        if command.get(0).asString() == "help":
+            reply.addVocab32("many")
+            reply.addString("add two numbers")
+            reply.append(yarp.Bottle("(quit 1) 2"))
+            return True
         if command.get(0).asString() != "add":
             return False
         reply.addInt32(command.get(1).asInt32() + command.get(2).asInt32())
@@ -101,6 +107,20 @@ def test_commands() -> None:
     assert module.joinModule(10)
     assert module.isStopping()
     assert module.said[-2:] == ["interrupt", "close"]
+
+
+def test_an_answer_of_many_lines() -> None:
+    """On text carriers a line each, as people see it with telnet; in binary one Bottle."""
+    module, port, client = Module(), yarp.Port(), yarp.RpcClient()
+    module.attach(port)
+    assert port.open("/module/rpc")
+    assert text_client.ask(port.where().address, ["help"]) == ['"add two numbers"', "quit 1", "2"]
+    assert text_client.ask(port.where().address, ["add", 2, 3]) == ["5"]
+    assert client.open("/client")
+    assert client.addOutput("/module/rpc")
+    reply = yarp.Bottle()
+    assert client.write(yarp.Bottle("help"), reply)
+    assert reply.toString() == '[many] "add two numbers" (quit 1) 2'
 
 
 def test_it_is_stopped_from_another_thread() -> None:

@@ -18,12 +18,14 @@ from yarp_compat.ports.connections import ConnectionEvent
 from yarp_compat.ports.message import PortMessage
 from yarp_compat.ports.port import PortCore
 from yarp_compat.wire.accessors import always, getter
+from yarp_compat.wire.binary import decode_prefix
 from yarp_compat.wire.contact import ConnectionRoute
 from yarp_compat.wire.elements import ElementReader, ElementWriter
 from yarp_compat.wire.errors import WireError
 from yarp_compat.wire.framing import Buffer, PortCommand
 from yarp_compat.wire.profile import Profile
 from yarp_compat.wire.reply import recognise
+from yarp_compat.wire.text import to_text
 
 T = TypeVar("T", int, float)
 
@@ -95,6 +97,18 @@ class ConnectionWriter:
 
     isNull = always(False, "Whether what is written goes nowhere.")
     isError = getter("_failed", bool, "Whether something could not be written.")
+
+    def lines(self) -> bytes | None:
+        """What was written as text, a line for each value; None where it is no values one after another."""
+        data = b"".join(self.writer.buffers())
+        lines, at = [], 0
+        try:
+            while at < len(data):
+                values, at = decode_prefix(data, self.writer.profile, at)
+                lines.append(to_text(values) + "\r\n")
+        except WireError:
+            return None
+        return "".join(lines).encode(errors="surrogateescape")
 
     def _put(self, layout: str, value: Any) -> None:
         try:

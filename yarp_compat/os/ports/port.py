@@ -155,7 +155,12 @@ def answer(reader: PortReader, message: PortMessage, local: Contact) -> None:
     connection = ConnectionReader(message, local, RUNTIME.profile)
     reader.read(connection)
     writer = connection.getWriter()
-    if writer is not None:
+    if writer is None:
+        return
+    lines = writer.lines() if writer.isTextMode() else None
+    if lines:
+        message.reply(lines, plain=True)
+    else:
         message.reply(writer.writer.buffers())
 
 
