@@ -30,6 +30,11 @@ _PLACES = {
     "os.ports.buffered_port": "BufferedPort TypedReaderCallback",
     "os.ports.connection": "ConnectionReader ConnectionWriter PortInfo PortReader PortReport",
     "os.ports.contact": "Contact ContactStyle",
+    "os.directories": (
+        "home tempdir datahome datadirs confighome configdirs cachehome runtimedir yarpdatahome yarpdatadirs "
+        "yarpconfighome yarpconfigdirs yarpcachehome yarpruntimedir get_string get_path get_bool set_string set_path "
+        "set_bool is_set unset getEnvironment setEnvironment unsetEnvironment path_separator"
+    ),
     "os.log": "Log LogType",
     "os.ports.nested": "NestedName",
     "os.network": "Network NetworkBase",

@@ -146,14 +146,15 @@ class ResourceFinder(Searchable):
 
     def findPath(self, name: str = "", options: ResourceFinderOptions | None = None) -> str:
         """The path of a folder; without a name, the first place that is looked in."""
-        return self._search.first(self._meant(name) if name else "", options or ResourceFinderOptions()) or (
+        where = options or ResourceFinderOptions()
+        return self._search.first(self._meant(name) if name else "", where, folder=True) or (
             "" if name else str(Path.cwd())
         )
 
     def findPaths(self, name: str, options: ResourceFinderOptions | None = None) -> Bottle:
         """The paths of all folders or files of this name."""
         every = options or ResourceFinderOptions.findAllMatch()
-        return Bottle(list(self._search.paths(self._meant(name), every)))
+        return Bottle(list(self._search.paths(self._meant(name), every, folder=True)))
 
     def getContextPath(self) -> str:
         """The folder of the context: the first that is found, or empty."""
@@ -169,7 +170,7 @@ class ResourceFinder(Searchable):
 
     def readConfig(self, config: Property, key: str, options: ResourceFinderOptions) -> bool:
         """Read every file of a name into ``config``, those found first outranking the others."""
-        paths = list(self._search.paths(self._meant(key), options))
+        paths = list(self._search.paths(self._meant(key), options, folder=True))
         for path in reversed(paths):
             config.fromConfigFile(path, False)
         return bool(paths)
@@ -180,7 +181,7 @@ class ResourceFinder(Searchable):
     def _home(self, kind: str, name: str) -> str:
         if self._search.near_main:
             return self._search.main_folder
-        path = self._search.directories.data_home() / kind / name
+        path = Path(self._search.directories.data_home(), kind, name)
         try:
             path.mkdir(parents=True, exist_ok=True)
         except OSError as err:

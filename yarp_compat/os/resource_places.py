@@ -1,74 +1,20 @@
 """The places where YARP's programs keep their files, and the search for a file in them.
 
-The directories are those of YARP 3.5 and later (yarp/conf/dirs.h): ``YARP_DATA_HOME`` and its kin name the directory
-itself; the XDG variables (APPDATA and ALLUSERSPROFILE on Windows) name one in which ``yarp`` is looked for. The order
-of the search is that of YARP's ResourceFinder.cpp: the current directory, beside the main configuration file, the
-robot, the contexts, the user's own folders, the administrator's, the installed ones, ``path.d``.
+The order of the search is that of YARP's ResourceFinder.cpp: the current directory, beside the main configuration file,
+the robot, the contexts, the user's own folders, the administrator's, the installed ones, ``path.d``. So are the paths:
+what is asked for stands behind the folder as it was written, ``./map.txt`` and ``maps/`` too.
 """
 
 from __future__ import annotations
 
 import os
-import sys
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
-from yarp_compat.naming.config import folder
 from yarp_compat.os import config_text
+from yarp_compat.os.directories import Directories
 from yarp_compat.wire.values import entry_values
-
-
-@dataclass(frozen=True)
-class Directories:
-    """YARP's directories, by the variables of an environment on a platform as `sys.platform` names it."""
-
-    environment: Mapping[str, str] = field(default_factory=lambda: os.environ)
-    platform: str = sys.platform
-
-    def data_home(self) -> Path:
-        """The user's own data: contexts and robots that were edited."""
-        home = self._home()
-        own = {"win32": home / "AppData" / "Roaming", "darwin": home / "Library" / "Application Support"}
-        default = own.get(self.platform, home / ".local" / "share")
-        if self.environment.get("YARP_DATA_HOME"):
-            return Path(self.environment["YARP_DATA_HOME"])
-        return Path(self.environment.get(self._variable("APPDATA", "XDG_DATA_HOME")) or default) / "yarp"
-
-    def config_home(self) -> Path:
-        """The user's own settings: ``yarp.conf`` and its kin."""
-        return Path(folder(self.environment, self.platform))
-
-    def data_dirs(self) -> list[Path]:
-        """The folders of what is installed for everybody."""
-        default = "C:\\ProgramData" if self.platform == "win32" else "/usr/local/share:/usr/share"
-        return self._many("YARP_DATA_DIRS", self._variable("ALLUSERSPROFILE", "XDG_DATA_DIRS"), default, "yarp")
-
-    def config_dirs(self) -> list[Path]:
-        """The folders of what the administrator set."""
-        default = {"win32": "C:\\ProgramData", "darwin": "/etc:/Library/Preferences"}.get(self.platform, "/etc/xdg")
-        variable = self._variable("ALLUSERSPROFILE", "XDG_CONFIG_DIRS")
-        return self._many("YARP_CONFIG_DIRS", variable, default, self._config_suffix())
-
-    def robot(self) -> str:
-        """The robot's name: ``YARP_ROBOT_NAME``, or ``default``."""
-        return self.environment.get("YARP_ROBOT_NAME", "default")
-
-    def _home(self) -> Path:
-        return Path(self.environment.get("USERPROFILE" if self.platform == "win32" else "HOME", ""))
-
-    def _variable(self, windows: str, linux: str) -> str:
-        # macOS has no such variable: its directories are fixed.
-        return {"win32": windows, "darwin": ""}.get(self.platform, linux)
-
-    def _config_suffix(self) -> str:
-        return "yarp/config" if self.platform == "win32" else "yarp"
-
-    def _many(self, own: str, variable: str, default: str, suffix: str) -> list[Path]:
-        separator = ";" if self.platform == "win32" else ":"
-        if self.environment.get(own):
-            return [Path(part) for part in self.environment[own].split(separator) if part]
-        return [Path(part) / suffix for part in (self.environment.get(variable) or default).split(separator) if part]
 
 
 @dataclass(eq=False)
@@ -140,73 +86,91 @@ class ResourceSearch:
     def find_main(self, name: str) -> str:
         """The path of the main configuration file, beside which others are looked for; empty where it is not found."""
         found = self.first(name, ResourceFinderOptions())
-        self.near_main = bool(found) and Path(found) == Path.cwd() / name
-        path = found or name
-        self.main_folder = str(Path(path).parent) if "/" in path or os.sep in path else ""
+        self.near_main = bool(found) and found == (name if is_absolute(name) else _behind(_here(), name))
+        path = (found or name).replace(os.sep, "/")
+        self.main_folder = path.rpartition("/")[0]
         return found
 
-    def first(self, name: str, options: ResourceFinderOptions) -> str:
-        """The best path that exists, or empty."""
-        return next(self.paths(name, options), "")
+    def first(self, name: str, options: ResourceFinderOptions, *, folder: bool = False) -> str:
+        """The best path that exists, or empty; ``folder``: a folder is looked for."""
+        return next(self.paths(name, options, folder=folder), "")
 
-    def paths(self, name: str, options: ResourceFinderOptions) -> Iterator[str]:
+    def paths(self, name: str, options: ResourceFinderOptions, *, folder: bool = False) -> Iterator[str]:
         """Every path that exists, best first, each once; only the first where the options say so."""
         seen = set()
-        if Path(name).is_absolute() or _is_windows_absolute(name):
-            places: Sequence[str] | Iterator[str] = [""]
-        else:
-            places = self.places(options)
-        for place in places:
-            path = str(Path(place) / options.resourceType / name) if place else name
-            if path not in seen and Path(path).exists():
+        for path in self._candidates(name, options, folder):
+            if path not in seen and os.path.exists(path):  # noqa: PTH110 - a Path would lose how it is written
                 seen.add(path)
                 yield path
                 if options.duplicateFilesPolicy == ResourceFinderOptions.First:
                     return
 
+    def _candidates(self, name: str, options: ResourceFinderOptions, folder: bool) -> Iterator[str]:
+        if folder and not name and options.searchLocations & ResourceFinderOptions.Directory:
+            yield _here()
+        for place in self.places(options):
+            yield name if is_absolute(name) else _behind(place, name)
+
     def places(self, options: ResourceFinderOptions) -> Iterator[str]:
         """The folders to look in, best first."""
-        where, flavor, o = options.searchLocations, options.searchFlavor, ResourceFinderOptions
+        where, flavor, o, kind = (
+            options.searchLocations,
+            options.searchFlavor,
+            ResourceFinderOptions,
+            options.resourceType,
+        )
         if where & o.Directory:
-            yield str(Path.cwd())
+            yield kind if _is_rooted(kind) else _typed(_here(), kind)
         if where & o.NearMainConfig and self.near_main and self.main_folder:
-            yield self.main_folder
+            yield kind if _is_rooted(kind) else _typed(self.main_folder, kind)
         if where & o.Robot:
-            yield from self._existing("robots", self.directories.robot())
+            robots = ResourceFinderOptions(o.Default, o.All, resourceType="robots")
+            yield from (_typed(path, kind) for path in self.paths(self.directories.robot(), robots))
         if where & o.Context and not self.near_main:
-            yield from self.context_folders()
-        if where & o.User and flavor & o.ConfigLike:
-            yield str(self.directories.config_home())
-        if where & o.User and flavor & o.DataLike:
-            yield str(self.directories.data_home())
+            yield from (_typed(path, kind) for path in self.context_folders())
+        if where & o.User and flavor & o.ConfigLike and (home := self.directories.config_home()):
+            yield _typed(home, kind)
+        if where & o.User and flavor & o.DataLike and (home := self.directories.data_home()):
+            yield _typed(home, kind)
         if where & o.Sysadmin:
-            yield from map(str, self.directories.config_dirs())
+            yield from (_typed(one, kind) for one in self.directories.config_dirs())
         if where & o.Installed:
-            yield from map(str, self.directories.data_dirs())
-            yield from self._path_d()
+            yield from (_typed(one, kind) for one in self.directories.data_dirs())
+            yield from (_typed(one, kind) for one in self._path_d())
 
     def context_folders(self) -> Iterator[str]:
         """The folders of the contexts that are there."""
         for context in self.contexts:
-            yield from self._existing("contexts", context)
-
-    def _existing(self, kind: str, name: str) -> Iterator[str]:
-        for place in self.places(ResourceFinderOptions(ResourceFinderOptions.Default)):
-            path = Path(place) / kind / name
-            if path.is_dir():
-                yield str(path)
+            every = ResourceFinderOptions(ResourceFinderOptions.Default, ResourceFinderOptions.All)
+            yield from self.paths(_behind("contexts", context), every)
 
     def _path_d(self) -> Iterator[str]:
         """Folders that packages added by files ``config/path.d/*.ini``: ``[search NAME]`` with ``path /a /b``."""
-        for place in self.directories.data_dirs():
-            for file in sorted((place / "config" / "path.d").glob("*.ini")):
-                found: config_text.Entries = {}
-                if config_text.read_file(str(file), found, None, wipe=True):
-                    yield from _search_paths(found)
+        places = (Path(one, "config", "path.d") for one in self.directories.data_dirs())
+        place = next((one for one in places if one.is_dir()), None)
+        found: config_text.Entries = {}
+        if place is not None and config_text.read_file(str(place), found, None, wipe=True):
+            yield from _search_paths(found)
 
     def said_places(self) -> str:
         """The folders to look in, for people."""
         return ", ".join(self.places(ResourceFinderOptions()))
+
+
+def _here() -> str:
+    return os.getcwd()  # noqa: PTH109 - as text
+
+
+def _behind(folder: str, name: str) -> str:
+    """A name behind a folder, both as they are written."""
+    return f"{folder}{os.sep}{name}"
+
+
+def _typed(folder: str, kind: str) -> str:
+    """The folder of one kind of resources in another folder."""
+    if not kind:
+        return folder
+    return f"{folder}{kind}" if folder.endswith(os.sep) else _behind(folder, kind)
 
 
 def find_in_context(context: str, name: str) -> str:
@@ -221,5 +185,11 @@ def _search_paths(found: config_text.Entries) -> Iterator[str]:
         yield from (path for path in paths[1:] if isinstance(path, str))
 
 
-def _is_windows_absolute(name: str) -> bool:
-    return name[:1] in ("/", "\\") or name[1:2] == ":"
+def is_absolute(name: str) -> bool:
+    """Whether a path begins at a root or a drive, on whichever system."""
+    return name.startswith(("/", "\\")) or name[1:2] == ":"
+
+
+def _is_rooted(name: str) -> bool:
+    """Whether a path is absolute, or said to begin in the current directory."""
+    return bool(name) and (is_absolute(name) or name == "." or name[:2] in ("./", ".\\"))

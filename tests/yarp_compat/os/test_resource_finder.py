@@ -137,6 +137,42 @@ def test_absolute_paths_stay(places: dict[str, Path], tmp_path: Path) -> None:
     assert finder().findFileByName(path + "y") == ""
 
 
+def test_paths_stay_as_they_are_written(places: dict[str, Path]) -> None:
+    put(places["here"], "x.txt")
+    put(places["here"], "maps/a.txt")
+    put(places["data"], "contexts/nav/maps/b.txt")
+    rf, here = finder(), str(places["here"])
+    assert rf.findFile("./x.txt") == f"{here}/./x.txt"
+    assert rf.findFile("maps/../x.txt") == f"{here}/maps/../x.txt"
+    assert rf.findFile("x.txt/") == ""
+    assert rf.findPath("maps/") == f"{here}/maps/"
+    assert (
+        rf.findPaths("maps").toString()
+        == yarp.Bottle([f"{here}/maps", str(places["data"] / "contexts/nav/maps")]).toString()
+    )
+    assert rf.findPath("./maps") == f"{here}/./maps"
+    assert [str(path) for path in rf.findPaths("")][:2] == [here, f"{here}/"]
+
+
+def test_an_absolute_context_is_a_name_below_the_contexts(places: dict[str, Path]) -> None:
+    elsewhere = put(places["bundle"], "table.txt")
+    below = put(places["data"], f"contexts/{places['bundle']}/plan.txt".replace("//", "/"))
+    rf = finder("--context", str(places["bundle"]))
+    assert rf.findFile("table.txt") == ""
+    assert rf.findPaths("table.txt").size() == 0
+    assert rf.findFile("plan.txt") == below.replace("contexts/", "contexts//", 1)
+    assert Path(elsewhere).exists()
+
+
+def test_a_main_file_by_a_path_of_its_own(places: dict[str, Path]) -> None:
+    put(places["here"], "conf/robot.ini", "a 1\n")
+    beside = put(places["here"], "conf/map.txt")
+    rf = finder("--from", "./conf/robot.ini")
+    assert rf.find("a").asInt32() == 1
+    assert rf.getHomeContextPath() == f"{places['here']}/./conf"
+    assert rf.findFile("map.txt") == beside.replace("/conf/", "/./conf/")
+
+
 def test_forms_of_configure(places: dict[str, Path]) -> None:
     rf = yarp.ResourceFinder()
     assert rf.configure("YARP_POLICY", ["program", "--a", "1"])

@@ -2,19 +2,18 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import pytest
 
-from yarp_compat.os.resource_places import Directories
+import yarp_compat as yarp
+from yarp_compat.os.directories import Directories
 
 
 def test_linux_defaults() -> None:
     found = Directories({"HOME": "/home/r1"}, "linux")
-    assert found.data_home() == Path("/home/r1/.local/share/yarp")
-    assert found.config_home() == Path("/home/r1/.config/yarp")
-    assert found.data_dirs() == [Path("/usr/local/share/yarp"), Path("/usr/share/yarp")]
-    assert found.config_dirs() == [Path("/etc/xdg/yarp")]
+    assert found.data_home() == "/home/r1/.local/share/yarp"
+    assert found.config_home() == "/home/r1/.config/yarp"
+    assert found.data_dirs() == ["/usr/local/share/yarp", "/usr/share/yarp"]
+    assert found.config_dirs() == ["/etc/xdg/yarp"]
     assert found.robot() == "default"
 
 
@@ -26,10 +25,10 @@ def test_variables_outrank() -> None:
         },
         "linux",
     )  # fmt: skip
-    assert found.data_home() == Path("/x/yarp")
-    assert found.data_dirs() == [Path("/p/yarp"), Path("/q/yarp")]
-    assert found.config_dirs() == [Path("/a"), Path("/b")]
-    assert found.config_home() == Path("/c")
+    assert found.data_home() == "/x/yarp"
+    assert found.data_dirs() == ["/p/yarp", "/q/yarp"]
+    assert found.config_dirs() == ["/a", "/b"]
+    assert found.config_home() == "/c"
     assert found.robot() == "SIM_CER"
 
 
@@ -37,11 +36,35 @@ def test_variables_outrank() -> None:
     ("platform", "environment", "data", "dirs"),
     [
         ("darwin", {"HOME": "/Users/a"}, "/Users/a/Library/Application Support/yarp", "/usr/local/share/yarp"),
-        ("win32", {"APPDATA": "C:/a"}, "C:/a/yarp", "C:\\ProgramData/yarp"),
+        ("win32", {"APPDATA": "C:/a"}, "C:/a\\yarp", "C:\\ProgramData\\yarp"),
         ("win32", {"APPDATA": "C:/a", "YARP_DATA_DIRS": "C:/d;D:/e", "YARP_DATA_HOME": "C:/h"}, "C:/h", "C:/d"),
     ],
 )
 def test_other_systems(platform: str, environment: dict[str, str], data: str, dirs: str) -> None:
     found = Directories(environment, platform)
-    assert found.data_home() == Path(data)
-    assert found.data_dirs()[0] == Path(dirs)
+    assert found.data_home() == data
+    assert found.data_dirs()[0] == dirs
+
+
+def test_an_empty_variable_is_one() -> None:
+    found = Directories({"HOME": "/h", "YARP_DATA_HOME": "", "YARP_DATA_DIRS": ""}, "linux")
+    assert (found.data_home(), found.data_dirs()) == ("", [])
+
+
+def test_the_functions_of_the_bindings(monkeypatch: pytest.MonkeyPatch) -> None:
+    for name in ("YARP_CACHE_HOME", "XDG_CACHE_HOME", "YARP_RUNTIME_DIR", "XDG_RUNTIME_DIR", "TMPDIR"):
+        monkeypatch.delenv(name, raising=False)
+    monkeypatch.setenv("HOME", "/h")
+    monkeypatch.setenv("USER", "u")
+    monkeypatch.setenv("A_PATH", "/a:/b")
+    assert (yarp.home(), yarp.cachehome(), yarp.yarpcachehome()) == ("/h", "/h/.cache", "/h/.cache/yarp")
+    assert (yarp.tempdir(), yarp.yarpruntimedir()) == ("/tmp", "/tmp/runtime-u/yarp")
+    assert yarp.get_string("NOT_THERE", "x") == "x"
+    assert yarp.get_string("NOT_THERE", "A_PATH", "", "+") == "/a:/b+"
+    assert yarp.get_path("A_PATH") == ("/a", "/b")
+    assert yarp.get_path("NOT_THERE", "A_PATH", "", "/yarp") == ("/a/yarp", "/b/yarp")
+    assert yarp.set_bool("A_FLAG", True)
+    assert yarp.get_bool("A_FLAG")
+    assert yarp.is_set("A_FLAG")
+    assert yarp.unset("A_FLAG")
+    assert not yarp.get_bool("A_FLAG")
