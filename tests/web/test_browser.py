@@ -445,6 +445,30 @@ def test_status_and_frames(operator: Operator) -> None:
     until(lambda: any(text.endswith(" m") for text in operator.texts(".framepose dd")), "where it is")
 
 
+TWO_FEEDS = """
+const done = arguments[1];
+import("./socket.js").then(({ Socket }) => {
+  const socket = new Socket(arguments[0]), heard = [];
+  let end = () => {};
+  socket.watch("first", (value) => { heard.push(value); end(); });
+  end = socket.watch("second", (value) => heard.push(value));
+  socket.watch("third", (value) => heard.push(value));
+  const say = (name, value) => socket.keep({ feed: name, n: value, value });
+  say("first", 1), say("second", 2), say("third", 3);
+  requestAnimationFrame(() => { say("first", 4); requestAnimationFrame(() => done(heard)); });
+});
+"""
+
+
+def test_a_feed_that_ends_as_another_is_drawn_holds_up_none(operator: Operator) -> None:
+    """As where frames that came choose another pose to follow."""
+    address = operator.robot.address.replace("http", "ws", 1).rstrip("/") + "/socket"
+    try:
+        assert operator.chrome.execute_async_script(TWO_FEEDS, address) == [1, 3, 4]
+    finally:
+        operator.chrome.refresh()  # that socket would go on
+
+
 def test_the_system(operator: Operator, robot: WebRobot) -> None:
     chrome = operator.chrome
     operator.open("system")

@@ -160,13 +160,14 @@ export class Socket extends EventTarget {
     const drawn = [...this.due];
     this.due.clear();
     for (const name of drawn) {
-      const { takers, value, why } = this.feeds.get(name);
-      for (const taker of takers) guarded(() => taker(value, why));
+      const feed = this.feeds.get(name); // a taker before it may have ended it, or begun it anew
+      if (!feed?.has) continue;
+      for (const taker of feed.takers) guarded(() => taker(feed.value, feed.why));
     }
     guarded(() => this.tell("frame"));
     for (const name of drawn) {
       const feed = this.feeds.get(name);
-      if (feed !== undefined) this.send({ op: "took", feed: name, n: feed.n });
+      if (feed?.has) this.send({ op: "took", feed: name, n: feed.n });
     }
   }
 
