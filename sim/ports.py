@@ -15,13 +15,14 @@ import numpy as np
 from bridge.modules.host import Host
 from sim.simulation import TICK_NS, Simulation
 from yarp_compat.dev.basecontrol import IOdometry2DMsgs, OdometryData
+from yarp_compat.dev.battery import BatteryData, BatteryStatus, IBatteryMsgs
 from yarp_compat.dev.rangefinder import DeviceStatus, LaserScan2D, Rangefinder2D
 from yarp_compat.dev.returnvalue import OK, ReturnCode, ReturnValue
 from yarp_compat.sig.vector import Vector
 
 _ODOMETRY = 2
 _BATTERY = 100  # ticks between two messages: 50 Hz, 1 Hz
-_IN_USE = 2  # `IBattery::Battery_status`: works, and gives
+_IN_USE = BatteryStatus.BATTERY_OK_IN_USE
 _TEMPERATURE = 30.0
 _FIXED = ReturnValue(ReturnCode.NOT_IMPLEMENTED)
 
@@ -43,6 +44,8 @@ class RobotPorts:
         self._velocity = yarp.output(f"{prefix}/velocity:o")
         yarp.serve(f"{prefix}/rpc", _Reset(host, simulation))
         self._battery = yarp.output(f"{prefix}/battery:o")
+        self._battery_data = yarp.output(f"{prefix}/battery/data:o")
+        yarp.serve(f"{prefix}/battery/rpc:i", _Battery())
         self._ticks = 0
         self._scanned = -1
 
@@ -57,10 +60,18 @@ class RobotPorts:
                 self._laser.write(self._scan(), envelope)
         if self._ticks % _ODOMETRY == 0 and "encoders_silent" not in self._simulation.faults:
             self._tell_odometry(envelope)
-        if self._ticks % _BATTERY == 0 and self._battery.heard:
-            charge = self._simulation.battery.charge
-            said: list[Any] = [charge.voltage, -charge.current, 100.0 * charge.share, _TEMPERATURE, _IN_USE]
+        if self._ticks % _BATTERY == 0:
+            self._tell_battery(envelope)
+
+    def _tell_battery(self, envelope: str) -> None:
+        charge = self._simulation.battery.charge
+        percent, current = 100.0 * charge.share, -charge.current
+        if self._battery.heard:  # in the order of YARP before 3.12
+            said: list[Any] = [charge.voltage, current, percent, _TEMPERATURE, int(_IN_USE)]
             self._battery.write(said, envelope)
+        if self._battery_data.heard:
+            data = BatteryData(percent, charge.voltage, current, _TEMPERATURE, int(_IN_USE))
+            self._battery_data.write(data, envelope)
 
     def _scan(self) -> LaserScan2D:
         """The last scan as YARP counts: from the robot's front around to the left, 0 to 360 degrees."""
@@ -132,6 +143,14 @@ class _Laser(Rangefinder2D):
         """What it is."""
         section = self._simulation.section.laser
         return OK, f"Midspan's simulated laser ({section.kind}, {section.beams} beams)"
+
+
+class _Battery(IBatteryMsgs):
+    """Says what battery it is."""
+
+    def getBatteryInfoRPC(self) -> tuple[ReturnValue, str]:
+        """One that nobody charges by hand."""
+        return OK, "Midspan's simulated battery"
 
 
 class _Reset(IOdometry2DMsgs):

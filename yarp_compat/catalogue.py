@@ -9,6 +9,7 @@ from typing import Any
 _PLACES = {
     "dev.drivers.polydriver": "PolyDriver",
     "dev.basecontrol": "MobileBaseVelocity MobileBaseVelocityControl Odometry2DClient OdometryData",
+    "dev.battery": "BatteryClient BatteryData IBattery",
     "dev.frametransform": "FrameTransform",
     "dev.frametransform_client": "TransformClient",
     "dev.iframetransform": "IFrameTransform",
@@ -16,6 +17,7 @@ _PLACES = {
         "Navigation2DServer NavigationMapTypeEnum NavigationStatusEnum TrajectoryTypeEnum statusToString stringToStatus"
     ),
     "dev.rangefinder": "LaserMeasurementData LaserScan2D",
+    "dev.rangefinder_client": "IRangefinder2D Rangefinder2DClient",
     "dev.localization2d": "ILocalization2D Localization2DClient Localization2DServer LocalizationStatusEnum",
     "dev.locations": "Map2DArea Map2DLocation Map2DObject Map2DPath",
     "dev.map2d_client": "IMap2D Map2DClient",

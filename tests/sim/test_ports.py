@@ -5,8 +5,12 @@ from __future__ import annotations
 import math
 from pathlib import Path
 
+import pytest
+
+import yarp_compat as yarp
 from tests.sim.test_hub import Place
 from tests.support.wait import until
+from tests.support.yarp_network import network_of
 from yarp_compat.dev.basecontrol import IOdometry2DMsgs, OdometryData
 from yarp_compat.dev.client import ServiceClient
 from yarp_compat.dev.rangefinder import DeviceStatus, IRangefinder2DMsgs, LaserScan2D
@@ -25,10 +29,12 @@ def test_a_yarp_client_has_laser_odometry_and_battery(tmp_path: Path) -> None:
             names = NameClient(Address("127.0.0.1", place.port), namespace="/root")
             section = {"beams": 8, "farthest": 15.0}
             place.worker.start(place.config(plan="hall", start=(0.5, 0.0, 0.0), yarp="/cer", laser=section))
-            until(lambda: connections.exists(names, "/cer/battery:o"), "the last port is there")
+            until(lambda: connections.exists(names, "/cer/battery/rpc:i"), "the last port is there")
             until(lambda: "waiting" not in str(place.status()["ports"]), "all are open")
             streams(place, names)
             settings(names)
+            with network_of(names):
+                devices()
             place.worker.stop()
     finally:
         place.close()
@@ -61,6 +67,36 @@ def streams(place: Place, names: NameClient) -> None:
     assert current > 0
     assert 99 < charge <= 100
     assert status == 2
+
+
+def devices() -> None:
+    """What a script's devices have of them."""
+    names = {
+        "laser": "(device rangefinder2D_nwc_yarp) (remote /cer/laser:o)",
+        "older": "(device Rangefinder2DClient) (remote /cer/laser:o)",
+        "odometry": "(device odometry2D_nwc_yarp) (remote /cer)",
+        "battery": "(device battery_nwc_yarp) (remote /cer/battery)",
+    }
+    drivers = {name: yarp.PolyDriver(yarp.Property(f"{text} (local /script/{name})")) for name, text in names.items()}
+    assert all(driver.isValid() for driver in drivers.values())
+    for laser in (drivers["laser"].viewIRangefinder2D(), drivers["older"].viewIRangefinder2D()):
+        distances, points = yarp.Vector(), list[yarp.LaserMeasurementData]()
+        until(lambda seen=laser, into=distances: seen.getRawData(into), "a scan has come")
+        assert laser.getLaserMeasurement(points)
+        assert points[2].get_cartesian() == pytest.approx((0.0, distances[2]), abs=0.01)
+        assert laser.getDistanceRange()[1:] == (0.1, 15.0)
+        assert laser.getDeviceStatus() is DeviceStatus.DEVICE_OK_IN_USE
+    base, here, stamp = drivers["odometry"].viewIOdometry2D(), OdometryData(), yarp.DVector()
+    until(lambda: base.getOdometry(here, stamp), "the odometry has come")
+    assert abs(here.odom_x) < 0.01
+    assert stamp[0] > 1.7e9
+    assert base.resetOdometry()
+    battery = drivers["battery"].viewIBattery()
+    until(battery.getBatteryCharge, "the battery's state has come")
+    assert 99 < battery.getBatteryCharge() <= 100
+    assert 50 < battery.getBatteryVoltage() < 55
+    assert battery.getBatteryStatus() is yarp.IBattery.BATTERY_OK_IN_USE
+    assert "Midspan" in battery.getBatteryInfo()
 
 
 def settings(names: NameClient) -> None:

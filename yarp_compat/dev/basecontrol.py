@@ -11,12 +11,13 @@ Ports (`mobileBaseVelocityControl_nws_yarp`, `odometry2D_nws_yarp` of YARP 4): `
 
 from __future__ import annotations
 
+from collections.abc import MutableSequence
 from dataclasses import dataclass
-from typing import Self, Unpack
+from typing import Any, Self, Unpack
 
 from yarp_compat.dev.client import ClientOptions, ServiceClient, Stream
 from yarp_compat.dev.fields import Generated
-from yarp_compat.dev.returnvalue import UNREACHED, CallFailed, ReturnValue, called, three
+from yarp_compat.dev.returnvalue import UNREACHED, CallFailed, ReturnValue, called, given, three
 from yarp_compat.dev.service import Service, rpc
 from yarp_compat.ports.sockets import closed_on_failure
 from yarp_compat.wire.errors import WireError
@@ -97,14 +98,16 @@ class MobileBaseVelocityControl(ServiceClient[INavigation2DVelocityActionsMsgs])
 class Odometry2DClient(ServiceClient[IOdometry2DMsgs]):
     """Hears an odometry, and begins it anew, as YARP's ``odometry2D_nwc_yarp`` does (`IOdometry2D`).
 
-    ``server`` begins the names of its ports (``/baseControl/odometry``), ``name`` the own ones; see `ServiceClient`.
+    ``server`` begins the names of its ports (``/baseControl/odometry``), ``name`` the own ones; ``carrier`` is the
+    stream's; more as of `ServiceClient`.
     """
 
-    def __init__(self, server: str, name: str = "", **options: Unpack[ClientOptions]) -> None:
+    def __init__(self, server: str, name: str = "", carrier: str = "", **options: Unpack[ClientOptions]) -> None:
         mine = name.rstrip("/")
         super().__init__(IOdometry2DMsgs, f"{server}/rpc", mine and f"{mine}/rpc", **options)
         own, naming = mine and f"{mine}/odometry:i", options.get("naming")
-        self._stream = Stream(f"{server}/odometry:o", OdometryData, own, naming=naming)
+        source = f"{carrier}:/{server}/odometry:o" if carrier else f"{server}/odometry:o"
+        self._stream = Stream(source, OdometryData, own, naming=naming)
         self._last: tuple[OdometryData, float] | None = None
 
     def open(self) -> Self:
@@ -125,8 +128,19 @@ class Odometry2DClient(ServiceClient[IOdometry2DMsgs]):
         self._last = found or self._last
         return found
 
-    def getOdometry(self) -> tuple[ReturnValue, OdometryData, float]:
-        """The outcome, the newest odometry, and its time stamp in seconds; false before any has come."""
+    def getOdometry(self, odom: OdometryData | None = None, timestamp: MutableSequence[float] | None = None) -> Any:
+        """The newest odometry, and its time stamp in seconds; false before any has come.
+
+        They are filled in where there is something to fill, else returned: the outcome, the odometry, the stamp.
+        """
+        outcome, found, stamp = self._newest()
+        if odom is None:
+            return outcome, found, stamp
+        if outcome and timestamp is not None:
+            timestamp[:] = [stamp]
+        return given(outcome, found, odom)
+
+    def _newest(self) -> tuple[ReturnValue, OdometryData, float]:
         try:
             self._last = self._stream.read_now() or self._last
         except WireError:

@@ -130,6 +130,7 @@ class ServiceClient(Client, Generic[S]):
         timeout = options.get("timeout", PATIENCE)
         self._channel = PortChannel(self.core, timeout=timeout, connect=lambda: self.connect(self.server))
         self.remote = interface(self._channel)
+        self.version: tuple[int, int, int, int] | None = None  # as of `Service.introduce`, once this was open
 
     @property
     def generation(self) -> Generation:
@@ -140,5 +141,5 @@ class ServiceClient(Client, Generic[S]):
         """Open the port, connect it, and introduce it, as YARP 4's servers want it; errors as of `Stream.open`."""
         super().open()
         with closed_on_failure(self):
-            self.remote.introduce()
+            self.version = self.remote.introduce()
         return self

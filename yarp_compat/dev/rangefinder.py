@@ -69,6 +69,9 @@ class DeviceStatus(IntEnum):
     DEVICE_TIMEOUT = 3
 
 
+_TEXTS = ("lsnf", "btnf")  # what is answered by a text
+
+
 class OldAnswer(Portable):
     """An answer in the older words: ``[is]``, the vocab of what was asked for, and its values (numbers or a text)."""
 
@@ -89,7 +92,7 @@ class OldAnswer(Portable):
         count = source.begin()
         source.word()
         self.what = source.word()
-        self.values = (source.string(),) if self.what == "lsnf" else tuple(source.float64() for _ in range(count - 2))
+        self.values = (source.string(),) if self.what in _TEXTS else tuple(source.float64() for _ in range(count - 2))
         source.end()
 
 

@@ -1,4 +1,4 @@
-"""The clients of a planner, a map server and a localisation server as devices, with the options of YARP's own.
+"""The clients of planner, map server, localisation server and base as devices, with the options of YARP's own.
 
 Their names, ports and options are the same from YARP 3.6 to 4.0 (``*_nwc_yarp_params.md`` of 4.0 lists the options);
 ``navigation2DClient`` and its kin are what releases before 3.7 call them.
@@ -6,6 +6,7 @@ Their names, ports and options are the same from YARP 3.6 to 4.0 (``*_nwc_yarp_p
 
 from __future__ import annotations
 
+from yarp_compat.dev.basecontrol import MobileBaseVelocityControl
 from yarp_compat.dev.drivers.registry import DeviceOptions, OpenDevice
 from yarp_compat.dev.localization2d import Localization2DClient
 from yarp_compat.dev.map2d_client import Map2DClient
@@ -35,3 +36,11 @@ def map2d(options: DeviceOptions) -> OpenDevice:
     server = f"{options.text('carrier', 'fast_tcp')}:/{options.port('remote')}/rpc"
     client = Map2DClient(server, f"{options.port('local')}/mapClient_rpc", naming=options.naming).open()
     return OpenDevice(client.close, {"IMap2D": client})
+
+
+def mobile_base_velocity_control(options: DeviceOptions) -> OpenDevice:
+    """``local`` and ``server``: what the ports' names begin with; ``carrier`` of the commands."""
+    server = f"{options.text('carrier', 'tcp')}:/{options.port('server')}/rpc:i"
+    name = f"{options.port('local')}/navigation/rpc:o"
+    client = MobileBaseVelocityControl(server, name, naming=options.naming).open()
+    return OpenDevice(client.close, {"INavigation2DVelocityActions": client})

@@ -87,10 +87,14 @@ class PolyDriver:
         """The option ``id``, or the device's name; empty before `open`."""
         return self._name
 
+    viewIBattery = _view("IBattery")
     viewIFrameTransform = _view("IFrameTransform")
     viewILocalization2D = _view("ILocalization2D")
     viewIMap2D = _view("IMap2D")
     viewINavigation2D = _view("INavigation2D")
+    viewINavigation2DVelocityActions = _view("INavigation2DVelocityActions")
+    viewIOdometry2D = _view("IOdometry2D")
+    viewIRangefinder2D = _view("IRangefinder2D")
 
     def _opened(self, config: Searchable) -> OpenDevice:
         make = registry.factory(self._name)
@@ -109,4 +113,20 @@ class PolyDriver:
 
     def __del__(self) -> None:
         with contextlib.suppress(Exception):  # at the program's end what closes it may be gone
+            if self._device is not None:
+                log.info("the device <%s> is closed: nobody holds its PolyDriver any more", self._name)
             self.close()
+
+
+_OTHERS = """
+IAmplifierControl IAnalogSensor IAxisInfo ICartesianControl IContactLoadCellArrays IControlLimits IControlMode
+ICurrentControl IEncoderArrays IEncoders IEncodersTimed IFrameGrabberControls IFrameGrabberImage IGazeControl
+IImpedanceControl IInteractionMode IJointCoupling IJointFault ILLM IMotor IMotorEncoders IOrientationSensors IPidControl
+IPositionControl IPositionDirect IPWMControl IRemoteVariables IRGBDSensor ISimulatedWorld ISixAxisForceTorqueSensors
+ISkinPatches ISpeechSynthesizer ISpeechTranscription ITemperatureSensors IThreeAxisGyroscopes
+IThreeAxisLinearAccelerometers IThreeAxisMagnetometers ITorqueControl IVelocityControl
+"""
+"""What else the bindings view a device as (``yarp.i`` of 3.9 to 4.0): None, unless a device here has it."""
+
+for _interface in _OTHERS.split():
+    setattr(PolyDriver, f"view{_interface}", _view(_interface))

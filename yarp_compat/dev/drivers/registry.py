@@ -34,6 +34,13 @@ _FACTORIES = {
     "navigation2D_nwc_yarp navigation2DClient": "navigation.navigation2d",
     "localization2D_nwc_yarp localization2DClient": "navigation.localization2d",
     "map2D_nwc_yarp map2DClient": "navigation.map2d",
+    "mobileBaseVelocityControl_nwc_yarp": "navigation.mobile_base_velocity_control",
+    "frameTransformClient": "transforms.frame_transform_client",
+    "frameTransform_nwc_yarp": "transforms.frame_transform",
+    "transformClient": "transforms.transform_client",
+    "rangefinder2D_nwc_yarp Rangefinder2DClient": "sensors.rangefinder2d",
+    "odometry2D_nwc_yarp": "sensors.odometry2d",
+    "battery_nwc_yarp batteryClient": "sensors.battery",
 }
 """The names of a device in YARP's releases, and its factory: a module of this package, and a function in it."""
 
@@ -42,7 +49,8 @@ _BY_NAME = {name: place for names, place in _FACTORIES.items() for name in names
 _INSTEAD = {
     r"remote_controlboard|controlBoard_nwc_yarp": "there are no motors here yet; talk to the board's ports",
     r"(RGBD|rgbd).*": "read its images by BufferedPortImageRgb and BufferedPortImageFloat",
-    r"(remote_|frame|grabber|usb|opencv|ffmpeg|openCV).*": "read the camera's port by BufferedPortImageRgb",
+    r"frameTransform(Get|Set)_nwc_yarp": "frameTransform_nwc_yarp is both",
+    r"(remote_|frameGrabber|grabber|usb|opencv|ffmpeg|openCV).*": "read the camera's port by BufferedPortImageRgb",
     r"analogsensorclient|AnalogSensorClient": "read the sensor's port by BufferedPortVector",
     r"multipleanalogsensors\w*": "read the sensors' port, <remote>/measures:o, by BufferedPortBottle",
     r"(cartesian|gaze)controllerclient|(Cartesian|Gaze).*": "ask the controller's rpc port by RpcClient",

@@ -1,0 +1,148 @@
+"""A script's devices on Midspan's own servers: planner, maps, localiser and frames in one worker, over real ports."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from typing import Any
+
+import pytest
+
+import yarp_compat as yarp
+from bridge.hub.wire.qos import Qos
+from bridge.stores.kinds import MAP
+from navigation.status import State
+from tests.navigation.gateway.rig import Rig
+from tests.support.wait import until
+from tests.support.yarp_network import network_of
+from yarp_compat.dev.locations import Map2DLocation
+from yarp_compat.dev.mapgrid import MapGrid2D
+from yarp_compat.naming import connections
+
+SERVERS = (
+    "(navigation_server /navigationServer) (map_locations_server /mapServer) (localization_server /localizationServer)"
+)
+TURNED = {"z": math.sin(math.pi / 4), "w": math.cos(math.pi / 4)}
+AT = {"translation": {"x": 1.0, "y": 2.0}, "rotation": TURNED}
+
+
+class Served(Rig):
+    """All modules that answer a script, and a robot that stands at (1, 2) on the map ``house``, looking along y."""
+
+    def configured(self, **changed: Any) -> Any:
+        modules = {
+            "map2d_server": {"enabled": True},
+            "localization_server": {"enabled": True, "source": "tf", "period": 0.05},
+            "transform_server": {"enabled": True},
+        }
+        return self.config(navigation={**self.section, **changed}, modules=modules)
+
+
+@pytest.fixture(scope="module")
+def running(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Served]:
+    with Served(tmp_path_factory.mktemp("devices")) as made, network_of(made.names):
+        store = made.worker.store
+        store.put(MAP, "house", MapGrid2D.of([[0] * 4] * 3, name="house"))
+        store.use_map("house")
+        frames = made.client.node.publisher("/tf", "tf2_msgs/msg/TFMessage", Qos(depth=10))
+
+        def say() -> None:
+            head = {"stamp": made.client.node.clock.stamp(), "frame_id": "map"}
+            frames.publish({"transforms": [{"header": head, "child_frame_id": "base_link", "transform": AT}]})
+
+        made.client.loop.every(0.05, say)
+        for port in (
+            "/mapServer/rpc",
+            "/localizationServer/rpc",
+            "/frameTransformServer/frameTransformGet_nws_yarp/tf:o",
+        ):
+            until(lambda name=port: connections.exists(made.names, name), f"{port} is there", 30)
+        until(made.gateway.robot, "it is known where the robot is", 20)
+        yield made
+
+
+@pytest.fixture
+def rig(running: Served) -> Served:
+    running.fresh()
+    return running
+
+
+def opened(options: str) -> yarp.PolyDriver:
+    driver = yarp.PolyDriver(yarp.Property(options))
+    assert driver.isValid()
+    return driver
+
+
+@pytest.mark.parametrize("device", ["navigation2D_nwc_yarp", "navigation2DClient"])
+def test_a_script_sends_the_robot_to_a_place(rig: Served, device: str) -> None:
+    driver = opened(f"(device {device}) (local /script) {SERVERS}")
+    robot, maps, where = driver.viewINavigation2D(), driver.viewIMap2D(), driver.viewILocalization2D()
+    until(lambda: where.getCurrentPosition().map_id == "house", "it is localised")
+    here = where.getCurrentPosition()
+    assert (here.x, here.y, here.theta) == pytest.approx((1.0, 2.0, 90.0))
+    assert where.getLocalizationStatus() is yarp.localization_status_localized_ok
+    assert maps.storeLocation("kitchen", Map2DLocation("house", 3.0, 1.0, 0.0))
+    assert robot.storeCurrentPosition("here")
+    names = yarp.SVector()
+    assert maps.getLocationsList(names)
+    assert {"here", "kitchen"} <= {*names}
+    assert robot.gotoTargetByLocationName("kitchen")
+    goal = rig.planner.until(1)
+    rig.state(State.MOVING)
+    assert robot.getNavigationStatus() is yarp.navigation_status_moving
+    assert robot.getAbsoluteLocationOfCurrentTarget().x == 3.0
+    near = yarp.BVector(1)
+    assert robot.checkNearToLocation("here", near, 0.1)
+    assert near == [True]
+    assert maps.deleteLocation("here")
+    rig.planner.reach(goal)
+    rig.state(State.REACHED)
+    assert robot.getNavigationStatus() is yarp.navigation_status_goal_reached
+    assert robot.stopNavigation()
+    assert driver.close()
+
+
+@pytest.mark.usefixtures("running")
+@pytest.mark.parametrize("device", ["map2D_nwc_yarp", "map2DClient"])
+def test_a_script_reads_the_map(device: str) -> None:
+    driver = opened(f"(device {device}) (local /script) (remote /mapServer) (carrier tcp)")
+    grid = MapGrid2D()
+    assert driver.viewIMap2D().get_map("house", grid)
+    assert (grid.name, grid.width(), grid.height()) == ("house", 4, 3)
+    assert not driver.viewIMap2D().get_map("cellar", grid)
+    driver.close()
+
+
+@pytest.mark.usefixtures("running")
+@pytest.mark.parametrize("device", ["localization2D_nwc_yarp", "localization2DClient"])
+def test_a_script_asks_where_the_robot_is(device: str) -> None:
+    driver = opened(f"(device {device}) (local /script) (remote /localizationServer)")
+    here = Map2DLocation()
+    until(lambda: driver.viewILocalization2D().getCurrentPosition(here), "it is localised")
+    assert (here.map_id, here.x, here.y) == ("house", pytest.approx(1.0), pytest.approx(2.0))
+    driver.close()
+
+
+@pytest.mark.usefixtures("running")
+@pytest.mark.parametrize(
+    "options",
+    [
+        "(device frameTransformClient) (config_name ftc_yarp_only.xml) (ft_client_prefix /script)",
+        "(device frameTransformClient) (filexml_option ftc_sub_yarp_only.xml)",
+        "(device frameTransform_nwc_yarp) (ftGet_client_enable_stream false)",
+        "(device transformClient) (local /script) (remote /transformServer) (period 10)",
+    ],
+)
+def test_a_script_has_the_frames(options: str) -> None:
+    driver = opened(options)
+    frames, found = driver.viewIFrameTransform(), yarp.Matrix()
+    until(lambda: frames.getTransform("base_link", "map", found), "the robot's frame is known")
+    assert (found[0, 3], found[1, 3]) == pytest.approx((1.0, 2.0))
+    assert frames.canTransform("base_link", "map")
+    corner = yarp.Matrix(4, 4)
+    corner.eye()
+    assert bool(frames.setTransformStatic("corner", "map", corner)) is ("ftc_sub_yarp_only" not in options)
+    if "ftc_sub" not in options:
+        until(lambda: frames.frameExists("corner"), "the server has it")
+        assert frames.deleteTransform("corner", "map")
+    driver.close()

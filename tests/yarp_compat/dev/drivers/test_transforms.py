@@ -1,0 +1,72 @@
+"""The devices for transforms: those that a program keeps for itself, and what cannot be opened."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Iterator
+
+import pytest
+
+import yarp_compat as yarp
+from tests.support.wait import until
+from tests.yarp_compat.os.conftest import local
+from yarp_compat.dev.frametransform_local import LocalTransforms
+from yarp_compat.dev.returnvalue import ReturnCode
+
+__all__ = ["local"]
+
+
+@pytest.fixture
+def frames(local: None) -> Iterator[LocalTransforms]:
+    driver = yarp.PolyDriver()
+    assert driver.open_str("frameTransformClient"), "by default it needs no server, as in YARP"
+    yield driver.viewIFrameTransform()
+    driver.close()
+
+
+def at(x: float) -> yarp.Matrix:
+    made = yarp.Matrix(4, 4)
+    made.eye()
+    made[0, 3] = x
+    return made
+
+
+def test_a_program_keeps_frames_for_itself(frames: LocalTransforms) -> None:
+    found = yarp.Matrix()
+    assert frames.setTransformStatic("base", "map", at(1.0))
+    assert frames.setTransformStatic("laser", "base", at(0.5))
+    assert frames.getTransform("laser", "map", found)
+    assert found[0, 3] == 1.5
+    assert frames.setTransform("arm", "base", at(0.25))
+    assert frames.setTransform("arm", "base", at(0.75)), "the newest counts"
+    assert frames.getTransform("arm", "base", found)
+    assert found[0, 3] == 0.75
+    until(lambda: not frames.frameExists("arm"), "it expires")
+    assert frames.frameExists("laser"), "what is static stays"
+    assert not frames.waitForTransform("arm", "map", 0.02)
+    assert frames.waitForTransform("laser", "map", 0.02)
+    assert frames.deleteTransform("base", "laser"), "whichever is the parent"
+    assert frames.deleteTransform("laser", "base").code is ReturnCode.METHOD_FAILED
+    assert frames.deleteTransform("*", "map")
+    assert not frames.tree().transforms
+    assert frames.setTransformStatic("base", "map", at(1.0))
+    assert frames.clear()
+    assert not frames.frameExists("base")
+
+
+@pytest.mark.parametrize(
+    ("options", "reason"),
+    [
+        ("(config_name ftc_full_ros.xml)", "config_name ftc_full_ros.xml is not known here"),
+        ("(custom_config_from my.xml)", "cannot be read here; say config_name ftc_yarp_only.xml"),
+        ("(config_name ftc_yarp_only.xml)", "/frameTransformServer"),
+        ("(ftc_storage_timeout long)", "'ftc_storage_timeout' of frameTransformClient is a number, not long"),
+        ("(config_name ftc_yarp_only.xml) (ftGet_client_enable_stream sometimes)", "is true or false, not sometimes"),
+    ],
+)
+@pytest.mark.usefixtures("local")
+def test_what_cannot_be_opened_is_said(caplog: pytest.LogCaptureFixture, options: str, reason: str) -> None:
+    with caplog.at_level(logging.ERROR):
+        driver = yarp.PolyDriver(yarp.Property(f"(device frameTransformClient) {options}"))
+    assert not driver.isValid()
+    assert reason in caplog.text

@@ -1,0 +1,36 @@
+"""The clients of a laser, an odometry and a battery as devices, with the options of YARP's own."""
+
+from __future__ import annotations
+
+from yarp_compat.dev.basecontrol import Odometry2DClient
+from yarp_compat.dev.battery import BatteryClient
+from yarp_compat.dev.drivers.registry import DeviceError, DeviceOptions, OpenDevice
+from yarp_compat.dev.rangefinder_client import Rangefinder2DClient
+
+
+def rangefinder2d(options: DeviceOptions) -> OpenDevice:
+    """``local`` and ``remote``: the ports of the stream, which begin the others' names; ``carrier`` of the stream."""
+    client = Rangefinder2DClient(
+        options.port("remote"), options.port("local"), options.text("carrier", "tcp"), naming=options.naming
+    ).open()
+    outcome, first, last = client.getScanLimits()
+    if not outcome or last < first:
+        client.close()
+        raise DeviceError(f"the laser {client.server} does not say in which directions it measures")
+    return OpenDevice(client.close, {"IRangefinder2D": client})
+
+
+def odometry2d(options: DeviceOptions) -> OpenDevice:
+    """``local`` and ``remote``: what the ports' names begin with; ``carrier`` of the stream."""
+    client = Odometry2DClient(
+        options.port("remote"), options.port("local"), options.text("carrier", "tcp"), naming=options.naming
+    ).open()
+    return OpenDevice(client.close, {"IOdometry2D": client})
+
+
+def battery(options: DeviceOptions) -> OpenDevice:
+    """``local`` and ``remote``: what the ports' names begin with; ``carrier`` of the stream."""
+    client = BatteryClient(
+        options.port("remote"), options.port("local"), options.text("carrier", "fast_tcp"), naming=options.naming
+    ).open()
+    return OpenDevice(client.close, {"IBattery": client})
