@@ -37,7 +37,7 @@ _PLACES = {
         "yarpconfighome yarpconfigdirs yarpcachehome yarpruntimedir get_string get_path get_bool set_string set_path "
         "set_bool is_set unset getEnvironment setEnvironment unsetEnvironment path_separator"
     ),
-    "os.log": "Log LogType",
+    "os.log": "Log LogStream LogType",
     "os.ports.nested": "NestedName",
     "os.network": "Network NetworkBase",
     "os.ports.node": "Node Publisher Subscriber",

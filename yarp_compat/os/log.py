@@ -7,14 +7,16 @@ messages (ports that open, connections that come and go) go through Python's ``l
 
 from __future__ import annotations
 
+import atexit
 import logging
 import os
 import sys
 import threading
 import time
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from enum import IntEnum
-from typing import Any
+from typing import Any, Self
 
 _lock = threading.Lock()
 
@@ -42,21 +44,50 @@ def enabled(environment: Mapping[str, str], name: str, *, default: bool) -> bool
     return value.lower() in ("1", "true", "on", "yes") if value else default
 
 
-def line(kind: LogType, text: str, component: str = "", *, colour: bool = False) -> str:
-    """One line as YARP prints it."""
-    word = _WORDS[kind]
+@dataclass(frozen=True)
+class CodePlace:
+    """Where a message was written, as the program says it; ``name`` is one of several that write alike (YARP's id)."""
+
+    file: str = ""
+    line: int = 0
+    function: str = ""
+    name: str = ""
+    time: float = 0.0  # seconds, instead of the time now; 0 for that
+
+
+_NOWHERE = CodePlace()
+
+
+def line(kind: LogType, text: str, component: str = "", *, colour: bool = False, place: CodePlace = _NOWHERE) -> str:
+    """One line as YARP prints it; a trace says its function."""
+    word, name = _WORDS[kind], place.name
     shown = f"\033[{_COLOURS[kind]}m{word}\033[00m" if colour else word
-    return f"[{shown}] |{component}| {text}" if component else f"[{shown}] {text}"
+    if kind == LogType.TraceType and place.function:
+        shown += f"] {place.function}: " if text or component else f"] {place.function}"
+    else:
+        shown += "] "
+    return f"[{shown}{_source(component, name)}{text}"
+
+
+def _source(component: str, name: str) -> str:
+    """What stands before the text: the component and the name of the one that writes."""
+    if not component and not name:
+        return ""
+    return f"|{component}| " if not name else f"|{component}|{name}| " if component else f"|{name}| "
 
 
 PrintCallback = Callable[[LogType, str, str], None]
 
 
-def _print(kind: LogType, text: str, component: str) -> None:
+def _print(kind: LogType, text: str, component: str, place: CodePlace = _NOWHERE) -> None:
     stream = sys.stdout if kind <= LogType.InfoType else sys.stderr
-    out = line(kind, text, component, colour=enabled(os.environ, "YARP_COLORED_OUTPUT", default=False))
+    colour = enabled(os.environ, "YARP_COLORED_OUTPUT", default=False)
     if enabled(os.environ, "YARP_VERBOSE_OUTPUT", default=False):
-        out = f"[{time.time():.6f}] {out}"
+        code = f"{place.file}:{place.line} {place.function} " if place.file else ""
+        name = CodePlace(name=place.name)
+        out = f"[{place.time or time.time():.6f}] " + line(kind, code + text, component, colour=colour, place=name)
+    else:
+        out = line(kind, text, component, colour=colour, place=place)
     with _lock:
         stream.write(f"{out}\n")  # in one piece: between two, other threads' text would stand in the line
         stream.flush()
@@ -68,33 +99,94 @@ def _first_level() -> LogType:
     return LogType.TraceType if enabled(os.environ, "YARP_TRACE_ENABLE", default=False) else LogType.DebugType
 
 
-def _prints(kind: LogType, doc: str) -> classmethod[Any, ..., None]:
-    def say(cls: type[Log], text: str, *values: object) -> None:
-        cls._say(kind, text, values)
+class _Prints:
+    """A method of `Log` that is called on an object or on the class itself, with a text, or without for a stream."""
 
-    say.__doc__ = doc
-    return classmethod(say)
+    def __init__(self, kind: LogType, doc: str) -> None:
+        self._kind = kind
+        self.__doc__ = doc
+
+    def __get__(self, log: Log | None, owner: type[Log]) -> Callable[..., Any]:
+        place = _NOWHERE if log is None else log.place
+
+        def say(text: str | None = None, *values: object) -> LogStream | None:
+            if text is None:
+                return LogStream(self._kind, place)
+            owner.say(self._kind, text, values, place=place)
+            if self._kind == LogType.FatalType:
+                raise SystemExit(1)
+            return None
+
+        say.__doc__ = self.__doc__
+        return say
+
+
+class LogStream:
+    """A line that is put together as in C++, ``yarp.Log().info() << "speed" << 0.3``; it is printed as the stream ends.
+
+    Behind each piece stands a space. Numbers with a fraction have six digits, as C++ streams print them.
+    """
+
+    def __init__(self, kind: LogType, place: CodePlace = _NOWHERE) -> None:
+        self._kind = kind
+        self._place = place
+        self._pieces: list[str] | None = []
+
+    def __lshift__(self, piece: object) -> Self:
+        if self._pieces is not None:
+            self._pieces.append(_piece(piece))
+        return self
+
+    def __del__(self) -> None:
+        pieces, self._pieces = self._pieces, None
+        if pieces is None:
+            return
+        Log.say(self._kind, " ".join(pieces).removesuffix("\n"), (), place=self._place)
+        if self._kind == LogType.FatalType:
+            # Python swallows SystemExit here
+            atexit._run_exitfuncs()
+            os._exit(1)
+
+
+def _piece(piece: object) -> str:
+    if isinstance(piece, bool):
+        return "true" if piece else "false"
+    if isinstance(piece, float):
+        return f"{piece:g}"
+    if isinstance(piece, (list, tuple)):
+        return "{" + ", ".join(map(_piece, piece)) + "}"
+    return str(piece)
 
 
 class Log:
-    """Prints: ``yarp.Log().info("speed %f", 0.3)``, ``yarp.Log.info("...")``; ``fatal`` ends the program, too."""
+    """Prints: ``yarp.Log().info("speed %f", 0.3)``, ``yarp.Log.info("...")``; ``fatal`` ends the program, too.
+
+    Without a text the methods return a `LogStream`. ``Log(file, line, function)`` says where a message was written, as
+    ``YARP_VERBOSE_OUTPUT`` shows it; behind these may stand a name, and a time in seconds.
+    """
 
     LogTypeUnknown, TraceType, DebugType, InfoType, WarningType, ErrorType, FatalType, LogTypeReserved = LogType
 
     _minimum = _first_level()
-    _callback: PrintCallback = staticmethod(_print)
+    _forwarded = LogType.DebugType
+    _callback: PrintCallback | None = None
+    _forward: PrintCallback | None = None
 
-    trace = _prints(LogType.TraceType, "Print for whoever follows each step; only where ``YARP_TRACE_ENABLE`` is 1.")
-    debug = _prints(LogType.DebugType, "Print for developers; not shown when ``YARP_DEBUG_ENABLE`` is 0.")
-    info = _prints(LogType.InfoType, "Print what users want to know.")
-    warning = _prints(LogType.WarningType, "Print what may be wrong.")
-    error = _prints(LogType.ErrorType, "Print what is wrong.")
+    def __init__(self, file: str = "", line: int = 0, func: str = "", *rest: Any) -> None:
+        names = [part for part in rest if isinstance(part, str)]
+        times = [part for part in rest if isinstance(part, (int, float))]
+        self.place = CodePlace(file, line, func, "".join(names[:1]), times[0] if times else 0.0)
 
-    @classmethod
-    def fatal(cls, text: str, *values: object) -> None:
-        """Print, and end the program by `SystemExit`."""
-        cls._say(LogType.FatalType, text, values)
-        raise SystemExit(1)
+    trace = _Prints(LogType.TraceType, "Print for whoever follows each step; only where ``YARP_TRACE_ENABLE`` is 1.")
+    debug = _Prints(LogType.DebugType, "Print for developers; not shown when ``YARP_DEBUG_ENABLE`` is 0.")
+    info = _Prints(LogType.InfoType, "Print what users want to know.")
+    warning = _Prints(LogType.WarningType, "Print what may be wrong.")
+    error = _Prints(LogType.ErrorType, "Print what is wrong.")
+    fatal = _Prints(LogType.FatalType, "Print, and end the program by `SystemExit`.")
+
+    @staticmethod
+    def nolog(*text: object) -> None:
+        """Print nothing."""
 
     @classmethod
     def setMinimumPrintLevel(cls, level: int) -> None:
@@ -106,10 +198,20 @@ class Log:
         """The least grave messages that are printed."""
         return cls._minimum
 
+    @staticmethod
+    def defaultMinimumPrintLevel() -> LogType:
+        """The least grave messages that the environment has printed."""
+        return _first_level()
+
     @classmethod
     def setPrintCallback(cls, callback: PrintCallback) -> None:
         """Have ``callback(type, text, component)`` print instead."""
-        cls._callback = staticmethod(callback)
+        cls._callback = None if callback is _print else staticmethod(callback)
+
+    @classmethod
+    def printCallback(cls) -> PrintCallback:
+        """The callback that prints."""
+        return cls._callback or _print
 
     @classmethod
     def defaultPrintCallback(cls) -> PrintCallback:
@@ -117,9 +219,48 @@ class Log:
         return _print
 
     @classmethod
-    def _say(cls, kind: LogType, text: str, values: tuple[object, ...], component: str = "") -> None:
+    def setMinimumForwardLevel(cls, level: int) -> None:
+        """Hand nothing less grave than this to the callback of `setForwardCallback`."""
+        cls._forwarded = LogType(level)
+
+    @classmethod
+    def minimumForwardLevel(cls) -> LogType:
+        """The least grave messages that are handed to that callback."""
+        return cls._forwarded
+
+    @staticmethod
+    def defaultMinimumForwardLevel() -> LogType:
+        """The least grave messages that are handed to it unless asked otherwise."""
+        return LogType.DebugType
+
+    @classmethod
+    def setForwardCallback(cls, callback: PrintCallback | None) -> None:
+        """Hand each message to ``callback(type, text, component)`` besides."""
+        cls._forward = None if callback is None else staticmethod(callback)
+
+    @classmethod
+    def forwardCallback(cls) -> PrintCallback | None:
+        """The callback that messages are handed to besides; None where there is none."""
+        return cls._forward
+
+    @staticmethod
+    def defaultForwardCallback() -> PrintCallback | None:
+        """None: nothing is sent to yarplogger."""
+        return None
+
+    @classmethod
+    def say(
+        cls, kind: LogType, text: str, values: tuple[object, ...], component: str = "", place: CodePlace = _NOWHERE
+    ) -> None:
+        """Print a text, in which values are put as ``%`` does, and hand it on."""
+        said = str(text) % values if values else str(text)
         if kind >= cls._minimum:
-            cls._callback(kind, str(text) % values if values else str(text), component)
+            if cls._callback is None:
+                _print(kind, said, component, place)
+            else:
+                cls._callback(kind, said, component)
+        if cls._forward is not None and kind >= cls._forwarded:
+            cls._forward(kind, said, component)
 
 
 class LogHandler(logging.Handler):
@@ -131,7 +272,7 @@ class LogHandler(logging.Handler):
         text = record.getMessage()
         if record.exc_info:
             text += "\n" + _FORMATTER.formatException(record.exc_info)
-        Log._say(kind, text, (), record.name)
+        Log.say(kind, text, (), record.name)
 
 
 _FORMATTER = logging.Formatter()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import logging
+import subprocess
 import sys
 from collections.abc import Iterator
 
@@ -30,6 +31,44 @@ def test_messages_go_where_yarp_sends_them(capsys: pytest.CaptureFixture[str]) -
     out, err = capsys.readouterr()
     assert out == "[INFO] speed 0.2 of r1\n[DEBUG] 50% done\n"
     assert err == "[WARNING] careful\n[ERROR] broken\n"
+
+
+def test_streams_as_in_cpp(capsys: pytest.CaptureFixture[str]) -> None:
+    Log.setMinimumPrintLevel(Log.DebugType)
+    Log().info() << "speed" << 0.25 << 3 << True << 1 / 3 << [1, 2.5]
+    stream = Log("f.py", 12, "go").debug()
+    stream << "later"
+    assert capsys.readouterr().out == "[INFO] speed 0.25 3 true 0.333333 {1, 2.5}\n"
+    del stream
+    assert capsys.readouterr().out == "[DEBUG] later\n"
+
+
+def test_where_a_message_was_written(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
+    Log.setMinimumPrintLevel(Log.TraceType)
+    Log("f.py", 12, "go").info("hello")
+    Log("f.py", 12, "go").trace("hello")
+    Log("f.py", 12, "go", "left").info("hello")
+    assert capsys.readouterr().out == "[INFO] hello\n[TRACE] go: hello\n[INFO] |left| hello\n"
+    monkeypatch.setenv("YARP_VERBOSE_OUTPUT", "1")
+    Log("f.py", 12, "go", 5.5).info("hello")
+    assert capsys.readouterr().out == "[5.500000] [INFO] f.py:12 go hello\n"
+
+
+def test_a_fatal_stream_ends_the_program() -> None:
+    code = "import yarp_compat as yarp\nyarp.Log().fatal() << 'over' << 2\nprint('not reached')"
+    ended = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=30)
+    assert (ended.returncode, ended.stdout, ended.stderr) == (1, "", "[FATAL] over 2\n")
+
+
+def test_a_message_is_handed_on_besides(capsys: pytest.CaptureFixture[str]) -> None:
+    said: list[tuple[LogType, str, str]] = []
+    Log.setForwardCallback(lambda *message: said.append(message))
+    Log.setMinimumForwardLevel(Log.WarningType)
+    Log.info("hello")
+    Log.error("oh")
+    Log.setForwardCallback(None)
+    Log.setMinimumForwardLevel(Log.defaultMinimumForwardLevel())
+    assert said == [(LogType.ErrorType, "oh", "")]
 
 
 def test_a_line_is_written_in_one_piece(monkeypatch: pytest.MonkeyPatch) -> None:
