@@ -12,9 +12,9 @@ from __future__ import annotations
 import dataclasses
 from abc import ABC, abstractmethod
 from collections.abc import Callable
-from enum import Enum, IntEnum
+from enum import IntEnum
 from functools import cache
-from typing import Annotated, Any, get_args, get_origin, get_type_hints
+from typing import Annotated, Any, Self, get_args, get_origin, get_type_hints
 
 from yarp_compat.wire import tags
 from yarp_compat.wire.binary import decode
@@ -85,15 +85,31 @@ class _Plain(FieldCodec):
         return self._read(source)
 
 
+class VocabEnum(IntEnum):
+    """An enumeration of vocabs: its members are given by their words, and are these words' numbers, as in C++."""
+
+    word: str
+
+    def __new__(cls, word: str) -> Self:
+        number = int.from_bytes(word.encode().ljust(4, b"\0"), "little")
+        member = int.__new__(cls, number)
+        member._value_, member.word = number, word
+        return member
+
+    @classmethod
+    def _missing_(cls, value: object) -> Self | None:
+        return next((member for member in cls if member.word == value), None)
+
+
 class Choice(FieldCodec):
-    """An enumeration: of vocabs where its values are text, else of 32-bit numbers.
+    """An enumeration: of vocabs, or of 32-bit numbers.
 
     The first member of ``kind`` is what nothing set; ``vocab``: numbers have the tag of a vocab, as YARP does for some.
     """
 
-    def __init__(self, kind: type[Enum], *, vocab: bool = False) -> None:
+    def __init__(self, kind: type[IntEnum], *, vocab: bool = False) -> None:
         self._kind = kind
-        self._words = not issubclass(kind, IntEnum)
+        self._words = issubclass(kind, VocabEnum)
         self._tag = tags.VOCAB32 if vocab or self._words else tags.INT32
         super().__init__(kind.__name__, lambda: next(iter(kind)), lambda _: self._tag)
 
@@ -102,22 +118,22 @@ class Choice(FieldCodec):
             member = self._kind(value)
         except ValueError:
             raise WireError(f"{value!r} is no {self.name}") from None
-        if self._words:
-            out.vocab(member.value, tagged=tagged)
+        if isinstance(member, VocabEnum):
+            out.vocab(member.word, tagged=tagged)
         elif tagged and self._tag == tags.VOCAB32:
             out.block(b"\x09\0\0\0")
             out.integer(member.value, tagged=False)
         else:
             out.integer(member.value, tagged=tagged)
 
-    def read(self, source: ElementReader) -> Enum:
-        value = source.word() if self._words else source.integer()
+    def read(self, source: ElementReader) -> IntEnum:
+        value: Any = source.word() if self._words else source.integer()
         if value == "":  # the vocab 0, which C++ has where nothing was set: beside an outcome that is not ok
             return next(iter(self._kind))
         try:
             return self._kind(value)
         except ValueError:
-            choices = ", ".join(str(member.value) for member in self._kind)
+            choices = ", ".join(str(getattr(member, "word", member.value)) for member in self._kind)
             raise WireError(f"{value!r} before byte {source.at} is no {self.name}: those are {choices}") from None
 
 
@@ -180,7 +196,7 @@ def field_of(annotation: Any) -> FieldCodec:
         return ListOf(field_of(get_args(annotation)[0]))
     if annotation in _PLAIN:
         return _PLAIN[annotation]
-    if isinstance(annotation, type) and issubclass(annotation, Enum):
+    if isinstance(annotation, type) and issubclass(annotation, IntEnum):
         return Choice(annotation)
     if isinstance(annotation, type) and issubclass(annotation, Portable):
         return Nested(annotation)

@@ -73,17 +73,15 @@ class IFrameTransform(ABC):
         """Whether there is a frame."""
         return given(*self._asked(lambda tree: frame_id in tree), exists)
 
-    def getAllFrameIds(self, ids: MutableSequence[str]) -> ReturnValue:
-        """The names of all frames."""
+    def getAllFrameIds(self, ids: MutableSequence[str] | None = None) -> Any:
+        """The names of all frames; returned by themselves where there is no list to fill."""
         outcome, names = self._asked(FrameTree.names)
-        if outcome:
-            ids[:] = names
-        return outcome
+        return given(outcome, list(names or ()), ids)
 
     def getParent(self, frame_id: str, parent_frame_id: MutableSequence[str] | None = None) -> Any:
-        """The parent of a frame; it fails for a root."""
+        """The parent of a frame; it fails for a root, whose parent by itself is ``unknown``."""
         outcome, parent = self._asked(lambda tree: tree.parent(frame_id))
-        return given(outcome if parent is not None else _or_failed(outcome), parent or "", parent_frame_id)
+        return given(outcome if parent is not None else _or_failed(outcome), parent or "unknown", parent_frame_id)
 
     def getTransform(self, target_frame: str, source_frame: str, transform: Matrix) -> ReturnValue:
         """The pose of the target in the source, as a matrix of 4 by 4."""

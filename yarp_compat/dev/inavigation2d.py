@@ -15,8 +15,8 @@ answers by ``Server(Navigation2DServer(Mine()))``, as YARP's ``navigation2D_nws_
 from __future__ import annotations
 
 import math
-from enum import Enum
 
+from yarp_compat.dev.fields import VocabEnum
 from yarp_compat.dev.locations import Map2DLocation, Map2DPath
 from yarp_compat.dev.mapgrid import MapGrid2D
 from yarp_compat.dev.returnvalue import OK, CallFailed, ReturnCode, ReturnValue
@@ -26,7 +26,7 @@ from yarp_compat.dev.service import Service, rpc
 _STATUS = "navigation_status_"
 
 
-class NavigationStatusEnum(Enum):
+class NavigationStatusEnum(VocabEnum):
     """The state of a planner."""
 
     navigation_status_idle = "idle"
@@ -46,14 +46,14 @@ class NavigationStatusEnum(Enum):
         return self.name.removeprefix(_STATUS) in ("idle", "goal_reached", "aborted", "failing", "error")
 
 
-class TrajectoryTypeEnum(Enum):
+class TrajectoryTypeEnum(VocabEnum):
     """Which waypoints are asked for."""
 
     global_trajectory = "glob"
     local_trajectory = "loca"
 
 
-class NavigationMapTypeEnum(Enum):
+class NavigationMapTypeEnum(VocabEnum):
     """Which map is asked for."""
 
     global_map = "glob"

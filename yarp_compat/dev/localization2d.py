@@ -13,7 +13,6 @@ A localiser's port answers by ``Server(Localization2DServer(device))``. Metres a
 from __future__ import annotations
 
 import math
-from enum import Enum
 from typing import Annotated, Any, Unpack
 
 import numpy as np
@@ -21,7 +20,7 @@ import numpy as np
 from yarp_compat.dev import returnvalue
 from yarp_compat.dev.basecontrol import OdometryData
 from yarp_compat.dev.client import ClientOptions, ServiceClient
-from yarp_compat.dev.fields import Nested
+from yarp_compat.dev.fields import Nested, VocabEnum
 from yarp_compat.dev.locations import Map2DLocation
 from yarp_compat.dev.map2d_client import succeeded
 from yarp_compat.dev.returnvalue import OK, CallFailed, ReturnCode, ReturnValue, asked, called, outcome_of
@@ -67,7 +66,7 @@ def _sized(matrix: Matrix) -> None:
 Covariance = Annotated[Matrix, CovarianceCodec()]
 
 
-class LocalizationStatusEnum(Enum):
+class LocalizationStatusEnum(VocabEnum):
     """The state of a localisation."""
 
     localization_status_not_yet_localized = "locn"

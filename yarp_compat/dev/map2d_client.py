@@ -15,7 +15,7 @@ from yarp_compat.dev.client import ClientOptions, ServiceClient
 from yarp_compat.dev.imap2d import IMap2DMsgs
 from yarp_compat.dev.locations import Map2DArea, Map2DLocation, Map2DObject, Map2DPath
 from yarp_compat.dev.mapgrid import MapGrid2D
-from yarp_compat.dev.returnvalue import CallFailed, ReturnCode, ReturnValue, filled, outcome_of
+from yarp_compat.dev.returnvalue import CallFailed, ReturnCode, ReturnValue, filled, listed, outcome_of
 
 T = TypeVar("T")
 
@@ -126,7 +126,8 @@ def succeeded(outcome: ReturnValue) -> None:
 class IMap2D:
     """The interface under YARP's names (`yarp/dev/IMap2D.h`). What C++ returns by reference is filled in here too.
 
-    Nothing raises: a call that fails returns an outcome that is false. Lists of results are cleared and filled.
+    Nothing raises: a call that fails returns an outcome that is false. Lists of results are cleared and filled; where
+    none is given, the results are returned, as in the bindings: ``for name in maps.getLocationsList()``.
     """
 
     def __init__(self, remote: IMap2DMsgs) -> None:
@@ -135,36 +136,36 @@ class IMap2D:
     clearAllMaps = outcome_of(IMap2DMsgs.clear_all_maps_RPC)
     store_map = outcome_of(IMap2DMsgs.store_map_RPC)
     get_map = filled(IMap2DMsgs.get_map_RPC)
-    get_map_names = filled(IMap2DMsgs.get_map_names_RPC)
+    get_map_names = listed(IMap2DMsgs.get_map_names_RPC)
     remove_map = outcome_of(IMap2DMsgs.remove_map_RPC)
     clearAllMapsTemporaryFlags = outcome_of(IMap2DMsgs.clear_all_maps_temporary_flags_RPC)
     clearMapTemporaryFlags = outcome_of(IMap2DMsgs.clear_map_temporary_flags_RPC)
     enableMapsCompression = outcome_of(IMap2DMsgs.enable_maps_compression_RPC)
     storeObject = outcome_of(IMap2DMsgs.store_object_RPC)
     getObject = filled(IMap2DMsgs.get_object_RPC)
-    getObjectsList = filled(IMap2DMsgs.get_objects_list_RPC)
-    getAllObjects = filled(IMap2DMsgs.get_all_objects_RPC)
+    getObjectsList = listed(IMap2DMsgs.get_objects_list_RPC)
+    getAllObjects = listed(IMap2DMsgs.get_all_objects_RPC)
     renameObject = outcome_of(IMap2DMsgs.rename_object_RPC)
     deleteObject = outcome_of(IMap2DMsgs.delete_object_RPC)
     clearAllObjects = outcome_of(IMap2DMsgs.clear_all_objects_RPC)
     storeLocation = outcome_of(IMap2DMsgs.store_location_RPC)
     getLocation = filled(IMap2DMsgs.get_location_RPC)
-    getLocationsList = filled(IMap2DMsgs.get_locations_list_RPC)
-    getAllLocations = filled(IMap2DMsgs.get_all_locations_RPC)
+    getLocationsList = listed(IMap2DMsgs.get_locations_list_RPC)
+    getAllLocations = listed(IMap2DMsgs.get_all_locations_RPC)
     renameLocation = outcome_of(IMap2DMsgs.rename_location_RPC)
     deleteLocation = outcome_of(IMap2DMsgs.delete_location_RPC)
     clearAllLocations = outcome_of(IMap2DMsgs.clear_all_locations_RPC)
     storeArea = outcome_of(IMap2DMsgs.store_area_RPC)
     getArea = filled(IMap2DMsgs.get_area_RPC)
-    getAreasList = filled(IMap2DMsgs.get_areas_list_RPC)
-    getAllAreas = filled(IMap2DMsgs.get_all_areas_RPC)
+    getAreasList = listed(IMap2DMsgs.get_areas_list_RPC)
+    getAllAreas = listed(IMap2DMsgs.get_all_areas_RPC)
     renameArea = outcome_of(IMap2DMsgs.rename_area_RPC)
     deleteArea = outcome_of(IMap2DMsgs.delete_area_RPC)
     clearAllAreas = outcome_of(IMap2DMsgs.clear_all_areas_RPC)
     storePath = outcome_of(IMap2DMsgs.store_path_RPC)
     getPath = filled(IMap2DMsgs.get_path_RPC)
-    getPathsList = filled(IMap2DMsgs.get_paths_list_RPC)
-    getAllPaths = filled(IMap2DMsgs.get_all_paths_RPC)
+    getPathsList = listed(IMap2DMsgs.get_paths_list_RPC)
+    getAllPaths = listed(IMap2DMsgs.get_all_paths_RPC)
     renamePath = outcome_of(IMap2DMsgs.rename_path_RPC)
     deletePath = outcome_of(IMap2DMsgs.delete_path_RPC)
     clearAllPaths = outcome_of(IMap2DMsgs.clear_all_paths_RPC)

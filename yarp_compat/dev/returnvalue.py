@@ -160,6 +160,19 @@ def filled(method: Callable[..., tuple[ReturnValue, Any]]) -> Callable[..., Retu
     return call
 
 
+def listed(method: Callable[[Any], tuple[ReturnValue, list[T]]]) -> Callable[..., Any]:
+    """A client's method that calls a server's, which returns a list; without a list to fill, returns it as a tuple."""
+
+    @wraps(method, updated=())
+    def call(self: Any, into: Any = None) -> Any:
+        return asked(getattr(self._remote, method.__name__), into=into, default=())
+
+    call.__doc__ = (
+        f"Call the server's ``{method.__name__}``, whose result a list becomes; or return it, empty on failure."
+    )
+    return call
+
+
 def asked(call: Callable[..., Any], *arguments: Any, into: Any, default: Any) -> Any:
     """Call a server's method that returns a value: ``into`` becomes it; without ``into`` returns it, or the default."""
     outcome, *values = answered(call, *arguments)
@@ -184,9 +197,9 @@ def three(call: Callable[[], tuple[ReturnValue, float, float, float]]) -> tuple[
 
 
 def given(outcome: ReturnValue, value: Any, into: Any) -> Any:
-    """A value as the caller wants it: filled in, with the outcome returned; or by itself."""
+    """A value as the caller wants it: filled in, with the outcome returned; or by itself, a list as a tuple."""
     if into is None:
-        return value
+        return tuple(value) if isinstance(value, list) else value
     if outcome:
         fill(into, value)
     return ReturnValue(outcome.code)

@@ -165,7 +165,8 @@ def test_questions_about_frames_as_in_4_and_as_in_3(frames: Local) -> None:
     assert ids == ["map", "base", "laser", "camera"]
     assert frames.getParent("laser", text)
     assert text == ["base"]
-    assert frames.getParent("laser") == "base"
+    assert frames.getAllFrameIds() == tuple(ids)
+    assert (frames.getParent("laser"), frames.getParent("map")) == ("base", "unknown")
     assert frames.getParent("map", text).code is ReturnCode.METHOD_FAILED
     assert frames.allFramesAsString(text)
     assert text[0].startswith(

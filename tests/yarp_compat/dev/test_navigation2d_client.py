@@ -27,6 +27,7 @@ from yarp_compat.dev.navigation2d_client import Navigation2DClient
 from yarp_compat.dev.returnvalue import OK, CallFailed, ReturnCode, ReturnValue
 from yarp_compat.dev.server import Server
 from yarp_compat.os.data.stdvector import BVector, SVector
+from yarp_compat.os.data.vocab import Vocab32
 from yarp_compat.ports.naming import LocalNaming, PortError
 from yarp_compat.pythonic import Client, Writer
 from yarp_compat.sig.matrix import Matrix
@@ -118,6 +119,7 @@ def test_targets_and_their_control(client: Navigation2DClient, robot: Robot) -> 
     assert client.getRelativeLocationOfCurrentTarget() == (OK, 1.0, 2.0, 3.0)
     assert client.getNavigationStatus(status)
     assert status == [client.getNavigationStatus()] == [NavigationStatusEnum.navigation_status_moving]
+    assert status[0] == Vocab32.encode("movg")  # a number, as in the bindings
     assert client.getAllNavigationWaypoints(TrajectoryTypeEnum.global_trajectory, way)
     assert way == client.getAllNavigationWaypoints(TrajectoryTypeEnum.global_trajectory) == WAY
     assert client.getCurrentNavigationWaypoint() == KITCHEN
@@ -201,6 +203,7 @@ def test_where_the_robot_is(client: Navigation2DClient, robot: Robot) -> None:
 def test_the_map_servers_methods(client: Navigation2DClient) -> None:
     names = SVector()
     assert client.getLocationsList(names)
+    assert client.getLocationsList() == tuple(names)
     assert names == ["kitchen"]
     assert client.deleteLocation("kitchen")
 
@@ -233,6 +236,7 @@ def test_a_server_that_is_not_there(make_port: MakePort, naming: LocalNaming, ro
         assert client.gotoTargetByAbsoluteLocation(KITCHEN)
         assert client.getCurrentPosition(Map2DLocation()) == unreached
         assert client.getLocationsList([]) == unreached
+        assert client.getLocationsList() == client.getEstimatedPoses() == ()
         port.close()
         assert client.stopNavigation() == unreached
         assert client.getNavigationStatus() is NavigationStatusEnum.navigation_status_error

@@ -7,7 +7,7 @@ import sys
 import threading
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from enum import Enum, IntEnum
+from enum import IntEnum
 from types import SimpleNamespace
 from typing import Annotated, Any
 
@@ -15,7 +15,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from yarp_compat.dev.fields import FLOAT32, INT8, INT16, INT64, UINT8, Choice, Structure, field_of
+from yarp_compat.dev.fields import FLOAT32, INT8, INT16, INT64, UINT8, Choice, Structure, VocabEnum, field_of
 from yarp_compat.dev.localization2d import LocalizationStatusEnum
 from yarp_compat.dev.locations import Map2DLocation
 from yarp_compat.dev.returnvalue import OK, CallFailed, ReturnCode, ReturnValue
@@ -399,7 +399,7 @@ def test_what_is_no_version_is_refused(version: str) -> None:
         Generation.of(version)
 
 
-class Kind(Enum):
+class Kind(VocabEnum):
     GLOBAL = "glob"
     LOCAL = "loca"
 

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import struct
-from enum import Enum
 from typing import Any
 
 from yarp_compat.dev.basecontrol import OdometryData
+from yarp_compat.dev.fields import VocabEnum
 from yarp_compat.dev.locations import Map2DArea, Map2DLocation, Map2DObject, Map2DPath
 from yarp_compat.dev.mapgrid import MapGrid2D
 from yarp_compat.dev.returnvalue import ReturnCode, ReturnValue
@@ -48,8 +48,8 @@ class Bytes:
                 return listed(*map(self.of, value))
             case float():
                 return self.number(value)
-            case Enum():
-                return vocab(value.value)
+            case VocabEnum():
+                return vocab(value.word)
             case Matrix():
                 size = [struct.pack("<ii", 1, number) for number in (value.rows(), value.cols())]
                 numbers = value.numpy().ravel().tolist()
