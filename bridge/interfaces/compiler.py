@@ -21,7 +21,9 @@ from bridge.interfaces.definition import BuildError
 from bridge.interfaces.ros2 import GENERATORS, Ros2
 
 _CURE_COMPILER = "Install one: apt install g++"
-_FLAGS = ("-O1", "-fPIC", "-w")
+_FLAGS = ("-O0", "-fPIC", "-w")
+"""Of what is generated, optimising gains little: rclpy takes 4 % less for 2,000 nested parts, and no less for arrays of
+bytes. It costs much: with -O1 the bundled packages take 84 s of processor time instead of 53."""
 _STANDARD = {".c": "-std=gnu11", ".cpp": "-std=gnu++17"}
 TIMEOUT = 900  # seconds that one call of a compiler, or of the generators, may take; the longest measured took 10
 _RUNTIME = (
