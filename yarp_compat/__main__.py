@@ -1,4 +1,7 @@
-"""``python -m yarp_compat script.py ...`` runs a script that says ``import yarp``, unchanged."""
+"""``python -m yarp_compat script.py ...`` runs a script that says ``import yarp``, unchanged.
+
+``python -m yarp_compat --check script.py ...`` says which names of YARP it uses that are not here, and runs nothing.
+"""
 
 from __future__ import annotations
 
@@ -7,12 +10,15 @@ import sys
 from pathlib import Path
 
 import yarp_compat
+from yarp_compat import check
 
 
 def main() -> None:
-    """Run the script that the command line names."""
+    """Run the script that the command line names, or look what it needs."""
     if len(sys.argv) < 2:
-        sys.exit("usage: python -m yarp_compat script.py [arguments]")
+        sys.exit("usage: python -m yarp_compat [--check] script.py [arguments]")
+    if sys.argv[1] == "--check":
+        sys.exit(check.main(sys.argv[2:]))
     sys.modules["yarp"] = yarp_compat
     sys.argv = sys.argv[1:]
     sys.path[0] = str(Path(sys.argv[0]).resolve().parent)

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import importlib
-import re
 from typing import Any
+
+from yarp_compat import absences
 
 _PLACES = {
     "dev.drivers.polydriver": "PolyDriver",
@@ -92,21 +93,6 @@ _ENUMERATORS = {
 }
 """Enumerations whose members the bindings give by themselves: what they begin with."""
 
-_INSTEAD = {
-    r"Drivers|IFrame(Grabber|Writer).*|I[A-Z]\w*(Control|Encoders|Sensor|Limits|Info|Mode)\w*": (
-        "there are no device drivers in pure Python but those of yarp.PolyDriver; talk to a device's ports"
-    ),
-    r"\w*(Clock)": "programs run on system time: use yarp.now() and yarp.delay()",
-    r"Semaphore|Mutex|RecursiveLock|Event": "use Python's threading",
-    r"Random": "use Python's random or numpy",
-    r"Run|SharedLibrary\w*|YarpPlugin\w*|Carriers?": "it has no meaning in pure Python",
-    r"NestedContact": "use NestedName",
-    r"PortReaderBuffer\w*|PortWriterBuffer\w*": "use BufferedPort",
-    r"QosStyle": "quality of service is not set on connections here",
-    r"Things|Portable|BinPortable\w*|WireLink|Wire": "write and read a Bottle",
-    r"RateThread": "use PeriodicThread",
-}
-
 
 def find(name: str) -> Any:
     """The object of a name of the package; raises `AttributeError`, which names the substitute of an absent one."""
@@ -153,10 +139,10 @@ def _is_data(name: str) -> bool:
 
 def _absence(name: str) -> str:
     said = f"yarp_compat has no {name!r}"
-    for pattern, instead in _INSTEAD.items():
-        if re.fullmatch(pattern, name):
-            return f"{said}: {instead}"
+    other = absences.instead(name)
+    if other:
+        return f"{said}: {other}"
     import difflib
 
     close = difflib.get_close_matches(name, names(), 1)
-    return f"{said}: did you mean {close[0]!r}?" if close else f"{said}, which YARP may have: see docs/yarp/python.md"
+    return f"{said}: did you mean {close[0]!r}?" if close else f"{said}, {absences.DOCUMENTED}"
