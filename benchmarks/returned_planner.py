@@ -34,7 +34,7 @@ from bridge.clock import SYSTEM
 from bridge.daemon.query import ask_daemon
 from bridge.hub.session import Hub, HubSettings
 from bridge.messages.registry import Registry
-from bridge.modules.host import Node
+from bridge.modules.host import ModuleNode
 from bridge.modules.loop import EventLoop
 
 _SUPPORT = Path(__file__).parents[1] / "tests" / "support"
@@ -80,7 +80,7 @@ class Watcher:
         since: when that began (monotonic).
     """
 
-    def __init__(self, node: Node, action: str) -> None:
+    def __init__(self, node: ModuleNode, action: str) -> None:
         self._client = node.action_client(action, _TYPE)
         self.ready, self.since = False, time.monotonic()
         self._stopping = threading.Event()
@@ -123,7 +123,7 @@ class Bench(Processes):
         settings = HubSettings(domain=hub.domain, router=hub.listen, node="client", daemon="client", worker="client")
         self.until(lambda: self._worker(), "the side's worker is up")
         self._hub, self._loop = Hub.open(settings), EventLoop("client")
-        self._node = Node(self._hub, Registry(), self._loop, SYSTEM)
+        self._node = ModuleNode(self._hub, Registry(), self._loop, SYSTEM)
         self._loop.start()
         self.watcher = Watcher(self._node, self.side.action)
 

@@ -13,8 +13,8 @@ from bridge.config.sections.section import Section
 from bridge.config.sections.sim import SimSection
 from bridge.hub.wire.qos import LATCHED, Qos, Reliability
 from bridge.messages.registry import Registry
-from bridge.modules.endpoints import Publisher
-from bridge.modules.host import Host, Node
+from bridge.modules.endpoints import ModulePublisher
+from bridge.modules.host import Host, ModuleNode
 from bridge.modules.module import Module
 from bridge.modules.worker import Running
 from bridge.worker import Health, Worker
@@ -221,7 +221,7 @@ class Outlets:
         clock: whether ``/clock`` is said.
     """
 
-    def __init__(self, node: Node, names: TopicNames, simulation: Simulation, *, clock: bool) -> None:
+    def __init__(self, node: ModuleNode, names: TopicNames, simulation: Simulation, *, clock: bool) -> None:
         self._names, self._simulation = names, simulation
         section = simulation.section
         self._drives = section.drive == "velocity"
@@ -287,7 +287,7 @@ class Outlets:
             # the last, and with the priority of the rest: who hears the time has heard what was measured at it
             self._clock.publish({"clock": messages.stamp(time_ns)})
 
-    def _tell_view(self, view: Publisher, time_ns: int) -> None:
+    def _tell_view(self, view: ModulePublisher, time_ns: int) -> None:
         from sim.export import draw
 
         view.offer(lambda: view.encoded(messages.image(time_ns, draw(self._simulation))))

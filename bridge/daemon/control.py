@@ -124,7 +124,7 @@ class ControlServer:
 
     def relay(self, level: int, text: str) -> bool:
         """Send a log line; False where no daemon is connected."""
-        return self._send(protocol.encode_report(protocol.Log(level, text)))
+        return self._send(protocol.encode_report(protocol.LogLine(level, text)))
 
     def _send(self, data: bytes) -> bool:
         with self._lock:

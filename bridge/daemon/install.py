@@ -16,7 +16,7 @@ OWN_USER = "midspan"
 
 
 @dataclass(frozen=True, slots=True)
-class Installed:
+class InstalledFile:
     """One file below the root; where ``kept`` it is the administrator's own, and is never overwritten or removed."""
 
     path: Path
@@ -33,17 +33,17 @@ class Installation:
         self._user = user
         self._dry_run = dry_run
 
-    def files(self) -> list[Installed]:
+    def files(self) -> list[InstalledFile]:
         """All files."""
-        files = [Installed(UNIT_FOLDER / name, self._unit(name)) for name in UNITS]
+        files = [InstalledFile(UNIT_FOLDER / name, self._unit(name)) for name in UNITS]
         if self._user == OWN_USER:
-            files.append(Installed(Path("etc/sysusers.d/midspan.conf"), _template("packaging/midspan.sysusers")))
+            files.append(InstalledFile(Path("etc/sysusers.d/midspan.conf"), _template("packaging/midspan.sysusers")))
         settings = Path("etc/midspan")
         return [
             *files,
-            Installed(settings / generate.SCHEMA_FILE, generate.schema()),
-            Installed(settings / "midspan.yaml", _template("configs/default.yaml"), kept=True),
-            Installed(settings / "environment", _template("packaging/environment"), kept=True, mode=0o640),
+            InstalledFile(settings / generate.SCHEMA_FILE, generate.schema()),
+            InstalledFile(settings / "midspan.yaml", _template("configs/default.yaml"), kept=True),
+            InstalledFile(settings / "environment", _template("packaging/environment"), kept=True, mode=0o640),
         ]
 
     def _unit(self, name: str) -> str:
@@ -64,7 +64,7 @@ class Installation:
             "  systemctl status midspan                 # and after changes: systemctl reload midspan",
         ]
 
-    def _write(self, file: Installed) -> str:
+    def _write(self, file: InstalledFile) -> str:
         path = self._root / file.path
         if path.exists() and file.kept:
             return f"kept       {path}"

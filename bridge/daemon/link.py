@@ -121,7 +121,7 @@ class WorkerLink(ABC):
     def _tell(self, lines: Iterable[bytes]) -> None:
         """Hand on what the worker wrote to stderr."""
         for line in lines:
-            self._listener.on_report(protocol.Log(*log.split_priority(line.decode(errors="replace"))))
+            self._listener.on_report(protocol.LogLine(*log.split_priority(line.decode(errors="replace"))))
 
 
 def read_some(file: int) -> bytes | None:

@@ -38,7 +38,7 @@ _LOOK_EACH = 4
 """Heartbeats between looks at what the process has left."""
 
 
-class Outcome(Enum):
+class RunEnd(Enum):
     """How a worker's run ended."""
 
     STOPPED = "stopped"
@@ -68,7 +68,7 @@ class Child:
         self._answering = True
         self._short = False
 
-    def run(self, config: Config) -> Outcome:
+    def run(self, config: Config) -> RunEnd:
         """Run until stopped. Whatever the worker raises but `RuntimeError` from its start goes through."""
         self._config = config
         try:
@@ -76,14 +76,14 @@ class Child:
         finally:
             self._worker.stop()
 
-    def _run(self) -> Outcome:
+    def _run(self) -> RunEnd:
         try:
             with working.busy("starting"):
                 self._worker.start(self._config)
         except RuntimeError as err:
             logger.error("cannot work here: %s", err)  # noqa: TRY400  a plain reason, not a fault of the program
             self._report(protocol.Failed(str(err)))
-            return Outcome.CANNOT_WORK
+            return RunEnd.CANNOT_WORK
         due = time.monotonic()
         while True:
             wait = due - time.monotonic()
@@ -125,17 +125,17 @@ class Child:
             self._short = bool(short)
             logger.warning("%s", short or "there are file descriptors again")
 
-    def _obey(self, command: protocol.Command | Hangup) -> Outcome | None:
+    def _obey(self, command: protocol.Command | Hangup) -> RunEnd | None:
         match command:
             case protocol.Stop(why):
                 logger.info("stopping: %s", why)
-                return Outcome.STOPPED
+                return RunEnd.STOPPED
             case protocol.NewConfig(config):
                 return self._reload(config)
             case Hangup():
                 return self._hangup()
 
-    def _hangup(self) -> Outcome | None:
+    def _hangup(self) -> RunEnd | None:
         if self._load is None:
             return None
         from bridge.config.document import ConfigError
@@ -148,7 +148,7 @@ class Child:
             return None
         return self._reload(config)
 
-    def _reload(self, config: Config) -> Outcome | None:
+    def _reload(self, config: Config) -> RunEnd | None:
         if config == self._config:
             self._report(protocol.Reloaded())
             return None
@@ -161,7 +161,7 @@ class Child:
             self._report(protocol.Reloaded())
             return None
         self._report(protocol.Restart("the new configuration needs a restart"))
-        return Outcome.NEEDS_RESTART if self._end_for_restart else None
+        return RunEnd.NEEDS_RESTART if self._end_for_restart else None
 
 
 def install_signals(commands: Commands) -> None:
@@ -257,9 +257,9 @@ class Process:
         except Exception:
             logger.exception("%s failed", self._kind.name)
             return 1
-        if outcome is Outcome.NEEDS_RESTART:
+        if outcome is RunEnd.NEEDS_RESTART:
             return None
-        return protocol.EXIT_CANNOT_WORK if outcome is Outcome.CANNOT_WORK else 0
+        return protocol.EXIT_CANNOT_WORK if outcome is RunEnd.CANNOT_WORK else 0
 
     def _open_control(
         self, config: Config, owner: protocol.Owner, obey: Callable[[protocol.Command], None]

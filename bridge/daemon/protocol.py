@@ -100,7 +100,7 @@ class Failed(NamedTuple):
     why: str
 
 
-class Log(NamedTuple):
+class LogLine(NamedTuple):
     """Report: one log line; ``level`` as in `logging`."""
 
     level: int
@@ -110,7 +110,7 @@ class Log(NamedTuple):
 _REPORTS = ("hello", "busy", "beat", "reloaded", "restart", "failed", "log")
 
 Command = NewConfig | Stop
-Report = Hello | Busy | Beat | Reloaded | Restart | Failed | Log
+Report = Hello | Busy | Beat | Reloaded | Restart | Failed | LogLine
 
 
 def config_json(config: Config) -> dict[str, Any]:
@@ -155,7 +155,7 @@ def encode_report(report: Report) -> bytes:
             return _line({"restart": why})
         case Failed(why):
             return _line({"failed": why})
-        case Log(level, text):
+        case LogLine(level, text):
             return _line({"log": [level, text]})
 
 
@@ -174,7 +174,7 @@ def decode_report(line: bytes) -> Report | Unknown:
         case {"failed": str(why)}:
             return Failed(why)
         case {"log": [int(level), str(text)]}:
-            return Log(level, text)
+            return LogLine(level, text)
         case {"busy": str(text), "used": (int() | float()) as used, "read": int(read)}:
             return Busy(text, used, read)
     if data and data.keys().isdisjoint(_REPORTS):

@@ -265,7 +265,7 @@ class Slot:
                 self._asked = False
                 if self.phase in {Phase.STARTING, Phase.UP}:
                     self._take_health(health)
-            case protocol.Log(level, text):
+            case protocol.LogLine(level, text):
                 logger.log(level, "%s", text, extra={"worker": self.name})
             case protocol.Reloaded():
                 self.reloading = False

@@ -37,7 +37,7 @@ def wordless(text: str) -> str:
     return _NUMBERS.sub("#", text)
 
 
-class Progress:
+class DemoProgress:
     """Tells whether anything was new lately; ``clock`` gives seconds."""
 
     def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
@@ -160,7 +160,7 @@ class Parts:
         ]
         return [*own, *self._workers]
 
-    def look(self, progress: Progress) -> None:
+    def look(self, progress: DemoProgress) -> None:
         """Ask the daemon, now and then, and note what is new."""
         now = time.monotonic()
         if now - self._asked < _ASK_EVERY:
@@ -225,7 +225,7 @@ class DemoRun:
     def __init__(self, sandbox: Sandbox, shutdown: Shutdown) -> None:
         self._sandbox, self._shutdown = sandbox, shutdown
         self._children: dict[str, DemoChild] = {}
-        self._progress, self._parts = Progress(), Parts(sandbox, self._children)
+        self._progress, self._parts = DemoProgress(), Parts(sandbox, self._children)
         self._began = time.monotonic()
 
     def _launch(self, name: str, command: Sequence[Path | str], env: Mapping[str, str]) -> None:

@@ -14,7 +14,7 @@ from bridge.cli.maps import drawing
 from bridge.cli.messages import Types
 from bridge.cli.navigation.gateway import STATUS, STATUS_TOPIC, LatestMessage, place_of, state_text
 from bridge.config.sections.navigation import OURS
-from bridge.demo.progress import DemoError, Progress
+from bridge.demo.progress import DemoError, DemoProgress
 from yarp_compat.dev.locations import Map2DLocation
 from yarp_compat.dev.mapgrid import MapGrid2D
 from yarp_compat.dev.places import Places
@@ -60,7 +60,7 @@ class RobotTracker:
         _, x, y, degrees = place_of({"header": said["header"], "pose": said["pose"]["pose"]})
         return Map2DLocation(self.grid.name, x, y, degrees)
 
-    def look(self, progress: Progress) -> None:
+    def look(self, progress: DemoProgress) -> None:
         """Keep the robot's place, and note what has moved."""
         at, localized = self._at(), self._localized.wait(0.0)
         progress.heard("the gateway", self.state)

@@ -47,7 +47,7 @@ class BuildStep:
     prefix: Path
 
 
-class Planner:
+class PackageResolver:
     """Resolves packages: what is given first, then what is installed, then Midspan's own definitions."""
 
     def __init__(self, given: Mapping[str, Mapping[str, str]], ros2: Ros2, cache: BuildCache) -> None:
@@ -165,7 +165,7 @@ def build(
     """
     ros2 = Ros2.find()
     built = BuildCache(cache or default_cache())
-    steps = Planner(packages, ros2, built).steps()
+    steps = PackageResolver(packages, ros2, built).steps()
     for step in steps:
         if not step.prefix.is_dir():
             _build_step(step, ros2, built, progress or (lambda _: None))

@@ -31,7 +31,7 @@ _CURE = "Run `make` for the wheels, or source /opt/ros/jazzy/setup.bash (apt: ro
 
 
 @dataclass(frozen=True, slots=True)
-class Installed:
+class InstalledPackage:
     """A message package of the installation."""
 
     name: str
@@ -70,13 +70,13 @@ class Ros2:
         return cls(tuple(dict.fromkeys(entry for entry in named if entry.is_dir() and not (entry / MARK).exists())))
 
     @cached_property
-    def packages(self) -> dict[str, Installed]:
+    def packages(self) -> dict[str, InstalledPackage]:
         """The message packages, by name."""
-        found: dict[str, Installed] = {}
+        found: dict[str, InstalledPackage] = {}
         for prefix in self.prefixes:
             index = prefix / _INDEX
             for entry in sorted(index.iterdir()) if index.is_dir() else ():
-                found.setdefault(entry.name, Installed(entry.name, prefix))
+                found.setdefault(entry.name, InstalledPackage(entry.name, prefix))
         return found
 
     @cached_property

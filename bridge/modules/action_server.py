@@ -119,7 +119,7 @@ module's own may be busy."""
 
 
 class ActionServer:
-    """Serves one action; made by `bridge.modules.host.Node.action_server`. All runs on the module's thread."""
+    """Serves one action; made by `bridge.modules.host.ModuleNode.action_server`. All runs on the module's thread."""
 
     def __init__(
         self,

@@ -23,8 +23,10 @@ from bridge.routing.counters import Counters
 Replied = Callable[[dict[str, Any] | CallError], None]
 
 
-class Client:
-    """Calls one service on the hub; made by `bridge.modules.host.Node.client`."""
+class ModuleClient:
+    """Calls one service on the hub; made by `bridge.modules.host.ModuleNode.client`."""
+
+    KIND = "client"
 
     def __init__(self, hub: Hub, registry: Registry, loop: EventLoop, name: str, type_name: str) -> None:
         side = registry.service_ros2(type_name)
@@ -129,11 +131,11 @@ Ended = Callable[[SentGoal, dict[str, Any] | None, str], None]
 
 
 class CallingNode(Protocol):
-    """What an action's client needs of its node; see `bridge.modules.host.Node`."""
+    """What an action's client needs of its node; see `bridge.modules.host.ModuleNode`."""
 
     loop: EventLoop
 
-    def client(self, name: str, type_name: str) -> Client:
+    def client(self, name: str, type_name: str) -> ModuleClient:
         """Call a service."""
 
     def subscription(self, topic: str, type_name: str, heard: Heard, qos: Qos | None = None) -> Any:
@@ -144,7 +146,7 @@ class CallingNode(Protocol):
 
 
 class ActionClient:
-    """Sends goals to one action; made by `bridge.modules.host.Node.action_client`."""
+    """Sends goals to one action; made by `bridge.modules.host.ModuleNode.action_client`."""
 
     def __init__(self, node: CallingNode, name: str, type_name: str) -> None:
         self.name, self.type_name, self._node = name, type_name, node

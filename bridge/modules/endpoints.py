@@ -17,9 +17,9 @@ from bridge.messages.errors import ConversionError
 from bridge.messages.registry import Registry
 from bridge.messages.template import MessageTemplate
 from bridge.messages.values import MessageReader, MessageWriter
-from bridge.modules.clients import Client
+from bridge.modules.clients import ModuleClient
 from bridge.modules.loop import EventLoop
-from bridge.modules.services import Serve, Server
+from bridge.modules.services import ModuleServer, Serve
 from bridge.routing.counters import Counters
 
 _log = logging.getLogger(__name__)
@@ -27,8 +27,10 @@ _log = logging.getLogger(__name__)
 Heard = Callable[[dict[str, Any]], None]
 
 
-class Publisher:
-    """Publishes values on one topic; made by `Node.publisher`. Safe to use from any thread."""
+class ModulePublisher:
+    """Publishes values on one topic; made by `ModuleNode.publisher`. Safe to use from any thread."""
+
+    KIND = "publisher"
 
     def __init__(self, publisher: HubPublisher, registry: Registry, type_name: str) -> None:
         self.topic, self.type_name = publisher.topic, type_name
@@ -69,7 +71,9 @@ class Publisher:
 
 
 class Subscription:
-    """Hears one topic; made by `Node.subscription`. Messages wait in a bounded queue; the oldest make room."""
+    """Hears one topic; made by `ModuleNode.subscription`. Messages wait in a bounded queue; the oldest make room."""
+
+    KIND = "subscription"
 
     def __init__(
         self,
@@ -146,7 +150,7 @@ class Subscription:
 
 
 class Endpoints:
-    """What a module's node has on the hub, apart from its actions; see `bridge.modules.host.Node`.
+    """What a module's node has on the hub, apart from its actions; see `bridge.modules.host.ModuleNode`.
 
     Attributes:
         hub: its session.
@@ -157,13 +161,15 @@ class Endpoints:
 
     def __init__(self, hub: Hub, registry: Registry, loop: EventLoop, clock: RunClock) -> None:
         self.hub, self.registry, self.loop, self.clock = hub, registry, loop, clock
-        self._ends: list[Publisher | Subscription | Server | Client] = []
+        self._ends: list[ModulePublisher | Subscription | ModuleServer | ModuleClient] = []
 
-    def publisher(self, topic: str, type_name: str, qos: Qos | None = None, *, priority: str = "stream") -> Publisher:
+    def publisher(
+        self, topic: str, type_name: str, qos: Qos | None = None, *, priority: str = "stream"
+    ) -> ModulePublisher:
         """Make a publisher; raises `bridge.messages.errors.MessageTypeError` for a type that nobody knows."""
         side = self.registry.ros2(type_name)
         end = self.hub.publisher(topic, type_name, side.type_id, qos or Qos(), priority=priority)
-        made = Publisher(end, self.registry, type_name)
+        made = ModulePublisher(end, self.registry, type_name)
         self._ends.append(made)
         return made
 
@@ -201,7 +207,7 @@ class Endpoints:
 
     def server(
         self, name: str, type_name: str, serve: Serve, at_once: Callable[[dict[str, Any]], None] | None = None
-    ) -> Server:
+    ) -> ModuleServer:
         """Serve a service (``std_srvs/srv/SetBool``); raises `bridge.messages.errors.MessageTypeError`.
 
         Args:
@@ -210,17 +216,17 @@ class Endpoints:
             serve: called on the module's thread.
             at_once: called with each request before, on a thread of the hub: it only sets a flag, wakes or sends.
         """
-        made = Server(self.hub, self.registry, self.loop, name, type_name, serve, at_once)
+        made = ModuleServer(self.hub, self.registry, self.loop, name, type_name, serve, at_once)
         self._ends.append(made)
         return made
 
-    def client(self, name: str, type_name: str) -> Client:
+    def client(self, name: str, type_name: str) -> ModuleClient:
         """Call a service; raises `bridge.messages.errors.MessageTypeError`."""
-        made = Client(self.hub, self.registry, self.loop, name, type_name)
+        made = ModuleClient(self.hub, self.registry, self.loop, name, type_name)
         self._ends.append(made)
         return made
 
-    def release(self, end: Publisher | Subscription | Server | Client) -> None:
+    def release(self, end: ModulePublisher | Subscription | ModuleServer | ModuleClient) -> None:
         """Give one end back before the node's end."""
         self._ends = [each for each in self._ends if each is not end]
         end.close()
@@ -236,8 +242,7 @@ class Endpoints:
     def status(self) -> list[dict[str, Any]]:
         """Its ends, as they stand in the status document."""
         return [
-            {"topic": end.topic, "type": end.type_name, "end": type(end).__name__.lower(), **end.counters.as_dict()}
-            for end in self._ends
+            {"topic": end.topic, "type": end.type_name, "end": end.KIND, **end.counters.as_dict()} for end in self._ends
         ]
 
     def close(self) -> None:

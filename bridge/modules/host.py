@@ -24,7 +24,7 @@ from bridge.stores.store import Store
 ACKNOWLEDGE_TOPIC = "/sim/acknowledge"
 
 
-class Node(Endpoints):
+class ModuleNode(Endpoints):
     """A module's node: topics, services and actions. Its endpoints are closed with it."""
 
     def action_server(
@@ -68,7 +68,7 @@ class Host:
         hub = Hub.open(hub_settings(config, name, name)) if shared is None else shared.join(name, name)
         self.clock = RunClock(simulated=config.clock.simulated)
         follow_clock(self.clock, hub)
-        self.node = Node(hub, registry, self.loop, self.clock)
+        self.node = ModuleNode(hub, registry, self.loop, self.clock)
         self.yarp = Ports(config, name)
         if self.clock.simulated:
             self._done = self.node.publisher(DONE_TOPIC, DONE_TYPE)

@@ -28,8 +28,10 @@ Serve = Callable[[dict[str, Any], Answer], Any]
 """``serve(request, answer)``: runs on the module's thread; the answer may come later."""
 
 
-class Server:
-    """Serves one service on the hub; made by `bridge.modules.host.Node.server`."""
+class ModuleServer:
+    """Serves one service on the hub; made by `bridge.modules.host.ModuleNode.server`."""
+
+    KIND = "server"
 
     def __init__(
         self,
@@ -103,7 +105,7 @@ class Server:
 class _Pending:
     """One request that has no answer yet. Safe to use from any thread."""
 
-    def __init__(self, server: Server, done: Done) -> None:
+    def __init__(self, server: ModuleServer, done: Done) -> None:
         self._server, self._done = server, done
         self.caller: bytes = getattr(done, "caller", b"")
         self._lock = Lock()

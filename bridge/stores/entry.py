@@ -58,7 +58,7 @@ LATEST = (1 << 32) * 1_000_000_000
 
 
 @dataclass(frozen=True, slots=True, order=True)
-class Stamp:
+class ChangeStamp:
     """When a change was made, and by which replica; the order that decides which change holds."""
 
     ns: int
@@ -69,7 +69,7 @@ class Stamp:
 class Version:
     """One version of a key; ``origin`` is the daemon's name."""
 
-    stamp: Stamp
+    stamp: ChangeStamp
     origin: str
     seen: Mapping[str, int] = field(default_factory=dict)
 
@@ -94,7 +94,7 @@ class StoreEntry:
         return self.kind, self.name
 
 
-def follow(before: Version | None, stamp: Stamp, origin: str) -> Version:
+def follow(before: Version | None, stamp: ChangeStamp, origin: str) -> Version:
     """The version that a replica writes over the one that it has."""
     seen = {} if before is None else {**before.seen, before.stamp.replica: before.stamp.ns}
     seen[stamp.replica] = stamp.ns

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from bridge.concurrency import SerialExecutor
-from bridge.stores.entry import LATEST, OLDEST, Stamp, StoreEntry, StoreError, Version, conflict, follow
+from bridge.stores.entry import LATEST, OLDEST, ChangeStamp, StoreEntry, StoreError, Version, conflict, follow
 from bridge.stores.table import EntryTable
 
 _log = logging.getLogger(__name__)
@@ -102,7 +102,7 @@ class Replica:
                 name for (each, name), known in self._known.items() if each == kind and known.size is not None
             )
 
-    def stamp(self, key: Key) -> Stamp | None:
+    def stamp(self, key: Key) -> ChangeStamp | None:
         """When a key was written or deleted last, as far as this is remembered."""
         with self._lock:
             known = self._known.get(key)
@@ -123,7 +123,7 @@ class Replica:
         with self._lock:
             return (kind, name) in self._known
 
-    def versions(self) -> Mapping[Key, tuple[Stamp, int]]:
+    def versions(self) -> Mapping[Key, tuple[ChangeStamp, int]]:
         """Every key's stamp and its value's size; deleted ones too, as long as they are remembered."""
         oldest = self._oldest()
         with self._lock:
@@ -220,7 +220,7 @@ class Replica:
         if above >= LATEST:
             msg = f"{key[0]} {key[1]!r} was written with a time that cannot be followed; delete it at its origin"
             raise StoreError(msg)
-        version = follow(None if before is None else before.version, Stamp(max(now, above), self.id), self.origin)
+        version = follow(None if before is None else before.version, ChangeStamp(max(now, above), self.id), self.origin)
         data, encoding = (None, "") if body is None else body
         return StoreEntry(*key, data, encoding, version)
 

@@ -15,7 +15,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
-from bridge.stores.entry import Stamp, StoreEntry, StoreError, Version
+from bridge.stores.entry import ChangeStamp, StoreEntry, StoreError, Version
 
 _FORM = 1
 _BUSY_SECONDS = 1.0
@@ -60,7 +60,7 @@ class EntryTable:
         """All keys with their version and the size of their value, None where it is deleted."""
         rows = self._base.execute("SELECT kind, name, ns, replica, origin, seen, length(body) FROM entries")
         for kind, name, ns, replica, origin, seen, size in rows:
-            yield (kind, name), Version(Stamp(ns, replica), origin, json.loads(seen)), size
+            yield (kind, name), Version(ChangeStamp(ns, replica), origin, json.loads(seen)), size
 
     def body(self, kind: str, name: str) -> tuple[bytes | None, str]:
         """A key's value and its encoding."""

@@ -14,7 +14,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from bridge.hub.endpoints.keyspace import KeyItem
-from bridge.stores.entry import LATEST, MOST_SEEN, Stamp, StoreEntry, StoreError, Version, check_name, json_object
+from bridge.stores.entry import LATEST, MOST_SEEN, ChangeStamp, StoreEntry, StoreError, Version, check_name, json_object
 from bridge.stores.kinds import KINDS
 from bridge.stores.replica import Key
 
@@ -74,16 +74,16 @@ def version_of(item: KeyItem) -> Version:
     return Version(stamp, f"zenoh {stamp.replica[:8]}")
 
 
-def stamp_of(ns: Any, replica: Any) -> Stamp:
+def stamp_of(ns: Any, replica: Any) -> ChangeStamp:
     """A stamp that was received; raises `StoreError`."""
     if isinstance(ns, bool) or not isinstance(ns, int) or not 0 < ns < LATEST:
         raise StoreError(f"its time cannot be: {ns!r:.60}")
     if not isinstance(replica, str) or not _REPLICA.fullmatch(replica):
         raise StoreError(f"{replica!r:.60} is no id of a replica")
-    return Stamp(ns, replica)
+    return ChangeStamp(ns, replica)
 
 
-def digests(versions: Mapping[Key, tuple[Stamp, int]]) -> list[str]:
+def digests(versions: Mapping[Key, tuple[ChangeStamp, int]]) -> list[str]:
     """A digest of the stamps in each of `BUCKETS` parts of the keys: equal where all of a part are the same."""
     found = [0] * BUCKETS
     for key, (stamp, _) in versions.items():

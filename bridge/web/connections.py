@@ -43,7 +43,7 @@ _HIDDEN = (
 _log = logging.getLogger("midspan.web")
 
 
-class Listener(socket.socket):
+class BoundedListener(socket.socket):
     """A socket that listens; it closes at once what comes beyond the bounds."""
 
     def __init__(self, family: socket.AddressFamily) -> None:
@@ -76,9 +76,9 @@ class Listener(socket.socket):
 class _Counted(socket.socket):
     """A connection that tells its end."""
 
-    def __init__(self, sock: socket.socket, listener: Listener, host: str) -> None:
+    def __init__(self, sock: socket.socket, listener: BoundedListener, host: str) -> None:
         super().__init__(sock.family, sock.type, sock.proto, sock.detach())
-        self._listener: Listener | None = listener
+        self._listener: BoundedListener | None = listener
         self._host = host
 
     def close(self) -> None:

@@ -26,7 +26,7 @@ _BODY_SECONDS = 5.0
 _WHO = "say who you are: open /login in a browser, send 'Authorization: Bearer TOKEN', or show a certificate"
 
 
-class Guard:
+class LoginGuard:
     """Lets in who is known; others get the login's files alone. Who it is stands in the request's state."""
 
     def __init__(self, app: ASGIApp, access: Access) -> None:

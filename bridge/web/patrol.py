@@ -13,7 +13,7 @@ from typing import Any
 from bridge.config.sections.navigation import ACTION
 from bridge.hub.endpoints.calls import CallError
 from bridge.messages.actions import GoalState
-from bridge.modules.clients import ActionClient, Client, SentGoal
+from bridge.modules.clients import ActionClient, ModuleClient, SentGoal
 from bridge.modules.host import Host
 from bridge.modules.loop import Timer
 from bridge.web.feed import Feed
@@ -75,7 +75,7 @@ class Patrol:
     def __init__(self, host: Host, driving: DrivingFeed) -> None:
         self._host, self._driving = host, driving
         self.feed = PatrolFeed()
-        self._locate: Client | None = None
+        self._locate: ModuleClient | None = None
         self._goals: ActionClient | None = None
         self._places: Sequence[str] = ()
         self._wait = USUAL

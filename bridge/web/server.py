@@ -29,14 +29,14 @@ from bridge.config.sections.web import split
 from bridge.web.access import Access, Grant
 from bridge.web.connections import (
     MOST_CONNECTIONS,
+    BoundedListener,
     BoundedWebSocket,
-    Listener,
     ScarceLog,
     ServerLoop,
     TimedHttp,
     quiet_server_log,
 )
-from bridge.web.login import STATIC, Guard, Login, address_of
+from bridge.web.login import STATIC, Login, LoginGuard, address_of
 from bridge.web.map_pictures import Pictures
 from bridge.web.page import MOST_BYTES
 from bridge.web.tls import ServerTls
@@ -134,7 +134,7 @@ class WebServer:
         address, port = split(listen)
         self._pages: Counter[str] = Counter()
         family = socket.AF_INET6 if ":" in address else socket.AF_INET
-        self._socket = Listener(family)
+        self._socket = BoundedListener(family)
         try:
             self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
             self._socket.bind((address, port))
@@ -199,7 +199,7 @@ class WebServer:
             Route("/", self._index),
             Mount("/", StaticFiles(directory=STATIC)),
         ]
-        return OwnOnly(Guard(Starlette(routes=routes), self._access), lambda: self._hosts)
+        return OwnOnly(LoginGuard(Starlette(routes=routes), self._access), lambda: self._hosts)
 
     async def _index(self, _request: Request) -> Response:
         return Response((STATIC / "index.html").read_bytes(), media_type="text/html; charset=utf-8")

@@ -22,8 +22,8 @@ from bridge.config.sections.navigation import ACTION
 from bridge.hub.endpoints.calls import CallError
 from bridge.hub.errors import HubError
 from bridge.hub.wire.qos import Qos
-from bridge.modules.clients import ActionClient, Client, SentGoal
-from bridge.modules.endpoints import Publisher
+from bridge.modules.clients import ActionClient, ModuleClient, SentGoal
+from bridge.modules.endpoints import ModulePublisher
 from bridge.modules.host import Host
 from bridge.stores.client import StoreClient
 from bridge.stores.entry import StoreError
@@ -117,9 +117,9 @@ class Verbs:
         self._pool = WorkerPool(_THREADS, "midspan-web-call")
         self._slow = WorkerPool(_SLOW_THREADS, "midspan-web-slow")
         self._lock = threading.Lock()
-        self._clients: dict[str, Client] = {}
+        self._clients: dict[str, ModuleClient] = {}
         self._goals: ActionClient | None = None
-        self._starts: Publisher | None = None
+        self._starts: ModulePublisher | None = None
         xy, pose = dict.fromkeys(("x", "y"), number_of), dict.fromkeys(("x", "y", "theta"), number_of)
         named = {"name": name_of}
         self._verbs = {

@@ -10,7 +10,7 @@ from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 from bridge.hub.wire.qos import Qos
-from bridge.modules.host import Host, Node
+from bridge.modules.host import Host, ModuleNode
 from bridge.modules.loop import Timer
 from bridge.modules.services import Answer
 from navigation.gateway.drive import StoredPlaces, Target
@@ -90,7 +90,7 @@ GET_LOCATION = "midspan_msgs/srv/GetLocation"
 class HubServices:
     """Serves them; all on the module's thread."""
 
-    def __init__(self, node: Node, gateway: Gateway, places: StoredPlaces, commander: VelocityCommander) -> None:
+    def __init__(self, node: ModuleNode, gateway: Gateway, places: StoredPlaces, commander: VelocityCommander) -> None:
         self._gateway, self._places, self._commander = gateway, places, commander
         done: dict[str, tuple[str, Callable[[str], str | None]]] = {
             "pause": (TRIGGER, lambda _name: gateway.pause()),

@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bridge.hub.wire.qos import LATCHED
-from bridge.modules.endpoints import Publisher
-from bridge.modules.host import Node
+from bridge.modules.endpoints import ModulePublisher
+from bridge.modules.host import ModuleNode
 from bridge.stores.kinds import AREA, BEHAVIOUR, CURRENT, LOCATION, MAP, OBJECT, PATH
 from bridge.stores.store import Store
 from navigation.maps.grid import data_of, info_of, message_of, to_cdr, to_grid, turned
@@ -167,9 +167,9 @@ _FORBIDDEN = re.compile(r"[^A-Za-z0-9_]")
 class CurrentMap:
     """The current map on ``/map`` and ``/map_metadata``."""
 
-    def __init__(self, node: Node, store: Store, head: Head, default: str) -> None:
+    def __init__(self, node: ModuleNode, store: Store, head: Head, default: str) -> None:
         self._node, self._store, self._head, self._default = node, store, head, default
-        self._ends: tuple[Publisher, Publisher] | None = None
+        self._ends: tuple[ModulePublisher, ModulePublisher] | None = None
         self._silent = False
         self.name = ""  # its name, "" where none was chosen
         self.grid: MapGrid2D | None = None  # the map itself, turned to yaw 0; None where there is none
@@ -222,9 +222,9 @@ class CurrentMap:
 class AllMaps:
     """Every map of the store on ``/maps/<name>``."""
 
-    def __init__(self, node: Node, store: Store, head: Head) -> None:
+    def __init__(self, node: ModuleNode, store: Store, head: Head) -> None:
         self._node, self._store, self._head = node, store, head
-        self._ends: dict[str, Publisher] = {}
+        self._ends: dict[str, ModulePublisher] = {}
 
     def update(self, changed: Keys) -> None:
         """Publish the maps that changed; the topics of those that are gone go."""
@@ -253,9 +253,9 @@ class AllMaps:
 class Masks:
     """What planners are to keep out of, and where they are to be slow, for the filters of Nav2's costmaps."""
 
-    def __init__(self, node: Node, store: Store, head: Head) -> None:
+    def __init__(self, node: ModuleNode, store: Store, head: Head) -> None:
         self._node, self._store, self._head = node, store, head
-        self._ends: dict[str, Publisher] = {}
+        self._ends: dict[str, ModulePublisher] = {}
 
     def update(self, current: CurrentMap, changed: Keys, *, anew: bool) -> None:
         """Publish the masks of the current map if it, or an area, is another now."""
@@ -275,7 +275,7 @@ class Markers:
 
     _KINDS = frozenset(kind.name for kind in (LOCATION, OBJECT, AREA, PATH))
 
-    def __init__(self, node: Node, store: Store, head: Head) -> None:
+    def __init__(self, node: ModuleNode, store: Store, head: Head) -> None:
         self._store, self._head = store, head
         self._end = node.publisher(MARKERS, MARKERS_TYPE, LATCHED, priority="state")
 

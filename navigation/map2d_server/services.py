@@ -9,7 +9,7 @@ from contextlib import contextmanager
 from typing import Any, TypeVar
 
 from bridge.hub.endpoints.calls import CallError
-from bridge.modules.host import Node
+from bridge.modules.host import ModuleNode
 from bridge.modules.services import Answer
 from bridge.stores.entry import StoreError
 from bridge.stores.kinds import AREA, LOCATION, MAP, OBJECT, PATH, ValueKind
@@ -213,7 +213,13 @@ class MapServices:
     """Serves the current map, and changes it; clients load from and save to ``files``."""
 
     def __init__(
-        self, node: Node, store: Store, files: MapFiles, current: CurrentMap, maps: AllMaps, told: Callable[[str], None]
+        self,
+        node: ModuleNode,
+        store: Store,
+        files: MapFiles,
+        current: CurrentMap,
+        maps: AllMaps,
+        told: Callable[[str], None],
     ) -> None:
         self._store, self._files, self._current, self._maps = store, files, current, maps
         self._told = told

@@ -18,12 +18,13 @@ from bridge.config.sections.modules import OwnModule
 from bridge.config.sections.navigation import Planner
 from bridge.config.sections.routing import ParameterRule, QosOverride, Rule
 from bridge.config.sections.web import OtherRobot
-from bridge.config.sections.yarp import Service, Topic
+from bridge.config.sections.yarp import ServicePort, TopicPort
 from bridge.config.sections.zenoh import Dialect, DialectKey
 
 ROOT = Path(__file__).parents[2]
 ENTRIES = (
-    Rule, ParameterRule, QosOverride, Dialect, DialectKey, Topic, Service, OwnModule, BaseInput, Planner, OtherRobot,
+    Rule, ParameterRule, QosOverride, Dialect, DialectKey, TopicPort, ServicePort, OwnModule, BaseInput, Planner,
+    OtherRobot,
 )  # fmt: skip
 """Of lists of sections."""
 CONFIGS = sorted((ROOT / "configs").glob("*.yaml"))

@@ -20,7 +20,7 @@ from bridge.daemon.protocol import (
     Failed,
     Hello,
     Lines,
-    Log,
+    LogLine,
     NewConfig,
     ProtocolError,
     Reloaded,
@@ -45,7 +45,7 @@ REPORTS = [
     Reloaded(),
     Restart("why"),
     Failed("why"),
-    Log(30, "text"),
+    LogLine(30, "text"),
     Busy("importing rclpy", 1.25, 8),
 ]
 

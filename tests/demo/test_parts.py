@@ -20,7 +20,7 @@ from bridge.demo.processes import guarded
 from bridge.demo.sandbox import Sandbox
 from bridge.demo.topics_demo import messages
 from bridge.demo.topics_demo.checks import ROS1, ROS2, YARP, YARP_TEXT, ZENOH, Drive, evaluate, promises
-from bridge.demo.topics_demo.report import Received
+from bridge.demo.topics_demo.report import TopicReceived
 
 ROOT = Path(__file__).parents[2]
 MAP = "180 x 105 cells, CRC 00000000"
@@ -29,7 +29,7 @@ DRIVE = Drive(ROS2, (0.3, 0.0), (0.0, 0.0, 0.0), (0.8, 0.0, 0.0), 25, 25, (0.0, 
 
 
 def test_ear_tells_a_message_that_came_twice() -> None:
-    ear = Received()
+    ear = TopicReceived()
     for key in (1, 2, 2, None, None):
         ear.add(key, "text")
     assert ear.as_dict() == {"count": 5, "repeated": 1, "detail": "text"}

@@ -15,7 +15,7 @@ import pytest
 from bridge.daemon.query import Phase
 from bridge.demo import progress as progress_module
 from bridge.demo.processes import DemoChild
-from bridge.demo.progress import STILL_SECONDS, Part, Parts, Progress
+from bridge.demo.progress import STILL_SECONDS, DemoProgress, Part, Parts
 from bridge.demo.sandbox import Sandbox
 
 
@@ -26,9 +26,9 @@ class Clock:
         return self.now
 
 
-def progress() -> tuple[Progress, Clock]:
+def progress() -> tuple[DemoProgress, Clock]:
     clock = Clock()
-    return Progress(clock), clock
+    return DemoProgress(clock), clock
 
 
 def test_what_is_new_is_progress_and_what_is_said_again_is_none() -> None:
@@ -107,7 +107,7 @@ def daemon(words: str) -> DemoChild:
     return cast("DemoChild", SimpleNamespace(pid=os.getpid(), last_words=lambda: words))
 
 
-def looked(words: str = "") -> tuple[Parts, Progress, Clock]:
+def looked(words: str = "") -> tuple[Parts, DemoProgress, Clock]:
     made, clock = progress()
     here = cast("Sandbox", SimpleNamespace(config=None))
     found = Parts(here, {"daemon": daemon(words)})

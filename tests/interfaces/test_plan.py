@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from bridge.interfaces.builder import BuildStep, Planner
+from bridge.interfaces.builder import BuildStep, PackageResolver
 from bridge.interfaces.cache import BuildCache
 from bridge.interfaces.definition import BuildError, bundled_files
 from bridge.interfaces.ros2 import Ros2
@@ -15,7 +15,7 @@ Packages = dict[str, dict[str, str]]
 
 
 def steps(given: Packages) -> dict[str, BuildStep]:
-    planner = Planner(given, Ros2.find(), BuildCache(Path("/nowhere")))
+    planner = PackageResolver(given, Ros2.find(), BuildCache(Path("/nowhere")))
     return {step.package: step for step in planner.steps()}
 
 

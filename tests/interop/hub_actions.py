@@ -11,7 +11,7 @@ from bridge.clock import SYSTEM
 from bridge.hub.session import Hub, HubSettings
 from bridge.messages.registry import Registry
 from bridge.modules.action_server import Goal
-from bridge.modules.host import Node
+from bridge.modules.host import ModuleNode
 from bridge.modules.loop import EventLoop
 from tests.support.wait import until
 
@@ -19,7 +19,7 @@ from tests.support.wait import until
 class Acting:
     """An action server: each goal gives its feedback, waits where it is held, and ends as it was told."""
 
-    def __init__(self, node: Node, params: dict[str, Any]) -> None:
+    def __init__(self, node: ModuleNode, params: dict[str, Any]) -> None:
         self._feedback, self._held = params.get("feedback") or [], bool(params.get("held"))
         self._outcome = params.get("outcome", "succeed")
         self._goals: list[Goal] = []
@@ -64,7 +64,7 @@ class Acting:
 class Sent:
     """A goal, and what was heard of it."""
 
-    def __init__(self, node: Node, params: dict[str, Any]) -> None:
+    def __init__(self, node: ModuleNode, params: dict[str, Any]) -> None:
         client = node.action_client(params["action"], full(params["type"]))
         until(lambda: client.ready, f"there is a server of {params['action']}", params["seconds"])
         self._feedback: list[dict[str, Any]] = []
@@ -108,7 +108,7 @@ class HubActions:
     def __init__(self, settings: HubSettings) -> None:
         self._loop = EventLoop("module")
         self._hub = Hub.open(settings)
-        self._node = Node(self._hub, Registry(), self._loop, SYSTEM)
+        self._node = ModuleNode(self._hub, Registry(), self._loop, SYSTEM)
         self._loop.start()
         self._ends: list[Any] = []
 

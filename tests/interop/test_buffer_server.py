@@ -13,7 +13,7 @@ import yaml
 from bridge.clock import SYSTEM
 from bridge.hub.session import Hub
 from bridge.messages.registry import Registry
-from bridge.modules.host import Node
+from bridge.modules.host import ModuleNode
 from bridge.modules.loop import EventLoop
 from bridge.tf.buffer import TransformBuffer
 from bridge.tf.server.buffer_server import ACTION, FRAMES, BufferServer
@@ -36,7 +36,7 @@ def buffer(running: Deployment) -> Iterator[TransformBuffer]:
     loop = EventLoop("tf")
     loop.start()
     hub = Hub.open(running.settings("transform_server"))
-    node = Node(hub, Registry(), loop, SYSTEM)
+    node = ModuleNode(hub, Registry(), loop, SYSTEM)
     made = TransformBuffer()
     for n in range(101):
         made.set_transform("map", "base", START + n * S // 10, (n / 10, 0, 0), (0.0, 0.0, 0.0, 1.0), "wheels")

@@ -15,8 +15,8 @@ from bridge.messages.actions import GoalState
 from bridge.messages.errors import ConversionError
 from bridge.messages.registry import Registry
 from bridge.modules.action_server import Goal
-from bridge.modules.clients import CANCEL_AGAIN, ActionClient, Client
-from bridge.modules.host import Node
+from bridge.modules.clients import CANCEL_AGAIN, ActionClient, ModuleClient
+from bridge.modules.host import ModuleNode
 from bridge.modules.loop import EventLoop
 from tests.support.quick_hub import QuickHub
 from tests.support.wait import until
@@ -30,14 +30,14 @@ class Two:
 
     def __init__(self) -> None:
         self.hubs = QuickHub()
-        self.nodes: list[Node] = []
+        self.nodes: list[ModuleNode] = []
         for name in ("server", "client"):
             loop = EventLoop(name)
             loop.start()
-            self.nodes.append(Node(Hub.open(self.hubs.settings(name)), REGISTRY, loop, SYSTEM))
+            self.nodes.append(ModuleNode(Hub.open(self.hubs.settings(name)), REGISTRY, loop, SYSTEM))
         self.server, self.client = self.nodes
 
-    def on(self, node: Node, action: Callable[[], Any]) -> Any:
+    def on(self, node: ModuleNode, action: Callable[[], Any]) -> Any:
         return node.loop.call(action)
 
     def close(self) -> None:
@@ -208,15 +208,15 @@ def until_cancelling(two: Two, client: ActionClient) -> None:
 
 def cancellations(monkeypatch: pytest.MonkeyPatch, fails: Callable[[int], bool]) -> list[bytes]:
     """The goals whose cancellation was asked for; the so manieth call may find no server."""
-    asked, call = list[bytes](), Client.call
+    asked, call = list[bytes](), ModuleClient.call
 
-    def calling(self: Client, request: dict[str, Any], replied: Callable[[Any], None]) -> Any:
+    def calling(self: ModuleClient, request: dict[str, Any], replied: Callable[[Any], None]) -> Any:
         if self.topic != CANCEL_GOAL:
             return call(self, request, replied)
         asked.append(bytes(request["goal_info"]["goal_id"]["uuid"]))
         return replied(CallError("no server")) if fails(len(asked)) else call(self, request, replied)
 
-    monkeypatch.setattr(Client, "call", calling)
+    monkeypatch.setattr(ModuleClient, "call", calling)
     return asked
 
 

@@ -12,7 +12,7 @@ from bridge.clock import RunClock
 from bridge.hub.session import Hub
 from bridge.hub.wire.qos import Durability, Qos
 from bridge.messages.registry import Registry
-from bridge.modules.host import Node
+from bridge.modules.host import ModuleNode
 from bridge.modules.loop import EventLoop
 from tests.contract.hubside import HubSide
 from tests.support.quick_hub import QuickHub
@@ -29,11 +29,11 @@ def hubs() -> Iterator[QuickHub]:
 
 
 @pytest.fixture
-def node(hubs: QuickHub) -> Iterator[Node]:
+def node(hubs: QuickHub) -> Iterator[ModuleNode]:
     loop = EventLoop("test")
     hub = Hub.open(hubs.settings("near"))
     loop.start()
-    made = Node(hub, Registry(), loop, RunClock())
+    made = ModuleNode(hub, Registry(), loop, RunClock())
     yield made
     made.close()
     loop.close()
@@ -47,7 +47,7 @@ def far(hubs: QuickHub) -> Iterator[HubSide]:
     made.hub.close()
 
 
-def test_a_message_is_made_where_somebody_gets_it(node: Node, far: HubSide) -> None:
+def test_a_message_is_made_where_somebody_gets_it(node: ModuleNode, far: HubSide) -> None:
     publisher = node.publisher("/said", STRING)
     made: list[str] = []
 
@@ -69,7 +69,7 @@ def test_a_message_is_made_where_somebody_gets_it(node: Node, far: HubSide) -> N
     assert publisher.counters.bytes > 0
 
 
-def test_a_latched_message_is_made_for_those_who_come_later(node: Node) -> None:
+def test_a_latched_message_is_made_for_those_who_come_later(node: ModuleNode) -> None:
     made: list[bytes] = []
     publisher = node.publisher("/kept", STRING, Qos(durability=Durability.TRANSIENT_LOCAL, depth=1))
 
@@ -81,7 +81,7 @@ def test_a_latched_message_is_made_for_those_who_come_later(node: Node) -> None:
     assert len(made) == 1
 
 
-def test_what_is_heard_at_once_does_not_wait_for_the_module(node: Node, far: HubSide) -> None:
+def test_what_is_heard_at_once_does_not_wait_for_the_module(node: ModuleNode, far: HubSide) -> None:
     held, release = threading.Event(), threading.Event()
     at_once: list[int] = []
     later: list[int] = []

@@ -13,7 +13,7 @@ from bridge.hub.session import Hub
 from bridge.messages.actions import GoalState
 from bridge.messages.registry import Registry
 from bridge.modules.clients import SentGoal
-from bridge.modules.host import Host, Node
+from bridge.modules.host import Host, ModuleNode
 from bridge.modules.loop import EventLoop
 from tests.modules.place import Place
 from tests.support.wait import until
@@ -35,7 +35,7 @@ class Program:
     def __init__(self, hub: Hub, registry: Registry, planner: str) -> None:
         self.loop = EventLoop("robot")
         self.loop.start()
-        self.node = Node(hub, registry, self.loop, SYSTEM)
+        self.node = ModuleNode(hub, registry, self.loop, SYSTEM)
         self._action = f"{planner}/navigate_to_pose"
         self.connect()
 

@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 
 from bridge.config.model import Config
-from bridge.config.sections.yarp import Topic, YarpSection
+from bridge.config.sections.yarp import YarpSection, TopicPort
 from bridge.hub.session import Hub
 from bridge.messages.registry import Registry
 from sim.simulator import SimWorker
@@ -205,7 +205,7 @@ def test_a_release_of_yarp_leaves_the_simulation_alone(place: Place) -> None:
     config = place.config(speed="max")
     place.worker.start(config)
     until(lambda: place.status()["time"] > 1, "it runs")
-    for changed in ({"release": "3.9"}, {"topics": [Topic.model_validate({"topic": "/scan", "as": "natural"})]}):
+    for changed in ({"release": "3.9"}, {"topics": [TopicPort.model_validate({"topic": "/scan", "as": "natural"})]}):
         before = place.status()
         config = config.model_copy(update={"yarp": config.yarp.model_copy(update=changed)})
         assert place.worker.reload(config)

@@ -25,7 +25,7 @@ from bridge.hub.session import Hub, HubSettings
 from bridge.hub.wire.qos import Durability, Qos
 from bridge.messages.actions import GoalState
 from bridge.messages.registry import Registry
-from bridge.modules.host import Node
+from bridge.modules.host import ModuleNode
 from bridge.modules.loop import EventLoop
 from sim import export
 from sim.plan import load_plan
@@ -79,7 +79,7 @@ class Client:
     def __init__(self, settings: HubSettings) -> None:
         self._loop = EventLoop("client")
         self.hub = Hub.open(settings)
-        self.node = Node(self.hub, Registry(), self._loop, SYSTEM)
+        self.node = ModuleNode(self.hub, Registry(), self._loop, SYSTEM)
         self._loop.start()
         self._action = self.node.action_client("/navigate_to_pose", NAVIGATE)
         self._services: dict[str, Any] = {}

@@ -11,7 +11,7 @@ from bridge.clock import SYSTEM
 from bridge.hub.session import Hub, HubSettings
 from bridge.hub.wire.qos import Durability, Qos
 from bridge.messages.registry import Registry
-from bridge.modules.host import Node
+from bridge.modules.host import ModuleNode
 from bridge.modules.loop import EventLoop
 
 PERIOD = 0.02
@@ -32,7 +32,7 @@ class PointRobot:
         self.x = self.y = self.theta = 0.0
         self._speed, self._turn, self._silent = 0.0, 0.0, 0.0
         self._loop = EventLoop(settings.node)
-        self._node = node = Node(Hub.open(settings), Registry(), self._loop, SYSTEM)
+        self._node = node = ModuleNode(Hub.open(settings), Registry(), self._loop, SYSTEM)
         self._loop.start()
         self._tf = node.publisher("/tf", "tf2_msgs/msg/TFMessage", Qos(depth=10))
         self._scan = node.publisher("/scan", "sensor_msgs/msg/LaserScan", Qos(depth=5))

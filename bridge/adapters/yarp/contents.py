@@ -7,8 +7,8 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
-from bridge.config.sections.yarp import Service as ServiceRule
-from bridge.config.sections.yarp import Topic, YarpSection
+from bridge.config.sections.yarp import YarpSection, TopicPort
+from bridge.config.sections.yarp import ServicePort as ServiceRule
 from bridge.hub.endpoints.calls import CallError
 from bridge.messages.errors import ConversionError
 from bridge.messages.registry import Registry
@@ -132,19 +132,19 @@ class Contents:
         foreign = [rule for rule in section.topics if rule.port is not None]
         self.incoming = [self._foreign(rule) for rule in foreign if rule.direction == "in"]
         self.outgoing = [self._foreign(rule) for rule in foreign if rule.direction == "out"]
-        self.declared: Sequence[Topic] = [rule for _, rule in self._own if rule.brings]
+        self.declared: Sequence[TopicPort] = [rule for _, rule in self._own if rule.brings]
         self._services = [(glob_regex(rule.service), rule) for rule in section.services if rule.port is None]
         self.called = [rule for rule in section.services if rule.port is not None]
         self._codecs: dict[tuple[str, str, Content, Profile], Codec] = {}
         self._lock = threading.Lock()
 
-    def _foreign(self, rule: Topic) -> ForeignPort:
+    def _foreign(self, rule: TopicPort) -> ForeignPort:
         assert rule.port is not None
         content = self._content(rule)
         profile = Profile(rule.profile) if rule.profile else None
         return ForeignPort(rule.port, rule.topic, rule.type or "", content, profile, rule.carrier or "", rule.latched)
 
-    def _content(self, rule: Topic) -> Content:
+    def _content(self, rule: TopicPort) -> Content:
         return Content(
             rule.form or self._section.as_,
             tuple(BottleEntry.parse(entry) for entry in rule.fields),

@@ -34,7 +34,7 @@ _NEUTRAL = (None, "automatic", "system_default")
 _KEYS = ("name", "from_domain", "to_domain", "mode", "topics")
 
 
-class Qos(Section):
+class DomainBridgeQos(Section):
     """QoS that overrides the publishers'."""
 
     history: Literal["keep_last", "keep_all"] | None = None
@@ -47,7 +47,7 @@ class Qos(Section):
     liveliness_lease_duration: int | None = None
 
 
-class Topic(Section):
+class DomainBridgeTopic(Section):
     """One topic."""
 
     type: str
@@ -56,7 +56,7 @@ class Topic(Section):
     remap: str = ""
     bidirectional: bool = False
     reversed: bool = False
-    qos: Qos = Field(default_factory=Qos)
+    qos: DomainBridgeQos = Field(default_factory=DomainBridgeQos)
 
 
 class Top(Section):
@@ -148,7 +148,7 @@ def _ways(job: _Import) -> Iterator[_Way]:
 
 def _entry(job: _Import, path: KeyPath, name: str) -> Iterator[_Way]:
     """The ways of one entry of ``topics``: one, or two where it is bidirectional."""
-    entry, notes = checked(job.document, path, Topic)
+    entry, notes = checked(job.document, path, DomainBridgeTopic)
     topic = topic_name(job.document, path, _expanded(job, name))
     new_name = topic_name(job.document, (*path, "remap"), _expanded(job, entry.remap)) if entry.remap else topic
     type_ = type_name(job.document, (*path, "type"), entry.type)
@@ -172,7 +172,7 @@ def _expanded(job: _Import, name: str) -> str:
     return re.sub(r"^~(?=/|$)", f"/{job.node}", name)
 
 
-def _domain(job: _Import, path: KeyPath, entry: Topic, key: str) -> int:
+def _domain(job: _Import, path: KeyPath, entry: DomainBridgeTopic, key: str) -> int:
     own, general = getattr(entry, key), getattr(job.top, key)
     domain: int | None = general if own is None else own
     if domain is None:
@@ -180,7 +180,7 @@ def _domain(job: _Import, path: KeyPath, entry: Topic, key: str) -> int:
     return domain
 
 
-def _options(qos: Qos) -> dict[str, Any]:
+def _options(qos: DomainBridgeQos) -> dict[str, Any]:
     rule: dict[str, Any] = {}
     if qos.depth and qos.history != "keep_all":
         rule["depth"] = min(qos.depth, MAX_DEPTH)

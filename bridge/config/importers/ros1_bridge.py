@@ -38,7 +38,7 @@ class Span(Section):
     nsecs: int = 0
 
 
-class Qos(Section):
+class Ros1BridgeQos(Section):
     """QoS of the publisher on ROS 2."""
 
     history: Literal["keep_last", "keep_all"] | None = None
@@ -51,13 +51,13 @@ class Qos(Section):
     liveliness_lease_duration: Span | None = None
 
 
-class Topic(Section):
+class Ros1BridgeTopic(Section):
     """One topic."""
 
     topic: str
     type: str
     queue_size: int = Field(default=0, ge=0)
-    qos: Qos = Field(default_factory=Qos)
+    qos: Ros1BridgeQos = Field(default_factory=Ros1BridgeQos)
 
 
 @dataclass(slots=True)
@@ -119,7 +119,7 @@ def _topics(job: _Import) -> None:
 def _rules(job: _Import, path: KeyPath) -> list[RuleDraft]:
     """The rule of one topic, and one more where a QoS is forced: on ROS 2 alone, nothing is latched on ROS 1."""
     document = job.document
-    topic, notes = checked(document, path, Topic)
+    topic, notes = checked(document, path, Ros1BridgeTopic)
     rule: dict[str, Any] = {
         "topic": topic_name(document, (*path, "topic"), topic.topic),
         "type": type_name(document, (*path, "type"), topic.type),

@@ -57,7 +57,7 @@ def _release(value: str) -> str:
 _Release = Annotated[str, AfterValidator(_release)]
 
 
-class Topic(Section):
+class TopicPort(Section):
     """One rule: what the ports of some topics carry, or which port of a YARP program is a topic.
 
     Without `port` it is about the topics' own ports, and the first rule whose `topic` matches counts; with a `type` the
@@ -105,7 +105,7 @@ class Topic(Section):
         return self.type is not None and self.direction != "out"
 
     @model_validator(mode="after")
-    def _fits_together(self) -> Topic:
+    def _fits_together(self) -> TopicPort:
         plain = ROS2_NAME.fullmatch(self.topic) is not None
         if not self.topic.startswith(("/", "**")):
             msg = f"{self.topic!r} is not a topic: names begin with a slash"
@@ -135,7 +135,7 @@ class Peer(Section):
     release: _Release = Field(description="Such as `3.9`; see `release` of the section.")
 
 
-class Service(Section):
+class ServicePort(Section):
     """One rule: what the RPC port of some services carries, or which RPC port of a YARP program is a service.
 
     Without `port` it is about the services' own RPC ports, and the first rule whose `service` matches counts. With
@@ -154,7 +154,7 @@ class Service(Section):
     model_config = ConfigDict(extra="forbid", frozen=True)
 
     @model_validator(mode="after")
-    def _fits_together(self) -> Service:
+    def _fits_together(self) -> ServicePort:
         if not self.service.startswith(("/", "**")):
             msg = f"{self.service!r} is not a service: names begin with a slash"
         elif self.port is not None and ROS2_NAME.fullmatch(self.service) is None:
@@ -202,8 +202,8 @@ class YarpSection(SideSection):
     input: _Scheme = setting("/midspan{topic}:i", "Name of the port that takes a topic's messages from YARP programs.")
     rpc: _Scheme = setting("/midspan{topic}/rpc", "Name of the RPC port that serves a service to YARP programs.")
     poll: float = setting(0.5, "Seconds between looks at the name server.", ge=0.05, le=10)
-    topics: tuple[Topic, ...] = setting((), "What ports carry, and which ports are topics.")
-    services: tuple[Service, ...] = setting((), "What RPC ports carry, and which RPC ports are services.")
+    topics: tuple[TopicPort, ...] = setting((), "What ports carry, and which ports are topics.")
+    services: tuple[ServicePort, ...] = setting((), "What RPC ports carry, and which RPC ports are services.")
 
     model_config = ConfigDict(extra="forbid", frozen=True, populate_by_name=True)
 

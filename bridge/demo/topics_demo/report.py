@@ -27,7 +27,7 @@ LAST_SECONDS = 4
 _REMEMBERED = 2000
 
 
-class Received:
+class TopicReceived:
     """What a program received on one topic."""
 
     def __init__(self) -> None:
@@ -130,16 +130,16 @@ class Reporter:
     """One program's line to the demo, made before anything that may wait for others; ``more`` adds to each report."""
 
     def __init__(self, more: Callable[[], dict[str, Any]] | None = None) -> None:
-        self._received: dict[str, Received] = {}
+        self._received: dict[str, TopicReceived] = {}
         self._more = more
         self._write_lock = threading.Lock()
         self._ended = threading.Event()
         self._commands: queue.SimpleQueue[bytes | None] = queue.SimpleQueue()
         threading.Thread(target=self._read, name="commands", daemon=True).start()
 
-    def received(self, topic: str) -> Received:
+    def received(self, topic: str) -> TopicReceived:
         """What was received on a topic so far."""
-        return self._received.setdefault(topic, Received())
+        return self._received.setdefault(topic, TopicReceived())
 
     def tell(self, event: str, **values: Any) -> None:
         """Write one line."""

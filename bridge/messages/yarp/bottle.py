@@ -27,7 +27,7 @@ from bridge.messages.definitions.text import closure, parse_full
 from bridge.messages.errors import ConversionError
 from bridge.messages.registry import Registry
 from bridge.messages.values import dtype, join, wrong
-from bridge.messages.yarp.codec import Codec, PortMessage, has_header, stamp_of, with_stamp
+from bridge.messages.yarp.codec import Codec, EncodedMessage, has_header, stamp_of, with_stamp
 from bridge.messages.yarp.layout import Layout, MismatchError
 from yarp_compat.wire import binary
 from yarp_compat.wire.errors import WireError
@@ -49,10 +49,10 @@ class RosBottle(Codec):
         self._schema = schema
         self._layouts = {known: Layout(self._schema, known) for known in Profile}
 
-    def to_yarp(self, cdr: bytes) -> PortMessage:
+    def to_yarp(self, cdr: bytes) -> EncodedMessage:
         """See `Codec`."""
         bottle = self._layouts[self._profile].to_bottle(self._to_ros1(cdr))
-        return PortMessage([bottle], (stamp_of(cdr) or None) if self._stamped else None)
+        return EncodedMessage([bottle], (stamp_of(cdr) or None) if self._stamped else None)
 
     def to_hub(self, payload: Buffer, profile: Profile | None, stamp_ns: int | None) -> bytes:
         """See `Codec`; a Bottle that people wrote by hand is taken too."""

@@ -22,7 +22,7 @@ _HEADERS = ("std_msgs/msg/Header",)
 Check = Callable[[bytes], bytes]  # checks CDR against its type; see `bridge.messages.registry.Registry.hub_check`
 
 
-class PortMessage(NamedTuple):
+class EncodedMessage(NamedTuple):
     """A message for a port."""
 
     payload: list[Buffer]
@@ -36,7 +36,7 @@ class Codec(ABC):
     now_ns: Callable[[], int] = staticmethod(time.time_ns)
 
     @abstractmethod
-    def to_yarp(self, cdr: bytes) -> PortMessage:
+    def to_yarp(self, cdr: bytes) -> EncodedMessage:
         """A hub message, which was checked against its type, for a port; raises `ConversionError`."""
 
     @abstractmethod

@@ -11,7 +11,7 @@ from bridge.messages.definitions.schema import Schema
 from bridge.messages.errors import ConversionError
 from bridge.messages.registry import Registry
 from bridge.messages.yarp.bottle import BottleCodec
-from bridge.messages.yarp.codec import Codec, Missing, NaturalType, PortMessage, has_header, stamp_of
+from bridge.messages.yarp.codec import Codec, EncodedMessage, Missing, NaturalType, has_header, stamp_of
 from bridge.messages.yarp.fields import BottleEntry, FieldsCodec
 from bridge.messages.yarp.navigation import NAVIGATION
 from bridge.messages.yarp.plain import CLOCK, PLAIN
@@ -64,14 +64,14 @@ class NaturalCodec(Codec):
         self._kind = KINDS[schema.name]
         self._stamped = has_header(schema)
 
-    def to_yarp(self, cdr: bytes) -> PortMessage:
+    def to_yarp(self, cdr: bytes) -> EncodedMessage:
         """See `Codec`."""
         out = ElementWriter(self._profile)
         try:
             self._kind.to_yarp(values.MessageReader(self._schema, cdr).message(), out)
         except WireError as err:
             raise ConversionError(str(err)) from None
-        return PortMessage(out.buffers(), (stamp_of(cdr) or None) if self._stamped else None)
+        return EncodedMessage(out.buffers(), (stamp_of(cdr) or None) if self._stamped else None)
 
     def to_hub(self, payload: Buffer, profile: Profile | None, stamp_ns: int | None) -> bytes:
         """See `Codec`."""

@@ -19,7 +19,7 @@ from bridge.messages.definitions.schema import PRIMITIVE_SIZES, TIME_TYPES, Fiel
 from bridge.messages.errors import ConversionError, MessageTypeError
 from bridge.messages.values import MessageReader, MessageWriter, dtype, wrong
 from bridge.messages.yarp.bottle import decode_arrays, shown
-from bridge.messages.yarp.codec import Codec, PortMessage, has_header, split_time, stamp_of
+from bridge.messages.yarp.codec import Codec, EncodedMessage, has_header, split_time, stamp_of
 from yarp_compat.wire.binary import encode_parts
 from yarp_compat.wire.framing import Buffer
 from yarp_compat.wire.profile import Profile
@@ -68,11 +68,11 @@ class FieldsCodec(Codec):
         self._stamped = has_header(schema)
         self._entries = [(entry, _resolve(schema, entry)) for entry in entries]
 
-    def to_yarp(self, cdr: bytes) -> PortMessage:
+    def to_yarp(self, cdr: bytes) -> EncodedMessage:
         """See `Codec`."""
         message = MessageReader(self._schema, cdr).message()
         values = [_get(message, entry, kind) for entry, kind in self._entries]
-        return PortMessage(encode_parts(values, self._profile), (stamp_of(cdr) or None) if self._stamped else None)
+        return EncodedMessage(encode_parts(values, self._profile), (stamp_of(cdr) or None) if self._stamped else None)
 
     def to_hub(self, payload: Buffer, profile: Profile | None, stamp_ns: int | None) -> bytes:
         """See `Codec`; fields that the Bottle does not have get their defaults."""

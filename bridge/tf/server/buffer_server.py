@@ -10,7 +10,7 @@ from collections import Counter
 from typing import Any
 
 from bridge.modules.action_server import Goal
-from bridge.modules.host import Node
+from bridge.modules.host import ModuleNode
 from bridge.modules.loop import Timer
 from bridge.modules.services import Answer
 from bridge.tf.buffer import TransformBuffer
@@ -37,7 +37,7 @@ _TRANSFORM_ERROR = 6  # tf2_msgs/msg/TF2Error; the rest above
 class BufferServer:
     """Looks up transforms for others. All of it runs on the module's thread; its ends are closed with the node."""
 
-    def __init__(self, node: Node, buffer: TransformBuffer) -> None:
+    def __init__(self, node: ModuleNode, buffer: TransformBuffer) -> None:
         self._node, self._buffer = node, buffer
         self._waiting: dict[bytes, _Lookup] = {}
         self._timer: Timer | None = None

@@ -14,7 +14,7 @@ from bridge.clock import SYSTEM
 from bridge.hub.endpoints.calls import Abandon, CallError, Done
 from bridge.hub.session import Hub
 from bridge.messages.registry import Registry
-from bridge.modules.host import Node
+from bridge.modules.host import ModuleNode
 from bridge.modules.loop import EventLoop
 from bridge.routing.edge import MadeBy
 from tests.adapters.yarp.conftest import Place
@@ -35,7 +35,7 @@ class Robot:
 
     def __init__(self, place: Place) -> None:
         self.loop = EventLoop("robot")
-        self.node = Node(Hub.open(place.hubs.settings("robot")), Registry(), self.loop, SYSTEM)
+        self.node = ModuleNode(Hub.open(place.hubs.settings("robot")), Registry(), self.loop, SYSTEM)
         self.loop.start()
         self.held: list[Any] = []
 

@@ -13,7 +13,7 @@ from bridge.clock import SYSTEM
 from bridge.config.model import Config
 from bridge.hub.session import Hub
 from bridge.messages.registry import Registry
-from bridge.modules.host import Node
+from bridge.modules.host import ModuleNode
 from bridge.modules.loop import EventLoop
 from tests.contract.hubside import HubSide
 from tests.contract.zenohside import PERIOD, ZenohBridge
@@ -35,7 +35,7 @@ class Place:
         self.router = Router()
         self._open: list[Any] = []
         self._far: HubSide | None = None
-        self._node: Node | None = None
+        self._node: ModuleNode | None = None
 
     def config(self, *dialects: dict[str, Any], name: str = "here", **sections: Any) -> Config:
         """A configuration with these dialects on the network beside the hub's."""
@@ -57,12 +57,12 @@ class Place:
         return self._far
 
     @property
-    def node(self) -> Node:
+    def node(self) -> ModuleNode:
         """A node of the hub that has actions."""
         if self._node is None:
             loop = EventLoop("far")
             loop.start()
-            self._node = Node(Hub.open(self.hubs.settings("node")), Registry(), loop, SYSTEM)
+            self._node = ModuleNode(Hub.open(self.hubs.settings("node")), Registry(), loop, SYSTEM)
         return self._node
 
     def on_node(self, action: Callable[[], Any]) -> Any:

@@ -14,7 +14,7 @@ from bridge.clock import SYSTEM
 from bridge.hub.session import Hub
 from bridge.messages.registry import Registry
 from bridge.modules.action_server import Goal
-from bridge.modules.host import Node
+from bridge.modules.host import ModuleNode
 from bridge.modules.loop import EventLoop
 from tests.cli.conftest import Midspan
 from tests.cli.workers import FakeWorker
@@ -29,7 +29,7 @@ class Robot:
 
     def __init__(self, network: HubNetwork, registry: Registry) -> None:
         self.loop = EventLoop("robot")
-        self.node = Node(Hub.open(network.settings("robot")), registry, self.loop, SYSTEM)
+        self.node = ModuleNode(Hub.open(network.settings("robot")), registry, self.loop, SYSTEM)
         self.goals: list[Goal] = []
         self.loop.start()
         self.node.server("/lamp", BOOL, self.switch)

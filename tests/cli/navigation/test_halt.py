@@ -18,7 +18,7 @@ from bridge.messages.actions import GoalState
 from bridge.messages.json import from_json, to_json
 from bridge.messages.registry import Registry
 from bridge.modules.action_server import Goal
-from bridge.modules.host import Node
+from bridge.modules.host import ModuleNode
 from bridge.modules.loop import EventLoop
 from tests.cli.conftest import Midspan, config_file
 from tests.cli.workers import FakeWorker
@@ -36,7 +36,7 @@ class Robot:
     def __init__(self, network: HubNetwork, registry: Registry) -> None:
         self.loop = EventLoop("robot")
         self.node, far = (
-            Node(Hub.open(network.settings(name)), registry, self.loop, SYSTEM) for name in ("robot", "client")
+            ModuleNode(Hub.open(network.settings(name)), registry, self.loop, SYSTEM) for name in ("robot", "client")
         )
         self._nodes = (self.node, far)
         self.heard: list[dict[str, Any]] = []

@@ -28,7 +28,7 @@ def _report() -> Subject:
         Beat,
         Failed,
         Hello,
-        Log,
+        LogLine,
         Reloaded,
         Restart,
         Unknown,
@@ -52,7 +52,7 @@ def _report() -> Subject:
         Reloaded(),
         Restart("x"),
         Failed("y"),
-        Log(20, "z"),
+        LogLine(20, "z"),
     )
     return Subject(parse, [encode_report(report) for report in reports], (ProtocolError,), _WORDS)
 

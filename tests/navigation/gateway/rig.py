@@ -13,7 +13,7 @@ from bridge.hub.wire.qos import Durability, Qos
 from bridge.messages.registry import Registry
 from bridge.modules.action_server import Goal
 from bridge.modules.clients import SentGoal
-from bridge.modules.host import Node
+from bridge.modules.host import ModuleNode
 from bridge.modules.loop import EventLoop
 from navigation.messages import NAVIGATE
 from navigation.status import STATUS, PlannerStatus, State, status_message
@@ -37,7 +37,7 @@ class Program:
 
     def __init__(self, settings: Any) -> None:
         self.loop = EventLoop(settings.node)
-        self.node = Node(Hub.open(settings), REGISTRY, self.loop, SYSTEM)
+        self.node = ModuleNode(Hub.open(settings), REGISTRY, self.loop, SYSTEM)
         self.loop.start()
 
     def on(self, action: Callable[[], Any]) -> Any:

@@ -10,7 +10,7 @@ from bridge.config.sections.sim import LaserSection, SimSection
 from bridge.hub.session import Hub
 from bridge.hub.wire.qos import Durability, Qos
 from bridge.messages.registry import Registry
-from bridge.modules.host import Node
+from bridge.modules.host import ModuleNode
 from bridge.modules.loop import EventLoop
 from bridge.tf.stamped import TF, TF_STATIC, TF_TYPE, Stamped, write
 from navigation.pose import Pose
@@ -40,7 +40,7 @@ class Robot:
         self.odometry = Pose(7.0, -3.0, 2.0)
         self._loop = EventLoop("robot")
         self._loop.start()
-        self.node = Node(hub, registry, self._loop, SYSTEM)
+        self.node = ModuleNode(hub, registry, self._loop, SYSTEM)
         self._tf = self.node.publisher(TF, TF_TYPE, Qos(depth=10))
         static = self.node.publisher(TF_STATIC, TF_TYPE, LATCHED, priority="state")
         # the laser hangs upside down, turned by half a circle
