@@ -164,7 +164,7 @@ class Network:
         a = contact.address
         register = RUNTIME.naming.register
         problem = f"cannot register {a.name}"
-        return Contact.of(_value(lambda: register(a.name, a.host, max(a.port, 0), carrier=a.carrier), problem))
+        return Contact.of(_value(lambda: register(a.name, a.host, max(a.port, 0), carrier=a.carrier or "tcp"), problem))
 
     @staticmethod
     def unregisterName(name: str) -> Contact:

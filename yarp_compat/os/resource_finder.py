@@ -181,9 +181,9 @@ class ResourceFinder(Searchable):
     def _home(self, kind: str, name: str) -> str:
         if self._search.near_main:
             return self._search.main_folder
-        path = Path(self._search.directories.data_home(), kind, name)
+        path = self._search.home_of(kind, name)
         try:
-            path.mkdir(parents=True, exist_ok=True)
+            Path(path).mkdir(parents=True, exist_ok=True)
         except OSError as err:
             log.warning("the folder %s cannot be made: %s", path, err)
-        return str(path)
+        return path

@@ -144,6 +144,13 @@ class ResourceSearch:
             every = ResourceFinderOptions(ResourceFinderOptions.Default, ResourceFinderOptions.All)
             yield from self.paths(_behind("contexts", context), every)
 
+    def home_of(self, kind: str, name: str) -> str:
+        """The user's own folder of a context or robot; a name that begins with a folder is the path itself."""
+        if _is_rooted(name):
+            return name
+        folder = _behind(self.directories.data_home(), kind)
+        return _behind(folder, name) if name else folder
+
     def _path_d(self) -> Iterator[str]:
         """Folders that packages added by files ``config/path.d/*.ini``: ``[search NAME]`` with ``path /a /b``."""
         places = (Path(one, "config", "path.d") for one in self.directories.data_dirs())

@@ -164,6 +164,15 @@ def test_an_absolute_context_is_a_name_below_the_contexts(places: dict[str, Path
     assert Path(elsewhere).exists()
 
 
+def test_the_users_folder_of_a_context_is_written_as_asked(
+    places: dict[str, Path], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("YARP_DATA_HOME", f"{places['data']}/")
+    assert finder(context="nav/").getHomeContextPath() == f"{places['data']}//contexts/nav/"
+    assert finder(context="./mine").getHomeContextPath() == "./mine"
+    assert (places["here"] / "mine").is_dir()
+
+
 def test_a_main_file_by_a_path_of_its_own(places: dict[str, Path]) -> None:
     put(places["here"], "conf/robot.ini", "a 1\n")
     beside = put(places["here"], "conf/map.txt")

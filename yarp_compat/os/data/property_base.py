@@ -15,7 +15,7 @@ from yarp_compat.wire.binary import decode_prefix, encode_parts
 from yarp_compat.wire.elements import ElementReader, ElementWriter
 from yarp_compat.wire.portable import Portable
 from yarp_compat.wire.text import dict_of, from_text, plain_text, to_text
-from yarp_compat.wire.values import entries_of, entry_values, merge
+from yarp_compat.wire.values import entries_of, merge
 
 _WORD = re.compile(r'"([^"]*)"?|([^ "]+)')
 
@@ -49,11 +49,12 @@ def _put_in_groups(name: str, values: list[Any], entries: dict[str, Any]) -> Non
     path = str(key).split("::")
     if len(path) > 1 and not path[-1]:
         del path[-1]
-    tree = [path[0], *entry_values(entries.get(path[0], ()))]
-    if len(path) > 1:
-        _put(tree, path[1:], values)
-    else:
-        tree[1:] = values
+    if len(path) == 1:
+        merge(entries, dict_of([[type(key)(path[0]), *values]]))
+        return
+    own = next((name for name in entries if name == path[0]), path[0])  # which may stand for a vocab
+    (tree,) = entries_of({own: entries.get(own, ())})
+    _put(tree, path[1:], values)
     merge(entries, dict_of([tree]))
 
 

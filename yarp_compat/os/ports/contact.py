@@ -30,7 +30,7 @@ class Contact:
         if len(parts) == 1 and isinstance(parts[0], Contact):
             self._address, self._timeout = parts[0]._address, parts[0]._timeout
         elif len(parts) == 2 and isinstance(parts[1], int):
-            self._address = Address("", parts[0], parts[1], "tcp")
+            self._address = Address("", parts[0], parts[1], "")
         elif len(parts) == 3 and isinstance(parts[2], int):
             self._address = Address("", parts[1], parts[2], parts[0])
         else:
@@ -50,14 +50,21 @@ class Contact:
         """Read ``/name``, ``tcp://name``, ``tcp://host:10002/`` and their kin."""
         return cls.of(Address.parse(text))
 
+    @classmethod
+    def fromConfig(cls, config: Any) -> Self:
+        """Read ``name``, ``ip``, ``port_number`` and ``carrier`` (``tcp`` without it) of a Property or its kin."""
+        number = config.find("port_number").asInt32() if config.check("port_number") else -1
+        carrier = config.find("carrier").asString() if config.check("carrier") else "tcp"
+        return cls.of(Address(config.find("name").asString(), config.find("ip").asString(), number, carrier))
+
     @property
     def address(self) -> Address:
         """The same for the rest of the library."""
         return self._address
 
     def getName(self) -> str:
-        """The port's name; without one, its address."""
-        return self._address.name or (self._address.uri if self._address.is_valid else "")
+        """The port's name; without one, its address, ``/127.0.0.1:10002``."""
+        return self._address.name or self._address.by("").uri.removesuffix("/")
 
     getRegName = getter("_address.name", str, "The port's name as registered; empty where it has none.")
     setName = _sets("name", str, "Name it.")
@@ -78,16 +85,18 @@ class Contact:
 
     getTimeout = getter("_timeout", float, "The time limit in seconds; negative for none.")
     setTimeout = setter("_timeout", float, "Limit the time of what is done with the contact.")
-    isValid = getter("_address.is_valid", bool, "Whether the address is known.")
+
+    def isValid(self) -> bool:
+        """Whether the port number is known."""
+        return self._address.port >= 0
 
     def toURI(self, includeCarrier: bool = True) -> str:
         """The address, ``tcp://127.0.0.1:10002/``."""
-        uri = self._address.uri
-        return uri if includeCarrier or not self._address.carrier else uri.removeprefix(f"{self._address.carrier}:")
+        return (self._address if includeCarrier else self._address.by("")).uri
 
     def toString(self) -> str:
-        """The name by its carrier, ``tcp://name``."""
-        return self._address.target if self._address.carrier else self.getName()
+        """The name, or without one the address, by its carrier: ``tcp://name``, ``tcp://127.0.0.1:10002``."""
+        return self._address.named(self.getName()).target
 
     toString_c = toString
     __str__ = toString

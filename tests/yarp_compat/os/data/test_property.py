@@ -104,6 +104,9 @@ def test_messages_hold_what_the_text_says() -> None:
         (["--a", "1", "--", "lost", "too", "--b", "2"], "(a 1) (b 2)"),
         (["--", "lost"], ""),
         (["---x", "3", "---y", "4"], '("-y" 4) (0 3)'),  # to YARP -x is a number, as in 0x
+        (["--[a]", "1", "--b::c", "2"], "([a] 1) (b (c 2))"),
+        (["--[a]", "1", "--a::c", "2"], "([a] 1 (c 2))"),
+        (["--a::a", "1", "--a::a", "2"], "(a (a 1) (a 2))"),  # the group's own name is found first
         (["--5", "x", "--[set]", "y"], "(5 x) ([set] y)"),
         (["--::b", "1", "--a::", "2", "--5", "lost"], '("" (b 1)) (a 2)'),
     ],
