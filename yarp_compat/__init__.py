@@ -12,7 +12,7 @@ from yarp_compat import catalogue
 
 
 def __getattr__(name: str) -> Any:
-    found = catalogue.find(name)
+    found = catalogue.everything() if name == "__all__" else catalogue.find(name)
     globals()[name] = found
     return found
 

@@ -10,7 +10,7 @@ import sys
 from pathlib import Path
 
 import yarp_compat
-from yarp_compat import check
+from yarp_compat import as_yarp, check
 
 
 def main() -> None:
@@ -21,7 +21,8 @@ def main() -> None:
         sys.exit(check.main(sys.argv[2:]))
     sys.modules["yarp"] = yarp_compat
     sys.argv = sys.argv[1:]
-    sys.path[0] = str(Path(sys.argv[0]).resolve().parent)
+    # the second is for processes that multiprocessing starts by "spawn": they take the path over, and import anew
+    sys.path[:1] = [str(Path(sys.argv[0]).resolve().parent), str(Path(as_yarp.__file__).parent)]
     runpy.run_path(sys.argv[0], run_name="__main__")
 
 

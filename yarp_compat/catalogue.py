@@ -3,6 +3,10 @@
 from __future__ import annotations
 
 import importlib
+import importlib.util
+import re
+from collections.abc import Mapping
+from functools import cache
 from typing import Any
 
 from yarp_compat import absences
@@ -29,10 +33,11 @@ _PLACES = {
     "dev.returnvalue": "CallFailed ReturnValue",
     "dev.server": "ServiceServer",
     "dev.client": "Stream",
-    "os.data.bottle": "Bottle Property Value",
+    "os.data.bottle": "Bottle Property Searchable Value",
     "os.ports.buffered_port": "BufferedPort TypedReaderCallback",
-    "os.ports.connection": "ConnectionReader ConnectionWriter PortInfo PortReader PortReport",
+    "os.ports.connection": "ConnectionReader ConnectionWriter PortInfo PortReport",
     "os.ports.contact": "Contact ContactStyle",
+    "os.ports.contactable": "Contactable UnbufferedContactable",
     "os.directories": (
         "home tempdir datahome datadirs confighome configdirs cachehome runtimedir yarpdatahome yarpdatadirs "
         "yarpconfighome yarpconfigdirs yarpcachehome yarpruntimedir get_string get_path get_bool set_string set_path "
@@ -54,7 +59,9 @@ _PLACES = {
         "now delay yield_c useSystemClock isSystemClock isNetworkClock isCustomClock isValid "
         "YARP_CLOCK_UNINITIALIZED YARP_CLOCK_DEFAULT YARP_CLOCK_SYSTEM YARP_CLOCK_NETWORK YARP_CLOCK_CUSTOM"
     ),
-    "os.data.vocab": "Vocab Vocab32 Vocab64 createVocab32 encode decode",
+    "os.data.vocab": "Vocab Vocab32 Vocab64 createVocab createVocab32 createVocab64 encode decode encode64 decode64",
+    "wire.portable": "Portable PortReader PortWriter",
+    "wire.typename": "Type",
     "sig.image": (
         "Image FlexImage ImageMono ImageMono16 ImageRgb ImageRgba ImageBgr ImageBgra ImageInt ImageFloat ImageRgbFloat "
         "ImageRgbInt ImageRgbSigned ImageMonoSigned ImageHsv ImageHsvFloat"
@@ -83,6 +90,12 @@ _MODULES = ("aio", "rosmsg")
 _FAMILIES = ("BufferedPort", "TypedReader")
 """``BufferedPortBottle`` is a ``BufferedPort`` of ``Bottle``; to who reads, that is a ``TypedReaderBottle``."""
 
+_CALLBACK = "TypedReaderCallback"
+"""Before 4.0 the bindings named ``SoundCallback`` ``TypedReaderCallbackSound``."""
+
+_ENUMERATOR = re.compile(r"(?:(?:Selectable)?ControlModeEnum|JointTypeEnum|cameraFeature_id_t|BusType|FeatureMode)_")
+"""What 4.0 puts before the members of its enumerations, and 3.x did not."""
+
 _ENUMERATORS = {
     "navigation_status_": "NavigationStatusEnum",
     "localization_status_": "LocalizationStatusEnum",
@@ -100,6 +113,8 @@ def find(name: str) -> Any:
         return getattr(importlib.import_module(f"yarp_compat.{_WHERE[name]}"), name)
     if name in _MODULES:
         return importlib.import_module(f"yarp_compat.{name}")
+    if name in _constants():
+        return _constants()[name]
     if not name.startswith("_"):
         made = _of_family(name)
         if made is not None:
@@ -108,20 +123,39 @@ def find(name: str) -> Any:
 
 
 def names() -> list[str]:
-    """Every name, except the families' members."""
+    """Every name, except the families' members and constants."""
     return [*_WHERE, *_MODULES]
+
+
+def everything() -> list[str]:
+    """What ``from yarp import *`` gives: every name, members of families and constants too, that this machine can load.
+
+    Without numpy there are no names of what needs it.
+    """
+    if importlib.util.find_spec("numpy") is None:
+        return [name for name, module in _WHERE.items() if not module.startswith(("sig.", "dev."))]
+    data = [name for name in _WHERE if name[0].isupper() and _is_data(name)]
+    members = [f"{family}{name}" for family in (*_FAMILIES, _CALLBACK) for name in data]
+    members += [f"{name}Callback" for name in data]
+    for start, kind in _ENUMERATORS.items():
+        members += [member for member in find(kind).__members__ if member.startswith(start)]
+    members += [f"VOCAB_PIXEL_{code}" for code in find("PixelCode").__members__]
+    return sorted({*_WHERE, *members, *_constants()})
+
+
+def _constants() -> Mapping[str, int | str]:
+    constants = importlib.import_module("yarp_compat.constants")
+    found: Mapping[str, int | str] = constants.table()
+    return found
 
 
 def _of_family(name: str) -> Any:
     """``BufferedPortBottle``, ``TypedReaderBottle``, ``BottleCallback``; ``Network_connect`` as in old bindings."""
-    for family in _FAMILIES:
-        if name.startswith(family) and _is_data(name.removeprefix(family)):
-            content = find(name.removeprefix(family))
-            base = find("BufferedPort")
-            return type(name, (base,), {"CONTENT": content, "__doc__": f"A BufferedPort of {content.__name__}."})
-    data = name.removesuffix("Callback")
-    if data != name and _is_data(data):
-        return type(name, (find("TypedReaderCallback"),), {"__doc__": f"A callback for a BufferedPort{data}."})
+    made = _made(name)
+    if made is not None:
+        return made
+    if (member := _ENUMERATOR.match(name)) is not None:
+        return find(name[member.end() :])
     if name.startswith("VOCAB_PIXEL_"):
         return getattr(find("PixelCode"), name.removeprefix("VOCAB_PIXEL_"), None)
     for start, kind in _ENUMERATORS.items():
@@ -130,6 +164,22 @@ def _of_family(name: str) -> Any:
     owner, _, method = name.partition("_")
     if method and owner in _WHERE:
         return getattr(find(owner), method, None)
+    return None
+
+
+@cache
+def _made(name: str) -> Any:
+    """The class of a family, for one kind of data, which is made once; None for another name."""
+    here = {"__module__": "yarp_compat"}  # where pickle finds it
+    for family in _FAMILIES:
+        if name.startswith(family) and _is_data(data := name.removeprefix(family)):
+            base = find("BufferedPort") if family == "TypedReader" else _made(f"TypedReader{data}")
+            return type(name, (base,), {"CONTENT": find(data), "__doc__": f"A BufferedPort of {data}.", **here})
+    if name.startswith(_CALLBACK) and _is_data(name.removeprefix(_CALLBACK)):
+        return _made(name.removeprefix(_CALLBACK) + "Callback")
+    data = name.removesuffix("Callback")
+    if data != name and _is_data(data):
+        return type(name, (find("TypedReaderCallback"),), {"__doc__": f"A callback for a BufferedPort{data}.", **here})
     return None
 
 

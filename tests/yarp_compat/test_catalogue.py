@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import pickle
 import subprocess
 import sys
 
@@ -66,6 +67,85 @@ def test_families() -> None:
     assert yarp.Network_exists is yarp.Network.exists
     with pytest.raises(TypeError, match="BufferedPort"):
         yarp.BufferedPort()
+
+
+def test_families_are_classes_of_each_other() -> None:
+    assert issubclass(yarp.BufferedPortImageRgb, yarp.TypedReaderImageRgb)
+    assert yarp.TypedReaderCallbackSound is yarp.SoundCallback
+    assert issubclass(yarp.TypedReaderCallbackVectorInt, yarp.TypedReaderCallback)
+    assert pickle.loads(pickle.dumps(yarp.BufferedPortBottle)) is yarp.BufferedPortBottle
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        ("YARP_FEATURE_ZOOM", 16),
+        ("cameraFeature_id_t_YARP_FEATURE_GAIN", 8),
+        ("FeatureMode_MODE_AUTO", 2),
+        ("MAS_WAITING_FOR_FIRST_READ", 4),
+        ("VOCAB_NAV_GOTOABS", 0x73626173),
+        ("VOCAB_PID", 0x646970),
+        ("BOTTLE_TAG_FLOAT64", 10),
+        ("BOTTLE_TAG_LIST", 256),
+        ("VOCAB_PIXEL_RGB", 0x626772),
+        ("PeriodicThreadClock_Absolute", 1),
+        ("YARP_VERSION_MAJOR", 4),
+    ],
+)
+def test_constants(name: str, value: int) -> None:
+    """As the headers of 3.9.1 and 4.0.0 have them."""
+    assert getattr(yarp, name) == value
+
+
+def test_words_made_of_characters() -> None:
+    assert yarp.createVocab("p", "o", "s") == yarp.createVocab32("p", "o", "s") == yarp.encode("pos")
+    assert yarp.createVocab64(*"position") == yarp.encode64("position")
+    assert yarp.decode64(yarp.encode64("position")) == "position"
+
+
+def test_everything_by_a_star() -> None:
+    names: dict[str, object] = {}
+    exec("from yarp_compat import *", names)
+    wanted = "Bottle BufferedPortBottle SoundCallback TypedReaderCallbackSound delay VOCAB_PIXEL_RGB local_map"
+    assert not set(wanted.split()) - set(names)
+    assert not [name for name in names if name.startswith("_") and name != "__builtins__"]
+
+
+def test_a_star_without_numpy(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("importlib.util.find_spec", lambda _: None)
+    found = catalogue.everything()
+    assert "Bottle" in found
+    assert "Vector" not in found
+
+
+def test_bases_as_the_bindings_have_them() -> None:
+    bottle = yarp.Bottle("1 2")
+    for base in (yarp.Portable, yarp.Searchable, yarp.PortReader, yarp.PortWriter):
+        assert isinstance(bottle, base)
+    assert isinstance(yarp.ResourceFinder(), yarp.Searchable)
+    assert isinstance(yarp.RpcClient(), yarp.UnbufferedContactable)
+    assert isinstance(yarp.BufferedPortBottle(), yarp.Contactable)
+    other = yarp.Bottle()
+    assert yarp.Portable.copyPortable(bottle, other)
+    assert other == bottle
+    assert not yarp.Portable.copyPortable(bottle, yarp.ImageRgb())
+    assert (yarp.ImageRgb().getType().getName(), yarp.Bottle().getReadType().toString()) == ("yarp/image", "null")
+
+
+@pytest.mark.parametrize(
+    "name", ["Bottle", "Property", "RFModule", "PortReader", "BottleCallback", "BufferedPortBottle", "Vector", "Thread"]
+)
+def test_a_mix_in_may_have_a_metaclass_of_its_own(name: str) -> None:
+    """As classes of Qt's bindings have."""
+
+    class Meta(type):
+        pass
+
+    class MixIn(metaclass=Meta):
+        pass
+
+    made = Meta("Made", (getattr(yarp, name), MixIn), {})
+    assert issubclass(made, getattr(yarp, name))
 
 
 def test_std_vectors() -> None:

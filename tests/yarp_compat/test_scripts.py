@@ -73,6 +73,9 @@ OUTPUTS = {
         admin True "/tools/two"
         gone False False
     """,
+    "children": """
+        [6, 9]
+    """,
     "topics": """
         /chatter+@/yarp/talker /chatter-@/yarp/listener
         received: Hello from YARP

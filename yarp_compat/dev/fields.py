@@ -207,7 +207,7 @@ class Structure(Portable):
     """A dataclass whose annotated fields go on the wire, see :mod:`yarp_compat.dev.fields`."""
 
     def _write(self, out: ElementWriter) -> None:
-        fields = fields_of(type(self))
+        fields = fields_of(type(self))  # type: ignore[arg-type] # for mypy an object's __hash__ is the class's
         out.begin(len(fields))
         name = ""
         try:
@@ -217,7 +217,7 @@ class Structure(Portable):
             raise type(error)(f"{type(self).__name__}.{name}: {error}") from None
 
     def _read(self, source: ElementReader) -> None:
-        fields = fields_of(type(self))
+        fields = fields_of(type(self))  # type: ignore[arg-type] # for mypy an object's __hash__ is the class's
         count = source.begin()
         if count != len(fields):
             raise WireError(f"a {type(self).__name__} has {len(fields)} fields, not {count}")

@@ -11,9 +11,10 @@ from typing import Any
 
 from yarp_compat.os import time as clock
 from yarp_compat.os.data.bottle import Bottle, Value
-from yarp_compat.os.ports.connection import ConnectionReader, PortReader
+from yarp_compat.os.ports.connection import ConnectionReader
 from yarp_compat.os.resource_finder import ResourceFinder
 from yarp_compat.wire.accessors import setter
+from yarp_compat.wire.portable import PortReader
 
 log = logging.getLogger("yarp.os.RFModule")
 

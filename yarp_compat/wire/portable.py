@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
 from typing import Any, ClassVar, Protocol, Self
 
 from yarp_compat.wire import binary, text
@@ -11,6 +10,7 @@ from yarp_compat.wire.errors import WireError
 from yarp_compat.wire.framing import Buffer
 from yarp_compat.wire.generation import Generation
 from yarp_compat.wire.profile import Profile
+from yarp_compat.wire.typename import Type
 
 
 class ReaderHolder(Protocol):
@@ -29,18 +29,66 @@ class WriterHolder(Protocol):
         """Where the value goes."""
 
 
-class Portable(ABC):
+class PortReader:
+    """Derive from it to take messages as they come: ``port.setReader(reader)``."""
+
+    def read(self, connection: Any) -> bool:
+        """Take one message; it may answer by ``connection.getWriter()``. False where it could not use the message.
+
+        ``connection`` is a `ConnectionReader`; an invalid one (``connection.isValid()``) means the end.
+        """
+        raise NotImplementedError(f"{type(self).__name__} has no read")
+
+    def getReadType(self) -> Type:
+        """The kind of data that it reads."""
+        return Type()
+
+
+class PortWriter:
+    """What can be written to a connection."""
+
+    def write(self, connection: Any) -> bool:
+        """Put it on a connection, a `ConnectionWriter`; False where it cannot be written."""
+        raise NotImplementedError(f"{type(self).__name__} has no write")
+
+    def getWriteType(self) -> Type:
+        """The kind of data that it writes."""
+        return Type()
+
+    def onCommencement(self) -> None:
+        """Nothing to do: called by YARP before it is written."""
+
+    def onCompletion(self) -> None:
+        """Nothing to do: called by YARP when it was written."""
+
+
+class Portable(PortReader, PortWriter):
     """A value that crosses ports."""
 
     TYPE: ClassVar[str] = ""  # the name under which YARP's ports announce it; empty where YARP has none
 
-    @abstractmethod
     def _write(self, out: ElementWriter) -> None:
         """Put the value's elements on the wire."""
+        raise NotImplementedError(f"{type(self).__name__} has no elements")
 
-    @abstractmethod
     def _read(self, source: ElementReader) -> None:
         """Become what comes next; raises `WireError` where it is something else, and stays what it was."""
+        raise NotImplementedError(f"{type(self).__name__} has no elements")
+
+    def getReadType(self) -> Type:
+        """The kind of data that it is."""
+        return Type(self.TYPE)
+
+    getWriteType = getType = getReadType
+
+    @staticmethod
+    def copyPortable(writer: Portable, reader: Portable) -> bool:
+        """Have one value become another by what it is on the wire; False where it cannot."""
+        try:
+            reader.from_wire(writer.to_bytes())
+        except WireError:
+            return False
+        return True
 
     def to_wire(self, profile: Profile = Profile.YARP3, generation: Generation | None = None) -> list[Buffer]:
         """The value's bytes in pieces, large arrays uncopied: they must stay unchanged until they are sent."""

@@ -6,7 +6,6 @@ its values with YARP's conversions (`yarp/os/Value.h`, `Storable.h`); a Property
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from typing import Any, overload
 
@@ -27,20 +26,20 @@ from yarp_compat.wire.values import Vocab64 as Word64
 _UNITS = {0: "mixed", tags.INT32: "int", tags.VOCAB32: "vocab", 10: "float", tags.STRING: "string", tags.BLOB: "blob"}
 
 
-class Searchable(ABC):
+class Searchable:
     """Something with keys and values."""
 
-    @abstractmethod
     def find(self, key: str) -> Value:
         """The value after a key; a null value where the key is missing."""
+        raise NotImplementedError(f"{type(self).__name__} has no find for {key}")
 
-    @abstractmethod
     def findGroup(self, key: str) -> Bottle:
         """The list that begins with a key; a null Bottle where none does."""
+        raise NotImplementedError(f"{type(self).__name__} has no findGroup for {key}")
 
-    @abstractmethod
     def toString(self) -> str:
         """The text form."""
+        raise NotImplementedError(f"{type(self).__name__} has no toString")
 
     @overload
     def check(self, key: str, fallback: str = "", comment: str = "") -> bool: ...

@@ -46,8 +46,18 @@ def createVocab32(a: str, b: str = "\0", c: str = "\0", d: str = "\0") -> int:
     return code_of(a + b + c + d, 4)
 
 
+createVocab = createVocab32  # YARP 2's name
+
+
+def createVocab64(*characters: str) -> int:
+    """The number of a word of up to eight characters, given by them (YARP 4)."""
+    return code_of("".join(characters), 8)
+
+
 encode = Vocab32.encode
 decode = Vocab32.decode
+encode64 = Vocab64.encode
+decode64 = Vocab64.decode
 
 
 def _word(value: Word | bool) -> str:

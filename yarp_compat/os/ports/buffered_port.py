@@ -9,7 +9,7 @@ from collections.abc import Callable
 from contextlib import AbstractContextManager
 from typing import Any, ClassVar
 
-from yarp_compat.os.ports.connection import PortReader, recognised
+from yarp_compat.os.ports.connection import recognised
 from yarp_compat.os.ports.contact import Contact
 from yarp_compat.os.ports.contactable import Contactable
 from yarp_compat.os.ports.inbox import Inbox
@@ -17,6 +17,7 @@ from yarp_compat.os.ports.port import answer
 from yarp_compat.ports.message import PortMessage
 from yarp_compat.ports.port import PortCore
 from yarp_compat.wire.errors import WireError
+from yarp_compat.wire.portable import PortReader
 
 log = logging.getLogger("yarp.os.BufferedPort")
 

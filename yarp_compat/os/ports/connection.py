@@ -32,17 +32,6 @@ T = TypeVar("T", int, float)
 log = logging.getLogger("yarp.os.ConnectionReader")
 
 
-class PortReader:
-    """Derive from it to take messages as they come: ``port.setReader(reader)``."""
-
-    def read(self, connection: ConnectionReader) -> bool:
-        """Take one message; it may answer by ``connection.getWriter()``. False where it could not use the message.
-
-        An invalid connection (``connection.isValid()``) means the end.
-        """
-        raise NotImplementedError(f"{type(self).__name__} has no read")
-
-
 def _append(layout: str, doc: str) -> Callable[[ConnectionWriter, Any], None]:
     def append(self: ConnectionWriter, value: Any) -> None:
         self._put(layout, value)

@@ -381,6 +381,10 @@ class Contactable:
             report(self._core, self._reporter, event)
 
 
+class UnbufferedContactable(Contactable):
+    """A port that reads and writes when it is told to: `Port` and its kin."""
+
+
 def _connect(one: NestedName, other: NestedName) -> None:
     source, target = (one, other) if one.role in (PUBLISHER, CLIENT) else (other, one)
     try:

@@ -5,20 +5,21 @@ from __future__ import annotations
 import logging
 from typing import Any
 
-from yarp_compat.os.ports.connection import ConnectionReader, PortReader, profile_of, recognised
+from yarp_compat.os.ports.connection import ConnectionReader, profile_of, recognised
 from yarp_compat.os.ports.contact import Contact
-from yarp_compat.os.ports.contactable import Contactable
+from yarp_compat.os.ports.contactable import UnbufferedContactable
 from yarp_compat.os.ports.inbox import Handoff
 from yarp_compat.os.runtime import RUNTIME
 from yarp_compat.ports.message import PortMessage
 from yarp_compat.ports.port import PortCore
 from yarp_compat.wire.accessors import setter
 from yarp_compat.wire.errors import WireError
+from yarp_compat.wire.portable import PortReader
 
 log = logging.getLogger("yarp.os.Port")
 
 
-class Port(Contactable):
+class Port(UnbufferedContactable):
     """Writes one message at a time, and reads each that comes, while its writer waits; of any of YARP's data."""
 
     _ANSWERS = True
