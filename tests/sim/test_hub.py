@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 
 from bridge.config.model import Config
-from bridge.config.sections.yarp import YarpSection, TopicPort
+from bridge.config.sections.yarp import TopicPort, YarpSection
 from bridge.hub.session import Hub
 from bridge.messages.registry import Registry
 from sim.simulator import SimWorker

@@ -7,8 +7,8 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
-from bridge.config.sections.yarp import YarpSection, TopicPort
 from bridge.config.sections.yarp import ServicePort as ServiceRule
+from bridge.config.sections.yarp import TopicPort, YarpSection
 from bridge.hub.endpoints.calls import CallError
 from bridge.messages.errors import ConversionError
 from bridge.messages.registry import Registry
