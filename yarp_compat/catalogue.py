@@ -13,6 +13,18 @@ from yarp_compat import absences
 
 _PLACES = {
     "dev.drivers.polydriver": "PolyDriver",
+    "dev.controlboard.modes": (
+        "VOCAB_CM_IDLE VOCAB_CM_TORQUE VOCAB_CM_POSITION VOCAB_CM_POSITION_DIRECT VOCAB_CM_VELOCITY "
+        "VOCAB_CM_VELOCITY_DIRECT VOCAB_CM_CURRENT VOCAB_CM_PWM VOCAB_CM_IMPEDANCE_POS VOCAB_CM_IMPEDANCE_VEL "
+        "VOCAB_CM_MIXED VOCAB_CM_FORCE_IDLE VOCAB_CM_HW_FAULT VOCAB_CM_CALIBRATING VOCAB_CM_CALIB_DONE "
+        "VOCAB_CM_NOT_CONFIGURED VOCAB_CM_CONFIGURED VOCAB_CM_UNKNOWN VOCAB_IM_STIFF VOCAB_IM_COMPLIANT "
+        "VOCAB_IM_UNKNOWN VOCAB_JOINTTYPE_REVOLUTE VOCAB_JOINTTYPE_PRISMATIC VOCAB_JOINTTYPE_UNKNOWN"
+    ),
+    "dev.controlboard.views": (
+        "IAmplifierControl IAxisInfo IControlLimits IControlMode ICurrentControl IEncoders IEncodersTimed "
+        "IInteractionMode IMotor IMotorEncoders IPWMControl IPositionControl IPositionDirect IPreciselyTimed "
+        "IRemoteVariables ITorqueControl IVelocityControl"
+    ),
     "dev.basecontrol": "MobileBaseVelocity MobileBaseVelocityControl Odometry2DClient OdometryData",
     "dev.battery": "BatteryClient BatteryData IBattery",
     "dev.frametransform": "FrameTransform",

@@ -142,17 +142,17 @@ class ListOf(FieldCodec):
 
     def __init__(self, element: FieldCodec) -> None:
         super().__init__(f"list<{element.name}>", list)
-        self._element = element
+        self.element = element
 
     def write(self, out: ElementWriter, value: Any, *, tagged: bool = True) -> None:  # noqa: ARG002
-        tag = self._element.tag(out.profile)
+        tag = self.element.tag(out.profile)
         out.begin(len(value), tag)
         for element in value:
-            self._element.write(out, element, tagged=not tag)
+            self.element.write(out, element, tagged=not tag)
 
     def read(self, source: ElementReader) -> list[Any]:
         count = source.begin()
-        values = [self._element.read(source) for _ in range(count)]
+        values = [self.element.read(source) for _ in range(count)]
         source.end()
         return values
 

@@ -145,6 +145,11 @@ class ElementReader:
 
     string = word
 
+    def element(self) -> int:
+        """Where the next element begins, which is taken apart elsewhere: its end then becomes ``at``."""
+        self._count()
+        return self.at
+
     def raw(self, layout: struct.Struct) -> tuple[Any, ...]:
         """Numbers in a fixed layout."""
         found = self._look(layout, self.at)

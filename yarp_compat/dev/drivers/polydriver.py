@@ -96,6 +96,24 @@ class PolyDriver:
     viewIOdometry2D = _view("IOdometry2D")
     viewIRangefinder2D = _view("IRangefinder2D")
 
+    viewIAmplifierControl = _view("IAmplifierControl")
+    viewIAxisInfo = _view("IAxisInfo")
+    viewIControlLimits = _view("IControlLimits")
+    viewIControlMode = _view("IControlMode")
+    viewICurrentControl = _view("ICurrentControl")
+    viewIEncoders = _view("IEncoders")
+    viewIEncodersTimed = _view("IEncodersTimed")
+    viewIInteractionMode = _view("IInteractionMode")
+    viewIMotor = _view("IMotor")
+    viewIMotorEncoders = _view("IMotorEncoders")
+    viewIPWMControl = _view("IPWMControl")
+    viewIPositionControl = _view("IPositionControl")
+    viewIPositionDirect = _view("IPositionDirect")
+    viewIPreciselyTimed = _view("IPreciselyTimed")
+    viewIRemoteVariables = _view("IRemoteVariables")
+    viewITorqueControl = _view("ITorqueControl")
+    viewIVelocityControl = _view("IVelocityControl")
+
     def _opened(self, config: Searchable) -> OpenDevice:
         make = registry.factory(self._name)
         if not RUNTIME.is_up:

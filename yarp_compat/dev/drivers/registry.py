@@ -41,13 +41,14 @@ _FACTORIES = {
     "rangefinder2D_nwc_yarp Rangefinder2DClient": "sensors.rangefinder2d",
     "odometry2D_nwc_yarp": "sensors.odometry2d",
     "battery_nwc_yarp batteryClient": "sensors.battery",
+    "controlBoard_nwc_yarp remote_controlboard controlboard_nwc_yarp": "controlboard.controlboard",
 }
 """The names of a device in YARP's releases, and its factory: a module of this package, and a function in it."""
 
 _BY_NAME = {name: place for names, place in _FACTORIES.items() for name in names.split()}
 
 _INSTEAD = {
-    r"remote_controlboard|controlBoard_nwc_yarp": "there are no motors here yet; talk to the board's ports",
+    r"controlboardremapper|remotecontrolboardremapper": "open each board by a controlBoard_nwc_yarp of its own",
     r"(RGBD|rgbd).*": "read its images by BufferedPortImageRgb and BufferedPortImageFloat",
     r"frameTransform(Get|Set)_nwc_yarp": "frameTransform_nwc_yarp is both",
     r"(remote_|frameGrabber|grabber|usb|opencv|ffmpeg|openCV).*": "read the camera's port by BufferedPortImageRgb",

@@ -341,7 +341,7 @@ class Bottle(Portable, _Comparable):
             out.block(part)
 
     def _read(self, source: ElementReader) -> None:
-        self._edit()[:], source.at = decode_prefix(source.data, source.profile, source.at)
+        self._edit()[:], source.at = decode_prefix(source.data, source.profile, source.element())
 
     def getSpecialization(self) -> int:
         """The tag of all values, where they have the same (YARP 3's)."""

@@ -1,0 +1,204 @@
+"""A client of a control board, of YARP 3 or 4: its calls, its stream of commands, and the joints' state.
+
+    with ControlBoardClient("/robot/head", "/my_script") as board:
+        board.call("positionMoveOneRPC", 0, 20.0)     # (outcome,)
+        board.state("jointPosition")                  # numbers and their time, None where there are none
+
+Which release the board is of, its ports tell: 4.0 asks at ``/nws/rpc:i``, 3.x at ``/rpc:i``. Methods have the names of
+4.0; `yarp_compat.dev.controlboard.views` has what scripts use.
+"""
+
+from __future__ import annotations
+
+import logging
+import threading
+import time
+from contextlib import ExitStack
+from typing import Any, Self
+
+from yarp_compat.dev.client import ServiceClient
+from yarp_compat.dev.controlboard import words
+from yarp_compat.dev.controlboard.messages import ControlBoardMsgs
+from yarp_compat.dev.controlboard.streams import JointData, Numbers, command, streamed
+from yarp_compat.dev.returnvalue import OK, UNREACHED, ReturnCode, ReturnValue
+from yarp_compat.naming import connections
+from yarp_compat.naming.client import NameClient
+from yarp_compat.os.data.stamp import Stamp
+from yarp_compat.ports.message import PortMessage
+from yarp_compat.ports.naming import Naming, PortError
+from yarp_compat.ports.port import PortCore
+from yarp_compat.ports.sockets import Openable, closed_on_failure
+from yarp_compat.pythonic import Client, OpenPort, Received, payload_of
+from yarp_compat.wire.errors import WireError
+from yarp_compat.wire.profile import Profile
+from yarp_compat.wire.values import Vocab
+
+log = logging.getLogger("yarp.dev.ControlBoard")
+
+ANSWER = 10.0  # seconds to wait for an answer
+STATE = 0.5  # seconds for which the joints' state holds, as YARP's option ``timeout`` has it
+_NOT_READY = ReturnValue(ReturnCode.NOT_READY)
+_LACKING = ReturnValue(ReturnCode.NOT_IMPLEMENTED)
+_FAILED = ReturnValue(ReturnCode.METHOD_FAILED)
+
+
+class ControlBoardClient(Openable):
+    """Drives the joints of one board; `open` connects, and raises `PortError` where the board is not there.
+
+    Args:
+        remote: what the board's ports begin with.
+        local: what the client's begin with.
+        carrier: of the streams.
+        timeout: seconds for which the joints' state holds.
+        strict: no command takes the place of one that is still on its way, also of those to several joints.
+    """
+
+    def __init__(
+        self, remote: str, local: str, *, naming: Naming | None = None, carrier: str = "fast_tcp",
+        timeout: float = STATE, strict: bool = False,
+    ) -> None:  # fmt: skip
+        self.remote, self.local = remote, local
+        self.profile = Profile.YARP3
+        self.axes = 0
+        self.strict = strict
+        self._naming = naming or NameClient()
+        self._carrier = carrier
+        self._state = JointState(timeout)
+        self._open = ExitStack()
+
+    def open(self) -> Self:
+        """Connect; see above."""
+        with closed_on_failure(self):
+            self._connect()
+        return self
+
+    def close(self) -> None:
+        """Close the ports."""
+        self._open.close()
+
+    def call(self, method: str, *arguments: Any) -> tuple[Any, ...]:
+        """The outcome of a method of `ControlBoardMsgs`, and its results; what is streamed has no outcome but ok.
+
+        Raises `TypeError` and `ValueError` for arguments that are no numbers.
+        """
+        try:
+            if streamed(method):
+                message = command(method, arguments, self.profile)
+                strict = self.strict or "One" in method  # commands to two joints in a row must both arrive
+                return (OK,) if self._commands.write(payload_of(message), strict=strict) else (UNREACHED,)
+            return self._asked(method, arguments)
+        except WireError as error:
+            log.error("%s of %s: %s", method, self.remote, error)
+            return (_FAILED,)
+        except OSError as error:
+            log.error("%s does not answer %s: %s", self.remote, method, error)
+            return (UNREACHED,)
+
+    def state(self, name: str) -> tuple[Numbers, float] | None:
+        """What the board said last of all joints, and when; None where that is too old, or it does not say it."""
+        return self._state.read(name)
+
+    def stamp(self) -> Stamp:
+        """The number and time of the newest state; none came: an invalid one."""
+        return self._state.stamp()
+
+    def _asked(self, method: str, arguments: tuple[Any, ...]) -> tuple[Any, ...]:
+        if self.profile is Profile.YARP4:
+            returned = getattr(self._service.remote, method)(*arguments)
+            return returned if isinstance(returned, tuple) else (returned,)
+        if words.words_of(method) is None:
+            return (_LACKING,)
+        return words.results(method, self._words.ask(words.request(method, arguments), timeout=ANSWER))
+
+    def _connect(self) -> None:
+        naming = self._naming
+        if naming.query(f"{self.remote}/nws/rpc:i") is not None:
+            self.profile = Profile.YARP4
+            self._service = self._open.enter_context(
+                ServiceClient(
+                    ControlBoardMsgs, f"{self.remote}/nws/rpc:i", f"{self.local}/nwc/rpc:o",
+                    naming=naming, timeout=ANSWER,
+                )
+            )  # fmt: skip
+        elif naming.query(f"{self.remote}/rpc:i") is not None:
+            self.profile = Profile.YARP3
+            self._words = self._open.enter_context(Client(f"{self.remote}/rpc:i", f"{self.local}/rpc:o", naming=naming))
+            self._check_protocol()
+        else:
+            raise PortError(
+                f"there is no control board {self.remote}: the name server knows neither {self.remote}/nws/rpc:i"
+                f" (YARP 4) nor {self.remote}/rpc:i (YARP 3)"
+            )
+        writer = PortCore(f"{self.local}/command:o", naming=naming, is_input=False, profile=self.profile)
+        self._open.callback(writer.close)
+        writer.open()
+        done, said = writer.add_output(f"{self._carrier}:/{self.remote}/command:i")
+        if not done:
+            raise PortError(said)
+        self._commands = writer
+        reader = self._open.enter_context(_StateReader(f"{self.local}/stateExt:i", self._state, naming))
+        connections.connect(naming, f"{self.remote}/stateExt:o", reader.name, self._carrier)
+        outcome, *axes = self.call("getAxesRPC")
+        if not outcome or axes[0] < 1:
+            raise PortError(f"{self.remote} does not tell its number of joints")
+        self.axes = axes[0]
+
+    def _check_protocol(self) -> None:
+        answer = self._words.ask([Vocab("get"), Vocab("prot")], timeout=ANSWER)
+        if answer[:3] != ["prot", *words.PROTOCOL[:2]]:
+            log.warning("%s speaks another protocol than YARP's %s: %s", self.remote, words.PROTOCOL, answer)
+
+
+class JointState:
+    """The newest state of a board's joints; any thread."""
+
+    def __init__(self, timeout: float) -> None:
+        self._timeout = timeout
+        self._lock = threading.Lock()
+        self._received: Received | None = None
+        self._data: JointData | None = None
+        self._stamp = Stamp()
+        self._until = 0.0
+
+    def take(self, received: Received) -> None:
+        """A state came; it is read when somebody asks."""
+        with self._lock:
+            self._received = received
+            self._until = time.monotonic() + self._timeout
+
+    def read(self, name: str) -> tuple[Numbers, float] | None:
+        """A quantity of all joints, and the time of the state in seconds; None where it is missing or too old."""
+        with self._lock:
+            received, self._received = self._received, None
+            if received is not None:
+                self._read(received)
+            if self._data is None or time.monotonic() > self._until:
+                return None
+            found = self._data.values.get(name)
+            return None if found is None else (found, self._stamp.getTime())
+
+    def stamp(self) -> Stamp:
+        """The number and time of the newest state."""
+        self.read("")
+        with self._lock:
+            return self._stamp
+
+    def _read(self, received: Received) -> None:
+        stamp = Stamp()
+        try:
+            self._data = received.to(JointData)
+            stamp.from_text(received.envelope or "")
+        except WireError as error:
+            log.warning("a state of %s is refused: %s", received.source, error)
+        if not stamp.isValid():
+            stamp.update(time.time())
+        self._stamp = stamp
+
+
+class _StateReader(OpenPort):
+    def __init__(self, name: str, state: JointState, naming: Naming) -> None:
+        self._state = state
+        super().__init__(name, naming=naming, is_output=False)
+
+    def _take(self, message: PortMessage) -> None:
+        self._state.take(Received(message, self.core.profile))
