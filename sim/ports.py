@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from bridge.modules.host import Host
+from sim.board_ports import BoardPorts
 from sim.simulation import TICK_NS, Simulation
 from yarp_compat.dev.basecontrol import IOdometry2DMsgs, OdometryData
 from yarp_compat.dev.battery import BatteryData, BatteryStatus, IBatteryMsgs
@@ -46,6 +47,7 @@ class RobotPorts:
         self._battery = yarp.output(f"{prefix}/battery:o")
         self._battery_data = yarp.output(f"{prefix}/battery/data:o")
         yarp.serve(f"{prefix}/battery/rpc:i", _Battery())
+        self._board = BoardPorts(host, f"{prefix}/{simulation.section.part}", simulation)
         self._ticks = 0
         self._scanned = -1
 
@@ -60,6 +62,8 @@ class RobotPorts:
                 self._laser.write(self._scan(), envelope)
         if self._ticks % _ODOMETRY == 0 and "encoders_silent" not in self._simulation.faults:
             self._tell_odometry(envelope)
+        if self._ticks % _ODOMETRY == 0:
+            self._board.tell(envelope)
         if self._ticks % _BATTERY == 0:
             self._tell_battery(envelope)
 

@@ -12,6 +12,7 @@ from bridge.config.sections.sim import SimSection
 from bridge.messages.scan import Turn
 from sim import robot
 from sim.base import STEP_NS, Base, BasePose, Differential, Encoders, Floats, Holonomic, Twist
+from sim.board import WheelCommands
 from sim.environment import SimError
 from sim.laser import Laser
 from sim.plan import Plan, load_plan
@@ -94,6 +95,7 @@ class Simulation:
         self.laser = Laser(section.laser, self.robot.lasers, laser_noise)
         self.motors = Motors(self.base.names, self.robot.motor_timeout)
         self.drive = VelocityDrive(self.base)
+        self.board = WheelCommands(self.base, self.time_ns)
         self.battery = Battery(self.robot.battery)
         self.stopped = False
         self.faults = Faults()
@@ -110,6 +112,10 @@ class Simulation:
         seconds = TICK_NS / 1e9
         self.motors.now = self.time_ns
         wheels = self.drive.wheels(self.time_ns, seconds) if self.section.drive == "velocity" else self.motors.wheels()
+        self.board.now_ns = self.time_ns
+        boarded = self.board.wanted(seconds)
+        if boarded is not None:
+            wheels = boarded
         aims = [0.0] * len(wheels) if self.stopped else wheels.tolist()
         still = not any(aims)
         if not (still and self.world.rests):
@@ -143,6 +149,7 @@ class Simulation:
         """The emergency stop: while it is on, the wheels hold still whatever comes."""
         self.stopped = on
         self.drive.halt()
+        self.board.halt()
 
     def teleport(self, to: BasePose) -> None:
         """Stand the robot elsewhere, unnoticed by its odometry; raises `SimError` if something stands there."""
@@ -176,6 +183,7 @@ class Simulation:
         before, encoders = self.motors.encoders(), self._sensed.read(self.time_ns, rests=rests)
         self.motors.now = self.time_ns
         self.motors.read(encoders)
+        self.board.read(encoders)
         if encoders.positions is before.positions and encoders.velocities is before.velocities:
             self.odometry.rest(self.time_ns)
         else:

@@ -24,6 +24,8 @@ class ClockSection(Section):
 
 _Prefix = Annotated[str, matching(r"(?:/[A-Za-z0-9_]+)*", "is not a prefix of port names: write it as /cer")]
 
+_Part = Annotated[str, matching(r"[A-Za-z0-9_]+", "is no part of a port's name: write it as mobile_base")]
+
 
 class LaserSection(Section):
     """The laser of the simulated base."""
@@ -79,6 +81,9 @@ class SimSection(Section):
         " `/odometry`, `mobile_base_body_link`.",
     )
     yarp: _Prefix = setting("", "Prefix of its YARP ports: `/cer`, `/SIM_CER_ROBOT`; empty: it has none.")
+    part: _Part = setting(
+        "mobile_base", "The wheels' control board among its YARP ports: `/cer/mobile_base` with `yarp: /cer`."
+    )
     view: float = setting(0.0, "Pictures of the floor per second, as `Image`; 0: none.", ge=0, le=10)
     laser: LaserSection = subsection(LaserSection, "Its laser.")
     encoders: EncodersSection = subsection(EncodersSection, "Errors of its encoders.")

@@ -1,0 +1,267 @@
+"""The wheels as a control board on YARP: what scripts for a robot's ``/cer/mobile_base`` drive (`docs/yarp/boards.md`).
+
+Degrees and degrees per second. Modes are position, position direct, velocity, PWM and idle. A velocity or a duty cycle
+holds for as long as one on ``/cmd_vel``, and then it is zero; a position is driven to, and the wheels stand there.
+While a wheel is commanded here, nobody else drives; the emergency stop ends every command.
+"""
+
+# ruff: noqa: D102, N802 - names and arguments are YARP's, and say what each does
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from sim.base import Base, Encoders, Floats
+from yarp_compat.dev.controlboard import modes
+from yarp_compat.dev.controlboard.board import JointBoard
+from yarp_compat.dev.controlboard.streams import JointData
+from yarp_compat.dev.returnvalue import OK, CallFailed, ReturnCode, ReturnValue
+
+_SPEED, _RAMP = 30.0, 60.0  # of position moves where nobody set them: degrees per second (squared)
+_THERE = 0.2  # degrees from its target at which a wheel is there
+_MODES = frozenset(
+    (
+        modes.VOCAB_CM_POSITION,
+        modes.VOCAB_CM_POSITION_DIRECT,
+        modes.VOCAB_CM_VELOCITY,
+        modes.VOCAB_CM_PWM,
+        modes.VOCAB_CM_IDLE,
+    )
+)
+_TO_POSITIONS = (modes.VOCAB_CM_POSITION, modes.VOCAB_CM_POSITION_DIRECT)
+
+
+class WheelCommands:
+    """What the board was told, and the wheels' velocities that follow from it. Belongs to the simulation's thread."""
+
+    def __init__(self, base: Base, now_ns: int = 0) -> None:
+        count = len(base.names)
+        self.names = base.names
+        self.greatest = math.degrees(base.robot.wheels.max_velocity)
+        self._timeout = round(base.robot.limits.timeout * 1e9)
+        self.modes = [modes.VOCAB_CM_VELOCITY] * count
+        self.speeds, self.ramps = np.full(count, _SPEED), np.full(count, _RAMP)
+        self.targets: list[float | None] = [None] * count  # of position moves, degrees
+        self.velocities = np.zeros(count)  # that were wanted last, degrees per second
+        self._until = [0] * count
+        self.duties = np.zeros(count)  # per cent
+        self.zero = np.zeros(count)  # where the encoders were set to 0, degrees
+        self.now_ns = now_ns
+        self._encoders = Encoders(0, np.zeros(count), np.zeros(count))
+        self._moving = np.zeros(count)
+
+    def read(self, encoders: Encoders) -> None:
+        """Take up what the encoders say."""
+        self._encoders = encoders
+
+    def positions(self) -> Floats:
+        """The wheels' angles, degrees."""
+        return np.degrees(self._encoders.positions) - self.zero
+
+    def turning(self) -> Floats:
+        """How fast they turn, degrees per second."""
+        return np.degrees(self._encoders.velocities)
+
+    def mode(self, wheel: int, mode: int) -> None:
+        """Drive a wheel in another way from now on; what it was told before does not count."""
+        self.modes[wheel] = mode
+        self.release(wheel)
+
+    def release(self, wheel: int) -> None:
+        """Forget what a wheel was told."""
+        self.targets[wheel] = None
+        self.velocities[wheel] = self.duties[wheel] = self._moving[wheel] = 0.0
+        self._until[wheel] = 0
+
+    def halt(self) -> None:
+        """Forget what all wheels were told."""
+        for wheel in range(len(self.names)):
+            self.release(wheel)
+
+    def turn(self, wheel: int, velocity: float) -> None:
+        """A velocity is wanted from now on, until its time-out."""
+        self.velocities[wheel] = min(self.greatest, max(-self.greatest, velocity))
+        self._until[wheel] = self.now_ns + self._timeout
+
+    def wanted(self, seconds: float) -> Floats | None:
+        """Velocities for the next so many seconds, radians per second; None where nobody commands a wheel."""
+        if not any(self._commanded(wheel) for wheel in range(len(self.names))):
+            return None
+        here = self.positions()
+        for wheel, target in enumerate(self.targets):
+            if self.modes[wheel] in _TO_POSITIONS:
+                self._moving[wheel] = 0.0 if target is None else self._towards(wheel, target - here[wheel], seconds)
+            else:
+                self._moving[wheel] = self.velocities[wheel] if self.now_ns < self._until[wheel] else 0.0
+        return np.radians(self._moving)
+
+    def is_done(self, wheel: int) -> bool:
+        """Whether a wheel is where it was sent, or was sent nowhere."""
+        target = self.targets[wheel]
+        return target is None or abs(target - self.positions()[wheel]) <= _THERE
+
+    def _commanded(self, wheel: int) -> bool:
+        if self.modes[wheel] in _TO_POSITIONS:
+            return self.targets[wheel] is not None
+        return self.now_ns < self._until[wheel]
+
+    def _towards(self, wheel: int, way: float, seconds: float) -> float:
+        """The velocity on a trapezium to a position, or the greatest there is where none is planned."""
+        if self.modes[wheel] == modes.VOCAB_CM_POSITION_DIRECT:
+            fastest = self.greatest
+        else:
+            ramp = self.ramps[wheel]
+            fastest = min(
+                self.speeds[wheel], math.sqrt(2.0 * ramp * abs(way)), abs(self._moving[wheel]) + ramp * seconds
+            )
+        return math.copysign(min(fastest, self.greatest, abs(way) / seconds), way)
+
+
+class WheelBoard(JointBoard):
+    """The commands as YARP's methods; ``call`` runs them on the simulation's thread."""
+
+    def __init__(self, commands: Callable[[], WheelCommands], call: Callable[[Callable[[], Any]], Any]) -> None:
+        super().__init__(len(commands().names))
+        self._commands, self._call = commands, call
+
+    def run(self, call: Callable[[], Any]) -> Any:
+        return self._call(call)
+
+    def control_mode(self, joint: int) -> int:
+        return self._commands().modes[joint]
+
+    def state(self) -> JointData:
+        commands = self._commands()
+        values = {
+            "jointPosition": commands.positions(),
+            "jointVelocity": commands.turning(),
+            "motorPosition": commands.positions(),
+            "motorVelocity": commands.turning(),
+            "pwmDutycycle": commands.duties.copy(),
+            "controlMode": np.array(commands.modes),
+            "interactionMode": np.full(self.axes, modes.VOCAB_IM_STIFF),
+        }
+        return JointData(self.axes, values)
+
+    def getAxisNameRPC(self, j: int) -> tuple[ReturnValue, str]:
+        return OK, self._commands().names[j]
+
+    def getJointTypeRPC(self, j: int) -> tuple[ReturnValue, int]:  # noqa: ARG002 - all wheels roll
+        return OK, modes.VOCAB_JOINTTYPE_REVOLUTE
+
+    def setControlModeOneRPC(self, j: int, mod: int) -> ReturnValue:
+        mode = modes.VOCAB_CM_IDLE if mod == modes.VOCAB_CM_FORCE_IDLE else mod
+        if mode not in _MODES:
+            raise CallFailed(ReturnCode.METHOD_FAILED, "a wheel has no such mode")
+        self._commands().mode(j, mode)
+        return OK
+
+    def getInteractionModeOneRPC(self, axis: int) -> tuple[ReturnValue, int]:  # noqa: ARG002 - all wheels are stiff
+        return OK, modes.VOCAB_IM_STIFF
+
+    def getEncoderOneRPC(self, j: int) -> tuple[ReturnValue, float]:
+        return OK, float(self._commands().positions()[j])
+
+    def getEncoderSpeedOneRPC(self, j: int) -> tuple[ReturnValue, float]:
+        return OK, float(self._commands().turning()[j])
+
+    def getMotorEncoderOneRPC(self, j: int) -> tuple[ReturnValue, float]:
+        return self.getEncoderOneRPC(j)
+
+    def getNumberOfMotorEncodersRPC(self) -> tuple[ReturnValue, int]:
+        return OK, self.axes
+
+    def setEncoderOneRPC(self, j: int, val: float) -> ReturnValue:
+        commands = self._commands()
+        commands.zero[j] += commands.positions()[j] - _finite(val)
+        commands.release(j)
+        return OK
+
+    def resetEncoderOneRPC(self, j: int) -> ReturnValue:
+        return self.setEncoderOneRPC(j, 0.0)
+
+    def positionMoveOneRPC(self, j: int, ref: float) -> ReturnValue:
+        return self._aim(j, ref, modes.VOCAB_CM_POSITION)
+
+    def relativeMoveOneRPC(self, j: int, delta: float) -> ReturnValue:
+        commands = self._commands()
+        target = commands.targets[j]
+        return self.positionMoveOneRPC(j, (commands.positions()[j] if target is None else target) + delta)
+
+    def getTargetPositionOneRPC(self, j: int) -> tuple[ReturnValue, float]:
+        commands = self._commands()
+        target = commands.targets[j]
+        return OK, float(commands.positions()[j]) if target is None else target
+
+    def checkMotionDoneOneRPC(self, j: int) -> tuple[ReturnValue, bool]:
+        return OK, self._commands().is_done(j)
+
+    def setTrajSpeedOneRPC(self, j: int, sp: float) -> ReturnValue:
+        self._commands().speeds[j] = abs(_finite(sp))
+        return OK
+
+    def getTrajSpeedOneRPC(self, j: int) -> tuple[ReturnValue, float]:
+        return OK, float(self._commands().speeds[j])
+
+    def setTrajAccelerationOneRPC(self, j: int, acc: float) -> ReturnValue:
+        self._commands().ramps[j] = abs(_finite(acc))
+        return OK
+
+    def getTrajAccelerationOneRPC(self, j: int) -> tuple[ReturnValue, float]:
+        return OK, float(self._commands().ramps[j])
+
+    def stopOneRPC(self, j: int) -> ReturnValue:
+        self._commands().release(j)
+        return OK
+
+    def setRefPositionOneRPC(self, j: int, value: float) -> ReturnValue:
+        return self._aim(j, value, modes.VOCAB_CM_POSITION_DIRECT)
+
+    def getRefPositionOneRPC(self, j: int) -> tuple[ReturnValue, float]:
+        return self.getTargetPositionOneRPC(j)
+
+    def velocityMoveOneRPC(self, j: int, ref: float) -> ReturnValue:
+        self._in(j, modes.VOCAB_CM_VELOCITY).turn(j, _finite(ref))
+        return OK
+
+    def getTargetVelocityOneRPC(self, j: int) -> tuple[ReturnValue, float]:
+        return OK, float(self._commands().velocities[j])
+
+    def setRefDutyCycleOneRPC(self, j: int, v: float) -> ReturnValue:
+        duty = min(100.0, max(-100.0, _finite(v)))
+        commands = self._in(j, modes.VOCAB_CM_PWM)
+        commands.turn(j, duty / 100.0 * commands.greatest)
+        commands.duties[j] = duty
+        return OK
+
+    def getRefDutyCycleOneRPC(self, j: int) -> tuple[ReturnValue, float]:
+        return OK, float(self._commands().duties[j])
+
+    def getDutyCycleOneRPC(self, j: int) -> tuple[ReturnValue, float]:
+        return self.getRefDutyCycleOneRPC(j)
+
+    def getPosLimitsRPC(self, j: int) -> tuple[ReturnValue, float, float]:  # noqa: ARG002 - all wheels turn for ever
+        return OK, -math.inf, math.inf
+
+    def getVelLimitsRPC(self, j: int) -> tuple[ReturnValue, float, float]:  # noqa: ARG002 - all are the same
+        return OK, 0.0, self._commands().greatest
+
+    def _aim(self, wheel: int, target: float, mode: int) -> ReturnValue:
+        self._in(wheel, mode).targets[wheel] = _finite(target)
+        return OK
+
+    def _in(self, wheel: int, mode: int) -> WheelCommands:
+        commands = self._commands()
+        if commands.modes[wheel] != mode:
+            raise CallFailed(ReturnCode.METHOD_FAILED, f"{commands.names[wheel]} is in another control mode")
+        return commands
+
+
+def _finite(value: float) -> float:
+    if not math.isfinite(value):
+        raise CallFailed(ReturnCode.OUT_OF_BOUNDS, f"{value} is not finite")
+    return value
