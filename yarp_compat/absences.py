@@ -38,9 +38,16 @@ _NAMES = {
     r"SearchMonitor|SearchReport": "who reads a Property is not followed here",
     r"RateThread": "use PeriodicThread",
     r"LogStream": "use yarp.Log",
+    r"INavigation2D\w+Actions": "use INavigation2D, which has all of its methods",
+    r"Map2D\w+Data": "use Map2DLocation and its kin, which have its fields",
+    r"Contactable|PortWriter|Searchable": "what is derived from it is here",
+    r"(Selectable)?ControlModeEnum_\w+|JointTypeEnum_\w+|InteractionModeEnum_\w+": "the name behind _ is here",
+    r"PeriodicThreadClock_\w+|ShouldUseSystemClock_\w+": "a PeriodicThread keeps to the program's clock",
+    r"clockTypeToString|getClockType|isClockInitialized": "ask yarp.isSystemClock() and yarp.isNetworkClock()",
     r"\w+Vector|VectorBase|vertex_t": "use a list",
     r"SoundMarker": "a Sound here has no markers",
-    r"YARP_VERSION\w*|YARP_RETURNVALUE\w*|YARP_CROP_\w+|cvar|path_separator|PAD_BYTES": "it is of the C++ library",
+    r"(Union)?Net(Int|Float)\w+|SwigPyIterator|(ALLOW|YARP_VERSION|YARP_RETURNVALUE|YARP_CROP)\w*|cvar|path_separator"
+    r"|PAD_BYTES": "it is of the C++ library",
     r"(yarp)?(cache|config|data|runtime|temp)(home|dirs?)|home|(get|set|unset)Environment|(get|set)_(bool|path|string)"
     r"|is_set|unset": "use Python's os.environ and pathlib, or yarp.ResourceFinder",
     r"yarp_print_trace": "use Python's traceback",
@@ -55,6 +62,9 @@ _METHODS = {
     r"\w+\.([cr]?begin|[cr]?end|get_allocator|iterator|data|getMemoryBlock|getFirst)": (
         "it is an iterator of C++: a for loop, list() and numpy.asarray() do the same"
     ),
+    r"PolyDriver\.(link|give|take|getImplementation)": "a device has one PolyDriver: hand that on",
+    r"PolyDriver\.\w+": "a device is told all when it is opened",
+    r"RFModule\.getThreadKey|Value\.create": "it is for C++",
     r"(Network|NetworkBase)\.\w+": "it sets up the C++ library",
     r"Port\.\w+|BufferedPort\w*\.\w+|TypedReader\w*\.\w+": "it is for C++'s own threads",
     r"(Thread|PeriodicThread)\.\w+": "Python's threads have no priorities and no such statistics",

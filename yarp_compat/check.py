@@ -133,7 +133,9 @@ def _device(name: str) -> tuple[str, str]:
 
 
 def _fields(kind: type) -> set[str]:
-    return {one.name for one in dataclasses.fields(kind)} if dataclasses.is_dataclass(kind) else set()
+    """What only objects of a class have: a structure's fields, a pixel's channels."""
+    fields = {one.name for one in dataclasses.fields(kind)} if dataclasses.is_dataclass(kind) else set()
+    return fields | set(getattr(kind, "names", ()))
 
 
 def _missing(kind: type, name: str, method: str) -> str:

@@ -162,4 +162,5 @@ def test_a_module_runs_and_stops(folder: Path, monkeypatch: pytest.MonkeyPatch, 
 def test_every_script_is_run() -> None:
     others = {"send_bottles", "print_bottles", "rpc_server", "rpc_client", "resources", "module"}
     with_a_daemon = {"ros_topics"}  # tests/adapters/yarp/test_script.py
-    assert {path.stem for path in SCRIPTS.glob("*.py")} == {*OUTPUTS, *others, *with_a_daemon}
+    with_devices = {"navigate", "robot_parts"}  # tests/yarp_compat/test_device_scripts.py
+    assert {path.stem for path in SCRIPTS.glob("*.py")} == {*OUTPUTS, *others, *with_a_daemon, *with_devices}

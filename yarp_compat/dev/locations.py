@@ -7,15 +7,36 @@ from __future__ import annotations
 
 import math
 import random
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 
 from yarp_compat.dev.fields import Structure
+from yarp_compat.os.data.stdvector import StdVector
 from yarp_compat.sig.vec2d import Vec2D
 
 
+class _Place(Structure):
+    """The methods that the bindings give all of them."""
+
+    def toString(self) -> str:
+        """All of it as a text."""
+        raise NotImplementedError
+
+    def toString_c(self) -> str:
+        """All of it as a text."""
+        return self.toString()
+
+    def isEqual(self, other: object) -> bool:
+        """Whether another is the same."""
+        return self == other
+
+    def notEqual(self, other: object) -> bool:
+        """Whether another differs."""
+        return self != other
+
+
 @dataclass
-class Map2DLocation(Structure):
+class Map2DLocation(_Place):
     """A pose on the map ``map_id``: metres, metres, degrees; the description is for people."""
 
     map_id: str = ""
@@ -42,8 +63,15 @@ class Map2DLocation(Structure):
         return f"map_id:{self.map_id} x:{self.x:g} y:{self.y:g} theta:{self.theta:g}desc:{self.description}"
 
 
+class Map2DLocationVector(StdVector):
+    """Of locations."""
+
+    def __init__(self, content: int | Iterable[Map2DLocation] = ()) -> None:
+        super().__init__((Map2DLocation() for _ in range(content)) if isinstance(content, int) else content)
+
+
 @dataclass
-class Map2DObject(Structure):
+class Map2DObject(_Place):
     """A pose in space on the map ``map_id``: metres, and angles about the three axes; the description is for people."""
 
     map_id: str = ""
@@ -69,7 +97,7 @@ class Map2DObject(Structure):
 
 
 @dataclass
-class Map2DArea(Structure):
+class Map2DArea(_Place):
     """A polygon on the map ``map_id``, with corners in metres; the description is for people."""
 
     map_id: str = ""
@@ -152,7 +180,7 @@ class Map2DArea(Structure):
 
 
 @dataclass
-class Map2DPath(Structure):
+class Map2DPath(_Place):
     """A way: the poses to pass, and a description for people."""
 
     waypoints: list[Map2DLocation] = field(default_factory=list)

@@ -7,7 +7,7 @@ import math
 import pytest
 
 from yarp_compat.dev.extras import AreaBehaviour, MapLink
-from yarp_compat.dev.locations import Map2DArea, Map2DLocation, Map2DObject, Map2DPath
+from yarp_compat.dev.locations import Map2DArea, Map2DLocation, Map2DLocationVector, Map2DObject, Map2DPath
 from yarp_compat.sig.vec2d import Vec2D
 
 
@@ -122,3 +122,17 @@ def test_links() -> None:
     for wrong in (("a", "a", 0), ("", "b", 0), ("a", "b", -1), ("a", "b", math.inf)):
         with pytest.raises(ValueError, match="link"):
             MapLink(*wrong)
+
+
+def test_places_have_the_methods_of_the_bindings() -> None:
+    here, there = Map2DLocation("m1", 1.0, 2.0, 3.0), Map2DLocation("m1", 1.0, 2.0, 4.0)
+    for one, other in ((here, there), (Map2DPath([here]), Map2DPath([there])), (Map2DArea("m1"), Map2DArea("m2"))):
+        assert one.isEqual(one)
+        assert one.notEqual(other)
+        assert not one.isEqual(other)
+        assert one.toString_c() == one.toString()
+    places = Map2DLocationVector(2)
+    places[0].x = 1.0
+    assert places == [Map2DLocation(x=1.0), Map2DLocation()], "each its own"
+    places.push_back(here)
+    assert places.size() == 3

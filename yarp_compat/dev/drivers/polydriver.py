@@ -88,7 +88,10 @@ class PolyDriver:
         return self._name
 
     viewIBattery = _view("IBattery")
+    viewIFrameGrabberControls = _view("IFrameGrabberControls")
+    viewIFrameGrabberImage = _view("IFrameGrabberImage")
     viewIFrameTransform = _view("IFrameTransform")
+    viewILLM = _view("ILLM")
     viewILocalization2D = _view("ILocalization2D")
     viewIMap2D = _view("IMap2D")
     viewINavigation2D = _view("INavigation2D")
@@ -138,8 +141,8 @@ class PolyDriver:
 
 _OTHERS = """
 IAmplifierControl IAnalogSensor IAxisInfo ICartesianControl IContactLoadCellArrays IControlLimits IControlMode
-ICurrentControl IEncoderArrays IEncoders IEncodersTimed IFrameGrabberControls IFrameGrabberImage IGazeControl
-IImpedanceControl IInteractionMode IJointCoupling IJointFault ILLM IMotor IMotorEncoders IOrientationSensors IPidControl
+ICurrentControl IEncoderArrays IEncoders IEncodersTimed IGazeControl
+IImpedanceControl IInteractionMode IJointCoupling IJointFault IMotor IMotorEncoders IOrientationSensors IPidControl
 IPositionControl IPositionDirect IPWMControl IRemoteVariables IRGBDSensor ISimulatedWorld ISixAxisForceTorqueSensors
 ISkinPatches ISpeechSynthesizer ISpeechTranscription ITemperatureSensors IThreeAxisGyroscopes
 IThreeAxisLinearAccelerometers IThreeAxisMagnetometers ITorqueControl IVelocityControl

@@ -42,6 +42,8 @@ _FACTORIES = {
     "odometry2D_nwc_yarp": "sensors.odometry2d",
     "battery_nwc_yarp batteryClient": "sensors.battery",
     "controlBoard_nwc_yarp remote_controlboard controlboard_nwc_yarp": "controlboard.controlboard",
+    "frameGrabber_nwc_yarp remote_grabber": "sensors.frame_grabber",
+    "LLM_nwc_yarp": "services.llm",
 }
 """The names of a device in YARP's releases, and its factory: a module of this package, and a function in it."""
 
@@ -51,11 +53,11 @@ _INSTEAD = {
     r"controlboardremapper|remotecontrolboardremapper": "open each board by a controlBoard_nwc_yarp of its own",
     r"(RGBD|rgbd).*": "read its images by BufferedPortImageRgb and BufferedPortImageFloat",
     r"frameTransform(Get|Set)_nwc_yarp": "frameTransform_nwc_yarp is both",
-    r"(remote_|frameGrabber|grabber|usb|opencv|ffmpeg|openCV).*": "read the camera's port by BufferedPortImageRgb",
+    r"(frameGrabber|grabber|usb|opencv|ffmpeg|openCV).*": "read the camera's port by BufferedPortImageRgb",
     r"analogsensorclient|AnalogSensorClient": "read the sensor's port by BufferedPortVector",
     r"multipleanalogsensors\w*": "read the sensors' port, <remote>/measures:o, by BufferedPortBottle",
     r"(cartesian|gaze)controllerclient|(Cartesian|Gaze).*": "ask the controller's rpc port by RpcClient",
-    r"(speech|audio|chatBot|LLM).*_nwc_yarp": "ask its rpc port by RpcClient",
+    r"(speech|audio|chatBot).*_nwc_yarp": "ask its rpc port by RpcClient",
     r".*(_nws_\w+|Wrapper|Server)|controlboardwrapper2": (
         "servers of maps, places, frames, planners and localisers are modules of Midspan (docs/navigation/modules.md)"
     ),

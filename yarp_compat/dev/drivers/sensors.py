@@ -1,10 +1,11 @@
-"""The clients of a laser, an odometry and a battery as devices, with the options of YARP's own."""
+"""The clients of a laser, an odometry, a battery and a camera as devices, with the options of YARP's own."""
 
 from __future__ import annotations
 
 from yarp_compat.dev.basecontrol import Odometry2DClient
 from yarp_compat.dev.battery import BatteryClient
 from yarp_compat.dev.drivers.registry import DeviceError, DeviceOptions, OpenDevice
+from yarp_compat.dev.framegrabber import FrameGrabberClient
 from yarp_compat.dev.rangefinder_client import Rangefinder2DClient
 
 
@@ -34,3 +35,21 @@ def battery(options: DeviceOptions) -> OpenDevice:
         options.port("remote"), options.port("local"), options.text("carrier", "fast_tcp"), naming=options.naming
     ).open()
     return OpenDevice(client.close, {"IBattery": client})
+
+
+def frame_grabber(options: DeviceOptions) -> OpenDevice:
+    """``local`` and ``remote``: the ports of the images, which begin the others' names; ``carrier``; ``no_stream``.
+
+    What ``remote_grabber`` connected to answered by the port of the images itself, and some still do.
+    """
+    remote, carrier = options.port("remote"), options.text("carrier", "fast_tcp")
+    answers = f"{remote}/rpc"
+    if options.device == "remote_grabber":
+        carrier = options.text("stream", carrier)
+        answers = answers if options.naming.query(answers) is not None else remote
+    stream = not options.flag("no_stream", default=False)
+    client = FrameGrabberClient(
+        remote, options.port("local"), carrier, answers, stream=stream, naming=options.naming
+    ).open()
+    views = {"IFrameGrabberControls": client}
+    return OpenDevice(client.close, views | ({"IFrameGrabberImage": client} if stream else {}))

@@ -1,0 +1,212 @@
+"""The clients of cameras and language models as devices, with servers of several releases."""
+
+# ruff: noqa: ARG002 - names and arguments are YARP's
+
+from __future__ import annotations
+
+import threading
+from contextlib import ExitStack
+from typing import Any
+
+import pytest
+
+import yarp_compat as yarp
+from tests.support.wait import until
+from tests.yarp_compat.dev.drivers.conftest import Serve
+from yarp_compat.dev.framegrabber import BusType, CameraDescriptor, FeatureMode, FrameGrabberMsgs
+from yarp_compat.dev.llm import ILLMMsgs, LLM_Message
+from yarp_compat.dev.returnvalue import OK, ReturnValue
+from yarp_compat.pythonic import Server, Writer
+from yarp_compat.wire.generation import Generation
+from yarp_compat.wire.values import Vocab
+
+NAME = "a camera of the tests"
+
+
+class Camera(FrameGrabberMsgs):
+    """A camera of 4.0 whose zoom can be set."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.values, self.active, self.mode = [1.0, 0.0], True, FeatureMode.MODE_AUTO
+        self.pushed = list[int]()
+
+    def getCameraDescriptionRPC(self) -> tuple[ReturnValue, CameraDescriptor]:
+        return OK, CameraDescriptor(BusType.BUS_USB, NAME)
+
+    def hasFeatureRPC(self, feature: int) -> tuple[ReturnValue, bool]:
+        return OK, feature == yarp.YARP_FEATURE_ZOOM
+
+    hasOnOffRPC = hasAutoRPC = hasManualRPC = hasOnePushRPC = hasFeatureRPC
+
+    def getFeature1RPC(self, feature: int) -> tuple[ReturnValue, float]:
+        return OK, self.values[0]
+
+    def setFeature1RPC(self, feature: int, value: float) -> ReturnValue:
+        self.values[0] = value
+        return OK
+
+    def getFeature2RPC(self, feature: int) -> tuple[ReturnValue, float, float]:
+        return OK, self.values[0], self.values[1]
+
+    def setFeature2RPC(self, feature: int, value1: float, value2: float) -> ReturnValue:
+        self.values = [value1, value2]
+        return OK
+
+    def getActiveRPC(self, feature: int) -> tuple[ReturnValue, bool]:
+        return OK, self.active
+
+    def setActiveRPC(self, feature: int, onoff: bool) -> ReturnValue:
+        self.active = onoff
+        return OK
+
+    def getModeRPC(self, feature: int) -> tuple[ReturnValue, FeatureMode]:
+        return OK, self.mode
+
+    def setModeRPC(self, feature: int, mode: FeatureMode) -> ReturnValue:
+        self.mode = mode
+        return OK
+
+    def setOnePushRPC(self, feature: int) -> ReturnValue:
+        self.pushed.append(feature)
+        return OK
+
+
+def in_words(camera: Camera, words: list[Any]) -> list[Any]:
+    """What a camera before 4.0 answers (``FrameGrabberControls_Responder``)."""
+    match words:
+        case ["fgc", "get", "camd"]:
+            return [Vocab("fgc"), Vocab("camd"), Vocab("is"), int(BusType.BUS_USB), NAME]
+        case ["fgc", "has", what, int(feature)]:
+            return [Vocab("fgc"), Vocab("has"), Vocab("feat"), 0, int(camera.hasFeatureRPC(feature)[1])]
+        case ["fgc", "get", "feat" | "fea2" | "actv" | "mode" as what, int()]:
+            values = {"feat": camera.values[:1], "fea2": camera.values, "actv": [int(camera.active)]}
+            return [Vocab("fgc"), Vocab(what), Vocab("is"), *values.get(what, [int(camera.mode)])]
+        case ["fgc", "set", "feat", int(), float(value)]:
+            camera.values[0] = value
+        case ["fgc", "set", "fea2", int(), float(one), float(two)]:
+            camera.values = [one, two]
+        case ["fgc", "set", "actv", int(), int(on)]:
+            camera.active = bool(on)
+        case ["fgc", "set", "mode", int(), int(mode)]:
+            camera.mode = FeatureMode(mode)
+        case ["fgc", "set", "onep", int(feature)]:
+            camera.pushed.append(feature)
+        case _:
+            return [Vocab("fail")]
+    return []
+
+
+@pytest.mark.parametrize(
+    ("version", "device", "port"),
+    [
+        ("4.0", "frameGrabber_nwc_yarp", "/camera/rpc"),
+        ("3.9", "frameGrabber_nwc_yarp", "/camera/rpc"),
+        ("3.9", "remote_grabber", "/camera/rpc"),
+        ("3.9", "remote_grabber", "/camera"),
+    ],
+)
+def test_a_camera_is_set(serve: Serve, version: str, device: str, port: str) -> None:
+    camera = Camera()
+    with ExitStack() as ports:
+        if version == "4.0":
+            serve(port, camera)
+        else:
+            ports.enter_context(Server(port, lambda words: in_words(camera, words)))
+        options = f"(device {device}) (local /me) (remote /camera) (no_stream true)"
+        driver = yarp.PolyDriver(yarp.Property(options))
+        controls = driver.viewIFrameGrabberControls()
+        zoom, gain = yarp.YARP_FEATURE_ZOOM, yarp.cameraFeature_id_t_YARP_FEATURE_GAIN
+        assert (zoom, gain, yarp.YARP_FEATURE_INVALID) == (16, 8, -1)
+        for asks in (controls.hasFeature, controls.hasOnOff, controls.hasAuto, controls.hasManual, controls.hasOnePush):
+            assert (asks(zoom), asks(gain)) == (True, False)
+        assert controls.setFeature(zoom, 2)
+        assert controls.getFeature(zoom) == 2.0
+        one, two = yarp.DVector(1), yarp.DVector(1)
+        assert controls.setFeature(zoom, 3.0, 0.5)
+        assert controls.getFeature(zoom, one, two)
+        assert (one, two) == ([3.0], [0.5])
+        assert controls.getActive(zoom)
+        assert controls.setActive(zoom, False)
+        assert not controls.getActive(zoom)
+        assert controls.getMode(zoom) == yarp.MODE_AUTO
+        assert controls.setMode(zoom, yarp.MODE_MANUAL)
+        assert camera.mode == yarp.FeatureMode_MODE_MANUAL
+        assert controls.setOnePush(zoom)
+        assert camera.pushed == [16]
+        about = yarp.CameraDescriptor()
+        assert controls.getCameraDescription(about)
+        assert (about.busType, about.deviceDescription) == (yarp.BUS_USB, NAME)
+        assert driver.viewIFrameGrabberImage() is None, "it was asked for no pictures"
+        driver.close()
+        assert not controls.setFeature(zoom, 1.0)
+        assert controls.getFeature(zoom) == 0.0
+        assert controls.getMode(zoom) == yarp.MODE_UNKNOWN
+
+
+def test_a_camera_is_seen_by(serve: Serve) -> None:
+    serve("/camera/rpc", Camera())
+    with Writer("/camera") as out:
+        driver = yarp.PolyDriver(yarp.Property("(device frameGrabber_nwc_yarp) (local /me) (remote /camera)"))
+        view, seen = driver.viewIFrameGrabberImage(), yarp.ImageRgb()
+        sent = yarp.ImageRgb()
+        sent.resize(4, 3)
+        sent.setPixel(1, 2, yarp.PixelRgb(200, 100, 50))
+        assert (view.width(), view.height()) == (0, 0)
+        out.write(sent)
+        assert view.getImage(seen)
+        assert (view.width(), view.height()) == (4, 3)
+        assert seen.numpy()[2, 1].tolist() == [200, 100, 50]
+        ended = list[Any]()
+        waiting = threading.Thread(target=lambda: ended.append(view.getImage(seen)))
+        waiting.start()
+        driver.close()
+        until(lambda: ended, "who waits hears of the end")
+        waiting.join()
+        assert not ended[0]
+
+
+class Model(ILLMMsgs):
+    """Says what it was asked."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.said = list[LLM_Message]()
+
+    def setPrompt(self, prompt: str) -> ReturnValue:
+        self.said = [LLM_Message("system", prompt)]
+        return OK
+
+    def readPrompt(self) -> tuple[ReturnValue, str]:
+        return OK, self.said[0].content
+
+    def ask(self, question: str) -> tuple[ReturnValue, LLM_Message]:
+        answer = LLM_Message("function", question.upper(), ["place"], ["kitchen"])
+        self.said += [LLM_Message("user", question), answer]
+        return OK, answer
+
+    def getConversation(self) -> tuple[ReturnValue, list[LLM_Message]]:
+        return OK, self.said
+
+    def deleteConversation(self) -> ReturnValue:
+        self.said = []
+        return OK
+
+
+@pytest.mark.parametrize("version", ["3.12", "4.0"])
+def test_a_model_is_asked(serve: Serve, version: str) -> None:
+    serve("/llm/rpc", Model(), Generation.of(version))
+    driver = yarp.PolyDriver(yarp.Property("(device LLM_nwc_yarp) (local /me/rpc) (remote /llm/rpc)"))
+    model, prompt = driver.viewILLM(), yarp.SVector(1)
+    assert model.setPrompt("be short")
+    assert model.readPrompt(prompt)
+    assert prompt == ["be short"]
+    answer, conversation = yarp.LLM_Message(), yarp.LLMVector(1)
+    assert conversation == [LLM_Message()]
+    assert model.ask("where", answer)
+    assert answer == LLM_Message("function", "WHERE", ["place"], ["kitchen"])
+    assert model.getConversation(conversation)
+    assert [one.content for one in conversation] == ["be short", "where", "WHERE"]
+    assert model.deleteConversation()
+    assert not model.refreshConversation(), "which this one does not know"
+    driver.close()

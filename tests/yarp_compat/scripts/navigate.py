@@ -1,0 +1,41 @@
+"""Sends a robot to a place by its navigation client, as tutorials do: options, views, a loop, the end."""
+
+import sys
+
+import yarp
+
+yarp.Network.init()
+if not yarp.Network.checkNetwork():
+    print("there is no name server")
+    raise SystemExit
+
+options = yarp.Property()
+options.put("device", sys.argv[1])
+options.put("local", "/navigate")
+options.put("navigation_server", "/nav")
+options.put("map_locations_server", "/maps")
+options.put("localization_server", "/loc")
+
+device = yarp.PolyDriver(options)
+if not device.isValid():
+    print("Cannot open the device!")
+    raise SystemExit
+
+robot = device.viewINavigation2D()
+places = device.viewIMap2D()
+where = device.viewILocalization2D()
+
+here = yarp.Map2DLocation()
+names = yarp.SVector()
+if not where.getCurrentPosition(here) or not places.getLocationsList(names):
+    print("the robot does not say where it is")
+    raise SystemExit
+print(f"at {here.x:.1f} {here.y:.1f} of {here.map_id}, knows {' '.join(sorted(names))}")
+if robot.gotoTargetByLocationName("nowhere"):
+    print("it went nowhere")
+if robot.gotoTargetByLocationName("kitchen"):
+    while robot.getNavigationStatus() == yarp.navigation_status_moving:
+        yarp.delay(0.01)
+    print("reached" if robot.getNavigationStatus() == yarp.navigation_status_goal_reached else "not reached")
+print("closed", device.close(), device.isValid())
+yarp.Network.fini()

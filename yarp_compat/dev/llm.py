@@ -1,0 +1,77 @@
+"""A large language model behind a port (`ILLMMsgs.thrift`, `ILLM.h`), and its client as YARP's ``LLM_nwc_yarp``."""
+
+# mypy: disable-error-code="empty-body"
+# ruff: noqa: D102 - names and arguments are those of YARP's .thrift file, and say what each does
+
+from __future__ import annotations
+
+from collections.abc import Iterable, MutableSequence
+from dataclasses import dataclass, field
+from typing import Unpack
+
+from yarp_compat.dev.client import ClientOptions, ServiceClient
+from yarp_compat.dev.fields import Generated
+from yarp_compat.dev.returnvalue import ReturnValue, called, outcome_of
+from yarp_compat.dev.service import Service, rpc
+from yarp_compat.os.data.stdvector import StdVector
+
+
+@dataclass
+class LLM_Message(Generated):  # noqa: N801 - YARP's name
+    """A message of a conversation: who says it (``user``, ``assistant``, ``function``), and what."""
+
+    type: str = ""
+    content: str = ""
+    parameters: list[str] = field(default_factory=list)
+    arguments: list[str] = field(default_factory=list)
+
+
+class LLMVector(StdVector):
+    """Of messages."""
+
+    def __init__(self, content: int | Iterable[LLM_Message] = ()) -> None:
+        super().__init__((LLM_Message() for _ in range(content)) if isinstance(content, int) else content)
+
+
+@rpc
+class ILLMMsgs(Service):
+    """The methods of a model's port."""
+
+    def setPrompt(self, prompt: str) -> ReturnValue: ...
+    def readPrompt(self) -> tuple[ReturnValue, str]: ...
+    def ask(self, question: str) -> tuple[ReturnValue, LLM_Message]: ...
+    def getConversation(self) -> tuple[ReturnValue, list[LLM_Message]]: ...
+    def deleteConversation(self) -> ReturnValue: ...
+    def refreshConversation(self) -> ReturnValue: ...
+
+
+class ILLM:
+    """The interface under YARP's names; what C++ returns by reference is filled in here too, a text in a list."""
+
+    def __init__(self, remote: ILLMMsgs) -> None:
+        self._remote = remote
+
+    setPrompt = outcome_of(ILLMMsgs.setPrompt)
+    deleteConversation = outcome_of(ILLMMsgs.deleteConversation)
+    refreshConversation = outcome_of(ILLMMsgs.refreshConversation)
+
+    def readPrompt(self, oPrompt: MutableSequence[str]) -> ReturnValue:
+        """What the model was told at first."""
+        return called(self._remote.readPrompt, into=oPrompt)
+
+    def ask(self, question: str, answer: LLM_Message) -> ReturnValue:
+        """Ask, and wait for the answer."""
+        return called(self._remote.ask, question, into=answer)
+
+    def getConversation(self, conversation: MutableSequence[LLM_Message]) -> ReturnValue:
+        """All that was said, from the prompt on."""
+        return called(self._remote.getConversation, into=conversation)
+
+
+class LLMClient(ServiceClient[ILLMMsgs]):
+    """A client of a model's port; ``llm`` has the interface. A model may think for long: wait as long as it does."""
+
+    def __init__(self, server: str, name: str = "", **options: Unpack[ClientOptions]) -> None:
+        options.setdefault("timeout", None)
+        super().__init__(ILLMMsgs, server, name, **options)
+        self.llm = ILLM(self.remote)
