@@ -26,6 +26,11 @@ def worker_folder(config: Config, environ: Mapping[str, str] = os.environ) -> Pa
     return state_folder(config, environ) / config.name
 
 
+def lane_folder(config: Config, environ: Mapping[str, str] = os.environ) -> Path | None:
+    """Where the workers of this daemon find each other's lanes; None where the configuration wants none."""
+    return worker_folder(config, environ) / "lane" if config.hub.lane else None
+
+
 # sockaddr_un's sun_path has 108 bytes with its ending zero on Linux, 104 on macOS
 _MAX_SOCKET_PATH = 103
 

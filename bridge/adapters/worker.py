@@ -29,7 +29,7 @@ from bridge.routing.edge import Edge
 from bridge.routing.engine import Engine
 from bridge.routing.hold import Hold, held_topics
 from bridge.sides import all_networks, imported
-from bridge.state_file import state_folder, worker_folder
+from bridge.state_file import lane_folder, state_folder, worker_folder
 from bridge.worker import Health, Worker, costs
 
 _log = logging.getLogger(__name__)
@@ -155,6 +155,7 @@ class Crossing:
                 daemon=config.name,
                 worker=name,
                 max_payload=config.limits.message_bytes,
+                lane=lane_folder(config),
             )
         )
         edge.clock = RunClock(simulated=config.clock.simulated)
@@ -225,6 +226,7 @@ class Crossing:
             **costs(self._process),
             **document,
             **engine.edge.details(),
+            "lane": self._hub.lane(),
             "warnings": [*document["warnings"], *resources.warnings(state_folder(self._config))],
         }
 

@@ -23,7 +23,7 @@ def routes_table(documents: Iterable[Document], *, errors: bool = True) -> Table
     )
     several = len({str(document.get("daemon")) for document, _ in rows}) > 1
     table = Table(box=box.SIMPLE_HEAD, pad_edge=False)
-    for name in (*(["daemon"] if several else []), "direction", "topic", "type", "class"):
+    for name in (*(["daemon"] if several else []), "direction", "topic", "type", "class", "way"):
         table.add_column(name, no_wrap=name not in ("topic", "type"), overflow="fold")
     for name in ("msg/s", "p50 ms", "p99 ms", "messages"):
         table.add_column(name, justify="right", no_wrap=True)
@@ -67,6 +67,15 @@ def topic_text(route: Document) -> str:
     return f"{side} -> {hub}" if route.get("direction") == "in" else f"{hub} -> {side}"
 
 
+def way_text(route: Document) -> str:
+    """``by the lane``, or ``over zenoh, as ...``; "" where nothing crosses the hub."""
+    way, why = route.get("way"), clean(route.get("why", ""))
+    if way == "lane":
+        return "by the lane"
+    because = f", as {why}" if why else ""
+    return {"zenoh": f"over zenoh{because}", "both": f"by the lane and over zenoh{because}"}.get(str(way), "")
+
+
 def drops_text(route: Document) -> str:
     """Drops by reason, ``-`` where there are none."""
     drops = route.get("drops")
@@ -90,6 +99,7 @@ def _cells(document: Document, route: Document) -> Sequence[Text]:
         Text(topic_text(route), style="bold"),
         Text(clean(route.get("type", "")), style="cyan"),
         Text(clean(route.get("priority") or ("action" if route.get("action") else route.get("kind", "")))),
+        Text(clean(route.get("way") or "-")),
         Text(rate(route.get("rate"))),
         Text(milliseconds(late.get("p50"))),
         Text(milliseconds(late.get("p99"))),

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import atexit
 import itertools
+import json
+import logging
 import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
@@ -19,6 +21,7 @@ from bridge.concurrency import DelayedCalls, SerialExecutor
 from bridge.hub.control import Control, Handler, WorkerAnswer, ask
 from bridge.hub.endpoints.calls import Call
 from bridge.hub.endpoints.keyspace import KeySpace
+from bridge.hub.endpoints.lane_subscription import LaneSubscription
 from bridge.hub.endpoints.publisher import EndpointContext, HubPublisher, PublisherOptions
 from bridge.hub.endpoints.services import HubClient, HubServer
 from bridge.hub.endpoints.subscription import HubSample, HubSubscription, Refused
@@ -35,10 +38,14 @@ from bridge.hub.graph.tokens import (
     node_key,
     origin_key,
 )
+from bridge.hub.lane.folder import possible
+from bridge.hub.lane.lane import Lane
 from bridge.hub.links import MEMBERS, Mesh
 from bridge.hub.wire.keys import ANY_HASH, subscription_key, topic_key
 from bridge.hub.wire.qos import Qos, Reliability
 from bridge.hub.zenoh_config import MAX_PAYLOAD, make_config, session_tree
+
+_log = logging.getLogger(__name__)
 
 _NAME = re.compile(r"[A-Za-z0-9_.-]{1,64}")
 _NODE = re.compile(r"[A-Za-z_][A-Za-z0-9_]{0,254}")
@@ -62,6 +69,7 @@ class HubSettings:
         worker: name of the worker there.
         max_payload: bytes of the largest message.
         max_tokens: endpoints and nodes that the graph holds at most.
+        lane: folder of the sockets by which small messages go to other sessions with the same; None: all by zenoh.
     """
 
     domain: int = 0
@@ -74,6 +82,7 @@ class HubSettings:
     worker: str = "tool"
     max_payload: int = MAX_PAYLOAD
     max_tokens: int = 50_000
+    lane: str | Path | None = None
 
     def __post_init__(self) -> None:
         """Refuse names that cannot stand in a key."""
@@ -94,6 +103,13 @@ def _config(settings: HubSettings) -> zenoh.Config:
     return make_config(tree, settings.zenoh)
 
 
+def _rules_messages(config: zenoh.Config) -> bool:
+    """Whether zenoh is to refuse or to thin out messages, which it could not do on the lane."""
+    tree = json.loads(str(config))
+    ruled = tree.get("access_control") or {}
+    return bool(ruled.get("enabled") or tree.get("downsampling") or tree.get("low_pass_filter"))
+
+
 class HubSession:
     """One zenoh session on the hub, with its graph and its links: of one node, or of several of a process (`Hub.on`).
 
@@ -108,6 +124,7 @@ class HubSession:
         reach: whom its nodes' endpoints reach: other sessions, or each other too.
         graph: all participants as this session sees them.
         mesh: its direct links to other programs of this machine.
+        lane: the way of small messages to this daemon's other workers, None where there is none.
         ids: numbers of its nodes and their endpoints, as rmw_zenoh gives them.
         nodes: those that are open.
     """
@@ -121,6 +138,10 @@ class HubSession:
         self._lock = RLock()
         self._closed = False
         self.graph = HubGraph(session, settings.domain, settings.max_tokens)
+        self.lane: Lane | None = None
+        if settings.lane is not None and possible():
+            self.lane = Lane(Path(settings.lane), self.zid, session, settings.domain)
+            self.graph.watch(self.lane.graph_changed)
         self.mesh = Mesh(session, lambda: _config(settings), self._members)
         # a process that ends with an open session hangs in zenoh's threads
         atexit.register(self.close)
@@ -129,6 +150,9 @@ class HubSession:
     def open(cls, settings: HubSettings, *, shared: bool) -> HubSession:
         """Open a session; raises `HubError` where zenoh cannot."""
         config = _config(settings)
+        if settings.lane is not None and _rules_messages(config):
+            _log.info("no lane: zenoh's configuration says which messages may pass")
+            settings = replace(settings, lane=None)
         try:
             session = zenoh.open(config)
         except zenoh.ZError as err:
@@ -159,6 +183,8 @@ class HubSession:
         atexit.unregister(self.close)
         for node in tuple(self.nodes):
             node.close()
+        if self.lane is not None:
+            self.lane.close()
         self.mesh.close()
         self.graph.close()
         self.zenoh.close()  # type: ignore[no-untyped-call]
@@ -201,7 +227,7 @@ class Hub:
         self._heartbeats = DelayedCalls("hub-heartbeats")
         self._context = EndpointContext(
             self._session, session.reach, self._own, self.graph, settings.max_payload, self._executor, self._asking,
-            self._heartbeats, self._forget,
+            self._heartbeats, self._forget, session.lane,
         )  # fmt: skip
         session.add(self)
         self._withdraw = self.graph.announce(node_key(self._node))
@@ -239,6 +265,10 @@ class Hub:
             if before is not None:
                 before[1]()
 
+    def lane(self) -> dict[str, Any]:
+        """How the way to this daemon's other workers is; {} where there is none."""
+        return {} if self._joined.lane is None else self._joined.lane.state()
+
     def linked(self) -> bool:
         """Whether the session has a link to any other on the hub now."""
         self._check_open()
@@ -259,6 +289,7 @@ class Hub:
         *,
         priority: str = "stream",
         express: bool | None = None,
+        queue: int | None = None,
     ) -> HubPublisher:
         """Make a publisher; it lives until it or the session is closed.
 
@@ -269,7 +300,7 @@ class Hub:
         with self._lock:
             token = self._token(EndpointKind.PUBLISHER, topic, type_name, type_hash, qos)
             key = topic_key(self.domain, topic, type_name, type_hash)
-            options = PublisherOptions(qos, priority, express)
+            options = PublisherOptions(qos, priority, express, queue)
             return self._keep(HubPublisher(self._context, token, key, topic, qos, options))
 
     def subscription(
@@ -290,7 +321,11 @@ class Hub:
         with self._lock:
             token = self._token(EndpointKind.SUBSCRIPTION, topic, type_name, type_hash, qos)
             key = subscription_key(self.domain, topic, type_name, type_hash)
-            return self._keep(HubSubscription(self._context, token, key, topic, qos, callback, refused))
+            lane = self._joined.lane
+            if lane is None or qos.latched:
+                return self._keep(HubSubscription(self._context, token, key, topic, qos, callback, refused))
+            kinds = type_name, type_hash
+            return self._keep(LaneSubscription(self._context, lane, token, key, topic, kinds, qos, callback, refused))
 
     def server(self, name: str, type_name: str, type_hash: str, call: Call) -> HubServer:
         """Serve a service; it lives until it or the session is closed.

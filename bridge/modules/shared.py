@@ -7,6 +7,7 @@ from threading import Lock
 from bridge.config.model import Config
 from bridge.hub.errors import HubClosedError
 from bridge.hub.session import Hub, HubSession, HubSettings
+from bridge.state_file import lane_folder
 from bridge.stores.service import StoreService
 
 
@@ -21,6 +22,7 @@ def hub_settings(config: Config, node: str, worker: str) -> HubSettings:
         daemon=config.name,
         worker=worker,
         max_payload=config.limits.message_bytes,
+        lane=lane_folder(config),
     )
 
 

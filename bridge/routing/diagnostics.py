@@ -89,9 +89,10 @@ class Diagnostics:
         counts = route["drops"]
         level = _ERROR if counts["bad"] or counts["large"] else _WARN if counts["lost"] or counts["queue"] else _OK
         arrow = "to the hub" if route["direction"] == "in" else "from the hub"
-        of = _OF_CALLS if route["kind"] == "service" else ("type", "priority", "messages")
+        of = _OF_CALLS if route["kind"] == "service" else ("type", "priority", "way", "messages")
         values = {name: route[name] for name in of}
         values |= {"bytes": route["bytes"], "rate": route["rate"], "age": route["age"], **drops}
+        values |= {f"messages ({way})": n for way, n in route.get("ways", {}).items()}
         return self._status(f"{route['topic']} {arrow}", level, route["error"] or route["state"], values)
 
     def _status(self, name: str, level: int, message: str, values: dict[str, Any]) -> bytes:

@@ -26,10 +26,10 @@ _STUCK_SECONDS = 4.0
 
 
 class Dispatcher:
-    """One thread and three lanes of work; a piece of work is a call that handles one message of a route."""
+    """One thread and a queue of work for each class; a piece of work is a call that handles one message of a route."""
 
     def __init__(self, name: str) -> None:
-        self._lanes: dict[Priority, deque[Callable[[], None]]] = {p: deque() for p in _ORDER}
+        self._classes: dict[Priority, deque[Callable[[], None]]] = {p: deque() for p in _ORDER}
         self._wake: SimpleQueue[bool] = SimpleQueue()
         self._busy: dict[int, float] = {}
         self._step = StepWatch(_STUCK_SECONDS)
@@ -40,8 +40,8 @@ class Dispatcher:
         self._thread.start()
 
     def submit(self, priority: Priority, work: Callable[[], None]) -> None:
-        """Do a piece of work in its lane's turn. The lanes are bounded by the queues of their routes."""
-        self._lanes[priority].append(work)
+        """Do a piece of work in its class's turn. The queues are bounded by the queues of their routes."""
+        self._classes[priority].append(work)
         self._wake.put(True)
 
     def here(self, work: Callable[..., None], *about: Any) -> None:
@@ -75,11 +75,11 @@ class Dispatcher:
 
     def _run(self) -> None:
         self._step.begin()
-        lanes = [self._lanes[p] for p in _ORDER]
+        queues = [self._classes[p] for p in _ORDER]
         while self._wake.get():
-            for lane in lanes:
-                if lane:
-                    work = lane.popleft()
+            for queue in queues:
+                if queue:
+                    work = queue.popleft()
                     break
             else:
                 continue

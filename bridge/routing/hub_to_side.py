@@ -86,7 +86,7 @@ class HubToSideRoute(TopicRoute):
         self._since_ns = 0
         self._since, self._messages_then = time.monotonic(), 0
         self._heard = self._unheard = False
-        self._lost_before = 0
+        self._lost_before = self._by_lane_before = 0
 
     def update(
         self, allowed: Sequence[HubEndpoint], refused: Sequence[HubEndpoint], waiting: Sequence[HubEndpoint] = ()
@@ -149,6 +149,7 @@ class HubToSideRoute(TopicRoute):
     def _leave_hub(self) -> None:
         if self._subscription is not None:
             self._lost_before += self._subscription.lost
+            self._by_lane_before += self._subscription.by_lane
             self._subscription.close()
             self._subscription = None
 
@@ -329,11 +330,13 @@ class HubToSideRoute(TopicRoute):
 
     def status(self) -> dict[str, Any]:
         """The route as it stands in the status document."""
-        if self._subscription is not None:
-            self.counters.missed(self._lost_before + self._subscription.lost, self._subscription.losses)
+        way, by_lane = ("", ""), self._by_lane_before
+        if (subscription := self._subscription) is not None:
+            self.counters.missed(self._lost_before + subscription.lost, subscription.losses)
+            way, by_lane = (subscription.way, subscription.why), by_lane + subscription.by_lane
         publishers = [p for p in (self._latched, self._volatile) if p is not None]
         self.counters.drops["slow"] = max((p.dropped for p in publishers), default=0)
-        row = self.describe(len(self._sources))
+        row = self.describe(len(self._sources), way, by_lane)
         return {**row, "state": "unheard"} if self._unheard and row["state"] == "active" else row
 
 

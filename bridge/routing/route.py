@@ -169,10 +169,18 @@ class TopicRoute(Route):
         """Whether the route carries merged static transforms, which stay when their publishers leave."""
         return self._static is not None
 
-    def describe(self, sources: int) -> dict[str, Any]:
-        """The route as it stands in the status document."""
+    def describe(self, sources: int, way: tuple[str, str], by_lane: int) -> dict[str, Any]:
+        """The route as it stands in the status document; ``way``: how messages cross the hub, and why over zenoh."""
         row = self.row(active=bool(sources), sources=sources)
-        return {**row, "priority": self._priority.value, "qos": qos_text(self._qos)}
+        ways = {"lane": by_lane, "zenoh": max(self.counters.messages - by_lane, 0)}
+        more = {
+            "priority": self._priority.value,
+            "qos": qos_text(self._qos),
+            "way": way[0],
+            "why": way[1],
+            "ways": ways,
+        }
+        return row | more
 
 
 AnyKey = TypeVar("AnyKey")

@@ -68,6 +68,7 @@ class SideToHubRoute(TopicRoute):
         self._shared: HubPublisher | None = None
         self._static_publisher: HubPublisher | None = None
         self._static_lock = threading.Lock()
+        self._by_lane_before = 0
         self._followed: Sequence[Endpoint] | None = None
         self._pending = Backlog[tuple[bytes, int | None]](MAX_PENDING, QUEUE_BYTES, self.crowded_out)
         self._subscription: EdgeSubscription | None = None
@@ -122,7 +123,7 @@ class SideToHubRoute(TopicRoute):
             qos = Qos(qos.reliability, Durability.VOLATILE, depth=1)
         target = self.conversion.target
         return self._context.hub.publisher(
-            self.hub_topic, target.name, target.type_id, qos, priority=self._priority.value
+            self.hub_topic, target.name, target.type_id, qos, priority=self._priority.value, queue=self.policy.depth
         )
 
     def _remove(self, source: str) -> None:
@@ -133,6 +134,7 @@ class SideToHubRoute(TopicRoute):
         if known.publisher is not self._shared:
             known.publisher.close()
         elif not any(s.publisher is self._shared for s in self._sources.values()):
+            self._by_lane_before += self._shared.by_lane
             self._shared.close()
             self._shared = None
 
@@ -246,7 +248,13 @@ class SideToHubRoute(TopicRoute):
         """The route as it stands in the status document."""
         if self._subscription is not None:
             self.counters.drops["lost"] = self._subscription.lost
-        return self.describe(len(self._sources))
+        publishers = {s.publisher.gid: s.publisher for s in tuple(self._sources.values())}.values()
+        said = [publisher.way() for publisher in publishers]
+        ways = {way for way, _ in said if way}
+        way = "both" if len(ways) > 1 else next(iter(ways), "")
+        why = next((why for _, why in said if why), "")
+        by_lane = self._by_lane_before + sum(publisher.by_lane for publisher in publishers)
+        return self.describe(len(self._sources), (way, why), by_lane)
 
 
 _MAX_TAPS = 100

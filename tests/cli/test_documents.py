@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 from rich.console import Console
 
-from bridge.cli.documents import port_lines, routes_table
+from bridge.cli.documents import port_lines, routes_table, way_text
 from bridge.cli.main import main
 from tests.adapters.yarp.conftest import Place
 from tests.cli.conftest import Midspan
@@ -37,7 +37,7 @@ def shown(**row: Any) -> str:
 def test_a_service_tells_what_became_of_its_calls() -> None:
     calls = {"calls": 7, "replies": 3, "errors": 2, "abandoned": 1, "pending": 1}
     names = {"kind": "service", "action": "", "topic": "/do", "hub_topic": "/do", "priority": "", "type": "a/srv/B"}
-    text = "- 0.50 2.00 7 pending 1, errors 2, abandoned 1, queue 2 - active"
+    text = "- - 0.50 2.00 7 pending 1, errors 2, abandoned 1, queue 2 - active"
     assert shown(**names, **calls) == f"ROS 1 -> hub /do a/srv/B service {text}"
     part = {"topic": "/go/_action/send_goal", "hub_topic": "/go/_action/send_goal", "action": "/go"}
     assert " action " in shown(**names | part, **calls)
@@ -45,7 +45,20 @@ def test_a_service_tells_what_became_of_its_calls() -> None:
 
 def test_a_topic_tells_its_class() -> None:
     names = {"kind": "topic", "topic": "/scan", "hub_topic": "/scan", "priority": "stream", "type": "a/msg/B"}
-    assert shown(**names) == "ROS 1 -> hub /scan a/msg/B stream - 0.50 2.00 7 queue 2 - active"
+    assert shown(**names, way="lane") == "ROS 1 -> hub /scan a/msg/B stream lane - 0.50 2.00 7 queue 2 - active"
+
+
+@pytest.mark.parametrize(
+    ("way", "why", "text"),
+    [
+        ("lane", "", "by the lane"),
+        ("zenoh", "it is latched", "over zenoh, as it is latched"),
+        ("both", "a listener is not on the lane", "by the lane and over zenoh, as a listener is not on the lane"),
+        ("", "", ""),
+    ],
+)
+def test_the_way_over_the_hub_in_words(way: str, why: str, text: str) -> None:
+    assert way_text({"way": way, "why": why}) == text
 
 
 TWIST, SCAN, STRING = "geometry_msgs/Twist", "sensor_msgs/LaserScan", "std_msgs/String"

@@ -21,6 +21,7 @@ from tests.contract.side import CUSTOM_FOLDER, Bridge, Side
 from tests.contract.yarpside import YarpSide
 from tests.contract.zenohside import Ros1KeysSide, Ros2ddsSide
 from tests.support.hub import HubNetwork
+from tests.support.lane import LANE
 from tests.support.quick_hub import QuickHub
 
 SIDES: dict[str, type[Any]] = {
@@ -74,9 +75,23 @@ def side(request: pytest.FixtureRequest, hubs: HubNetwork) -> Iterator[Side]:
 
 
 @pytest.fixture
-def far(hubs: HubNetwork) -> Iterator[HubSide]:
-    """The far end of every route: a native participant of the hub."""
-    hub = Hub.open(hubs.settings("far"))
+def lane() -> bool:
+    """Whether small messages go between the daemon's sessions without zenoh, to and from the far end too."""
+    return LANE
+
+
+def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
+    """What is tried on every side is tried without the lane as well."""
+    if metafunc.definition.originalname in BASIC:
+        off = pytest.param(False, marks=pytest.mark.thorough)
+        metafunc.parametrize("lane", [LANE, off] if LANE else [False], ids=["lane", "zenoh"] if LANE else ["zenoh"])
+
+
+@pytest.fixture
+def far(hubs: HubNetwork, tmp_path: Path, *, lane: bool) -> Iterator[HubSide]:
+    """The far end of every route: a native participant of the hub, on the daemon's lanes."""
+    folder = tmp_path / "state" / "contract" / "lane"
+    hub = Hub.open(hubs.settings("far", lane=folder if lane else None))
     try:
         yield HubSide(hub, Registry(folders=[CUSTOM_FOLDER]))
     finally:
@@ -84,7 +99,7 @@ def far(hubs: HubNetwork) -> Iterator[HubSide]:
 
 
 @pytest.fixture
-def config(side: Side, hubs: HubNetwork, tmp_path: Path) -> Callable[..., Config]:
+def config(side: Side, hubs: HubNetwork, tmp_path: Path, *, lane: bool) -> Callable[..., Config]:
     """Makes configurations for the side under test: ``config(rules=[...], default="allow")``."""
 
     def make(**routing: Any) -> Config:
@@ -92,7 +107,7 @@ def config(side: Side, hubs: HubNetwork, tmp_path: Path) -> Callable[..., Config
             {
                 "name": "contract",
                 "state": str(tmp_path / "state"),
-                "hub": {"listen": hubs.endpoint, "domain": hubs.domain},
+                "hub": {"listen": hubs.endpoint, "domain": hubs.domain, "lane": lane},
                 "types": {"folders": [str(CUSTOM_FOLDER)]},
                 "routing": routing,
                 **side.config(),

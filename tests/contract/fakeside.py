@@ -14,6 +14,7 @@ from bridge.messages.json import from_json, to_json
 from bridge.messages.registry import Registry
 from bridge.routing.edge import MadeBy
 from bridge.routing.engine import Engine
+from bridge.state_file import lane_folder
 from tests.contract.hubside import ros2_name, service_name
 from tests.contract.side import CUSTOM_FOLDER, Side
 from tests.support.calls import Calling, Serving
@@ -106,7 +107,7 @@ class FakeBridge:
     """An engine on the fake network, in the test's own process."""
 
     def __init__(self, network: FakeNetwork, registry: Registry, hubs: HubNetwork, config: Config) -> None:
-        self._hub = Hub.open(hubs.settings("midspan_fake"))
+        self._hub = Hub.open(hubs.settings("midspan_fake", lane=lane_folder(config)))
         edge = FakeEdge(network, registry)
         self._engine = Engine(edge, self._hub, config.routing, config.name, self._failed, registry)
         self._engine.start()

@@ -138,6 +138,12 @@ class HubSide:
     def route(self, topic: str, direction: str) -> dict[str, Any] | None:
         return next((r for r in self.status()["routes"] if r["topic"] == topic and r["direction"] == direction), None)
 
+    def takes(self, topic: str, direction: str, *, lane: bool) -> bool:
+        """Whether a route's messages cross the hub by the lane, or over zenoh, now and before."""
+        routes = [r for r in self.status()["routes"] if (r["hub_topic"], r["direction"]) == (topic, direction)]
+        way = "lane" if lane else "zenoh"
+        return bool(routes and routes[0]["way"] == way and routes[0]["ways"][way])
+
     def until_route(self, topic: str, direction: str, seconds: float = 15) -> dict[str, Any]:
         return until(lambda: self.route(topic, direction), f"a route {direction} for {topic}", seconds, every=0.1)
 

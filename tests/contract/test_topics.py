@@ -9,7 +9,7 @@ from tests.support.wait import until
 STRING = "std_msgs/String"
 
 
-def test_side_to_hub(side: Side, bridge: Bridge, far: HubSide) -> None:
+def test_side_to_hub(side: Side, bridge: Bridge, far: HubSide, *, lane: bool) -> None:
     peer = side.peer()
     out = peer.advertise("/chatter", STRING, depth=100)
     heard = far.subscribe("/chatter", STRING)
@@ -19,9 +19,10 @@ def test_side_to_hub(side: Side, bridge: Bridge, far: HubSide) -> None:
         peer.publish(out, {"data": f"number {n}"})
     expected = [f"number {n}" for n in range(50)]
     assert [m["data"] for m in far.wait_without(heard, "probe", 50)] == expected
+    until(lambda: peer.publish(out, {"data": "probe"}) or far.takes("/chatter", "in", lane=lane), "its way", every=0.1)
 
 
-def test_hub_to_side(side: Side, bridge: Bridge, far: HubSide) -> None:
+def test_hub_to_side(side: Side, bridge: Bridge, far: HubSide, *, lane: bool) -> None:
     peer = side.peer()
     heard = peer.subscribe("/orders", STRING, depth=100)
     out = far.advertise("/orders", STRING)
@@ -31,6 +32,7 @@ def test_hub_to_side(side: Side, bridge: Bridge, far: HubSide) -> None:
     until(lambda: {"data": "number 49"} in peer.wait(heard, 51, 0.2), "the last one")
     got = [m["data"] for m in peer.wait(heard, 51) if m["data"] != "probe"]
     assert got == [f"number {n}" for n in range(50)]
+    until(lambda: far.publish(out, {"data": "probe"}) or far.takes("/orders", "out", lane=lane), "its way", every=0.1)
 
 
 def test_same_topic_both_ways_does_not_loop(side: Side, bridge: Bridge, far: HubSide) -> None:

@@ -21,6 +21,7 @@ from tests.contract.hubside import HubSide
 from tests.contract.side import CUSTOM_FOLDER, CUSTOM_TYPES
 from tests.support.forks import DAEMON
 from tests.support.hub import SDK_PROGRAM
+from tests.support.lane import LANE
 from tests.support.missing import COMPILER, ROS2, need
 from tests.support.peer import Peer, stop_all
 from tests.support.ports import free_port
@@ -58,7 +59,7 @@ class Deployment:
         config = {
             "name": "interop",
             "state": str(self.folder / "state"),
-            "hub": {"listen": f"tcp/127.0.0.1:{self.port}"},
+            "hub": {"listen": f"tcp/127.0.0.1:{self.port}", "lane": LANE},
             "ros1": {"master": self.master.uri, "poll": 0.1},
             "ros2": {"domain": ros2_domain()},
             "types": {"folders": [str(CUSTOM_FOLDER)]},

@@ -19,6 +19,7 @@ import yaml
 from bridge.hub.session import Hub, HubSettings
 from tests.interop.deployment import ANSWER_SECONDS, MIDSPAN
 from tests.support.forks import DAEMON
+from tests.support.lane import LANE
 from tests.support.peer import Peer
 from tests.support.ports import free_port
 from tests.support.process import Process
@@ -181,7 +182,7 @@ class Several:
         config: dict[str, Any] = {
             "name": name,
             "state": self._short_folder(),
-            "hub": {"listen": f"tcp/127.0.0.1:{port}", "router_zenoh": links},
+            "hub": {"listen": f"tcp/127.0.0.1:{port}", "router_zenoh": links, "lane": LANE},
             **{side: {"enabled": False} for side in ("ros1", "ros2")},
             **{n.side: {**n.settings(), "node": node} for n in networks},
         }

@@ -8,7 +8,10 @@ import math
 import subprocess
 from typing import Any
 
+import pytest
+
 from tests.interop.deployment import Deployment
+from tests.support.lane import LANE
 from tests.support.ros1 import ROS1_PYTHON
 from tests.support.wait import until
 
@@ -33,6 +36,22 @@ def test_every_way_between_ros1_ros2_and_zenoh(shared: Deployment) -> None:
         heard = hearer.subscribe(topic, STRING)
         out = sender.advertise(topic, STRING)
         assert cross(sender, out, hearer, heard, {"data": topic}) == {"data": topic}
+        if "sdk" not in (from_, to):
+            shared.until_route(from_, topic, "in", way="lane" if LANE else "zenoh")
+            shared.until_route(to, topic, "out", way="lane" if LANE else "zenoh")
+
+
+@pytest.mark.thorough
+def test_every_way_without_the_lane(deployment: Deployment) -> None:
+    deployment.start(hub={"listen": f"tcp/127.0.0.1:{deployment.port}", "lane": False})
+    programs = {"ros1": deployment.ros1(), "ros2": deployment.ros2()}
+    for (from_, sender), (to, hearer) in itertools.permutations(programs.items(), 2):
+        topic = f"/{from_}_to_{to}"
+        heard = hearer.subscribe(topic, STRING)
+        out = sender.advertise(topic, STRING)
+        assert cross(sender, out, hearer, heard, {"data": topic}) == {"data": topic}
+        assert deployment.until_route(to, topic, "out", way="zenoh")["why"] == "this worker has no lane"
+        assert deployment.command("explain", topic).stdout.count("over zenoh, as this worker has no lane") == 2
 
 
 def test_a_start_without_a_covariance_reaches_a_localiser_with_one(shared: Deployment) -> None:

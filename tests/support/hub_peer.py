@@ -1,24 +1,30 @@
 """A Midspan hub session in a process of its own, under a test's control. See `tests.support.peer` for the form.
 
 Argument: the settings in JSON. Commands: ``publisher`` and ``subscription`` topic, latched, depth -> id; ``put`` id,
-text; ``wait`` id, count, seconds -> texts; ``drop`` id; ``origin`` side, network, daemon; ``serve`` name, type, hash,
-hold: answer each request with itself, or never; ``requests`` -> count; ``call`` name, type, hash: ask, and wait for
-nothing; ``exit``.
+text; ``drum`` id, rate, size: put the numbers from 1 on, without end; ``wait`` id, count, seconds -> texts; ``way`` id
+-> way, why, settled, lost; ``exhaust`` on: take all file descriptors, or give them back; ``drop`` id; ``origin`` side,
+network, daemon; ``serve`` name, type, hash, hold: answer each request with itself, or never; ``requests`` -> count;
+``call`` name, type, hash: ask, and wait for nothing; ``exit``.
 """
 
 from __future__ import annotations
 
+import itertools
 import json
 import sys
 import threading
+import time
+from contextlib import ExitStack
 from typing import Any
 
 from bridge.hub.endpoints.calls import Abandon, Done
+from bridge.hub.endpoints.lane_subscription import LaneSubscription
 from bridge.hub.endpoints.publisher import HubPublisher
 from bridge.hub.endpoints.subscription import HubSample, HubSubscription
 from bridge.hub.graph.tokens import Origin
 from bridge.hub.session import Hub, HubSettings
 from bridge.hub.wire.qos import Durability, Qos
+from tests.support.descriptors import no_descriptors
 from tests.support.wait import until
 
 TYPE, HASH = "std_msgs/msg/String", "RIHS01_" + "5e" * 32
@@ -33,6 +39,7 @@ class HubPeer:
         self._texts: dict[int, list[str]] = {}
         self._came = threading.Condition()
         self._requests = 0
+        self._none = ExitStack()
 
     def publisher(self, params: dict[str, Any]) -> dict[str, Any]:
         self._endpoints.append(self._hub.publisher(params["topic"], TYPE, HASH, qos(params)))
@@ -57,11 +64,38 @@ class HubPeer:
         publisher.put(params["text"].encode())
         return {}
 
+    def drum(self, params: dict[str, Any]) -> dict[str, Any]:
+        publisher = self._endpoints[params["id"]]
+        assert isinstance(publisher, HubPublisher)
+
+        def run() -> None:
+            due = time.monotonic()
+            for number in itertools.count(1):
+                publisher.put(str(number).encode().ljust(params.get("size", 0)))
+                due += 1 / params["rate"]
+                time.sleep(max(0.0, due - time.monotonic()))
+
+        threading.Thread(target=run, daemon=True).start()
+        return {}
+
     def wait(self, params: dict[str, Any]) -> dict[str, Any]:
         texts = self._texts[params["id"]]
         with self._came:
             self._came.wait_for(lambda: len(texts) >= params["count"], params["seconds"])
             return {"texts": list(texts)}
+
+    def way(self, params: dict[str, Any]) -> dict[str, Any]:
+        subscription = self._endpoints[params["id"]]
+        assert isinstance(subscription, LaneSubscription)
+        lost = subscription.lost
+        return {"way": subscription.way, "why": subscription.why, "settled": subscription.settled, "lost": lost}
+
+    def exhaust(self, params: dict[str, Any]) -> dict[str, Any]:
+        if params["on"]:
+            self._none.enter_context(no_descriptors())
+        else:
+            self._none.close()
+        return {}
 
     def drop(self, params: dict[str, Any]) -> dict[str, Any]:
         self._endpoints[params["id"]].close()

@@ -11,7 +11,7 @@ from typing import Any
 
 from bridge.cli.arguments import add_hub_arguments
 from bridge.cli.client import ASK_SECONDS, CliClient, open_client
-from bridge.cli.documents import Document, arrow, drops_text, port_lines, port_list, route_list, texts
+from bridge.cli.documents import Document, arrow, drops_text, port_lines, port_list, route_list, texts, way_text
 from bridge.cli.graph.view import Decision, absolute, ask_decisions, endpoint_json, endpoint_text, known_names, unknown
 from bridge.cli.inspection.refusals import refusals
 from bridge.cli.output import CliError, clean, duration, plural, print_json, rate, side_name
@@ -239,13 +239,14 @@ def _decision_lines(decision: Decision, route: Document | None, whose: str) -> l
 def _flow(route: Document) -> str:
     if route.get("kind") == "service":
         return _calls(route)
+    way = f"; {way_text(route)}" if way_text(route) else ""
     if not route.get("messages"):
-        return f"no message has come yet; drops: {drops_text(route)}"
+        return f"no message has come yet; drops: {drops_text(route)}{way}"
     speed = rate(route.get("rate"))
     speed = "none in the last second" if speed == "-" else f"{speed} msg/s"
     return (
         f"{plural(route['messages'], 'message')}, {speed}, the last one {duration(route.get('age'))} ago;"
-        f" drops: {drops_text(route)}; {clean(route.get('qos', ''))}"
+        f" drops: {drops_text(route)}; {clean(route.get('qos', ''))}{way}"
     )
 
 

@@ -145,6 +145,9 @@ def _show_worker(console: Console, document: Document) -> None:
         console.print(_machine(machine))
     for told in connected_lines(port_list(document)):
         console.print(Text(f"           {told}"))
+    lane = document.get("lane")
+    if isinstance(lane, dict) and lane.get("why"):
+        console.print(Text(f"           no lane from it, small messages go over zenoh: {clean(lane['why'])}", "yellow"))
     for warning in texts(document.get("warnings")):
         console.print(Text(f"           warning: {clean(warning)}", "yellow"))
 

@@ -71,6 +71,11 @@ class HubSection(Section):
     )
     router_zenoh: dict[str, Any] | Path | None = setting(None, "The same for the daemon's router.")
     shared_memory: bool = setting(True, "Large messages go through shared memory between this machine's workers.")
+    lane: bool = setting(
+        True,
+        "Small messages go between the daemon's own workers over a Unix socket in the state folder, where there are"
+        " such sockets (Linux); `false`: all over zenoh.",
+    )
 
     @property
     def indoors(self) -> HubSection:

@@ -17,6 +17,9 @@ from bridge.hub.endpoints.latched import LatchedPublisher
 from bridge.hub.errors import HubClosedError, HubError, zenoh_reason
 from bridge.hub.graph import HubGraph
 from bridge.hub.graph.tokens import gid_of
+from bridge.hub.lane.lane import Lane
+from bridge.hub.lane.outlet import Outlet
+from bridge.hub.lane.writer import LaneWriter
 from bridge.hub.wire.keys import pack_attachment
 from bridge.hub.wire.qos import History, Qos, Reliability
 from bridge.hub.zenoh_compat import BEHIND, keep_thread_state, undeclare
@@ -31,6 +34,12 @@ LARGE = POOL
 """Bytes from which a message does not fit the shared memory, and goes over the links in hundreds of packets."""
 
 
+NO_LANE = "this worker has no lane"
+
+QUEUE = 1000
+"""Messages that wait for a reader at most, where it is full and they are no commands."""
+
+
 @dataclass(frozen=True, slots=True)
 class EndpointContext:
     """What the endpoints of one node share.
@@ -43,6 +52,7 @@ class EndpointContext:
         asking: the same for what latched publishers keep.
         heartbeats: publishes the numbers of latched publishers' last samples.
         closed: called with each endpoint that has closed.
+        lane: the way to this daemon's other workers, None where the session has none.
     """
 
     session: zenoh.Session
@@ -54,6 +64,7 @@ class EndpointContext:
     asking: SerialExecutor
     heartbeats: DelayedCalls
     closed: Callable[[Any], None]
+    lane: Lane | None = None
 
 
 class SamplePriority(Enum):
@@ -186,11 +197,12 @@ class PublisherOptions:
     must not delay the others. What a latched publisher lost so, a latched subscription recovers from its cache.
     """
 
-    def __init__(self, qos: Qos, priority: str, express: bool | None) -> None:
-        blocks = qos.reliability is Reliability.RELIABLE and qos.history is History.KEEP_ALL
-        self.congestion = zenoh.CongestionControl.BLOCK if blocks else zenoh.CongestionControl.DROP
+    def __init__(self, qos: Qos, priority: str, express: bool | None, queue: int | None = None) -> None:
+        self.blocks = qos.reliability is Reliability.RELIABLE and qos.history is History.KEEP_ALL
+        self.congestion = zenoh.CongestionControl.BLOCK if self.blocks else zenoh.CongestionControl.DROP
         self.priority: zenoh.Priority = SamplePriority[priority.upper()].value
         self.express = self.priority == SamplePriority.COMMAND.value if express is None else express
+        self.queue = queue or (1 if self.priority == SamplePriority.COMMAND.value else QUEUE)
 
 
 def cache_depth(qos: Qos) -> int:
@@ -203,6 +215,7 @@ class HubPublisher:
 
     Attributes:
         gid: the 16 bytes that name the publisher in its samples.
+        by_lane: messages that went to a lane, or to several.
     """
 
     def __init__(
@@ -214,16 +227,27 @@ class HubPublisher:
         qos: Qos,
         options: PublisherOptions,
     ) -> None:
-        self.topic = topic
+        self.topic, self.key = topic, key
         self.gid = gid_of(token)
+        self._command, self._queue = options.priority == SamplePriority.COMMAND.value, options.queue
+        self._outlets: tuple[Outlet, ...] = ()
+        self._writer: LaneWriter | None = None
+        self._why = NO_LANE
+        self.by_lane = 0
         self._limit, self._on_close = context.limit, context.closed
         self._lock = Lock()
         self._sequence = 0
         self._sink: _Sink | None
         if qos.latched:
             self._sink = _LatchedSink(context, key, options, qos)
+            self._why = "it is kept for late joiners"
         else:
             self._sink = _PlainSink(context, key, options)
+            if context.lane is not None and not options.blocks:
+                self._writer = context.lane.writer
+                self._why = context.lane.why
+        if self._writer is not None:  # before the token tells of it
+            self._writer.add(self)
         self._withdraw = context.graph.announce(token)
 
     def put(self, payload: bytes, source_time_ns: int | None = None) -> None:
@@ -243,6 +267,10 @@ class HubPublisher:
                 raise HubClosedError(f"publisher of {self.topic} is closed")
             self._sequence += 1
             attached = pack_attachment(self._sequence, source_time_ns, self.gid)
+            if self._outlets:
+                self.by_lane += 1
+                for outlet in self._outlets:
+                    outlet.send(attached, payload)
             try:
                 self._sink.send(payload, attached)
             except zenoh.ZError as err:
@@ -257,7 +285,7 @@ class HubPublisher:
         with self._lock:
             if self._sink is None:
                 raise HubClosedError(f"publisher of {self.topic} is closed")
-            if self._sink.keeps or self._sink.matched():
+            if self._outlets or self._sink.keeps or self._sink.matched():
                 return False
             self._sequence += 1
             return True
@@ -265,13 +293,41 @@ class HubPublisher:
     def matched(self) -> bool:
         """Whether anybody subscribes: on another session, or on this one where several nodes share it."""
         with self._lock:
-            return self._sink is not None and self._sink.matched()
+            return self._sink is not None and (bool(self._outlets) or self._sink.matched())
+
+    def way(self) -> tuple[str, str]:
+        """The way that messages take now, ``lane``, ``zenoh``, ``both`` or "" where nobody listens; and why zenoh."""
+        with self._lock:
+            lane = bool(self._outlets)
+            other = self._sink is not None and self._sink.matched()
+        if lane or self._writer is not None:
+            return {(True, False): "lane", (True, True): "both", (False, True): "zenoh"}.get((lane, other), ""), (
+                "a listener is not on the lane" if other else ""
+            )
+        return ("zenoh" if other else ""), self._why
+
+    def attach(self, outlet: Outlet) -> None:
+        """Send each message from now on to a lane too, which is told the number of the last one before."""
+        with self._lock:
+            outlet.command = outlet.command or self._command
+            outlet.depth = max(outlet.depth, self._queue)
+            if outlet not in self._outlets:
+                self._outlets += (outlet,)
+            outlet.mark(self.gid, self._sequence)
+
+    def detach(self, outlet: Outlet) -> None:
+        """Send there no more."""
+        with self._lock:
+            self._outlets = tuple(each for each in self._outlets if each is not outlet)
 
     def close(self) -> None:
         """Leave the graph; a latched publisher's samples are no longer served. Safe to call twice."""
         with self._lock:
             sink, self._sink = self._sink, None
+            self._outlets = ()
         if sink is not None:
+            if self._writer is not None:
+                self._writer.remove(self)
             self._withdraw()
             sink.close()
             self._on_close(self)

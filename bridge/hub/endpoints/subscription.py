@@ -10,7 +10,7 @@ from threading import Lock
 import zenoh
 
 from bridge.hub.endpoints.latched import LatchedHistory
-from bridge.hub.endpoints.publisher import EndpointContext, cache_depth
+from bridge.hub.endpoints.publisher import NO_LANE, EndpointContext, cache_depth
 from bridge.hub.errors import HubWireError
 from bridge.hub.wire.keys import unpack_attachment
 from bridge.hub.wire.qos import Qos, Reliability
@@ -62,13 +62,14 @@ class HubSample:
         return self.payload.to_bytes()
 
 
-class _PublisherState:
-    """What a subscription remembers of one publisher."""
+class PublisherState:
+    """What a subscription remembers of one publisher; a ``paired`` one is ours, and sends on two ways at times."""
 
-    __slots__ = ("held", "sequence", "time_ns", "zid")
+    __slots__ = ("held", "paired", "sequence", "time_ns", "zid")
 
     def __init__(self, zid: str) -> None:
         self.zid = zid
+        self.paired = False
         self.sequence: int | None = None
         self.time_ns = 0
         self.held: dict[int, HubSample] = {}
@@ -99,6 +100,9 @@ class HubSubscription:
     Attributes:
         lost: samples that publishers numbered and that never came.
         refused: samples left out: without a fitting attachment, or too large.
+        way: ``lane`` or ``zenoh``.
+        why: why it is not the lane; "" where it is.
+        by_lane: samples that came by the lane.
     """
 
     def __init__(
@@ -112,14 +116,16 @@ class HubSubscription:
         on_refused: Refused | None = None,
     ) -> None:
         self.topic = topic
-        self.lost = self.refused = 0
+        self.lost = self.refused = self.by_lane = 0
+        self.way = "zenoh"
+        self.why = "earlier messages come too" if qos.latched else NO_LANE
         self._graph, self._limit, self._on_close = context.graph, context.limit, context.closed
         self._own = context.own
         self._depth = cache_depth(qos)
         self._recovers = qos.latched and qos.reliability is Reliability.RELIABLE
         self._callback, self._on_refused = callback, on_refused
         self._lost_from: Counter[tuple[bytes, str]] = Counter()
-        self._sources: dict[bytes, _PublisherState] = {}
+        self._sources: dict[bytes, PublisherState] = {}
         self._room = 2 * _SPARED
         self._asked: Counter[str] = Counter()
         self._held = 0
@@ -131,8 +137,8 @@ class HubSubscription:
             context.session, key, self._depth, self, context.asking, reach=context.reach, recovers=self._recovers
         )
         # direct: without a thread per subscription; zenoh's receiving thread only appends and wakes
-        came = self._on_latched if qos.latched else self._on_sample
-        self._subscriber = subscribe(context.session, key, came, context.reach)
+        self._came = self._on_latched if qos.latched else self._on_sample
+        self._subscriber = subscribe(context.session, key, self._came, context.reach)
         if qos.latched:
             self._history.open()
         self._withdraw = context.graph.announce(token)
@@ -143,9 +149,12 @@ class HubSubscription:
             closed, self._closed = self._closed, True
         if not closed:
             self._withdraw()
-            undeclare(self._subscriber)
+            self._undeclare()
             self._history.close()
             self._on_close(self)
+
+    def _undeclare(self) -> None:
+        undeclare(self._subscriber)
 
     # -- volatile ------------------------------------------------------------------------------------------------------
 
@@ -219,26 +228,30 @@ class HubSubscription:
                 if source.held and not self._asked[source.zid]:
                     self._release(source)
 
-    def _hold(self, source: _PublisherState, message: HubSample) -> bool:
+    def _hold(self, source: PublisherState, message: HubSample) -> bool:
         """Hold a sample back; False where too much is held already."""
-        size = len(message.payload) + _OVERHEAD
+        size = self._weight(message)
         if self._held + size > _MAX_HELD_BYTES or message.sequence in source.held:
             return message.sequence in source.held
         source.held[message.sequence] = message
         self._held += size
         return True
 
-    def _take_held(self, source: _PublisherState) -> dict[int, HubSample]:
+    def _take_held(self, source: PublisherState) -> dict[int, HubSample]:
         held, source.held = source.held, {}
-        self._held -= sum(len(message.payload) + _OVERHEAD for message in held.values())
+        self._held -= sum(map(self._weight, held.values()))
         return held
 
-    def _release(self, source: _PublisherState) -> None:
+    @staticmethod
+    def _weight(message: HubSample) -> int:
+        return len(message.payload) + _OVERHEAD
+
+    def _release(self, source: PublisherState) -> None:
         held = self._take_held(source)
         for sequence in sorted(held):
             self._deliver(source, held[sequence])
 
-    def _deliver(self, source: _PublisherState, message: HubSample) -> None:
+    def _deliver(self, source: PublisherState, message: HubSample) -> None:
         gap = None if self._closed else source.take(message)
         if gap is not None:
             if gap:
@@ -293,16 +306,20 @@ class HubSubscription:
         told = ", ".join(f"{count} from {place}" for place, count in places.items())
         return f"lost on the hub's links, which were busy for too long: {told}; {_CURE}"
 
-    def _source(self, message: HubSample, sample: zenoh.Sample) -> _PublisherState:
+    def _source(self, message: HubSample, sample: zenoh.Sample) -> PublisherState:
         source = self._sources.get(message.gid)
         if source is None:
-            if len(self._sources) >= self._room:
-                self._make_room()
-            source = self._sources[message.gid] = _PublisherState("")
+            source = self._new_source(message.gid)
         if not source.zid:
             info = sample.source_info
             source.zid = self._graph.zid_of(message.gid) if info is None else str(info.source_id.zid)
         message.zid = source.zid
+        return source
+
+    def _new_source(self, gid: bytes) -> PublisherState:
+        if len(self._sources) >= self._room:
+            self._make_room()
+        source = self._sources[gid] = PublisherState("")
         return source
 
     def _make_room(self) -> None:

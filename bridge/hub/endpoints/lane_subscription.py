@@ -1,0 +1,388 @@
+"""A subscription that takes small messages from the lanes of this daemon's other workers, and else from zenoh.
+
+It chooses for its topic: while all of the topic's publishers are workers of the daemon it has no subscriber on zenoh,
+so that a put there costs them little. While it goes from one way to the other, messages come both ways: the numbers
+that rmw_zenoh gives them leave out what comes twice, and hold back for a moment what comes too early.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from threading import Lock
+
+import zenoh
+
+from bridge.hub.endpoints.publisher import EndpointContext
+from bridge.hub.endpoints.subscription import HubSample, HubSubscription, PublisherState, Refused
+from bridge.hub.graph import HubEndpoint
+from bridge.hub.lane.inlet import Inlet
+from bridge.hub.lane.lane import Lane
+from bridge.hub.lane.wire import BOUND
+from bridge.hub.wire.keys import ANY_HASH
+from bridge.hub.wire.qos import History, Qos
+from bridge.hub.zenoh_compat import subscribe, undeclare
+
+_EARLY_SECONDS = 0.1
+"""How long a message waits for earlier ones that come the other way."""
+
+_CAUGHT_SECONDS = 1.0
+"""Later than this after a mark nothing from before it is under way."""
+
+_UNANSWERED_SECONDS = 1.0
+_SPARED_MARKS = 64
+
+
+@dataclass(slots=True)
+class _Joined:
+    """A publisher that sends on a lane, all that follows ``mark``."""
+
+    inlet: Inlet
+    mark: int
+    since: float
+    caught: bool = False
+
+
+@dataclass(slots=True)
+class _Leaving:
+    """A lane that is given up.
+
+    ``passed`` is when its session knew of the subscriber on zenoh, 0.0 not yet; ``fenced`` when the fence was sent,
+    ``ended`` whether it came back.
+    """
+
+    passed: float = 0.0
+    fenced: float = 0.0
+    ended: bool = False
+
+
+class LaneSubscription(HubSubscription):
+    """Receives one topic that is not latched."""
+
+    def __init__(
+        self,
+        context: EndpointContext,
+        lane: Lane,
+        token: str,
+        key: str,
+        topic: str,
+        type_names: tuple[str, str],
+        qos: Qos,
+        callback: Callable[[HubSample], None],
+        on_refused: Refused | None = None,
+    ) -> None:
+        self._lane = lane
+        self._session, self._reach = context.session, context.reach
+        self._type, self._hash = type_names
+        self.key = key
+        self._delivery = Lock()
+        self._switching = Lock()
+        self._everywhere = True
+        self._declared = time.monotonic()
+        self._joined: dict[bytes, _Joined] = {}
+        self._inlets: dict[Inlet, float] = {}
+        self._leaving: dict[Inlet, _Leaving] = {}
+        self._heard: set[str] = set()
+        self._early: dict[bytes, float] = {}
+        self._large = 0
+        super().__init__(context, token, key, topic, qos, callback, on_refused)
+        self.why = "the graph was not looked at yet"
+        lane.add(self)
+
+    def close(self) -> None:
+        """Stop receiving. Safe to call twice."""
+        self._lane.remove(self)
+        super().close()
+        for inlet in tuple(self._inlets):
+            inlet.leave(self)
+
+    def _undeclare(self) -> None:
+        with self._switching:
+            undeclare(self._subscriber)
+
+    # -- messages ------------------------------------------------------------------------------------------------------
+
+    def _make_room(self) -> None:
+        super()._make_room()
+        self._early = {gid: since for gid, since in self._early.items() if gid in self._sources}
+
+    def _on_sample(self, sample: zenoh.Sample) -> None:
+        message = self._read(sample)
+        if message is None:
+            return
+        with self._delivery:
+            with self._lock:
+                source = self._sources.get(message.gid)
+                if source is None or not source.zid:
+                    source = self._source(message, sample)
+                message.zid = source.zid
+                if self._leaving:
+                    self._heard.add(source.zid)
+                ready = self._in_turn(source, message, first=0)
+            for each in ready:
+                self._callback(each)
+        if len(message.payload) > BOUND:
+            self.grown()
+
+    def heard(self, inlet: Inlet, attached: tuple[int, int, bytes], payload: bytes) -> None:
+        """A message came on a lane."""
+        if self._closed:
+            return
+        sequence, time_ns, gid = attached
+        if len(payload) > self._limit:
+            self._refuse("large", f"message of {len(payload)} bytes, the limit is {self._limit}")
+            return
+        message = HubSample(zenoh.ZBytes(payload), sequence, time_ns, gid, inlet.zid)
+        with self._delivery:
+            with self._lock:
+                source = self._sources.get(gid)
+                if source is None:
+                    source = self._new_source(gid)
+                    source.zid = inlet.zid
+                joined = self._joined.get(gid)
+                before = self._held, source.sequence
+                ready = self._in_turn(source, message, first=0 if joined is None else joined.mark)
+                self.by_lane += bool(ready) or (self._held, source.sequence) != before
+            for each in ready:
+                self._callback(each)
+
+    def _in_turn(self, source: PublisherState, message: HubSample, first: int) -> list[HubSample]:
+        """What is to be delivered now; ``first``: that many went before the first one, and may come the other way."""
+        number, last = message.sequence, source.sequence
+        if not source.paired:
+            gap = source.take(message)
+            if gap:
+                self._missed(gap, message)
+            return [] if gap is None else [message]
+        if number in source.held:  # the other way has come so far too, and nothing earlier is to come
+            return self._up_to(source, message.gid, number)
+        if last is not None and number <= last:
+            return []
+        early = number > last + 1 if last is not None else first > 0
+        if early and self._both(message.gid) and self._hold(source, message):
+            self._early.setdefault(message.gid, time.monotonic())
+            self._lane.calls.after(_EARLY_SECONDS, self._let_go, once=True)
+            return []
+        if not source.held:
+            return self._deliverable(source, message)
+        source.held[number] = message
+        self._held += self._weight(message)
+        return self._up_to(source, message.gid, number)
+
+    def _both(self, gid: bytes) -> bool:
+        return self._everywhere and gid in self._joined
+
+    def _up_to(self, source: PublisherState, gid: bytes, number: int) -> list[HubSample]:
+        """All that is held up to a number, and what follows it without a gap."""
+        ready: list[HubSample] = []
+        for each in sorted(source.held):
+            if each > number and each != (source.sequence or 0) + 1:
+                break
+            message = source.held.pop(each)
+            self._held -= self._weight(message)
+            ready += self._deliverable(source, message)
+        if source.held:
+            self._early[gid] = time.monotonic()
+        else:
+            self._early.pop(gid, None)
+        return ready
+
+    def _deliverable(self, source: PublisherState, message: HubSample) -> list[HubSample]:
+        last = source.sequence
+        if last is not None:
+            if message.sequence <= last:
+                return []
+            if message.sequence > last + 1:
+                self._missed(message.sequence - last - 1, message)
+        source.sequence, source.time_ns = message.sequence, message.source_time_ns
+        return [message]
+
+    def _let_go(self) -> None:
+        """Deliver what was held back for long enough."""
+        self._let_go_since(time.monotonic() - _EARLY_SECONDS)
+        with self._lock:
+            first = min(self._early.values(), default=None)
+        if first is not None:
+            self._lane.calls.after(first + _EARLY_SECONDS - time.monotonic(), self._let_go, once=True)
+
+    def _let_go_since(self, before: float) -> None:
+        """Deliver what has been held back since then, or longer."""
+        with self._delivery:
+            ready: list[HubSample] = []
+            if self._closed:
+                return
+            with self._lock:
+                for gid in [gid for gid, since in self._early.items() if since <= before]:
+                    source = self._sources[gid]
+                    ready += self._up_to(source, gid, max(source.held))
+            for each in ready:
+                self._callback(each)
+
+    # -- lanes ---------------------------------------------------------------------------------------------------------
+
+    def marked(self, inlet: Inlet, gid: bytes, sequence: int) -> None:
+        """A publisher sends on the lane what follows that number."""
+        with self._lock:
+            joined = self._joined.get(gid)
+            if joined is None or joined.inlet is not inlet:
+                self._joined[gid] = _Joined(inlet, sequence, time.monotonic())
+            source = self._sources.get(gid)
+            if source is None:
+                source = self._new_source(gid)
+                source.zid = inlet.zid
+            source.paired = True
+        self._lane.wake(self)
+
+    def fenced(self, inlet: Inlet) -> None:
+        """A lane that is given up has delivered all."""
+        with self._lock:
+            leaving = self._leaving.get(inlet)
+            if leaving is not None:
+                leaving.ended = True
+        self._lane.wake(self)
+
+    def grown(self) -> None:
+        """A message is too large for the lane."""
+        if not self._large:
+            self._large = BOUND
+            self._lane.wake(self)
+
+    def parted(self, inlet: Inlet) -> None:
+        """A connection ended."""
+        if inlet in self._inlets:
+            self._drop(inlet)
+            self._lane.wake(self)
+
+    def _drop(self, inlet: Inlet) -> None:
+        with self._lock:
+            self._inlets.pop(inlet, None)
+            self._leaving.pop(inlet, None)
+            for gid in [gid for gid, joined in self._joined.items() if joined.inlet is inlet]:
+                del self._joined[gid]
+        self._let_go_since(time.monotonic())
+
+    # -- the choice ----------------------------------------------------------------------------------------------------
+
+    def settle(self) -> bool:
+        """Go on towards the way that should be; whether to look again soon."""
+        if self._closed:
+            return False
+        for inlet in [inlet for inlet in self._inlets if not inlet.alive]:
+            self._drop(inlet)
+        publishers = self._publishers()
+        why = self._why_zenoh(publishers)
+        inlets: set[Inlet] = set()
+        if not why:
+            for zid in {each.zid for each in publishers}:
+                found = self._lane.inlet(zid)
+                if isinstance(found, str):
+                    node = next(each.node for each in publishers if each.zid == zid)
+                    why = f"{node}: {found}"
+                    break
+                inlets.add(found)
+        return self._to_zenoh(why) if why else self._to_lane(publishers, inlets)
+
+    @property
+    def settled(self) -> bool:
+        """Whether messages come one way alone."""
+        return not self._everywhere if self.way == "lane" else not self._inlets
+
+    def _publishers(self) -> list[HubEndpoint]:
+        """The publishers that it hears, but for those of its own session."""
+        return [
+            each
+            for each in self._graph.publishers(self.topic)
+            if each.type_name == self._type and self._hash in (ANY_HASH, each.type_hash) and not each.own
+        ]
+
+    def _why_zenoh(self, publishers: list[HubEndpoint]) -> str:
+        if self._large:
+            return f"a message was larger than {BOUND} bytes"
+        if not publishers:
+            return "no other worker publishes it"
+        for each in publishers:
+            if each.qos.latched:
+                return f"{each.node} keeps messages for late joiners"
+            if each.qos.history is History.KEEP_ALL:
+                return f"{each.node} keeps all messages"
+        return ""
+
+    def _to_lane(self, publishers: list[HubEndpoint], inlets: set[Inlet]) -> bool:
+        now = time.monotonic()
+        with self._lock:
+            self._leaving.clear()
+            self._forget(publishers)
+        for inlet in inlets - self._inlets.keys():
+            self._inlets[inlet] = now
+            inlet.join(self)
+        with self._lock:
+            missing = [each for each in publishers if not self._caught(each.gid, now)]
+        if not missing:
+            self._listen(everywhere=False)
+            self.way, self.why = "lane", ""
+            return False
+        self._listen(everywhere=True)
+        self.way, self.why = "zenoh", "on its way to the lane"
+        for each in missing:
+            late = next(inlet for inlet in inlets if inlet.zid == each.zid)
+            if not late.answered and now - late.since > _UNANSWERED_SECONDS:
+                self._lane.refuse(late, "it does not answer on its lane")
+            elif each.gid not in self._joined and now - self._inlets.get(late, now) > _UNANSWERED_SECONDS:
+                self._inlets[late] = now
+                late.join(self)  # once more, for another mark
+        return True
+
+    def _forget(self, publishers: list[HubEndpoint]) -> None:
+        """Forget the marks of publishers that left, where they become many."""
+        if len(self._joined) > 2 * len(publishers) + _SPARED_MARKS:
+            here = {each.gid for each in publishers}
+            self._joined = {gid: joined for gid, joined in self._joined.items() if gid in here}
+
+    def _caught(self, gid: bytes, now: float) -> bool:
+        """Whether all has come that a publisher put on zenoh alone."""
+        joined = self._joined.get(gid)
+        if joined is None:
+            return False
+        last = self._sources[gid].sequence if gid in self._sources else None
+        joined.caught = joined.caught or (last or 0) >= joined.mark or now - joined.since > _CAUGHT_SECONDS
+        return joined.caught
+
+    def _to_zenoh(self, why: str) -> bool:
+        self._listen(everywhere=True)
+        self.way, self.why = "zenoh", why
+        now = time.monotonic()
+        for inlet in tuple(self._inlets):
+            with self._lock:
+                leaving = self._leaving.setdefault(inlet, _Leaving())
+            if leaving.ended:
+                inlet.leave(self)
+                self._drop(inlet)
+            elif not leaving.passed:
+                if self._lane.passed(inlet.zid, self._declared):
+                    leaving.passed = now
+                    with self._lock:
+                        self._heard.discard(inlet.zid)
+            elif not leaving.fenced and (inlet.zid in self._heard or now - leaving.passed > _CAUGHT_SECONDS):
+                leaving.fenced = now
+                inlet.fence(self)
+        return bool(self._inlets)
+
+    def _listen(self, *, everywhere: bool) -> None:
+        """Subscribe on zenoh to all sessions, or to this one alone where it has several nodes."""
+        with self._switching:
+            if self._closed or everywhere == self._everywhere:
+                return
+            before = self._subscriber
+            if everywhere:
+                with self._lock:
+                    self._everywhere = True
+                self._subscriber = subscribe(self._session, self.key, self._came, self._reach)
+                self._declared = time.monotonic()
+            elif self._reach == zenoh.Locality.ANY:
+                self._subscriber = subscribe(self._session, self.key, self._came, zenoh.Locality.SESSION_LOCAL)
+            if not (everywhere and self._reach != zenoh.Locality.ANY):
+                undeclare(before)
+            if not everywhere:
+                with self._lock:
+                    self._everywhere = False

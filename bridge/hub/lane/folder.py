@@ -1,0 +1,105 @@
+"""The sockets of the lanes in the state folder: one of each session, named after its id."""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import os
+import socket
+import struct
+from collections.abc import Iterator
+from pathlib import Path
+
+from bridge.hub.lane.wire import VERSION
+
+_CREDENTIALS = struct.Struct("3i")
+_SEND_BUFFER = 1 << 20
+"""Bytes that the kernel keeps for a reader, at most: what is in there, no command overtakes."""
+
+_BACKLOG = 64
+
+
+def possible() -> bool:
+    """Whether this system has what a lane needs."""
+    return (
+        all(hasattr(socket, name) for name in ("AF_UNIX", "SOCK_SEQPACKET", "SO_PEERCRED"))
+        and Path("/proc/self/fd").is_dir()
+    )
+
+
+def listen(folder: Path, zid: str) -> socket.socket:
+    """Listen under the session's name; raises `OSError`."""
+    folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+    sock = _socket()
+    try:
+        with _short(folder, zid) as path:
+            sock.bind(path)
+            Path(path).chmod(0o600)
+        sock.listen(_BACKLOG)
+    except BaseException:
+        sock.close()
+        raise
+    return sock
+
+
+def connect(folder: Path, zid: str) -> socket.socket:
+    """Connect to a session; raises `OSError` where it has no lane, or another user owns it."""
+    if not zid.isalnum():  # the graph says it, and whoever is on the graph
+        raise FileNotFoundError(errno.ENOENT, os.strerror(errno.ENOENT))
+    sock = _socket()
+    try:
+        with _short(folder, zid) as path:
+            sock.setblocking(False)  # never wait for one who does not accept
+            sock.connect(path)
+        check_peer(sock)
+        sock.setblocking(True)
+    except BaseException:
+        sock.close()
+        raise
+    return sock
+
+
+def check_peer(sock: socket.socket) -> None:
+    """Raise `PermissionError` unless the other end runs as the same user."""
+    _, user, _ = _CREDENTIALS.unpack(sock.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, _CREDENTIALS.size))
+    if user != os.geteuid():
+        raise PermissionError(f"a process of user {user} is at the other end of the lane")
+
+
+def remove(folder: Path, zid: str) -> None:
+    """Remove a session's socket."""
+    with contextlib.suppress(OSError):
+        (folder / _name(zid)).unlink()
+
+
+def clean(folder: Path) -> None:
+    """Remove the sockets of sessions that died."""
+    with contextlib.suppress(OSError):
+        for path in folder.iterdir():
+            zid = path.name.rpartition(".")[0]
+            try:
+                connect(folder, zid).close()
+            except ConnectionRefusedError:
+                path.unlink(missing_ok=True)
+            except OSError:
+                pass
+
+
+def _socket() -> socket.socket:
+    sock = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+    sock.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, _SEND_BUFFER)
+    return sock
+
+
+def _name(zid: str) -> str:
+    return f"{zid}.{VERSION}"
+
+
+@contextlib.contextmanager
+def _short(folder: Path, zid: str) -> Iterator[str]:
+    """A path that fits into a socket's address, however long the folder's own is."""
+    number = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
+    try:
+        yield f"/proc/self/fd/{number}/{_name(zid)}"
+    finally:
+        os.close(number)

@@ -1,0 +1,176 @@
+"""The reading end of a lane: a connection to one writing session, and who hears what comes."""
+
+from __future__ import annotations
+
+import contextlib
+import logging
+import socket
+import time
+from collections.abc import Callable
+from threading import Lock, Thread
+from typing import Protocol
+
+from bridge.hub.errors import HubWireError
+from bridge.hub.lane.wire import BODY, DATA, FENCE, HEAD, MARK, OFF, ON, PART, PIECE, ROOM, TOKEN
+from bridge.hub.wire.keys import unpack_attachment
+from bridge.hub.zenoh_config import MAX_PAYLOAD
+
+_log = logging.getLogger(__name__)
+
+
+class LaneReader(Protocol):
+    """A subscription that takes from lanes; called on the connection's thread."""
+
+    key: str
+
+    def heard(self, inlet: Inlet, attached: tuple[int, int, bytes], payload: bytes) -> None:
+        """A message came: number, source time, publisher; CDR."""
+
+    def marked(self, inlet: Inlet, gid: bytes, sequence: int) -> None:
+        """The publisher sends here what follows that number."""
+
+    def fenced(self, inlet: Inlet) -> None:
+        """All came that was sent here before `Inlet.fence` was called."""
+
+    def grown(self) -> None:
+        """A message is too large for the lane."""
+
+
+class _Key:
+    """What one or more subscriptions hear."""
+
+    __slots__ = ("number", "parts", "readers")
+
+    def __init__(self, number: int) -> None:
+        self.number = number
+        self.readers: tuple[LaneReader, ...] = ()
+        self.parts: dict[bytes, tuple[int, bytearray]] = {}
+
+
+class Inlet:
+    """A connection to one writing session. Safe to use from any thread; `lost` is called when it ends.
+
+    Attributes:
+        zid: the session.
+        since: when it was made (monotonic seconds).
+        alive: whether messages can come.
+        answered: whether anything came yet.
+    """
+
+    def __init__(self, sock: socket.socket, zid: str, lost: Callable[[Inlet], None]) -> None:
+        self.zid = zid
+        self.since = time.monotonic()
+        self.alive, self.answered = True, False
+        self._sock, self._lost = sock, lost
+        self._lock = Lock()
+        self._keys: dict[str, _Key] = {}
+        self._numbers: dict[int, _Key] = {}
+        self._fences: dict[int, LaneReader] = {}
+        self._next = 0
+        self._thread = Thread(target=self._run, name="hub-lane-read", daemon=True)
+        self._thread.start()
+
+    def join(self, reader: LaneReader) -> None:
+        """Have the reader get what is published on its key, and a mark of each publisher."""
+        with self._lock:
+            key = self._keys.get(reader.key)
+            if key is None:
+                self._next += 1
+                key = self._keys[reader.key] = self._numbers[self._next] = _Key(self._next)
+            if reader not in key.readers:
+                key.readers += (reader,)
+            self._tell(HEAD.pack(ON, key.number) + reader.key.encode())
+
+    def fence(self, reader: LaneReader) -> None:
+        """Have `LaneReader.fenced` called behind all that was sent until now."""
+        with self._lock:
+            key = self._keys.get(reader.key)
+            if key is not None:
+                self._next += 1
+                self._fences[self._next] = reader
+                self._tell(HEAD.pack(FENCE, key.number) + TOKEN.pack(self._next))
+
+    def leave(self, reader: LaneReader) -> None:
+        """Have the reader get nothing more."""
+        with self._lock:
+            key = self._keys.get(reader.key)
+            if key is None:
+                return
+            key.readers = tuple(each for each in key.readers if each is not reader)
+            if not key.readers:
+                del self._keys[reader.key], self._numbers[key.number]
+                self._tell(HEAD.pack(OFF, key.number))
+
+    def close(self) -> None:
+        """End the connection. Safe to call twice."""
+        self.alive = False
+        with contextlib.suppress(OSError):
+            self._sock.shutdown(socket.SHUT_RDWR)
+
+    def _tell(self, record: bytes) -> None:
+        try:
+            self._sock.send(record, socket.MSG_DONTWAIT)
+        except OSError as err:  # the writer died, or takes nothing
+            _log.debug("the lane from %s ends: %s", self.zid, err)
+            self.close()
+
+    def _run(self) -> None:
+        receive, numbers = self._sock.recv, self._numbers
+        try:
+            while record := receive(ROOM):
+                kind, number = HEAD.unpack_from(record)
+                key = numbers.get(number)
+                if key is None:
+                    continue
+                attached = record[HEAD.size : BODY]
+                if kind == DATA:
+                    self._hand(key, unpack_attachment(attached), record[BODY:])
+                else:
+                    self.answered = True
+                    self._other(kind, key, attached, record)
+        except (OSError, HubWireError) as err:
+            _log.debug("the lane from %s ends: %s", self.zid, err)
+        except Exception:
+            _log.exception("the lane from %s failed", self.zid)
+        finally:
+            self.close()
+            self._sock.close()
+            self._lost(self)
+
+    def _hand(self, key: _Key, message: tuple[int, int, bytes], payload: bytes) -> None:
+        for reader in key.readers:
+            try:
+                reader.heard(self, message, payload)
+            except Exception:  # whatever a subscription met, the others hear on
+                _log.exception("a message from the lane was not handled")
+
+    def _other(self, kind: int, key: _Key, attached: bytes, record: bytes) -> None:
+        if kind == MARK:
+            sequence, _, gid = unpack_attachment(attached)
+            for reader in key.readers:
+                reader.marked(self, gid, sequence)
+        elif kind == FENCE:
+            (token,) = TOKEN.unpack(record[HEAD.size :])
+            with self._lock:
+                fenced = self._fences.pop(token, None)
+            if fenced is not None:
+                fenced.fenced(self)
+        elif kind == PART:
+            self._part(key, attached, record)
+
+    def _part(self, key: _Key, attached: bytes, record: bytes) -> None:
+        message = unpack_attachment(attached)
+        sequence, gid = message[0], message[2]
+        whole, at = PIECE.unpack_from(record, BODY)
+        piece = record[BODY + PIECE.size :]
+        if at == 0 and whole <= MAX_PAYLOAD:
+            key.parts[gid] = (sequence, bytearray())
+            for reader in key.readers:
+                reader.grown()
+        number, data = key.parts.get(gid, (0, bytearray()))
+        if number != sequence or len(data) != at:  # its beginning was dropped
+            return
+        data += piece
+        if len(data) >= whole:
+            del key.parts[gid]
+            self._hand(key, message, bytes(data))

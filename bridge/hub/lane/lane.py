@@ -1,0 +1,239 @@
+"""The lanes of one session: its writing end, its connections to others, and the choice of each subscription."""
+
+from __future__ import annotations
+
+import logging
+import time
+from pathlib import Path
+from threading import Event, Lock, Thread
+from typing import Any, Protocol
+
+import zenoh
+
+from bridge.concurrency import DelayedCalls, SerialExecutor
+from bridge.hub.lane import folder
+from bridge.hub.lane.inlet import Inlet
+from bridge.hub.lane.writer import LaneWriter
+from bridge.hub.zenoh_compat import answer, keep_thread_state, undeclare
+
+_log = logging.getLogger(__name__)
+
+_LOOK_SECONDS, _LONGEST_LOOK_SECONDS = 0.02, 0.5
+"""Between two looks of a subscription that is on its way from one to the other; longer where nothing happens."""
+
+_SETTLE_SECONDS = 0.02
+_SHARE = 4
+"""So many times what a look cost the next one waits: the graph changes often while hundreds of topics begin."""
+
+_AGAIN_SECONDS = 2.0
+"""A session that has no lane is asked again so much later."""
+
+_MAX_REFUSED = 1000
+_BARRIER_SECONDS = 1.0
+
+
+class Choosing(Protocol):
+    """A subscription that chooses between lane and zenoh."""
+
+    def settle(self) -> bool:
+        """Go on towards the way that should be; whether to look again soon."""
+
+    def parted(self, inlet: Inlet) -> None:
+        """A connection ended."""
+
+
+class Lane:
+    """Opened by `Lane.open`; the writing end is None where this session cannot have one.
+
+    Attributes:
+        writer: where other sessions get what this one publishes.
+        why: why there is no writing end, else "".
+    """
+
+    def __init__(self, path: Path, zid: str, session: zenoh.Session, domain: int) -> None:
+        self._folder, self._zid, self._session = path, zid, session
+        self._lock = Lock()
+        self._inlets: dict[str, Inlet] = {}
+        self._refused: dict[str, tuple[float, str]] = {}
+        self._choosing: dict[Choosing, None] = {}
+        self._looking: dict[Choosing, None] = {}
+        self._wake = Event()
+        self._closed = False
+        self._barriers: dict[str, tuple[float, float]] = {}
+        self._asking = SerialExecutor("hub-lane-asks")
+        self._barrier_key = f"@midspan/{domain}/lane/"
+        self.writer: LaneWriter | None = None
+        self.why = ""
+        try:
+            self.writer = LaneWriter(path, zid)
+        except OSError as err:
+            self.why = f"{path}: {err.strerror or err}"
+            _log.warning("no lane from this worker, its messages go over zenoh: %s", self.why)
+        else:
+            folder.clean(path)
+        self.calls = DelayedCalls("hub-lane-calls")
+        self._answering = answer(session, self._barrier_key + zid, _reply)
+        self._thread = Thread(target=self._run, name="hub-lane", daemon=True)
+        self._thread.start()
+
+    # -- subscriptions -------------------------------------------------------------------------------------------------
+
+    def add(self, chooser: Choosing) -> None:
+        """Have a subscription choose, now and after each change of the graph."""
+        with self._lock:
+            self._choosing[chooser] = None
+        self.wake(chooser)
+
+    def remove(self, chooser: Choosing) -> None:
+        """It is closed."""
+        with self._lock:
+            self._choosing.pop(chooser, None)
+            self._looking.pop(chooser, None)
+
+    def wake(self, chooser: Choosing) -> None:
+        """Have a subscription look soon."""
+        with self._lock:
+            self._looking[chooser] = None
+        self._wake.set()
+
+    def graph_changed(self) -> None:
+        """Have all look soon."""
+        with self._lock:
+            self._looking.update(self._choosing)
+        self._wake.set()
+
+    def _run(self) -> None:
+        again: list[Choosing] = []
+        pause = _LOOK_SECONDS
+        while not self._closed:
+            woken = self._wake.wait(pause if again else None)
+            pause = _LOOK_SECONDS if woken else min(2 * pause, _LONGEST_LOOK_SECONDS)
+            self._wake.clear()
+            with self._lock:
+                looking, self._looking = {**dict.fromkeys(again), **self._looking}, {}
+            began = time.thread_time()
+            again = [chooser for chooser in looking if chooser in self._choosing and self._settle(chooser)]
+            time.sleep(max(_SETTLE_SECONDS, _SHARE * (time.thread_time() - began)))
+
+    @staticmethod
+    def _settle(chooser: Choosing) -> bool:
+        try:
+            return chooser.settle()
+        except zenoh.ZError as err:  # the session is being closed
+            _log.debug("no choice of a way: %s", err)
+        except Exception:
+            _log.exception("the choice between lane and zenoh failed")
+        return False
+
+    # -- connections ---------------------------------------------------------------------------------------------------
+
+    def inlet(self, zid: str) -> Inlet | str:
+        """The connection to a session, or why there is none."""
+        with self._lock:
+            inlet = self._inlets.get(zid)
+            if inlet is not None and inlet.alive:
+                return inlet
+            at, why = self._refused.get(zid, (0.0, ""))
+            if why and time.monotonic() - at < _AGAIN_SECONDS:
+                return why
+        try:
+            sock = folder.connect(self._folder, zid)
+        except OSError as err:
+            why = "it has no lane here" if isinstance(err, FileNotFoundError) else str(err.strerror or err)
+            self._refuse(zid, why, again=not isinstance(err, FileNotFoundError))
+            return why
+        inlet = Inlet(sock, zid, self._lost)
+        with self._lock:
+            self._refused.pop(zid, None)
+            self._inlets[zid] = inlet
+        return inlet
+
+    def refuse(self, inlet: Inlet, why: str) -> None:
+        """End a connection that is of no use, and try another one later."""
+        self._refuse(inlet.zid, why)
+        inlet.close()
+
+    def _lost(self, inlet: Inlet) -> None:
+        with self._lock:
+            if self._inlets.get(inlet.zid) is inlet:
+                del self._inlets[inlet.zid]
+                ended = inlet.zid not in self._refused
+            else:
+                ended = False
+            choosing = tuple(self._choosing)
+        if ended:
+            self._refuse(inlet.zid, "the lane ended")
+        for chooser in choosing:
+            chooser.parted(inlet)
+
+    def _refuse(self, zid: str, why: str, *, again: bool = True) -> None:
+        with self._lock:
+            if len(self._refused) >= _MAX_REFUSED:
+                del self._refused[next(iter(self._refused))]
+            self._refused[zid] = time.monotonic(), why
+        if again and not self._closed:
+            self.calls.after(_AGAIN_SECONDS, self.graph_changed, once=True)
+
+    def state(self) -> dict[str, Any]:
+        """How the lane is, for the status document."""
+        with self._lock:
+            writers = sum(inlet.alive for inlet in self._inlets.values())
+        readers, dropped = (0, 0) if self.writer is None else (self.writer.readers, self.writer.dropped)
+        return {"why": self.why, "writers": writers, "readers": readers, "dropped": dropped}
+
+    # -- barriers ------------------------------------------------------------------------------------------------------
+
+    def passed(self, zid: str, since: float) -> bool:
+        """Whether a session has heard what this one declared before ``since``; asks it where that is not known."""
+        with self._lock:
+            asked, heard = self._barriers.get(zid, (0.0, 0.0))
+            if heard >= since:
+                return True
+            now = time.monotonic()
+            if asked < since or now - asked > _BARRIER_SECONDS:
+                self._barriers[zid] = now, heard
+                self._asking.submit(lambda: self._ask(zid, now))
+        return False
+
+    def _ask(self, zid: str, began: float) -> None:
+        if self._closed:
+            return
+
+        def replied(reply: zenoh.Reply) -> None:
+            keep_thread_state()
+            if reply.ok is not None:
+                with self._lock:
+                    asked, heard = self._barriers.get(zid, (0.0, 0.0))
+                    self._barriers[zid] = asked, max(heard, began)
+
+        try:
+            self._session.get(
+                self._barrier_key + zid,
+                zenoh.handlers.Callback(replied, lambda: None, indirect=False),
+                timeout=_BARRIER_SECONDS,
+            )
+        except zenoh.ZError as err:
+            _log.debug("no barrier: %s", err)
+
+    def close(self) -> None:
+        """End all connections. Safe to call twice."""
+        if self._closed:
+            return
+        self._closed = True
+        self._wake.set()
+        undeclare(self._answering)
+        if self.writer is not None:
+            self.writer.close()
+        with self._lock:
+            inlets = list(self._inlets.values())
+        for inlet in inlets:
+            inlet.close()
+        self._thread.join(2.0)
+        self.calls.close(1.0)
+        self._asking.close()
+
+
+def _reply(query: zenoh.Query) -> None:
+    keep_thread_state()
+    with query:
+        query.reply(str(query.key_expr), b"")

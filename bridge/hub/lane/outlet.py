@@ -1,0 +1,194 @@
+"""The writing end of a lane: what goes to one reader, and what waits for it."""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import socket
+from collections import deque
+from collections.abc import Callable
+from threading import Lock
+
+from bridge.hub.lane.wire import BOUND, DATA, FENCE, HEAD, MARK, PART, PIECE, TOKEN
+from bridge.hub.wire.keys import pack_attachment
+
+_NO_MEMORY = (errno.ENOBUFS, errno.ENOMEM)
+
+MAX_WAITING = 32 << 20
+"""Bytes that wait for one reader at most, but for the newest message."""
+
+
+class Waiting:
+    """A message that waits; ``at``: bytes of it that were sent in parts."""
+
+    __slots__ = ("at", "attached", "fence", "payload")
+
+    def __init__(self, attached: bytes, payload: bytes, fence: bytes = b"") -> None:
+        self.attached, self.payload, self.fence = attached, payload, fence
+        self.at = 0
+
+
+class Outlet:
+    """One key for one reader; the publishers of that key share it.
+
+    Attributes:
+        command: whether it goes before all others.
+        depth: messages that wait at most.
+        dropped: messages that found no room.
+        fences: how many of those that wait are fences.
+    """
+
+    def __init__(self, link: ReaderLink, number: int, key: str) -> None:
+        self.key, self.link, self.number = key, link, number
+        self.command, self.depth = False, 1
+        self.queue: deque[Waiting] = deque()
+        self.dropped = self.fences = 0
+        self._head = HEAD.pack(DATA, number)
+
+    def send(self, attached: bytes, payload: bytes) -> None:
+        """Send a message, or have it wait; never blocks."""
+        self.link.send(self, self._head, attached, payload)
+
+    def mark(self, gid: bytes, sequence: int) -> None:
+        """Tell that the publisher's messages after this number come here."""
+        self.link.note(HEAD.pack(MARK, self.number) + pack_attachment(sequence, 0, gid))
+
+    def fence(self, token: bytes) -> None:
+        """Send a token back behind all that was sent before."""
+        self.link.fence(self, HEAD.pack(FENCE, self.number) + token[: TOKEN.size])
+
+
+class ReaderLink:
+    """A reader's connection. Safe to use from any thread; nothing here waits.
+
+    Args:
+        sock: connected, not blocking.
+        watch: called with whether something waits, or the link has ended: `flush` is to be called once the socket takes
+            data again.
+    """
+
+    def __init__(self, sock: socket.socket, watch: Callable[[bool], None]) -> None:
+        self.sock = sock
+        self.outlets: dict[int, Outlet] = {}
+        self.dropped = 0
+        self._watch = watch
+        self._lock = Lock()
+        self._queued: dict[Outlet, None] = {}
+        self._notes: deque[bytes] = deque()
+        self._bytes = 0
+        self._closed = False
+
+    def send(self, outlet: Outlet, head: bytes, attached: bytes, payload: bytes) -> None:
+        """See `Outlet.send`."""
+        with self._lock:
+            if self._closed:
+                return
+            if not self._queued and not self._notes and len(payload) <= BOUND:
+                if self._put(head + attached + payload):
+                    return
+                if self._closed:
+                    return
+            self._wait(outlet, Waiting(attached, payload))
+
+    def note(self, record: bytes) -> None:
+        """Send a record that goes before all messages."""
+        with self._lock:
+            if self._closed:
+                return
+            if self._notes or not self._put(record):
+                self._notes.append(record)
+                self._watch(True)
+
+    def fence(self, outlet: Outlet, record: bytes) -> None:
+        """See `Outlet.fence`."""
+        with self._lock:
+            if self._closed:
+                return
+            if outlet.queue or not self._put(record):
+                outlet.queue.append(Waiting(b"", b"", record))
+                outlet.fences += 1
+                self._queued[outlet] = None
+                self._watch(True)
+
+    def flush(self) -> None:
+        """Send what waits, commands first."""
+        with self._lock:
+            while self._notes:
+                if not self._put(self._notes[0]):
+                    return
+                self._notes.popleft()
+            for outlet in sorted(self._queued, key=lambda each: not each.command):
+                while outlet.queue:
+                    if not self._send_next(outlet):
+                        return
+                del self._queued[outlet]
+            self._watch(False)
+
+    def forget(self, outlet: Outlet) -> None:
+        """Drop what waits for a key that was given up."""
+        with self._lock:
+            self._queued.pop(outlet, None)
+            self._bytes -= sum(len(each.payload) for each in outlet.queue)
+            outlet.queue.clear()
+            outlet.fences = 0
+
+    def close(self) -> None:
+        """End the connection; the reader sees it. Safe to call twice."""
+        with self._lock:
+            self._closed = True
+            self._queued.clear()
+            self._notes.clear()
+        with contextlib.suppress(OSError):
+            self.sock.shutdown(socket.SHUT_RDWR)
+
+    def _wait(self, outlet: Outlet, message: Waiting) -> None:
+        queue = outlet.queue
+        queue.append(message)
+        self._bytes += len(message.payload)
+        while (left := len(queue) - outlet.fences) > outlet.depth or (self._bytes > MAX_WAITING and left > 1):
+            at = next(number for number, each in enumerate(queue) if not each.fence)
+            self._bytes -= len(queue[at].payload)
+            del queue[at]
+            outlet.dropped += 1
+            self.dropped += 1
+        if not self._queued:
+            self._watch(True)
+        self._queued[outlet] = None
+
+    def _send_next(self, outlet: Outlet) -> bool:
+        """Send the first message of a queue; False where the socket is full."""
+        message = outlet.queue[0]
+        if message.fence:
+            sent = self._put(message.fence)
+        elif len(message.payload) <= BOUND:
+            sent = self._put(HEAD.pack(DATA, outlet.number) + message.attached + message.payload)
+        else:
+            sent = self._send_parts(outlet, message)
+        if sent:
+            outlet.queue.popleft()
+            self._bytes -= len(message.payload)
+            outlet.fences -= bool(message.fence)
+        return sent
+
+    def _send_parts(self, outlet: Outlet, message: Waiting) -> bool:
+        whole = len(message.payload)
+        head = HEAD.pack(PART, outlet.number) + message.attached
+        while message.at < whole:
+            piece = message.payload[message.at : message.at + BOUND]
+            if not self._put(head + PIECE.pack(whole, message.at) + piece):
+                return False
+            message.at += len(piece)
+        return True
+
+    def _put(self, record: bytes) -> bool:
+        """Hand a record to the kernel; False where there is no room, or the link has ended."""
+        try:
+            self.sock.send(record)
+        except BlockingIOError:
+            return False
+        except OSError as err:
+            if err.errno not in _NO_MEMORY:
+                self._closed = True
+                self._watch(True)
+            return False
+        return True

@@ -1,0 +1,211 @@
+"""Where readers connect to a session, and which of its publishers they get."""
+
+from __future__ import annotations
+
+import contextlib
+import logging
+import select
+import socket
+from functools import partial
+from pathlib import Path
+from threading import RLock, Thread
+from typing import Protocol
+
+from bridge.concurrency import SerialExecutor
+from bridge.hub.lane import folder
+from bridge.hub.lane.outlet import Outlet, ReaderLink
+from bridge.hub.lane.wire import FENCE, HEAD, MAX_KEY, MAX_KEYS, OFF, ON, fits
+
+_log = logging.getLogger(__name__)
+_AGAIN_SECONDS = 0.5
+
+
+class LanePublisher(Protocol):
+    """A publisher that sends on lanes."""
+
+    key: str
+
+    def attach(self, outlet: Outlet) -> None:
+        """Send each message from now on to the outlet too, which is told the number before."""
+
+    def detach(self, outlet: Outlet) -> None:
+        """Send there no more."""
+
+
+class LaneWriter:
+    """The writing end of a session's lanes: takes readers' connections, and flushes what waits for them.
+
+    Raises `OSError` where it cannot listen.
+    """
+
+    def __init__(self, path: Path, zid: str) -> None:
+        self._folder, self._zid = path, zid
+        self._listener = folder.listen(path, zid)
+        self._listener.setblocking(False)
+        self._lock = RLock()
+        self._publishers: dict[LanePublisher, None] = {}
+        self._links: dict[int, ReaderLink] = {}
+        self._closed = False
+        self._dropped = 0
+        self._joins = SerialExecutor("hub-lane-joins")  # a publisher that is busy may have a join wait
+        self._poll = select.epoll()
+        self._poll.register(self._listener, select.EPOLLIN)
+        self._listens = True
+        self._ends = socket.socketpair()
+        self._poll.register(self._ends[0], select.EPOLLIN)
+        self._thread = Thread(target=self._run, name="hub-lane-write", daemon=True)
+        self._thread.start()
+
+    def add(self, publisher: LanePublisher) -> None:
+        """Another publisher sends to those who asked for its key."""
+        with self._lock:
+            self._publishers[publisher] = None
+            for link in tuple(self._links.values()):
+                for outlet in link.outlets.values():
+                    if fits(outlet.key, publisher.key):
+                        publisher.attach(outlet)
+
+    def remove(self, publisher: LanePublisher) -> None:
+        """It is closed."""
+        with self._lock:
+            self._publishers.pop(publisher, None)
+
+    @property
+    def readers(self) -> int:
+        """How many sessions are connected."""
+        return len(self._links)
+
+    @property
+    def dropped(self) -> int:
+        """Messages that found no room, in all."""
+        return self._dropped + sum(link.dropped for link in tuple(self._links.values()))
+
+    def close(self) -> None:
+        """End all connections. Safe to call twice."""
+        with self._lock:
+            if self._closed:
+                return
+            self._closed = True
+        folder.remove(self._folder, self._zid)
+        self._ends[1].close()
+        self._thread.join(2.0)
+        self._joins.close()
+
+    def _run(self) -> None:
+        try:
+            while not self._closed:
+                events = self._poll.poll(None if self._listens else _AGAIN_SECONDS)
+                if not self._listens:
+                    self._listens = True
+                    self._poll.register(self._listener, select.EPOLLIN)
+                for number, event in events:
+                    self._on_event(number, event)
+        finally:
+            for number in list(self._links):
+                self._end(number)
+            for end in (*self._ends, self._listener, self._poll):
+                end.close()
+
+    def _on_event(self, number: int, event: int) -> None:
+        if number == self._listener.fileno():
+            self._accept()
+            return
+        link = self._links.get(number)
+        if link is None:
+            return
+        if event & select.EPOLLOUT:
+            link.flush()
+        if event & (select.EPOLLHUP | select.EPOLLERR):
+            self._end(number)
+        elif event & select.EPOLLIN:
+            self._read(number, link)
+
+    def _accept(self) -> None:
+        try:
+            sock, _ = self._listener.accept()
+        except BlockingIOError:
+            return
+        except OSError as err:  # no descriptor is left: readers stay on zenoh
+            _log.debug("no lane to another reader: %s", err)
+            self._poll.unregister(self._listener)
+            self._listens = False
+            return
+        try:
+            folder.check_peer(sock)
+        except OSError as err:
+            _log.warning("a lane is refused: %s", err)
+            sock.close()
+            return
+        sock.setblocking(False)
+        number = sock.fileno()
+        link = ReaderLink(sock, partial(self._watch, number))
+        self._links[number] = link
+        self._poll.register(number, select.EPOLLIN)
+
+    def _watch(self, number: int, waits: bool) -> None:
+        with contextlib.suppress(OSError, ValueError):  # it has just ended
+            self._poll.modify(number, select.EPOLLIN | select.EPOLLOUT if waits else select.EPOLLIN)
+
+    def _read(self, number: int, link: ReaderLink) -> None:
+        try:
+            record = link.sock.recv(HEAD.size + MAX_KEY)
+        except BlockingIOError:
+            return
+        except OSError:
+            record = b""
+        if len(record) < HEAD.size:
+            self._end(number)
+            return
+        kind, key = HEAD.unpack_from(record)
+        rest = record[HEAD.size :]
+        if kind == ON:
+            self._joins.submit(partial(self._on, link, key, rest.decode(errors="replace")))
+        elif kind == FENCE:
+            self._joins.submit(partial(self._fence, link, key, rest))
+        elif kind == OFF:
+            self._joins.submit(partial(self._off, link, key))
+
+    def _on(self, link: ReaderLink, number: int, key: str) -> None:
+        with self._lock:
+            outlet = link.outlets.get(number)
+            if outlet is None:
+                if len(link.outlets) >= MAX_KEYS:
+                    return
+                outlet = link.outlets[number] = Outlet(link, number, key)
+            for publisher in tuple(self._publishers):
+                if fits(key, publisher.key):
+                    publisher.attach(outlet)
+
+    def _fence(self, link: ReaderLink, number: int, token: bytes) -> None:
+        outlet = link.outlets.get(number)
+        if outlet is not None:
+            outlet.fence(token)
+
+    def _off(self, link: ReaderLink, number: int) -> None:
+        with self._lock:
+            outlet = link.outlets.pop(number, None)
+            if outlet is not None:
+                self._detach(outlet)
+                link.forget(outlet)
+
+    def _detach(self, outlet: Outlet) -> None:
+        for publisher in tuple(self._publishers):
+            if fits(outlet.key, publisher.key):
+                publisher.detach(outlet)
+
+    def _end(self, number: int) -> None:
+        link = self._links.pop(number, None)
+        if link is None:
+            return
+        self._dropped += link.dropped
+        with contextlib.suppress(OSError, ValueError):
+            self._poll.unregister(number)
+        link.close()
+        self._joins.submit(partial(self._drop, link))
+
+    def _drop(self, link: ReaderLink) -> None:
+        with self._lock:
+            for outlet in link.outlets.values():
+                self._detach(outlet)
+            link.outlets.clear()
+        link.sock.close()

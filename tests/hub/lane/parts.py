@@ -1,0 +1,33 @@
+"""What the tests of the lane share."""
+
+from __future__ import annotations
+
+from collections import Counter
+
+from bridge.hub.endpoints.lane_subscription import LaneSubscription
+from tests.hub.parts import Heard
+from tests.support.wait import until
+
+
+def subscription(heard: Heard) -> LaneSubscription:
+    """A subscription that has a lane."""
+    assert isinstance(heard.subscription, LaneSubscription)
+    return heard.subscription
+
+
+def goes_by(heard: Heard, way: str, why: str = "") -> None:
+    """Wait until all comes one way, and for a reason."""
+    chosen = subscription(heard)
+
+    def so() -> bool:
+        return chosen.way == way and chosen.settled and why in chosen.why
+
+    until(so, f"{chosen.topic} goes by {way} {why}: {chosen.why}")
+
+
+def whole(texts: list[str]) -> None:
+    """Numbers came without a gap, none twice, in order."""
+    numbers = [int(text) for text in texts]
+    missing = sorted(set(range(numbers[0], numbers[-1] + 1)) - set(numbers))
+    twice = sorted(number for number, count in Counter(numbers).items() if count > 1)
+    assert (missing, twice, numbers == sorted(numbers)) == ([], [], True)

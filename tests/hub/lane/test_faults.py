@@ -1,0 +1,186 @@
+"""Ends that stop, die or cannot have a lane: nobody waits for them, and zenoh carries what it would carry anyway."""
+
+from __future__ import annotations
+
+import os
+import signal
+import socket
+import threading
+from pathlib import Path
+
+import pytest
+
+from bridge.hub.lane import folder
+from bridge.hub.lane.wire import DATA, HEAD, MARK, PART, PIECE
+from bridge.hub.session import Hub
+from bridge.hub.wire.keys import pack_attachment
+from tests.hub.lane.parts import goes_by, subscription, whole
+from tests.hub.parts import STREAM, Heard, matched, talk
+from tests.support.hub import HubNetwork
+from tests.support.wait import until
+
+
+def test_a_reader_that_stops_holds_nobody_up(network: HubNetwork, tmp_path: Path) -> None:
+    lane, count = str(tmp_path), 6000
+    with Hub.open(network.settings("writer", lane=lane)) as writer, network.hub_peer("reader", lane=lane) as reader:
+        publisher = talk(writer, "/t")
+        number = reader.ask("subscription", topic="/t")["id"]
+        until(lambda: reader.ask("way", id=number)["way"] == "lane", "it goes by the lane")
+        os.kill(reader.pid, signal.SIGSTOP)
+
+        def say_all() -> None:
+            for each in range(count):
+                publisher.put(str(each).encode().ljust(2000))
+
+        saying = threading.Thread(target=say_all, daemon=True)
+        saying.start()
+        saying.join(30.0)
+        os.kill(reader.pid, signal.SIGCONT)
+        assert not saying.is_alive(), "a put waits for the reader"
+
+        def newest() -> bool:
+            return str(count - 1) in reader.ask("wait", id=number, count=0, seconds=0.0)["texts"][-1:][0].strip()
+
+        until(lambda: reader.ask("wait", id=number, count=1, seconds=9.0)["texts"] and newest(), "the newest has come")
+        numbers = [int(text) for text in reader.ask("wait", id=number, count=0, seconds=0.0)["texts"]]
+        assert numbers == sorted(set(numbers))
+        dropped = writer.lane()["dropped"]
+        assert dropped == count - len(numbers) > 0
+        assert reader.ask("way", id=number)["lost"] == dropped
+
+
+def test_a_reader_that_is_killed_is_forgotten_and_the_next_one_heard(network: HubNetwork, tmp_path: Path) -> None:
+    lane = str(tmp_path)
+    with Hub.open(network.settings("writer", lane=lane)) as writer:
+        publisher = talk(writer, "/t")
+        for _ in range(2):
+            with network.hub_peer("reader", lane=lane) as reader:
+                number = reader.ask("subscription", topic="/t")["id"]
+                until(lambda n=number, r=reader: r.ask("way", id=n)["way"] == "lane", "it goes by the lane")
+                publisher.put(b"x")
+                assert reader.ask("wait", id=number, count=1, seconds=40.0)["texts"] == ["x"]
+                os.kill(reader.pid, signal.SIGKILL)
+            until(lambda: publisher.way()[0] != "lane", "its lane is gone", 1.0)
+
+
+def test_a_writer_that_is_killed_leaves_whole_messages(network: HubNetwork, tmp_path: Path) -> None:
+    lane = str(tmp_path)
+    with Hub.open(network.settings("reader", lane=lane)) as reader:
+        heard = Heard(reader, "/t")
+        for _ in range(2):
+            with network.hub_peer("writer", lane=lane) as writer:
+                number = writer.ask("publisher", topic="/t")["id"]
+                writer.ask("drum", id=number, rate=5000.0, size=60_000)
+                goes_by(heard, "lane")
+                until(lambda: len(heard.samples) > 100, "it speaks")
+                os.kill(writer.pid, signal.SIGKILL)
+            goes_by(heard, "zenoh", "no other worker publishes it")
+            texts = heard.texts()
+            assert {len(text) for text in texts} == {60_000}
+            whole(texts)
+            heard.samples.clear()
+
+
+def accepted(listener: socket.socket) -> socket.socket | None:
+    try:
+        return listener.accept()[0]
+    except TimeoutError:
+        return None
+
+
+def test_the_beginning_of_a_message_is_not_delivered(network: HubNetwork, tmp_path: Path) -> None:
+    """The other end is a bare socket in the place of a worker that dies in the middle."""
+    with Hub.open(network.settings("reader", lane=str(tmp_path))) as reader:
+        heard = Heard(reader, "/t")
+        with Hub.open(network.settings("writer")) as writer:  # only its place on the graph
+            publisher = talk(writer, "/t")
+            listener = folder.listen(tmp_path, writer.zid)
+            listener.settimeout(0.5)
+            sock = until(lambda: accepted(listener) or talk(writer, "/another").close(), "the reader connects")
+            sock.settimeout(20.0)
+            record = sock.recv(1000)
+            _, key = HEAD.unpack_from(record)
+            gid = publisher.gid
+            sock.send(HEAD.pack(MARK, key) + pack_attachment(0, 0, gid))
+            goes_by(heard, "lane")
+            sock.send(HEAD.pack(DATA, key) + pack_attachment(1, 1, gid) + b"whole")
+            sock.send(HEAD.pack(PART, key) + pack_attachment(2, 2, gid) + PIECE.pack(100_000, 0) + bytes(50_000))
+            sock.shutdown(socket.SHUT_RDWR)
+            sock.close()
+            listener.close()
+            goes_by(heard, "zenoh")
+            matched(publisher)
+            publisher._sequence = 1
+            publisher.put(b"by zenoh")
+            heard.expect("whole", "by zenoh")
+
+
+@pytest.mark.parametrize("end", ["reader", "writer"])
+def test_without_descriptors_all_goes_over_zenoh(network: HubNetwork, tmp_path: Path, end: str) -> None:
+    lane = str(tmp_path)
+    with network.hub_peer("reader", lane=lane) as reader, network.hub_peer("writer", lane=lane) as writer:
+        peers = {"reader": reader, "writer": writer}
+        warm = reader.ask("subscription", topic="/kept", latched=True)["id"]
+        writer.ask("put", id=writer.ask("publisher", topic="/kept", latched=True)["id"], text="x")
+        assert reader.ask("wait", id=warm, count=1, seconds=40.0)["texts"], "they are linked"
+        heard = reader.ask("subscription", topic="/t")["id"]
+        peers[end].ask("exhaust", on=True)
+        says = writer.ask("publisher", topic="/t")["id"]
+        writer.ask("drum", id=says, rate=100.0)
+        texts = reader.ask("wait", id=heard, count=150, seconds=40.0)["texts"]
+        whole(texts)
+        assert reader.ask("way", id=heard)["way"] == "zenoh"
+        peers[end].ask("exhaust", on=False)
+        until(lambda: reader.ask("way", id=heard)["way"] == "lane", "there are descriptors, and so a lane")
+        whole(reader.ask("wait", id=heard, count=len(texts) + 200, seconds=40.0)["texts"])
+
+
+def test_a_folder_that_cannot_be_written_to(network: HubNetwork, tmp_path: Path) -> None:
+    (tmp_path / "file").touch()
+    lane = str(tmp_path / "file" / "lane")
+    with Hub.open(network.settings("a", lane=lane)) as a, Hub.open(network.settings("b", lane=lane)) as b:
+        heard, publisher = Heard(b, "/t"), talk(a, "/t")
+        matched(publisher)
+        publisher.put(b"x")
+        heard.expect("x")
+        goes_by(heard, "zenoh", "a: Not a directory")
+        assert publisher.way()[1].endswith("Not a directory")
+
+
+def test_other_users_are_refused(network: HubNetwork, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    lane = str(tmp_path)
+    with Hub.open(network.settings("a", lane=lane)) as a, Hub.open(network.settings("b", lane=lane)) as b:
+        assert all(path.stat().st_mode & 0o777 == 0o600 for path in tmp_path.iterdir())
+        user = os.geteuid() + 1
+        monkeypatch.setattr(os, "geteuid", lambda: user)
+        heard, publisher = Heard(b, "/t"), talk(a, "/t")
+        matched(publisher)
+        publisher.put(b"x")
+        heard.expect("x")
+        goes_by(heard, "zenoh", "is at the other end of the lane")
+
+
+def test_sockets_of_the_dead_are_removed(network: HubNetwork, tmp_path: Path) -> None:
+    lane = str(tmp_path)
+    with network.hub_peer("dies", lane=lane) as peer:
+        peer.ask("publisher", topic="/t")
+        os.kill(peer.pid, signal.SIGKILL)
+        peer.popen.wait()
+    assert len(list(tmp_path.iterdir())) == 1
+    with Hub.open(network.settings("next", lane=lane)) as hub:
+        assert [path.name for path in tmp_path.iterdir()] == [f"{hub.zid}.1"]
+    assert not list(tmp_path.iterdir())
+
+
+def test_what_is_put_early_comes_once(network: HubNetwork, tmp_path: Path) -> None:
+    lane = str(tmp_path)
+    with Hub.open(network.settings("writer", lane=lane)) as writer, Hub.open(network.settings("b", lane=lane)) as b:
+        publisher = talk(writer, "/t", STREAM, "before")  # zenoh may keep it under way until somebody listens
+        heard = Heard(b, "/t")
+        matched(publisher)
+        for number in range(500):
+            publisher.put(str(number).encode())
+        until(lambda: heard.texts()[-1:] == ["499"], "all come")
+        assert [text for text in heard.texts() if text != "before"] == [str(number) for number in range(500)]
+        goes_by(heard, "lane")
+        assert not subscription(heard).lost

@@ -1,0 +1,131 @@
+"""What waits for a reader that is full: commands first, of each topic as many as it may, the oldest dropped."""
+
+from __future__ import annotations
+
+import socket
+from collections.abc import Iterator
+
+import pytest
+
+from bridge.hub.lane import outlet as module
+from bridge.hub.lane.outlet import Outlet, ReaderLink
+from bridge.hub.lane.wire import BODY, BOUND, DATA, FENCE, HEAD, PART, PIECE, ROOM, TOKEN
+from bridge.hub.wire.keys import pack_attachment, unpack_attachment
+
+GID = bytes(16)
+
+
+class Pair:
+    """A link and its other end."""
+
+    def __init__(self) -> None:
+        ends = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+        self.near, self.far = ends
+        self.near.setblocking(False)
+        self.far.setblocking(False)
+        self.near.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, 100_000)
+        self.watched: list[bool] = []
+        self.link = ReaderLink(self.near, self.watched.append)
+        self.stream, self.command = Outlet(self.link, 1, "0/stream/t/h"), Outlet(self.link, 2, "0/command/t/h")
+        self.stream.depth, self.command.command = 10, True
+
+    def say(self, outlet: Outlet, number: int, size: int = 1000) -> None:
+        outlet.send(pack_attachment(number, 0, GID), bytes(size))
+
+    def fill(self) -> int:
+        """Send on the stream until the first message waits; its number."""
+        number = 0
+        while not self.stream.queue:
+            number += 1
+            self.say(self.stream, number)
+        return number
+
+    def read(self) -> list[tuple[int, int]]:
+        """Key and number of each message that is there."""
+        found = []
+        while True:
+            try:
+                record = self.far.recv(ROOM)
+            except BlockingIOError:
+                return found
+            kind, key = HEAD.unpack_from(record)
+            if kind == DATA:
+                found.append((key, unpack_attachment(record[HEAD.size : BODY])[0]))
+
+
+@pytest.fixture
+def pair() -> Iterator[Pair]:
+    made = Pair()
+    yield made
+    made.near.close()
+    made.far.close()
+
+
+def test_commands_go_first_and_the_newest_of_each(pair: Pair) -> None:
+    first = pair.fill()
+    for number in range(first + 1, first + 30):
+        pair.say(pair.stream, number)
+    for number in range(1, 6):
+        pair.say(pair.command, number)
+    assert pair.watched == [True]
+    assert pair.read() == [(1, number) for number in range(1, first)]
+    pair.link.flush()
+    assert pair.read() == [(2, 5), *((1, number) for number in range(first + 20, first + 30))]
+    assert (pair.command.dropped, pair.stream.dropped, pair.link.dropped) == (4, 20, 24)
+    assert pair.watched == [True, False]
+
+
+def test_what_waits_is_bounded_in_bytes_but_for_the_newest(pair: Pair, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(module, "MAX_WAITING", 5000)
+    last = pair.fill()
+    for _ in range(8):
+        last += 1
+        pair.say(pair.stream, last)
+    last += 1
+    pair.say(pair.stream, last, BOUND)
+    pair.read()
+    pair.link.flush()
+    assert pair.read() == [(1, last)]
+    assert pair.stream.dropped == 9
+
+
+def test_a_fence_is_neither_dropped_nor_overtakes(pair: Pair) -> None:
+    first = pair.fill()
+    pair.stream.fence(TOKEN.pack(7))
+    for number in range(first + 1, first + 30):
+        pair.say(pair.stream, number)
+    while pair.read():
+        pass
+    pair.link.flush()
+    record = pair.far.recv(ROOM)
+    assert HEAD.unpack_from(record) == (FENCE, 1)
+    assert record[HEAD.size :] == TOKEN.pack(7)
+    assert pair.read() == [(1, number) for number in range(first + 20, first + 30)]
+
+
+def test_a_large_message_goes_in_parts_that_others_pass(pair: Pair) -> None:
+    pair.say(pair.stream, 1, 5 * BOUND + 3)
+    pair.link.flush()
+    pair.say(pair.command, 1)
+    parts, passed = 0, []
+    while parts < 5 * BOUND + 3:
+        try:
+            record = pair.far.recv(ROOM)
+        except BlockingIOError:
+            pair.link.flush()
+            continue
+        kind, key = HEAD.unpack_from(record)
+        if kind == PART:
+            assert PIECE.unpack_from(record, BODY) == (5 * BOUND + 3, parts)
+            parts += len(record) - BODY - PIECE.size
+        else:
+            passed.append(key)
+    assert passed == [2], "the command waited for the whole message"
+
+
+def test_nothing_is_sent_to_a_reader_that_left(pair: Pair) -> None:
+    pair.far.close()
+    pair.say(pair.stream, 1)
+    pair.say(pair.stream, 2)
+    assert not pair.stream.queue
+    assert pair.watched == [True], "whoever watches the socket sees its end"

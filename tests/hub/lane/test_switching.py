@@ -1,0 +1,158 @@
+"""A topic goes over lane and zenoh in turn while it is published: nothing is missing, nothing twice, all in order."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from bridge.hub.lane.wire import BOUND
+from bridge.hub.session import Hub, HubSession
+from bridge.hub.wire.qos import History, Qos
+from tests.hub.lane.parts import goes_by, subscription, whole
+from tests.hub.parts import HASH, LATCHED, TYPE, Heard, matched, talk
+from tests.support.hub import HubNetwork
+from tests.support.peer import Peer
+from tests.support.wait import until
+
+
+@pytest.fixture
+def lane(tmp_path: Path) -> str:
+    return str(tmp_path / "a folder whose path is longer than a socket's can be, as the address has 108 bytes" / "lane")
+
+
+@pytest.fixture
+def reader(network: HubNetwork, lane: str) -> Iterator[Hub]:
+    with Hub.open(network.settings("reader", lane=lane)) as hub:
+        yield hub
+
+
+@pytest.fixture
+def writer(network: HubNetwork, lane: str) -> Iterator[Hub]:
+    with Hub.open(network.settings("writer", lane=lane)) as hub:
+        yield hub
+
+
+@pytest.fixture
+def drummer(network: HubNetwork, lane: str) -> Iterator[Peer]:
+    with network.hub_peer("drummer", lane=lane) as peer:
+        yield peer
+
+
+@pytest.mark.parametrize("switches", [10, pytest.param(200, marks=pytest.mark.thorough)])
+def test_switches_lose_nothing(network: HubNetwork, reader: Hub, drummer: Peer, switches: int) -> None:
+    heard = Heard(reader, "/t")
+    number = drummer.ask("publisher", topic="/t")["id"]
+    with network.hub_peer("foreign") as foreign:
+        goes_by(heard, "lane")
+        drummer.ask("drum", id=number, rate=1000.0, size=100)
+        for _ in range(switches // 2):
+            strange = foreign.ask("publisher", topic="/t")["id"]
+            goes_by(heard, "zenoh", "foreign: it has no lane here")
+            foreign.ask("drop", id=strange)
+            goes_by(heard, "lane")
+    whole(heard.texts())
+    assert subscription(heard).by_lane
+    assert not subscription(heard).lost
+
+
+def test_foreign_publishers_are_heard_again(network: HubNetwork, reader: Hub, writer: Hub) -> None:
+    heard = Heard(reader, "/t")
+    ours = talk(writer, "/t")
+    goes_by(heard, "lane")
+    assert ours.way() == ("lane", "")
+    with Hub.open(network.settings("foreign")) as far:
+        strange = talk(far, "/t")
+        goes_by(heard, "zenoh", "foreign")
+        matched(strange)
+        strange.put(b"from afar")
+        ours.put(b"from here")
+        heard.expect("from afar", "from here")
+        until(lambda: ours.way() == ("zenoh", "a listener is not on the lane"), "the publisher knows")
+
+
+def test_others_hear_what_goes_by_the_lane(network: HubNetwork, reader: Hub, writer: Hub) -> None:
+    ours = talk(writer, "/t")
+    heard, every = Heard(reader, "/t"), Heard(reader, "/t", type_hash="*")
+    with Hub.open(network.settings("foreign")) as far:
+        strange = Heard(far, "/t")
+        goes_by(heard, "lane")
+        goes_by(every, "lane")
+        until(lambda: ours.way()[0] == "both", "both listen")
+        ours.put(b"x")
+        for each in (heard, every, strange):
+            each.expect("x")
+
+
+def test_a_topic_that_grows_goes_back(reader: Hub, writer: Hub) -> None:
+    heard = Heard(reader, "/t")
+    ours = talk(writer, "/t")
+    goes_by(heard, "lane")
+    texts = ["small", "x" * (3 * BOUND + 5), "y" * (40 * BOUND), "small again"]
+    for text in texts:
+        ours.put(text.encode())
+    until(lambda: len(heard.samples) == len(texts), "all come")
+    assert heard.texts() == texts
+    goes_by(heard, "zenoh", "a message was larger than 65536 bytes")
+
+
+@pytest.mark.parametrize(
+    ("qos", "why"),
+    [
+        (LATCHED, "writer keeps messages for late joiners"),
+        (Qos(history=History.KEEP_ALL), "writer keeps all messages"),
+    ],
+)
+def test_what_stays_on_zenoh(reader: Hub, writer: Hub, qos: Qos, why: str) -> None:
+    heard = Heard(reader, "/t")
+    ours = talk(writer, "/t", qos)
+    goes_by(heard, "zenoh", why)
+    matched(ours)
+    ours.put(b"x")
+    heard.expect("x")
+
+
+def test_nodes_of_one_session_and_others_are_heard_once(network: HubNetwork, writer: Hub, lane: str) -> None:
+    session = HubSession.open(network.settings("unused", lane=lane), shared=True)
+    try:
+        one, two = Hub.on(session, "one", "one"), Hub.on(session, "two", "two")
+        heard = [Heard(hub, "/t") for hub in (one, two)]
+        says = {hub: hub.publisher("/t", TYPE, HASH, Qos(depth=10)) for hub in (one, two, writer)}
+        for each in heard:
+            goes_by(each, "lane")
+        for number in range(100):
+            for name, publisher in zip(("one", "two", "far"), says.values(), strict=True):
+                publisher.put(f"{name} {number}".encode())
+        for each, others in zip(heard, (("two", "far"), ("one", "far")), strict=True):
+            each.expect(*(f"{name} {number}" for name in others for number in range(100)))
+    finally:
+        session.close()
+
+
+def test_late_publishers_and_listeners(reader: Hub, writer: Hub) -> None:
+    heard = Heard(reader, "/t")
+    first = talk(writer, "/t")
+    goes_by(heard, "lane")
+    second = talk(writer, "/t", Qos(depth=10), "at once")  # its first message comes by the lane too
+    heard.expect("at once")
+    later = Heard(reader, "/t")
+    goes_by(later, "lane")
+    first.put(b"one")
+    second.put(b"two")
+    heard.expect("at once", "one", "two")
+    later.expect("one", "two")
+    later.subscription.close()
+    heard.subscription.close()
+    until(lambda: not first.matched(), "nobody listens")
+    assert first.pass_over()
+
+
+def test_where_zenoh_rules_what_may_pass_there_is_no_lane(network: HubNetwork, lane: str) -> None:
+    empty: dict[str, Any] = {key: [] for key in ("rules", "policies", "subjects")}
+    rules = {"access_control": {"enabled": True, "default_permission": "allow", **empty}}
+    with Hub.open(network.settings("ruled", lane=lane, zenoh=rules)) as hub:
+        assert hub.lane() == {}
+    with Hub.open(network.settings("free", lane=lane)) as hub:
+        assert hub.lane() == {"why": "", "writers": 0, "readers": 0, "dropped": 0}
