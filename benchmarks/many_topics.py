@@ -34,6 +34,7 @@ IDLE_CPU, BUSY_CPU, BUSY_P99 = 1.0, 70.0, 3000.0
 """The project's limits: of all the daemon's processes and of both workers in percent of a core, microseconds."""
 FAST = 250.0
 KINDS = ("ros1", "ros2")
+LANES = {"on": (True,), "off": (False,), "both": (True, False)}
 LATEST_SECONDS = 2.0
 """How long one waits for a message that has not come."""
 
@@ -41,8 +42,10 @@ LATEST_SECONDS = 2.0
 class Crowd(Stage):
     """The daemon with so many topics each way, and one more for each way on which messages are sent fast."""
 
-    def __init__(self, topics: int, *, realtime: bool) -> None:
-        super().__init__({"ros2": {"transport": "shared_memory"}, "log": {"level": "warning"}})
+    def __init__(self, topics: int, *, realtime: bool, lane: bool = True) -> None:
+        super().__init__({
+            "hub": {"lane": lane}, "ros2": {"transport": "shared_memory"}, "log": {"level": "warning"},
+        })  # fmt: skip
         try:
             self._message = prepare(NUMBERED, self.place.folder)
             self._topics = {way: [f"/many/{way}_{i}" for i in range(topics)] for way in WAYS}
@@ -139,14 +142,16 @@ class Samples:
             lost = told[way]["sent"] - told[way]["distinct"]
             say(text(f"one topic at {FAST:g} Hz, {WAYS[way][2]}, {condition}, {lost} lost", used))
 
-    def rows(self, count: int) -> list[Row]:
+    def rows(self, count: int, suffix: str) -> list[Row]:
         """A row of each way and figure: medians, beside idle topics and alone."""
         rows = []
         for way, (_, _, name) in WAYS.items() if self._all else ():
             for figure, unit in (("CPU", "%"), ("p50", "us"), ("p99", "us")):
                 ours, alone = (statistics.median(self._all[way, which, figure]) for which in ("beside", "alone"))
                 what = "CPU of both workers" if figure == "CPU" else figure
-                rows.append(Row(f"{FAST:g} Hz beside {count} idle, {name}, {what}, to alone", ours, alone, unit))
+                rows.append(
+                    Row(f"{FAST:g} Hz beside {count} idle, {name}, {what}, to alone{suffix}", ours, alone, unit)
+                )
         return rows
 
 
@@ -154,33 +159,56 @@ def main(arguments: Sequence[str] | None = None) -> None:
     """Run the benchmark."""
     args = _parser().parse_args(arguments)
     logging.basicConfig(level=logging.WARNING)
-    count, samples = 2 * (args.topics // 2), Samples()
+    taken = [_take(args, lane=lane) for lane in LANES[args.lane]]
     rows: list[Row] = []
-    quiet: dict[str, list[float]] = defaultdict(list)
-    for condition in ("alone", "beside", "alone") if "fast" in args.parts else ("beside",):
-        with Crowd(count // 2 if condition == "beside" else 0, realtime=args.realtime) as crowd:
-            if "idle" in args.parts:
-                idle = crowd.idle(args.seconds)
-                say(text(f"{condition}, nothing sent", idle))
-                quiet[condition].append(total(idle, DAEMON))
-            if "fast" in args.parts:
-                samples.take(crowd, condition, args.seconds / (2 if condition == "alone" else 1))
-            if condition == "beside" and "busy" in args.parts:
-                ours = _busy(crowd, f"{count} topics at {args.rate:g} Hz", args.rate, args.seconds)
+    count = 2 * (args.topics // 2)
     if "busy" in args.parts:
         with Bare(count // 2, realtime=args.realtime) as crowd:
             bare = _busy(crowd, f"{count} topics at {args.rate:g} Hz by bare relays", args.rate, args.seconds)
-        rows = _busy_rows(f"{count} at {args.rate:g} Hz", ours, bare)
-    report(_idle(quiet, count) + rows + samples.rows(count), args.json)
+        for each in taken:
+            rows += _busy_rows(f"{count} at {args.rate:g} Hz{each.suffix}", each.busy[0], bare)
+        if len(taken) > 1:
+            ours, off = (each.busy[0].cpu for each in taken)
+            rows.append(Row(f"{count} at {args.rate:g} Hz, CPU of both workers, to lane off", ours, off, "%"))
+    for each in taken:
+        rows += _idle(each.quiet, count, each.suffix) + each.samples.rows(count, each.suffix)
+    report(rows, args.json)
 
 
-def _idle(quiet: dict[str, list[float]], count: int) -> list[Row]:
+class Taken:
+    """What was measured with the lane on or off."""
+
+    def __init__(self, *, lane: bool) -> None:
+        self.suffix = "" if lane else ", lane off"
+        self.samples = Samples()
+        self.quiet: dict[str, list[float]] = defaultdict(list)
+        self.busy: list[Busy] = []
+
+
+def _take(args: argparse.Namespace, *, lane: bool) -> Taken:
+    count, taken = 2 * (args.topics // 2), Taken(lane=lane)
+    for condition in ("alone", "beside", "alone") if "fast" in args.parts else ("beside",):
+        topics = count // 2 if condition == "beside" else 0
+        with Crowd(topics, realtime=args.realtime, lane=lane) as crowd:
+            if "idle" in args.parts:
+                idle = crowd.idle(args.seconds)
+                say(text(f"{condition}, nothing sent{taken.suffix}", idle))
+                taken.quiet[condition].append(total(idle, DAEMON))
+            if "fast" in args.parts:
+                taken.samples.take(crowd, condition, args.seconds / (2 if condition == "alone" else 1))
+            if condition == "beside" and "busy" in args.parts:
+                title = f"{count} topics at {args.rate:g} Hz{taken.suffix}"
+                taken.busy.append(_busy(crowd, title, args.rate, args.seconds))
+    return taken
+
+
+def _idle(quiet: dict[str, list[float]], count: int, suffix: str) -> list[Row]:
     """Rows of the daemon's processor time while nothing is sent, taken beside the idle routes and alone."""
-    case = f"{count} idle, CPU of the daemon, to the limit"
+    case = f"{count} idle, CPU of the daemon, to the limit{suffix}"
     rows = [Row(case, took, IDLE_CPU, "%") for took in quiet.get("beside", ())]
     if quiet.get("alone"):
         added = quiet["beside"][0] - statistics.median(quiet["alone"])
-        rows.append(Row(f"{count} idle, CPU beyond that without routes, to the limit", added, IDLE_CPU, "%"))
+        rows.append(Row(f"{count} idle, CPU beyond that without routes, to the limit{suffix}", added, IDLE_CPU, "%"))
     return rows
 
 
@@ -249,6 +277,7 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--topics", type=int, default=500, metavar="N", help="topics, half of them each way (500)")
     parser.add_argument("--rate", type=float, default=10.0, metavar="HZ", help="messages a second on each (10)")
     parser.add_argument("--seconds", type=float, default=20.0, metavar="S", help="length of each measurement (20)")
+    parser.add_argument("--lane", choices=LANES, default="on", help="the hub's lane: on, off, or one after the other")
     add_realtime_option(parser)
     add_json_option(parser)
     return parser

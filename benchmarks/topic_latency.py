@@ -50,10 +50,14 @@ CONDITIONS = (
 )
 
 
+LANES = {"on": (True,), "off": (False,), "both": (True, False)}
+
+
 class Samples:
     """Figures of every round, by case and what was measured."""
 
-    def __init__(self) -> None:
+    def __init__(self, lane: bool = True) -> None:
+        self.lane = lane
         self._floors: dict[str, list[Figures]] = defaultdict(list)
         self._hops: dict[tuple[str, str], list[Figures]] = defaultdict(list)
         self.lost = 0
@@ -73,8 +77,9 @@ class Samples:
                 self._hops[key, hop].append(figures(ages))
             self._floors[key].append(floor([taken[hop] for hop in HOPS], number))
 
-    def rows(self, cases: Sequence[Case], suffix: str) -> list[Row]:
-        """A row of each case, way and figure."""
+    def rows(self, cases: Sequence[Case], suffix: str, off: Samples | None = None) -> list[Row]:
+        """A row of each case, way and figure; another one to those without the lane, where they were taken."""
+        suffix += "" if self.lane else ", lane off"
         rows = []
         for case in cases:
             peer = over_rounds(self._floors[case.key])
@@ -85,6 +90,9 @@ class Samples:
                         f"{case.name}, {name}, {figure}{suffix}", getattr(ours, figure), getattr(peer, figure), "us"
                     )
                     rows.append(row)
+                    if off is not None:
+                        without = getattr(over_rounds(off._hops[case.key, way]), figure)
+                        rows.append(Row(f"{case.name}, {name}, {figure}{suffix}, to lane off", row.ours, without, "us"))
         return rows
 
     def hops_text(self, cases: Sequence[Case]) -> str:
@@ -110,27 +118,39 @@ def main(arguments: Sequence[str] | None = None) -> int:
         if condition.key in (args.conditions or (["alone"] if args.quick else [c.key for c in CONDITIONS])):
             rows += _measure(condition, cases, rounds, args)
     report(rows, args.json)
-    missed = [row for row in rows if row.ratio > _mark(row, cases)]
+    missed = [row for row in rows if "lane off" not in row.case and row.ratio > _mark(row, cases)]
     for row in missed:
         print(f"above its mark of {_mark(row, cases):g}: {row.case}: {row.ratio:.2f}")
     return 1 if missed and args.check else 0
 
 
 def _measure(condition: Condition, cases: Sequence[Case], rounds: int, args: argparse.Namespace) -> list[Row]:
-    samples = Samples()
+    taken = [Samples(lane) for lane in LANES[args.lane]]
     for number in range(rounds):
-        print(f"{condition.key}: round {number + 1} of {rounds}", file=sys.stderr, flush=True)
-        memory = not args.no_shared_memory
-        with Network(cases, idle=condition.idle, busy=condition.busy, shared_memory=memory) as network:
-            if args.realtime:
-                network.prefer()
-            samples.round(network, number)
-            if condition.busy:
-                print(f"background: {network.background_rate():.0f} messages/s arrive", file=sys.stderr)
-    print(
-        f"{condition.key}: {samples.hops_text(cases)}\n{samples.lost} of {samples.sent} messages lost", file=sys.stderr
-    )
-    return samples.rows(cases, condition.name)
+        for samples in taken if number % 2 else reversed(taken):
+            what = f"{condition.key}, lane {'on' if samples.lane else 'off'}"
+            print(f"{what}: round {number + 1} of {rounds}", file=sys.stderr, flush=True)
+            _round(samples, condition, cases, number, args)
+    for samples in taken:
+        print(
+            f"{condition.key}, lane {'on' if samples.lane else 'off'}: {samples.hops_text(cases)}\n"
+            f"{samples.lost} of {samples.sent} messages lost",
+            file=sys.stderr,
+        )
+    first = taken[0].rows(cases, condition.name, taken[1] if len(taken) > 1 else None)
+    return first + [row for samples in taken[1:] for row in samples.rows(cases, condition.name)]
+
+
+def _round(
+    samples: Samples, condition: Condition, cases: Sequence[Case], number: int, args: argparse.Namespace
+) -> None:
+    memory = not args.no_shared_memory
+    with Network(cases, idle=condition.idle, busy=condition.busy, shared_memory=memory, lane=samples.lane) as network:
+        if args.realtime:
+            network.prefer()
+        samples.round(network, number)
+        if condition.busy:
+            print(f"background: {network.background_rate():.0f} messages/s arrive", file=sys.stderr)
 
 
 def _mark(row: Row, cases: Sequence[Case]) -> float:
@@ -152,6 +172,7 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--rounds", type=int, metavar="N", help="rounds, each with new processes (default 5)")
     parser.add_argument("--quick", action="store_true", help="three messages, two rounds, nothing else bridged")
     parser.add_argument("--no-shared-memory", action="store_true", help="without shared memory on the hub")
+    parser.add_argument("--lane", choices=LANES, default="on", help="the hub's lane: on, off, or both in turns")
     add_realtime_option(parser)
     parser.add_argument("--check", action="store_true", help="exit code 1 where a ratio is above its mark")
     add_json_option(parser)

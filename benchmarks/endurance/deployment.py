@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import time
 import xmlrpc.client
 from collections.abc import Mapping, Sequence
@@ -39,7 +40,8 @@ class Deployment(Stage):
     """A stage with a running daemon, a program of each side named as the side, and a session that looks at the hub."""
 
     def __init__(self, cases: Sequence[Case] = CASES, config: Mapping[str, Any] | None = None) -> None:
-        super().__init__({"ros1": {"poll": 0.1}, "log": {"level": "warning"}, **(config or {})})
+        lane = {"hub": {"lane": os.environ.get("MIDSPAN_TEST_LANE") != "off"}}
+        super().__init__({"ros1": {"poll": 0.1}, "log": {"level": "warning"}, **lane, **(config or {})})
         self._hub: Hub | None = None
         try:
             self._messages: dict[str, Prepared] = {case.key: prepare(case, self.place.folder) for case in cases}

@@ -22,11 +22,12 @@ class Network(Stage):
         idle: bridged topics on which nothing is sent, half of them from each side.
         busy: bridged topics on which 20 messages a second are sent, half of them from each side.
         shared_memory: the hub's setting, for the daemon and the zenoh ends alike.
+        lane: the hub's setting.
     """
 
-    def __init__(self, cases: Sequence[Case], *, idle: int, busy: int, shared_memory: bool) -> None:
+    def __init__(self, cases: Sequence[Case], *, idle: int, busy: int, shared_memory: bool, lane: bool = True) -> None:
         super().__init__({
-            "hub": {"shared_memory": shared_memory},
+            "hub": {"shared_memory": shared_memory, "lane": lane},
             "ros2": {"transport": "shared_memory"},  # as the ends; "auto" looks who else is on the machine
             "routing": {"rules": [{"topic": f"/{FLOOR}/**", "deny": True}]},
             "log": {"level": "warning"},
