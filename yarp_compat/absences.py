@@ -62,6 +62,13 @@ _METHODS = {
     r"\w+\.([cr]?begin|[cr]?end|get_allocator|iterator|data|getMemoryBlock|getFirst)": (
         "it is an iterator of C++: a for loop, list() and numpy.asarray() do the same"
     ),
+    r"\w+\.erase": "it takes iterators of C++: del does the same",
+    r"Contact\.\w*Nested\w*": "use NestedName",
+    r"(Unbuffered)?Contactable\.\w+": "a Port has it",
+    r"SoundMarker\.isEqual": "compare them by ==",
+    r"QosStyle\.get\w+ByVocab": "give the level, or the number of the DSCP, itself",
+    r"Type\.\w+": "a type is its name here",
+    r"I[A-Z]\w+\.\w+": "nobody is asked that here: ask the server's rpc port by RpcClient",
     r"PolyDriver\.(link|give|take|getImplementation)": "a device has one PolyDriver: hand that on",
     r"PolyDriver\.\w+": "a device is told all when it is opened",
     r"RFModule\.getThreadKey|Value\.create": "it is for C++",

@@ -97,6 +97,14 @@ class IFrameGrabberControls:
             fill(camera, found[0] if len(found) == 1 else CameraDescriptor(BusType(int(found[0])), str(found[1])))
         return ReturnValue(outcome.code)
 
+    def busType2String(self, type: BusType) -> str:  # noqa: A002 - YARP's name
+        """A kind of connection in words."""
+        return {BusType.BUS_FIREWIRE: "FireWire", BusType.BUS_USB: "USB"}.get(type, "bus type undefined")
+
+    def toFeatureMode(self, _auto: bool) -> FeatureMode:
+        """Who sets what is set by itself, or not."""
+        return FeatureMode.MODE_AUTO if _auto else FeatureMode.MODE_MANUAL
+
     def hasFeature(self, feature: int) -> bool:
         """Whether the camera has a feature at all."""
         return self._truth("hasFeatureRPC", ("has", "feat"), feature)

@@ -137,6 +137,8 @@ def test_a_camera_is_set(serve: Serve, version: str, device: str, port: str) -> 
         about = yarp.CameraDescriptor()
         assert controls.getCameraDescription(about)
         assert (about.busType, about.deviceDescription) == (yarp.BUS_USB, NAME)
+        assert controls.busType2String(about.busType) == "USB"
+        assert controls.toFeatureMode(True) == yarp.MODE_AUTO
         assert driver.viewIFrameGrabberImage() is None, "it was asked for no pictures"
         driver.close()
         assert not controls.setFeature(zoom, 1.0)
