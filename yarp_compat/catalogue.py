@@ -80,6 +80,7 @@ _PLACES = {
         "Image FlexImage ImageMono ImageMono16 ImageRgb ImageRgba ImageBgr ImageBgra ImageInt ImageFloat ImageRgbFloat "
         "ImageRgbInt ImageRgbSigned ImageMonoSigned ImageHsv ImageHsvFloat"
     ),
+    "sig.imagefile": "ImageFileFormat read write read_bytestream write_bytestream",
     "sig.matrix": "Matrix Quaternion",
     "sig.pixels": (
         "PixelCode PixelRgb PixelBgr PixelRgba PixelBgra PixelHsv PixelRgbSigned PixelRgbInt PixelRgbFloat "
@@ -111,6 +112,7 @@ _ENUMERATOR = re.compile(r"(?:(?:Selectable)?ControlModeEnum|JointTypeEnum|camer
 """What 4.0 puts before the members of its enumerations, and 3.x did not."""
 
 _ENUMERATORS = {
+    "FORMAT_": "ImageFileFormat",
     "navigation_status_": "NavigationStatusEnum",
     "localization_status_": "LocalizationStatusEnum",
     "global_map": "NavigationMapTypeEnum",
