@@ -66,7 +66,7 @@ _PLACES = {
     "os.resource_places": "ResourceFinderOptions",
     "os.rfmodule": "RFModule",
     "os.data.stamp": "Stamp",
-    "os.data.stdvector": "BVector DVector IVector SVector ShortVector",
+    "os.data.stdvector": "BVector DVector IVector SPairVector SVector ShortVector",
     "os.thread": "PeriodicThread Thread",
     "os.clock": "Time useNetworkClock",
     "os.time": (
@@ -81,7 +81,7 @@ _PLACES = {
         "ImageRgbInt ImageRgbSigned ImageMonoSigned ImageHsv ImageHsvFloat"
     ),
     "sig.imagefile": "ImageFileFormat read write read_bytestream write_bytestream",
-    "sig.matrix": "Matrix Quaternion",
+    "sig.matrix": "Matrix Quaternion removeCols removeRows submatrix",
     "sig.pixels": (
         "PixelCode PixelRgb PixelBgr PixelRgba PixelBgra PixelHsv PixelRgbSigned PixelRgbInt PixelRgbFloat "
         "PixelHsvFloat"
@@ -90,7 +90,8 @@ _PLACES = {
         "PointCloud PointCloudXY PointCloudXYZ PointCloudXYZRGBA PointCloudXYZI PointCloudInterestPointXYZ "
         "PointCloudNormal PointCloudXYZNormal PointCloudXYZNormalRGBA"
     ),
-    "sig.sound": "Sound",
+    "sig.sound": "Sound SoundMarker",
+    "sig.soundutils": "makeSawTooth makeSquareWave makeTone mix",
     "sig.vec2d": "Vec2D Vec2DInt Vec2DSize",
     "sig.vector": (
         "VectorOf Vector VectorFloat VectorInt VectorInt8 VectorInt16 VectorInt64 VectorUInt8 VectorUInt16 "

@@ -160,3 +160,20 @@ def test_std_vectors() -> None:
         ["a"],
         [False, False],
     )
+
+
+def test_std_vectors_as_in_cpp() -> None:
+    vector = yarp.DVector([1.0, 2.0, 3.0])
+    assert (vector.front(), vector.back(), vector.capacity() >= 3, list(vector.iterator())) == (1.0, 3.0, True, vector)
+    vector.pop_back()
+    other = yarp.DVector()
+    other.assign(2, 7.0)
+    vector.swap(other)
+    assert (vector, other) == ([7.0, 7.0], [1.0, 2.0])
+    places = yarp.Map2DLocationVector(2)
+    places[0].x = 1.0
+    assert (places[0].x, places[1].x) == (1.0, 0.0)
+    talk = yarp.LLMVector()
+    talk.push_back(yarp.LLM_Message("user", "hello"))
+    assert talk[0].toString() == "user hello () ()"
+    assert talk[0].isEqual(yarp.LLM_Message("user", "hello"))

@@ -90,6 +90,24 @@ class Raster:
         self._check(0, row)
         return self._memory[row * self._row : row * self._row + self._width * self.getPixelSize()]
 
+    def getRowArray(self) -> tuple[memoryview, ...]:
+        """The bytes of all rows, which are the image's memory."""
+        return tuple(map(self.getRow, range(self._height)))
+
+    def getPixelAddress(self, x: int, y: int) -> int:
+        """The address of a pixel in memory."""
+        self._check(x, y)
+        return int(self.getRawImage()) + y * self._row + x * self.getPixelSize()
+
+    def topIsLowIndex(self) -> bool:
+        """Whether the top row comes first: always, see this module."""
+        return True
+
+    def setTopIsLowIndex(self, flag: bool) -> None:
+        """Say whether the top row comes first; raises `ValueError` for the other order, which nothing obeys."""
+        if not flag:
+            raise ValueError("the top row of an image comes first here: turn it by image.numpy()[::-1]")
+
     def resize(self, width: int | Raster, height: int = 0) -> None:
         """Become of this size, or another image's; the content of an image that changes its size is 0."""
         if isinstance(width, Raster):
@@ -237,6 +255,17 @@ class Image(Raster, Comparable, Portable):
             pixels = pixels[rows[:, None], columns[None, :]]
         self._fill(pixels)
         return True
+
+    def swap(self, alt: Image) -> None:
+        """Exchange all with another image of this class."""
+        if type(alt) is not type(self):
+            raise TypeError(f"a {type(alt).__name__} does not become a {type(self).__name__}")
+        self.__dict__, alt.__dict__ = alt.__dict__, self.__dict__
+
+    def move(self, alt: Image) -> None:
+        """Take over another image, which is empty after it."""
+        self.swap(alt)
+        alt._place(0, 0, 0, memoryview(bytearray()))
 
     def __eq__(self, other: object) -> bool:
         if not isinstance(other, Image):

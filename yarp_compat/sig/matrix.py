@@ -83,6 +83,38 @@ class Matrix(Comparable, Portable):
         """Copy another matrix's elements into this one; False where they do not fit."""
         return self._put(other.numpy(), row, col)
 
+    def removeRows(self, first_row: int, how_many: int) -> Self:
+        """Remove rows; returns a copy of what stays."""
+        return self._without(0, first_row, how_many)
+
+    def removeCols(self, first_col: int, how_many: int) -> Self:
+        """Remove columns; returns a copy of what stays."""
+        return self._without(1, first_col, how_many)
+
+    def _without(self, axis: int, first: int, count: int) -> Self:
+        if first < 0 or count < 0 or first + count > self._values.shape[axis]:
+            raise IndexError(f"{count} from {first} on are not in {self.rows()} rows and {self.cols()} columns")
+        self._values = np.delete(self._values, slice(first, first + count), axis)
+        return type(self)(self._values)
+
+    def subrow(self, r: int, c: int, size: int) -> Vector:
+        """A copy of so many elements of a row from one on; empty where there are not so many."""
+        inside = 0 <= r < self.rows() and c >= 0 and c + size <= self.cols()
+        return Vector(self._values[r, c : c + size]) if inside else Vector()
+
+    def subcol(self, r: int, c: int, size: int) -> Vector:
+        """A copy of so many elements of a column from one on; empty where there are not so many."""
+        inside = 0 <= c < self.cols() and r >= 0 and r + size <= self.rows()
+        return Vector(self._values[r : r + size, c]) if inside else Vector()
+
+    def setSubrow(self, v: Vector, r: int, c: int) -> bool:
+        """Change a part of a row, from one element on; False where it does not fit."""
+        return self._put(v.numpy()[None, :], r, c)
+
+    def setSubcol(self, v: Vector, r: int, c: int) -> bool:
+        """Change a part of a column, from one element on; False where it does not fit."""
+        return self._put(v.numpy()[:, None], r, c)
+
     def getRow(self, row: int) -> Vector:
         """A copy of one row."""
         return Vector(self._values[row])
@@ -163,6 +195,26 @@ class Matrix(Comparable, Portable):
         if rows < 0 or cols < 0 or rows * cols != len(values):
             raise WireError(f"a matrix of {rows} rows and {cols} columns does not have {len(values)} elements")
         self._values = values.reshape(rows, cols)
+
+
+def submatrix(source: Matrix, out: Matrix, r1: int, r2: int, c1: int, c2: int) -> bool:
+    """Have ``out`` become the rows and columns from one to another, both included; False where it has not so many."""
+    if not (0 <= r1 <= r2 < source.rows() and 0 <= c1 <= c2 < source.cols()):
+        return False
+    out._become(Matrix(source.numpy()[r1 : r2 + 1, c1 : c2 + 1]))
+    return True
+
+
+def removeRows(source: Matrix, out: Matrix, first_row: int, how_many: int) -> bool:
+    """Have ``out`` become the matrix without some rows."""
+    out._become(Matrix(source).removeRows(first_row, how_many))
+    return True
+
+
+def removeCols(source: Matrix, out: Matrix, first_col: int, how_many: int) -> bool:
+    """Have ``out`` become the matrix without some columns."""
+    out._become(Matrix(source).removeCols(first_col, how_many))
+    return True
 
 
 def _part(index: int, doc: str) -> Callable[[Quaternion], float]:

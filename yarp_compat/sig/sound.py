@@ -14,6 +14,7 @@ which this does not know. Real YARP spoils sounds of one byte per sample on the 
 
 from __future__ import annotations
 
+import logging
 import struct
 from dataclasses import dataclass
 from typing import Any, Self
@@ -21,7 +22,7 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from yarp_compat.sig.vector import write_numbers
+from yarp_compat.sig.vector import Comparable, write_numbers
 from yarp_compat.wire.accessors import always, getter, setter
 from yarp_compat.wire.elements import ElementReader, ElementWriter
 from yarp_compat.wire.errors import WireError
@@ -35,6 +36,9 @@ _LIST = struct.Struct("<ii")
 _PLACE = struct.Struct("<iq")
 _LENGTH = struct.Struct("<i")
 _LARGEST = 2**31 - 1
+_LOUDEST = 2**15 - 1  # the greatest sample
+
+log = logging.getLogger("yarp.sig.Sound")
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,7 +50,7 @@ class SoundMarker:
     sample_id: int = 0
 
 
-class Sound(Portable):
+class Sound(Comparable, Portable):
     """A sound."""
 
     def __init__(self, bytesPerSample: int = 2) -> None:
@@ -83,9 +87,7 @@ class Sound(Portable):
 
     def set(self, value: int, sample: int, channel: int = 0) -> None:
         """Change one sample."""
-        if not self._samples.flags.writeable:
-            self._samples = self._samples.copy()
-        self._samples[channel, sample] = value
+        self._own()[channel, sample] = value
 
     def isSample(self, sample: int, channel: int = 0) -> bool:
         """Whether there is such a sample."""
@@ -116,15 +118,124 @@ class Sound(Portable):
         """Seconds."""
         return self.getSamples() / self._frequency if self._frequency else 0.0
 
+    def sample2timestamp(self, sampleid: int) -> float:
+        """The time of a sample in whole seconds, as YARP divides."""
+        return float(sampleid // self._frequency) if self._frequency else 0.0
+
+    def timestamp2sample(self, time: float) -> int:
+        """The sample at a time, in seconds."""
+        return int(time * self._frequency)
+
+    # parts of it
+
+    def subSound(self, first: int | str, length: int | str) -> Self:
+        """So many samples from one on, as of 4.0 (3.x has the last one there), or those from one marker to another."""
+        if isinstance(first, str) or isinstance(length, str):
+            begin = self._place(first, 0)
+            first, length = begin, self._place(length, self.getSamples() - 1) - begin + 1
+        return type(self).of(self._samples[:, first : first + max(length, 0)].copy(), self._frequency)
+
+    def extractChannelAsSound(self, channel_id: int) -> Self:
+        """One channel as a sound."""
+        return type(self).of(self._samples[channel_id].copy(), self._frequency)
+
+    def getChannel(self, channel_id: int) -> NDArray[Any]:
+        """The samples of one channel, in the sound's memory."""
+        samples: NDArray[Any] = self._samples[channel_id]
+        return samples
+
+    def replaceChannel(self, id: int, schannel: Sound) -> bool:  # noqa: A002 - YARP's name
+        """Change a channel to that of another sound; False where that has several, or is of another length."""
+        if schannel.getChannels() != 1 or schannel.getSamples() != self.getSamples() or not self.isChannel(id):
+            return False
+        self._own()[id] = schannel.numpy()[0]
+        self._markers = {}
+        return True
+
+    def overwrite(self, alt: Sound, offset: int = 0, len: int = 0) -> None:  # noqa: A002 - YARP's name
+        """Change samples from one on to another sound's, as many as fit (``len``: at most so many)."""
+        if not self._alike(alt):
+            return
+        count = min(len or alt.getSamples(), alt.getSamples(), max(self.getSamples() - offset, 0))
+        self._own()[:, offset : offset + count] = alt.numpy()[:, :count]
+        self._markers = {}
+
+    def __iadd__(self, alt: Sound) -> Self:
+        if self._alike(alt):
+            self._samples = np.ascontiguousarray(np.concatenate([self._samples, alt.numpy()], axis=1))
+        return self
+
+    # loudness
+
+    def zero(self) -> None:
+        """Become silent."""
+        self._own()[:] = 0
+
+    def zeroChannel(self, chan: int) -> bool:
+        """Silence a channel; False where there is no such."""
+        if not self.isChannel(chan):
+            return False
+        self._own()[chan] = 0
+        self._markers = {}
+        return True
+
+    clearChannel = zeroChannel  # 3.x's name
+
+    def isChannel(self, channel: int) -> bool:
+        """Whether there is such a channel."""
+        return 0 <= channel < self.getChannels()
+
+    def amplify(self, gain: float) -> None:
+        """Make it louder or quieter; what is too loud for two bytes is as loud as they can say, where YARP wraps."""
+        for channel in range(self.getChannels()):
+            self.amplifyChannel(channel, gain)
+
+    def amplifyChannel(self, channel: int, gain: float) -> None:
+        """Make one channel louder or quieter, see `amplify`."""
+        samples = self._own()
+        samples[channel] = np.clip(np.trunc(samples[channel] * float(gain)), -_LOUDEST - 1, _LOUDEST)
+
+    def normalize(self) -> None:
+        """Make it so loud that its greatest sample is the greatest there is; silence stays."""
+        _, _, peak = self.findPeak()
+        if peak > 0:
+            self.amplify(_LOUDEST / peak)
+
+    def normalizeChannel(self, channel: int) -> None:
+        """The same for one channel."""
+        _, peak = self.findPeakInChannel(channel)
+        if peak > 0:
+            self.amplifyChannel(channel, _LOUDEST / peak)
+
+    def findPeakInChannel(self, channelId: int) -> tuple[int, int]:
+        """The sample of a channel that is the greatest above 0, and its value; 0, 0 where none is."""
+        samples = self._samples[channelId]
+        at = int(samples.argmax()) if samples.size else 0
+        return (at, int(samples[at])) if samples.size and samples[at] > 0 else (0, 0)
+
+    def findPeak(self) -> tuple[int, int, int]:
+        """The channel, the sample and the value of the greatest above 0; 0, 0, 0 where none is."""
+        peaks = [(channel, *self.findPeakInChannel(channel)) for channel in range(self.getChannels())]
+        return max(peaks, key=lambda peak: peak[2], default=(0, 0, 0))
+
+    def toString(self) -> str:
+        """The samples, a line for each channel."""
+        return "".join("".join(f" {value}" for value in row) + "\n" for row in self._samples.tolist())
+
+    toString_c = toString
+
     getRawDataSize = getter("_samples.nbytes", int, "Bytes of all samples.")
 
-    def sound2VecNonInterleaved(self) -> list[int]:
+    def sound2VecNonInterleaved(self) -> tuple[int, ...]:
         """All samples, channel after channel."""
-        return [int(value) for value in self._samples.reshape(-1)]
+        return tuple(self._samples.reshape(-1).tolist())
 
-    def sound2VecInterleaved(self) -> list[int]:
+    def sound2VecInterleaved(self) -> tuple[int, ...]:
         """All samples, those of one moment together."""
-        return [int(value) for value in self._samples.T.reshape(-1)]
+        return tuple(self._samples.T.reshape(-1).tolist())
+
+    getNonInterleavedAudioRawData = sound2VecNonInterleaved
+    getInterleavedAudioRawData = sound2VecInterleaved
 
     def vecNonInterleaved2Sound(self, values: list[int], samples: int, channels: int) -> None:
         """Become these samples, given channel after channel."""
@@ -142,6 +253,19 @@ class Sound(Portable):
         """All named places, by name."""
         return [self._markers[label] for label in sorted(self._markers)]
 
+    def getMarker(self, index: int) -> SoundMarker:
+        """One of the named places, by name."""
+        return self.getMarkers()[index]
+
+    def get_marker(self, marker_label: str) -> tuple[bool, int, int]:
+        """Whether there is such a place, its sample, and its channel or -1."""
+        marker = self._markers.get(marker_label)
+        return (False, 0, -1) if marker is None else (True, marker.sample_id, marker.channel)
+
+    def remove_marker(self, marker_label: str) -> None:
+        """Forget one of the named places."""
+        self._markers.pop(marker_label, None)
+
     def getMarkersCount(self) -> int:
         """The number of them."""
         return len(self._markers)
@@ -149,6 +273,28 @@ class Sound(Portable):
     def remove_all_markers(self) -> None:
         """Forget the named places."""
         self._markers = {}
+
+    def _own(self) -> NDArray[Any]:
+        """The samples in memory that can be changed."""
+        if not self._samples.flags.writeable:
+            self._samples = self._samples.copy()
+        return self._samples
+
+    def _alike(self, other: Sound) -> bool:
+        """Whether both have as many channels, and as many samples in a second; says in the log what differs."""
+        alike = (self.getChannels(), self._frequency) == (other.getChannels(), other._frequency)
+        if not alike:
+            log.error("%r and %r are of another number of channels or rate", self, other)
+        return alike
+
+    def _place(self, marker: int | str, default: int) -> int:
+        """The sample of a marker."""
+        if isinstance(marker, int):
+            return marker
+        found, sample, _ = self.get_marker(marker)
+        if not found:
+            log.warning("there is no marker %s", marker)
+        return sample if found else default
 
     def __eq__(self, other: object) -> bool:
         if not isinstance(other, Sound):

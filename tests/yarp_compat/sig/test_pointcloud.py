@@ -133,8 +133,8 @@ def test_sounds_by_yarps_own_names() -> None:
         44100,
     )
     assert sound.getDuration() == pytest.approx(3 / 44100)
-    assert sound.sound2VecNonInterleaved() == [0, 1, 2, -10, -9, -8]
-    assert sound.sound2VecInterleaved() == [0, -10, 1, -9, 2, -8]
+    assert sound.sound2VecNonInterleaved() == (0, 1, 2, -10, -9, -8)
+    assert sound.sound2VecInterleaved() == (0, -10, 1, -9, 2, -8)
     other = Sound()
     other.vecInterleaved2Sound(sound.sound2VecInterleaved(), 3, 2)
     other.setFrequency(44100)

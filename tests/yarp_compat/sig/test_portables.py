@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+import yarp_compat as yarp
 from tests.yarp_compat.portables import PORTABLES, TYPED
 from yarp_compat.dev.basecontrol import MobileBaseVelocity, OdometryData
 from yarp_compat.dev.frametransform import FrameTransform
@@ -240,3 +241,37 @@ def test_empty_values_are_written_as_yarp_does_and_read() -> None:
             assert type(value).from_bytes(value.to_bytes(profile), profile) == value
     assert Vector().to_bytes(Profile.YARP3).hex() == "0a01000000000000"
     assert np.asarray(ImageRgb()).shape == (0, 0, 3)
+
+
+def test_parts_of_a_matrix() -> None:
+    matrix, out = yarp.Matrix([[1, 2, 3], [4, 5, 6], [7, 8, 9]]), yarp.Matrix()
+    assert list(matrix.subrow(1, 1, 2)) == [5, 6]
+    assert list(matrix.subcol(1, 2, 2)) == [6, 9]
+    assert list(matrix.subrow(1, 2, 2)) == []
+    assert matrix.setSubrow(yarp.Vector([0, 0]), 0, 1)
+    assert matrix.setSubcol(yarp.Vector([-1]), 2, 0)
+    assert not matrix.setSubcol(yarp.Vector([1, 2]), 2, 0)
+    assert yarp.submatrix(matrix, out, 1, 2, 0, 1)
+    assert out.numpy().tolist() == [[4, 5], [-1, 8]]
+    assert not yarp.submatrix(matrix, out, 1, 3, 0, 1)
+    assert yarp.removeCols(matrix, out, 0, 2)
+    assert out.numpy().tolist() == [[0], [6], [9]]
+    assert matrix.removeRows(1, 1).numpy().tolist() == matrix.numpy().tolist() == [[1, 0, 0], [-1, 8, 9]]
+    with pytest.raises(IndexError):
+        matrix.removeRows(1, 2)
+
+
+def test_images_are_swapped_and_moved() -> None:
+    one, other = yarp.ImageMono(), yarp.ImageMono()
+    one.resize(3, 2)
+    one.setPixel(1, 1, 7)
+    assert one.getPixelAddress(1, 1) - one.getPixelAddress(0, 0) == one.getRowSize() + 1
+    assert [bytes(row) for row in one.getRowArray()] == [b"\0\0\0", b"\0\7\0"]
+    other.swap(one)
+    assert (one.width(), other.getPixel(1, 1)) == (0, 7)
+    one.move(other)
+    assert (one.getPixel(1, 1), other.width()) == (7, 0)
+    with pytest.raises(TypeError):
+        one.swap(yarp.ImageRgb())
+    with pytest.raises(ValueError, match="turn it"):
+        one.setTopIsLowIndex(False)
