@@ -67,6 +67,7 @@ _PLACES = {
     "os.rfmodule": "RFModule",
     "os.data.stamp": "Stamp",
     "os.data.stdvector": "BVector DVector IVector SPairVector SVector ShortVector",
+    "os.things": "Things",
     "os.thread": "PeriodicThread Thread",
     "os.clock": "Time useNetworkClock",
     "os.time": (

@@ -17,7 +17,7 @@ from typing import Any, Self, Unpack
 
 from yarp_compat.dev.client import ClientOptions, ServiceClient, Stream
 from yarp_compat.dev.fields import Generated
-from yarp_compat.dev.returnvalue import UNREACHED, CallFailed, ReturnValue, called, given, three
+from yarp_compat.dev.returnvalue import OK, UNREACHED, CallFailed, ReturnValue, called, given, three
 from yarp_compat.dev.service import Service, rpc
 from yarp_compat.ports.sockets import closed_on_failure
 from yarp_compat.wire.errors import WireError
@@ -145,7 +145,7 @@ class Odometry2DClient(ServiceClient[IOdometry2DMsgs]):
             self._last = self._stream.read_now() or self._last
         except WireError:
             return UNREACHED, OdometryData(), 0.0
-        return (UNREACHED, OdometryData(), 0.0) if self._last is None else (ReturnValue(), *self._last)
+        return (UNREACHED, OdometryData(), 0.0) if self._last is None else (OK, *self._last)
 
     def resetOdometry(self) -> ReturnValue:
         """Begin at zero from here; false where that failed."""

@@ -6,7 +6,7 @@ import struct
 from collections.abc import Callable
 from enum import Enum
 from functools import partial, wraps
-from typing import Any, Concatenate, ParamSpec, TypeVar, overload
+from typing import Any, Concatenate, ParamSpec, Self, TypeVar, overload
 
 from yarp_compat.wire.elements import ElementReader, ElementWriter
 from yarp_compat.wire.errors import WireError
@@ -39,6 +39,11 @@ class ReturnCode(Enum):
         return self.value[0]
 
     @property
+    def vocab_number(self) -> int:
+        """The number of that word, which C++ and the bindings have."""
+        return int.from_bytes(self.vocab.encode().ljust(4, b"\0"), "little")
+
+    @property
     def number(self) -> int:
         """The number of 3.11 and 3.12, which knew no bounds."""
         return self.value[1]
@@ -51,14 +56,25 @@ _BY_NUMBER = {code.number: code for code in reversed(ReturnCode)}
 class ReturnValue(Portable):
     """An outcome; true where the call succeeded."""
 
-    def __init__(self, code: ReturnCode = ReturnCode.OK) -> None:
-        self.code = code
+    def __init__(self, code: ReturnCode | ReturnValue | int = ReturnCode.UNINITIALIZED) -> None:
+        if isinstance(code, int):
+            code = next((known for known in ReturnCode if known.vocab_number == code), ReturnCode.UNINITIALIZED)
+        self.code: ReturnCode = code.code if isinstance(code, ReturnValue) else code
 
     def __bool__(self) -> bool:
         return self.code is ReturnCode.OK
 
     def __eq__(self, other: object) -> bool:
+        if isinstance(other, int) and not isinstance(other, bool):
+            return self.code.vocab_number == other
         return self.code is other.code if isinstance(other, ReturnValue) else NotImplemented
+
+    def __iand__(self, other: ReturnValue) -> Self:
+        return type(self)(other if self else self)  # another one: this may be in use elsewhere
+
+    def isEqual(self, other: object) -> bool:
+        """Whether it is this outcome, or one of the numbers ``return_code_...`` of this class."""
+        return self == other
 
     def __hash__(self) -> int:
         return hash(self.code)
@@ -67,8 +83,10 @@ class ReturnValue(Portable):
         return f"ReturnValue({self.code.name})"
 
     def toString(self) -> str:
-        """The outcome in words."""
-        return self.code.name.lower()
+        """The outcome in YARP's words."""
+        return _WORDS[self.code]
+
+    toString_c = toString
 
     def _write(self, out: ElementWriter) -> None:
         if out.generation is Generation.YARP_4:
@@ -109,7 +127,22 @@ class ReturnValue(Portable):
         self.code = _BY_WORD[word]
 
 
-OK = ReturnValue()
+_WORDS = {
+    ReturnCode.OK: "ok",
+    ReturnCode.GENERIC: "return_value_error_generic",
+    ReturnCode.NOT_IMPLEMENTED: "return_value_error_not_implemented_by_device",
+    ReturnCode.COMMUNICATION: "return_value_error_nws_nwc_communication_error",
+    ReturnCode.DEPRECATED: "return_value_error_deprecated",
+    ReturnCode.METHOD_FAILED: "return_value_error_method_failed",
+    ReturnCode.NOT_READY: "return_value_error_not_ready",
+    ReturnCode.OUT_OF_BOUNDS: "return_value_error_input_out_of_bounds",
+    ReturnCode.UNINITIALIZED: "return_value_uninitialized",
+}
+for _code, _word in _WORDS.items():  # as YARP's bindings name an enumeration inside a class
+    _member = "return_value_ok" if _code is ReturnCode.OK else _word
+    setattr(ReturnValue, f"return_code_{_member}", _code.vocab_number)
+
+OK = ReturnValue(ReturnCode.OK)
 
 
 class CallFailed(Exception):  # noqa: N818 - what happened, as an implementation says it

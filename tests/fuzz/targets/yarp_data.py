@@ -97,7 +97,7 @@ def _requests() -> Subject:
     """Requests to a server that knows every method of navigation, and replies to its clients."""
     from tests.yarp_compat.dev.interfaces import All
     from tests.yarp_compat.dev.test_transcripts import RECORDED, exchanges
-    from yarp_compat.dev.returnvalue import ReturnValue
+    from yarp_compat.dev.returnvalue import ReturnCode, ReturnValue
     from yarp_compat.dev.server import Server
     from yarp_compat.dev.service import read_version, version_end
     from yarp_compat.wire.errors import WireError
@@ -106,7 +106,7 @@ def _requests() -> Subject:
     class Done(All):
         def __getattribute__(self, name: str) -> Any:
             if name.endswith("RPC"):
-                return lambda *_: ReturnValue()
+                return lambda *_: ReturnValue(ReturnCode.OK)
             return super().__getattribute__(name)
 
     logging.getLogger("yarp_compat").setLevel(logging.CRITICAL)
@@ -141,7 +141,7 @@ def _navigation() -> Subject:
     from tests.yarp_compat.dev.test_robotgoto_commands import Goto
     from yarp_compat.dev.inavigation2d import INavigation2DMsgs
     from yarp_compat.dev.localization2d import Localization2DServer
-    from yarp_compat.dev.returnvalue import ReturnValue
+    from yarp_compat.dev.returnvalue import ReturnCode, ReturnValue
     from yarp_compat.dev.server import Server
     from yarp_compat.wire.binary import encode
     from yarp_compat.wire.generation import Generation, Generations
@@ -149,7 +149,7 @@ def _navigation() -> Subject:
 
     class Device:
         def __getattr__(self, name: str) -> Any:
-            return lambda *_: ReturnValue()
+            return lambda *_: ReturnValue(ReturnCode.OK)
 
     logging.getLogger("yarp_compat").setLevel(logging.CRITICAL)
     generations = list(Generation)

@@ -18,7 +18,7 @@ from tests.yarp_compat.dev.test_transcripts import exchanges, taken
 from tests.yarp_compat.ports.conftest import MakePort, make_port, naming
 from yarp_compat.dev.inavigation2d import NavigationStatusEnum
 from yarp_compat.dev.locations import Map2DLocation, Map2DObject
-from yarp_compat.dev.returnvalue import OK, CallFailed, ReturnValue
+from yarp_compat.dev.returnvalue import OK, CallFailed, ReturnCode, ReturnValue
 from yarp_compat.dev.server import Server
 from yarp_compat.dev.service import INTRODUCTION, VERSION, Call
 from yarp_compat.wire import carriers, framing
@@ -304,3 +304,19 @@ def test_transcripts_of_four_releases_where_nobody_said_who_is_who(connect: Call
                 assert told is succeeded, (release, call.name)
             else:
                 assert not told
+
+
+def test_outcomes_have_the_numbers_and_words_of_the_bindings() -> None:
+    failed = ReturnValue(ReturnCode.METHOD_FAILED)
+    number = getattr(ReturnValue, "return_code_return_value_error_method_failed")  # noqa: B009 - made from a table
+    assert number == int.from_bytes(b"err5", "little")
+    assert failed == number
+    assert failed.isEqual(number)
+    assert ReturnValue(number) == failed
+    assert failed.toString() == "return_value_error_method_failed"
+    assert not ReturnValue()
+    assert ReturnValue().toString() == "return_value_uninitialized"
+    outcome = ReturnValue(OK)
+    outcome &= failed
+    outcome &= OK
+    assert outcome == failed

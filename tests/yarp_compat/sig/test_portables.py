@@ -59,7 +59,7 @@ VALUES: dict[str, Portable] = {
     "sig::Matrix eye(2)": Matrix(2, 2).eye(),
     "ImageOf<PixelMono> 3x2": mono(),
     "ImageOf<PixelRgb> 2x1": rgb(),
-    "ReturnValue": ReturnValue(),
+    "ReturnValue": ReturnValue(ReturnCode.OK),
     "ReturnValue#2": ReturnValue(ReturnCode.METHOD_FAILED),
     "ReturnValue#3": ReturnValue(ReturnCode.UNINITIALIZED),
     "Map2DLocation": Map2DLocation("map1", 1, 2, 90, "desc"),
@@ -193,7 +193,7 @@ def test_read_and_write_on_a_connection(name: str) -> None:
     ],
 )
 def test_outcomes_of_calls_in_four_generations(generation: Generation, ok: str, failed: str) -> None:
-    assert ReturnValue().to_bytes(generation.profile, generation).hex() == ok
+    assert ReturnValue(ReturnCode.OK).to_bytes(generation.profile, generation).hex() == ok
     assert ReturnValue(ReturnCode.METHOD_FAILED).to_bytes(generation.profile, generation).hex() == failed
 
 

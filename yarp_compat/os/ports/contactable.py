@@ -82,6 +82,7 @@ class Contactable:
     _latched = False  # whether later peers get the last message
 
     def __init__(self) -> None:
+        self._verbosity = 1
         self._core: PortCore | None = None
         self._gate = Gate()  # of the kind of port, which threads wait at
         self._reporter: PortReport | None = None
@@ -307,6 +308,9 @@ class Contactable:
         """Report to nobody any more."""
         self._reporter = None
 
+    getVerbosity = getter("_verbosity", int, "Whether connections that come and go are logged.")
+    setVerbosity = setter("_verbosity", int, "Log connections that come and go (1, as at first), or do not (0).")
+
     # -- messages -----------------------------------------------------------------------------------------------------
 
     def isWriting(self) -> bool:
@@ -374,7 +378,7 @@ class Contactable:
 
     def _tell(self, event: ConnectionEvent) -> None:
         route = event.route
-        if rooted(route.source):  # commands from outside, ``admin``, are not worth a line
+        if rooted(route.source) and self._verbosity > 0:  # commands from outside, ``admin``, are not worth a line
             words = _WORDS[event.incoming, event.up]
             log.info("%s from %s to %s using %s", words, route.source, route.target, route.carrier)
         if self._reporter is not None and self._core is not None:

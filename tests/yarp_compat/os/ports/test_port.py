@@ -341,3 +341,17 @@ def test_answers_are_in_the_askers_dialect(profile: Profile) -> None:
         asker.core.connections.outputs[0].profile = profile
         answer = asker.core.request(binary.encode(["x", 2.5], profile))
     assert binary.decode(answer, profile) == ["got", "x", 2.5]
+
+
+@pytest.mark.parametrize("verbosity", [0, 1])
+def test_a_port_logs_connections_or_not(caplog: pytest.LogCaptureFixture, verbosity: int) -> None:
+    reader, writer = yarp.Port(), yarp.Port()
+    reader.setVerbosity(verbosity)
+    assert reader.getVerbosity() == verbosity
+    with caplog.at_level("INFO", "yarp"):
+        assert reader.open("/quiet/r")
+        assert writer.open("/quiet/w")
+        assert writer.addOutput("/quiet/r")
+        until(lambda: reader.getInputCount() == 1, "the connection")
+        until(lambda: not verbosity or "eceiving input" in caplog.text, "the reader's line")
+    assert ("eceiving input" in caplog.text) == bool(verbosity)

@@ -1,0 +1,44 @@
+"""Things say what they are when they are asked for."""
+
+from __future__ import annotations
+
+import yarp_compat as yarp
+from yarp_compat.os.ports.connection import ConnectionReader
+from yarp_compat.ports.message import PortMessage
+from yarp_compat.wire.carriers import CARRIERS
+from yarp_compat.wire.contact import ConnectionRoute
+from yarp_compat.wire.profile import Profile
+
+
+class Peer:
+    route = ConnectionRoute("/from", "/to", "tcp")
+    carrier = CARRIERS["tcp"]
+    address = ("127.0.0.1", 1)
+    profile = Profile.YARP3
+
+
+def test_what_came_is_read_when_it_is_asked_for() -> None:
+    things = yarp.Things()
+    assert things.asBottle() is None
+    message = PortMessage(yarp.Bottle("1 2").to_bytes(), "", Peer())
+    assert things.setConnectionReader(ConnectionReader(message, yarp.Contact("/to")))
+    assert not things.hasBeenRead()
+    assert things.asBottle() == [1, 2]
+    assert things.hasBeenRead()
+    assert things.asVector() is None  # it has been read as something else
+    things.reset()
+    assert things.asBottle() is None
+
+
+def test_what_is_to_be_written() -> None:
+    things, image = yarp.Things(), yarp.ImageRgb()
+    things.setPortWriter(image)
+    assert things.getPortWriter() is image
+    assert things.asImage() is image
+    assert things.asImageOfPixelRgb() is image
+    assert things.asImageOfPixelMono() is None
+    assert things.asMatrix() is None
+    made = yarp.Value(5)
+    things.reset()
+    things.setPortReader(made)
+    assert (things.getPortReader(), things.asValue(), things.asProperty()) == (made, made, None)
