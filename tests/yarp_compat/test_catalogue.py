@@ -176,4 +176,3 @@ def test_std_vectors_as_in_cpp() -> None:
     talk = yarp.LLMVector()
     talk.push_back(yarp.LLM_Message("user", "hello"))
     assert talk[0].toString() == "user hello () ()"
-    assert talk[0].isEqual(yarp.LLM_Message("user", "hello"))
