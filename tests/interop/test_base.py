@@ -23,7 +23,7 @@ from yarp_compat.naming.server import NameServer
 from yarp_compat.pythonic import Reader, Writer
 
 ODOMETRY, TWIST = "nav_msgs/Odometry", "geometry_msgs/Twist"
-SIDE = 1.0
+SIDE = 0.6
 TICK = 0.08
 SCALE = 0.03
 

@@ -63,7 +63,7 @@ def test_wheel_commands_stay_within_all_limits(
 
 @pytest.mark.thorough
 @pytest.mark.parametrize("kind", BASES)
-@settings(max_examples=5000, deadline=None)
+@settings(max_examples=2000, deadline=None)
 @given(limits=LIMITS, commands=COMMANDS)
 def test_wheel_commands_stay_within_all_limits_of_many(
     kind: str, limits: BaseLimits, commands: list[tuple[Velocity, int]]
