@@ -20,7 +20,15 @@ class BoardPorts:
         yarp.serve(f"{name}/nws/rpc:i", answers.service)
         yarp.respond(f"{name}/rpc:i", answers.respond)
         yarp.input(f"{name}/command:i", answers.take)
+        host.answer("halt", lambda _params: host.loop.call(lambda: self._halt(simulation)))
         self._state, self._positions = yarp.output(f"{name}/stateExt:o"), yarp.output(f"{name}/state:o")
+
+    @staticmethod
+    def _halt(simulation: Simulation) -> dict[str, bool]:
+        """Forget what was commanded; later commands are obeyed again."""
+        simulation.board.halt()
+        simulation.drive.halt()
+        return {"halted": True}
 
     def tell(self, envelope: str) -> None:
         """Say what the wheels do, on the simulation's thread."""

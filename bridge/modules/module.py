@@ -46,6 +46,7 @@ class Module(ABC):
 
 KINDS: dict[str, str] = {
     "base_control": "navigation.base_control.module:BaseControl",
+    "control_boards": "bridge.boards.module:ControlBoards",
     "gateway": "navigation.gateway.module:GatewayModule",
     "localization_server": "navigation.localization_server.module:LocalizationServer",
     "map2d_server": "navigation.map2d_server.module:Map2DServer",

@@ -14,6 +14,7 @@ from bridge.config.load import load, loads
 from bridge.config.model import Config
 from bridge.config.problems import all_keys
 from bridge.config.sections.base_control import BaseInput
+from bridge.config.sections.control_boards import ControlBoardSection
 from bridge.config.sections.modules import OwnModule
 from bridge.config.sections.navigation import Planner
 from bridge.config.sections.routing import ParameterRule, QosOverride, Rule
@@ -24,7 +25,7 @@ from bridge.config.sections.zenoh import Dialect, DialectKey
 ROOT = Path(__file__).parents[2]
 ENTRIES = (
     Rule, ParameterRule, QosOverride, Dialect, DialectKey, TopicPort, ServicePort, OwnModule, BaseInput, Planner,
-    OtherRobot,
+    OtherRobot, ControlBoardSection,
 )  # fmt: skip
 """Of lists of sections."""
 CONFIGS = sorted((ROOT / "configs").glob("*.yaml"))
@@ -48,6 +49,7 @@ def test_example_has_every_key_and_loads_to_the_defaults() -> None:
             ("yarp", "services"),
             ("modules", "own"),
             ("modules", "base_control", "inputs"),
+            ("modules", "control_boards", "boards"),
             ("modules", "map2d_server", "take"),
             ("navigation", "planners"),
             ("web", "robots"),

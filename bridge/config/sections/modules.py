@@ -8,6 +8,7 @@ from typing import Annotated, Any, Literal
 from pydantic import Field, model_validator
 
 from bridge.config.sections.base_control import BaseControlSection
+from bridge.config.sections.control_boards import ControlBoardsSection
 from bridge.config.sections.localization_server import LocalizationServerSection
 from bridge.config.sections.maps import Map2DServerSection, Mapper2DSection
 from bridge.config.sections.planners import RobotGotoSection, RobotPathPlannerSection
@@ -66,6 +67,9 @@ class ModulesSection(Section):
     enabled: Literal["auto", False] = setting("auto", "`auto`: modules that are switched on run; `false`: none runs.")
     base_control: BaseControlSection = subsection(
         BaseControlSection, "Drives a mobile base as its inputs command; see docs/navigation/base_control.md."
+    )
+    control_boards: ControlBoardsSection = subsection(
+        ControlBoardsSection, "Joints of a YARP robot's control boards as `JointState`; see docs/sides/yarp.md."
     )
     localization_server: LocalizationServerSection = subsection(
         LocalizationServerSection,

@@ -13,6 +13,7 @@ from __future__ import annotations
 import logging
 import threading
 import time
+from collections.abc import Callable
 from contextlib import ExitStack
 from typing import Any, Self
 
@@ -51,11 +52,12 @@ class ControlBoardClient(Openable):
         carrier: of the streams.
         timeout: seconds for which the joints' state holds.
         strict: no command takes the place of one that is still on its way, also of those to several joints.
+        on_state: called with each state and its time in seconds, on the thread of the board's connection.
     """
 
     def __init__(
         self, remote: str, local: str, *, naming: Naming | None = None, carrier: str = "fast_tcp",
-        timeout: float = STATE, strict: bool = False,
+        timeout: float = STATE, strict: bool = False, on_state: Callable[[JointData, float], None] | None = None,
     ) -> None:  # fmt: skip
         self.remote, self.local = remote, local
         self.profile = Profile.YARP3
@@ -64,6 +66,7 @@ class ControlBoardClient(Openable):
         self._naming = naming or NameClient()
         self._carrier = carrier
         self._state = JointState(timeout)
+        self._on_state = on_state
         self._open = ExitStack()
 
     def open(self) -> Self:
@@ -136,7 +139,7 @@ class ControlBoardClient(Openable):
         if not done:
             raise PortError(said)
         self._commands = writer
-        reader = self._open.enter_context(_StateReader(f"{self.local}/stateExt:i", self._state, naming))
+        reader = self._open.enter_context(_StateReader(f"{self.local}/stateExt:i", self._state, naming, self._on_state))
         connections.connect(naming, f"{self.remote}/stateExt:o", reader.name, self._carrier)
         outcome, *axes = self.call("getAxesRPC")
         if not outcome or axes[0] < 1:
@@ -177,6 +180,12 @@ class JointState:
             found = self._data.values.get(name)
             return None if found is None else (found, self._stamp.getTime())
 
+    def newest(self) -> tuple[JointData, float] | None:
+        """The newest state, and its time in seconds; None before the first."""
+        self.read("")
+        with self._lock:
+            return None if self._data is None else (self._data, self._stamp.getTime())
+
     def stamp(self) -> Stamp:
         """The number and time of the newest state."""
         self.read("")
@@ -196,9 +205,15 @@ class JointState:
 
 
 class _StateReader(OpenPort):
-    def __init__(self, name: str, state: JointState, naming: Naming) -> None:
-        self._state = state
+    def __init__(
+        self, name: str, state: JointState, naming: Naming, on_state: Callable[[JointData, float], None] | None
+    ) -> None:
+        self._state, self._on_state = state, on_state
         super().__init__(name, naming=naming, is_output=False)
 
     def _take(self, message: PortMessage) -> None:
         self._state.take(Received(message, self.core.profile))
+        if self._on_state is not None:
+            newest = self._state.newest()
+            if newest is not None:
+                self._on_state(*newest)

@@ -1,0 +1,211 @@
+"""One board of a YARP robot: its states as they come, and the commands that it is given, on a thread of its own.
+
+A command holds for so long and is then followed by zero velocity, once; the next one takes its place, and none waits:
+what was given while the board did not answer is too old by then, and dropped.
+"""
+
+from __future__ import annotations
+
+import logging
+import math
+import threading
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+from bridge.config.sections.control_boards import ControlBoardSection
+from yarp_compat.dev.controlboard import modes
+from yarp_compat.dev.controlboard.client import ControlBoardClient
+from yarp_compat.dev.controlboard.streams import JointData
+from yarp_compat.ports.naming import Naming
+from yarp_compat.wire.errors import WireError
+
+_log = logging.getLogger(__name__)
+
+_AGAIN = 2.0  # seconds between two attempts to reach a board
+_SILENT = 1.0  # seconds without a state after which it is looked for anew
+_LOOK = 0.1
+_PATIENCE = 2.0  # seconds to wait for a halt
+_HALT = "stopAllRPC"
+
+
+@dataclass(frozen=True)
+class Joints:
+    """The joints of a board, as the hub has them; ``scales`` make its numbers of YARP's: radians, or metres as is."""
+
+    names: tuple[str, ...]
+    scales: tuple[float, ...]
+
+
+@dataclass(frozen=True)
+class JointCommand:
+    """What joints are to do, by their numbers: velocities, or positions, in YARP's units; ``until``: monotonic."""
+
+    method: str
+    mode: int
+    joints: tuple[int, ...]
+    values: tuple[float, ...]
+    until: float
+
+
+Told = Callable[[Joints, JointData, float], None]
+
+
+class BoardLink:
+    """Keeps to one board.
+
+    Args:
+        section: which board.
+        local: what the own ports' names begin with.
+        told: called with each state and its time in seconds, on the thread of the board's connection.
+    """
+
+    def __init__(self, section: ControlBoardSection, local: str, naming: Naming, told: Told) -> None:
+        self._section, self._local, self._naming, self._told = section, local, naming, told
+        self.joints: Joints | None = None
+        self.trouble = "not reached yet"
+        self.states = self.dropped = 0
+        self._command: JointCommand | None = None
+        self._driven: tuple[int, ...] = ()  # the joints whose velocity is not zero, as far as we know
+        self._until = 0.0
+        self._heard = 0.0
+        self._lock = threading.Lock()
+        self._halted = threading.Event()
+        self._wake, self._stopping = threading.Event(), threading.Event()
+        self._thread = threading.Thread(target=self._run, name=f"midspan-board {section.remote}", daemon=True)
+
+    def start(self) -> None:
+        """Begin to look for the board."""
+        self._thread.start()
+
+    def stop(self) -> None:
+        """Let the joints that move by us stand still, and leave the board."""
+        self._stopping.set()
+        self._wake.set()
+        if self._thread.is_alive():
+            self._thread.join()
+
+    def give(self, velocities: Sequence[float], positions: Sequence[float], names: Sequence[str]) -> str:
+        """Have named joints move, in radians and radians per second; returns what is wrong with it, "" for nothing."""
+        known = self.joints
+        if known is None:
+            return self.trouble
+        values, method, mode = positions, "positionMoveGroupRPC", modes.VOCAB_CM_POSITION
+        if len(velocities):
+            values, method, mode = velocities, "velocityMoveGroupRPC", modes.VOCAB_CM_VELOCITY
+        if len(values) != len(names) or not names:
+            return f"a command has {len(names)} names and {len(values)} numbers"
+        unknown = next((name for name in names if name not in known.names), None)
+        if unknown is not None:
+            return f"there is no joint {unknown!r}; there are {', '.join(known.names)}"
+        if not all(map(math.isfinite, values)):
+            return "a number is not finite"
+        joints = tuple(known.names.index(name) for name in names)
+        scaled = tuple(float(value) / known.scales[joint] for joint, value in zip(joints, values, strict=True))
+        with self._lock:
+            if self._command is not None and self._command.method == _HALT:
+                return "the board is being halted"
+            if self._command is not None:
+                self.dropped += 1  # a newer one takes its place
+            self._command = JointCommand(method, mode, joints, scaled, time.monotonic() + self._section.timeout)
+        self._wake.set()
+        return ""
+
+    def halt(self) -> None:
+        """Forget what was given, and stop all joints; raises `TimeoutError` if the board does not confirm it."""
+        joints = self.joints
+        if joints is None:
+            raise TimeoutError(f"{self._section.remote} cannot be told to stop: {self.trouble}")
+        with self._lock:
+            self._halted.clear()
+            self._command = JointCommand(_HALT, 0, tuple(range(len(joints.names))), (), math.inf)
+        self._wake.set()
+        if not self._halted.wait(_PATIENCE):
+            raise TimeoutError(f"{self._section.remote} did not say that it stops: it may still be moving")
+
+    def _run(self) -> None:
+        while not self._stopping.is_set():
+            client = ControlBoardClient(self._section.remote, self._local, naming=self._naming, on_state=self._take)
+            try:
+                with client:
+                    self._meet(client)
+                    self._follow(client)
+            except (OSError, WireError) as error:
+                if str(error) != self.trouble:
+                    _log.info("%s: %s", self._section.remote, error)
+                self.trouble = str(error) or type(error).__name__
+            self.joints = None
+            self._stopping.wait(_AGAIN)
+
+    def _meet(self, client: ControlBoardClient) -> None:
+        names = self._section.joints or tuple(self._name(client, axis) for axis in range(client.axes))
+        if len(names) != client.axes:
+            raise OSError(f"{self._section.remote} has {client.axes} joints, and the configuration names {len(names)}")
+        kinds = [client.call("getJointTypeRPC", axis) for axis in range(client.axes)]
+        metres = [bool(kind[0]) and kind[1] == modes.VOCAB_JOINTTYPE_PRISMATIC for kind in kinds]
+        self._heard = time.monotonic()
+        self._driven = ()
+        self.joints = Joints(names, tuple(1.0 if flag else math.pi / 180.0 for flag in metres))
+        self.trouble = ""
+
+    def _name(self, client: ControlBoardClient, axis: int) -> str:
+        outcome, *names = client.call("getAxisNameRPC", axis)
+        return str(names[0]) if outcome and names else f"joint_{axis}"
+
+    def _follow(self, client: ControlBoardClient) -> None:
+        """Obey commands until the board is silent, or the link is stopped."""
+        while not self._stopping.is_set():
+            now = time.monotonic()
+            if now - self._heard > _SILENT:
+                raise OSError(f"{self._section.remote} has said no state for {_SILENT:g} s")
+            with self._lock:
+                command, self._command = self._command, None
+            if command is not None:
+                self._obey(client, command)
+            elif self._driven and now >= self._until:
+                self._stand(client)
+            wait = min(_LOOK, self._until - now) if self._driven else _LOOK
+            if self._wake.wait(max(0.001, wait)):
+                self._wake.clear()
+        self._stand(client)
+
+    def _obey(self, client: ControlBoardClient, command: JointCommand) -> None:
+        if command.method == _HALT:
+            self._driven = command.joints
+            self._stand(client)
+            if client.call(_HALT)[0]:
+                self._halted.set()
+            return
+        if not self._in_mode(client, command) or time.monotonic() > command.until:
+            self.dropped += 1
+            return
+        if not client.call(command.method, command.joints, command.values)[0]:
+            self.trouble = f"{self._section.remote} refuses commands"
+            return
+        if command.method.startswith("velocity"):
+            left = tuple(joint for joint in self._driven if joint not in command.joints)
+            if left:
+                client.call("velocityMoveGroupRPC", left, (0.0,) * len(left))
+            self._driven = tuple(j for j, value in zip(command.joints, command.values, strict=True) if value)
+            self._until = command.until
+
+    def _in_mode(self, client: ControlBoardClient, command: JointCommand) -> bool:
+        """Have the joints in the mode that a command is of; whether they are."""
+        found = client.state("controlMode")
+        if found is not None and all(found[0][joint] == command.mode for joint in command.joints):
+            return True
+        wanted = [command.mode] * len(command.joints)
+        return bool(client.call("setControlModeGroupRPC", command.joints, wanted)[0])
+
+    def _stand(self, client: ControlBoardClient) -> None:
+        """Say zero to the joints that move by us."""
+        if self._driven:
+            client.call("velocityMoveGroupRPC", self._driven, (0.0,) * len(self._driven))
+            self._driven = ()
+
+    def _take(self, data: JointData, seconds: float) -> None:
+        self._heard = time.monotonic()
+        joints = self.joints
+        if joints is not None and data.axes == len(joints.names):
+            self.states += 1
+            self._told(joints, data, seconds)

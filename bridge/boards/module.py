@@ -1,0 +1,126 @@
+"""The module that has control boards on the hub: a topic of `JointState` for each, and one of commands if wanted."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from bridge.boards.link import BoardLink, Joints
+from bridge.config.sections.control_boards import ControlBoardSection, ControlBoardsSection
+from bridge.config.sections.section import Section
+from bridge.hub.wire.qos import Qos, Reliability
+from bridge.modules.host import Host
+from bridge.modules.module import Module
+from bridge.routing.stall import AgeGate, StallDetector
+from bridge.worker import Health
+from yarp_compat.dev.controlboard.streams import JointData
+
+JOINTS = "sensor_msgs/msg/JointState"
+
+_NEWEST = Qos(Reliability.BEST_EFFORT, depth=1)
+_MOST = 32  # commanders whose clocks are followed
+
+
+class ControlBoards(Module):
+    """Joins the boards that its section names."""
+
+    name = "control_boards"
+
+    def start(self, host: Host, section: Section) -> None:
+        """Look for the boards, and open their topics."""
+        assert isinstance(section, ControlBoardsSection)
+        self._host = host
+        self._stall = StallDetector()
+        self._stall.start()
+        self._links: list[BoardLink] = []
+        self.refused: dict[str, str] = {}
+        for board in section.boards:
+            link = BoardLink(board, f"/{host.config.name}/boards{board.remote}", host.yarp.naming, self._teller(board))
+            if board.command:
+                self._hear(board, link)
+            self._links.append(link)
+            link.start()
+        host.answer("halt", lambda _params: self._halt())
+
+    def health(self) -> Health:
+        """Whether all boards are there."""
+        trouble = next((link.trouble for link in self._links if link.trouble), "")
+        return Health("waiting", trouble) if trouble else Health("running", f"{len(self._links)} boards")
+
+    def status(self) -> dict[str, Any]:
+        """Each board's joints, and what was not obeyed."""
+        return {
+            "boards": [
+                {
+                    "joints": list(link.joints.names) if link.joints is not None else [],
+                    "trouble": link.trouble,
+                    "states": link.states,
+                    "dropped_commands": link.dropped,
+                }
+                for link in self._links
+            ],
+            "refused": dict(self.refused),
+        }
+
+    def stop(self) -> None:
+        """Let what moves stand still, and leave the boards."""
+        for link in self._links:
+            link.stop()
+        self._stall.stop()
+
+    def _halt(self) -> dict[str, Any]:
+        for link in self._links:
+            link.halt()
+        return {"halted": True}
+
+    def _teller(self, board: ControlBoardSection) -> Callable[[Joints, JointData, float], None]:
+        """Publishes the states of a board, on the threads on which they come."""
+        publisher = self._host.node.publisher(board.joint_states, JOINTS, Qos(depth=10))
+        clock = self._host.clock
+
+        def tell(joints: Joints, data: JointData, seconds: float) -> None:
+            now = clock.stamp() if clock.simulated else _stamp(seconds)
+            publisher.offer(lambda: publisher.encoded(joint_state(joints, data, now)))
+
+        return tell
+
+    def _hear(self, board: ControlBoardSection, link: BoardLink) -> None:
+        ages: dict[bytes, AgeGate] = {}
+
+        def hear(message: dict[str, Any]) -> None:
+            if len(ages) >= _MOST and subscription.sender not in ages:
+                del ages[next(iter(ages))]
+            age = ages.setdefault(subscription.sender, AgeGate()).age(subscription.sent_ns)
+            if age > board.timeout or self._stall.stood_still(board.timeout):
+                subscription.counters.dropped("stale")
+                return
+            wrong = link.give(message["velocity"], message["position"], message["name"])
+            if wrong:
+                subscription.counters.dropped("bad")
+                if self.refused.get(board.command) != wrong:
+                    self._host.log.warning("%s: a command is refused: %s", board.command, wrong)
+            self.refused[board.command] = wrong
+
+        subscription = self._host.node.subscription(board.command, JOINTS, hear, _NEWEST)
+
+
+def joint_state(joints: Joints, data: JointData, stamp: dict[str, int]) -> dict[str, Any]:
+    """A board's state as the hub has it: radians and radians per second, or metres; what is not valid is left out."""
+    scales = np.array(joints.scales)
+    said: dict[str, Any] = {"header": {"stamp": stamp, "frame_id": ""}, "name": list(joints.names)}
+    for field, name, by in (
+        ("position", "jointPosition", scales),
+        ("velocity", "jointVelocity", scales),
+        ("effort", "torque", 1.0),
+    ):
+        found = data.values.get(name)
+        if found is not None:
+            said[field] = found * by
+    return said
+
+
+def _stamp(seconds: float) -> dict[str, int]:
+    whole, rest = divmod(round(seconds * 1e9), 1_000_000_000)
+    return {"sec": whole, "nanosec": rest}

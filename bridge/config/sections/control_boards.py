@@ -1,0 +1,25 @@
+"""The section ``modules.control_boards``: joints of a YARP robot on the hub."""
+
+from __future__ import annotations
+
+from pydantic import Field
+
+from bridge.config.sections.section import ModuleSection, OptionalTopic, PortName, Section, TopicName, setting
+
+
+class ControlBoardSection(Section):
+    """One board."""
+
+    remote: PortName = Field(description="What the names of the board's ports begin with: `/cer/mobile_base`.")
+    joint_states: TopicName = setting("/joint_states", "Topic of its joints' state on the hub (`JointState`, radians).")
+    command: OptionalTopic = setting(
+        "", "Topic of commands to its joints (`JointState`: velocities, or positions); empty: it takes none."
+    )
+    joints: tuple[str, ...] = setting((), "Names of its joints, in its order; empty: those that it tells.")
+    timeout: float = setting(0.2, "Seconds after its last command at which a joint stands still.", gt=0.0, le=0.5)
+
+
+class ControlBoardsSection(ModuleSection):
+    """Joints of a YARP robot's control boards."""
+
+    boards: tuple[ControlBoardSection, ...] = setting((), "The boards.")

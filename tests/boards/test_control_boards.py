@@ -1,0 +1,111 @@
+"""A board of a YARP robot on the hub: its joints' state, and commands that end where nobody says them again."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from tests.modules.place import Place
+from tests.support.wait import until
+from tests.yarp_compat.dev.controlboard.joints import Joints
+from yarp_compat.dev.controlboard import modes
+from yarp_compat.dev.controlboard.server import ControlBoardServer
+from yarp_compat.naming.server import NameServer
+
+JOINTS = "sensor_msgs/JointState"
+BOARD = {"remote": "/robot/arm", "joint_states": "/arm/joint_states", "command": "/arm/command", "timeout": 0.3}
+
+
+class Robot(Place):
+    """A hub with the module, a name server, and a board."""
+
+    def __init__(self, folder: Path) -> None:
+        super().__init__(folder)
+        self.board = Joints()
+        self.seen = 0
+        self.states = self.far.subscribe("/arm/joint_states", JOINTS)
+        self.commands = self.far.advertise("/arm/command", JOINTS)
+
+    def state(self) -> dict[str, Any]:
+        """The joints' next state."""
+        said = self.far.wait(self.states, self.seen + 1, 40.0)
+        assert len(said) > self.seen
+        self.seen = len(said)
+        return said[-1]
+
+    def command(self, **message: Any) -> None:
+        self.far.publish(self.commands, message)
+
+    @property
+    def speeds(self) -> list[float]:
+        return self.board.of("velocity")
+
+
+def served(robot: Robot) -> ControlBoardServer:
+    return ControlBoardServer("/robot/arm", robot.board, naming=robot.names, period=0.01)
+
+
+@pytest.fixture
+def robot(tmp_path: Path) -> Iterator[Robot]:
+    robot = Robot(tmp_path)
+    try:
+        with NameServer(port=robot.port, gc_seconds=0), served(robot):
+            robot.worker.start(robot.config(modules={"control_boards": {"enabled": True, "boards": [BOARD]}}))
+            robot.state()
+            until(lambda: robot.far.hub.graph.subscriptions("/arm/command"), "the topic of commands is heard")
+            yield robot
+            robot.worker.stop()
+    finally:
+        robot.close()
+
+
+def test_the_state_has_names_and_radians(robot: Robot) -> None:
+    robot.board.of("position")[:] = [180.0, 90.0, 0.0]
+    robot.board.of("torque")[:] = [1.0, 2.0, 3.0]
+    said = until(lambda: next((s for s in [robot.state()] if s["position"][0] and len(s["effort"])), None), "a state")
+    assert said is not None
+    assert list(said["name"]) == ["joint0", "joint1", "joint2"]
+    assert list(said["position"]) == pytest.approx([math.pi, math.pi / 2, 0.0])
+    assert list(said["effort"]) == [1.0, 2.0, 3.0]
+    assert said["header"]["stamp"]["sec"] > 1_700_000_000
+
+
+def test_a_velocity_that_nobody_says_again_ends(robot: Robot) -> None:
+    def say() -> bool:
+        robot.command(name=["joint2", "joint0"], velocity=[math.pi / 2, 0.1])
+        return robot.speeds[2] != 0.0
+
+    until(say, "the joints move", every=0.05)
+    assert robot.speeds == pytest.approx([math.degrees(0.1), 0.0, 90.0])
+    assert robot.board.modes == [modes.VOCAB_CM_VELOCITY, modes.VOCAB_CM_POSITION, modes.VOCAB_CM_VELOCITY]
+    until(lambda: robot.speeds == [0.0, 0.0, 0.0], "the joints stand still", every=0.01)
+    assert robot.board.control_mode(2) == modes.VOCAB_CM_VELOCITY
+
+
+def test_a_position_is_moved_to(robot: Robot) -> None:
+    def say() -> bool:
+        robot.command(name=["joint1"], position=[math.pi / 4])
+        return robot.board.of("target")[1] != 0.0
+
+    until(say, "the joint moves", every=0.05)
+    assert robot.board.of("target") == pytest.approx([0.0, 45.0, 0.0])
+
+
+def test_nonsense_is_refused_and_halt_stops_all(robot: Robot) -> None:
+    robot.board.modes[:] = [modes.VOCAB_CM_VELOCITY] * 3
+
+    def refused() -> bool:
+        robot.command(name=["joint9"], velocity=[1.0])
+        robot.command(name=["joint0"], velocity=[math.nan])
+        return bool(robot.answer("control_boards")["refused"].get("/arm/command"))
+
+    until(refused, "it is refused")
+    assert robot.speeds == [0.0, 0.0, 0.0]
+    robot.speeds[:] = [5.0, 5.0, 5.0]  # somebody on YARP drives
+    answers = robot.far.hub.ask("halt", {}, worker="control_boards")
+    assert [answer.value for answer in answers] == [{"halted": True}]
+    until(lambda: robot.speeds == [0.0, 0.0, 0.0], "all joints are stopped")
