@@ -6,7 +6,8 @@ Four parts, `--parts` chooses:
   or a zenoh session and one subscriber: seconds to the first heartbeat and until it runs, processor time until then.
 - `robot`: `midspan run` with all sides and the demo's robot, which stands: memory of each process beside the project's
   aims and beside the bare peers, seconds until all sides run, processor time while it stands.
-- `idle`: the same without a robot and with the zenoh side: processor time while nothing happens.
+- `idle`: the same without a robot and with the zenoh side: processor time while nothing happens, beside bare zenoh
+  sessions that are configured and joined as the hub's are, and idle programs of ROS 1 and ROS 2: what is left to save.
 - `cli`: seconds of the command line's verbs, on the robot's daemon.
 
 Files are warm: what the first run compiles and reads is there.
@@ -22,6 +23,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -36,6 +38,7 @@ from bridge.cli.client import connect
 from bridge.cli.output import CliError
 from bridge.demo.rooms import CONFIG, laid_over
 from bridge.state_file import with_state
+from tests.support.ports import free_port
 
 PEERS = {"router": "zenoh", "ros1": "ros1", "ros2": "ros2", "yarp": "zenoh", "modules": "zenoh", "sim": "zenoh"}
 """The bare peer of each worker; YARP has no library in Python to compare with, modules and simulator are on the hub."""
@@ -72,6 +75,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         peers, peer_seconds = _peers(bare)
         if "start" in args.parts:
             rows += _start(bare, peers, peer_seconds)
+        idle_floor = _idle_floor(bare, args.seconds) if "idle" in args.parts else 0.0
     if "robot" in args.parts or "cli" in args.parts:
         with _daemon(Processes(_laid_over(), CONFIG, yarp=True), (*SIDES, DRIVER)) as (robot, seconds):
             if "robot" in args.parts:
@@ -82,6 +86,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         dialects = {"zenoh": {"dialects": [{"dialect": "ros2dds"}]}, "modules": {"enabled": False}}
         with _daemon(Processes(dialects, yarp=True), (*SIDES, "zenoh_ros2dds")) as (idle, seconds):
             rows += [*seconds, *_rest("idle", idle, args.seconds, IDLE)]
+            rows.append(replace(rows[-1], case="idle: all, bare sessions", peer=idle_floor))
     report(rows, args.json)
     return 0
 
@@ -98,6 +103,26 @@ def _peers(place: Processes) -> tuple[dict[str, Taken], dict[str, float]]:
     for kind in children:
         place.stop(kind)
     return found, seconds
+
+
+def _idle_floor(place: Processes, seconds: float) -> float:
+    """Percent of a core of a router, four sessions as the workers have them, and one idle program of each ROS."""
+    endpoint = f"tcp/127.0.0.1:{free_port()}"
+    kinds = {"router": "router", **{f"hub{number}": "hub" for number in range(4)}, "ros1": "ros1", "ros2": "ros2"}
+    children = {}
+    for name, kind in kinds.items():
+        words = (kind, endpoint) if kind in ("router", "hub") else (kind,)
+        children[name] = place.launch(name, "benchmarks.footprints.peer", *words, system=kind == "ros1")
+        place.wait_for(name, "ready")
+    time.sleep(SETTLE_SECONDS)
+    before = {name: cpu_seconds(child.pid) for name, child in children.items()}
+    began = time.monotonic()
+    time.sleep(seconds)
+    passed = time.monotonic() - began
+    share = 100.0 * sum(cpu_seconds(child.pid) - before[name] for name, child in children.items()) / passed
+    for name in children:
+        place.stop(name)
+    return share
 
 
 def _start(place: Processes, peers: dict[str, Taken], peer_seconds: dict[str, float]) -> list[Row]:

@@ -1,12 +1,14 @@
 """A bare peer: an interpreter with one middleware's library and one subscriber, and nothing of Midspan.
 
-Usage: ``python -m benchmarks.footprints.peer {ros1,ros2,zenoh}``. It tells that it is ready, and ends with its input.
+Usage: ``python -m benchmarks.footprints.peer {ros1,ros2,zenoh}``, or ``router`` or ``hub`` and an endpoint: a session
+that is configured as the hub's are. It tells that it is ready, and ends with its input.
 """
 
 from __future__ import annotations
 
 import json
 import sys
+from collections.abc import Callable
 from typing import Any
 
 
@@ -34,11 +36,39 @@ def _zenoh() -> object:
     return session, session.declare_subscriber("bare", _ignore)
 
 
+def _router(endpoint: str) -> object:
+    import zenoh
+
+    from bridge.hub.zenoh_config import MAX_PAYLOAD, make_config, router_tree
+
+    return zenoh.open(make_config(router_tree([endpoint], max_payload=MAX_PAYLOAD), None))
+
+
+def _hub(endpoint: str) -> object:
+    import zenoh
+
+    from bridge.hub.zenoh_config import MAX_PAYLOAD, make_config, session_tree
+
+    return zenoh.open(make_config(session_tree(endpoint, shared_memory=True, max_payload=MAX_PAYLOAD), None))
+
+
 def _ignore(_message: Any) -> None:
     """Nothing is sent."""
 
 
+PEERS: dict[str, Callable[..., object]] = {
+    "ros1": _ros1, "ros2": _ros2, "zenoh": _zenoh, "router": _router, "hub": _hub,
+}  # fmt: skip
+
+
 if __name__ == "__main__":
-    kept = {"ros1": _ros1, "ros2": _ros2, "zenoh": _zenoh}[sys.argv[1]]()
+    peers: dict[str, Callable[..., object]] = {
+        "ros1": _ros1,
+        "ros2": _ros2,
+        "zenoh": _zenoh,
+        "router": _router,
+        "hub": _hub,
+    }
+    kept = peers[sys.argv[1]](*sys.argv[2:])
     print(json.dumps({"event": "ready"}), flush=True)
     sys.stdin.read()
