@@ -24,20 +24,15 @@ _NAMES = {
         "no device here has it: ask the board's rpc port by RpcClient"
     ),
     r"VOCAB_\w+": "make the number of a word by yarp.createVocab32('a', 'b')",
-    r"BOTTLE_TAG_\w+": "ask a Value itself: isInt32(), isFloat64(), isString()",
     r"\w*Clock": "programs run on system time: use yarp.now() and yarp.delay()",
     r"Semaphore|Mutex|RecursiveLock|Event": "use Python's threading",
     r"Random": "use Python's random or numpy",
     r"Run|SharedLibrary\w*|YarpPlugin\w*|Carriers?|NameStore|DummyConnector": "it has no meaning in pure Python",
     r"NestedContact": "use NestedName",
     r"PortReaderBuffer\w*|PortWriterBuffer\w*": "use BufferedPort",
-    r"QosStyle": "quality of service is not set on connections here",
-    r"Things|Portable\w*|BinPortable\w*|WireLink|Wire|Type|Unbuffered\w+|AbstractContactable|PortReaderCreator": (
-        "write and read a Bottle"
-    ),
+    r"PortablePair\w*|BinPortable\w*|WireLink|Wire|AbstractContactable|PortReaderCreator": ("write and read a Bottle"),
     r"SearchMonitor|SearchReport": "who reads a Property is not followed here",
     r"RateThread": "use PeriodicThread",
-    r"LogStream": "use yarp.Log",
     r"INavigation2D\w+Actions": "use INavigation2D, which has all of its methods",
     r"Map2D\w+Data": "use Map2DLocation and its kin, which have its fields",
     r"Contactable|PortWriter|Searchable": "what is derived from it is here",
@@ -45,7 +40,6 @@ _NAMES = {
     r"PeriodicThreadClock_\w+|ShouldUseSystemClock_\w+": "a PeriodicThread keeps to the program's clock",
     r"clockTypeToString|getClockType|isClockInitialized": "ask yarp.isSystemClock() and yarp.isNetworkClock()",
     r"\w+Vector|VectorBase|vertex_t": "use a list",
-    r"SoundMarker": "a Sound here has no markers",
     r"(Union)?Net(Int|Float)\w+|SwigPyIterator|(ALLOW|YARP_VERSION|YARP_RETURNVALUE|YARP_CROP)\w*|cvar|path_separator"
     r"|PAD_BYTES": "it is of the C++ library",
     r"(yarp)?(cache|config|data|runtime|temp)(home|dirs?)|home|(get|set|unset)Environment|(get|set)_(bool|path|string)"

@@ -62,6 +62,7 @@ _PLACES = {
     "os.network": "Network NetworkBase",
     "os.ports.node": "Node Publisher Subscriber",
     "os.ports.port": "Port RpcClient RpcServer",
+    "os.qos": "QosStyle",
     "os.resource_finder": "ResourceFinder",
     "os.resource_places": "ResourceFinderOptions",
     "os.rfmodule": "RFModule",
@@ -71,7 +72,8 @@ _PLACES = {
     "os.thread": "PeriodicThread Thread",
     "os.clock": "Time useNetworkClock",
     "os.time": (
-        "now delay yield_c useSystemClock isSystemClock isNetworkClock isCustomClock isValid "
+        "now delay yield_c useSystemClock isSystemClock isNetworkClock isCustomClock isValid getClockType "
+        "clockTypeToString isClockInitialized "
         "YARP_CLOCK_UNINITIALIZED YARP_CLOCK_DEFAULT YARP_CLOCK_SYSTEM YARP_CLOCK_NETWORK YARP_CLOCK_CUSTOM"
     ),
     "os.data.vocab": "Vocab Vocab32 Vocab64 createVocab createVocab32 createVocab64 encode decode encode64 decode64",

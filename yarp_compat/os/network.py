@@ -11,14 +11,16 @@ from yarp_compat.naming import connections
 from yarp_compat.naming.client import NameClient
 from yarp_compat.naming.config import Address, file, folder, namespace
 from yarp_compat.os.clock import use_the_asked_clock
-from yarp_compat.os.data.bottle import Value
+from yarp_compat.os.data.bottle import Bottle, Value
 from yarp_compat.os.ports.contact import Contact, ContactStyle
+from yarp_compat.os.qos import QosStyle
 from yarp_compat.os.runtime import RUNTIME, definition_from_daemon
 from yarp_compat.ports import text_client
 from yarp_compat.ports.naming import NamingError
 from yarp_compat.rosmsg.library import LIBRARY
 from yarp_compat.wire.contact import PortContact as WireContact
 from yarp_compat.wire.contact import is_port_name
+from yarp_compat.wire.values import Vocab
 
 log = logging.getLogger("yarp.os.Network")
 
@@ -227,6 +229,51 @@ class Network:
     def getLocalMode() -> bool:
         """Whether names are kept in this process."""
         return RUNTIME.is_local
+
+    @staticmethod
+    def setConnectionQos(src: str, dest: str, style: QosStyle, *rest: Any) -> bool:
+        """Set the service of a connection's packets, at both ends; a second style is that of the other end."""
+        ends = [style, *(one for one in rest if isinstance(one, QosStyle))]
+        quiet = next((one for one in rest if isinstance(one, bool)), True)
+
+        def at(port: str, other: str, asked: QosStyle) -> bool:
+            if asked.getPacketPriorityAsTOS() == -1 and asked.getThreadPolicy() == -1:
+                return True
+            sched = {"priority": asked.getThreadPriority(), "policy": asked.getThreadPolicy()}
+            qos = {"tos": asked.getPacketPriorityAsTOS()}
+            command, reply = Bottle(["prop", "set", other, ["sched", sched], ["qos", qos]]), Bottle()
+            return Network.write(port, command, reply, True, quiet, 2.0) and reply.get(0).asString() == "ok"
+
+        return at(src, dest, ends[0]) and at(dest, src, ends[-1])
+
+    @staticmethod
+    def getConnectionQos(src: str, dest: str, srcStyle: QosStyle, destStyle: QosStyle, quiet: bool = True) -> bool:
+        """Have two styles become those of a connection, as both of its ends say them."""
+
+        def at(port: str, other: str, found: QosStyle) -> bool:
+            reply = Bottle()
+            if not Network.write(port, Bottle(["prop", "get", other]), reply, True, quiet, 2.0):
+                return False
+            told = reply.findGroup("qos").get(1)
+            if told.asSearchable() is None:
+                return False
+            found.setPacketPrioritybyTOS(told.find("tos").asInt32())
+            return True
+
+        return at(src, dest, srcStyle) and at(dest, src, destStyle)
+
+    @staticmethod
+    def disconnectInput(src: str, dest: str, silent: bool = False) -> bool:
+        """End a connection at the port that reads."""
+        reply = Bottle()
+        command = Bottle([Vocab("del"), src])
+        return Network.write(dest, command, reply, True, silent) and reply.get(0).asInt32() == 0
+
+    @staticmethod
+    def setVerbosity(verbosity: int) -> None:
+        """Log what happens (0, as at first; above: for developers too), or below 0 only what is wrong."""
+        level = logging.WARNING if verbosity < 0 else logging.DEBUG if verbosity else logging.INFO
+        logging.getLogger("yarp").setLevel(level)
 
     @staticmethod
     def isValidPortName(name: str) -> bool:

@@ -14,11 +14,16 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 from yarp_compat.ports.connecting import ConnectingPort
+from yarp_compat.ports.connections import AnyOutput
+from yarp_compat.ports.inputs import Input
+from yarp_compat.ports.service import DSCP, PRIORITIES
+from yarp_compat.ports.sockets import service, set_service
 from yarp_compat.wire import framing
 from yarp_compat.wire.carriers import CARRIERS
 from yarp_compat.wire.contact import ConnectionRoute
 from yarp_compat.wire.framing import PortCommand
 from yarp_compat.wire.profile import Profile
+from yarp_compat.wire.text import dict_of
 from yarp_compat.wire.values import Vocab
 
 _HELP = (
@@ -129,9 +134,9 @@ def _prop_get(port: ConnectingPort, key: str) -> list[Any]:
     if key == port.name:
         return _about(port)
     if key.startswith("/"):
-        if any(key in (r.source, r.target) for r in (*port.inputs(), *port.outputs())):
+        if found := _with(port, key):
             sched = {"policy": 0, "priority": 0, "tid": threading.get_native_id()}
-            return [["sched", sched], ["qos", {"tos": 0}]]
+            return [["sched", sched], ["qos", {"tos": service(found[0].sock)}]]
         return [_FAIL, f"cannot find any connection to/from {key}"]
     return [port.properties[key]] if key in port.properties else []
 
@@ -152,13 +157,34 @@ def _about(port: ConnectingPort) -> list[Any]:
     ]
 
 
+def _with(port: ConnectingPort, name: str) -> list[Input | AnyOutput]:
+    """The connections with a port."""
+    every = (*port.connections.inputs, *port.connections.outputs)
+    return [one for one in every if name in (one.route.source, one.route.target) and name != port.name]
+
+
+def _asked_service(words: Sequence[Any]) -> int | None:
+    """The type of service in ``(qos ((tos 144)))``, ``(qos ((dscp AF41)))`` or ``(qos ((priority HIGH)))``, if any."""
+    groups = [word for word in words if isinstance(word, list) and len(word) == 2 and word[0] == "qos"]
+    found: Any = groups[0][1] if groups else {}
+    asked = found if isinstance(found, dict) else dict_of(found) if isinstance(found, list) else {}
+    for key, classes in (("priority", PRIORITIES), ("dscp", DSCP)):
+        value = asked.get(key)
+        known = classes.get(str(value), value if key == "dscp" else None)
+        if isinstance(known, int) and 0 <= known < 64:
+            return known << 2
+    tos = asked.get("tos")
+    return tos if type(tos) is int and tos >= 0 else None
+
+
 def _prop_set(port: ConnectingPort, key: str, words: Sequence[Any]) -> list[Any]:
-    """Keep a property. Priorities of processes and packets (words behind a port's name) are accepted, not applied."""
+    """Keep a property, or set the service of the packets to a port. Priorities of threads are accepted, not applied."""
     if not key or len(words) < 4 or (key not in port.properties and len(port.properties) >= MOST_PROPERTIES):
         return [_FAIL]
     if key.startswith("/"):
-        known = key == port.name or any(key in (r.source, r.target) for r in (*port.inputs(), *port.outputs()))
-        return [_OK if known else _FAIL]
+        found, tos = _with(port, key), _asked_service(words[3:])
+        done = all(set_service(one.sock, tos) for one in found) if tos is not None else True
+        return [_OK if done and (found or key == port.name) else _FAIL]
     port.properties[key] = words[3]
     return [_OK]
 

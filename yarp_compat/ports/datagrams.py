@@ -146,7 +146,7 @@ class DatagramOutput:
         self.counters = MessageCounters(whole=dropped)
         self.closed = False
         self.busy = False
-        self._sock = sock
+        self.sock = sock  # for its options; only this object sends
         self._lost = lost
         self._lock = threading.Lock() if group is None else group.lock
         sock.setblocking(False)
@@ -159,7 +159,7 @@ class DatagramOutput:
                 return None
             try:
                 for datagram in split(buffers):
-                    self._sock.send(datagram)
+                    self.sock.send(datagram)
             except BlockingIOError:
                 self.counters.drop("full")
                 return None
@@ -194,7 +194,7 @@ class DatagramOutput:
                 return
             failed: OSError | None = None
             try:
-                self._sock.recv(_LARGEST)
+                self.sock.recv(_LARGEST)
             except BlockingIOError:
                 return
             except OSError as error:
@@ -206,11 +206,11 @@ class DatagramOutput:
         """Close it; the peer does not notice, so something else must say it."""
         with self._lock:
             self.closed = True
-            self._sock.close()
+            self.sock.close()
 
     def abandon(self) -> None:
         """Let go of the socket."""
-        self._sock.close()
+        self.sock.close()
 
     def _fail(self, error: OSError) -> None:
         if isinstance(error, ConnectionError) and self.group is None:  # one reader less is no end of a group

@@ -61,6 +61,11 @@ class Output:
         self._current: Item | None = None
         self._speaker = OutputSocket(sock, route, carrier, limit)
 
+    @property
+    def sock(self) -> socket.socket:
+        """The socket, for its options alone."""
+        return self._speaker.sock
+
     def begin(self, buffers: list[Buffer], strict: bool, wait: bool) -> Item | None:
         """Send a message as far as that goes at once; the rest follows. None where the peer is gone.
 

@@ -65,6 +65,30 @@ def tune(sock: socket.socket) -> None:
                 sock.setsockopt(socket.IPPROTO_TCP, getattr(socket, name), value)
 
 
+def set_service(sock: socket.socket, tos: int) -> bool:
+    """Set the type of service of a socket's packets (0 to 255); False where this machine does not allow that."""
+    if not 0 <= tos <= 255:
+        return False
+    try:
+        if sock.family == socket.AF_INET6:
+            sock.setsockopt(socket.IPPROTO_IPV6, socket.IPV6_TCLASS, tos)
+        else:
+            sock.setsockopt(socket.IPPROTO_IP, socket.IP_TOS, tos)
+    except (OSError, AttributeError):
+        return False
+    return True
+
+
+def service(sock: socket.socket) -> int:
+    """The type of service of a socket's packets; 0 where this machine does not tell."""
+    try:
+        if sock.family == socket.AF_INET6:
+            return sock.getsockopt(socket.IPPROTO_IPV6, socket.IPV6_TCLASS)
+        return sock.getsockopt(socket.IPPROTO_IP, socket.IP_TOS)
+    except (OSError, AttributeError):
+        return 0
+
+
 def send_all(sock: socket.socket, buffers: Sequence[Buffer]) -> None:
     """Send all of the buffers, in few system calls; waits until the peer took them."""
     left = flat(buffers)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import threading
 
 import pytest
@@ -151,3 +152,36 @@ def test_no_name_server(caplog: pytest.LogCaptureFixture) -> None:
     assert not yarp.Network.connect("/a", "/b")
     assert not yarp.Network.registerName("/x").isValid()
     assert "name server" in caplog.text
+
+
+def test_the_service_of_a_connection(ports: tuple[yarp.Port, yarp.Port]) -> None:
+    style, at_source, at_target = yarp.QosStyle(), yarp.QosStyle(), yarp.QosStyle()
+    style.setPacketPriorityByLevel(yarp.QosStyle.PacketPriorityHigh)
+    assert yarp.Network.connect("/w", "/r")
+    until(lambda: ports[0].getInputCount() == 1, "the connection")
+    assert yarp.Network.setConnectionQos("/w", "/r", style)
+    assert yarp.Network.getConnectionQos("/w", "/r", at_source, at_target)
+    assert at_source.getPacketPriorityAsTOS() == at_target.getPacketPriorityAsTOS() == 144
+    assert at_source.getPacketPriorityAsLevel() == yarp.QosStyle.PacketPriorityHigh
+    assert not yarp.Network.setConnectionQos("/w", "/nowhere", style)
+    assert not yarp.Network.getConnectionQos("/nowhere", "/r", at_source, at_target)
+    assert yarp.Network.disconnectInput("/w", "/r")
+    until(lambda: ports[0].getInputCount() == 0, "the end of the connection")
+    assert not yarp.Network.disconnectInput("/w", "/r")
+
+
+@pytest.mark.parametrize(
+    ("asked", "tos", "dscp"),
+    [("LEVEL:CRIT", 176, 44), ("DSCP:AF11", 40, 10), ("TOS:5", 5, 0x7FFF), ("DSCP:XX", -1, -1), ("HIGH", -1, -1)],
+)
+def test_styles_of_service(asked: str, tos: int, dscp: int) -> None:
+    style = yarp.QosStyle()
+    assert style.setPacketPriority(asked) == (tos >= 0)
+    assert (style.getPacketPriorityAsTOS(), style.getPacketPriorityAsDSCP()) == (tos, dscp)
+
+
+@pytest.mark.parametrize(("verbosity", "level"), [(-1, "WARNING"), (0, "INFO"), (1, "DEBUG")])
+def test_verbosity(verbosity: int, level: str) -> None:
+    yarp.Network.setVerbosity(verbosity)
+    assert logging.getLevelName(logging.getLogger("yarp").level) == level
+    yarp.Network.setVerbosity(0)

@@ -94,6 +94,22 @@ def test_properties(make_port: MakePort) -> None:
     assert ask(port, "[prop] [get] none") == ""
 
 
+@pytest.mark.parametrize(
+    ("asked", "tos"),
+    [("(tos 32)", 32), ("(dscp AF41)", 136), ("(dscp 10)", 40), ("(priority HIGH)", 144), ("(priority NORM)", 0)],
+)
+@pytest.mark.parametrize("carrier", ["tcp", "udp"])
+def test_the_service_of_a_connections_packets(make_port: MakePort, carrier: str, asked: str, tos: int) -> None:
+    reader, writer = make_port("/r"), make_port("/w")
+    writer.add_output(f"{carrier}://r")
+    until(lambda: reader.inputs(), "the connection")
+    for port, other in ((writer, "/r"), (reader, "/w")):
+        assert ask(port, f"[prop] [set] {other} (sched ((priority -1) (policy -1))) (qos ({asked}))") == "[ok]"
+        assert ask(port, f"[prop] [get] {other}").endswith(f"(qos ((tos {tos})))")
+    assert ask(writer, "[prop] [set] /r (sched ()) (qos ((tos 256)))") == "[fail]"
+    assert ask(writer, "[prop] [set] /r (qos ((priority NONSENSE)))") == "[ok]"
+
+
 def test_properties_are_bounded(make_port: MakePort) -> None:
     port = make_port("/r")
     answers = [ask(port, f"[prop] [set] k{i} {i}") for i in range(admin.MOST_PROPERTIES + 1)]
