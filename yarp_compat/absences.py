@@ -53,7 +53,7 @@ _METHODS = {
         "it is for C++'s own ports; data has read, write, toString and copy"
     ),
     r"\w+\.(\w*[mM]onitor\w*)": "who reads it is not followed here",
-    r"\w+\.([cr]?begin|[cr]?end|get_allocator|iterator|data|getMemoryBlock|getFirst)": (
+    r"\w+\.([cr]?begin|[cr]?end|get_allocator|iterator)": (
         "it is an iterator of C++: a for loop, list() and numpy.asarray() do the same"
     ),
     r"\w+\.erase": "it takes iterators of C++: del does the same",

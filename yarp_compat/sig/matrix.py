@@ -35,6 +35,11 @@ class Matrix(Comparable, Portable):
         """The elements (rows, cols), in the matrix's memory until it changes its size; read-only if that is."""
         return self._values
 
+    def data(self) -> NDArray[Any]:
+        """The elements to be filled in, row after row, where C++ has a pointer."""
+        self._values = np.ascontiguousarray(self._own())
+        return self._values.reshape(-1)
+
     def __array__(self, dtype: Any = None, copy: bool | None = None) -> NDArray[Any]:
         return as_array(self._values, dtype, copy)
 

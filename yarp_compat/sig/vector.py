@@ -119,6 +119,13 @@ class VectorOf(Comparable, Portable):
         """The elements, in the vector's memory until it changes its size; read-only if that is."""
         return self._room[: self._count]
 
+    def data(self) -> NDArray[Any]:
+        """The elements to be filled in, where C++ has a pointer: ``encoders.getEncoders(vector.data())``."""
+        return self._own()
+
+    getMemoryBlock = data
+    getFirst = data
+
     def __array__(self, dtype: Any = None, copy: bool | None = None) -> NDArray[Any]:
         return as_array(self.numpy(), dtype, copy)
 

@@ -275,3 +275,12 @@ def test_images_are_swapped_and_moved() -> None:
         one.swap(yarp.ImageRgb())
     with pytest.raises(ValueError, match="turn it"):
         one.setTopIsLowIndex(False)
+
+
+def test_elements_are_filled_in_by_their_memory() -> None:
+    """As the bindings' example_enc.py does: ``ienc.getEncoders(encs.data())``."""
+    vector, matrix = yarp.Vector.from_bytes(yarp.Vector([1, 2]).to_bytes()), Matrix([[1, 2], [3, 4]]).transposed()
+    vector.data()[0] = 7
+    matrix.data()[1] = 9
+    assert list(vector) == [7, 2]
+    assert matrix.numpy().tolist() == [[1, 9], [2, 4]]
