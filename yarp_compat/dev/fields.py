@@ -240,6 +240,10 @@ class Generated(Structure):
         """The fields as a Bottle's text."""
         return to_text(decode(self.to_bytes(Profile.YARP3), Profile.YARP3))
 
+    def toString_c(self) -> str:
+        """The same, by the name that YARP's bindings give it."""
+        return self.toString()
+
 
 @cache
 def fields_of(kind: type[Structure]) -> tuple[tuple[str, FieldCodec], ...]:

@@ -170,3 +170,9 @@ def test_matrices_by_yarps_own_names() -> None:
     read[0, 0] = -1
     assert read.get(0, 0) == -1
     assert read.isEqual(Matrix([[-1, 1], [9, 0], [0, 0]]))
+
+
+def test_what_takes_a_pointer_in_cpp_fills_the_vector_itself() -> None:
+    vector = Vector(2)
+    vector.data()[1] = 1.5
+    assert list(vector) == [0.0, 1.5]

@@ -140,14 +140,12 @@ class PolyDriver:
 
 
 _OTHERS = """
-IAmplifierControl IAnalogSensor IAxisInfo ICartesianControl IContactLoadCellArrays IControlLimits IControlMode
-ICurrentControl IEncoderArrays IEncoders IEncodersTimed IGazeControl
-IImpedanceControl IInteractionMode IJointCoupling IJointFault IMotor IMotorEncoders IOrientationSensors IPidControl
-IPositionControl IPositionDirect IPWMControl IRemoteVariables IRGBDSensor ISimulatedWorld ISixAxisForceTorqueSensors
-ISkinPatches ISpeechSynthesizer ISpeechTranscription ITemperatureSensors IThreeAxisGyroscopes
-IThreeAxisLinearAccelerometers IThreeAxisMagnetometers ITorqueControl IVelocityControl
+IAnalogSensor ICartesianControl IContactLoadCellArrays IEncoderArrays IGazeControl IImpedanceControl IJointCoupling
+IJointFault IOrientationSensors IPidControl IRGBDSensor ISimulatedWorld ISixAxisForceTorqueSensors ISkinPatches
+ISpeechSynthesizer ISpeechTranscription ITemperatureSensors IThreeAxisGyroscopes IThreeAxisLinearAccelerometers
+IThreeAxisMagnetometers
 """
-"""What else the bindings view a device as (``yarp.i`` of 3.9 to 4.0): None, unless a device here has it."""
+"""What else the bindings view a device as (``yarp.i`` of 3.9 to 4.0): None, as no device here has it."""
 
 for _interface in _OTHERS.split():
     setattr(PolyDriver, f"view{_interface}", _view(_interface))

@@ -105,7 +105,7 @@ def test_encoders_with_times_into_vectors_of_each_kind(driver: yarp.PolyDriver, 
     assert abs(times[0] - yarp.now()) < 5.0
     assert driver.viewIPreciselyTimed().getLastInputStamp().getTime() >= times[0]
     vector, array = yarp.Vector(AXES), np.zeros(AXES)
-    assert timed.getEncoders(vector)
+    assert timed.getEncoders(vector.data())
     assert timed.getEncoders(array)
     assert list(vector) == list(array) == [1.0, 2.0, 3.0]
     one, time = yarp.DVector(1), yarp.DVector(1)

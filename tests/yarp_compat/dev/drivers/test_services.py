@@ -207,6 +207,7 @@ def test_a_model_is_asked(serve: Serve, version: str) -> None:
     assert conversation == [LLM_Message()]
     assert model.ask("where", answer)
     assert answer == LLM_Message("function", "WHERE", ["place"], ["kitchen"])
+    assert answer.toString_c() == "function WHERE (place) (kitchen)"
     assert model.getConversation(conversation)
     assert [one.content for one in conversation] == ["be short", "where", "WHERE"]
     assert model.deleteConversation()
