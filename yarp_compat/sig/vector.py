@@ -151,10 +151,6 @@ class VectorOf(Comparable, Portable):
             room[: self._count] = self._room[: self._count]
             self._room = room
 
-    def data(self) -> Self:
-        """The numbers, to be filled in by what takes a pointer in C++: ``encoders.getEncoders(vector.data())``."""
-        return self
-
     def resize(self, size: int, fill: Any = None) -> None:
         """Become so long; new elements are 0, or all are ``fill`` where it is given."""
         if size < 0:
