@@ -113,6 +113,9 @@ def test_a_script_moves_a_wheel(tmp_path: Path) -> None:
                 assert position.positionMove(yarp.DVector([90.0, 90.0]))
                 until(position.checkMotionDone, "the wheels are there")
                 until(lambda: abs(encoders.getEncoder(1) - 90.0) < 1.0, "the encoders say so")
+                assert position.positionMove(yarp.DVector([1e6, 1e6]))
+                assert [answer.value for answer in place.far.hub.ask("halt", {}, worker="sim")] == [{"halted": True}]
+                assert position.isMotionDone()
                 driver.close()
             place.worker.stop()
     finally:
