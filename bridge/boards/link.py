@@ -144,7 +144,8 @@ class BoardLink:
         kinds = [client.call("getJointTypeRPC", axis) for axis in range(client.axes)]
         metres = [bool(kind[0]) and kind[1] == modes.VOCAB_JOINTTYPE_PRISMATIC for kind in kinds]
         self._heard = time.monotonic()
-        self._driven = ()
+        self._driven = tuple(joint for joint in self._driven if joint < client.axes)  # when it was lost
+        self._stand(client)
         self.joints = Joints(names, tuple(1.0 if flag else math.pi / 180.0 for flag in metres))
         self.trouble = ""
 
@@ -164,8 +165,8 @@ class BoardLink:
                 self._obey(client, command)
             elif self._driven and now >= self._until:
                 self._stand(client)
-            wait = min(_LOOK, self._until - now) if self._driven else _LOOK
-            if self._wake.wait(max(0.001, wait)):
+            left = self._until - time.monotonic()
+            if self._wake.wait(left if self._driven and 0.0 < left < _LOOK else _LOOK):
                 self._wake.clear()
         self._stand(client)
 
@@ -179,15 +180,16 @@ class BoardLink:
         if not self._in_mode(client, command) or time.monotonic() > command.until:
             self.dropped += 1
             return
+        drives = command.method.startswith("velocity")
+        others = tuple(joint for joint in self._driven if joint not in command.joints)
+        if drives:  # also where the board is not reached: part of it may have come
+            self._driven, self._until = others + command.joints, command.until
         if not client.call(command.method, command.joints, command.values)[0]:
-            self.trouble = f"{self._section.remote} refuses commands"
+            self.trouble = f"{self._section.remote} takes no commands"
             return
-        if command.method.startswith("velocity"):
-            left = tuple(joint for joint in self._driven if joint not in command.joints)
-            if left:
-                client.call("velocityMoveGroupRPC", left, (0.0,) * len(left))
+        self.trouble = ""
+        if drives and self._still(client, others):
             self._driven = tuple(j for j, value in zip(command.joints, command.values, strict=True) if value)
-            self._until = command.until
 
     def _in_mode(self, client: ControlBoardClient, command: JointCommand) -> bool:
         """Have the joints in the mode that a command is of; whether they are."""
@@ -198,10 +200,13 @@ class BoardLink:
         return bool(client.call("setControlModeGroupRPC", command.joints, wanted)[0])
 
     def _stand(self, client: ControlBoardClient) -> None:
-        """Say zero to the joints that move by us."""
-        if self._driven:
-            client.call("velocityMoveGroupRPC", self._driven, (0.0,) * len(self._driven))
+        """Say zero to the joints that move by us; they count as moving until the board was told."""
+        if self._still(client, self._driven):
             self._driven = ()
+
+    @staticmethod
+    def _still(client: ControlBoardClient, joints: tuple[int, ...]) -> bool:
+        return not joints or bool(client.call("velocityMoveGroupRPC", joints, (0.0,) * len(joints))[0])
 
     def _take(self, data: JointData, seconds: float) -> None:
         self._heard = time.monotonic()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import threading
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -26,6 +27,7 @@ class Robot(Place):
     def __init__(self, folder: Path) -> None:
         super().__init__(folder)
         self.board = Joints()
+        self.server: ControlBoardServer
         self.seen = 0
         self.states = self.far.subscribe("/arm/joint_states", JOINTS)
         self.commands = self.far.advertise("/arm/command", JOINTS)
@@ -53,7 +55,7 @@ def served(robot: Robot) -> ControlBoardServer:
 def robot(tmp_path: Path) -> Iterator[Robot]:
     robot = Robot(tmp_path)
     try:
-        with NameServer(port=robot.port, gc_seconds=0), served(robot):
+        with NameServer(port=robot.port, gc_seconds=0), served(robot) as robot.server:
             robot.worker.start(robot.config(modules={"control_boards": {"enabled": True, "boards": [BOARD]}}))
             robot.state()
             until(lambda: robot.far.hub.graph.subscriptions("/arm/command"), "the topic of commands is heard")
@@ -84,6 +86,23 @@ def test_a_velocity_that_nobody_says_again_ends(robot: Robot) -> None:
     assert robot.board.modes == [modes.VOCAB_CM_VELOCITY, modes.VOCAB_CM_POSITION, modes.VOCAB_CM_VELOCITY]
     until(lambda: robot.speeds == [0.0, 0.0, 0.0], "the joints stand still", every=0.01)
     assert robot.board.control_mode(2) == modes.VOCAB_CM_VELOCITY
+
+
+def test_what_moved_when_the_board_was_lost_is_stopped_when_it_is_back(robot: Robot) -> None:
+    """A real board holds a velocity for ever."""
+
+    def say() -> bool:
+        robot.command(name=["joint0"], velocity=[1.0])
+        return robot.speeds[0] != 0.0
+
+    until(say, "the joint moves", every=0.05)
+    closing = threading.Thread(target=robot.server.close)
+    closing.start()
+    until(lambda: say() and robot.answer("control_boards")["boards"][0]["trouble"], "the board is missed", every=0.05)
+    closing.join()
+    assert robot.speeds[0] != 0.0
+    with served(robot):
+        until(lambda: robot.speeds[0] == 0.0, "the joint stands still")
 
 
 def test_a_position_is_moved_to(robot: Robot) -> None:
