@@ -11,6 +11,9 @@ from tests.support.tiers import alone
 _ALONE = "@alone"
 """Stands behind the name of a file, whose tests of this marker are a part of their own."""
 
+_BY_SIDE = "tests/contract/"
+"""Long files whose tests share nothing: the tests of one side are a part of their own, or all would wait for the last."""
+
 
 class Scheduler(LoadFileScheduling):
     """Gives files to the processes from both ends; the last process that works goes on with the tests to run alone.
@@ -20,7 +23,10 @@ class Scheduler(LoadFileScheduling):
 
     def _split_scope(self, nodeid: str) -> str:
         file, _, test = nodeid.partition("::")
-        return file + (_ALONE if test.partition("[")[0] in alone(self.config.rootpath / file) else "")
+        name, _, side = test.partition("[")
+        if name in alone(self.config.rootpath / file):
+            return file + _ALONE
+        return f"{file}[{side}" if side and file.startswith(_BY_SIDE) else file
 
     def _assign_work_unit(self, node: Any) -> None:
         waiting = [unit for unit in self.workqueue if not unit.endswith(_ALONE)]
