@@ -12,7 +12,7 @@ _ALONE = "@alone"
 """Stands behind the name of a file, whose tests of this marker are a part of their own."""
 
 _BY_SIDE = "tests/contract/"
-"""Long files whose tests share nothing: the tests of one side are a part of their own, or all would wait for the last."""
+"""Long files whose tests share nothing: the tests of one side are a part of their own, or all wait for the last."""
 
 
 class Scheduler(LoadFileScheduling):
