@@ -191,10 +191,15 @@ class Page:
                 feed = self._open[name] = self._feeds.find(name)
                 feed.watch(self)
             except LookupError as err:
-                self.refuse(str(err))
-                self._call_soon(lambda: self._watched.discard(name))
+                why = str(err)
+                self._call_soon(lambda: self._not_watched(name, why))
 
         self._do(watch)
+
+    def _not_watched(self, name: str, why: str) -> None:
+        """A feed cannot be followed; the page may ask again as soon as it has heard so."""
+        self._watched.discard(name)
+        self._say({"op": "error", "error": why})
 
     def _unwatch(self, name: str) -> None:
         if name not in self._watched:
