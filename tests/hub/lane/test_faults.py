@@ -77,7 +77,8 @@ def test_a_writer_that_is_killed_leaves_whole_messages(network: HubNetwork, tmp_
             goes_by(heard, "zenoh", "no other worker publishes it")
             texts = heard.texts()
             assert {len(text) for text in texts} == {60_000}
-            whole(texts)
+            numbers = [int(text) for text in texts]  # at 300 MB/s some find no room, which is no fault
+            assert numbers == sorted(set(numbers))
             heard.samples.clear()
 
 
