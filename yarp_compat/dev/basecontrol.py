@@ -13,14 +13,12 @@ from __future__ import annotations
 
 from collections.abc import MutableSequence
 from dataclasses import dataclass
-from typing import Any, Self, Unpack
+from typing import Any, Unpack
 
-from yarp_compat.dev.client import ClientOptions, ServiceClient, Stream
+from yarp_compat.dev.client import ClientOptions, ServiceClient, StreamingClient
 from yarp_compat.dev.fields import Generated
 from yarp_compat.dev.returnvalue import OK, UNREACHED, CallFailed, ReturnValue, called, given, three
 from yarp_compat.dev.service import Service, rpc
-from yarp_compat.ports.sockets import closed_on_failure
-from yarp_compat.wire.errors import WireError
 
 
 @dataclass
@@ -95,7 +93,7 @@ class MobileBaseVelocityControl(ServiceClient[INavigation2DVelocityActionsMsgs])
             raise CallFailed(outcome.code, "the base refuses the command; its log says why")
 
 
-class Odometry2DClient(ServiceClient[IOdometry2DMsgs]):
+class Odometry2DClient(StreamingClient[IOdometry2DMsgs, OdometryData]):
     """Hears an odometry, and begins it anew, as YARP's ``odometry2D_nwc_yarp`` does (`IOdometry2D`).
 
     ``server`` begins the names of its ports (``/baseControl/odometry``), ``name`` the own ones; ``carrier`` is the
@@ -104,48 +102,22 @@ class Odometry2DClient(ServiceClient[IOdometry2DMsgs]):
 
     def __init__(self, server: str, name: str = "", carrier: str = "", **options: Unpack[ClientOptions]) -> None:
         mine = name.rstrip("/")
-        super().__init__(IOdometry2DMsgs, f"{server}/rpc", mine and f"{mine}/rpc", **options)
-        own, naming = mine and f"{mine}/odometry:i", options.get("naming")
-        source = f"{carrier}:/{server}/odometry:o" if carrier else f"{server}/odometry:o"
-        self._stream = Stream(source, OdometryData, own, naming=naming)
-        self._last: tuple[OdometryData, float] | None = None
-
-    def open(self) -> Self:
-        """Open both ports and connect them; errors as of `ServiceClient.open`."""
-        super().open()
-        with closed_on_failure(self):
-            self._stream.open()
-        return self
-
-    def close(self) -> None:
-        """Close both ports."""
-        self._stream.close()
-        super().close()
-
-    def read(self) -> tuple[OdometryData, float] | None:
-        """Wait for the next odometry, and its time stamp in seconds; None once this is closed."""
-        found = self._stream.read()
-        self._last = found or self._last
-        return found
+        own, said = mine and f"{mine}/rpc", mine and f"{mine}/odometry:i"
+        super().__init__(
+            IOdometry2DMsgs, f"{server}/rpc", own, f"{server}/odometry:o", OdometryData, said, carrier, **options
+        )
 
     def getOdometry(self, odom: OdometryData | None = None, timestamp: MutableSequence[float] | None = None) -> Any:
         """The newest odometry, and its time stamp in seconds; false before any has come.
 
         They are filled in where there is something to fill, else returned: the outcome, the odometry, the stamp.
         """
-        outcome, found, stamp = self._newest()
+        outcome, found, stamp = (UNREACHED, OdometryData(), 0.0) if (last := self.last()) is None else (OK, *last)
         if odom is None:
             return outcome, found, stamp
         if outcome and timestamp is not None:
             timestamp[:] = [stamp]
         return given(outcome, found, odom)
-
-    def _newest(self) -> tuple[ReturnValue, OdometryData, float]:
-        try:
-            self._last = self._stream.read_now() or self._last
-        except WireError:
-            return UNREACHED, OdometryData(), 0.0
-        return (UNREACHED, OdometryData(), 0.0) if self._last is None else (OK, *self._last)
 
     def resetOdometry(self) -> ReturnValue:
         """Begin at zero from here; false where that failed."""

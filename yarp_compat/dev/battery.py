@@ -13,14 +13,13 @@ from __future__ import annotations
 from collections.abc import MutableSequence
 from dataclasses import dataclass
 from enum import IntEnum
-from typing import Any, Self, Unpack
+from typing import Any, Unpack
 
-from yarp_compat.dev.client import ClientOptions, ServiceClient, Stream
+from yarp_compat.dev.client import ClientOptions, StreamingClient
 from yarp_compat.dev.fields import Generated
 from yarp_compat.dev.rangefinder import OldAnswer
 from yarp_compat.dev.returnvalue import OK, UNREACHED, ReturnValue, answered, given
 from yarp_compat.dev.service import Service, rpc
-from yarp_compat.ports.sockets import closed_on_failure
 from yarp_compat.wire.errors import WireError
 
 
@@ -116,7 +115,7 @@ class IBattery:
         return given(UNREACHED if data is None else OK, value, into)
 
 
-class BatteryClient(ServiceClient[_BatteryCalls], IBattery):
+class BatteryClient(StreamingClient[_BatteryCalls, BatteryData], IBattery):
     """Hears a battery, as YARP's ``battery_nwc_yarp`` does.
 
     ``server`` begins the names of its ports (``/robot/battery``), ``name`` the own ones; ``carrier`` is the stream's;
@@ -124,33 +123,15 @@ class BatteryClient(ServiceClient[_BatteryCalls], IBattery):
     """
 
     def __init__(self, server: str, name: str = "", carrier: str = "", **options: Unpack[ClientOptions]) -> None:
-        super().__init__(_BatteryCalls, f"{server}/rpc:i", name and f"{name}/rpc:o", **options)
-        source = f"{carrier}:/{server}/data:o" if carrier else f"{server}/data:o"
-        self._stream = Stream(source, BatteryData, name and f"{name}/data:i", naming=options.get("naming"))
-        self._last: BatteryData | None = None
-
-    def open(self) -> Self:
-        """Open both ports and connect them; errors as of `ServiceClient.open`."""
-        super().open()
-        with closed_on_failure(self):
-            self._stream.open()
-        return self
-
-    def close(self) -> None:
-        """Close both ports."""
-        self._stream.close()
-        super().close()
+        own, said = name and f"{name}/rpc:o", name and f"{name}/data:i"
+        super().__init__(
+            _BatteryCalls, f"{server}/rpc:i", own, f"{server}/data:o", BatteryData, said, carrier, **options
+        )
 
     def newest(self) -> BatteryData | None:
-        """What came last; None before anything has. Other data than a battery's is left out."""
-        try:
-            received = self._stream.read_now()
-        except WireError:
-            received = None
-        if received is not None:
-            came, _ = received
-            self._last = came if self.version is not None else _of_older(came)
-        return self._last
+        """What came last; None before anything has."""
+        last = self.last()
+        return None if last is None else last[0]
 
     def described(self) -> tuple[ReturnValue, str]:
         """The outcome, and what kind of battery it is."""
@@ -162,7 +143,9 @@ class BatteryClient(ServiceClient[_BatteryCalls], IBattery):
         except (OSError, WireError):
             return UNREACHED, ""
 
-
-def _of_older(said: BatteryData) -> BatteryData:
-    """What a server before 3.12 means, whose numbers were taken for those of today's: voltage, current, charge."""
-    return BatteryData(said.current, said.charge, said.voltage, said.temperature, said.status)
+    def _meant(self, received: tuple[BatteryData, float] | None) -> tuple[BatteryData, float] | None:
+        """Before 3.12 the numbers were voltage, current, charge."""
+        if received is None or self.version is not None:
+            return received
+        said, stamp = received
+        return BatteryData(said.current, said.charge, said.voltage, said.temperature, said.status), stamp

@@ -5,6 +5,7 @@ The port is connected to the server's, and again where the server was away.
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Callable, Iterator
 from typing import Generic, Self, TypedDict, TypeVar, Unpack
 
@@ -15,6 +16,7 @@ from yarp_compat.ports.naming import Naming, PortError
 from yarp_compat.ports.port import PortCore
 from yarp_compat.ports.sockets import Openable, closed_on_failure
 from yarp_compat.pythonic import Client, Reader, Received
+from yarp_compat.wire.errors import WireError
 from yarp_compat.wire.framing import Buffer
 from yarp_compat.wire.generation import Generation
 from yarp_compat.wire.portable import Portable
@@ -70,20 +72,22 @@ class Stream(Openable, Generic[T]):
     """Hears a port that writes one ``kind`` of data, such as `Map2DLocation`, between ``with`` and its end.
 
     A position whose coordinates are no numbers is that of a robot which does not know where it is. The source may say
-    the carrier: ``udp://robot/odometry:o``. ``strict``: every message, not the newest only; more as of `OpenPort`.
+    the carrier, ``udp://robot/odometry:o``, or ``carrier`` does. ``strict``: every message, not the newest only; more
+    as of `OpenPort`.
     """
 
     def __init__(
-        self, source: str, kind: type[T], name: str = "", *, strict: bool = False, naming: Naming | None = None
-    ) -> None:
-        self._source, self._kind = source, kind
+        self, source: str, kind: type[T], name: str = "", carrier: str = "", *, strict: bool = False,
+        naming: Naming | None = None,
+    ) -> None:  # fmt: skip
+        self._source, self._kind, self._carrier = source, kind, carrier
         self._reader = Reader(name, strict=strict, naming=naming)
 
     def open(self) -> Self:
         """Open the port and connect the source to it; raises `NamingError`, `PortError` where it does not exist."""
         self._reader.open()
         with closed_on_failure(self):
-            connections.connect(self._reader.core.naming, self._source, self._reader.name)
+            connections.connect(self._reader.core.naming, self._source, self._reader.name, self._carrier)
         return self
 
     def close(self) -> None:
@@ -143,3 +147,46 @@ class ServiceClient(Client, Generic[S]):
         with closed_on_failure(self):
             self.version = self.remote.introduce()
         return self
+
+
+class StreamingClient(ServiceClient[S], Generic[S, T]):
+    """A client of a server that streams one ``kind`` of data, too.
+
+    ``source`` is the port that streams, ``mine`` the own one that hears it; ``carrier`` is the stream's.
+    """
+
+    def __init__(
+        self, interface: type[S], server: str, name: str, source: str, kind: type[T], mine: str, carrier: str,
+        **options: Unpack[ClientOptions],
+    ) -> None:  # fmt: skip
+        super().__init__(interface, server, name, **options)
+        self._stream = Stream(source, kind, mine, carrier, naming=options.get("naming"))
+        self._last: tuple[T, float] | None = None
+
+    def open(self) -> Self:
+        """Open both ports and connect them; errors as of `ServiceClient.open`."""
+        super().open()
+        with closed_on_failure(self):
+            self._stream.open()
+        return self
+
+    def close(self) -> None:
+        """Close both ports; who waits for data hears of it."""
+        self._stream.close()
+        super().close()
+
+    def read(self) -> tuple[T, float] | None:
+        """Wait for the next data, and its time stamp in seconds; None once this is closed."""
+        found = self._meant(self._stream.read())
+        self._last = found or self._last
+        return found
+
+    def last(self) -> tuple[T, float] | None:
+        """The newest data, and its time stamp in seconds; None before any has come. Other data is left out."""
+        with contextlib.suppress(WireError):
+            self._last = self._meant(self._stream.read_now()) or self._last
+        return self._last
+
+    def _meant(self, received: tuple[T, float] | None) -> tuple[T, float] | None:
+        """What a server of an older release means by its data."""
+        return received

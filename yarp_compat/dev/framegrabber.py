@@ -185,7 +185,7 @@ class FrameGrabberClient(ServiceClient[FrameGrabberMsgs], IFrameGrabberControls)
     ) -> None:  # fmt: skip
         mine = name and f"{name}/rpc_client"
         super().__init__(FrameGrabberMsgs, answers or f"{server}/rpc", mine, **options)
-        self._source = f"{carrier}:/{server}" if carrier else server
+        self._source, self._carrier = server, carrier
         self._reader = Reader(name, naming=options.get("naming")) if stream else None
         self._size = (0, 0)
 
@@ -195,7 +195,7 @@ class FrameGrabberClient(ServiceClient[FrameGrabberMsgs], IFrameGrabberControls)
         with closed_on_failure(self):
             if self._reader is not None:
                 self._reader.open()
-                connections.connect(self._reader.core.naming, self._source, self._reader.name)
+                connections.connect(self._reader.core.naming, self._source, self._reader.name, self._carrier)
         return self
 
     def close(self) -> None:

@@ -14,7 +14,7 @@ import math
 from collections.abc import MutableSequence
 from typing import Any, Self, Unpack
 
-from yarp_compat.dev.client import ClientOptions, ServiceClient, Stream
+from yarp_compat.dev.client import ClientOptions, StreamingClient
 from yarp_compat.dev.rangefinder import (
     DeviceStatus,
     IRangefinder2DMsgs,
@@ -135,7 +135,7 @@ class IRangefinder2D:
         return (OK if answer else ReturnValue(ReturnCode.METHOD_FAILED),)
 
 
-class Rangefinder2DClient(ServiceClient[_LaserCalls], IRangefinder2D):
+class Rangefinder2DClient(StreamingClient[_LaserCalls, LaserScan2D], IRangefinder2D):
     """Hears a laser, and asks its settings.
 
     ``server`` is the port that streams scans, ``<server>/rpc:i`` the one that answers; ``name`` is the own port, and
@@ -143,11 +143,11 @@ class Rangefinder2DClient(ServiceClient[_LaserCalls], IRangefinder2D):
     """
 
     def __init__(self, server: str, name: str = "", carrier: str = "", **options: Unpack[ClientOptions]) -> None:
-        ServiceClient.__init__(self, _LaserCalls, f"{server}/rpc:i", name and f"{name}/rpc:o", **options)
+        own = name and f"{name}/rpc:o"
+        StreamingClient.__init__(
+            self, _LaserCalls, f"{server}/rpc:i", own, server, LaserScan2D, name, carrier, **options
+        )
         IRangefinder2D.__init__(self, self.remote)
-        source = f"{carrier}:/{server}" if carrier else server
-        self._stream = Stream(source, LaserScan2D, name, naming=options.get("naming"))
-        self._last: tuple[LaserScan2D, float] | None = None
 
     def open(self) -> Self:
         """Open both ports and connect them; errors as of `ServiceClient.open`."""
@@ -155,27 +155,11 @@ class Rangefinder2DClient(ServiceClient[_LaserCalls], IRangefinder2D):
         with closed_on_failure(self):
             if self.version is None:  # before 3.12: from 3.10 on it knows today's methods, before that older words
                 self._answers_older_words = not self.getScanLimits()[0]
-            self._stream.open()
         return self
-
-    def close(self) -> None:
-        """Close both ports."""
-        self._stream.close()
-        super().close()
-
-    def read(self) -> tuple[LaserScan2D, float] | None:
-        """Wait for the next scan, and its time stamp in seconds; None once this is closed."""
-        found = self._stream.read()
-        self._last = found or self._last
-        return found
 
     def newest(self) -> tuple[LaserScan2D, float] | None:
         """The last scan, and its time stamp in seconds; None before any has come. Other data is left out."""
-        try:
-            self._last = self._stream.read_now() or self._last
-        except WireError:
-            return self._last
-        return self._last
+        return self.last()
 
 
 def _point(distance: float, degrees: float) -> LaserMeasurementData:
