@@ -48,7 +48,6 @@ class WheelCommands:
         self.targets: list[float | None] = [None] * count  # of position moves, degrees
         self.velocities = np.zeros(count)  # that were wanted last, degrees per second
         self._until = [0] * count
-        self.duties = np.zeros(count)  # per cent
         self.zero = np.zeros(count)  # where the encoders were set to 0, degrees
         self.now_ns = now_ns
         self._encoders = Encoders(0, np.zeros(count), np.zeros(count))
@@ -74,7 +73,7 @@ class WheelCommands:
     def release(self, wheel: int) -> None:
         """Forget what a wheel was told."""
         self.targets[wheel] = None
-        self.velocities[wheel] = self.duties[wheel] = self._moving[wheel] = 0.0
+        self.velocities[wheel] = self._moving[wheel] = 0.0
         self._until[wheel] = 0
 
     def halt(self) -> None:
@@ -86,6 +85,11 @@ class WheelCommands:
         """A velocity is wanted from now on, until its time-out."""
         self.velocities[wheel] = min(self.greatest, max(-self.greatest, velocity))
         self._until[wheel] = self.now_ns + self._timeout
+
+    def duties(self) -> Floats:
+        """Duty cycles of the wheels that are driven by one, per cent; zero once its time is over."""
+        driven = [self.modes[w] == modes.VOCAB_CM_PWM and self._commanded(w) for w in range(len(self.names))]
+        return np.where(driven, 100.0 * self.velocities / self.greatest, 0.0)
 
     def wanted(self, seconds: float) -> Floats | None:
         """Velocities for the next so many seconds, radians per second; None where nobody commands a wheel."""
@@ -141,7 +145,7 @@ class WheelBoard(JointBoard):
             "jointVelocity": commands.turning(),
             "motorPosition": commands.positions(),
             "motorVelocity": commands.turning(),
-            "pwmDutycycle": commands.duties.copy(),
+            "pwmDutycycle": commands.duties(),
             "controlMode": np.array(commands.modes),
             "interactionMode": np.full(self.axes, modes.VOCAB_IM_STIFF),
         }
@@ -235,11 +239,10 @@ class WheelBoard(JointBoard):
         duty = min(100.0, max(-100.0, _finite(v)))
         commands = self._in(j, modes.VOCAB_CM_PWM)
         commands.turn(j, duty / 100.0 * commands.greatest)
-        commands.duties[j] = duty
         return OK
 
     def getRefDutyCycleOneRPC(self, j: int) -> tuple[ReturnValue, float]:
-        return OK, float(self._commands().duties[j])
+        return OK, float(self._commands().duties()[j])
 
     def getDutyCycleOneRPC(self, j: int) -> tuple[ReturnValue, float]:
         return self.getRefDutyCycleOneRPC(j)

@@ -90,8 +90,16 @@ def test_the_emergency_stop_and_a_change_of_mode_end_what_was_commanded(
     wanted = simulation.board.wanted(0.01)
     assert wanted is not None
     assert math.degrees(wanted[0]) == pytest.approx(simulation.board.greatest / 10.0)
+    assert list(simulation.board.duties()) == pytest.approx([10.0, 10.0])
     answer(board, "setControlModeAllRPC", [[modes.VOCAB_CM_IDLE] * 2])
     assert simulation.board.wanted(0.01) is None
+
+
+def test_a_duty_cycle_that_nobody_says_again_is_over(simulation: Simulation, board: WheelBoard) -> None:
+    answer(board, "setControlModeAllRPC", [[modes.VOCAB_CM_PWM] * 2])
+    answer(board, "setRefDutyCycleAllRPC", [[10.0, 10.0]])
+    simulation.run(2.0)
+    assert list(board.state().values["pwmDutycycle"]) == [0.0, 0.0]
 
 
 def test_a_script_moves_a_wheel(tmp_path: Path) -> None:
