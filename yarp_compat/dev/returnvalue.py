@@ -77,7 +77,7 @@ class ReturnValue(Portable):
         return self == other
 
     def __hash__(self) -> int:
-        return hash(self.code)
+        return hash(self.code.vocab_number)  # as that of the number that it equals
 
     def __repr__(self) -> str:
         return f"ReturnValue({self.code.name})"

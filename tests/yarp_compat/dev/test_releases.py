@@ -311,6 +311,7 @@ def test_outcomes_have_the_numbers_and_words_of_the_bindings() -> None:
     number = getattr(ReturnValue, "return_code_return_value_error_method_failed")  # noqa: B009 - made from a table
     assert number == int.from_bytes(b"err5", "little")
     assert failed == number
+    assert hash(failed) == hash(number), "as of all that is equal"
     assert failed.isEqual(number)
     assert ReturnValue(number) == failed
     assert failed.toString() == "return_value_error_method_failed"
