@@ -12,8 +12,8 @@ import pytest
 
 from tests.support.ports import free_port
 from tests.support.yarp_script import said, start
+from tests.yarp_compat.dev.drivers.test_cameras_and_models import Camera
 from tests.yarp_compat.dev.drivers.test_sensors import SCAN, Battery, Laser
-from tests.yarp_compat.dev.drivers.test_services import Camera
 from tests.yarp_compat.dev.keptmaps import KeptMaps
 from yarp_compat.dev.battery import BatteryData
 from yarp_compat.dev.inavigation2d import Navigation2DServer

@@ -38,12 +38,12 @@ _FACTORIES = {
     "frameTransformClient": "transforms.frame_transform_client",
     "frameTransform_nwc_yarp": "transforms.frame_transform",
     "transformClient": "transforms.transform_client",
-    "rangefinder2D_nwc_yarp Rangefinder2DClient": "sensors.rangefinder2d",
-    "odometry2D_nwc_yarp": "sensors.odometry2d",
-    "battery_nwc_yarp batteryClient": "sensors.battery",
-    "controlBoard_nwc_yarp remote_controlboard controlboard_nwc_yarp": "controlboard.controlboard",
-    "frameGrabber_nwc_yarp remote_grabber": "sensors.frame_grabber",
-    "LLM_nwc_yarp": "services.llm",
+    "rangefinder2D_nwc_yarp Rangefinder2DClient": "parts.rangefinder2d",
+    "odometry2D_nwc_yarp": "parts.odometry2d",
+    "battery_nwc_yarp batteryClient": "parts.battery",
+    "controlBoard_nwc_yarp remote_controlboard controlboard_nwc_yarp": "parts.controlboard",
+    "frameGrabber_nwc_yarp remote_grabber": "parts.frame_grabber",
+    "LLM_nwc_yarp": "parts.llm",
 }
 """The names of a device in YARP's releases, and its factory: a module of this package, and a function in it."""
 
