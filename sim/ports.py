@@ -1,6 +1,7 @@
 """The simulator's YARP ports, named as the robot's own (``/cer/...``) or its Gazebo model's (``/SIM_CER_ROBOT/...``).
 
-A laser (`rangefinder2D_nws_yarp`), odometry (`odometry2D_nws_yarp`) and the battery (`battery_nws_yarp`).
+A laser (`rangefinder2D_nws_yarp`), odometry (`odometry2D_nws_yarp`), the battery (`battery_nws_yarp`), and the wheels
+as a control board (`controlBoard_nws_yarp`) for clients of YARP 3 and 4.
 """
 
 # ruff: noqa: N802 - YARP's names
@@ -13,10 +14,11 @@ from typing import Any
 import numpy as np
 
 from bridge.modules.host import Host
-from sim.board_ports import BoardPorts
+from sim.board import WheelBoard
 from sim.simulation import TICK_NS, Simulation
 from yarp_compat.dev.basecontrol import IOdometry2DMsgs, OdometryData
 from yarp_compat.dev.battery import BatteryData, BatteryStatus, IBatteryMsgs
+from yarp_compat.dev.controlboard.server import BoardAnswers, positions
 from yarp_compat.dev.rangefinder import DeviceStatus, LaserScan2D, Rangefinder2D
 from yarp_compat.dev.returnvalue import OK, ReturnCode, ReturnValue
 from yarp_compat.sig.vector import Vector
@@ -47,7 +49,7 @@ class RobotPorts:
         self._battery = yarp.output(f"{prefix}/battery:o")
         self._battery_data = yarp.output(f"{prefix}/battery/data:o")
         yarp.serve(f"{prefix}/battery/rpc:i", _Battery())
-        self._board = BoardPorts(host, f"{prefix}/{simulation.section.part}", simulation)
+        self._board = _Board(host, f"{prefix}/{simulation.section.part}", simulation)
         self._ticks = 0
         self._scanned = -1
 
@@ -96,6 +98,36 @@ class RobotPorts:
             self._odometer.write([found.travelled, math.degrees(found.turned)], envelope)
         if self._velocity.heard:
             self._velocity.write([math.hypot(vx, vy), degrees], envelope)
+
+
+class _Board:
+    """The ports of the wheels; ``name`` is what theirs begin with."""
+
+    def __init__(self, host: Host, name: str, simulation: Simulation) -> None:
+        # what nobody waits for any more never moves a wheel
+        board = WheelBoard(lambda: simulation.board, lambda action: host.loop.call(action, late=False))
+        answers = BoardAnswers(board)
+        self._board = board
+        yarp = host.yarp
+        yarp.serve(f"{name}/nws/rpc:i", answers.service)
+        yarp.respond(f"{name}/rpc:i", answers.respond)
+        yarp.input(f"{name}/command:i", answers.take)
+        host.answer("halt", lambda _params: host.loop.call(lambda: self._halt(simulation)))
+        self._state, self._positions = yarp.output(f"{name}/stateExt:o"), yarp.output(f"{name}/state:o")
+
+    @staticmethod
+    def _halt(simulation: Simulation) -> dict[str, bool]:
+        """Forget what was commanded; later commands are obeyed again."""
+        simulation.board.halt()
+        simulation.drive.halt()
+        return {"halted": True}
+
+    def tell(self, envelope: str) -> None:
+        """Say what the wheels do, on the simulation's thread."""
+        if self._state.heard or self._positions.heard:
+            state = self._board.state()
+            self._state.write(state, envelope)
+            self._positions.write(positions(state), envelope)
 
 
 class _Laser(Rangefinder2D):
