@@ -9,9 +9,7 @@ The folders are those of YARP 3 and 4 (``yarp/conf/dirs.h`` and ``NameConfig.cpp
 from __future__ import annotations
 
 import contextlib
-import ntpath
 import os
-import posixpath
 import re
 import sys
 import tempfile
@@ -19,6 +17,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
+from yarp_compat.naming.directories import Directories
 from yarp_compat.ports.naming import NamingConfigError
 from yarp_compat.wire.contact import PortContact, is_name
 
@@ -42,18 +41,10 @@ class Address:
 
 
 def folder(environment: Mapping[str, str] | None = None, platform: str = sys.platform) -> str:
-    """YARP's configuration folder for this user on this operating system."""
-    env = os.environ if environment is None else environment
-    given = env.get("YARP_CONFIG_HOME")
-    if given:
-        return given
-    if platform == "win32":
-        home = env.get("USERPROFILE") or str(Path.home())
-        return ntpath.join(env.get("APPDATA") or ntpath.join(home, "AppData", "Roaming"), "yarp", "config")
-    home = env.get("HOME") or str(Path.home())
-    if platform == "darwin":
-        return posixpath.join(home, "Library", "Preferences", "yarp")
-    return posixpath.join(env.get("XDG_CONFIG_HOME") or posixpath.join(home, ".config"), "yarp")
+    """YARP's configuration folder for this user on this operating system. An empty variable counts as not set."""
+    env = {name: value for name, value in (os.environ if environment is None else environment).items() if value}
+    home = "USERPROFILE" if platform == "win32" else "HOME"
+    return Directories({home: str(Path.home()), **env} if home not in env else env, platform).config_home()
 
 
 def namespaces(environment: Mapping[str, str] | None = None) -> list[str]:

@@ -1,132 +1,15 @@
-"""YARP's directories on each system, and environment variables by YARP's names (`yarp/conf/dirs.h`, `environment.h`).
-
-``YARP_DATA_HOME`` and its kin, as YARP has them since 3.5, name a directory itself, also where they are empty. The XDG
-variables (APPDATA, LOCALAPPDATA and ALLUSERSPROFILE on Windows) name one in which ``yarp`` is looked for; macOS has no
-such variables.
-"""
+"""YARP's directories and environment variables by the names of its functions (`yarp/conf/dirs.h`, `environment.h`)."""
 
 from __future__ import annotations
 
 import os
 import sys
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Sequence
+
+from yarp_compat.naming.directories import Directories
 
 path_separator = ";" if sys.platform == "win32" else ":"
 """What stands between the directories in an environment variable."""
-
-
-@dataclass(frozen=True)
-class Directories:
-    """The directories, by the variables of an environment on a platform as `sys.platform` names it."""
-
-    environment: Mapping[str, str] = field(default_factory=lambda: os.environ)
-    platform: str = sys.platform
-
-    def home(self) -> str:
-        """The user's home."""
-        return self.environment.get("USERPROFILE" if self._windows else "HOME", "")
-
-    def temporary(self) -> str:
-        """Where temporary files go."""
-        if self._windows:
-            return self.environment.get("TEMP", f"{self.home()}\\AppData\\Local\\Temp")
-        return self.environment.get("TMPDIR", "/tmp")  # noqa: S108 - YARP's default
-
-    def data(self) -> str:
-        """The user's own data, of all programs."""
-        if self._windows:
-            return self.environment.get("APPDATA", f"{self.home()}\\AppData\\Roaming")
-        if self._mac:
-            return f"{self.home()}/Library/Application Support"
-        return self.environment.get("XDG_DATA_HOME", f"{self.home()}/.local/share")
-
-    def config(self) -> str:
-        """The user's own settings, of all programs."""
-        if self._windows:
-            return self.environment.get("APPDATA", f"{self.home()}\\AppData\\Roaming")
-        if self._mac:
-            return f"{self.home()}/Library/Preferences"
-        return self.environment.get("XDG_CONFIG_HOME", f"{self.home()}/.config")
-
-    def cache(self) -> str:
-        """What the user's programs may make again."""
-        if self._windows:
-            return self.environment.get("LOCALAPPDATA", f"{self.home()}\\AppData\\Local")
-        if self._mac:
-            return f"{self.home()}/Library/Caches"
-        return self.environment.get("XDG_CACHE_HOME", f"{self.home()}/.cache")
-
-    def runtime(self) -> str:
-        """What lives as long as the user's session."""
-        if self._windows:
-            return f"{self.temporary()}\\runtime"
-        default = f"{self.temporary()}/runtime-{self.environment.get('USER', '')}"
-        return default if self._mac else self.environment.get("XDG_RUNTIME_DIR", default)
-
-    def shared_data(self) -> list[str]:
-        """What is installed for everybody, of all programs."""
-        return self._shared("XDG_DATA_DIRS", "/usr/local/share:/usr/share", "/usr/local/share:/usr/share")
-
-    def shared_config(self) -> list[str]:
-        """What the administrator set, of all programs."""
-        return self._shared("XDG_CONFIG_DIRS", "/etc/xdg", "/etc:/Library/Preferences")
-
-    def data_home(self) -> str:
-        """YARP's data of the user: contexts and robots that were edited."""
-        return self.environment.get("YARP_DATA_HOME", self._in(self.data(), "yarp"))
-
-    def config_home(self) -> str:
-        """YARP's settings of the user: ``yarp.conf`` and its kin."""
-        return self.environment.get("YARP_CONFIG_HOME", self._in(self.config(), *self._config_suffix))
-
-    def cache_home(self) -> str:
-        """What YARP may make again."""
-        return self.environment.get("YARP_CACHE_HOME", self._in(self.cache(), "yarp"))
-
-    def runtime_home(self) -> str:
-        """What lives as long as YARP's programs."""
-        return self.environment.get("YARP_RUNTIME_DIR", self._in(self.runtime(), "yarp"))
-
-    def data_dirs(self) -> list[str]:
-        """YARP's data that are installed for everybody."""
-        if "YARP_DATA_DIRS" in self.environment:
-            return self._split(self.environment["YARP_DATA_DIRS"])
-        return [self._in(one, "yarp") for one in self.shared_data()]
-
-    def config_dirs(self) -> list[str]:
-        """YARP's settings that the administrator made."""
-        if "YARP_CONFIG_DIRS" in self.environment:
-            return self._split(self.environment["YARP_CONFIG_DIRS"])
-        return [self._in(one, *self._config_suffix) for one in self.shared_config()]
-
-    def robot(self) -> str:
-        """The robot's name: ``YARP_ROBOT_NAME``, or ``default``."""
-        return self.environment.get("YARP_ROBOT_NAME", "default")
-
-    @property
-    def _windows(self) -> bool:
-        return self.platform == "win32"
-
-    @property
-    def _mac(self) -> bool:
-        return self.platform == "darwin"
-
-    @property
-    def _config_suffix(self) -> Sequence[str]:
-        return ("yarp", "config") if self._windows else ("yarp",)
-
-    def _in(self, folder: str, *names: str) -> str:
-        return ("\\" if self._windows else "/").join((folder, *names))
-
-    def _split(self, text: str) -> list[str]:
-        return [one for one in text.split(";" if self._windows else ":") if one]
-
-    def _shared(self, variable: str, default: str, mac: str) -> list[str]:
-        if self._windows:
-            return self._split(self.environment.get("ALLUSERSPROFILE", "C:\\ProgramData"))
-        return self._split(mac if self._mac else self.environment.get(variable, default))
-
 
 _OWN = Directories()
 

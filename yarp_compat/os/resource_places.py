@@ -12,8 +12,8 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from yarp_compat.naming.directories import Directories
 from yarp_compat.os import config_text
-from yarp_compat.os.directories import Directories
 from yarp_compat.wire.values import entry_values
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 import yarp_compat as yarp
-from yarp_compat.os.directories import Directories
+from yarp_compat.naming.directories import Directories
 
 
 def test_linux_defaults() -> None:
