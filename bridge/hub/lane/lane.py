@@ -57,8 +57,7 @@ class Lane:
         self._refused: dict[str, tuple[float, str]] = {}
         self._choosing: dict[Choosing, None] = {}
         self._looking: dict[Choosing, None] = {}
-        self._wake = Event()
-        self._closed = False
+        self._wake, self._closing = Event(), Event()
         self._barriers: dict[str, tuple[float, float]] = {}
         self._asking = SerialExecutor("hub-lane-asks")
         self._barrier_key = f"@midspan/{domain}/lane/"
@@ -105,7 +104,7 @@ class Lane:
     def _run(self) -> None:
         again: list[Choosing] = []
         pause = _LOOK_SECONDS
-        while not self._closed:
+        while not self._closing.is_set():
             woken = self._wake.wait(pause if again else None)
             pause = _LOOK_SECONDS if woken else min(2 * pause, _LONGEST_LOOK_SECONDS)
             self._wake.clear()
@@ -113,7 +112,7 @@ class Lane:
                 looking, self._looking = {**dict.fromkeys(again), **self._looking}, {}
             began = time.thread_time()
             again = [chooser for chooser in looking if chooser in self._choosing and self._settle(chooser)]
-            time.sleep(max(_SETTLE_SECONDS, _SHARE * (time.thread_time() - began)))
+            self._closing.wait(max(_SETTLE_SECONDS, _SHARE * (time.thread_time() - began)))
 
     @staticmethod
     def _settle(chooser: Choosing) -> bool:
@@ -157,6 +156,7 @@ class Lane:
         with self._lock:
             if self._inlets.get(inlet.zid) is inlet:
                 del self._inlets[inlet.zid]
+                self._barriers.pop(inlet.zid, None)
                 ended = inlet.zid not in self._refused
             else:
                 ended = False
@@ -171,7 +171,7 @@ class Lane:
             if len(self._refused) >= _MAX_REFUSED:
                 del self._refused[next(iter(self._refused))]
             self._refused[zid] = time.monotonic(), why
-        if again and not self._closed:
+        if again and not self._closing.is_set():
             self.calls.after(_AGAIN_SECONDS, self.graph_changed, once=True)
 
     def state(self) -> dict[str, Any]:
@@ -196,15 +196,15 @@ class Lane:
         return False
 
     def _ask(self, zid: str, began: float) -> None:
-        if self._closed:
+        if self._closing.is_set():
             return
 
         def replied(reply: zenoh.Reply) -> None:
             keep_thread_state()
             if reply.ok is not None:
                 with self._lock:
-                    asked, heard = self._barriers.get(zid, (0.0, 0.0))
-                    self._barriers[zid] = asked, max(heard, began)
+                    if (known := self._barriers.get(zid)) is not None:
+                        self._barriers[zid] = known[0], max(known[1], began)
 
         try:
             self._session.get(
@@ -217,9 +217,9 @@ class Lane:
 
     def close(self) -> None:
         """End all connections. Safe to call twice."""
-        if self._closed:
+        if self._closing.is_set():
             return
-        self._closed = True
+        self._closing.set()
         self._wake.set()
         undeclare(self._answering)
         if self.writer is not None:
