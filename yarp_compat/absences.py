@@ -8,7 +8,7 @@ _NAMES = {
     r"I\w+Raw|Deprecated\w+|Device(Driver|Responder)|(Stub)?DriverCreator|Drivers|IConfig|IWrapper|IMultipleWrapper": (
         "devices of one's own are C++ plugins: serve an interface by yarp.ServiceServer; clients are in yarp.PolyDriver"
     ),
-    r"I(FrameGrabber|FrameWriter|RGBDSensor|VisualParams|Rgb|Depth)\w*|CameraDescriptor|(cameraFeature|cameraDescriptor)\w*"
+    r"I(FrameGrabber|FrameWriter|RGBDSensor|VisualParams|Rgb|Depth)\w*|(cameraFeature|cameraDescriptor)\w*"
     r"|(YARP_FEATURE|MODE|BUS)_\w+": "there are no cameras as devices: read a camera's port by BufferedPortImageRgb",
     r"IAnalogSensor|VOCAB_IANALOG": "there are no such devices: read the sensor's port by BufferedPortVector",
     r"I(Three|Six|Orientation|Temperature|Position|Contact|Encoder|Skin|Linear)\w+(Sensors|s|Arrays|Patches)"
@@ -16,7 +16,7 @@ _NAMES = {
     r"I(Cartesian|Gaze)\w*|(Cartesian|Gaze)Event\w*": (
         "there are no such devices: ask the controller's rpc port by RpcClient"
     ),
-    r"I(Speech|LLM|ChatBot|Audio|SimulatedWorld)\w*|LLM\w*|Pose6D|ColorRGB": (
+    r"I(Speech|ChatBot|Audio|SimulatedWorld)\w*|Pose6D|ColorRGB": (
         "there are no such devices: ask the server's rpc port by RpcClient"
     ),
     r"I(Pid|Impedance|JointFault|JointCoupling|ControlDebug|Torque|Motor|Amplifier|Current|PWM)\w*|Pid\w*|MotorTorque\w*"
@@ -35,23 +35,15 @@ _NAMES = {
     r"RateThread": "use PeriodicThread",
     r"INavigation2D\w+Actions": "use INavigation2D, which has all of its methods",
     r"Map2D\w+Data": "use Map2DLocation and its kin, which have its fields",
-    r"Contactable|PortWriter|Searchable": "what is derived from it is here",
-    r"(Selectable)?ControlModeEnum_\w+|JointTypeEnum_\w+|InteractionModeEnum_\w+": "the name behind _ is here",
-    r"PeriodicThreadClock_\w+|ShouldUseSystemClock_\w+": "a PeriodicThread keeps to the program's clock",
-    r"clockTypeToString|getClockType|isClockInitialized": "ask yarp.isSystemClock() and yarp.isNetworkClock()",
     r"\w+Vector|VectorBase|vertex_t": "use a list",
-    r"(Union)?Net(Int|Float)\w+|SwigPyIterator|(ALLOW|YARP_VERSION|YARP_RETURNVALUE|YARP_CROP)\w*|cvar|path_separator"
-    r"|PAD_BYTES": "it is of the C++ library",
-    r"(yarp)?(cache|config|data|runtime|temp)(home|dirs?)|home|(get|set|unset)Environment|(get|set)_(bool|path|string)"
-    r"|is_set|unset": "use Python's os.environ and pathlib, or yarp.ResourceFinder",
+    r"(Union)?Net(Int|Float)\w+|SwigPyIterator|(ALLOW|YARP_VERSION|YARP_RETURNVALUE|YARP_CROP)\w*|cvar|PAD_BYTES": (
+        "it is of the C++ library"
+    ),
     r"yarp_print_trace": "use Python's traceback",
 }
 """Patterns of names, and what is said of them; the first that fits counts."""
 
 _METHODS = {
-    r"\w+\.(getReadType|getWriteType|getType|onCommencement|onCompletion|copyPortable)": (
-        "it is for C++'s own ports; data has read, write, toString and copy"
-    ),
     r"\w+\.(\w*[mM]onitor\w*)": "who reads it is not followed here",
     r"\w+\.([cr]?begin|[cr]?end|get_allocator|iterator)": (
         "it is an iterator of C++: a for loop, list() and numpy.asarray() do the same"

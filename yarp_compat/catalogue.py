@@ -112,7 +112,9 @@ _FAMILIES = ("BufferedPort", "TypedReader")
 _CALLBACK = "TypedReaderCallback"
 """Before 4.0 the bindings named ``SoundCallback`` ``TypedReaderCallbackSound``."""
 
-_ENUMERATOR = re.compile(r"(?:(?:Selectable)?ControlModeEnum|JointTypeEnum|cameraFeature_id_t|BusType|FeatureMode)_")
+_ENUMERATOR = re.compile(
+    r"(?:(?:Selectable)?ControlModeEnum|InteractionModeEnum|JointTypeEnum|cameraFeature_id_t|BusType|FeatureMode)_"
+)
 """What 4.0 puts before the members of its enumerations, and 3.x did not."""
 
 _ENUMERATORS = {
