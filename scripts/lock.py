@@ -160,7 +160,7 @@ def main() -> None:
     """Resolve everything at once for each system, then find out which part needs no ROS 2 wheels."""
     project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
     extras = project["optional-dependencies"]
-    base = [*project["dependencies"], *extras["sim"], *extras["web"], *extras["dev"]]
+    base = [*project["dependencies"], *extras["sim"], *extras["web"], *extras["foxglove"], *extras["dev"]]
     plain: dict[System, Versions] = {}
     ros2: dict[System, Versions] = {}
     with tempfile.TemporaryDirectory() as folder:
