@@ -22,7 +22,17 @@ BELOW = {
     "hub": {*TOOLS, "config", "messages"},
     "stores": {*TOOLS, "config", "hub"},
     "routing": {*TOOLS, "config", "messages", "hub"},
-    "modules": {*TOOLS, "callers", "config", "messages", "hub", "stores", "routing.counters"},
+    "modules": {
+        *TOOLS,
+        "callers",
+        "config",
+        "messages",
+        "hub",
+        "stores",
+        "routing.counters",
+        "routing.gates",
+        "routing.limits",
+    },
     "adapters": {*TOOLS, "callers", "config", "kernels", "messages", "interfaces", "hub", "routing"},
     "daemon": {*TOOLS, "config", "messages", "interfaces", "hub", "routing", "adapters"},
 }

@@ -8,10 +8,9 @@ from typing import Any
 
 from bridge.cli.client import CliClient
 from bridge.cli.output import CliError, near
+from bridge.hub.definitions import VERB, definition_among
 from bridge.messages.definitions.names import is_ros1_name, is_ros2_name
 from bridge.messages.errors import MessageTypeError
-
-_MAX_DEFINITION = 1024 * 1024
 
 
 class Types:
@@ -60,14 +59,10 @@ class Types:
                 raise CliError(self._unknown(name, err)) from None
 
     def _ask(self, name: str, type_hash: str) -> bool:
-        for answer in self._client.ask("type", {"name": name}):
-            value = answer.value if isinstance(answer.value, dict) else {}
-            definition = value.get("definition")
-            fits = not type_hash or value.get("hash") == type_hash
-            if fits and isinstance(definition, str) and len(definition) < _MAX_DEFINITION:
-                self.registry.learn_ros2(name, definition)
-                return True
-        return False
+        definition = definition_among(self._client.ask(VERB, {"name": name}), type_hash)
+        if definition is not None:
+            self.registry.learn_ros2(name, definition)
+        return definition is not None
 
     def _unknown(self, name: str, err: MessageTypeError) -> str:
         package, _, short = name.rpartition("/")

@@ -9,16 +9,15 @@ from collections.abc import Callable
 from typing import Any
 
 from bridge.concurrency import WorkerPool
+from bridge.hub.definitions import VERB, definition_among
 from bridge.hub.session import Hub
 from bridge.messages.transcode.conversion import SideType
 from bridge.routing.edge import Edge
 
 _log = logging.getLogger(__name__)
 
-VERB = "type"
 _ASK_AGAIN = 10.0
 _ASK_SECONDS = 2.0
-_MAX_DEFINITION = 1024 * 1024
 
 
 class TypeExchange:
@@ -67,10 +66,7 @@ class TypeExchange:
         except Exception:
             _log.exception("asking the hub for the definition of %s failed", name)
             return
-        for answer in answers:
-            value = answer.value if isinstance(answer.value, dict) else {}
-            definition = value.get("definition")
-            if value.get("hash") == type_hash and isinstance(definition, str) and len(definition) < _MAX_DEFINITION:
-                self._edge.learn(name, definition)
-                self._learned()
-                return
+        definition = definition_among(answers, type_hash)
+        if definition is not None:
+            self._edge.learn(name, definition)
+            self._learned()

@@ -1,0 +1,139 @@
+"""Who follows the hub's topics sees all of them with their publishers, and hears chosen ones as they came."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from threading import Event
+
+import pytest
+
+from bridge.hub.endpoints.subscription import HubSample
+from bridge.hub.graph.tokens import Origin
+from bridge.hub.session import Hub
+from bridge.hub.wire.qos import LATCHED, Qos
+from bridge.messages.registry import Registry
+from bridge.modules.hub_topics import HubTopic, HubTopics, TopicKey
+from tests.support.quick_hub import QuickHub
+from tests.support.wait import until
+
+STRING = "std_msgs/msg/String"
+OWN_TYPE = "robot_msgs/msg/Mood"
+
+
+@pytest.fixture(scope="module")
+def hubs() -> Iterator[QuickHub]:
+    made = QuickHub()
+    yield made
+    made.stop_router()
+
+
+@pytest.fixture
+def near(hubs: QuickHub) -> Iterator[Hub]:
+    with Hub.open(hubs.settings("near")) as hub:
+        yield hub
+
+
+@pytest.fixture
+def far(hubs: QuickHub) -> Iterator[Hub]:
+    with Hub.open(hubs.settings("far")) as hub:
+        yield hub
+
+
+@pytest.fixture
+def changed() -> Event:
+    return Event()
+
+
+@pytest.fixture
+def topics(near: Hub, changed: Event) -> Iterator[HubTopics]:
+    made = HubTopics(near, Registry(), changed.set)
+    yield made
+    made.close()
+
+
+def text(words: str) -> bytes:
+    data = words.encode() + b"\0"
+    return b"\0\1\0\0" + len(data).to_bytes(4, "little") + data
+
+
+def string_key(topic: str) -> TopicKey:
+    return TopicKey(topic, STRING, Registry().ros2(STRING).type_id)
+
+
+def wait_for(topics: HubTopics, key: TopicKey, publishers: int = 1) -> HubTopic:
+    def here() -> HubTopic | None:
+        topic = topics.look().get(key)
+        return topic if topic is not None and len(topic.publishers) == publishers else None
+
+    return until(here, f"{key.topic} has {publishers} publishers")
+
+
+def test_topics_come_with_their_sides_and_go(far: Hub, topics: HubTopics, changed: Event) -> None:
+    key = string_key("/said")
+    far.set_origin(Origin("yarp", "here", "robot1"))
+    publisher = far.publisher(*key, Qos())
+    topic = wait_for(topics, key)
+    assert topic.sides == ("yarp",)
+    assert not topic.latched
+    assert changed.is_set()
+    publisher.close()
+    until(lambda: key not in topics.look(), "it is gone")
+
+
+def test_messages_are_heard_as_they_came(far: Hub, topics: HubTopics) -> None:
+    key = string_key("/said")
+    publisher = far.publisher(*key, Qos())
+    heard: list[HubSample] = []
+    end = topics.hear(wait_for(topics, key), heard.append)
+    until(publisher.matched, "it is heard")
+    publisher.put(text("one"), 1_000)
+    publisher.put(text("two"), 2_000)
+    until(lambda: len(heard) == 2, "both came")
+    assert [(each.sequence, each.source_time_ns, each.data()) for each in heard] == [
+        (1, 1_000, text("one")), (2, 2_000, text("two")),
+    ]  # fmt: skip
+    assert {each.gid for each in heard} == {publisher.gid}
+    assert (end.lost, end.refused, end.trouble) == (0, 0, "")
+    topics.unhear(key)
+    until(lambda: not publisher.matched(), "nobody hears it")
+
+
+def test_a_latched_publisher_beside_one_that_is_not_gives_what_it_keeps_once(far: Hub, topics: HubTopics) -> None:
+    key = string_key("/both")
+    plain = far.publisher(*key, Qos())
+    heard: list[bytes] = []
+    topics.hear(wait_for(topics, key), lambda sample: heard.append(sample.data()))
+    until(plain.matched, "it is heard")
+    plain.put(text("plain"))
+    until(lambda: heard == [text("plain")], "the plain one came")
+    kept = far.publisher(*key, LATCHED)
+    kept.put(text("kept"))  # which both subscriptions hear: the first one live, the second from what is kept
+    wait_for(topics, key, 2)
+    until(lambda: text("kept") in heard, "the kept one came")
+    plain.put(text("last"))
+    until(lambda: text("last") in heard, "the last one came")
+    assert heard == [text("plain"), text("kept"), text("last")]
+
+
+def test_a_name_that_is_no_zenoh_key_is_told_not_raised(far: Hub, topics: HubTopics) -> None:
+    key = string_key("/said")
+    far.publisher(*key, Qos())
+    topic = wait_for(topics, key)
+    bad = HubTopic(key._replace(type_hash="TypeHashNotSupported"), topic.publishers)
+    assert "RIHS01" in topics.hear(bad, lambda _: None).trouble
+
+
+def test_definitions_are_those_installed_or_those_that_a_worker_tells(far: Hub, topics: HubTopics) -> None:
+    key = string_key("/said")
+    found = topics.definitions.find(*key[1:])
+    assert found is not None
+    assert "string data" in found
+    elsewhere = Registry()
+    elsewhere.learn_ros2(OWN_TYPE, "std_msgs/Header header\nfloat32 joy\n")
+    kind = elsewhere.ros2(OWN_TYPE)
+    told = {"name": OWN_TYPE, "hash": kind.type_id, "definition": kind.definition}
+    far.serve("type", lambda _: told)
+    told_here = until(lambda: topics.definitions.find(OWN_TYPE, kind.type_id, 2.0), "the worker tells it", every=0.1)
+    assert "float32 joy" in told_here
+    assert "MSG: std_msgs/Header" in told_here
+    assert topics.definitions.find(OWN_TYPE, "RIHS01_" + "0" * 64, 2.0) is None
