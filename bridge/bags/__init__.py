@@ -1,0 +1,1 @@
+"""Bags: files of messages, in the formats that people use."""

@@ -1,0 +1,162 @@
+"""How Midspan writes MCAP: the hub's CDR as it is, in the form that ROS 2's tools and Foxglove read.
+
+Facts from the format (https://mcap.dev/spec, https://mcap.dev/spec/registry): profile ``ros2``, message encoding
+``cdr``, schema encoding ``ros2msg`` with the full definition. The channel metadata ``offered_qos_profiles`` and
+``topic_type_hash`` are those of rosbag2's storage plugin (rosbag2_storage_mcap, mcap_storage.cpp); ``side`` and
+``origin`` are Midspan's own. A type whose definition is not known has an empty schema, as there.
+"""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass, field
+from typing import BinaryIO, Literal
+
+from mcap.writer import CompressionType, Writer
+
+from bridge import __version__
+from bridge.hub.graph.tokens import Origin
+from bridge.hub.wire.qos import Qos
+
+Compression = Literal["zstd", "lz4", "none"]
+
+PROFILE = "ros2"
+CHUNK_BYTES = 1 << 20
+"""Uncompressed bytes from which a chunk is closed; one larger message makes a chunk of its own."""
+
+_COMPRESSIONS = {"zstd": CompressionType.ZSTD, "lz4": CompressionType.LZ4, "none": CompressionType.NONE}
+_INFINITE_S, _INFINITE_NS = 9_223_372_036, 854_775_807
+_NS = 1_000_000_000
+_NESTED = re.compile(r"(?m)^((?:MSG: )?\w+)/(?:action|srv)/(\w+)")
+_UNBOUNDED = 1 << 62
+_RECORD = 31
+"""Bytes of a message record beside its data: opcode, length, channel, sequence and two times."""
+
+
+@dataclass(frozen=True)
+class ChannelInfo:
+    """One channel: a topic with a type, from one origin.
+
+    Attributes:
+        type_name: as ROS 2 spells it, ``std_msgs/msg/String``.
+        type_hash: ``RIHS01_...``, "" where it is not known.
+        definition: the full definition, ros2msg; None where it is not known.
+        qos: what the publishers offer, one for each.
+        side: the side that it came from: ``ros1``, ``ros2``, ``yarp``, ``zenoh``; "" where it is not known.
+        origin: the foreign network that it came from, None for a native participant of the hub.
+        more: further metadata.
+    """
+
+    topic: str
+    type_name: str
+    type_hash: str = ""
+    definition: str | None = None
+    qos: tuple[Qos, ...] = ()
+    side: str = ""
+    origin: Origin | None = None
+    more: dict[str, str] = field(default_factory=dict)
+
+    def metadata(self) -> dict[str, str]:
+        """The channel's metadata."""
+        found = {"offered_qos_profiles": qos_yaml(self.qos), "topic_type_hash": self.type_hash}
+        if self.side:
+            found["side"] = self.side
+        if self.origin is not None:
+            found |= {"origin": self.origin.network, "daemon": self.origin.daemon}
+        return found | self.more
+
+
+class McapWriter:
+    """Writes one MCAP file onto a stream, which stays open. Not safe to use from several threads.
+
+    Args:
+        stream: its ``write`` takes all that it is given.
+        compression: of the chunks.
+        chunk_bytes: see `CHUNK_BYTES`.
+
+    Attributes:
+        pending: bytes that are not written yet: the chunk that is being made, uncompressed.
+        messages: those that were given to `write`.
+    """
+
+    def __init__(self, stream: BinaryIO, compression: Compression = "zstd", chunk_bytes: int = CHUNK_BYTES) -> None:
+        # the library is never to close a chunk by itself: what is written is to be known here
+        self._writer = Writer(stream, _UNBOUNDED, _COMPRESSIONS[compression])
+        self._chunk_bytes = chunk_bytes
+        self._schemas: dict[tuple[str, str], int] = {}
+        self.pending = self.messages = 0
+        self._writer.start(PROFILE, f"midspan {__version__}")
+
+    def channel(self, info: ChannelInfo) -> int:
+        """A new channel; its number is for `write`. A file has at most 65,535."""
+        text = ros2msg(info.definition or "")
+        schema = self._schemas.get((info.type_name, text))
+        if schema is None:
+            encoding = "" if info.definition is None else "ros2msg"
+            schema = self._writer.register_schema(info.type_name, encoding, text.encode())
+            self._schemas[info.type_name, text] = schema
+        self.pending += len(text)
+        return self._writer.register_channel(info.topic, "cdr", schema, info.metadata())
+
+    def write(self, channel: int, log_time: int, publish_time: int, data: bytes, sequence: int = 0) -> bool:
+        """Add a message: CDR with its header; times in nanoseconds since 1970. Raises `OSError` of the stream.
+
+        Returns:
+            Whether that closed the chunk, so that all up to here is written.
+        """
+        self._writer.add_message(channel, log_time, data, publish_time, sequence & 0xFFFFFFFF)
+        self.messages += 1
+        self.pending += _RECORD + len(data)
+        closed = self.pending > self._chunk_bytes
+        if closed:
+            self.flush()
+        return closed
+
+    def closes(self, size: int) -> bool:
+        """Whether a message of so many bytes would close the chunk."""
+        return self.pending + _RECORD + size > self._chunk_bytes
+
+    def flush(self) -> None:
+        """Close the chunk: all that was given is on the stream, and can be read even if nothing follows."""
+        self._writer.flush()  # type: ignore[no-untyped-call]
+        self.pending = 0
+
+    def finish(self) -> None:
+        """Write the summary, with which readers find their way; nothing can be added then."""
+        self._writer.finish()  # type: ignore[no-untyped-call]
+        self._writer.flush()  # type: ignore[no-untyped-call]  # of the stream; there is no chunk any more
+        self.pending = 0
+
+
+def ros2msg(definition: str) -> str:
+    """A full definition as readers of bags take it: nested types have two words, those of actions and services, too.
+
+    The hash of such a type is not that of the text any more; it stands in the channel's metadata.
+    """
+    return _NESTED.sub(r"\1/\2", definition)
+
+
+def qos_yaml(offered: tuple[Qos, ...]) -> str:
+    """QoS profiles as rosbag2 writes them since version 9 of its metadata: YAML with the policies' names."""
+    return "\n".join(_profile(qos) for qos in offered)
+
+
+def _profile(qos: Qos) -> str:
+    return "\n".join(
+        (
+            f"- history: {qos.history.name.lower()}",
+            f"  depth: {qos.depth}",
+            f"  reliability: {qos.reliability.name.lower()}",
+            f"  durability: {qos.durability.name.lower()}",
+            f"  deadline: {_time(qos.deadline_ns)}",
+            f"  lifespan: {_time(qos.lifespan_ns)}",
+            "  liveliness: automatic",
+            f"  liveliness_lease_duration: {_time(None)}",
+            "  avoid_ros_namespace_conventions: false",
+        )
+    )
+
+
+def _time(nanoseconds: int | None) -> str:
+    sec, nsec = (_INFINITE_S, _INFINITE_NS) if nanoseconds is None else divmod(nanoseconds, _NS)
+    return f"{{sec: {sec}, nsec: {nsec}}}"
