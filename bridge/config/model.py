@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 from pydantic import Field, create_model
 
 from bridge.config.rules import with_navigation
+from bridge.config.sections.foxglove import FoxgloveSection
 from bridge.config.sections.hub import HubSection
 from bridge.config.sections.maps import StoreSection
 from bridge.config.sections.modules import ModulesSection
@@ -81,6 +82,9 @@ class Config(Section):
         NavigationSection, "Planners and clients; see docs/navigation/navigation.md."
     )
     web: WebSection = subsection(WebSection, "The console in the browser; see docs/operate/console.md.")
+    foxglove: FoxgloveSection = subsection(
+        FoxgloveSection, "The server for the Foxglove app; see docs/operate/foxglove.md."
+    )
     limits: LimitsSection = subsection(LimitsSection, "What is refused for its size.")
     log: LogSection = subsection(LogSection, "Logging.")
 

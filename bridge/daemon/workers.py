@@ -111,6 +111,12 @@ WORKERS = (
         sections=frozenset({"web", "navigation", "modules", "types", "limits"}),
         environment="bridge.web.environment",
     ),
+    WorkerKind(
+        "foxglove",
+        "bridge.foxglove.worker:FoxgloveWorker",
+        sections=frozenset({"foxglove", "web", "navigation", "types", "limits", "clock", "routing"}),
+        environment="bridge.foxglove.environment",
+    ),
 )
 
 

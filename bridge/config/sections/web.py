@@ -87,7 +87,7 @@ class WebSection(Section):
     @model_validator(mode="after")
     def _safe(self) -> WebSection:
         address, _ = split(self.listen)
-        if not self.guarded and not _is_loopback(address):
+        if not self.guarded and not is_loopback_address(address):
             msg = f"listen: other machines reach {address}, and {_NOBODY}"
             raise ValueError(msg)
         return self
@@ -102,7 +102,8 @@ def split(listen: str) -> tuple[str, int]:
     return found["six"] or found["name"], int(found["port"])
 
 
-def _is_loopback(address: str) -> bool:
+def is_loopback_address(address: str) -> bool:
+    """Whether only programs of this machine reach what listens there."""
     try:
         return ipaddress.ip_address(address).is_loopback
     except ValueError:

@@ -1,0 +1,181 @@
+"""The hub's topics as channels: announced with their definitions, heard on the hub only while a client watches."""
+
+from __future__ import annotations
+
+import logging
+from threading import Lock
+from typing import Any
+
+from bridge.foxglove.events import Events
+from bridge.foxglove.server import FoxgloveServer
+from bridge.hub.endpoints.subscription import HubSample
+from bridge.modules.hub_topics import HubTopic, HubTopics, TopicKey
+from bridge.routing.counters import Counters
+
+_log = logging.getLogger("midspan.foxglove")
+
+MOST_KEPT = 64 << 20
+"""Bytes of one topic's latched messages that are kept while it is watched."""
+MOST_PUBLISHERS = 256
+"""Latched publishers of one topic of which the newest message is kept."""
+
+
+class TopicChannel:
+    """One topic for the clients. `take` runs on zenoh's threads, all else on the worker's.
+
+    Attributes:
+        counters: of what went to the SDK.
+    """
+
+    def __init__(self, topic: HubTopic, channel: Any) -> None:
+        self.topic, self.channel = topic, channel
+        self.counters = Counters()
+        self.heard = False
+        self._lock = Lock()
+        self._latched = frozenset[bytes]()
+        self._kept: dict[bytes, tuple[bytes, int]] = {}
+        self._size = 0
+
+    def follow(self, topic: HubTopic) -> None:
+        """Take up who publishes it now."""
+        self.topic = topic
+        self._latched = frozenset(each.gid for each in topic.publishers if each.qos.latched)
+        with self._lock:
+            for gid in self._kept.keys() - self._latched:
+                self._forget(gid)
+
+    def take(self, sample: HubSample) -> None:
+        """Hand a message to the SDK, which copies it and does not wait."""
+        data, at = sample.data(), sample.source_time_ns
+        self.counters.crossed(len(data))
+        if sample.gid in self._latched:
+            self._keep(sample.gid, data, at)
+        self.channel.log(data, at or None)
+
+    def again(self) -> None:
+        """Say the newest of each latched publisher once more: somebody came late. The SDK says it to all who watch."""
+        with self._lock:
+            kept = list(self._kept.values())
+        for data, at in kept:
+            self.channel.log(data, at or None)
+
+    def rest(self) -> None:
+        """Keep nothing: nobody watches."""
+        with self._lock:
+            self._kept.clear()
+            self._size = 0
+
+    def _keep(self, gid: bytes, data: bytes, at: int) -> None:
+        with self._lock:
+            self._forget(gid)
+            if len(self._kept) < MOST_PUBLISHERS and self._size + len(data) <= MOST_KEPT:
+                self._kept[gid] = data, at
+                self._size += len(data)
+
+    def _forget(self, gid: bytes) -> None:
+        self._size -= len(self._kept.pop(gid, (b"", 0))[0])
+
+
+class Channels:
+    """All of them. On the worker's thread, but for what its docstring says otherwise."""
+
+    def __init__(self, server: FoxgloveServer, topics: HubTopics, events: Events) -> None:
+        self._server, self._topics, self._events = server, topics, events
+        self._channels: dict[str, TopicChannel] = {}
+        self._refused: dict[TopicKey, str] = {}
+        self._watched: set[int] = set()
+
+    def look(self) -> None:
+        """Announce topics that came, and withdraw those that went."""
+        found = self._topics.look()
+        for name, channel in list(self._channels.items()):
+            topic = found.get(channel.topic.key)
+            if topic is None:
+                self._close(name)
+            else:
+                channel.follow(topic)
+        self._refused = {}
+        for key, topic in sorted(found.items()):
+            shown = self._channels.get(key.topic)
+            if shown is None:
+                self._open(topic)
+            elif shown.topic.key != key:
+                self._refused[key] = f"its name is shown as {shown.topic.key.type_name}; the app knows names alone"
+        self.watch()
+
+    def watch(self) -> None:
+        """Hear what is watched, and nothing else."""
+        self._watched, late = self._events.take()
+        for channel in self._channels.values():
+            number = channel.channel.id()
+            if number in self._watched:
+                if channel.heard and number in late:
+                    channel.again()
+                elif not channel.heard:
+                    channel.heard = True
+                    self._topics.hear(channel.topic, channel.take)
+            elif channel.heard:
+                self._rest(channel)
+
+    def _open(self, topic: HubTopic) -> None:
+        key = topic.key
+        definition = self._topics.definitions.find(key.type_name, key.type_hash)
+        if definition is None:
+            self._refused[key] = "nobody has told its definition; it is asked for again"
+            return
+        self._refused.pop(key, None)
+        about = {"side": ", ".join(topic.sides), "latched": str(topic.latched).lower(), "hash": key.type_hash}
+        made = TopicChannel(topic, self._server.channel(key.topic, key.type_name, definition, about))
+        made.follow(topic)
+        self._channels[key.topic] = made
+
+    def _close(self, name: str) -> None:
+        channel = self._channels.pop(name)
+        self._rest(channel)
+        channel.channel.close()
+
+    def _rest(self, channel: TopicChannel) -> None:
+        channel.heard = False
+        self._topics.unhear(channel.topic.key)
+        channel.rest()
+
+    def tick(self) -> None:
+        """Count rates, and what was lost on its way; look again for definitions that were asked for."""
+        heard = {each.key: each for each in self._topics.heard()}
+        for channel in self._channels.values():
+            channel.counters.tick()
+            if (end := heard.get(channel.topic.key)) is not None:
+                channel.counters.missed(end.lost, lambda: "lost on the hub's links")
+                channel.counters.drops["bad"] = end.refused
+        if self._refused:
+            self.look()
+
+    @property
+    def count(self) -> int:
+        """Topics that are announced."""
+        return len(self._channels)
+
+    @property
+    def watched(self) -> int:
+        """Topics that are heard for a client."""
+        return sum(channel.heard for channel in self._channels.values())
+
+    def status(self) -> dict[str, Any]:
+        """What is watched, and what cannot be shown, as the status document has it."""
+        heard = sorted((name, channel) for name, channel in self._channels.items() if channel.heard)
+        return {
+            "channels": self.count,
+            "topics": [
+                {"topic": name, "type": each.topic.key.type_name, "end": "subscription", **each.counters.as_dict()}
+                for name, each in heard
+            ],
+            "refused": [
+                {"topic": key.topic, "type": key.type_name, "reason": why, "cure": ""}
+                for key, why in sorted(self._refused.items())
+            ],
+        }
+
+    def close(self) -> None:
+        """Withdraw all."""
+        for name in list(self._channels):
+            self._close(name)

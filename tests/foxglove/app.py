@@ -1,0 +1,146 @@
+"""A client of the tests: speaks ``foxglove.sdk.v1`` itself, over a plain WebSocket.
+
+Source: https://github.com/foxglove/foxglove-sdk, ``rust/foxglove/src/protocol``: JSON texts, and binary frames of an
+opcode and little-endian numbers.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import struct
+import time
+from collections.abc import Callable
+from typing import Any, Self, TypeVar
+
+from mcap.records import Schema
+from mcap_ros2.decoder import DecoderFactory
+from websockets.sync.client import ClientConnection, connect
+from websockets.typing import Subprotocol
+
+T = TypeVar("T")
+
+PROTOCOL = Subprotocol("foxglove.sdk.v1")
+MESSAGE, CALL = 1, 2
+"""Opcodes of a client's message and call; a server's message and reply are 1 and 3."""
+
+
+class App:
+    """One client.
+
+    Attributes:
+        channels: what the server announces, by topic.
+        services: what it serves, by name.
+        messages: what came, by topic: time in nanoseconds and bytes.
+        said: all other texts that came.
+    """
+
+    def __init__(self, port: int, *, query: str = "", **options: Any) -> None:
+        self._stack = contextlib.ExitStack()
+        tls = "s" if "ssl" in options else ""
+        address = f"ws{tls}://127.0.0.1:{port}/{query}"
+        options.setdefault("max_queue", None)
+        self.socket: ClientConnection = self._stack.enter_context(
+            connect(address, subprotocols=[PROTOCOL], max_size=None, compression=None, **options)
+        )
+        self.channels: dict[str, dict[str, Any]] = {}
+        self.services: dict[str, dict[str, Any]] = {}
+        self.messages: dict[str, list[tuple[int, bytes]]] = {}
+        self.said: list[dict[str, Any]] = []
+        self.replies: dict[int, bytes] = {}
+        self._subscriptions: dict[int, str] = {}
+        self._numbers = 0
+
+    def send(self, **message: Any) -> None:
+        self.socket.send(json.dumps(message))
+
+    def read(self, seconds: float = 0.05) -> bool:
+        """Read one frame; whether there was one."""
+        try:
+            frame = self.socket.recv(timeout=seconds)
+        except TimeoutError:
+            return False
+        if isinstance(frame, str):
+            self._text(json.loads(frame))
+        elif frame[0] == MESSAGE:
+            number, at = struct.unpack_from("<IQ", frame, 1)
+            topic = self._subscriptions.get(number)
+            if topic is not None:
+                self.messages[topic].append((at, frame[13:]))
+        elif frame[0] == 3:
+            _, call, length = struct.unpack_from("<III", frame, 1)
+            self.replies[call] = frame[13 + length :]
+        return True
+
+    def _text(self, said: dict[str, Any]) -> None:
+        if said["op"] == "advertise":
+            self.channels.update({each["topic"]: each for each in said["channels"]})
+        elif said["op"] == "unadvertise":
+            gone = set(said["channelIds"])
+            self.channels = {topic: each for topic, each in self.channels.items() if each["id"] not in gone}
+        elif said["op"] == "advertiseServices":
+            self.services.update({each["name"]: each for each in said["services"]})
+        elif said["op"] == "unadvertiseServices":
+            gone = set(said["serviceIds"])
+            self.services = {name: each for name, each in self.services.items() if each["id"] not in gone}
+        elif said.get("message", "").startswith("Unknown channel ID"):
+            # the SDK announces a channel before it knows it as announced; who is quick asks again
+            for number, topic in self._subscriptions.items():
+                self._ask(number, topic)
+        else:
+            self.said.append(said)
+
+    def until(self, done: Callable[[], T], what: str, seconds: float = 15.0) -> T:
+        """Read until something is so."""
+        end = time.monotonic() + seconds
+        while not (found := done()):
+            assert time.monotonic() < end, f"{what} has not come in {seconds:g} s; said: {self.said[-5:]}"
+            self.read()
+        return found
+
+    def channel(self, topic: str) -> dict[str, Any]:
+        """The announcement of a topic."""
+        return self.until(lambda: self.channels.get(topic), f"the channel {topic}")
+
+    def subscribe(self, topic: str) -> int:
+        """Watch a topic; the subscription's number."""
+        self.channel(topic)
+        self._numbers += 1
+        self._subscriptions[self._numbers] = topic
+        self.messages.setdefault(topic, [])
+        self._ask(self._numbers, topic)
+        return self._numbers
+
+    def _ask(self, number: int, topic: str) -> None:
+        if topic in self.channels:
+            self.send(op="subscribe", subscriptions=[{"id": number, "channelId": self.channels[topic]["id"]}])
+
+    def unsubscribe(self, number: int) -> None:
+        self.send(op="unsubscribe", subscriptionIds=[number])
+
+    def received(self, topic: str, count: int = 1) -> list[tuple[int, bytes]]:
+        """Wait for so many messages of a topic."""
+        return self.until(
+            lambda: self.messages[topic] if len(self.messages[topic]) >= count else None, f"{count} of {topic}"
+        )
+
+    def decoded(self, topic: str, number: int = -1) -> Any:
+        """A message as mcap-ros2-support decodes it by the channel's own schema."""
+        channel = self.channel(topic)
+        schema = Schema(1, channel["schema"].encode(), channel["schemaEncoding"], channel["schemaName"])
+        decode = DecoderFactory().decoder_for(channel["encoding"], schema)
+        assert decode is not None
+        return decode(self.messages[topic][number][1])
+
+    def read_until_cut(self) -> None:
+        """Read until the server ends the connection, which raises `websockets.ConnectionClosed`."""
+        self.until(lambda: False, "the end")
+
+    def close(self) -> None:
+        self._stack.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()

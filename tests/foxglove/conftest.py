@@ -1,0 +1,65 @@
+"""The Foxglove server in the test's own process, on a hub of its own."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from bridge.config.model import Config
+from bridge.foxglove.worker import Live
+from bridge.hub.session import Hub
+from bridge.messages.registry import Registry
+from tests.contract.hubside import HubSide
+from tests.foxglove.app import App
+from tests.support.quick_hub import QuickHub
+
+
+class Desk:
+    """A server and a program on its hub (``far``)."""
+
+    def __init__(self, folder: Path) -> None:
+        self._folder = folder
+        self.hubs = QuickHub()
+        self.far = HubSide(Hub.open(self.hubs.settings("far")), Registry())
+        self.live = self.open()
+
+    def open(self, **sections: Any) -> Live:
+        config = Config.model_validate({
+            "name": "here",
+            "state": self._folder,
+            "hub": {"listen": self.hubs.endpoint},
+            **sections,
+            "foxglove": {"enabled": True, "listen": "127.0.0.1:0", **sections.get("foxglove", {})},
+        })  # fmt: skip
+        live = Live(config)
+        live.start()
+        return live
+
+    def open_with(self, **sections: Any) -> None:
+        """The server once more, with sections of the configuration."""
+        self.live.close()
+        self.live = self.open(**sections)
+
+    def app(self, **options: Any) -> App:
+        return App(self.live.server.port, **options)
+
+    def status(self) -> dict[str, Any]:
+        """What the server tells on the hub."""
+        (answer,) = self.far.hub.ask("status", {}, worker="foxglove")
+        assert isinstance(answer.value, dict)
+        return answer.value
+
+    def close(self) -> None:
+        self.live.close()
+        self.far.hub.close()
+        self.hubs.stop_router()
+
+
+@pytest.fixture
+def desk(tmp_path: Path) -> Iterator[Desk]:
+    made = Desk(tmp_path)
+    yield made
+    made.close()

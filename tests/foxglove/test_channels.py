@@ -1,0 +1,134 @@
+"""Topics of the hub as channels: announced, heard while they are watched, and their bytes handed on as they came."""
+
+from __future__ import annotations
+
+import contextlib
+
+import pytest
+import websockets
+
+from tests.foxglove.conftest import Desk
+from tests.support.wait import until
+
+
+def cdr(words: str) -> bytes:
+    data = words.encode() + b"\0"
+    return b"\0\1\0\0" + len(data).to_bytes(4, "little") + data
+
+
+def test_topics_come_with_their_definition_and_go(desk: Desk) -> None:
+    with desk.app() as app:
+        end = desk.far.advertise("/odom", "nav_msgs/Odometry")
+        channel = app.channel("/odom")
+        assert channel["schemaName"] == "nav_msgs/msg/Odometry"
+        assert (channel["encoding"], channel["schemaEncoding"]) == ("cdr", "ros2msg")
+        assert "MSG: geometry_msgs/PoseWithCovariance" in channel["schema"]
+        assert channel["metadata"] == {
+            "side": "zenoh", "latched": "false", "hash": desk.far.registry.ros2("nav_msgs/msg/Odometry").type_id,
+        }  # fmt: skip
+        desk.far.drop(end)
+        app.until(lambda: "/odom" not in app.channels, "the channel is gone")
+        assert desk.status()["channels"] == 0
+
+
+def test_bytes_arrive_as_they_were_sent_with_their_time(desk: Desk) -> None:
+    end = desk.far.advertise("/said", "std_msgs/String")
+    publisher, _ = desk.far._publishers[end]
+    with desk.app() as app:
+        app.subscribe("/said")
+        app.until(publisher.matched, "the hub is subscribed to")
+        publisher.put(cdr("one"), 1_234)
+        publisher.put(cdr("two") + b"\0\0\0", 5_678)  # with padding, as some writers leave it
+        assert app.received("/said", 2) == [(1_234, cdr("one")), (5_678, cdr("two") + b"\0\0\0")]
+        assert [app.decoded("/said", at).data for at in (0, 1)] == ["one", "two"]
+
+
+def test_nothing_is_heard_that_nobody_watches(desk: Desk) -> None:
+    publisher, _ = desk.far._publishers[desk.far.advertise("/said", "std_msgs/String")]
+    with desk.app() as app, desk.app() as other:
+        app.channel("/said")
+        assert not publisher.matched()
+        assert desk.status()["topics"] == []
+        first, second = app.subscribe("/said"), other.subscribe("/said")
+        app.until(publisher.matched, "it is heard")
+        publisher.put(cdr("x"))
+        app.received("/said")
+        other.received("/said")
+        (topic,) = desk.status()["topics"]
+        assert (topic["topic"], topic["messages"], topic["bytes"]) == ("/said", 1, len(cdr("x")))
+        app.unsubscribe(first)
+        publisher.put(cdr("y"))
+        assert len(other.received("/said", 2)) == 2
+        assert publisher.matched(), "the other one still watches"
+        other.unsubscribe(second)
+        until(lambda: not publisher.matched(), "nobody hears it")
+        app.subscribe("/said")
+        app.until(publisher.matched, "it is heard again")
+    until(lambda: not publisher.matched(), "with its client its subscription ends")
+
+
+def test_who_comes_late_gets_what_is_latched(desk: Desk) -> None:
+    end = desk.far.advertise("/map_name", "std_msgs/String", latched=True)
+    desk.far.publish(end, {"data": "kitchen"})
+    with desk.app() as app:
+        app.subscribe("/map_name")
+        assert app.received("/map_name")[0][1] == cdr("kitchen")
+        with desk.app() as late:
+            late.subscribe("/map_name")
+            assert late.received("/map_name")[0][1] == cdr("kitchen")
+        desk.far.publish(end, {"data": "hall"})
+        app.until(lambda: app.messages["/map_name"][-1][1] == cdr("hall"), "the new one")
+        with desk.app() as late:
+            late.subscribe("/map_name")
+            assert late.received("/map_name")[0][1] == cdr("hall")
+
+
+def test_of_two_types_of_one_name_the_first_is_shown_and_the_other_told(desk: Desk) -> None:
+    desk.far.advertise("/both", "std_msgs/String")
+    with desk.app() as app:
+        assert app.channel("/both")["schemaName"] == "std_msgs/msg/String"
+        desk.far.advertise("/both", "std_msgs/Int8")
+        refused = until(lambda: desk.status()["refused"], "the other is refused")
+        assert [(each["topic"], each["type"]) for each in refused] == [("/both", "std_msgs/msg/Int8")]
+        assert "shown as std_msgs/msg/String" in refused[0]["reason"]
+
+
+def test_a_client_that_never_reads_holds_nobody_up_and_costs_a_bounded_backlog(desk: Desk) -> None:
+    publisher, _ = desk.far._publishers[desk.far.advertise("/blob", "std_msgs/String")]
+    with desk.app() as app, desk.app(max_queue=1, close_timeout=0.1) as deaf:
+        deaf.subscribe("/blob")
+        app.subscribe("/blob")
+        app.until(publisher.matched, "it is heard")
+        word = cdr("x" * 100_000)
+        for sent in range(1, 601):  # 60 MB, of which what was not read is dropped
+            publisher.put(word)
+            app.received("/blob", sent)
+        assert len(app.messages["/blob"]) == 600
+
+
+FRAMES: tuple[str | bytes, ...] = (
+    "no JSON", "{}", '{"op": "no such"}', '{"op": "subscribe", "subscriptions": [{"id": 1, "channelId": 99}]}',
+    '{"op": "subscribe"}', "[" * 100_000, '{"op": "unsubscribe", "subscriptionIds": [-1]}', b"", b"\x01", b"\x02\x01",
+    b"\xff" * 20, b"\x01" + bytes(4), b"\x02" + b"\xff" * 12, '{"op": "fetchAsset", "uri": "x", "requestId": 1}',
+    '{"op": "advertise", "channels": [{"id": 1}]}', '{"op": "setParameters", "parameters": 3}',
+)  # fmt: skip
+
+
+def test_bad_frames_of_a_client_harm_nobody(desk: Desk) -> None:
+    publisher, _ = desk.far._publishers[desk.far.advertise("/said", "std_msgs/String")]
+    with desk.app() as app, desk.app() as bad:
+        app.subscribe("/said")
+        app.until(publisher.matched, "it is heard")
+        bad.channel("/said")
+        for frame in FRAMES:
+            bad.socket.send(frame)
+        bad.subscribe("/said")
+        bad.until(lambda: sum(each["op"] == "status" for each in bad.said) > 8, "it is told what was wrong")
+        publisher.put(cdr("well"))
+        assert app.received("/said")[0][1] == bad.received("/said")[0][1] == cdr("well")
+        with contextlib.suppress(websockets.ConnectionClosed):  # it is cut while it sends, or after
+            bad.socket.send(b"\x01" + bytes(20 << 20))
+        with pytest.raises(websockets.ConnectionClosed):
+            bad.read_until_cut()
+        publisher.put(cdr("again"))
+        assert app.received("/said", 2)[1][1] == cdr("again")
