@@ -21,7 +21,7 @@ from bridge.hub.security.certificates import Authority
 from bridge.hub.security.tokens import new_token
 from bridge.web import access
 from bridge.web.access import COOKIE, Access, Grant, Slowness, TooManyError, kept_secret
-from bridge.web.server import hosts
+from bridge.web.serving import hosts
 from tests.support.wait import until
 from tests.web.conftest import Desk
 from tests.web.page import TestPage
