@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import json
 import os
 import threading
 import time
@@ -20,7 +19,7 @@ from bridge.config.model import Config
 from bridge.hub.control import WorkerAnswer
 from bridge.hub.errors import HubError
 from bridge.hub.session import Hub, HubSession, HubSettings
-from bridge.hub.zenoh_config import MAX_PAYLOAD, connect_endpoint, make_config, session_tree
+from bridge.hub.zenoh_config import client_session_config, connect_endpoint
 
 if TYPE_CHECKING:
     from bridge.messages.registry import Registry
@@ -90,7 +89,7 @@ def connect(config: Config, seconds: float = CONNECT_SECONDS) -> Iterator[CliCli
     """Join the hub that a configuration names; raises `CliError` where no router answers within ``seconds``."""
     where = f"the hub at {connect_endpoint(config.hub.listen)} (domain {config.hub.domain})"
     try:
-        session = zenoh.open(_zenoh_config(config, seconds))
+        session = zenoh.open(client_session_config(config.hub.listen, config.hub.zenoh, seconds))
     except zenoh.ZError as err:
         raise CliError(
             f"no zenoh router answers for {where}: {_short(err)}\n"
@@ -115,18 +114,3 @@ def connect(config: Config, seconds: float = CONNECT_SECONDS) -> Iterator[CliCli
 def _short(err: zenoh.ZError) -> str:
     """The words of zenoh itself, without the places in its source."""
     return str(err).partition(" at /")[0].rstrip(".!")
-
-
-def _zenoh_config(config: Config, seconds: float) -> zenoh.Config:
-    router = connect_endpoint(config.hub.listen)
-    tree = session_tree(router, shared_memory=False, max_payload=MAX_PAYLOAD)
-    zenoh_config = make_config(tree, config.hub.zenoh)
-    for key, value in (
-        # a client knows the whole hub as soon as its one link stands; a peer would have to find every other first
-        ("mode", "client"),
-        ("connect/timeout_ms", int(seconds * 1000)),
-        ("connect/exit_on_failure", True),
-        ("listen/endpoints", []),
-    ):
-        zenoh_config.insert_json5(key, json.dumps(value))
-    return zenoh_config

@@ -26,7 +26,7 @@ from bridge.hub.errors import HubError, zenoh_reason
 from bridge.hub.graph.tokens import MIDSPAN_SPACE
 from bridge.hub.links import MEMBERS
 from bridge.hub.security.door import HubDoor, KeyWatch, check_closed, has_tls, key_files
-from bridge.hub.zenoh_config import MAX_PAYLOAD, connect_endpoint, make_config, router_tree, session_tree
+from bridge.hub.zenoh_config import MAX_PAYLOAD, client_session_config, connect_endpoint, make_config, router_tree
 from bridge.worker import Health, Worker, costs
 
 _log = logging.getLogger(__name__)
@@ -70,16 +70,8 @@ def probe_router(
     ``zenoh_config`` is the workers' own, for TLS.
     """
     endpoint = connect_endpoint(endpoint)
-    tree = session_tree(endpoint, shared_memory=False, max_payload=MAX_PAYLOAD)
-    config = make_config(tree, zenoh_config)
-    for key, value in (
-        ("mode", "client"),
-        ("connect/endpoints", [endpoint]),
-        ("connect/timeout_ms", int(seconds * 1000)),
-        ("connect/exit_on_failure", True),
-        ("listen/endpoints", []),
-    ):
-        config.insert_json5(key, json.dumps(value))
+    config = client_session_config(endpoint, zenoh_config, seconds)
+    config.insert_json5("connect/endpoints", json.dumps([endpoint]))
     try:
         session = zenoh.open(config)
     except zenoh.ZError:

@@ -80,6 +80,24 @@ def router_tree(listen: Sequence[str], *, max_payload: int) -> Tree:
     return tree
 
 
+def client_session_config(listen: str, user: Mapping[str, Any] | str | Path | None, seconds: float) -> zenoh.Config:
+    """Configuration of a client of the router at ``listen``, which must answer within so many seconds.
+
+    A client knows the whole hub as soon as its one link stands; a peer would have to find every other first. ``user``
+    is the workers' own, for TLS. Raises `HubConfigError`.
+    """
+    router = connect_endpoint(listen)
+    config = make_config(session_tree(router, shared_memory=False, max_payload=MAX_PAYLOAD), user)
+    for key, value in (
+        ("mode", "client"),
+        ("connect/timeout_ms", int(seconds * 1000)),
+        ("connect/exit_on_failure", True),
+        ("listen/endpoints", []),
+    ):
+        config.insert_json5(key, json.dumps(value))
+    return config
+
+
 def make_config(tree: Tree, user: Mapping[str, Any] | str | Path | None) -> zenoh.Config:
     """Lay the user's configuration over ours.
 
