@@ -54,6 +54,8 @@ def _config(document: Document) -> Config:
         raise ConfigError(problems(document, Config, err.errors(include_url=False))) from err
     if config.hub.open.opened and (vague := untyped(config.routing)):
         raise ConfigError([document.problem(("routing", "rules", rule.index), rule.text) for rule in vague])
+    if unguarded := config.metrics.unguarded(config.web):
+        raise ConfigError([document.problem(("metrics", "listen"), unguarded)])
     missing: list[Problem] = []
     placed: Config = _placed(config, (), document, missing)
     if missing:

@@ -13,6 +13,7 @@ from bridge.config.rules import with_navigation
 from bridge.config.sections.foxglove import FoxgloveSection
 from bridge.config.sections.hub import HubSection
 from bridge.config.sections.maps import StoreSection
+from bridge.config.sections.metrics import MetricsSection
 from bridge.config.sections.modules import ModulesSection
 from bridge.config.sections.navigation import NavigationSection
 from bridge.config.sections.ros import Ros1Section, Ros2Section
@@ -85,6 +86,7 @@ class Config(Section):
     foxglove: FoxgloveSection = subsection(
         FoxgloveSection, "The server for the Foxglove app; see docs/operate/foxglove.md."
     )
+    metrics: MetricsSection = subsection(MetricsSection, "Figures for Prometheus; see docs/operate/metrics.md.")
     limits: LimitsSection = subsection(LimitsSection, "What is refused for its size.")
     log: LogSection = subsection(LogSection, "Logging.")
 

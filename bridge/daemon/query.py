@@ -97,7 +97,8 @@ def ask_daemon(config: Config, seconds: float = 1.0) -> dict[str, Any] | None:
         ``daemon``, ``pid``, ``uptime`` (seconds), ``config`` (file or null), ``refused`` (why the last reload was, or
         ""), ``status`` (one line), ``workers``: a list of ``worker``, ``phase`` (`bridge.daemon.query.Phase`),
         ``text`` (what it is at, also while it starts), ``since`` (seconds in this phase), ``still`` (seconds for which
-        a starting or running one has neither come further nor computed), ``pid``, ``restarts``.
+        a starting or running one has neither come further nor computed), ``beat`` (seconds since its process's last
+        heartbeat, null before the first), ``pid``, ``restarts``.
     """
     return ask_socket(config, state_file.daemon_socket, b"", seconds)
 

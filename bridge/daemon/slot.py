@@ -72,6 +72,7 @@ class Slot:
         self.since = time.monotonic()
         self.text = ""
         self.restarts = 0
+        self.beat_at: float | None = None  # of its process, on the monotonic clock; None before the first
         self.reloading = False
         self._loop = loop
         self._timing = timing
@@ -179,6 +180,7 @@ class Slot:
         assert self._config is not None
         self._started = time.monotonic()
         self._movement = Movement(self._started)
+        self.beat_at = None
         self._failure, self._then_start, self.reloading = "", False, False
         self._killed = self._asked = self._spawned = self._up = False
         try:
@@ -261,7 +263,8 @@ class Slot:
                 if self.phase is Phase.STARTING:
                     self.text = text
             case protocol.Beat(_, health):
-                self._movement.move(time.monotonic())
+                self.beat_at = time.monotonic()
+                self._movement.move(self.beat_at)
                 self._asked = False
                 if self.phase in {Phase.STARTING, Phase.UP}:
                     self._take_health(health)

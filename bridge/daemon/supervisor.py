@@ -210,6 +210,7 @@ class Supervisor:
                     "text": slot.text,
                     "since": round(time.monotonic() - slot.since, 1),
                     "still": round(slot.still, 1),
+                    "beat": None if slot.beat_at is None else round(time.monotonic() - slot.beat_at, 2),
                     "pid": slot.pid,
                     "restarts": slot.restarts,
                 }

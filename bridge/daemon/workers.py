@@ -77,7 +77,7 @@ class WorkerKind:
     def config_part(self, config: Config) -> dict[str, Any]:
         """The part of the configuration that it uses, for comparison."""
         part = {name: getattr(config, name) for name in sorted({"name", "state", "hub", "log", *self.sections})}
-        if self.name == "web" and config.web.guarded:  # the console shows the door's certificate
+        if self.name in ("web", "metrics") and config.web.guarded:  # both show the door's certificate
             door = config.hub.open
             part["keys"] = (door.keys, door.ca, door.certificate, door.key)
         if self.name != "router":
@@ -116,6 +116,12 @@ WORKERS = (
         "bridge.foxglove.worker:FoxgloveWorker",
         sections=frozenset({"foxglove", "web", "navigation", "types", "limits", "clock", "routing"}),
         environment="bridge.foxglove.environment",
+    ),
+    WorkerKind(
+        "metrics",
+        "bridge.web.metrics_worker:MetricsWorker",
+        sections=frozenset({"metrics", "web"}),
+        environment="bridge.web.environment",
     ),
 )
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from bisect import bisect_left
 from collections import deque
 from collections.abc import Callable
 from typing import Any
@@ -14,11 +15,19 @@ one of its network, a velocity of a planner that was stopped (`bridge.routing.ho
 
 _LATENCIES = 512
 
+LATENCY_BOUNDS = tuple(
+    int(seconds * 1e9) for seconds in (0.00025, 0.0005, 0.001, 0.0025, 0.005, 0.01, 0.025, 0.05, 0.1, 0.25, 0.5, 1, 2.5)
+)
+"""Upper bounds of the histogram's buckets but the last, which has none; nanoseconds."""
+
 
 class Counters:
     """One route's counters. Written by the route's threads, read by anybody; single reads may be a moment apart."""
 
-    __slots__ = ("_latencies", "_mark", "_rate", "bytes", "drops", "error", "error_at", "last", "messages")
+    __slots__ = (
+        "_buckets", "_latencies", "_mark", "_rate", "_waited",
+        "bytes", "drops", "error", "error_at", "last", "messages",
+    )  # fmt: skip
 
     def __init__(self) -> None:
         self.messages = 0
@@ -28,6 +37,8 @@ class Counters:
         self.error_at = 0.0
         self.drops = dict.fromkeys(DROPS, 0)
         self._latencies: deque[int] = deque(maxlen=_LATENCIES)
+        self._buckets = [0] * (len(LATENCY_BOUNDS) + 1)
+        self._waited = 0
         self._mark = (time.monotonic(), 0)
         self._rate = 0.0
 
@@ -40,6 +51,9 @@ class Counters:
     def latency(self, nanoseconds: int) -> None:
         """One message took so long from its source's time stamp to here."""
         self._latencies.append(nanoseconds)
+        self._buckets[bisect_left(LATENCY_BOUNDS, nanoseconds)] += 1
+        if nanoseconds > 0:  # the clocks of two machines differ
+            self._waited += nanoseconds
 
     def dropped(self, reason: str, count: int = 1) -> None:
         """So many messages were dropped, for one of `DROPS`."""
@@ -71,7 +85,11 @@ class Counters:
         return self._rate
 
     def as_dict(self) -> dict[str, Any]:
-        """The counters as they stand in the status document."""
+        """The counters as they stand in the status document.
+
+        ``latency_ms`` is of the last messages. ``latency`` is of all: how many in each bucket of `LATENCY_BOUNDS`, and
+        the sum.
+        """
         late = sorted(self._latencies.copy())
         quantiles = {}
         if late:
@@ -82,6 +100,7 @@ class Counters:
             "rate": round(self._rate, 2),
             "age": round(time.monotonic() - self.last, 3) if self.last else None,
             "latency_ms": quantiles,
+            "latency": {"buckets": list(self._buckets), "seconds": self._waited / 1e9} if late else {},
             "drops": dict(self.drops),
             "error": self.error,
         }

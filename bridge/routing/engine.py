@@ -282,10 +282,13 @@ class Engine:
 
     def status(self) -> dict[str, Any]:
         """Routes, refusals and warnings as they stand in the status document."""
+        outcome = self._peers.outcome
+        lease = {"active": outcome.active, "changes": self._peers.changes, "members": len(outcome.members)}
         return {
             "network": self._network,
-            "standby": self._peers.outcome.standing_by,
-            "waiting": self._peers.outcome.waiting,
+            "standby": outcome.standing_by,
+            "waiting": outcome.waiting,
+            "lease": lease,
             "routes": sorted((r.status() for r in self.routes()), key=lambda r: (str(r["topic"]), str(r["direction"]))),
             "refused": [v.as_dict() for v in self.decisions() if v.refused],
             "warnings": [*self.edge.warnings(), *self._left_out(), *self._refused_tokens()],

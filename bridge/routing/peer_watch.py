@@ -75,6 +75,7 @@ class PeerWatch:
         self._election = Election(hub.zid, daemon, process_name(), lambda record: has_ended(record.process))
         self.lease = Lease()
         self._outcome = Outcome()
+        self.changes = 0  #: how often the role here was got or lost
         self._kept: Outcome | None = None
         self._started = self._since = self._turned = time.monotonic()
         self._linked: float | None = None
@@ -154,6 +155,7 @@ class PeerWatch:
         outcome = self._with_kept_routes(decided)
         if outcome != self._outcome:
             self._log_change(outcome)
+            self.changes += outcome.active != self._outcome.active
             self._outcome = outcome
             self._changed()
 

@@ -190,13 +190,18 @@ class Replica:
         return close
 
     def status(self) -> dict[str, Any]:
-        """How many keys of each kind, and what was lost to others, for the status document."""
+        """How many keys of each kind, and what was lost to others, for the status document.
+
+        ``changed`` is the stamp of the newest change, by whichever replica: seconds since 1970.
+        """
         with self._lock:
             live = [kind for (kind, _), known in self._known.items() if known.size is not None]
             return {
                 "keys": {kind: live.count(kind) for kind in sorted(set(live))},
                 "deleted": len(self._known) - len(live),
                 "bytes": self._size,
+                "limits": {"keys": self.limits.keys, "bytes": self.limits.size},
+                "changed": max((known.version.stamp.ns for known in self._known.values()), default=0) / 1e9,
                 "conflicts": self.conflict_count,
                 "lost": list(self._lost),
             }

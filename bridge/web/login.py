@@ -19,7 +19,7 @@ from bridge.web.access import COOKIE, LOGIN_SECONDS, Access, Grant, TooManyError
 _log = logging.getLogger("midspan.web")
 
 STATIC = Path(__file__).parent / "static"
-OPEN = frozenset({"/login", "/login.js", "/login.css", "/style.css", "/icon.svg"})
+OPEN = frozenset({"/login", "/login.js", "/login.css", "/style.css", "/icon.svg", "/healthz", "/readyz"})
 """What who is not known yet may have."""
 MOST_BODY = 1024
 _BODY_SECONDS = 5.0

@@ -14,7 +14,10 @@ from bridge.cli.client import CliClient
 from bridge.cli.messages import Types
 from bridge.concurrency import SerialExecutor
 from bridge.config.model import Config
+from bridge.hub.control import WorkerAnswer
 from bridge.messages.registry import Registry
+from bridge.metrics.endpoint import MetricsRoutes
+from bridge.metrics.source import ASK_SECONDS
 from bridge.modules.host import Host
 from bridge.state_file import worker_folder
 from bridge.web.access import Access, Grant, kept_secret
@@ -91,7 +94,8 @@ class Console:
         pictures = Pictures()
         self._tls = ServerTls(config) if section.guarded else None
         access = Access(section, kept_secret(worker_folder(config)) if section.guarded else b"")
-        self.server = WebServer(section.listen, self._serve, pictures, access, self._tls)
+        metrics = MetricsRoutes(config, self._ask_workers)
+        self.server = WebServer(section.listen, self._serve, pictures, access, self._tls, metrics.routes)
         try:
             self.host = host = Host("web", config, registry)
         except BaseException:
@@ -167,12 +171,17 @@ class Console:
     async def _serve(self, socket: WebSocket, grant: Grant) -> None:
         await Page(socket, grant, self._hello, self._feeds, self._verbs, self._hold, self.host.loop.post).serve()
 
+    def _ask_workers(self) -> list[WorkerAnswer]:
+        """The status of this daemon's workers, on a thread of the server's that may wait."""
+        return self.host.node.hub.ask("status", {}, daemon=self.host.config.name, timeout=ASK_SECONDS)
+
     def _stand(self) -> None:
         self._hold.stop()
         self._patrol.end(STOPPED)
 
     def _status(self, _params: Any) -> dict[str, Any]:
         about = {"side": "web", "state": "running", "text": self.server.address, "pages": self.server.pages}
+        about["metrics"] = {"pages": self.server.pages}
         return {**about, "pid": os.getpid(), **costs(self._process), **self.host.status()}
 
     def close(self) -> None:

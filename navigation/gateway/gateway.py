@@ -32,6 +32,7 @@ COMING_SECONDS = 30.0
 """For so long a goal waits beyond `NavigationSection.patience` for a planner of which parts have come already."""
 
 _LOOK_SECONDS = 0.1
+_OUTCOMES = {GoalState.SUCCEEDED: "reached", GoalState.CANCELED: "canceled"}
 BETWEEN_MAPS = "robot_path_planner"
 """The planner that drives to other maps, through links: there the goal's frame is the map's name."""
 
@@ -61,6 +62,8 @@ class Gateway:
         self._pause: Timer | None = None
         self._held = False
         self._said: tuple[Any, ...] = ()
+        #: how many drives of clients ended so
+        self.ended = dict.fromkeys(("reached", "failed", "canceled", "replaced"), 0)
         host.loop.every(_LOOK_SECONDS, self._look)
 
     @property
@@ -160,6 +163,7 @@ class Gateway:
         self.drive.let_go = self._stopping.stop is None and (before is None or before.let_go)
         self._unpause()
         if before is not None:
+            self.ended["replaced"] += 1
             before.end(GoalState.CANCELED, Fault.OTHER, f"{who} gave another goal, which took its place")
         if goal is not None:
             goal.execute()
@@ -356,6 +360,7 @@ class Gateway:
         if self.drive is not drive:
             return
         self.drive = None
+        self.ended[_OUTCOMES.get(status, "failed")] += 1
         if not drive.let_go:
             since = drive.held_at if drive.stopping or drive.paused else time.monotonic()
             self._stopping.stop = UnconfirmedStop(why, since)

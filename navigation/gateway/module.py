@@ -135,6 +135,7 @@ class GatewayModule(Module):
             "goal": None if drive is None else [*drive.target.pose[:3]],
             "client": "" if drive is None else drive.who,
             "goals_of_others": len(gateway.link.others),
+            "goals_ended": dict(gateway.ended),
         }
 
     def stop(self) -> None:

@@ -1,0 +1,50 @@
+"""``/metrics``, ``/healthz`` and ``/readyz``, for the console's server and for one of their own."""
+
+from __future__ import annotations
+
+from prometheus_client import CollectorRegistry
+from prometheus_client.exposition import choose_encoder
+from starlette.requests import Request
+from starlette.responses import PlainTextResponse, Response
+from starlette.routing import Route
+
+from bridge.config.model import Config
+from bridge.metrics.collector import MidspanCollector
+from bridge.metrics.source import Ask, Readiness, Source
+
+
+class MetricsRoutes:
+    """The routes, each answered on a thread that may wait.
+
+    Args:
+        config: the configuration.
+        ask: asks this daemon's workers.
+
+    Attributes:
+        routes: for a server.
+    """
+
+    def __init__(self, config: Config, ask: Ask) -> None:
+        self._readiness = Readiness(config)
+        self._registry = CollectorRegistry(auto_describe=False)
+        self._registry.register(MidspanCollector(Source(config, ask), config.metrics.routes))
+        self.routes = [
+            Route("/metrics", self._metrics),
+            Route("/healthz", self._alive),
+            Route("/readyz", self._ready),
+        ]
+
+    def _metrics(self, request: Request) -> Response:
+        encode, content_type = choose_encoder(request.headers.get("accept", ""))
+        return Response(encode(self._registry), headers={"content-type": content_type, "cache-control": "no-store"})
+
+    def _alive(self, _request: Request) -> Response:
+        return PlainTextResponse("alive\n", headers={"cache-control": "no-store"})
+
+    def _ready(self, request: Request) -> Response:
+        """503 with the reasons; who is not known hears that there are some, and not which."""
+        reasons = self._readiness.reasons()
+        known = request.scope["state"]["grant"] is not None
+        told = reasons if known or not reasons else ["not ready; who says who they are hears why"]
+        text = "\n".join(told or ["ready"])
+        return PlainTextResponse(f"{text}\n", 503 if reasons else 200, headers={"cache-control": "no-store"})

@@ -1,0 +1,125 @@
+"""Every metric family that Midspan has: its name, kind, labels and help.
+
+Names follow https://prometheus.io/docs/practices/naming/: a prefix, base units, ``_total`` for what only grows.
+Counters begin at 0 with the process that counts, so a worker's new start is a reset as any program's.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from typing import Literal, NamedTuple
+
+from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily, HistogramMetricFamily, Metric
+
+Kind = Literal["gauge", "counter", "histogram"]
+
+_MOST_LABEL = 200
+"""Characters of a label's value: a topic's name may be as long as its maker likes."""
+
+
+class Family(NamedTuple):
+    """One metric family; a counter's name has its ``_total``."""
+
+    name: str
+    kind: Kind
+    help: str
+    labels: tuple[str, ...] = ()
+
+    def metric(self) -> Metric:
+        """An empty one of the library's."""
+        made: dict[Kind, type[Metric]] = {
+            "gauge": GaugeMetricFamily, "counter": CounterMetricFamily, "histogram": HistogramMetricFamily,
+        }  # fmt: skip
+        return made[self.kind](self.name, self.help, labels=list(self.labels))  # type: ignore[call-arg]
+
+
+_ROUTE = ("side", "direction", "kind", "topic", "type")
+_WORKER = ("worker",)
+_SIDE = ("side",)
+
+FAMILIES = (
+    Family("midspan_build_info", "gauge", "Always 1; which Midspan it is, and of which daemon.", ("version", "daemon")),
+    Family("midspan_daemon_up", "gauge", "Whether the daemon answers."),
+    Family("midspan_daemon_uptime_seconds", "gauge", "Since the daemon's start."),
+    Family("midspan_daemon_config_refused", "gauge", "Whether the last reload of the configuration was refused."),
+    Family("midspan_hub_up", "gauge", "Whether the hub could be asked."),
+    Family("midspan_ask_duration_seconds", "gauge", "What asking all workers took; 1 s where one does not answer."),
+    Family("midspan_worker_up", "gauge", "Whether the worker's process runs and sends heartbeats.", _WORKER),
+    Family("midspan_worker_phase", "gauge", "1 for the phase that the worker is in.", ("worker", "phase")),
+    Family("midspan_worker_answering", "gauge", "Whether the worker gave its status in time.", _WORKER),
+    Family("midspan_worker_restarts_total", "counter", "Ends of the worker that nobody asked for.", _WORKER),
+    Family("midspan_worker_heartbeat_age_seconds", "gauge", "Since the worker's last heartbeat.", _WORKER),
+    Family("midspan_worker_cpu_seconds_total", "counter", "Processor time of the process.", _WORKER),
+    Family("midspan_worker_resident_memory_bytes", "gauge", "Resident memory of the process.", _WORKER),
+    Family("midspan_worker_open_fds", "gauge", "Open file descriptors of the process.", _WORKER),
+    Family("midspan_router_sessions", "gauge", "Sessions that are linked with the hub's router."),
+    Family("midspan_router_machines", "gauge", "Other machines at the hub's door.", ("trusted",)),
+    Family("midspan_module_state", "gauge", "1 for the state that the hosted module is in.", ("module", "state")),
+    Family("midspan_side_state", "gauge", "1 for the state that the side is in.", ("side", "state")),
+    Family("midspan_side_lease", "gauge", "Whether this daemon carries between the side's network and the hub.", _SIDE),
+    Family("midspan_side_lease_changes_total", "counter", "How often the lease was got or lost.", _SIDE),
+    Family("midspan_side_members", "gauge", "Midspan workers on the side's network, this one among them.", _SIDE),
+    Family("midspan_side_routes", "gauge", "Routes of the side, told of or not.", _SIDE),
+    Family("midspan_side_routes_untold", "gauge", "Routes beyond metrics.routes, of which nothing is told.", _SIDE),
+    Family("midspan_side_refused", "gauge", "Topics and services that cannot cross; midspan status says why.", _SIDE),
+    Family("midspan_route_messages_total", "counter", "Messages that crossed; calls, of a service.", _ROUTE),
+    Family("midspan_route_lane_messages_total", "counter", "Those of them that went by the lane, not zenoh.", _ROUTE),
+    Family("midspan_route_bytes_total", "counter", "Bytes that crossed.", _ROUTE),
+    Family("midspan_route_drops_total", "counter", "Messages that were dropped.", (*_ROUTE, "reason")),
+    Family("midspan_route_latency_seconds", "histogram", "From the source's stamp to here; of a whole call.", _ROUTE),
+    Family("midspan_route_calls_total", "counter", "Calls of a service by how they ended.", (*_ROUTE, "result")),
+    Family("midspan_route_calls_pending", "gauge", "Calls of a service that are under way.", _ROUTE),
+    Family("midspan_store_values", "gauge", "Values in the store of maps and places.", ("kind",)),
+    Family("midspan_store_bytes", "gauge", "Bytes of all values in the store."),
+    Family("midspan_store_limit_bytes", "gauge", "Bytes that the store may hold."),
+    Family("midspan_store_deleted", "gauge", "Deleted values that are remembered."),
+    Family("midspan_store_conflicts_total", "counter", "Changes that lost to one made elsewhere at the same time."),
+    Family("midspan_store_refused_total", "counter", "Changes of other stores that were refused."),
+    Family("midspan_store_last_change_timestamp_seconds", "gauge", "Newest change, by whichever store shares it."),
+    Family("midspan_store_replicas", "gauge", "Other stores that it is shared with."),
+    Family("midspan_goals_total", "counter", "Goals of clients by how they ended.", ("outcome",)),
+    Family("midspan_goal_active", "gauge", "Whether the robot has a goal of a client."),
+)
+
+
+class Families:
+    """The families of one scrape, as samples are put into them."""
+
+    def __init__(self) -> None:
+        self._known = {family.name: family for family in FAMILIES}
+        self._made: dict[str, Metric] = {}
+
+    def put(self, name: str, value: object, *labels: object) -> None:
+        """Add a sample; what is no number is left out."""
+        if isinstance(value, int | float):
+            self._metric(name).add_metric([label(each) for each in labels], float(value))  # type: ignore[attr-defined]
+
+    def put_histogram(
+        self, name: str, bounds: Sequence[float], counts: Sequence[int], total: float, *labels: object
+    ) -> None:
+        """Add a histogram: its buckets' upper bounds but the last one's, which has none, and how many are in each."""
+        buckets, below = [], 0
+        for bound, count in zip((*(f"{bound:g}" for bound in bounds), "+Inf"), counts, strict=True):
+            below += count
+            buckets.append((bound, below))
+        self._metric(name).add_metric([label(each) for each in labels], buckets, total)  # type: ignore[attr-defined]
+
+    def put_own(self, family: Family, value: float) -> None:
+        """Add a family that is not in `FAMILIES`, with its one sample; one whose name is taken is left out."""
+        if family.name not in self._known and family.name not in self._made:
+            metric = self._made[family.name] = family.metric()
+            metric.add_metric([], value)  # type: ignore[attr-defined]
+
+    def __iter__(self) -> Iterator[Metric]:
+        """Those that have samples."""
+        return iter(self._made.values())
+
+    def _metric(self, name: str) -> Metric:
+        if name not in self._made:
+            self._made[name] = self._known[name].metric()
+        return self._made[name]
+
+
+def label(value: object) -> str:
+    """A label's value: valid UTF-8 of a bounded length."""
+    return str(value)[:_MOST_LABEL].encode(errors="replace").decode()

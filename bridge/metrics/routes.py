@@ -1,0 +1,67 @@
+"""The figures of the routes: a bounded number of them for each side."""
+
+from __future__ import annotations
+
+import threading
+from typing import Any
+
+from bridge.metrics.families import Families
+from bridge.metrics.source import Document
+from bridge.routing.counters import DROPS, LATENCY_BOUNDS
+
+_BOUNDS = tuple(bound / 1e9 for bound in LATENCY_BOUNDS)
+_RESULTS = {"reply": "replies", "error": "errors", "abandoned": "abandoned"}
+_KEY = ("direction", "kind", "hub_topic", "type")
+
+Key = tuple[str, ...]
+
+
+class RouteTeller:
+    """Tells of at most so many routes of each side; who is told of stays so while the route is there."""
+
+    def __init__(self, most: int) -> None:
+        self._most = most
+        self._lock = threading.Lock()
+        self._told: dict[str, set[Key]] = {}
+
+    def tell(self, families: Families, document: Document) -> None:
+        """Put in the figures of a side's routes."""
+        side = str(document["worker"])
+        routes = {_key(route): route for route in document.get("routes", ()) if isinstance(route, dict)}
+        chosen = self._choose(side, routes)
+        families.put("midspan_side_routes", len(routes), side)
+        families.put("midspan_side_routes_untold", len(routes) - len(chosen), side)
+        for key in chosen:
+            _route(families, routes[key], (side, *key))
+
+    def _choose(self, side: str, routes: dict[Key, Any]) -> list[Key]:
+        with self._lock:
+            before = self._told.get(side, set()) & routes.keys()
+            chosen = sorted(before) + sorted(routes.keys() - before)[: self._most - len(before)]
+            self._told[side] = set(chosen)
+        return sorted(chosen)
+
+
+def _key(route: Document) -> Key:
+    return tuple(str(route.get(part, "")) for part in _KEY)
+
+
+def _route(families: Families, route: Document, labels: Key) -> None:
+    put = families.put
+    put("midspan_route_messages_total", route.get("messages"), *labels)
+    put("midspan_route_bytes_total", route.get("bytes"), *labels)
+    drops, ways, latency = route.get("drops"), route.get("ways"), route.get("latency")
+    if isinstance(ways, dict):
+        put("midspan_route_lane_messages_total", ways.get("lane"), *labels)
+    if isinstance(drops, dict):
+        for reason in DROPS:
+            put("midspan_route_drops_total", drops.get(reason), *labels, reason)
+    if isinstance(latency, dict):
+        counts, seconds = latency.get("buckets"), latency.get("seconds", 0.0)
+        if not isinstance(counts, list) or len(counts) != len(_BOUNDS) + 1:
+            counts = [0] * (len(_BOUNDS) + 1)
+        families.put_histogram("midspan_route_latency_seconds", _BOUNDS, counts, seconds, *labels)
+    if route.get("kind") == "service":
+        for result, name in _RESULTS.items():
+            put("midspan_route_calls_total", route.get(name), *labels, result)
+        put("midspan_route_calls_pending", route.get("pending"), *labels)

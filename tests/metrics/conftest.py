@@ -1,0 +1,5 @@
+"""The console's fixture, for the figures that it serves."""
+
+from tests.web.conftest import desk
+
+__all__ = ["desk"]

@@ -1,0 +1,41 @@
+"""Status documents as workers give them, for tests of the figures that are made of them."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from bridge.metrics.source import Picture
+from bridge.routing.counters import Counters
+from bridge.routing.services.route import CallCounters
+
+
+def route(topic: str = "/scan", **more: Any) -> dict[str, Any]:
+    """A topic's route with counters of the real kind: three messages, two of them measured, one drop."""
+    counters = Counters()
+    for _ in range(3):
+        counters.crossed(100)
+    counters.latency(300_000)
+    counters.latency(40_000_000)
+    counters.dropped("queue")
+    row = {"kind": "topic", "direction": "in", "hub_topic": topic, "type": "sensor_msgs/msg/LaserScan"}
+    return {**row, **counters.as_dict(), "ways": {"lane": 2, "zenoh": 1}, **more}
+
+
+def service(name: str = "/add") -> dict[str, Any]:
+    """A service's route with one reply and one call under way."""
+    counters = CallCounters()
+    counters.crossed(8)
+    counters.replies = counters.pending = 1
+    return {"kind": "service", "direction": "out", "hub_topic": name, "type": "a/srv/Add", **counters.as_dict()}
+
+
+def side(*routes: dict[str, Any], worker: str = "ros1", **more: Any) -> dict[str, Any]:
+    """A side's document."""
+    lease = {"active": True, "changes": 3, "members": 2}
+    head = {"daemon": "here", "worker": worker, "side": worker, "pid": 0, "state": "running", "lease": lease}
+    return {**head, "refused": [], "routes": list(routes), **more}
+
+
+def picture(*documents: dict[str, Any], **daemon: Any) -> Picture:
+    """What a source would know."""
+    return Picture("here", documents, daemon, hub=True, seconds=0.01)

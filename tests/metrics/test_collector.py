@@ -1,0 +1,189 @@
+"""The figures are what the status documents say, in Prometheus' terms, and bounded."""
+
+from __future__ import annotations
+
+import os
+from typing import Any
+
+import pytest
+from prometheus_client import CollectorRegistry, generate_latest
+from prometheus_client.metrics_core import Metric
+from prometheus_client.openmetrics import exposition as openmetrics
+from prometheus_client.openmetrics.parser import text_string_to_metric_families as parse_openmetrics
+from prometheus_client.parser import text_string_to_metric_families as parse
+
+from bridge.metrics.collector import MOST_OWN, MidspanCollector
+from bridge.metrics.source import Picture
+from bridge.routing.counters import DROPS
+from tests.metrics.documents import picture, route, service, side
+
+
+class Fixed:
+    """A source that knows one picture."""
+
+    def __init__(self, known: Picture) -> None:
+        self.known = known
+
+    def picture(self) -> Picture:
+        return self.known
+
+
+class Scrape:
+    """The samples of a picture, in the text that Prometheus gets."""
+
+    def __init__(self, *documents: dict[str, Any], most: int = 200, **daemon: Any) -> None:
+        self.source = Fixed(picture(*documents, **daemon))
+        self.registry = CollectorRegistry(auto_describe=False)
+        self.registry.register(MidspanCollector(self.source, most))
+
+    def families(self) -> dict[str, Metric]:
+        return {family.name: family for family in parse(generate_latest(self.registry).decode())}
+
+    def values(self, name: str, **labels: str) -> list[float]:
+        return [
+            sample.value
+            for family in self.families().values()
+            for sample in family.samples
+            if sample.name == name and labels.items() <= sample.labels.items()
+        ]
+
+    def value(self, name: str, **labels: str) -> float:
+        (found,) = self.values(name, **labels)
+        return found
+
+
+def test_a_route() -> None:
+    scrape = Scrape(side(route()))
+    where = {"side": "ros1", "direction": "in", "topic": "/scan", "type": "sensor_msgs/msg/LaserScan"}
+    assert scrape.value("midspan_route_messages_total", **where) == 3
+    assert scrape.value("midspan_route_lane_messages_total", **where) == 2
+    assert scrape.value("midspan_route_bytes_total", **where) == 300
+    drops = {reason: scrape.value("midspan_route_drops_total", reason=reason, **where) for reason in DROPS}
+    assert drops == dict.fromkeys(DROPS, 0) | {"queue": 1}
+    assert scrape.value("midspan_route_latency_seconds_count", **where) == 2
+    assert scrape.value("midspan_route_latency_seconds_sum", **where) == pytest.approx(0.0403)
+    buckets = {le: scrape.value("midspan_route_latency_seconds_bucket", le=le) for le in ("0.00025", "0.0005", "0.05")}
+    assert buckets == {"0.00025": 0, "0.0005": 1, "0.05": 2}
+
+
+def test_a_service() -> None:
+    scrape = Scrape(side(service()))
+    calls = {r: scrape.value("midspan_route_calls_total", result=r) for r in ("reply", "error", "abandoned")}
+    assert calls == {"reply": 1, "error": 0, "abandoned": 0}
+    assert scrape.value("midspan_route_calls_pending") == 1
+    assert scrape.value("midspan_route_latency_seconds_count") == 0, "a histogram is there before the first call"
+
+
+def test_a_side_and_its_lease() -> None:
+    scrape = Scrape(side(worker="zenoh_ros2dds", state="standby", refused=[{}, {}]))
+    states = {s: scrape.value("midspan_side_state", state=s) for s in ("running", "waiting", "standby")}
+    assert states == {"running": 0, "waiting": 0, "standby": 1}
+    assert scrape.value("midspan_side_lease", side="zenoh_ros2dds") == 1
+    assert scrape.value("midspan_side_lease_changes_total") == 3
+    assert scrape.value("midspan_side_members") == 2
+    assert scrape.value("midspan_side_refused") == 2
+
+
+def test_workers_by_the_daemons_word() -> None:
+    def word(worker: str, phase: str, pid: int, beat: float | None) -> dict[str, Any]:
+        return {"worker": worker, "phase": phase, "pid": pid, "restarts": 2, "beat": beat, "text": ""}
+
+    scrape = Scrape(
+        side(pid=os.getpid()),
+        pid=os.getpid(), uptime=5.0, refused="",
+        workers=[
+            word("ros1", "running", os.getpid(), 0.3), word("ros2", "running", 999_999_999, 4.0),
+            word("yarp", "restarting", 0, None), word("sim", "off", 0, None), word("zenoh", "not available", 0, None),
+        ],
+    )  # fmt: skip
+    up = {w: scrape.value("midspan_worker_up", worker=w) for w in ("ros1", "ros2", "yarp")}
+    assert up == {"ros1": 1, "ros2": 1, "yarp": 0}
+    answering = {w: scrape.value("midspan_worker_answering", worker=w) for w in up}
+    assert answering == {"ros1": 1, "ros2": 0, "yarp": 0}, "one that hangs is told of as not answering"
+    assert not scrape.values("midspan_worker_up", worker="sim") + scrape.values("midspan_worker_up", worker="zenoh")
+    assert scrape.value("midspan_worker_phase", worker="yarp", phase="restarting") == 1
+    assert scrape.value("midspan_worker_heartbeat_age_seconds", worker="ros2") == 4
+    assert not scrape.values("midspan_worker_heartbeat_age_seconds", worker="yarp")
+    for name in ("cpu_seconds_total", "resident_memory_bytes", "open_fds"):
+        assert scrape.value(f"midspan_worker_{name}", worker="ros1") > 0
+        assert scrape.value(f"midspan_worker_{name}", worker="daemon") > 0
+        assert not scrape.values(f"midspan_worker_{name}", worker="ros2"), "there is no such process"
+
+
+def test_without_a_daemon_and_without_answers() -> None:
+    scrape = Scrape()
+    assert scrape.value("midspan_daemon_up") == 0
+    assert scrape.value("midspan_build_info", daemon="here") == 1
+    assert not scrape.values("midspan_worker_up")
+
+
+def test_the_store_the_goals_the_modules_and_the_router() -> None:
+    store = {
+        "keys": {"map": 1, "location": 4}, "bytes": 77, "limits": {"bytes": 100}, "deleted": 1, "conflicts": 2,
+        "refused": 3, "changed": 1.5e9, "others": ["r2"],
+    }  # fmt: skip
+    ended = {"reached": 5, "failed": 1, "canceled": 2, "replaced": 0}
+    head = {"module": True, "state": "running", "routes": []}
+    scrape = Scrape(
+        {"worker": "store", "store": store, **head},
+        {"worker": "gateway", "goals_ended": ended, "goal": [1, 2, 3], **head, "state": "waiting"},
+        {"worker": "router", "side": "router", "sessions": 7, "machines": [{"trusted": True}, {"trusted": False}]},
+    )
+    assert scrape.value("midspan_store_values", kind="location") == 4
+    assert scrape.value("midspan_store_bytes") == 77
+    assert scrape.value("midspan_store_last_change_timestamp_seconds") == 1.5e9
+    assert scrape.value("midspan_store_replicas") == 1
+    assert {o: scrape.value("midspan_goals_total", outcome=o) for o in ended} == ended
+    assert scrape.value("midspan_goal_active") == 1
+    assert scrape.value("midspan_module_state", module="gateway", state="waiting") == 1
+    assert scrape.value("midspan_router_sessions") == 7
+    assert scrape.value("midspan_router_machines", trusted="false") == 1
+
+
+def test_more_routes_than_are_told_of_are_counted_and_who_is_told_of_stays_so() -> None:
+    scrape = Scrape(side(*(route(f"/t{n}") for n in range(5, 9))), most=3)
+    told = lambda: {s.labels["topic"] for s in scrape.families()["midspan_route_bytes"].samples}  # noqa: E731
+    assert told() == {"/t5", "/t6", "/t7"}
+    assert scrape.value("midspan_side_routes_untold") == 1
+    scrape.source.known = picture(side(*(route(f"/t{n}") for n in (1, 2, 6, 7, 8))))
+    assert told() == {"/t1", "/t6", "/t7"}, "a counter does not end because another route came"
+    assert scrape.value("midspan_side_routes") == 5
+    assert scrape.value("midspan_side_routes_untold") == 2
+
+
+def test_a_workers_own_figures() -> None:
+    own = {"written_bytes_total": 12, "disk_free_bytes": 3.5, "Bad name": 1, "text": "7", "none": None}
+    scrape = Scrape({"worker": "record", "side": "record", "metrics": own}, {"worker": "build", "metrics": {"info": 5}})
+    families = scrape.families()
+    assert (families["midspan_record_written_bytes"].type, families["midspan_record_disk_free_bytes"].type) == (
+        "counter",
+        "gauge",
+    )
+    assert scrape.value("midspan_record_written_bytes_total") == 12
+    assert not [name for name in families if name.startswith("midspan_record") and name.endswith(("name", "text"))]
+    assert scrape.value("midspan_build_info", daemon="here") == 1, "its name is taken"
+    many = Scrape({"worker": "x", "metrics": {f"n{n}": n for n in range(2 * MOST_OWN)}})
+    assert sum(name.startswith("midspan_x_") for name in many.families()) == MOST_OWN
+
+
+def test_openmetrics_is_parsed() -> None:
+    scrape = Scrape(side(route(), service()), {"worker": "record", "metrics": {"a_total": 1}})
+    text = openmetrics.generate_latest(scrape.registry).decode()
+    found = {family.name: family for family in parse_openmetrics(text)}
+    assert text.endswith("# EOF\n")
+    assert found["midspan_route_messages"].type == "counter"
+    assert found["midspan_route_latency_seconds"].type == "histogram"
+    assert found["midspan_record_a"].samples[0].name == "midspan_record_a_total"
+
+
+@pytest.mark.parametrize(
+    "odd",
+    [
+        {"routes": [7, {}, {"drops": 1, "ways": 2, "latency": {"buckets": [1]}, "messages": "x"}]},
+        {"routes": [{"hub_topic": '/\udc80\n"\\' + "x" * 1000, "messages": 1}]},
+        {"routes": [], "lease": 5, "refused": 9, "metrics": [1], "state": 8},
+    ],
+)
+def test_odd_documents_break_nothing(odd: dict[str, Any]) -> None:
+    scrape = Scrape(side(**odd), {"worker": "store", "module": True, "store": {"keys": 1, "others": 2}})
+    assert all(len(v) <= 200 for f in scrape.families().values() for s in f.samples for v in s.labels.values())

@@ -1,0 +1,29 @@
+"""The page tells of every family."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from bridge.metrics.families import FAMILIES, Family
+
+PAGE = (Path(__file__).parents[2] / "docs" / "operate" / "metrics.md").read_text(encoding="utf-8")
+_ROUTE = ("side", "direction", "kind", "topic", "type")
+
+
+@pytest.mark.parametrize("family", FAMILIES, ids=lambda family: family.name)
+def test_the_page_tells_of_each_family(family: Family) -> None:
+    of_route = family.labels[:5] == _ROUTE
+    labels = [*(["a route's"] if of_route else []), *(f"`{each}`" for each in family.labels[5 if of_route else 0 :])]
+    assert f"| `{family.name}` | {family.kind} | {', '.join(labels)} | {family.help} |" in PAGE
+
+
+def test_it_tells_of_no_other() -> None:
+    rows = [line for line in PAGE.splitlines() if line.startswith("| `midspan_")]
+    assert len(rows) == len(FAMILIES)
+
+
+def test_counters_are_named_as_such() -> None:
+    for family in FAMILIES:
+        assert family.name.endswith("_total") == (family.kind == "counter"), family.name

@@ -1,0 +1,209 @@
+"""The worker of metrics on a hub: what it answers, to whom, and when the hub or a worker does not."""
+
+from __future__ import annotations
+
+import http.client
+import ssl
+import threading
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from prometheus_client.openmetrics.parser import text_string_to_metric_families as parse_openmetrics
+from prometheus_client.parser import text_string_to_metric_families as parse
+
+from bridge.config.document import ConfigError
+from bridge.config.load import loads
+from bridge.config.model import Config
+from bridge.hub.security.certificates import Authority
+from bridge.hub.security.tokens import new_token
+from bridge.hub.session import Hub
+from bridge.web.metrics_worker import MetricsWorker
+from tests.metrics.documents import route, side
+from tests.support.quick_hub import QuickHub
+from tests.support.wait import until
+from tests.web.conftest import Desk
+
+TOKEN = new_token()
+OPENMETRICS = "application/openmetrics-text; version=1.0.0"
+
+
+class Place:
+    """A hub with one worker of the daemon ``here``, and the worker of metrics."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        self.hubs = QuickHub()
+        self.far = Hub.open(self.hubs.settings("ros1", "ros1", "here"))
+        self.other = Hub.open(self.hubs.settings("ros1", "ros1", "there"))
+        for hub in (self.far, self.other):
+            hub.serve("status", lambda _params: side(route()))
+        self.worker: MetricsWorker | None = None
+
+    def start(self, **sections: Any) -> MetricsWorker:
+        metrics = {"enabled": True, "listen": "127.0.0.1:0", **sections.pop("metrics", {})}
+        config = Config.model_validate(
+            {
+                "name": "here",
+                "state": self.folder,
+                "hub": {"listen": self.hubs.endpoint},
+                "metrics": metrics,
+                **sections,
+            }
+        )
+        self.worker = MetricsWorker()
+        self.worker.start(config)
+        return self.worker
+
+    def ask(self, path: str, accept: str = "", tls: ssl.SSLContext | None = None, token: str = "") -> Any:
+        """Status, type and text of an answer."""
+        assert self.worker is not None
+        assert self.worker._server is not None
+        port = self.worker._server.port
+        connection = (
+            http.client.HTTPConnection("127.0.0.1", port, timeout=20)
+            if tls is None
+            else http.client.HTTPSConnection("127.0.0.1", port, timeout=20, context=tls)
+        )
+        headers = {"Accept": accept} if accept else {}
+        if token:
+            headers["Authorization"] = f"Bearer {token}"
+        try:
+            connection.request("GET", path, headers=headers)
+            answer = connection.getresponse()
+            return answer.status, answer.getheader("content-type"), answer.read().decode()
+        finally:
+            connection.close()
+
+    def families(self) -> dict[str, list[Any]]:
+        return {family.name: family.samples for family in parse(self.ask("/metrics")[2])}
+
+    def close(self) -> None:
+        if self.worker is not None:
+            self.worker.stop()
+            self.worker.stop()
+        self.far.close()
+        self.other.close()
+        self.hubs.stop_router()
+
+
+@pytest.fixture
+def place(tmp_path: Path) -> Iterator[Place]:
+    made = Place(tmp_path)
+    yield made
+    made.close()
+
+
+def test_both_formats(place: Place) -> None:
+    worker = place.start()
+    worker.health()
+    status, kind, text = place.ask("/metrics")
+    assert (status, kind) == (200, "text/plain; version=0.0.4; charset=utf-8")
+    assert [s.value for f in parse(text) if f.name == "midspan_route_messages" for s in f.samples] == [3], (
+        "its own alone"
+    )
+    status, kind, text = place.ask("/metrics", OPENMETRICS)
+    assert status == 200
+    assert kind.startswith(OPENMETRICS)
+    assert "midspan_route_latency_seconds" in {family.name for family in parse_openmetrics(text)}
+
+
+def test_it_answers_without_a_hub_and_joins_it_later(place: Place) -> None:
+    place.hubs.stop_router()
+    worker = place.start()
+    assert "no router" in worker.health().text
+    assert place.families()["midspan_hub_up"][0].value == 0
+    place.hubs.start_router()
+
+    def told() -> bool:
+        worker.health()
+        return "midspan_route_messages" in place.families()
+
+    until(told, "the routes are told of", 20, every=0.2)
+    place.hubs.stop_router()
+    until(lambda: place.families()["midspan_hub_up"][0].value == 0, "the router is gone", 20, every=0.2)
+    place.hubs.start_router()
+    until(told, "they are again", 20, every=0.2)
+
+
+def test_one_that_hangs_does_not_hold_up_the_others(place: Place) -> None:
+    hangs = threading.Event()
+    stuck = Hub.open(place.hubs.settings("ros2", "ros2", "here"))
+    try:
+        stuck.serve("status", lambda _params: hangs.wait(30))
+        place.start().health()
+        families = place.families()
+        assert families["midspan_route_messages"], "who answers is told of"
+        assert 0.9 < families["midspan_ask_duration_seconds"][0].value < 5.0
+    finally:
+        hangs.set()
+        stuck.close()
+
+
+def test_it_lives_and_is_not_ready_without_a_daemon(place: Place) -> None:
+    place.start()
+    assert place.ask("/healthz") == (200, "text/plain; charset=utf-8", "alive\n")
+    assert place.ask("/readyz")[::2] == (503, "no daemon of the name 'here' answers\n")
+    assert place.ask("/none")[0] == 404
+
+
+def test_who_comes_from_elsewhere_says_who_it_is(place: Place, tmp_path: Path) -> None:
+    authority = Authority(tmp_path / "keys")
+    authority.make()
+    authority.issue("here", ["127.0.0.1"])
+    place.start(
+        hub={"listen": place.hubs.endpoint, "open": {"keys": str(tmp_path / "keys")}},
+        metrics={"listen": "0.0.0.0:0"},
+        web={"tokens": {"prometheus": {"role": "watch", "sha256": TOKEN[1]}}},
+    )
+    tls = ssl.create_default_context(cafile=tmp_path / "keys" / "ca.pem")
+    assert place.ask("/metrics", tls=tls)[0] == 401
+    assert place.ask("/metrics", tls=tls, token=TOKEN[0])[0] == 200
+    assert place.ask("/healthz", tls=tls)[0] == 200, "a supervisor has no token"
+    status, _, text = place.ask("/readyz", tls=tls)
+    assert (status, "daemon" in text) == (503, False)
+    assert "no daemon" in place.ask("/readyz", tls=tls, token=TOKEN[0])[2]
+
+
+def test_an_address_that_others_reach_without_protection_is_refused(place: Place) -> None:
+    with pytest.raises(ConfigError, match=r"metrics\.listen.*web\.tokens"):
+        loads("metrics: {enabled: true, listen: '0.0.0.0:9480'}")
+    with pytest.raises(RuntimeError, match=r"metrics\.listen: other machines reach"):
+        place.start(metrics={"listen": "0.0.0.0:0"})
+    with pytest.raises(ConfigError, match="no address and port"):
+        loads("metrics: {listen: '9480'}")
+    assert loads("metrics: {listen: '0.0.0.0:9480'}").metrics.reached
+
+
+def test_an_address_that_is_taken_is_told(place: Place) -> None:
+    worker = place.start()
+    assert worker._server is not None
+    again = MetricsWorker()
+    listen = f"127.0.0.1:{worker._server.port}"
+    with pytest.raises(RuntimeError, match=f"the worker metrics cannot listen on {listen}: .*; set metrics.listen"):
+        again.start(Config.model_validate({"state": place.folder, "metrics": {"enabled": True, "listen": listen}}))
+    again.stop()
+
+
+def test_the_console_answers_the_same(desk: Desk) -> None:
+    connection = http.client.HTTPConnection("127.0.0.1", desk.port, timeout=20)
+    with_worker = Hub.open(desk.hubs.settings("ros1", "ros1", "here"))
+    try:
+        with_worker.serve("status", lambda _params: side(route()))
+
+        def get(path: str) -> str:
+            connection.request("GET", path)
+            return connection.getresponse().read().decode()
+
+        def told() -> dict[str, Any]:
+            families = {family.name: family.samples for family in parse(get("/metrics"))}
+            return families if "midspan_route_messages" in families else {}
+
+        families = until(told, "the route is told of", 10)
+        assert (get("/healthz"), get("/readyz")) == ("alive\n", "no daemon of the name 'here' answers\n")
+    finally:
+        connection.close()
+        with_worker.close()
+    assert families["midspan_route_messages"][0].value == 3
+    assert families["midspan_web_pages"][0].value == 0
