@@ -98,6 +98,10 @@ class McapWriter:
         self.pending += len(text)
         return self._writer.register_channel(info.topic, "cdr", schema, info.metadata())
 
+    def metadata(self, name: str, values: dict[str, str]) -> None:
+        """Add a record of metadata, apart from the chunks."""
+        self._writer.add_metadata(name, values)
+
     def write(self, channel: int, log_time: int, publish_time: int, data: bytes, sequence: int = 0) -> bool:
         """Add a message: CDR with its header; times in nanoseconds since 1970. Raises `OSError` of the stream.
 

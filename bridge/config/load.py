@@ -14,7 +14,8 @@ from bridge.config.model import Config
 from bridge.config.problems import key_name, model_of, problems
 from bridge.config.rules import untyped
 
-MADE_BY_US: frozenset[KeyPath] = frozenset({("state",)})  # paths that need not exist: Midspan makes them
+# paths that need not exist: Midspan makes them
+MADE_BY_US: frozenset[KeyPath] = frozenset({("state",), ("record", "folder")})
 
 
 def find(environ: Mapping[str, str] = os.environ) -> Path | None:

@@ -16,6 +16,7 @@ from bridge.config.sections.maps import StoreSection
 from bridge.config.sections.metrics import MetricsSection
 from bridge.config.sections.modules import ModulesSection
 from bridge.config.sections.navigation import NavigationSection
+from bridge.config.sections.record import RecordSection
 from bridge.config.sections.ros import Ros1Section, Ros2Section
 from bridge.config.sections.routing import RoutingSection
 from bridge.config.sections.section import Section, setting, subsection
@@ -82,6 +83,7 @@ class Config(Section):
     navigation: NavigationSection = subsection(
         NavigationSection, "Planners and clients; see docs/navigation/navigation.md."
     )
+    record: RecordSection = subsection(RecordSection, "Recording into files; see docs/operate/record.md.")
     web: WebSection = subsection(WebSection, "The console in the browser; see docs/operate/console.md.")
     foxglove: FoxgloveSection = subsection(
         FoxgloveSection, "The server for the Foxglove app; see docs/operate/foxglove.md."

@@ -106,6 +106,11 @@ WORKERS = (
         environment="sim.environment",
     ),
     WorkerKind(
+        "record",
+        "bridge.record.worker:RecordWorker",
+        sections=frozenset({"record", "clock", "types", "limits", "yarp"}),
+    ),
+    WorkerKind(
         "web",
         "bridge.web.worker:WebWorker",
         sections=frozenset({"web", "navigation", "modules", "types", "limits"}),

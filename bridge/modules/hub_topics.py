@@ -296,12 +296,13 @@ class HubTopics:
         found.renew(topic.publishers)
         return found
 
-    def unhear(self, key: TopicKey) -> None:
-        """Hear a topic no more; one that is not heard is none the worse."""
+    def unhear(self, key: TopicKey) -> HeardTopic | None:
+        """Hear a topic no more; what was heard, with its counts, None where it was not."""
         with self._lock:
             topic = self._heard.pop(key, None)
         if topic is not None:
             topic.close()
+        return topic
 
     def heard(self) -> list[HeardTopic]:
         """The topics that are heard."""

@@ -38,6 +38,7 @@ _WORKERS = {
     "zenoh": "bridge.adapters.worker, bridge.adapters.zenoh.dialects",
     "modules": "bridge.modules.worker",
     "sim": "sim.simulator",
+    "record": "bridge.record.worker",
     "foxglove": "bridge.foxglove.worker",
 }
 

@@ -1,0 +1,249 @@
+"""``midspan record``: topics of any side into MCAP files, here or in the daemon."""
+
+from __future__ import annotations
+
+import argparse
+import os
+import re
+import signal
+import sys
+import threading
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from bridge.cli.arguments import add_hub_arguments
+from bridge.cli.client import CliClient, client_config, open_client
+from bridge.cli.output import CliError, clean, print_json, size
+
+if TYPE_CHECKING:
+    from bridge.config.model import Config
+    from bridge.config.sections.record import RecordSection
+    from bridge.record.places import Place
+    from bridge.record.worker import Recording
+
+_EPILOG = """\
+examples:
+  midspan record -a                                    # all that is on the hub
+  midspan record /scan /tf /tf_static -o run.mcap
+  midspan record -a -x '^/camera' --split-size 1GB
+  midspan record -a --side yarp --duration 1m          # also what YARP keeps at home
+  midspan record -a --ring 10m --trigger /bumper       # the last ten minutes, each time that something happens
+  midspan record --daemon trigger                      # the same in the daemon, which records by 'record:'
+"""
+_COMMANDS = ("start", "stop", "split", "trigger")
+_SIZE = re.compile(r"(\d+(?:\.\d+)?)\s*([kMGT]?)i?B?", re.IGNORECASE)
+_TIME = re.compile(r"(\d+(?:\.\d+)?)\s*(ms|s|min|m|h|)", re.IGNORECASE)
+_SECONDS = {"": 1.0, "s": 1.0, "ms": 0.001, "m": 60.0, "min": 60.0, "h": 3600.0}
+_JOIN_SECONDS = 5.0
+_LOOK_SECONDS = 0.2
+
+
+def megabytes(text: str) -> int:
+    """``1GB``, ``500 MB``, ``64`` (megabytes); each unit is 1,024 of the one below."""
+    found = _SIZE.fullmatch(text.strip())
+    if found is None:
+        raise argparse.ArgumentTypeError(f"{text!r} is no size: write it as 500MB or 1GB")
+    value = float(found[1]) * 1024.0 ** ({"k": -1, "": 0, "m": 0, "g": 1, "t": 2}[found[2].lower()])
+    if value < 1.0:
+        raise argparse.ArgumentTypeError(f"{text!r} is less than a megabyte")
+    return int(value)
+
+
+def seconds(text: str) -> float:
+    """``10m``, ``90s``, ``1.5h``, ``30`` (seconds)."""
+    found = _TIME.fullmatch(text.strip())
+    value = float(found[1]) * _SECONDS[found[2].lower()] if found is not None else 0.0
+    if value <= 0.0:
+        raise argparse.ArgumentTypeError(f"{text!r} is no time: write it as 30s, 10m or 1h")
+    return value
+
+
+def register(parser: argparse.ArgumentParser) -> None:
+    """Describe the verb and its arguments."""
+    parser.description = (
+        "Records topics of any side into a file of MCAP, which ROS 2's tools, Foxglove and 'midspan play' read, until"
+        " Ctrl-C. The messages are written as they are on the hub, latched ones at the start of each file too. A file"
+        " of a recording that was killed can be read up to its last second."
+    )
+    parser.epilog = _EPILOG
+    parser.formatter_class = argparse.RawDescriptionHelpFormatter
+    what = parser.add_argument_group("what")
+    what.add_argument("topics", nargs="*", metavar="TOPIC", help="names or globs, as /camera/**")
+    what.add_argument("-a", "--all", action="store_true", help="all topics")
+    what.add_argument(
+        "-x", "--exclude", action="append", default=[], metavar="RE",
+        help="leave out topics in whose name this regular expression is found; may be repeated",
+    )  # fmt: skip
+    what.add_argument(
+        "--side", action="append", default=[], metavar="SIDE",
+        help="only from this side, and of it also what does not cross: ros1, ros2, yarp, zenoh ...; may be repeated",
+    )  # fmt: skip
+    what.add_argument("--duration", type=seconds, metavar="TIME", help="end after so long, as 30s or 10m")
+    where = parser.add_argument_group("where")
+    where.add_argument("-o", "--output", type=Path, metavar="FILE", help="default midspan_<time>.mcap, here")
+    where.add_argument(
+        "--folder", action="store_true", help="write a folder with metadata.yaml, as rosbag2 does, of that name"
+    )
+    where.add_argument("--split-size", type=megabytes, default=0, metavar="SIZE", help="another file after 1GB")
+    where.add_argument("--split-time", type=seconds, default=0.0, metavar="TIME", help="another file after 10m")
+    where.add_argument("--compression", choices=["zstd", "lz4", "none"], default="zstd", help="default zstd")
+    where.add_argument(
+        "--queue", type=megabytes, default=128, metavar="SIZE", help="wait to be written (default 128MB)"
+    )
+    ring = parser.add_argument_group("the last minutes alone")
+    ring.add_argument(
+        "--ring", type=seconds, default=0.0, metavar="TIME",
+        help="keep so much, and write it into a folder (in that of -o) when triggered: by 'midspan halt', a goal of the"
+        " gateway that failed, a call of /record/trigger, or --trigger",
+    )  # fmt: skip
+    ring.add_argument("--ring-size", type=megabytes, default=2048, metavar="SIZE", help="at most (default 2GB)")
+    ring.add_argument(
+        "--trigger", action="append", default=[], metavar="TOPIC", help="a message on it triggers; may be repeated"
+    )
+    parser.add_argument("--daemon", choices=_COMMANDS, help="tell the daemon's recorder, which 'record:' configures")
+    parser.add_argument("--json", action="store_true", help="print what was recorded, or done, as JSON")
+    add_hub_arguments(parser)
+    parser.set_defaults(run=run)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Record until the time is over or Ctrl-C, or tell the daemon's recorder something."""
+    if args.daemon is not None:
+        with open_client(args) as client:
+            return _tell_daemon(client, args)
+    if not (args.topics or args.all or args.side):
+        raise CliError("say which topics to record: names, globs, or -a for all")
+    if args.trigger and not args.ring:
+        raise CliError("--trigger writes what a ring holds: give --ring TIME too")
+    config = client_config(args)
+    # the state folder is the daemon's, and so are its lanes
+    config = config.model_copy(update={"hub": config.hub.model_copy(update={"lane": False})})
+    section = _section(args)
+    from bridge.record.places import stamp
+
+    output: Path = args.output or Path("." if args.ring else f"midspan_{stamp()}.mcap")
+    return _record(args, config, section, output)
+
+
+def _tell_daemon(client: CliClient, args: argparse.Namespace) -> int:
+    answers = client.ask("record", {"do": args.daemon}, worker="record", timeout=15.0)
+    if not answers:
+        raise CliError("no recorder answers: set record.enabled in the daemon's configuration")
+    told: list[dict[str, Any]] = []
+    for answer in answers:
+        if answer.error:
+            raise CliError(f"the recorder of {answer.daemon}: {answer.error}")
+        file = str(answer.value.get("file", "")) if isinstance(answer.value, dict) else ""
+        told.append({"daemon": answer.daemon, "done": args.daemon, "file": file})
+        if not args.json:
+            word = {"start": "records into", "trigger": "the ring is in"}.get(args.daemon, "closed")
+            print(f"{clean(answer.daemon)}: {word} {clean(file)}" if file else f"{clean(answer.daemon)}: nothing to do")
+    if args.json:
+        print_json(told)
+    return 0
+
+
+def _section(args: argparse.Namespace) -> RecordSection:
+    from pydantic import ValidationError
+
+    from bridge.cli.graph.view import absolute
+    from bridge.config.sections.record import RecordSection
+
+    topics = [absolute(topic) for topic in args.topics]
+    try:
+        return RecordSection.model_validate(
+            {
+                "enabled": True,
+                "topics": ["/**"] if args.all or not topics else topics,
+                "exclude": args.exclude,
+                "sides": args.side,
+                "compression": args.compression,
+                "queue": args.queue,
+                "split": {"size": args.split_size, "seconds": args.split_time},
+                "ring": {"seconds": args.ring, "size": args.ring_size},
+                "keep": {"size": 0},
+                "trigger": {"topics": [absolute(topic) for topic in args.trigger]},
+            }
+        )
+    except ValidationError as err:
+        first = err.errors()[0]
+        raise CliError(f"{first['loc'][0]}: {first['msg'].removeprefix('Value error, ')}") from None
+
+
+def _place(args: argparse.Namespace, section: RecordSection, output: Path) -> Place:
+    from bridge.record.places import BagFolder, Files, KeptFolder
+    from bridge.record.ring import Ring
+
+    if args.ring:
+        return Ring(KeptFolder(output, section.keep), section.ring)
+    base = output.with_suffix("") if output.suffix == ".mcap" else output
+    if args.folder:
+        return BagFolder(base)
+    return Files(base, split=bool(section.split.size or section.split.seconds))
+
+
+def _record(args: argparse.Namespace, config: Config, section: RecordSection, output: Path) -> int:
+    from bridge.record.worker import Recording
+
+    recording = Recording(f"record_{os.getpid()}", config, section, _place(args, section, output))
+    ended = threading.Event()
+    before = {number: signal.signal(number, lambda *_: ended.set()) for number in (signal.SIGINT, signal.SIGTERM)}
+    try:
+        _await_hub(recording, config, ended)
+        if args.ring:
+            recording.add_triggers(section)
+        try:
+            path = recording.recorder.begin()
+        except OSError as err:
+            raise CliError(f"cannot write {err.filename or output}: {err.strerror or err}") from None
+        where = f"the last {args.ring:g} s are kept" if args.ring else f"recording into {path}"
+        print(f"{where}; Ctrl-C ends it", file=sys.stderr, flush=True)
+        _follow(recording, args.duration, ended)
+    finally:
+        recording.close()
+        for number, handler in before.items():
+            signal.signal(number, handler)
+    told = recording.recorder.status()
+    if args.json:
+        print_json(told)
+    else:
+        _print(told)
+    return 1 if told["error"] else 0
+
+
+def _await_hub(recording: Recording, config: Config, ended: threading.Event) -> None:
+    end = time.monotonic() + _JOIN_SECONDS
+    while not recording.host.node.hub.linked():
+        if time.monotonic() > end or ended.is_set():
+            raise CliError(
+                f"no zenoh router answers at {config.hub.listen}\n"
+                "Is the daemon running? Start it with 'midspan run', or name another router with --router."
+            )
+        ended.wait(_LOOK_SECONDS)
+
+
+def _follow(recording: Recording, duration: float | None, ended: threading.Event) -> None:
+    """Wait for the end, and say what goes wrong or is written meanwhile."""
+    end = None if duration is None else time.monotonic() + duration
+    trouble = ""
+    while not ended.wait(_LOOK_SECONDS if end is None else max(0.0, min(_LOOK_SECONDS, end - time.monotonic()))):
+        told = recording.recorder.status()
+        if told["error"] != trouble:
+            trouble = told["error"]
+            print(f"not recording: {trouble}" if trouble else f"recording again, into {told['file']}", file=sys.stderr)
+        if end is not None and time.monotonic() >= end:
+            return
+
+
+def _print(told: dict[str, Any]) -> None:
+    for topic in told["topics"]:
+        dropped = sum(topic["dropped"].values())
+        drops = f", {dropped} dropped" if dropped else ""
+        print(f"{clean(topic['topic'])} ({clean(topic['type'])}): {topic['messages']} messages{drops}")
+    drops = ", ".join(f"{count} {clean(reason)}" for reason, count in told["dropped"].items())
+    print(
+        f"{told['file']}: {told['messages']} messages, {size(told['bytes'])}" + (f"; dropped: {drops}" if drops else "")
+    )
+    if told["error"]:
+        print(f"it ended early: {clean(told['error'])}", file=sys.stderr)

@@ -1,0 +1,74 @@
+"""The section ``record``: which topics are recorded, into which files, and when what a ring holds is kept."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from typing import Annotated, Literal
+
+from pydantic import AfterValidator, Field
+
+from bridge.config.sections.section import Section, SideName, TopicName, setting, subsection
+
+
+def _compiles(value: str) -> str:
+    try:
+        re.compile(value)
+    except re.error as err:
+        raise ValueError(f"{value!r} is no regular expression: {err}") from None
+    return value
+
+
+TopicGlob = Annotated[str, Field(min_length=1, max_length=1024, pattern=r"^/\S*$")]
+Expression = Annotated[str, Field(min_length=1, max_length=1024), AfterValidator(_compiles)]
+
+
+class SplitSection(Section):
+    """When a recording goes on in another file."""
+
+    size: int = setting(1024, "Megabytes (1,048,576 bytes) of a file; 0: no limit.", ge=0, le=1 << 20)
+    seconds: float = setting(0.0, "Seconds of a file; 0: no limit.", ge=0.0, le=7 * 86400.0)
+
+
+class RingSection(Section):
+    """Keep the last minutes alone, and write them when something happens."""
+
+    seconds: float = setting(0.0, "Seconds that are kept; 0: no ring, all is kept.", ge=0.0, le=86400.0)
+    size: int = setting(2048, "Megabytes of them at most.", ge=16, le=1 << 20)
+
+
+class KeepSection(Section):
+    """How much the folder holds; the oldest recordings make room for new ones."""
+
+    size: int = setting(10_240, "Megabytes of all recordings in the folder; 0: no limit.", ge=0, le=1 << 30)
+    files: int = setting(0, "Recordings (files, or what a trigger wrote) at most; 0: no limit.", ge=0, le=100_000)
+
+
+class TriggerSection(Section):
+    """What writes the ring: each of these, besides `midspan record --daemon trigger`."""
+
+    topics: tuple[TopicName, ...] = setting((), "A message on one of these topics.", max_length=64)
+    halt: bool = setting(True, "`midspan halt`, and the console's.")
+    goals: bool = setting(True, "A goal of the gateway that failed.")
+
+
+class RecordSection(Section):
+    """Recording in the daemon."""
+
+    enabled: bool = setting(False, "Whether it runs.")
+    topics: tuple[TopicGlob, ...] = setting(
+        ("/**",), "Topics, by name or glob as in rules; also those that the rules keep at home, where named in full."
+    )
+    exclude: tuple[Expression, ...] = setting(
+        (), "Regular expressions: topics in whose name one is found are left out."
+    )
+    sides: tuple[SideName, ...] = setting(
+        (), "From these sides alone, and of these also what does not cross; default: all that is on the hub."
+    )
+    folder: Path | None = setting(None, "Where files are written; default `recordings` in the state folder.")
+    compression: Literal["zstd", "lz4", "none"] = setting("zstd", "Of the file's chunks.")
+    queue: int = setting(128, "Megabytes of messages that wait to be written at most.", ge=1, le=4096)
+    split: SplitSection = subsection(SplitSection, "When it goes on in another file.")
+    ring: RingSection = subsection(RingSection, "Whether the last minutes alone are kept.")
+    keep: KeepSection = subsection(KeepSection, "How much the folder holds.")
+    trigger: TriggerSection = subsection(TriggerSection, "What writes the ring.")

@@ -1,0 +1,1 @@
+"""Recording: any topics of the hub, as they come, into files."""

@@ -1,0 +1,124 @@
+"""Messages between the hub's threads, which hear them, and the thread that writes them: bounded in bytes."""
+
+from __future__ import annotations
+
+from collections import Counter, deque
+from dataclasses import dataclass, field
+from threading import Condition
+from typing import Any, NamedTuple
+
+from bridge.hub.graph.tokens import Origin
+from bridge.modules.hub_topics import TopicKey
+
+LARGE = 64 << 10
+"""Bytes from which a message is large: large ones leave an eighth of the room to the others."""
+
+_OVERHEAD = 512
+"""Bytes that a waiting message costs beside its own, about."""
+
+
+@dataclass(slots=True)
+class TopicCounts:
+    """What became of a topic's messages.
+
+    Attributes:
+        name: as it is recorded.
+        messages: that are written: with the system, and readable.
+        bytes: of their CDR.
+        pending: messages and bytes of the chunk that is not written yet.
+        dropped: by reason: ``queue``, ``disk``.
+    """
+
+    name: str
+    key: TopicKey
+    messages: int = 0
+    bytes: int = 0
+    pending: tuple[int, int] = (0, 0)
+    dropped: Counter[str] = field(default_factory=Counter)
+
+    def wrote(self) -> None:
+        """The chunk is written."""
+        messages, size = self.pending
+        self.messages, self.bytes, self.pending = self.messages + messages, self.bytes + size, (0, 0)
+
+    def failed(self, reason: str) -> None:
+        """The chunk is lost."""
+        self.dropped[reason] += self.pending[0]
+        self.pending = (0, 0)
+
+    def as_dict(self) -> dict[str, Any]:
+        """For the status document."""
+        about = {"topic": self.name, "type": self.key.type_name, "messages": self.messages, "bytes": self.bytes}
+        return {**about, "dropped": dict(self.dropped)}
+
+
+class Arrival(NamedTuple):
+    """A message that came.
+
+    ``gid`` names its publisher, ``origin`` the foreign network that it comes from; times in nanoseconds since 1970.
+    """
+
+    counts: TopicCounts
+    gid: bytes
+    origin: Origin | None
+    sequence: int
+    log_time: int
+    publish_time: int
+    data: bytes
+
+
+class ArrivalQueue:
+    """Waiting messages, in order. Where there is no room, those that come are dropped and counted, large ones first.
+
+    Args:
+        limit: bytes that wait at most.
+
+    Attributes:
+        most: bytes that have waited at most.
+    """
+
+    def __init__(self, limit: int) -> None:
+        self._limit = limit
+        self._condition = Condition()
+        self._waiting: deque[Arrival] = deque()
+        self._bytes = self.most = 0
+        self._woken = self._wanted = False
+
+    def has_room(self, size: int) -> bool:
+        """Whether a message of so many bytes would be taken now."""
+        return self._bytes + size <= (self._limit - self._limit // 8 if size >= LARGE else self._limit)
+
+    def put(self, arrival: Arrival) -> None:
+        """Queue a message; from any thread."""
+        size = len(arrival.data)
+        with self._condition:
+            if not self.has_room(size):
+                arrival.counts.dropped["queue"] += 1
+                return
+            self._waiting.append(arrival)
+            self._bytes += size + _OVERHEAD
+            if self._wanted:
+                self._wanted = False
+                self._condition.notify()
+
+    def take(self, seconds: float) -> deque[Arrival]:
+        """All that waits; none where none came for so long, or `wake` was called. For one thread alone."""
+        with self._condition:
+            if not (self._waiting or self._woken):
+                self._wanted = True
+                self._condition.wait(seconds)
+            self._woken = self._wanted = False
+            waiting, self._waiting = self._waiting, deque()
+            self.most = max(self.most, self._bytes)
+            return waiting
+
+    def wrote(self, arrival: Arrival) -> None:
+        """A message that was taken waits no more: there is room again."""
+        with self._condition:
+            self._bytes -= len(arrival.data) + _OVERHEAD
+
+    def wake(self) -> None:
+        """Have `take` return."""
+        with self._condition:
+            self._woken = True
+            self._condition.notify()

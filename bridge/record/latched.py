@@ -1,0 +1,59 @@
+"""What is latched now: the messages that publishers keep for late joiners, for the beginning of each file."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Iterator
+
+from bridge.hub.endpoints.publisher import cache_depth
+from bridge.hub.graph import HubGraph
+from bridge.modules.hub_topics import TopicKey
+from bridge.record.arrivals import Arrival
+
+MAX_BYTES = 128 << 20
+"""Bytes that are kept at most; the oldest go first."""
+
+
+class LatchedState:
+    """Of each latched publisher the messages that it keeps, by its depth, as long as it is on the hub. One thread's."""
+
+    def __init__(self, graph: HubGraph) -> None:
+        self._graph = graph
+        self._kept: dict[tuple[TopicKey, bytes], deque[Arrival]] = {}
+        self._plain: set[bytes] = set()
+        self._bytes = 0
+
+    def saw(self, arrival: Arrival) -> None:
+        """A message was recorded."""
+        gid = arrival.gid
+        if gid in self._plain:
+            return
+        kept = self._kept.get((arrival.counts.key, gid))
+        if kept is None:
+            endpoint = self._graph.endpoint(gid)
+            if endpoint is None:
+                return  # asked again with its next message
+            if not endpoint.qos.latched:
+                self._plain.add(gid)
+                return
+            kept = self._kept[arrival.counts.key, gid] = deque(maxlen=cache_depth(endpoint.qos))
+        if len(kept) == kept.maxlen:
+            self._bytes -= len(kept[0].data)
+        kept.append(arrival)
+        self._bytes += len(arrival.data)
+        while self._bytes > MAX_BYTES:
+            self._forget_oldest()
+
+    def _forget_oldest(self) -> None:
+        key, kept = min(self._kept.items(), key=lambda item: item[1][0].log_time)
+        self._bytes -= len(kept.popleft().data)
+        if not kept:
+            del self._kept[key]
+
+    def all(self) -> Iterator[Arrival]:
+        """All of it in the order in which it came; what publishers that are gone kept is forgotten."""
+        here = {endpoint.gid for endpoint in self._graph.publishers()}
+        self._plain &= here
+        for key in [key for key in self._kept if key[1] not in here]:
+            self._bytes -= sum(len(arrival.data) for arrival in self._kept.pop(key))
+        yield from sorted((a for kept in self._kept.values() for a in kept), key=lambda arrival: arrival.log_time)

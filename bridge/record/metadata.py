@@ -1,0 +1,72 @@
+"""``metadata.yaml`` of a folder of recordings, as rosbag2 writes it.
+
+Version 9 of the format (rosbag2_storage, metadata_io.cpp and topic_metadata.hpp; in Jazzy and later).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from bridge.bags.mcap_writer import ChannelInfo, qos_yaml
+from bridge.record.file import Written
+
+VERSION = 9
+
+
+def write_metadata(folder: Path, files: Sequence[Written]) -> None:
+    """Write it anew, whole or not at all; raises `OSError`."""
+    import yaml  # a recording that is no folder needs none
+
+    making = folder / ".metadata.yaml"
+    making.write_text(yaml.safe_dump(metadata(files), sort_keys=False), encoding="utf-8")
+    making.replace(folder / "metadata.yaml")
+
+
+def metadata(files: Sequence[Written]) -> dict[str, Any]:
+    """The document; there is at least one file."""
+    topics: dict[tuple[str, str], tuple[ChannelInfo, int]] = {}
+    for file in files:
+        for info, messages in file.topics:
+            before = topics.get((info.topic, info.type_name), (info, 0))
+            topics[info.topic, info.type_name] = before[0], before[1] + messages
+    begin, end = min(file.begin for file in files), max(file.end for file in files)
+    return {
+        "rosbag2_bagfile_information": {
+            "version": VERSION,
+            "storage_identifier": "mcap",
+            "duration": {"nanoseconds": end - begin},
+            "starting_time": {"nanoseconds_since_epoch": begin},
+            "message_count": sum(file.messages for file in files),
+            "topics_with_message_count": [_topic(info, messages) for info, messages in topics.values()],
+            "compression_format": "",
+            "compression_mode": "",
+            "relative_file_paths": [file.path.name for file in files],
+            "files": [_file(file) for file in files],
+            "custom_data": None,
+            "ros_distro": "jazzy",
+        }
+    }
+
+
+def _topic(info: ChannelInfo, messages: int) -> dict[str, Any]:
+    import yaml
+
+    about = {
+        "name": info.topic,
+        "type": info.type_name,
+        "serialization_format": "cdr",
+        "offered_qos_profiles": yaml.safe_load(qos_yaml(info.qos)) or [],
+        "type_description_hash": info.type_hash,
+    }
+    return {"topic_metadata": about, "message_count": messages}
+
+
+def _file(file: Written) -> dict[str, Any]:
+    return {
+        "path": file.path.name,
+        "starting_time": {"nanoseconds_since_epoch": file.begin},
+        "duration": {"nanoseconds": file.end - file.begin},
+        "message_count": file.messages,
+    }

@@ -1,0 +1,373 @@
+"""Records chosen topics of the hub: hears them, and writes what came on a thread of its own.
+
+What the status calls written can be read, even if the process is killed right then: chunks are closed after a
+megabyte or a second. Where the disk is full the file is closed, what comes is dropped and counted, and recording goes
+on in a new file once there is room.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import logging
+import threading
+import time
+from collections import deque
+from collections.abc import Callable
+from concurrent.futures import Future
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from bridge.bags.mcap_writer import ChannelInfo
+from bridge.config.sections.record import RecordSection
+from bridge.hub.endpoints.subscription import HubSample
+from bridge.hub.session import Hub
+from bridge.messages.registry import Registry
+from bridge.modules.hub_topics import HubTopic, HubTopics, TopicKey
+from bridge.record.arrivals import Arrival, ArrivalQueue, TopicCounts
+from bridge.record.file import RESUME, ChannelKey, RecordFile, room, total
+from bridge.record.latched import LatchedState
+from bridge.record.places import Place
+from bridge.record.ring import Ring
+from bridge.record.selection import Selection, side_of, tapped
+
+_log = logging.getLogger("midspan.record")
+
+FLUSH_SECONDS = 1.0
+GONE_SECONDS = 10.0
+"""So long a topic that nobody publishes any more is still heard: what was sent last may come after that news."""
+
+MAX_TOPICS = 10_000
+
+RETRY_SECONDS = 5.0
+"""After so long a new file is tried where the last one could not be written."""
+
+STILL_SECONDS = 30.0
+"""After so long without a step the thread that writes is taken to hang."""
+
+_DEFINITION_SECONDS = 2.5
+_COMMAND_SECONDS = 10.0
+
+
+class Recorder:
+    """One recording. Safe to use from any thread.
+
+    Args:
+        hub: stays open.
+        registry: of types.
+        section: what is recorded, and how.
+        place: where.
+        about: metadata of each file.
+        changed: called on a thread of zenoh when the graph changed: it wakes who calls `look`.
+
+    Attributes:
+        topics: of the hub.
+        trouble: why nothing is written, "" where all is well.
+    """
+
+    def __init__(
+        self, hub: Hub, registry: Registry, section: RecordSection, place: Place, about: dict[str, str],
+        changed: Callable[[], None],
+    ) -> None:  # fmt: skip
+        self._hub, self._section, self._place, self._about = hub, section, place, about
+        self.selection = Selection(section)
+        self.topics = HubTopics(hub, registry, changed, taps=True)
+        self.trouble = ""
+        self._counts: dict[TopicKey, TopicCounts] = {}
+        self._queue = ArrivalQueue(section.queue << 20)
+        self._latched = LatchedState(hub.graph)
+        self._commands: deque[tuple[Future[Any], Callable[[], Any]]] = deque()
+        self._file: RecordFile | None = None
+        self._on = self._ending = False
+        self._turn = threading.Lock()
+        self._gone: dict[TopicKey, float] = {}
+        self._left = [0, 0]
+        self._flushed = self._retry = 0.0
+        self._turned = time.monotonic()
+        self._closed_files = 0
+        self._last_path: Path | None = None
+        ring = place if isinstance(place, Ring) else None
+        self._most_bytes = ring.segment_bytes if ring else section.split.size << 20
+        self._most_seconds = ring.segment_seconds if ring else section.split.seconds
+        self._thread = threading.Thread(target=self._run, name="midspan-record-write", daemon=True)
+        self._thread.start()
+
+    # -- what is heard -------------------------------------------------------------------------------------------------
+
+    def look(self) -> dict[TopicKey, HubTopic]:
+        """Hear the topics that are wanted now, no more those that are gone for a while; all that are on the hub."""
+        with self._turn:
+            found = self.topics.look()
+            if not self._on:
+                return found
+            heard = {each.key for each in self.topics.heard()}
+            for key, topic in found.items():
+                if key not in heard and self.selection.wants(topic):
+                    self._hear(topic)
+            now = time.monotonic()
+            self._gone = {key: self._gone.get(key, now) for key in heard - found.keys()}
+            for key in [key for key, since in self._gone.items() if now - since > GONE_SECONDS]:
+                del self._gone[key]
+                self._unhear(key)
+            return found
+
+    def _hear(self, topic: HubTopic) -> None:
+        key = topic.key
+        counts = self._counts.get(key)
+        if counts is None:
+            if len(self._counts) >= MAX_TOPICS:
+                _log.warning("%s is not recorded: there were more than %d topics", key.topic, MAX_TOPICS)
+                return
+            counts = self._counts[key] = TopicCounts(tapped(key.topic)[1], key)
+        self.topics.definitions.find(*key[1:])  # who must be asked is asked now
+        end = self.topics.hear(topic, partial(self._heard, counts))
+        if end.trouble:
+            _log.warning("%s is not recorded: %s", key.topic, end.trouble)
+
+    def _unhear(self, key: TopicKey) -> None:
+        end = self.topics.unhear(key)
+        if end is not None:
+            self._left[0] += end.lost
+            self._left[1] += end.refused
+
+    def _heard(self, counts: TopicCounts, sample: HubSample) -> None:
+        """On a thread of zenoh."""
+        now = time.time_ns()
+        origin = self.topics.origin(sample)
+        if not self.selection.origin(origin):
+            return
+        if not self._queue.has_room(len(sample.payload)):
+            counts.dropped["queue"] += 1
+            return
+        sent = sample.source_time_ns if sample.source_time_ns > 0 else now
+        # copied out of the sender's shared memory, of which there is little
+        self._queue.put(Arrival(counts, sample.gid, origin, sample.sequence, now, sent, sample.data()))
+
+    # -- commands ------------------------------------------------------------------------------------------------------
+
+    def begin(self) -> Path | None:
+        """Begin, or go on; the file. Raises `OSError` where it cannot be made: it is tried again."""
+        self._on = True
+        self.look()
+        path: Path | None = self._do(self._open_now)
+        return path
+
+    def pause(self) -> Path | None:
+        """Hear nothing more, and close the file, which is returned; `begin` goes on in another one."""
+        with self._turn:
+            self._on = False
+            for topic in self.topics.heard():
+                self._unhear(topic.key)
+        path: Path | None = self._do(self._close_file)
+        return path
+
+    def split(self) -> Path | None:
+        """Close the file; the next message begins another one. The closed one, None where there was none."""
+        path: Path | None = self._do(self._close_file)
+        return path
+
+    def trigger(self, why: str) -> Future[Path | None]:
+        """Keep what the ring holds: the folder, None where it holds nothing, or `OSError`; returns at once."""
+        return self._post(partial(self._keep, why))
+
+    def _post(self, action: Callable[[], Any]) -> Future[Any]:
+        future: Future[Any] = Future()
+        self._commands.append((future, action))
+        self._queue.wake()
+        return future
+
+    def _do(self, action: Callable[[], Any]) -> Any:
+        return self._post(action).result(_COMMAND_SECONDS)
+
+    def close(self) -> None:
+        """Write what waits, and end. Safe to call twice."""
+        with self._turn:
+            self._on = False
+            self.topics.close()
+        self._ending = True
+        self._queue.wake()
+        self._thread.join(_COMMAND_SECONDS)
+
+    # -- the thread that writes ----------------------------------------------------------------------------------------
+
+    def _run(self) -> None:
+        while True:
+            ending = self._ending
+            waiting = self._queue.take(0.0 if self._commands or ending else FLUSH_SECONDS / 2)
+            while waiting:
+                self._turned = time.monotonic()
+                arrival = waiting.popleft()
+                self._write(arrival)
+                self._queue.wrote(arrival)
+            self._obey()
+            self._due()
+            self._turned = time.monotonic()
+            if ending:
+                break
+        with contextlib.suppress(OSError):
+            self._close_file()
+        if isinstance(self._place, Ring):
+            self._place.discard()
+
+    def _obey(self) -> None:
+        while self._commands:
+            future, action = self._commands.popleft()
+            try:
+                future.set_result(action())
+            except Exception as err:  # whoever asked is told
+                _log.debug("a command failed", exc_info=True)
+                future.set_exception(err)
+
+    def _write(self, arrival: Arrival) -> None:
+        if self._file is None and not (self._on or self._ending):
+            return  # it was heard just before the pause
+        try:
+            file = self._file if self._file is not None and not self._is_over(self._file) else self._next_file()
+            if file is None:
+                arrival.counts.dropped["disk"] += 1
+                return
+            self._have_channel(file, arrival)
+            file.write(arrival, arrival.log_time)
+        except OSError as err:
+            arrival.counts.dropped["disk"] += 1
+            self._failed(err)
+        else:
+            self._latched.saw(arrival)
+
+    def _is_over(self, file: RecordFile) -> bool:
+        age = time.monotonic() - file.opened
+        over = (self._most_bytes and file.bytes >= self._most_bytes) or (
+            self._most_seconds and age >= self._most_seconds
+        )
+        return file.full or bool(over)
+
+    def _next_file(self) -> RecordFile | None:
+        """Another file, with what is latched; None where it is not tried yet. Raises `OSError`."""
+        self._close_file()
+        if time.monotonic() < self._retry:
+            return None
+        path = self._place.next()
+        if self.trouble:
+            free = room(path.parent)
+            if free is not None and free < RESUME:
+                self._retry = time.monotonic() + RETRY_SECONDS
+                return None
+        file = self._file = RecordFile(path, self._section.compression, self._about)
+        self._last_path, self._flushed = path, time.monotonic()
+        now = time.time_ns()
+        for kept in self._latched.all():
+            self._have_channel(file, kept)
+            file.write(kept, now, again=True)
+        if self.trouble:
+            _log.warning("recording goes on in %s", path)
+        self.trouble = ""
+        return file
+
+    def _open_now(self) -> Path | None:
+        self._retry = 0.0
+        try:
+            file = self._file or self._next_file()
+        except OSError as err:
+            self._failed(err)
+            raise
+        return file.path if file is not None else None
+
+    def _have_channel(self, file: RecordFile, arrival: Arrival) -> None:
+        key: ChannelKey = arrival.counts.key, arrival.origin
+        if file.has(key):
+            return
+        topic, type_name, type_hash = arrival.counts.key
+        definition = self.topics.definitions.find(type_name, type_hash, _DEFINITION_SECONDS)
+        if definition is None:
+            _log.warning("%s: nobody has the definition of %s; it is recorded without one", topic, type_name)
+        publishers = self._hub.graph.publishers(topic)
+        offered = tuple(p.qos for p in publishers if (p.type_name, p.origin) == (type_name, arrival.origin))
+        tap = {"tap": topic} if tapped(topic)[0] else {}
+        side = side_of(arrival.origin)
+        file.channel(
+            key,
+            ChannelInfo(arrival.counts.name, type_name, type_hash, definition, offered, side, arrival.origin, tap),
+        )
+
+    def _due(self) -> None:
+        now = time.monotonic()
+        file = self._file
+        if file is not None and now - self._flushed >= FLUSH_SECONDS:
+            self._flushed = now
+            try:
+                file.flush()
+            except OSError as err:
+                self._failed(err)
+        if isinstance(self._place, Ring):
+            self._place.prune()
+        if self._file is None and self._on and self.trouble and now >= self._retry:
+            try:
+                self._next_file()
+            except OSError as err:
+                self._failed(err)
+
+    def _failed(self, err: OSError) -> None:
+        """Close the file as far as it goes; it is tried again later."""
+        first = not self.trouble
+        where = self._file.path if self._file is not None else err.filename
+        self.trouble = f"{where}: {err.strerror or err}"
+        self._retry = time.monotonic() + RETRY_SECONDS
+        if first:
+            _log.error("recording stops: %s; it goes on in a new file when there is room", self.trouble)
+        self._close_file()
+
+    def _close_file(self, ending: dict[str, str] | None = None) -> Path | None:
+        """Close the file, with its summary where there is room for that."""
+        file, self._file = self._file, None
+        if file is None:
+            return None
+        try:
+            written = file.close(ending)
+        except OSError:
+            written = file.abandon()
+        self._closed_files += 1
+        self._place.closed(written)
+        return written.path
+
+    def _keep(self, why: str) -> Path | None:
+        if not isinstance(self._place, Ring):
+            raise OSError(22, "there is no ring (record.ring.seconds)")
+        self._close_file({"trigger": why, "time": str(time.time_ns())})
+        kept = self._place.keep()
+        if kept is not None:
+            _log.info("%s: what the ring held is in %s", why, kept)
+            self._last_path = kept
+        return kept
+
+    def computes(self) -> None:
+        """Raises `RuntimeError` where the thread that writes has ended, and `TimeoutError` where it stands still."""
+        if not self._thread.is_alive() and not self._ending:
+            raise RuntimeError("the thread that writes has ended")
+        still = time.monotonic() - self._turned
+        if still > STILL_SECONDS:
+            raise TimeoutError(f"the thread that writes has stood still for {still:.0f} s: is the disk away?")
+
+    # -- what it tells -------------------------------------------------------------------------------------------------
+
+    def status(self) -> dict[str, Any]:
+        """For the status document: what is written, and what was dropped, by reason."""
+        file = self._file
+        counts = list(self._counts.values())
+        messages, size, dropped = total(counts)
+        heard = self.topics.heard()
+        lost = self._left[0] + sum(each.lost for each in heard)
+        refused = self._left[1] + sum(each.refused for each in heard)
+        dropped |= {reason: count for reason, count in (("lost", lost), ("refused", refused)) if count}
+        return {
+            "state": "full" if self.trouble else "recording" if self._on else "stopped",
+            "file": str(file.path if file is not None else self._last_path or ""),
+            "file_bytes": file.safe if file is not None else 0,
+            "file_messages": file.messages if file is not None else 0,
+            "files": self._closed_files + (file is not None),
+            "ring": isinstance(self._place, Ring),
+            "messages": messages,
+            "bytes": size,
+            "dropped": dropped,
+            "error": self.trouble,
+            "topics": [each.as_dict() for each in counts],
+        }

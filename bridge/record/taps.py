@@ -1,0 +1,72 @@
+"""Topics that do not cross, taken of their sides: the workers of these show them on the hub to those who ask."""
+
+from __future__ import annotations
+
+import logging
+import time
+
+from bridge.concurrency import SerialExecutor
+from bridge.hub.errors import HubError
+from bridge.hub.session import Hub
+from bridge.record.selection import Selection
+
+_log = logging.getLogger("midspan.record")
+
+TAP_SECONDS = 10
+"""How long a worker is asked to go on; it is asked again at a third of it."""
+
+_ASK_SECONDS = 3.0
+_MAX_TAPS = 100
+"""As many as a worker shows at once (`bridge.routing.side_to_hub`)."""
+
+_STAYS = ("denied", "private")
+
+
+class Taps:
+    """Asks again and again, on a thread of its own."""
+
+    def __init__(self, hub: Hub, selection: Selection) -> None:
+        self._hub, self._selection = hub, selection
+        self._executor = SerialExecutor("midspan-record-taps")
+        self._due = 0.0
+        self._busy = False
+
+    def look(self) -> None:
+        """Ask, where it is time for that; returns at once."""
+        if self._selection.may_tap and not self._busy and time.monotonic() >= self._due:
+            self._busy = True
+            self._due = time.monotonic() + TAP_SECONDS / 3
+            self._executor.submit(self._ask)
+
+    def _ask(self) -> None:
+        try:
+            for worker, daemon, topics in self._wanted():
+                if len(topics) > _MAX_TAPS:
+                    _log.warning("of %s %d topics do not cross; %d are recorded", worker, len(topics), _MAX_TAPS)
+                for topic in topics[:_MAX_TAPS]:
+                    what = {"topic": topic, "seconds": TAP_SECONDS}
+                    self._hub.ask("tap", what, daemon, worker, timeout=_ASK_SECONDS)
+        except HubError as err:
+            _log.debug("taps: %s", err)
+        finally:
+            self._busy = False
+
+    def _wanted(self) -> list[tuple[str, str, list[str]]]:
+        """Worker, daemon, and the topics of its side that are wanted and stay there."""
+        found: list[tuple[str, str, list[str]]] = []
+        for answer in self._hub.ask("explain", {"topic": ""}, timeout=_ASK_SECONDS):
+            entries = answer.value if isinstance(answer.value, list) else ()
+            topics = {
+                str(entry.get("topic"))
+                for entry in entries
+                if isinstance(entry, dict) and entry.get("kind", "topic") == "topic"
+                if entry.get("direction") == "in" and entry.get("decision") in _STAYS
+                if self._selection.taps(answer.worker, str(entry.get("topic")))
+            }
+            if topics:
+                found.append((answer.worker, answer.daemon, sorted(topics)))
+        return found
+
+    def close(self) -> None:
+        """Ask no more."""
+        self._executor.close()

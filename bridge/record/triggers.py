@@ -1,0 +1,91 @@
+"""What writes the ring: a message on a topic, a halt, a goal that failed, a call of the service."""
+
+from __future__ import annotations
+
+import logging
+import time
+from collections.abc import Callable, Iterable
+from concurrent.futures import Future
+from pathlib import Path
+from typing import Any
+
+from bridge.config.sections.record import TriggerSection
+from bridge.hub.endpoints.subscription import HubSubscription
+from bridge.hub.errors import HubError
+from bridge.hub.wire.qos import Qos
+from bridge.modules.host import Host
+from bridge.modules.hub_topics import TopicKey
+from bridge.modules.services import Answer
+
+_log = logging.getLogger("midspan.record")
+
+SERVICE = "/record/trigger"
+QUIET_SECONDS = 10.0
+"""After a trigger others of topics, halts and goals are left out for so long: what they would write is written."""
+
+_SERVICE_TYPE = "std_srvs/srv/Trigger"
+_STATUS_TOPIC, _STATUS = "/navigation/status", "midspan_msgs/msg/NavigationStatus"
+_FAILED = ("aborted", "failing", "error")
+
+Keep = Callable[[str], "Future[Path | None]"]
+
+
+class Triggers:
+    """Follows them all; ``keep`` gets the reason, and returns at once."""
+
+    def __init__(self, host: Host, section: TriggerSection, keep: Keep) -> None:
+        self._host, self._section, self._keep = host, section, keep
+        self._ends: dict[TopicKey, HubSubscription] = {}
+        self._state = ""
+        self._quiet_until = 0.0
+        host.node.server(SERVICE, _SERVICE_TYPE, self._serve)
+        if section.goals:
+            host.node.subscription(_STATUS_TOPIC, _STATUS, self._navigates, Qos(depth=10))
+        if section.halt:
+            host.answer("halt", self._halt)
+
+    def look(self, topics: Iterable[TopicKey]) -> None:
+        """Follow those of the hub's topics that are triggers."""
+        for key in topics:
+            if key.topic in self._section.topics and key not in self._ends:
+                try:
+                    # volatile: what was said before is no trigger
+                    self._ends[key] = self._host.node.hub.subscription(*key, Qos(), lambda _, k=key: self._came(k))  # type: ignore[misc]
+                except HubError as err:
+                    _log.warning("trigger %s: %s", key.topic, err)
+
+    def _came(self, key: TopicKey) -> None:
+        self._pull(f"a message on {key.topic}")
+
+    def _halt(self, _params: Any) -> dict[str, Any]:
+        self._pull("halt")
+        return {"recorded": True}
+
+    def _navigates(self, status: dict[str, Any]) -> None:
+        before, self._state = self._state, str(status["state"])
+        if self._state in _FAILED and before != self._state:
+            self._pull(f"a goal failed: {status['reason'] or self._state}")
+
+    def _pull(self, why: str) -> None:
+        """On any thread."""
+        now = time.monotonic()
+        if now >= self._quiet_until:
+            self._quiet_until = now + QUIET_SECONDS
+            self._keep(why)
+
+    def _serve(self, _request: dict[str, Any], answer: Answer) -> None:
+        self._keep(f"a call of {SERVICE}").add_done_callback(lambda future: answer(_said(future)))
+
+    def close(self) -> None:
+        """Follow the topics no more; the rest goes with the host."""
+        for end in self._ends.values():
+            end.close()
+        self._ends.clear()
+
+
+def _said(future: Future[Path | None]) -> dict[str, Any]:
+    err = future.exception()
+    if err is not None:
+        return {"success": False, "message": str(err)}
+    path = future.result()
+    return {"success": path is not None, "message": str(path or "the ring holds nothing yet")}

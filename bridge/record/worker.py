@@ -1,0 +1,172 @@
+"""The worker ``record``: recording in the daemon."""
+
+from __future__ import annotations
+
+import logging
+import os
+from pathlib import Path
+from threading import Event
+from typing import Any
+
+import psutil
+
+from bridge import __version__
+from bridge.config.model import Config
+from bridge.config.sections.record import RecordSection
+from bridge.hub.errors import HubError
+from bridge.messages.registry import Registry
+from bridge.modules.host import Host
+from bridge.record.places import KeptFolder, Place
+from bridge.record.recorder import Recorder
+from bridge.record.ring import Ring
+from bridge.record.taps import Taps
+from bridge.record.triggers import Triggers
+from bridge.state_file import worker_folder
+from bridge.worker import Health, Worker, costs
+
+_log = logging.getLogger("midspan.record")
+
+VERB = "record"
+"""The question on the control plane, with the parameter ``do``: ``start``, ``stop``, ``split`` or ``trigger``."""
+
+_LOOK_SECONDS = 0.25
+_AGAIN_SECONDS = 5.0
+
+
+class Recording:
+    """A recorder with its node: follows the hub until it is closed.
+
+    Args:
+        name: its node's name, and on the control plane.
+
+    Raises:
+        HubError: the hub cannot be joined.
+    """
+
+    def __init__(self, name: str, config: Config, section: RecordSection, place: Place) -> None:
+        types = config.types
+        registry = Registry(folders=list(types.folders), mapping_rules=list(types.mapping_rules))
+        self.host = Host(name, config, registry)
+        self._changed = Event()
+        about = {"daemon": config.name, "version": __version__}
+        self.recorder = Recorder(self.host.node.hub, registry, section, place, about, self._changed.set)
+        self._taps = Taps(self.host.node.hub, self.recorder.selection)
+        self.triggers: Triggers | None = None
+        self._looks = 0
+        self.host.loop.start()
+        self.host.loop.every(_LOOK_SECONDS, self._look)
+
+        self._process = psutil.Process(os.getpid())
+        self.host.answer("status", self._status)
+
+    def _status(self, _params: Any) -> dict[str, Any]:
+        told = self.recorder.status()
+        state = "waiting" if told["error"] else "running"
+        about = {"side": "record", "state": state, "text": summary(told), "pid": os.getpid(), **costs(self._process)}
+        error = {"error": f"recording stopped: {told['error']}"} if told["error"] else {}
+        return {**about, **error, "recording": told}
+
+    def add_triggers(self, section: RecordSection) -> None:
+        """Have the ring written by all that the configuration names."""
+        self.triggers = Triggers(self.host, section.trigger, self.recorder.trigger)
+        self._changed.set()
+
+    def _look(self) -> None:
+        self._taps.look()
+        self._looks += 1
+        # also without news: a topic that is gone is to be given up, one that could not be heard is tried again
+        if self._changed.is_set() or self._looks % int(_AGAIN_SECONDS / _LOOK_SECONDS) == 0:
+            self._changed.clear()
+            found = self.recorder.look()
+            if self.triggers is not None:
+                self.triggers.look(found)
+
+    def close(self) -> None:
+        """Write what waits, and leave the hub."""
+        self._taps.close()
+        if self.triggers is not None:
+            self.triggers.close()
+        self.recorder.close()
+        self.host.close()
+
+
+def default_folder(config: Config) -> Path:
+    """Where the daemon's recordings are."""
+    return config.record.folder or worker_folder(config) / "recordings"
+
+
+def ring_or_files(folder: KeptFolder, section: RecordSection) -> Place:
+    """Where files go by a section."""
+    return Ring(folder, section.ring) if section.ring.seconds else folder
+
+
+class RecordWorker(Worker):
+    """Records as the configuration says."""
+
+    def __init__(self) -> None:
+        self._config: Config | None = None
+        self._recording: Recording | None = None
+
+    def start(self, config: Config) -> None:
+        """Join the hub, and begin; a folder that cannot be written to is tried again."""
+        self._config = config
+        section = config.record
+        place = ring_or_files(KeptFolder(default_folder(config), section.keep), section)
+        made = self._recording = Recording("record", config, section, place)
+        if section.ring.seconds:
+            made.add_triggers(section)
+        made.host.answer(VERB, self._do)
+        try:
+            _log.info("recording into %s", made.recorder.begin())
+        except OSError:
+            _log.debug("the recorder has told it", exc_info=True)
+
+    def reload(self, config: Config) -> bool:
+        """A new start is all that is needed."""
+        return config == self._config
+
+    def health(self) -> Health:
+        """What is written; raises `TimeoutError` where a thread hangs."""
+        assert self._recording is not None
+        self._recording.host.loop.computes()
+        self._recording.recorder.computes()
+        told = self._recording.recorder.status()
+        return Health("waiting" if told["error"] else "running", summary(told))
+
+    def _do(self, params: dict[str, Any]) -> dict[str, Any]:
+        """A command; raises `HubError` where it cannot be done."""
+        assert self._recording is not None
+        recorder, word = self._recording.recorder, params.get("do")
+        try:
+            if word == "start":
+                path = recorder.begin()
+            elif word == "stop":
+                path = recorder.pause()
+            elif word == "split":
+                path = recorder.split()
+            elif word == "trigger":
+                path = recorder.trigger("midspan record --daemon trigger").result(10.0)
+            else:
+                raise HubError(f"{word!r} is none of start, stop, split and trigger")
+        except (OSError, TimeoutError) as err:
+            raise HubError(f"{word}: {err}") from None
+        return {"file": str(path or ""), "recording": recorder.status()}
+
+    def stop(self) -> None:
+        """Write what waits, and leave."""
+        recording, self._recording = self._recording, None
+        if recording is not None:
+            recording.close()
+
+
+def summary(told: dict[str, Any]) -> str:
+    """A recording's status in a line."""
+    if told["state"] == "stopped":
+        return "stopped; 'midspan record --daemon start' goes on"
+    dropped = sum(told["dropped"].values())
+    reasons = ", ".join(f"{count} {reason}" for reason, count in told["dropped"].items())
+    drops = f", {dropped} dropped ({reasons})" if dropped else ""
+    figures = f"{told['messages']} messages, {told['bytes'] / 1e6:.1f} MB, {len(told['topics'])} topics{drops}"
+    if told["state"] == "full":
+        return f"not recording: {told['error']}; {figures}"
+    return f"{'ring' if told['ring'] else 'recording'} {told['file']}, {figures}"

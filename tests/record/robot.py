@@ -1,0 +1,114 @@
+"""A participant of the hub that publishes for the recorder's tests, and what is read back of files."""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from mcap.exceptions import EndOfFile
+from mcap.records import Channel, Message, Metadata
+from mcap.stream_reader import StreamReader
+
+from bridge.config.model import Config
+from bridge.config.sections.record import RecordSection
+from bridge.hub.endpoints.publisher import HubPublisher
+from bridge.hub.session import Hub
+from bridge.hub.wire.qos import Qos
+from bridge.messages.json import from_json
+from bridge.messages.registry import Registry
+from bridge.record.places import Place
+from bridge.record.worker import Recording
+from tests.support.quick_hub import QuickHub
+from tests.support.wait import until
+
+STRING = "std_msgs/msg/String"
+
+
+class Robot:
+    """Publishes text."""
+
+    def __init__(self, hub: Hub) -> None:
+        self.hub, self.registry = hub, Registry()
+
+    def publisher(self, topic: str, qos: Qos | None = None, type_name: str = STRING) -> HubPublisher:
+        return self.hub.publisher(topic, type_name, self.registry.ros2(type_name).type_id, qos or Qos())
+
+    def text(self, words: str) -> bytes:
+        return from_json(self.registry, STRING, {"data": words})
+
+    def message(self, type_name: str, fields: dict[str, Any]) -> bytes:
+        return from_json(self.registry, type_name, fields)
+
+
+class Found(NamedTuple):
+    topic: str
+    sequence: int
+    log_time: int
+    publish_time: int
+    data: bytes
+
+
+class Contents(NamedTuple):
+    """What a file holds: ``whole`` with its end."""
+
+    messages: list[Found]
+    channels: dict[str, list[Channel]]
+    metadata: dict[str, dict[str, str]]
+    whole: bool
+
+    def texts(self, topic: str) -> list[str]:
+        return [text_of(found.data) for found in self.messages if found.topic == topic]
+
+
+def text_of(data: bytes) -> str:
+    return data[8 : 8 + int.from_bytes(data[4:8], "little") - 1].decode()
+
+
+def read(path: Path) -> Contents:
+    """A file's records in order, as far as it goes, by the format's own library."""
+    found = Contents([], {}, {}, whole=True)
+    names: dict[int, str] = {}
+    with path.open("rb") as stream:
+        try:
+            for record in StreamReader(stream).records:
+                if isinstance(record, Channel) and record.id not in names:
+                    names[record.id] = record.topic
+                    found.channels.setdefault(record.topic, []).append(record)
+                elif isinstance(record, Message):
+                    about = record.sequence, record.log_time, record.publish_time, record.data
+                    found.messages.append(Found(names[record.channel_id], *about))
+                elif isinstance(record, Metadata):
+                    found.metadata[record.name] = record.metadata
+        except (EndOfFile, struct.error):
+            return found._replace(whole=False)
+    return found
+
+
+def config(hubs: QuickHub, state: Path, **section: Any) -> Config:
+    return Config.model_validate({"name": "robot1", "state": str(state), "hub": hubs.config(), "record": section})
+
+
+@contextmanager
+def recording(hubs: QuickHub, state: Path, place: Place, **section: Any) -> Iterator[Recording]:
+    """A recorder on a hub that has begun."""
+    made = Recording("recorder", config(hubs, state, **section), RecordSection.model_validate(section), place)
+    try:
+        until(made.host.node.hub.linked, "it has joined")
+        yield made
+    finally:
+        made.close()
+
+
+def await_topics(made: Recording, count: int) -> None:
+    until(lambda: len(made.recorder.topics.heard()) >= count, f"{count} topics are heard")
+
+
+def await_written(made: Recording, count: int) -> dict[str, Any]:
+    def status() -> dict[str, Any] | None:
+        told = made.recorder.status()
+        return told if told["messages"] >= count else None
+
+    return until(status, f"{count} messages are written")

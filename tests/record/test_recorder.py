@@ -1,0 +1,227 @@
+"""What a recorder hears is in its files as it came, latched state first in each; what cannot be written is counted."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from rosbags.highlevel import AnyReader
+from rosbags.rosbag2 import Reader
+
+from bridge.config.sections.record import RecordSection
+from bridge.hub.graph.tokens import Origin
+from bridge.hub.session import Hub
+from bridge.hub.wire.qos import LATCHED, Durability, Qos
+from bridge.record import file as record_file
+from bridge.record import recorder as record_recorder
+from bridge.record.arrivals import Arrival, ArrivalQueue, TopicCounts
+from bridge.record.places import PREFIX, BagFolder, Files, KeptFolder
+from bridge.record.ring import Ring
+from tests.record.robot import Robot, await_topics, await_written, read, recording
+from tests.support.quick_hub import QuickHub
+from tests.support.wait import until
+
+
+@pytest.fixture(scope="module")
+def hubs() -> Iterator[QuickHub]:
+    made = QuickHub()
+    yield made
+    made.stop_router()
+
+
+@pytest.fixture(autouse=True)
+def quick(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(record_recorder, "FLUSH_SECONDS", 0.05)
+
+
+@pytest.fixture
+def robot(hubs: QuickHub) -> Iterator[Robot]:
+    with Hub.open(hubs.settings("robot")) as hub:
+        yield Robot(hub)
+
+
+def test_messages_are_recorded_as_they_came(hubs: QuickHub, robot: Robot, tmp_path: Path) -> None:
+    robot.hub.set_origin(Origin("yarp", "here", "robot2"))
+    said, other = robot.publisher("/said"), robot.publisher("/camera/other")
+    with recording(hubs, tmp_path, Files(tmp_path / "one", split=False), exclude=["^/camera"]) as made:
+        path = made.recorder.begin()
+        until(said.matched, "it is heard")
+        said.put(robot.text("one"), 1_000)
+        said.put(robot.text("two"), 2_000)
+        other.put(robot.text("not this"))
+        told = await_written(made, 2)
+    assert path == tmp_path / "one.mcap"
+    found = read(path)
+    assert found.whole
+    assert [(m.sequence, m.publish_time, m.data) for m in found.messages] == [
+        (1, 1_000, robot.text("one")), (2, 2_000, robot.text("two")),
+    ]  # fmt: skip
+    assert set(found.channels) == {"/said"}
+    metadata = found.channels["/said"][0].metadata
+    assert (metadata["side"], metadata["origin"], metadata["daemon"]) == ("yarp", "here", "robot2")
+    assert found.metadata["midspan"]["daemon"] == "robot1"
+    assert (told["file"], told["dropped"]) == (str(path), {})
+
+
+def test_each_file_of_a_split_begins_with_what_is_latched(hubs: QuickHub, robot: Robot, tmp_path: Path) -> None:
+    maps, gone = robot.publisher("/map", LATCHED), robot.publisher("/gone", LATCHED)
+    history = robot.publisher("/history", Qos(durability=Durability.TRANSIENT_LOCAL, depth=2))
+    said = robot.publisher("/said")
+    maps.put(robot.text("old map"))
+    maps.put(robot.text("map"))
+    gone.put(robot.text("gone"))
+    for number in range(3):
+        history.put(robot.text(f"h{number}"))
+    with recording(hubs, tmp_path, BagFolder(tmp_path / "run")) as made:
+        made.recorder.begin()
+        until(said.matched, "it is heard")
+        said.put(robot.text("first"))
+        await_written(made, 5)
+        gone.close()
+        until(lambda: not made.recorder.topics.look().keys() & {gone_key(made)}, "it is gone")
+        first = made.recorder.split()
+        said.put(robot.text("second"))
+        await_written(made, 6)
+    assert first is not None
+    one, two = read(first), read(tmp_path / "run" / "run_1.mcap")
+    assert one.texts("/map") == two.texts("/map") == ["map"]
+    assert one.texts("/history") == two.texts("/history") == ["h1", "h2"]
+    assert (one.texts("/gone"), two.texts("/gone")) == (["gone"], [])
+    assert two.texts("/said") == ["second"]
+    assert [m.topic for m in two.messages][-1] == "/said"
+    with Reader(tmp_path / "run") as bag:  # by the folder's metadata
+        assert bag.message_count == len(one.messages) + len(two.messages)
+    with AnyReader([tmp_path / "run"]) as any_bag:
+        words = [any_bag.deserialize(raw, c.msgtype) for c, _, raw in any_bag.messages() if c.topic == "/said"]
+    assert [word.data for word in words] == ["first", "second"]  # type: ignore[attr-defined]
+
+
+def gone_key(made: Any) -> Any:
+    return next(each.key for each in made.recorder.topics.heard() if each.key.topic == "/gone")
+
+
+def test_a_pause_hears_nothing_and_a_start_goes_on_in_another_file(
+    hubs: QuickHub, robot: Robot, tmp_path: Path
+) -> None:
+    said = robot.publisher("/said")
+    with recording(hubs, tmp_path, Files(tmp_path / "one", split=False)) as made:
+        made.recorder.begin()
+        until(said.matched, "it is heard")
+        said.put(robot.text("before"))
+        await_written(made, 1)
+        assert made.recorder.pause() == tmp_path / "one.mcap"
+        until(lambda: not said.matched(), "nobody hears it")
+        said.put(robot.text("meanwhile"))
+        assert made.recorder.begin() == tmp_path / "one_1.mcap"
+        until(said.matched, "it is heard again")
+        said.put(robot.text("after"))
+        await_written(made, 2)
+    assert read(tmp_path / "one.mcap").texts("/said") == ["before"]
+    assert read(tmp_path / "one_1.mcap").texts("/said") == ["after"]
+
+
+def test_a_ring_keeps_the_last_moments_when_it_is_triggered(hubs: QuickHub, robot: Robot, tmp_path: Path) -> None:
+    section = RecordSection.model_validate({"ring": {"seconds": 5.0}})
+    ring = Ring(KeptFolder(tmp_path, section.keep), section.ring)
+    said, kept = robot.publisher("/said"), robot.publisher("/map", LATCHED)
+    bumper = robot.publisher("/bumper")
+    kept.put(robot.text("map"))
+    section = RecordSection.model_validate({"ring": {"seconds": 5.0}, "trigger": {"topics": ["/bumper"]}})
+    with recording(hubs, tmp_path, ring, ring={"seconds": 5.0}) as made:
+        made.add_triggers(section)
+        made.recorder.begin()
+        until(said.matched, "it is heard")
+        await_topics(made, 3)
+        said.put(robot.text("before it"))
+        await_written(made, 2)
+        assert not list(tmp_path.glob(f"{PREFIX}*"))
+        until(lambda: len(robot.hub.graph.subscriptions("/bumper")) >= 2, "the trigger is followed")
+        bumper.put(robot.text("bump"))
+        folder = until(lambda: next(iter(tmp_path.glob(f"{PREFIX}*/metadata.yaml")), None), "it is written").parent
+    files = sorted(folder.glob("*.mcap"))
+    found = [read(file) for file in files]
+    assert found[0].texts("/map") == ["map"]
+    assert "before it" in [word for each in found for word in each.texts("/said")]
+    assert found[-1].metadata["midspan.end"]["trigger"] == "a message on /bumper"
+    with Reader(folder) as bag:
+        assert {c.topic for c in bag.connections} >= {"/said", "/map"}
+    assert not (tmp_path / ".ring").exists()
+
+
+def test_a_ring_forgets_what_is_older(hubs: QuickHub, robot: Robot, tmp_path: Path) -> None:
+    section = RecordSection.model_validate({"ring": {"seconds": 0.2}})
+    ring = Ring(KeptFolder(tmp_path, section.keep), section.ring)
+    said = robot.publisher("/said")
+    with recording(hubs, tmp_path, ring, ring={"seconds": 0.2}) as made:
+        made.recorder.begin()
+        until(said.matched, "it is heard")
+        said.put(robot.text("old"))
+        await_written(made, 1)
+        made.recorder.split()
+        until(lambda: not list((tmp_path / ".ring").glob("*.mcap")), "it is forgotten")
+        assert made.recorder.trigger("nothing").result(10) is None
+
+
+def test_a_full_disk_stops_recording_until_there_is_room(
+    hubs: QuickHub, robot: Robot, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    free = [100 << 20]
+    monkeypatch.setattr(record_file, "room", lambda _: free[0])
+    monkeypatch.setattr(record_recorder, "room", lambda _: free[0])
+    monkeypatch.setattr(record_recorder, "RETRY_SECONDS", 0.1)
+    said = robot.publisher("/said")
+    with recording(hubs, tmp_path, Files(tmp_path / "one", split=False)) as made:
+        made.recorder.begin()
+        until(said.matched, "it is heard")
+        said.put(robot.text("before"))
+        await_written(made, 1)
+        free[0] = 1 << 20
+        said.put(robot.text("last"))
+        told = until(lambda: (now := made.recorder.status())["error"] and now, "it stops")
+        assert told["state"] == "full"
+        assert "1 MB of room are left" in told["error"]
+        closed = read(tmp_path / "one.mcap")
+        assert (closed.texts("/said"), closed.whole) == (["before", "last"], True)
+        said.put(robot.text("lost"))
+        until(lambda: made.recorder.status()["dropped"].get("disk") == 1, "it is counted")
+        free[0] = 100 << 20
+        until(lambda: not made.recorder.status()["error"], "it goes on")
+        said.put(robot.text("after"))
+        told = await_written(made, 3)
+    assert told["dropped"] == {"disk": 1}
+    assert read(Path(told["file"])).texts("/said") == ["after"]
+
+
+def test_what_is_too_much_for_the_queue_is_dropped_and_counted_large_ones_first() -> None:
+    queue = ArrivalQueue(1 << 20)
+    images, small = (TopicCounts(name, None) for name in ("/image", "/small"))  # type: ignore[arg-type]
+
+    def put(counts: TopicCounts, size: int) -> None:
+        queue.put(Arrival(counts, b"", None, 1, 1, 1, bytes(size)))
+
+    for _ in range(20):
+        put(images, 100_000)
+    for _ in range(100):
+        put(small, 100)
+    assert images.dropped["queue"] == 20 - 9
+    assert not small.dropped
+    waiting = queue.take(0.0)
+    assert len(waiting) == 109
+    for arrival in waiting:
+        queue.wrote(arrival)
+    put(images, 100_000)
+    assert len(queue.take(0.0)) == 1
+
+
+def test_the_oldest_recordings_make_room(tmp_path: Path) -> None:
+    keep = RecordSection.model_validate({"keep": {"size": 1, "files": 3}}).keep
+    folder = KeptFolder(tmp_path, keep)
+    (tmp_path / "mine.mcap").write_bytes(bytes(5 << 20))
+    for number in range(5):
+        (tmp_path / f"{PREFIX}2020_0{number}.mcap").write_bytes(bytes(10))
+    (tmp_path / f"{PREFIX}2021").mkdir()
+    (tmp_path / f"{PREFIX}2021" / "a.mcap").write_bytes(bytes(2 << 20))
+    folder.prune()
+    assert sorted(entry.name for entry in tmp_path.iterdir()) == [f"{PREFIX}2021", "mine.mcap"]
