@@ -7,35 +7,35 @@ and one of as many announcements and replies, whose overflow cuts it; so does a 
 
 from __future__ import annotations
 
-import logging
+import secrets
+import sys
 from typing import Any
 
 import foxglove
-from foxglove.websocket import Capability, ServerListener
-
-from bridge.config.sections.web import split
-
-_log = logging.getLogger("midspan.foxglove")
+from foxglove.websocket import Capability, ServerListener, StatusLevel
 
 BACKLOG = 256
 """Messages, or announcements, that wait for a client."""
 
 
 class FoxgloveServer:
-    """Serves from its making on. Raises `RuntimeError` where it cannot listen."""
+    """Serves from its making on, on an address of loopback that nobody is told. Raises `RuntimeError`.
 
-    def __init__(self, name: str, listen: str, listener: ServerListener, capabilities: list[Capability]) -> None:
+    Attributes:
+        inner: that address and port.
+    """
+
+    def __init__(self, name: str, listener: ServerListener, capabilities: list[Capability]) -> None:
         self._context = foxglove.Context()
-        host, port = split(listen)
+        host = _hidden_address()
         try:
             self._server = foxglove.start_server(
-                name=name, host=host, port=port, context=self._context, server_listener=listener,
+                name=name, host=host, port=0, context=self._context, server_listener=listener,
                 capabilities=capabilities, supported_encodings=["cdr", "json"], message_backlog_size=BACKLOG,
             )  # fmt: skip
         except Exception as err:  # the SDK's own kinds, which it does not name
-            raise RuntimeError(f"the Foxglove server cannot listen on {listen}: {err}; set foxglove.listen") from None
-        self.address = f"ws://{f'[{host}]' if ':' in host else host}:{self._server.port}"
-        self.port = self._server.port
+            raise RuntimeError(f"the Foxglove SDK cannot listen on {host}: {err}") from None
+        self.inner = host, self._server.port
 
     def channel(self, topic: str, type_name: str, definition: str, metadata: dict[str, str]) -> Any:
         """Announce a topic of CDR; the channel has ``id()``, ``log(payload, time_ns)`` and ``close()``.
@@ -45,6 +45,21 @@ class FoxgloveServer:
         schema = foxglove.Schema(name=type_name, encoding="ros2msg", data=definition.encode())
         return self._context._create_channel(topic, message_encoding="cdr", schema=schema, metadata=metadata)
 
+    def warn(self, text: str, name: str) -> None:
+        """Tell all clients something that is so until `forget`."""
+        self._server.publish_status(text, StatusLevel.Warning, name)
+
+    def forget(self, name: str) -> None:
+        """Take back what was told."""
+        self._server.remove_status([name])
+
     def close(self) -> None:
         """Cut all clients. Safe to call twice."""
         self._server.stop()
+
+
+def _hidden_address() -> str:
+    """One that a page which tries all ports of 127.0.0.1 does not find; systems other than Linux have no others."""
+    if sys.platform != "linux":
+        return "127.0.0.1"
+    return f"127.{secrets.randbelow(254) + 1}.{secrets.randbelow(254) + 1}.{secrets.randbelow(254) + 1}"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import logging
 import os
 import time
@@ -10,14 +11,22 @@ from threading import Lock
 from typing import Any
 
 import psutil
+from foxglove.websocket import Capability
 
 from bridge.config.model import Config
+from bridge.config.sections.foxglove import FoxgloveSection
 from bridge.foxglove.channels import Channels
 from bridge.foxglove.events import Events
+from bridge.foxglove.front import Front
+from bridge.foxglove.publishing import Publishing
 from bridge.foxglove.server import FoxgloveServer
+from bridge.foxglove.visitors import Visitors
 from bridge.messages.registry import Registry
 from bridge.modules.host import Host
 from bridge.modules.hub_topics import HubTopics
+from bridge.web.hold import HandDriving
+from bridge.web.robot import DrivingFeed
+from bridge.web.tls import ServerTls
 from bridge.worker import Health, Worker, costs
 
 _log = logging.getLogger("midspan.foxglove")
@@ -38,7 +47,7 @@ class FoxgloveWorker(Worker):
         self._config = config
         self._live = Live(config)
         self._live.start()
-        _log.info("the Foxglove app finds the hub at %s", self._live.server.address)
+        _log.info("the Foxglove app finds the hub at %s", self._live.front.address)
 
     def reload(self, config: Config) -> bool:
         """The app connects again by itself, so a new start is all that is needed."""
@@ -48,6 +57,7 @@ class FoxgloveWorker(Worker):
         """Where the server is; raises `TimeoutError` where the worker's thread hangs."""
         assert self._live is not None
         self._live.host.loop.computes()
+        self._live.check()
         return Health("running", self._live.text())
 
     def stop(self) -> None:
@@ -61,37 +71,66 @@ class Live:
     """The parts of the server, put together."""
 
     def __init__(self, config: Config) -> None:
-        types = config.types
+        section, types = config.foxglove, config.types
         registry = Registry(folders=list(types.folders), mapping_rules=list(types.mapping_rules))
+        self._tls = ServerTls(config, "the Foxglove server") if section.guarded else None
+        self._visitors = Visitors()
         self.host = host = Host("foxglove", config, registry)
-        try:
-            events = Events(lambda: host.loop.post(self.channels.watch))
-            self.server = FoxgloveServer(config.name, config.foxglove.listen, events, [])
-        except BaseException:
-            host.close()
-            raise
-        self._graph = Gathered(host, lambda: self.channels.look())
+        self._events = events = Events(self._visitors, lambda: host.loop.post(self._look))
+        with contextlib.ExitStack() as made:
+            made.callback(host.close)
+            self._server = server = FoxgloveServer(config.name, events, _capabilities(section))
+            made.callback(server.close)
+            self.front = Front(section, server.inner, self._visitors, announces=section.commanded, tls=self._tls)
+            made.pop_all()
+        self._graph = Gathered(host, lambda: self._channels.look())
         self._topics = HubTopics(host.node.hub, registry, self._graph.changed)
-        self.channels = Channels(self.server, self._topics, events)
+        self._channels = Channels(server, self._topics, events)
+        self._gateway = DrivingFeed(host, config)
+        most = config.web.speed, config.web.turn
+        driving = HandDriving(host, config.navigation.velocity, most, lambda: self._gateway.busy)
+        self._publishing = Publishing(host, server, events, self._visitors, self._topics.definitions, driving)
         self._process = psutil.Process(os.getpid())
         self._started = time.monotonic()
 
     def start(self) -> None:
         """Show what there is."""
-        self.host.loop.start()
+        loop = self.host.loop
+        loop.start()
+        if self.host.config.foxglove.commanded:
+            loop.call(lambda: self._gateway.watch(self))  # who drives by hand must not drive against a planner
         self.host.answer("status", self._status)
-        self.host.loop.every(1.0, self._tick)
+        loop.every(1.0, self._tick)
         self._graph.changed()
+        self.front.start()
+
+    def changed(self, name: str, n: int, text: str) -> None:
+        """Nothing: it watches for `DrivingFeed.busy` alone."""
+
+    def check(self) -> None:
+        """Take up a new certificate; raises `RuntimeError` where nobody is served any more."""
+        if self._tls is not None:
+            self._tls.look()
+        if self.front.trouble:
+            raise RuntimeError(self.front.trouble)
 
     def text(self) -> str:
         """Where it is, and what it shows."""
-        return f"{self.server.address}, {self.channels.count} topics, {self.channels.watched} watched"
+        clients = len(self._visitors.all())
+        shown = f"{self._channels.count} topics, {self._channels.watched} watched"
+        return f"{self.front.address}, {clients} client{'' if clients == 1 else 's'}, {shown}"
+
+    def _look(self) -> None:
+        self._channels.watch()
+        self._publishing.look()
 
     def _tick(self) -> None:
         self.host.tick()
-        self.channels.tick()
+        self._channels.tick()
+        self._publishing.tick()
 
     def _status(self, _params: Any) -> dict[str, Any]:
+        found = self._channels.status()
         return {
             "daemon": self.host.config.name,
             "worker": "foxglove",
@@ -101,15 +140,35 @@ class Live:
             "pid": os.getpid(),
             "uptime": round(time.monotonic() - self._started, 1),
             **costs(self._process),
-            **self.channels.status(),
-        }
+            **found,
+            "topics": [*found["topics"], *self._publishing.status()],
+            "clients": [
+                {
+                    "who": each.who, "role": each.grant.role, "bytes": each.sent,
+                    "since": round(time.monotonic() - each.since, 1),
+                }
+                for each in self._visitors.all()
+            ],
+            "dropped": self._events.dropped,
+        }  # fmt: skip
+
+    def rest(self) -> None:
+        """Stop the robot where a client drives it, and publish nothing more. On the worker's thread."""
+        self._publishing.close()
 
     def close(self) -> None:
-        """Cut the clients, then leave."""
-        self.server.close()
-        self.host.loop.call(self.channels.close)
+        """Stop the robot where a client drives it, cut the clients, then leave."""
+        self.host.loop.call(self.rest)
+        self.front.close()
+        self._server.close()
+        self.host.loop.call(self._channels.close)
         self._topics.close()
         self.host.close()
+
+
+def _capabilities(section: FoxgloveSection) -> list[Capability]:
+    """What the app may offer; who may only look is refused where others may do more."""
+    return [Capability.ClientPublish] if section.commanded else []
 
 
 class Gathered:

@@ -10,7 +10,6 @@ import asyncio
 import logging
 import socket
 import threading
-import time
 from typing import Any
 
 import h11
@@ -20,6 +19,7 @@ from websockets.exceptions import InvalidState
 from websockets.frames import Frame
 
 from bridge.web.access import common_name
+from bridge.web.scarce_log import ScarceLog
 
 MOST_CONNECTIONS, MOST_OF_ADDRESS = 300, 100
 REQUEST_SECONDS = 20.0
@@ -30,7 +30,6 @@ MOST_UNREAD = 2 << 20
 MOST_PARTS = 1000
 """Frames of one message."""
 
-_LINES, _LINES_SECONDS = 20, 10.0
 _HIDDEN = (
     "Invalid UTF-8",
     "connection open",
@@ -39,8 +38,6 @@ _HIDDEN = (
     "Invalid HTTP",
     "ASGI callable returned",
 )
-
-_log = logging.getLogger("midspan.web")
 
 
 class BoundedListener(socket.socket):
@@ -172,28 +169,6 @@ class BoundedWebSocket(WebSocketsSansIOProtocol):
             super().send_receive_event_to_app()
         except InvalidState:  # a text that is none, on a socket that the page has begun to close
             self.transport.abort()
-
-
-class ScarceLog:
-    """Warnings that strangers cause: some in ten seconds, of the others the number."""
-
-    def __init__(self) -> None:
-        self._lock = threading.Lock()
-        self._begun, self._count = 0.0, 0
-
-    def warn(self, text: str) -> None:
-        """Log a line, or count it."""
-        now, left_out = time.monotonic(), 0
-        with self._lock:
-            if now - self._begun > _LINES_SECONDS:
-                left_out = max(self._count - _LINES, 0)
-                self._begun, self._count = now, 0
-            self._count += 1
-            told = self._count <= _LINES
-        if left_out:
-            _log.warning("%d more such warnings before", left_out)
-        if told:
-            _log.warning("%s", text)
 
 
 def quiet_server_log() -> None:

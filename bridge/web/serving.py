@@ -26,12 +26,12 @@ from bridge.web.connections import (
     MOST_CONNECTIONS,
     BoundedListener,
     BoundedWebSocket,
-    ScarceLog,
     ServerLoop,
     TimedHttp,
     quiet_server_log,
 )
 from bridge.web.login import LoginGuard
+from bridge.web.scarce_log import ScarceLog
 from bridge.web.tls import ServerTls
 
 _log = logging.getLogger("midspan.web")

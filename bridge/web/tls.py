@@ -1,4 +1,4 @@
-"""The console's certificate: that of the hub's door (`bridge.hub.security`), and by which names browsers find it."""
+"""The certificate of what browsers and apps open: that of the hub's door (`bridge.hub.security`)."""
 
 from __future__ import annotations
 
@@ -17,16 +17,19 @@ class ServerTls:
 
     Raises `RuntimeError`: a file is missing, cannot be read, has expired or fits no other; in words.
 
+    Args:
+        what: the server, in errors and the log.
+
     Attributes:
         context: for the server; who comes may show a certificate of the same authority, and need not.
-        names: by which browsers open it.
+        names: by which browsers open the console.
     """
 
-    def __init__(self, config: Config) -> None:
-        self._files = key_files(config)
+    def __init__(self, config: Config, what: str = "the console") -> None:
+        self._files, self._what = key_files(config), what
         why = trouble(self._files)
         if why:
-            raise RuntimeError(f"the console cannot have TLS: {why}")
+            raise RuntimeError(f"{what} cannot have TLS: {why}")
         self.names = config.web.names or read_certificate(self._files.certificate).names
         self.context = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
         self.context.minimum_version = ssl.TLSVersion.TLSv1_2
@@ -38,11 +41,11 @@ class ServerTls:
         """Take up new files; to be called by one thread, again and again."""
         if self._watch.renewed():
             self._load()
-            _log.info("the console has a new certificate")
+            _log.info("%s has a new certificate", self._what)
 
     def _load(self) -> None:
         try:
             self.context.load_verify_locations(self._files.ca)
             self.context.load_cert_chain(self._files.certificate, self._files.key, password="")
         except (OSError, ssl.SSLError) as err:
-            raise RuntimeError(f"the console cannot have TLS: {self._files.certificate}: {err}") from None
+            raise RuntimeError(f"{self._what} cannot have TLS: {self._files.certificate}: {err}") from None

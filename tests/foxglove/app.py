@@ -35,10 +35,10 @@ class App:
         said: all other texts that came.
     """
 
-    def __init__(self, port: int, *, query: str = "", **options: Any) -> None:
+    def __init__(self, port: int, *, host: str = "127.0.0.1", query: str = "", **options: Any) -> None:
         self._stack = contextlib.ExitStack()
         tls = "s" if "ssl" in options else ""
-        address = f"ws{tls}://127.0.0.1:{port}/{query}"
+        address = f"ws{tls}://{host}:{port}/{query}"
         options.setdefault("max_queue", None)
         self.socket: ClientConnection = self._stack.enter_context(
             connect(address, subprotocols=[PROTOCOL], max_size=None, compression=None, **options)
@@ -117,6 +117,19 @@ class App:
 
     def unsubscribe(self, number: int) -> None:
         self.send(op="unsubscribe", subscriptionIds=[number])
+
+    def advertise(self, topic: str, type_name: str, encoding: str) -> int:
+        """Begin to publish; the channel's number."""
+        self._numbers += 1
+        channel = {"id": self._numbers, "topic": topic, "encoding": encoding, "schemaName": type_name}
+        self.send(op="advertise", channels=[channel])
+        return self._numbers
+
+    def unadvertise(self, number: int) -> None:
+        self.send(op="unadvertise", channelIds=[number])
+
+    def publish(self, number: int, data: bytes) -> None:
+        self.socket.send(struct.pack("<BI", MESSAGE, number) + data)
 
     def received(self, topic: str, count: int = 1) -> list[tuple[int, bytes]]:
         """Wait for so many messages of a topic."""

@@ -44,7 +44,7 @@ class Desk:
         self.live = self.open(**sections)
 
     def app(self, **options: Any) -> App:
-        return App(self.live.server.port, **options)
+        return App(self.live.front.port, **options)
 
     def status(self) -> dict[str, Any]:
         """What the server tells on the hub."""

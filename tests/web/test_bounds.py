@@ -14,9 +14,10 @@ import pytest
 from websockets.exceptions import InvalidStatus
 
 from bridge.web import connections, verbs
-from bridge.web.connections import MOST_CONNECTIONS, MOST_OF_ADDRESS, ScarceLog
+from bridge.web.connections import MOST_CONNECTIONS, MOST_OF_ADDRESS
 from bridge.web.feed import Feed
 from bridge.web.hub_feeds import AskingFeed
+from bridge.web.scarce_log import ScarceLog
 from bridge.web.server import MOST_PAGES_OF_ADDRESS
 from bridge.web.verbs import VerbError
 from tests.support.wait import until

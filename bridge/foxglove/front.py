@@ -1,0 +1,290 @@
+"""The door before the SDK's server: who may come in, from which pages, and as what.
+
+The SDK lets everybody in: it looks neither at a token nor at the page that asks, so that any page in the browser of
+this machine could drive the robot (OWASP, "Cross-site WebSocket hijacking"). So it listens on an address of loopback
+that nobody is told, and this server hands bytes to and fro once it has seen the request's head. It reads no message.
+
+What waits for a client here is bounded in bytes (`MOST_UNREAD`), which the SDK's queue is not; one that takes nothing
+for `STILL_SECONDS` is cut.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import logging
+import re
+import socket
+import threading
+from collections.abc import Coroutine
+from dataclasses import dataclass
+from http import HTTPStatus
+from typing import Any
+from urllib.parse import parse_qs, urlsplit
+
+from bridge.config.sections.foxglove import FoxgloveSection
+from bridge.config.sections.web import WebSection, split
+from bridge.foxglove.visitors import Visitor, Visitors
+from bridge.web.access import Access, Grant, TooManyError
+from bridge.web.scarce_log import ScarceLog
+from bridge.web.tls import ServerTls
+
+_log = logging.getLogger("midspan.foxglove")
+
+PROTOCOL = "foxglove.sdk.v1"
+MOST_CLIENTS = 32
+MOST_HEAD = 16 << 10
+HEAD_SECONDS = 5.0
+"""A request's head, and the SDK's answer, take no longer."""
+MOST_UNREAD = 8 << 20
+STILL_SECONDS = 20.0
+_STEP = 256 << 10
+_STOP_SECONDS = 1.5
+_NOT_THE_APP = "here is a WebSocket for the Foxglove app alone"
+_REQUEST = re.compile(r"GET (\S+) HTTP/1\.1")
+
+
+class TurnedAwayError(Exception):
+    """A request is not let in; the text says why."""
+
+    def __init__(self, status: HTTPStatus, why: str) -> None:
+        super().__init__(why)
+        self.status = status
+
+
+@dataclass(frozen=True, slots=True)
+class Request:
+    """The head of a request.
+
+    Attributes:
+        target: path and query.
+        headers: by their names in small letters; of those that come twice both, with a comma.
+    """
+
+    target: str
+    headers: dict[str, str]
+
+    @classmethod
+    def read(cls, head: bytes) -> Request:
+        """Raises `TurnedAwayError`."""
+        first, *lines = head.decode("latin-1").removesuffix("\r\n\r\n").split("\r\n")
+        match = _REQUEST.fullmatch(first)
+        if match is None:
+            raise TurnedAwayError(HTTPStatus.BAD_REQUEST, _NOT_THE_APP)
+        headers: dict[str, str] = {}
+        for line in lines:
+            name, parted, value = line.partition(":")
+            if not parted or name != name.strip():
+                raise TurnedAwayError(HTTPStatus.BAD_REQUEST, f"this is no header: {line[:80]!r}")
+            key = name.lower()
+            headers[key] = f"{headers[key]},{value.strip()}" if key in headers else value.strip()
+        return cls(match[1], headers)
+
+    @property
+    def token(self) -> str:
+        """What it says to be let in: ``?token=`` of its address, or a bearer's header; "" without."""
+        scheme, _, word = self.headers.get("authorization", "").partition(" ")
+        said = parse_qs(urlsplit(self.target).query).get("token", [""])[0]
+        return word.strip() if scheme.lower() == "bearer" else said
+
+    def forwarded(self) -> bytes:
+        """The head for the SDK's server, without the token."""
+        names = (name for name in self.headers if name not in ("authorization", "cookie"))
+        lines = ["GET / HTTP/1.1", *(f"{name}: {self.headers[name]}" for name in names)]
+        return "\r\n".join([*lines, "", ""]).encode("latin-1")
+
+
+class Door:
+    """Tells who a request is of."""
+
+    def __init__(self, section: FoxgloveSection) -> None:
+        self._section = section
+        self._access = Access(WebSection(tokens=section.tokens), b"") if section.tokens else None
+
+    def grant(self, request: Request, address: str) -> Grant:
+        """As what somebody comes in; raises `TurnedAwayError`."""
+        protocols = request.headers.get("sec-websocket-protocol", "").replace(" ", "").split(",")
+        if request.headers.get("upgrade", "").lower() != "websocket" or PROTOCOL not in protocols:
+            raise TurnedAwayError(HTTPStatus.BAD_REQUEST, f"{_NOT_THE_APP}, which speaks {PROTOCOL}")
+        if self._access is None:
+            self._check_page(request.headers)  # with tokens no strange page knows one
+            return Grant("", "drive" if self._section.drive else "watch")
+        try:
+            found = self._access.grant({"authorization": f"Bearer {request.token}"}, "", address)
+        except TooManyError as err:
+            raise TurnedAwayError(HTTPStatus.TOO_MANY_REQUESTS, str(err)) from None
+        if found is None:
+            raise TurnedAwayError(
+                HTTPStatus.UNAUTHORIZED, "say a token of foxglove.tokens: wss://robot:8765/?token=..."
+            )
+        return found
+
+    def _check_page(self, headers: dict[str, str]) -> None:
+        origin = headers.get("origin", "")
+        if origin and origin.lower() not in {each.lower() for each in self._section.origins}:
+            why = f"a page of {origin[:80]!r} may not ask; foxglove.origins names those that may"
+            raise TurnedAwayError(HTTPStatus.FORBIDDEN, why)
+        if not origin and "mozilla" in headers.get("user-agent", "").lower():
+            raise TurnedAwayError(HTTPStatus.FORBIDDEN, "a browser that does not say which page asks")
+
+
+class Front:
+    """Serves on a thread of its own. Raises `RuntimeError` where it cannot listen.
+
+    Args:
+        section: the configuration.
+        inner: where the SDK's server listens.
+        visitors: is told who comes.
+        announces: whether the SDK is to be told, too; it takes that only where clients may publish.
+        tls: where it has TLS.
+
+    Attributes:
+        address: what to open in the app.
+        port: it listens on.
+    """
+
+    def __init__(
+        self, section: FoxgloveSection, inner: tuple[str, int], visitors: Visitors, *, announces: bool,
+        tls: ServerTls | None,
+    ) -> None:  # fmt: skip
+        self._inner, self._visitors, self._announces, self._tls = inner, visitors, announces, tls
+        self._door = Door(section)
+        self._refused = ScarceLog("midspan.foxglove")
+        host, port = split(section.listen)
+        family = socket.AF_INET6 if ":" in host else socket.AF_INET
+        self._socket = socket.socket(family, socket.SOCK_STREAM)
+        try:
+            self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+            self._socket.bind((host, port))
+            self._socket.listen(64)  # who comes before the server turns waits
+        except OSError as err:
+            self._socket.close()
+            said = f"the Foxglove server cannot listen on {section.listen}: {err.strerror}; set foxglove.listen"
+            raise RuntimeError(said) from None
+        self.port: int = self._socket.getsockname()[1]
+        self.address = f"{'wss' if tls else 'ws'}://{f'[{host}]' if ':' in host else host}:{self.port}"
+        self._loop: asyncio.AbstractEventLoop | None = None
+        self._ended = asyncio.Event()
+        self._open: set[asyncio.Task[None]] = set()
+        self._thread = threading.Thread(target=self._run, name="midspan-foxglove-front", daemon=True)
+
+    def start(self) -> None:
+        """Begin to serve."""
+        self._thread.start()
+
+    @property
+    def trouble(self) -> str:
+        """Why it does not serve, "" where it does."""
+        return "" if self._thread.is_alive() else "the server has ended"
+
+    def close(self) -> None:
+        """Cut all, and end the thread. Safe to call twice."""
+        if self._loop is not None and self._thread.is_alive():
+            with contextlib.suppress(RuntimeError):  # its loop has just ended by itself
+                self._loop.call_soon_threadsafe(self._ended.set)
+            self._thread.join(_STOP_SECONDS)
+        self._socket.close()
+
+    def _run(self) -> None:
+        try:
+            asyncio.run(self._serve())
+        except Exception:
+            _log.exception("the server for the Foxglove app")
+
+    async def _serve(self) -> None:
+        self._loop = asyncio.get_running_loop()
+        context, seconds = (None, None) if self._tls is None else (self._tls.context, HEAD_SECONDS)
+        server = await asyncio.start_server(
+            self._came, sock=self._socket, limit=MOST_HEAD, ssl=context, ssl_handshake_timeout=seconds
+        )
+        await self._ended.wait()
+        server.close()
+        for task in self._open:
+            task.cancel()
+        await asyncio.gather(*self._open, return_exceptions=True)
+
+    async def _came(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        task = asyncio.current_task()
+        assert task is not None
+        self._open.add(task)
+        address = str(writer.get_extra_info("peername")[0])
+        try:
+            self._check_room()
+            async with asyncio.timeout(HEAD_SECONDS):
+                request = Request.read(await reader.readuntil(b"\r\n\r\n"))
+            visitor = Visitor(self._door.grant(request, address), address)
+            await self._join(request, visitor, reader, writer)
+        except TurnedAwayError as err:
+            self._refused.warn(f"a client at {address} is refused: {err}")
+            await _refuse(writer, err)
+        except (OSError, TimeoutError, asyncio.IncompleteReadError, asyncio.LimitOverrunError):
+            pass
+        finally:
+            self._open.discard(task)
+            writer.transport.abort()
+
+    def _check_room(self) -> None:
+        if len(self._open) > MOST_CLIENTS:
+            raise TurnedAwayError(HTTPStatus.SERVICE_UNAVAILABLE, f"{MOST_CLIENTS} clients are here already")
+
+    async def _join(
+        self, request: Request, visitor: Visitor, reader: asyncio.StreamReader, writer: asyncio.StreamWriter
+    ) -> None:
+        """Have a visitor and the SDK's server talk until either ends."""
+        first = self._visitors.expect(visitor)
+        inner: asyncio.StreamWriter | None = None
+        try:
+            async with asyncio.timeout(HEAD_SECONDS):
+                answers, inner = await asyncio.open_connection(*self._inner, limit=_STEP)
+                inner.write(request.forwarded())
+                head = await answers.readuntil(b"\r\n\r\n")
+            writer.write(head)
+            if b" 101 " not in head.partition(b"\r\n")[0]:
+                writer.write(await asyncio.wait_for(answers.read(_STEP), HEAD_SECONDS))
+                await writer.drain()
+                return
+            if self._announces:
+                inner.write(_masked(first))
+            _log.info("%s comes in to %s", visitor.who, visitor.grant.role)
+            writer.transport.set_write_buffer_limits(high=MOST_UNREAD, low=MOST_UNREAD - _STEP)
+            await _either(_hand_on(reader, inner, None), _hand_on(answers, writer, visitor))
+        finally:
+            self._visitors.gone(visitor)
+            if inner is not None:
+                inner.transport.abort()
+
+
+async def _either(*jobs: Coroutine[Any, Any, None]) -> None:
+    """Run until one ends, and end the others."""
+    tasks = [asyncio.create_task(job) for job in jobs]
+    try:
+        await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
+    finally:
+        for task in tasks:
+            task.cancel()
+        await asyncio.gather(*tasks, return_exceptions=True)
+
+
+async def _hand_on(reader: asyncio.StreamReader, writer: asyncio.StreamWriter, visitor: Visitor | None) -> None:
+    while data := await reader.read(_STEP):
+        writer.write(data)
+        if visitor is not None:
+            visitor.sent += len(data)
+        async with asyncio.timeout(STILL_SECONDS):
+            await writer.drain()
+
+
+async def _refuse(writer: asyncio.StreamWriter, err: TurnedAwayError) -> None:
+    text = f"{err}\n".encode()
+    head = f"HTTP/1.1 {err.status.value} {err.status.phrase}\r\ncontent-type: text/plain; charset=utf-8\r\n"
+    writer.write(f"{head}content-length: {len(text)}\r\nconnection: close\r\n\r\n".encode() + text)
+    with contextlib.suppress(OSError, TimeoutError):
+        async with asyncio.timeout(HEAD_SECONDS):
+            await writer.drain()
+            writer.close()
+            await writer.wait_closed()
+
+
+def _masked(text: bytes) -> bytes:
+    """A client's text frame (RFC 6455, 5.2), with a mask of zeros."""
+    return bytes((0x81, 0x80 | 126)) + len(text).to_bytes(2, "big") + bytes(4) + text

@@ -1,0 +1,230 @@
+"""Who may come in to the Foxglove server, from which pages, and as what."""
+
+from __future__ import annotations
+
+import contextlib
+import socket
+import ssl
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from pydantic import ValidationError
+from websockets.exceptions import InvalidStatus
+
+from bridge.config.model import Config
+from bridge.config.sections.foxglove import FoxgloveSection
+from bridge.foxglove import front
+from bridge.foxglove.front import Request, TurnedAwayError
+from bridge.foxglove.visitors import MARK
+from bridge.foxglove.worker import Live
+from bridge.hub.security.certificates import Authority
+from bridge.hub.security.tokens import new_token
+from tests.foxglove.app import App
+from tests.foxglove.conftest import Desk
+from tests.foxglove.test_channels import cdr
+from tests.foxglove.test_publishing import DRIVE, told
+from tests.support.wait import until
+
+ANNA, HALL = new_token(), new_token()
+TOKENS = {"anna": {"role": "drive", "sha256": ANNA[1]}, "hall": {"role": "watch", "sha256": HALL[1]}}
+FIREFOX = "Mozilla/5.0 (X11; Linux x86_64; rv:140.0) Gecko/20100101 Firefox/140.0"
+
+
+class GuardedDesk(Desk):
+    """A server with TLS and tokens, and keys of its own."""
+
+    def __init__(self, folder: Path) -> None:
+        self.keys = folder / "keys"
+        authority = Authority(self.keys)
+        authority.make()
+        authority.issue("here", ["127.0.0.1"])
+        super().__init__(folder)
+
+    def open(self, **sections: Any) -> Live:
+        hub = {"listen": self.hubs.endpoint, "open": {"keys": self.keys}}
+        return super().open(hub=hub, foxglove={"tokens": TOKENS}, **sections)
+
+    def app(self, **options: Any) -> App:
+        return super().app(ssl=ssl.create_default_context(cafile=self.keys / "ca.pem"), **options)
+
+
+@pytest.fixture
+def guarded(tmp_path: Path) -> Iterator[GuardedDesk]:
+    made = GuardedDesk(tmp_path)
+    yield made
+    made.close()
+
+
+def status_of(desk: Desk, **options: Any) -> int:
+    """The status of an answer to who is refused."""
+    with pytest.raises(InvalidStatus) as refused:
+        desk.app(**options)
+    return refused.value.response.status_code
+
+
+def test_it_is_off_and_of_this_machine_as_installed() -> None:
+    section = Config().foxglove
+    assert (section.enabled, section.listen, section.drive, section.guarded) == (False, "127.0.0.1:8765", False, False)
+
+
+@pytest.mark.parametrize(
+    ("section", "why"),
+    [
+        ({"listen": "0.0.0.0:8765"}, r"other machines reach 0\.0\.0\.0, and nobody is asked who they are"),
+        ({"listen": "0.0.0.0:8765", "drive": True}, "give foxglove.tokens"),
+        ({"listen": "robot1:8765"}, "reach it by a tunnel"),
+        ({"listen": "[::]:8765"}, "other machines reach ::"),
+        ({"listen": "8765"}, "is no address and port"),
+        ({"drive": True, "tokens": TOKENS}, "each of them says who may drive"),
+        ({"tokens": {"anna": {"role": "root", "sha256": ANNA[1]}}}, "watch"),
+    ],
+)
+def test_what_is_not_safe_is_refused(section: dict[str, Any], why: str) -> None:
+    with pytest.raises(ValidationError, match=why):
+        FoxgloveSection.model_validate(section)
+
+
+def test_strange_pages_may_not_ask(desk: Desk) -> None:
+    assert status_of(desk, origin="https://evil.example") == 403
+    assert status_of(desk, origin="null") == 403
+    assert status_of(desk, origin=f"http://127.0.0.1:{desk.live.front.port}") == 403
+    assert status_of(desk, user_agent_header=FIREFOX) == 403
+    for options in ({"origin": "https://app.foxglove.dev", "user_agent_header": FIREFOX}, {"origin": "file://"}, {}):
+        with desk.app(**options) as app:
+            app.until(lambda: app.said, "it is let in")
+    desk.open_with(foxglove={"origins": ["https://fox.example"]})
+    assert status_of(desk, origin="https://app.foxglove.dev") == 403
+    with desk.app(origin="https://Fox.example") as app:
+        app.until(lambda: app.said, "it is let in")
+
+
+def test_tokens_say_who_comes_and_as_what(guarded: GuardedDesk) -> None:
+    heard = guarded.far.subscribe("/said", "std_msgs/String")
+    with (
+        guarded.app(query=f"?token={ANNA[0]}", origin="https://fox.example") as anna,
+        guarded.app(additional_headers={"Authorization": f"Bearer {HALL[0]}"}) as hall,
+    ):
+        for app in (anna, hall):
+            number = app.advertise("/said", "std_msgs/msg/String", "json")
+            app.publish(number, b'{"data": "of %d"}' % (app is anna))
+        told(hall, "you may look, and not publish")
+        until(lambda: guarded.far.publishers("/said"), "anna publishes")
+        anna.publish(number, b'{"data": "of anna"}')
+        assert guarded.far.wait(heard, 1)[-1]["data"].startswith("of ")
+        status = guarded.status()
+        assert [(each["who"], each["role"]) for each in status["clients"]] == [
+            ("anna at 127.0.0.1", "drive"), ("hall at 127.0.0.1", "watch"),
+        ]  # fmt: skip
+        assert status["text"].startswith(f"wss://127.0.0.1:{guarded.live.front.port}, 2 clients")
+    until(lambda: guarded.status()["clients"] == [], "they are gone")
+
+
+def test_who_has_no_token_stays_out(guarded: GuardedDesk, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("bridge.web.access.FIRST_WAIT", 0.0)
+    assert status_of(guarded) == 401
+    assert status_of(guarded, query="?token=wrong") == 401
+    monkeypatch.setattr("bridge.web.access.FIRST_WAIT", 60.0)
+    assert status_of(guarded, query=f"?token={HALL[1]}") == 401, "the hash is no token"
+    assert status_of(guarded, query=f"?token={HALL[0]}") == 429, "who guesses waits"
+
+
+def test_who_comes_past_the_front_may_not_publish(desk: Desk) -> None:
+    desk.open_with(**DRIVE)
+    host, port = desk.live.front._inner
+    assert not host.startswith("127.0.0.")
+    with contextlib.closing(App(port, host=host)) as app:
+        app.send(op="advertise", channels=[{"id": MARK, "topic": "a" * 32, "encoding": "json", "schemaName": ""}])
+        app.advertise("/said", "std_msgs/msg/String", "json")
+        told(app, "you may look, and not publish")
+        assert not desk.far.publishers("/said")
+
+
+def test_a_word_is_good_once(desk: Desk) -> None:
+    desk.open_with(**DRIVE)
+    visitors = desk.live._visitors
+    with desk.app() as app:
+        app.until(lambda: app.said, "it is let in")
+        (word,) = visitors._open.values()
+        until(lambda: word not in visitors._words, "it was said")
+        visitors.came(99, word)
+        assert visitors.of(99) is None
+
+
+@pytest.mark.parametrize(
+    "head",
+    [
+        b"GET / HTTP/1.0\r\n\r\n", b"POST / HTTP/1.1\r\n\r\n", b"GET / HTTP/1.1\r\nno header\r\n\r\n", b"\r\n\r\n",
+        b"GET / HTTP/1.1\r\n folded: x\r\n\r\n", b"GET  HTTP/1.1\r\n\r\n", b"\xff\xfe\r\n\r\n",
+    ],
+)  # fmt: skip
+def test_heads_that_are_none(head: bytes) -> None:
+    with pytest.raises(TurnedAwayError):
+        Request.read(head)
+
+
+def test_a_head_is_handed_on_without_its_secrets() -> None:
+    request = Request.read(
+        b"GET /?token=a%20b HTTP/1.1\r\nHost: x\r\nCookie: c\r\nUpgrade: websocket\r\nX: 1\r\nx: 2\r\n\r\n"
+    )
+    assert request.token == "a b"
+    assert request.forwarded() == b"GET / HTTP/1.1\r\nhost: x\r\nupgrade: websocket\r\nx: 1,2\r\n\r\n"
+    assert Request.read(b"GET / HTTP/1.1\r\nAuthorization: Bearer t\r\n\r\n").token == "t"
+
+
+def raw(desk: Desk, data: bytes) -> bytes:
+    """What is answered to some bytes, until the connection's end."""
+    with socket.create_connection(("127.0.0.1", desk.live.front.port), timeout=10) as peer:
+        found = b""
+        with contextlib.suppress(ConnectionError):
+            peer.sendall(data)
+            while part := peer.recv(4096):
+                found += part
+    return found
+
+
+def test_who_speaks_something_else_is_told_and_cut(desk: Desk, monkeypatch: pytest.MonkeyPatch) -> None:
+    assert raw(desk, b"GET /metrics HTTP/1.1\r\nHost: x\r\n\r\n").startswith(b"HTTP/1.1 400 Bad Request\r\n")
+    old = b"GET / HTTP/1.1\r\nUpgrade: websocket\r\nSec-WebSocket-Protocol: foxglove.websocket.v1\r\n\r\n"
+    assert b"which speaks foxglove.sdk.v1" in raw(desk, old)
+    assert b"Foxglove app alone" in raw(desk, b"HELO robot\r\n\r\n")
+    assert raw(desk, b"GET /" + b"x" * 100_000) == b""
+    monkeypatch.setattr(front, "HEAD_SECONDS", 0.2)
+    assert raw(desk, b"GET / HTTP/1.1\r\n") == b"", "who does not go on is cut"
+    with desk.app() as app:
+        app.until(lambda: app.said, "others are served")
+
+
+def test_no_more_clients_than_there_is_room_for(desk: Desk, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(front, "MOST_CLIENTS", 2)
+    with desk.app(), desk.app() as app:
+        assert status_of(desk) == 503
+        app.until(lambda: app.said, "the others are served")
+    until(lambda: not desk.live.front._open, "they are gone")
+    with desk.app() as app:
+        app.until(lambda: app.said, "there is room again")
+
+
+def test_who_takes_nothing_is_cut_and_holds_nobody_up(desk: Desk, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(front, "STILL_SECONDS", 0.5)
+    monkeypatch.setattr(front, "MOST_UNREAD", 1 << 20)
+    publisher, _ = desk.far._publishers[desk.far.advertise("/blob", "std_msgs/String")]
+    word = cdr("x" * 500_000)
+    with desk.app() as app, desk.app(max_queue=1, close_timeout=0.1) as deaf:
+        deaf.subscribe("/blob")
+        app.subscribe("/blob")
+        app.until(publisher.matched, "it is heard")
+
+        def cut() -> bool:
+            publisher.put(word)
+            count = len(app.messages["/blob"])
+            app.received("/blob", count + 1)
+            return len(desk.status()["clients"]) == 1
+
+        until(cut, "the deaf one is cut")
+
+
+def test_a_taken_address_is_told(desk: Desk) -> None:
+    with pytest.raises(RuntimeError, match=r"cannot listen on 127\.0\.0\.1:\d+: .*; set foxglove\.listen"):
+        desk.open(foxglove={"listen": f"127.0.0.1:{desk.live.front.port}"})
