@@ -7,10 +7,12 @@ from __future__ import annotations
 
 import time
 from collections import Counter, deque
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from threading import Lock
+from typing import Protocol
 
+from foxglove import Parameter
 from foxglove.websocket import ChannelView, Client, ClientChannel, ServerListener
 
 from bridge.foxglove.visitors import MARK, Visitors
@@ -42,6 +44,16 @@ class ClientMessage:
     arrived: float
 
 
+class AnswersParameters(Protocol):
+    """`bridge.foxglove.parameters.Parameters`; called on the SDK's threads."""
+
+    def answer(self, names: Sequence[str]) -> list[Parameter]:
+        """Values of these, or of all."""
+
+    def change(self, client: int, wanted: Sequence[Parameter]) -> list[Parameter]:
+        """Values afterwards."""
+
+
 class Events(ServerListener):
     """The SDK's listener.
 
@@ -61,7 +73,7 @@ class Events(ServerListener):
         self._messages: deque[ClientMessage] = deque()
         self._size = 0
         self.dropped = 0  # messages of clients that found no room
-        self.graph_wanted = False  # whether a client follows the connection graph
+        self.parameters: AnswersParameters | None = None
 
     # -- what clients watch --------------------------------------------------------------------------------------------
 
@@ -82,22 +94,32 @@ class Events(ServerListener):
                 self._late.discard(channel.id)
             self._wake()
 
-    def on_connection_graph_subscribe(self) -> None:
-        """The first client wants the graph."""
-        self.graph_wanted = True
-        with self._lock:
-            self._wake()
-
-    def on_connection_graph_unsubscribe(self) -> None:
-        """No client wants the graph."""
-        self.graph_wanted = False
-
     def take(self) -> tuple[set[int], set[int]]:
         """The channels that are watched, and those of them that somebody began to watch since the last call."""
         with self._lock:
             self._told = False
             late, self._late = self._late, set()
             return set(self._watched), late
+
+    # -- what clients ask ----------------------------------------------------------------------------------------------
+
+    def on_get_parameters(
+        self,
+        client: Client,  # noqa: ARG002 - everybody may look
+        param_names: list[str],
+        request_id: str | None = None,  # noqa: ARG002 - the SDK answers with it
+    ) -> list[Parameter]:
+        """A client asks for parameters, for all where it names none."""
+        return self.parameters.answer(param_names) if self.parameters else []
+
+    def on_set_parameters(
+        self,
+        client: Client,
+        parameters: list[Parameter],
+        request_id: str | None = None,  # noqa: ARG002
+    ) -> list[Parameter]:
+        """A client sets parameters; what they are then, which the SDK tells all who subscribed to them."""
+        return self.parameters.change(client.id, parameters) if self.parameters else []
 
     # -- what clients say ----------------------------------------------------------------------------------------------
 

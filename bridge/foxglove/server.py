@@ -45,6 +45,14 @@ class FoxgloveServer:
         schema = foxglove.Schema(name=type_name, encoding="ros2msg", data=definition.encode())
         return self._context._create_channel(topic, message_encoding="cdr", schema=schema, metadata=metadata)
 
+    def offer_services(self, services: list[foxglove.Service]) -> None:
+        """Announce services."""
+        self._server.add_services(services)
+
+    def withdraw_services(self, names: list[str]) -> None:
+        """Take services back."""
+        self._server.remove_services(names)
+
     def warn(self, text: str, name: str) -> None:
         """Tell all clients something that is so until `forget`."""
         self._server.publish_status(text, StatusLevel.Warning, name)

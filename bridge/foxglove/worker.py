@@ -18,8 +18,10 @@ from bridge.config.sections.foxglove import FoxgloveSection
 from bridge.foxglove.channels import Channels
 from bridge.foxglove.events import Events
 from bridge.foxglove.front import Front
+from bridge.foxglove.parameters import Parameters
 from bridge.foxglove.publishing import Publishing
 from bridge.foxglove.server import FoxgloveServer
+from bridge.foxglove.services import Services
 from bridge.foxglove.visitors import Visitors
 from bridge.messages.registry import Registry
 from bridge.modules.host import Host
@@ -83,13 +85,15 @@ class Live:
             made.callback(server.close)
             self.front = Front(section, server.inner, self._visitors, announces=section.commanded, tls=self._tls)
             made.pop_all()
-        self._graph = Gathered(host, lambda: self._channels.look())
+        self._graph = Gathered(host, self._follow)
         self._topics = HubTopics(host.node.hub, registry, self._graph.changed)
         self._channels = Channels(server, self._topics, events)
         self._gateway = DrivingFeed(host, config)
         most = config.web.speed, config.web.turn
         driving = HandDriving(host, config.navigation.velocity, most, lambda: self._gateway.busy)
         self._publishing = Publishing(host, server, events, self._visitors, self._topics.definitions, driving)
+        self._services = Services(host, server, self._visitors)
+        self._parameters = events.parameters = Parameters(host, server, self._visitors)
         self._process = psutil.Process(os.getpid())
         self._started = time.monotonic()
 
@@ -120,6 +124,11 @@ class Live:
         shown = f"{self._channels.count} topics, {self._channels.watched} watched"
         return f"{self.front.address}, {clients} client{'' if clients == 1 else 's'}, {shown}"
 
+    def _follow(self) -> None:
+        self._channels.look()
+        if self.host.config.foxglove.commanded:
+            self._services.look()
+
     def _look(self) -> None:
         self._channels.watch()
         self._publishing.look()
@@ -128,6 +137,7 @@ class Live:
         self.host.tick()
         self._channels.tick()
         self._publishing.tick()
+        self._parameters.tick()
 
     def _status(self, _params: Any) -> dict[str, Any]:
         found = self._channels.status()
@@ -149,6 +159,7 @@ class Live:
                 }
                 for each in self._visitors.all()
             ],
+            "services": self._services.count,
             "dropped": self._events.dropped,
         }  # fmt: skip
 
@@ -161,6 +172,8 @@ class Live:
         self.host.loop.call(self.rest)
         self.front.close()
         self._server.close()
+        self._services.close()
+        self.host.loop.call(self._parameters.close)
         self.host.loop.call(self._channels.close)
         self._topics.close()
         self.host.close()
@@ -168,7 +181,8 @@ class Live:
 
 def _capabilities(section: FoxgloveSection) -> list[Capability]:
     """What the app may offer; who may only look is refused where others may do more."""
-    return [Capability.ClientPublish] if section.commanded else []
+    commands = [Capability.ClientPublish, Capability.Services] if section.commanded else []
+    return [Capability.Parameters, *commands]
 
 
 class Gathered:

@@ -131,6 +131,14 @@ class App:
     def publish(self, number: int, data: bytes) -> None:
         self.socket.send(struct.pack("<BI", MESSAGE, number) + data)
 
+    def call(self, service: str, request: bytes, encoding: str = "cdr") -> int:
+        """Call a service; the call's number."""
+        number = self.until(lambda: self.services.get(service), f"the service {service}")["id"]
+        self._numbers += 1
+        head = struct.pack("<BIII", CALL, number, self._numbers, len(encoding))
+        self.socket.send(head + encoding.encode() + request)
+        return self._numbers
+
     def received(self, topic: str, count: int = 1) -> list[tuple[int, bytes]]:
         """Wait for so many messages of a topic."""
         return self.until(

@@ -1,0 +1,248 @@
+"""Parameters of the hub's ROS 2 nodes for the app, as ``/node.name``.
+
+They are read while clients ask, and not otherwise. The SDK has clients' questions answered at once, on the threads that
+send: so what was read last is told, and what is older than `FRESH_SECONDS` is read anew for the next question. Changes
+that no client made are not told by themselves: ``publish_parameter_values`` of the SDK 0.30 takes a lock with Python's
+own held, whose holder waits for Python's where a client subscribes at that moment, and the process would stand still.
+"""
+
+from __future__ import annotations
+
+import logging
+import time
+import xmlrpc.client
+from collections.abc import Callable, Sequence
+from concurrent.futures import Future
+from functools import partial
+from threading import Lock
+from typing import Any
+
+import foxglove
+
+from bridge.adapters.ros1.parameters.values import NOT_SET, ParameterType, ParameterValue, UnsayableError, to_ros2
+from bridge.foxglove.server import FoxgloveServer
+from bridge.foxglove.visitors import Visitors
+from bridge.hub.endpoints.calls import CallError
+from bridge.messages.errors import ConversionError
+from bridge.modules.clients import ModuleClient
+from bridge.modules.host import Host
+
+_log = logging.getLogger("midspan.foxglove")
+
+FRESH_SECONDS = 1.0
+WAIT_SECONDS = 0.5
+"""A client's question waits for so long where nothing has been read yet, a setting until it is done; one at a time."""
+IDLE_SECONDS = 60.0
+"""What nobody asked for in so long is forgotten."""
+MOST_NODES, MOST_PARAMETERS = 200, 5_000
+NODE_SECONDS = 5.0
+"""A node that has not answered for so long is left out."""
+
+READY_TRIES, READY_SECONDS = 40, 0.02
+"""A client that was made just now is not called before it knows its server."""
+
+LIST, GET, SET = "ListParameters", "GetParameters", "SetParameters"
+_SERVICES = {LIST: "list_parameters", GET: "get_parameters", SET: "set_parameters"}
+
+Replied = Callable[[dict[str, Any] | CallError], None]
+
+
+class Parameters:
+    """`answer` and `change` may be called on any thread, all else on the worker's."""
+
+    def __init__(self, host: Host, server: FoxgloveServer, visitors: Visitors) -> None:
+        self._host, self._server, self._visitors = host, server, visitors
+        self._waiting = Lock()
+        self._values: dict[str, dict[str, ParameterValue]] = {}  # by node; replaced, never changed
+        self._asked = self._read = -IDLE_SECONDS
+        self._reading: Future[None] | None = None
+        self._clients: dict[tuple[str, str], ModuleClient] = {}
+
+    # -- on the SDK's threads ------------------------------------------------------------------------------------------
+
+    def answer(self, names: Sequence[str]) -> list[foxglove.Parameter]:
+        """What is known of these parameters, or of all."""
+        now = time.monotonic()
+        cold, self._asked = now - self._read > IDLE_SECONDS, now
+        if now - self._read > FRESH_SECONDS:
+            self._await(lambda done: self._host.loop.post(partial(self._refresh, done)), wait=cold)
+        known = self._known()
+        return [_told(name, known[name]) for name in (names or sorted(known)) if name in known]
+
+    def change(self, client: int, wanted: Sequence[foxglove.Parameter]) -> list[foxglove.Parameter]:
+        """Set parameters on their nodes; their values afterwards, as far as the nodes have answered by then."""
+        visitor = self._visitors.of(client)
+        if visitor is None or not visitor.grant.may_drive:
+            self._say("you may look, and not set parameters (foxglove.drive, or the role of your token)")
+        else:
+            values = {each.name: each.get_value() for each in wanted[:MOST_PARAMETERS]}
+            _log.info("%s sets %s", visitor.who, ", ".join(values)[:500])
+            self._await(lambda done: self._host.loop.post(partial(self._set, values, done)), wait=True)
+        known = self._known()
+        return [_told(each.name, known[each.name]) for each in wanted if each.name in known]
+
+    def _await(self, begin: Callable[[Future[None]], None], *, wait: bool) -> None:
+        """Begin something; wait for it where nobody else waits, so that one thread of the SDK's at most stands."""
+        done: Future[None] = Future()
+        waits = wait and self._waiting.acquire(blocking=False)
+        try:
+            begin(done)
+            if waits:
+                done.result(WAIT_SECONDS)
+        except TimeoutError:
+            pass
+        finally:
+            if waits:
+                self._waiting.release()
+
+    def _known(self) -> dict[str, ParameterValue]:
+        return {f"{node}.{name}": value for node, values in self._values.items() for name, value in values.items()}
+
+    # -- on the worker's thread ----------------------------------------------------------------------------------------
+
+    def _refresh(self, done: Future[None]) -> None:
+        """Read all nodes' parameters, unless that is under way."""
+        if self._reading is not None:
+            self._reading.add_done_callback(lambda _: done.set_result(None))
+            return
+        self._reading = done
+        nodes = sorted(
+            end.topic.rpartition("/")[0]
+            for end in self._host.node.hub.graph.servers()
+            if end.type_name == f"rcl_interfaces/srv/{LIST}" and not end.own and end.topic.endswith(_SERVICES[LIST])
+        )[:MOST_NODES]
+        for key in [key for key in self._clients if key[0] not in nodes]:
+            self._host.node.release(self._clients.pop(key))
+        self._values = {node: values for node, values in self._values.items() if node in nodes}
+        left = set(nodes)
+
+        def over(node: str, values: dict[str, ParameterValue] | None) -> None:
+            if node not in left:
+                return
+            left.discard(node)
+            if values is not None:
+                self._values = {**self._values, node: values}
+            if not left:
+                self._finish(done)
+
+        def late() -> None:
+            for node in list(left):
+                over(node, None)
+
+        for node in nodes:
+            self._read_node(node, partial(over, node))
+        self._host.loop.after(NODE_SECONDS, late)
+        if not nodes:
+            self._finish(done)
+
+    def _finish(self, done: Future[None]) -> None:
+        self._read, self._reading = time.monotonic(), None
+        done.set_result(None)
+
+    def _read_node(self, node: str, over: Callable[[dict[str, ParameterValue] | None], None]) -> None:
+        def listed(reply: dict[str, Any] | CallError) -> None:
+            if isinstance(reply, CallError):
+                over(None)
+                return
+            names = list(reply["result"]["names"])[: MOST_PARAMETERS // 10]
+            self._call(node, GET, {"names": names}, partial(got, names))
+
+        def got(names: list[str], reply: dict[str, Any] | CallError) -> None:
+            if isinstance(reply, CallError) or len(reply["values"]) != len(names):
+                over(None)
+                return
+            values = {name: ParameterValue.read(value) for name, value in zip(names, reply["values"], strict=True)}
+            over({name: value for name, value in values.items() if value != NOT_SET})
+
+        self._call(node, LIST, {"prefixes": [], "depth": 0}, listed)
+
+    def _set(self, values: dict[str, Any], done: Future[None]) -> None:
+        """Ask each node to set its own, and read what it has then."""
+        by_node: dict[str, dict[str, ParameterValue]] = {}
+        for full, value in values.items():
+            node, name, before = self._find(full)
+            try:
+                by_node.setdefault(node, {})[name] = wished(value, before)
+            except UnsayableError as err:
+                self._say(f"{full}: {err}")
+        by_node.pop("", None)
+        left = set(by_node)
+        for node, wishes in by_node.items():
+            self._set_node(node, wishes, partial(self._set_done, left, node, done))
+        if not left:
+            done.set_result(None)
+
+    def _find(self, full: str) -> tuple[str, str, ParameterValue]:
+        """Node, name and value of a parameter; raises nothing: an unknown one is of the node "", and told."""
+        for node, values in self._values.items():
+            name = full.removeprefix(f"{node}.")
+            if name in values and name != full:
+                return node, name, values[name]
+        self._say(f"{full[:200]}: no node of the hub has such a parameter")
+        return "", full, NOT_SET
+
+    def _set_node(self, node: str, wishes: dict[str, ParameterValue], over: Callable[[], None]) -> None:
+        def answered(reply: dict[str, Any] | CallError) -> None:
+            if isinstance(reply, CallError):
+                self._say(f"{node} does not set its parameters: {reply}")
+            else:
+                for name, result in zip(wishes, reply["results"], strict=False):
+                    if not result["successful"]:
+                        self._say(f"{node} refuses {name}: {result['reason'] or 'it gives no reason'}")
+            self._read_node(node, read)
+
+        def read(values: dict[str, ParameterValue] | None) -> None:
+            if values is not None:
+                self._values = {**self._values, node: values}
+            over()
+
+        parameters = [{"name": name, "value": wish.message()} for name, wish in wishes.items()]
+        self._call(node, SET, {"parameters": parameters}, answered)
+
+    def _set_done(self, left: set[str], node: str, done: Future[None]) -> None:
+        left.discard(node)
+        if not left and not done.done():
+            done.set_result(None)
+
+    def _call(self, node: str, kind: str, request: dict[str, Any], replied: Replied, tries: int = READY_TRIES) -> None:
+        key = node, kind
+        client = self._clients.get(key)
+        if client is None:
+            name = f"{node}/{_SERVICES[kind]}"
+            client = self._clients[key] = self._host.node.client(name, f"rcl_interfaces/srv/{kind}")
+        if not client.ready and tries:  # it was made just now
+            self._host.loop.after(READY_SECONDS, lambda: self._call(node, kind, request, replied, tries - 1))
+            return
+        try:
+            client.call(request, replied)
+        except ConversionError as err:
+            replied(CallError(str(err)))
+
+    def tick(self) -> None:
+        """Forget what nobody asks for any more."""
+        if self._clients and time.monotonic() - self._asked > IDLE_SECONDS and self._reading is None:
+            self.close()
+
+    def _say(self, text: str) -> None:
+        self._server.warn(text, "parameters")
+
+    def close(self) -> None:
+        """Ask the nodes no more."""
+        clients, self._clients, self._values, self._read = self._clients, {}, {}, -IDLE_SECONDS
+        for client in clients.values():
+            self._host.node.release(client)
+
+
+def wished(value: Any, before: ParameterValue) -> ParameterValue:
+    """A client's value as the node's parameter has its kind; raises `UnsayableError`."""
+    return to_ros2(xmlrpc.client.Binary(value) if isinstance(value, bytes) else value, before.kind)
+
+
+def _told(name: str, value: ParameterValue) -> foxglove.Parameter:
+    floats = {
+        ParameterType.DOUBLE: foxglove.ParameterType.Float64,
+        ParameterType.DOUBLE_ARRAY: foxglove.ParameterType.Float64Array,
+    }
+    if value.kind in floats:
+        return foxglove.Parameter(name, value=value.content, type=floats[value.kind])
+    return foxglove.Parameter(name, value=value.content)

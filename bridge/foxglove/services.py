@@ -1,0 +1,160 @@
+"""The hub's services for the app: announced with their definitions, called with CDR as the app made it."""
+
+from __future__ import annotations
+
+import logging
+import time
+from functools import partial
+from queue import Empty, SimpleQueue
+from threading import BoundedSemaphore, Event
+from typing import Any, NamedTuple
+
+import foxglove
+
+from bridge.concurrency import SerialExecutor
+from bridge.foxglove.server import FoxgloveServer
+from bridge.foxglove.visitors import Visitors
+from bridge.hub.definitions import VERB, definition_among
+from bridge.hub.endpoints.calls import CallError
+from bridge.hub.errors import HubError
+from bridge.messages.actions import split
+from bridge.messages.definitions.schema import Schema
+from bridge.messages.definitions.text import full_text
+from bridge.messages.errors import ConversionError, MessageTypeError
+from bridge.modules.host import Host
+from bridge.routing.gates import TAPS
+
+_log = logging.getLogger("midspan.foxglove")
+
+CALL_SECONDS = 15.0
+MOST_CALLS = 16
+"""Calls under way at once, of all clients; each keeps a thread of the SDK's waiting."""
+
+ASK_AGAIN_SECONDS = 10.0
+_ASK_SECONDS = 2.0
+_OF_NODES = ("rcl_interfaces/", "type_description_interfaces/")
+"""What every node serves for itself: its parameters are offered as such."""
+
+
+class CallRefusedError(Exception):
+    """A call is not made, or has no reply; the app shows the text."""
+
+
+class ServiceKey(NamedTuple):
+    """A service on the hub."""
+
+    name: str
+    type_name: str
+    type_hash: str
+
+
+class Services:
+    """All services but the parts of actions. On the worker's thread, but for the calls."""
+
+    def __init__(self, host: Host, server: FoxgloveServer, visitors: Visitors) -> None:
+        self._host, self._server, self._visitors = host, server, visitors
+        self._registry = host.node.registry
+        self._room = BoundedSemaphore(MOST_CALLS)
+        self._shown: dict[str, ServiceKey] = {}
+        self._asked: dict[ServiceKey, float] = {}
+        self._asking = SerialExecutor("midspan-foxglove-ask")
+
+    @property
+    def count(self) -> int:
+        """Services that are announced."""
+        return len(self._shown)
+
+    def look(self) -> None:
+        """Announce services that came, and withdraw those that went."""
+        found: dict[str, ServiceKey] = {}
+        for end in self._host.node.hub.graph.servers():
+            private = end.topic.startswith(TAPS) or end.type_name.startswith(_OF_NODES) or split(end.topic)[1]
+            if not (private or end.own or end.pending):
+                found.setdefault(end.topic, ServiceKey(end.topic, end.type_name, end.type_hash))
+        gone = [name for name, key in self._shown.items() if found.get(name) != key]
+        if gone:
+            self._server.withdraw_services(gone)
+        for name in gone:
+            del self._shown[name]
+        made = [made for name, key in sorted(found.items()) if name not in self._shown and (made := self._made(key))]
+        if made:
+            self._server.offer_services(made)
+
+    def _made(self, key: ServiceKey) -> foxglove.Service | None:
+        try:
+            request, response = self._registry.service_schemas(key.type_name, key.type_hash)
+        except MessageTypeError:
+            self._ask(key)
+            return None
+        self._shown[key.name] = key
+        kind = foxglove.ServiceSchema(
+            key.type_name, request=_message(f"{key.type_name}_Request", request),
+            response=_message(f"{key.type_name}_Response", response),
+        )  # fmt: skip
+        return foxglove.Service(key.name, schema=kind, handler=partial(self._serve, key))
+
+    def _ask(self, key: ServiceKey) -> None:
+        """Ask the workers for a definition that is not installed; those that come are seen at the next look."""
+        now = time.monotonic()
+        if now - self._asked.get(key, -ASK_AGAIN_SECONDS) >= ASK_AGAIN_SECONDS:
+            self._asked = {each: at for each, at in self._asked.items() if now - at < ASK_AGAIN_SECONDS}
+            self._asked[key] = now
+            self._asking.submit(partial(self._learn, key))
+
+    def _learn(self, key: ServiceKey) -> None:
+        try:
+            answers = self._host.node.hub.ask(VERB, {"name": key.type_name}, timeout=_ASK_SECONDS)
+            definition = definition_among(answers, key.type_hash)
+            if definition is not None:
+                self._registry.learn_ros2(key.type_name, definition)
+                self._host.loop.post(self.look)
+        except (HubError, MessageTypeError) as err:
+            _log.warning("the definition of %s: %s", key.type_name, err)
+
+    # -- on threads of the SDK's that may wait -------------------------------------------------------------------------
+
+    def _serve(self, key: ServiceKey, request: foxglove.ServiceRequest) -> bytes:
+        """Call; raises `CallRefusedError`."""
+        visitor = self._visitors.of(request.client_id)
+        if visitor is None or not visitor.grant.may_drive:
+            raise CallRefusedError("you may look, and not call (foxglove.drive, or the role of your token)")
+        if not self._room.acquire(blocking=False):
+            raise CallRefusedError(f"{MOST_CALLS} calls are under way; try again")
+        try:
+            _log.info("%s calls %s", visitor.who, key.name)
+            return self._call(key, bytes(request.payload))
+        except (ConversionError, HubError, MessageTypeError) as err:
+            raise CallRefusedError(str(err)) from None
+        finally:
+            self._room.release()
+
+    def _call(self, key: ServiceKey, payload: bytes) -> bytes:
+        check, _ = self._registry.hub_service_check(key.type_name, key.type_hash)
+        checked, ready, end = check(payload), Event(), time.monotonic() + CALL_SECONDS
+        client = self._host.node.hub.client(*key, ready.set)
+        try:
+            while not client.ready:
+                ready.clear()
+                if not client.ready and not ready.wait(max(end - time.monotonic(), 0.0)):
+                    raise CallRefusedError(f"the server of {key.name} does not take calls from here")
+            replies: SimpleQueue[bytes | CallError] = SimpleQueue()
+            abandon = client.call(checked, replies.put)
+            try:
+                reply = replies.get(timeout=max(end - time.monotonic(), 0.0))
+            except Empty:
+                abandon()
+                raise CallRefusedError(f"{key.name} has not answered in {CALL_SECONDS:g} s") from None
+        finally:
+            client.close()
+        if isinstance(reply, CallError):
+            raise CallRefusedError(str(reply))
+        return reply
+
+    def close(self) -> None:
+        """Ask no more."""
+        self._asking.close()
+
+
+def _message(name: str, schema: Schema) -> Any:
+    text = full_text(schema).encode()
+    return foxglove.MessageSchema(encoding="cdr", schema=foxglove.Schema(name=name, encoding="ros2msg", data=text))

@@ -1,0 +1,169 @@
+"""Parameters of ROS 2 nodes for the app: read while it asks, set where it may."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import pytest
+
+from bridge.adapters.ros1.parameters.values import ParameterType, ParameterValue, UnsayableError
+from bridge.foxglove.parameters import wished
+from bridge.hub.endpoints.calls import Abandon, Done, nothing
+from bridge.messages.values import ServiceCodec
+from tests.foxglove.app import App
+from tests.foxglove.conftest import Desk
+from tests.foxglove.test_publishing import DRIVE, told
+from tests.support.wait import until
+
+
+class Node:
+    """A node with parameters on the hub, by the three services that tools use."""
+
+    def __init__(self, desk: Desk, name: str, values: Mapping[str, ParameterValue]) -> None:
+        self.values = dict(values)
+        self.asked = 0
+        self._desk = desk
+        self._ends = [
+            self._serve(f"{name}/list_parameters", "ListParameters", self._list),
+            self._serve(f"{name}/get_parameters", "GetParameters", self._get),
+            self._serve(f"{name}/set_parameters", "SetParameters", self._set),
+        ]
+
+    def _serve(self, name: str, kind: str, answer: Any) -> Any:
+        codec = ServiceCodec(self._desk.far.registry, f"rcl_interfaces/srv/{kind}")
+
+        def call(payload: bytes, done: Done) -> Abandon:
+            done(codec.response(answer(codec.request_value(payload))))
+            return nothing
+
+        return self._desk.far.hub.server(name, codec.type.name, codec.type.type_id, call)
+
+    def _list(self, _request: dict[str, Any]) -> dict[str, Any]:
+        self.asked += 1
+        return {"result": {"names": list(self.values)}}
+
+    def _get(self, request: dict[str, Any]) -> dict[str, Any]:
+        return {"values": [self.values[name].message() for name in request["names"]]}
+
+    def _set(self, request: dict[str, Any]) -> dict[str, Any]:
+        results = []
+        for each in request["parameters"]:
+            value = ParameterValue.read(each["value"])
+            refused = each["name"] == "fixed"
+            results.append({"successful": not refused, "reason": "it is fixed" if refused else ""})
+            if not refused:
+                self.values[each["name"]] = value
+        return {"results": results}
+
+    def close(self) -> None:
+        for end in self._ends:
+            end.close()
+
+
+VALUES = {
+    "speed": ParameterValue(ParameterType.DOUBLE, 2.0),
+    "count": ParameterValue(ParameterType.INTEGER, 3),
+    "fixed": ParameterValue(ParameterType.STRING, "x"),
+    "sizes": ParameterValue(ParameterType.DOUBLE_ARRAY, [1.0, 2.5]),
+    "names": ParameterValue(ParameterType.STRING_ARRAY, ["a", "b"]),
+    "raw": ParameterValue(ParameterType.BYTE_ARRAY, b"\0\1"),
+    "limits.on": ParameterValue(ParameterType.BOOL, True),
+    "unset": ParameterValue(ParameterType.NOT_SET),
+}
+
+
+def answers(app: App, request: str) -> dict[str, Any]:
+    """The parameters of an answer, by name."""
+
+    def came() -> dict[str, Any] | None:
+        found = [each for each in app.said if each["op"] == "parameterValues" and each.get("id") == request]
+        return found[-1] if found else None
+
+    return {each["name"]: each for each in app.until(came, "the parameters")["parameters"]}
+
+
+def asked(app: App, *names: str) -> dict[str, Any]:
+    app.said.clear()
+    app.send(op="getParameters", parameterNames=names, id="q")
+    return answers(app, "q")
+
+
+def test_parameters_of_all_nodes_are_told_to_who_asks(desk: Desk) -> None:
+    node = Node(desk, "/ns/base", VALUES)
+    with desk.app() as app:
+        found = app.until(lambda: asked(app), "they are read")
+        assert found == {
+            "/ns/base.speed": {"name": "/ns/base.speed", "value": 2.0, "type": "float64"},
+            "/ns/base.count": {"name": "/ns/base.count", "value": 3},
+            "/ns/base.fixed": {"name": "/ns/base.fixed", "value": "x"},
+            "/ns/base.sizes": {"name": "/ns/base.sizes", "value": [1.0, 2.5], "type": "float64_array"},
+            "/ns/base.names": {"name": "/ns/base.names", "value": ["a", "b"]},
+            "/ns/base.raw": {"name": "/ns/base.raw", "value": "AAE=", "type": "byte_array"},
+            "/ns/base.limits.on": {"name": "/ns/base.limits.on", "value": True},
+        }
+        assert list(asked(app, "/ns/base.count", "/ns/base.none")) == ["/ns/base.count"]
+        node.values["count"] = ParameterValue(ParameterType.INTEGER, 4)
+        until(lambda: asked(app, "/ns/base.count")["/ns/base.count"]["value"] == 4, "a change is read", 10)
+        node.close()
+        until(lambda: not asked(app), "it is gone", 10)
+
+
+def test_nobody_is_asked_while_no_client_asks(desk: Desk) -> None:
+    node = Node(desk, "/base", VALUES)
+    with desk.app() as app:
+        app.until(lambda: app.said, "it is let in")
+        desk.far.advertise("/said", "std_msgs/String")
+        app.channel("/said")
+        assert node.asked == 0
+        assert not desk.far.hub.graph.clients("/base/list_parameters")
+
+
+def test_who_may_only_look_sets_nothing(desk: Desk) -> None:
+    node = Node(desk, "/base", VALUES)
+    with desk.app() as app:
+        app.until(lambda: asked(app), "they are read")
+        app.send(op="setParameters", parameters=[{"name": "/base.count", "value": 5}], id="w")
+        told(app, "you may look, and not set parameters")
+        assert answers(app, "w")["/base.count"]["value"] == node.values["count"].content == 3
+
+
+def test_parameters_are_set_as_their_node_has_them(desk: Desk) -> None:
+    desk.open_with(**DRIVE)
+    node = Node(desk, "/base", VALUES)
+    with desk.app() as app, desk.app() as other:
+        app.until(lambda: asked(app), "they are read")
+        other.send(op="subscribeParameterUpdates", parameterNames=["/base.speed"])
+        other.until(lambda: asked(other), "it is subscribed")
+        other.said.clear()
+        new = {"/base.speed": 3, "/base.count": 7, "/base.raw": "AgM=", "/base.fixed": "y", "/base.no": 1}
+        wanted = [{"name": name, "value": value} for name, value in new.items()]
+        wanted[2]["type"] = "byte_array"
+        app.send(op="setParameters", parameters=wanted, id="w")
+        found = answers(app, "w")
+        assert {name: each["value"] for name, each in found.items()} == {
+            "/base.speed": 3.0, "/base.count": 7, "/base.raw": "AgM=", "/base.fixed": "x",
+        }  # fmt: skip
+        assert (node.values["speed"], node.values["raw"].content) == (
+            ParameterValue(ParameterType.DOUBLE, 3.0),
+            b"\2\3",
+        )
+        told(app, "/base refuses fixed: it is fixed")
+        (update,) = other.until(
+            lambda: [each for each in other.said if each["op"] == "parameterValues"], "others are told"
+        )
+        assert update["parameters"] == [{"name": "/base.speed", "value": 3.0, "type": "float64"}]
+
+
+@pytest.mark.parametrize(
+    ("value", "kind", "wanted"),
+    [(1, ParameterType.DOUBLE, 1.0), (1.0, ParameterType.INTEGER, 1), ([], ParameterType.BOOL_ARRAY, [])],
+)
+def test_values_take_the_kind_that_the_node_has(value: Any, kind: ParameterType, wanted: Any) -> None:
+    assert wished(value, ParameterValue(kind, wanted)) == ParameterValue(kind, wanted)
+
+
+@pytest.mark.parametrize("value", [{"a": 1}, [1, "x"], None, 1 << 70])
+def test_values_that_no_node_has(value: Any) -> None:
+    with pytest.raises(UnsayableError):
+        wished(value, ParameterValue(ParameterType.INTEGER, 1))

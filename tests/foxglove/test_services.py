@@ -1,0 +1,83 @@
+"""Services of the hub for the app: announced, and called with CDR."""
+
+from __future__ import annotations
+
+import pytest
+
+from bridge.foxglove import services
+from bridge.messages.json import CallCodec
+from bridge.messages.registry import Registry
+from tests.foxglove.app import App
+from tests.foxglove.conftest import Desk
+from tests.foxglove.test_publishing import DRIVE
+from tests.support.wait import until
+
+SET_BOOL = "std_srvs/srv/SetBool"
+
+
+@pytest.fixture
+def driven(desk: Desk) -> Desk:
+    desk.open_with(**DRIVE)
+    return desk
+
+
+@pytest.fixture
+def codec() -> CallCodec:
+    return CallCodec(Registry(), SET_BOOL)
+
+
+def failure(app: App, call: int) -> str:
+    """Why a call failed."""
+
+    def failed() -> str:
+        found = (each for each in app.said if each["op"] == "serviceCallFailure" and each["callId"] == call)
+        return str(next(found, {}).get("message", ""))
+
+    return app.until(failed, "the call fails")
+
+
+def test_services_come_with_their_definitions_and_go(driven: Desk) -> None:
+    with driven.app() as app:
+        driven.far.serve("/light", "std_srvs/SetBool", reply={"success": True, "message": "on"})
+        driven.far.serve("/node/get_parameters", "rcl_interfaces/GetParameters", reply={})
+        found = app.until(lambda: app.services.get("/light"), "it is announced")
+        assert found["type"] == SET_BOOL
+        assert (found["request"]["encoding"], found["request"]["schemaEncoding"]) == ("cdr", "ros2msg")
+        assert "bool data" in found["request"]["schema"]
+        assert "string message" in found["response"]["schema"]
+        assert driven.status()["services"] == 1
+        driven.far.servers.pop("/light").close()
+        app.until(lambda: not app.services, "it is withdrawn")
+
+
+def test_a_call_and_its_reply(driven: Desk, codec: CallCodec) -> None:
+    driven.far.serve("/light", "std_srvs/SetBool", reply={"success": True, "message": "on"})
+    with driven.app() as app:
+        call = app.call("/light", codec.request({"data": True}))
+        reply = app.until(lambda: app.replies.get(call), "the reply")
+        assert codec.response_value(reply) == {"success": True, "message": "on"}
+        until(lambda: not driven.far.hub.graph.clients("/light"), "its client is withdrawn")
+
+
+def test_calls_that_cannot_be(driven: Desk, codec: CallCodec, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(services, "CALL_SECONDS", 0.3)
+    serving = driven.far.serve("/light", "std_srvs/SetBool", held=True)
+    with driven.app() as app:
+        assert "has not answered in 0.3 s" in failure(app, app.call("/light", codec.request({"data": True})))
+        assert "CallRefusedError" in failure(app, app.call("/light", b"\0\1\0"))
+        assert "Unsupported encoding" in failure(app, app.call("/light", b"{}", "json"))
+        for _ in range(services.MOST_CALLS):
+            assert driven.live._services._room.acquire(blocking=False)
+        assert "16 calls are under way" in failure(app, app.call("/light", codec.request({"data": True})))
+        assert serving.abandoned == 1, "its server is told that nobody waits any more"
+
+
+def test_who_may_only_look_calls_nothing(desk: Desk) -> None:
+    desk.far.serve("/light", "std_srvs/SetBool", reply={"success": True, "message": "on"})
+    with desk.app() as app:
+        app.until(lambda: app.said, "it is let in")
+        desk.far.advertise("/said", "std_msgs/String")
+        app.channel("/said")
+        assert not app.services
+        app.services["/light"] = {"id": 1}
+        assert "does not support services" in failure(app, app.call("/light", b""))
