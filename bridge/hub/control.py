@@ -25,6 +25,9 @@ from bridge.hub.zenoh_compat import undeclare
 _log = logging.getLogger(__name__)
 Handler = Callable[[dict[str, Any]], Any]
 
+RECORDED = {"recorded": True}
+"""What a recorder answers to ``halt``: it moves nothing, and keeps what led to the halt."""
+
 _MAX_PENDING = 64
 _MAX_QUESTION = 1 << 20
 _MAX_ANSWERS = 1000

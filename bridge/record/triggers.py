@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from bridge.config.sections.record import TriggerSection
+from bridge.hub.control import RECORDED
 from bridge.hub.endpoints.subscription import HubSubscription
 from bridge.hub.errors import HubError
 from bridge.hub.wire.qos import Qos
@@ -59,7 +60,7 @@ class Triggers:
 
     def _halt(self, _params: Any) -> dict[str, Any]:
         self._pull("halt")
-        return {"recorded": True}
+        return RECORDED
 
     def _navigates(self, status: dict[str, Any]) -> None:
         before, self._state = self._state, str(status["state"])

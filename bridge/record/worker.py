@@ -64,7 +64,7 @@ class Recording:
         state = "waiting" if told["error"] else "running"
         about = {"side": "record", "state": state, "text": summary(told), "pid": os.getpid(), **costs(self._process)}
         error = {"error": f"recording stopped: {told['error']}"} if told["error"] else {}
-        return {**about, **error, "recording": told}
+        return {**about, **error, "recording": told, "metrics": metrics(told)}
 
     def add_triggers(self, section: RecordSection) -> None:
         """Have the ring written by all that the configuration names."""
@@ -157,6 +157,20 @@ class RecordWorker(Worker):
         recording, self._recording = self._recording, None
         if recording is not None:
             recording.close()
+
+
+def metrics(told: dict[str, Any]) -> dict[str, float]:
+    """A recording's figures for Prometheus, without labels; drops by reason, each known one from the beginning."""
+    dropped = {reason: told["dropped"].get(reason, 0) for reason in ("queue", "disk", "lost", "refused")}
+    return {
+        "written_messages_total": told["messages"],
+        "written_bytes_total": told["bytes"],
+        "files_total": told["files"],
+        "topics": len(told["topics"]),
+        "recording": float(told["state"] == "recording"),
+        "stopped_by_disk": float(told["state"] == "full"),
+        **{f"dropped_{reason}_total": count for reason, count in dropped.items()},
+    }
 
 
 def summary(told: dict[str, Any]) -> str:

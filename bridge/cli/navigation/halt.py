@@ -15,6 +15,7 @@ from bridge.cli.graph.caller import ServiceCaller
 from bridge.cli.messages import Types
 from bridge.cli.output import CliError, clean, plural, print_json
 from bridge.config.sections.navigation import NavigationSection
+from bridge.hub.control import RECORDED
 from bridge.hub.endpoints.calls import CallError
 from bridge.hub.endpoints.publisher import HubPublisher
 from bridge.hub.wire.qos import Qos
@@ -179,7 +180,8 @@ class GoalCancellation:
 
 def _halted(client: CliClient) -> dict[str, str]:
     """Who was asked to halt, and why it is not known to stand; "" where it is."""
-    return {f"{a.worker} of {a.daemon}": a.error for a in client.ask("halt", timeout=_ANSWER_SECONDS)}
+    answers = client.ask("halt", timeout=_ANSWER_SECONDS)
+    return {f"{a.worker} of {a.daemon}": a.error for a in answers if a.value != RECORDED}
 
 
 def _tell(topics: dict[str, int], cancels: list[GoalCancellation], bases: dict[str, str]) -> None:

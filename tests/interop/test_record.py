@@ -1,0 +1,162 @@
+"""The daemon records what real programs of all four sides say, and independent readers find it in the files."""
+
+from __future__ import annotations
+
+import os
+import signal
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from mcap.reader import make_reader
+from mcap_ros2.decoder import DecoderFactory
+from rosbags.highlevel import AnyReader
+
+from bridge.hub.wire.qos import Qos
+from bridge.messages.json import from_json
+from bridge.messages.registry import Registry
+from tests.contract.side import CUSTOM_FOLDER
+from tests.interop.deployment import MIDSPAN, Deployment
+from tests.record.robot import Contents, read
+from tests.support.process import Process
+from tests.support.wait import until
+from tests.support.yarp_programs import Definitions, Names, YarpProgram
+
+STRING = "std_msgs/String"
+
+
+@pytest.fixture(scope="module")
+def names() -> Iterator[Names]:
+    made = Names()
+    yield made
+    made.stop()
+
+
+@pytest.fixture(scope="module")
+def recorded(tmp_path_factory: pytest.TempPathFactory, names: Names) -> Iterator[Deployment]:
+    """A deployment that records, and keeps one ROS 1 topic at home."""
+    with Deployment(tmp_path_factory.mktemp("recorded")) as made:
+        made.start(
+            record={"enabled": True, "exclude": ["^/diagnostics", "^/rosout"]},
+            yarp={"enabled": True, "nameserver": "site", "address": names.endpoint, "poll": 0.1},
+            routing={"rules": [{"topic": "/home", "deny": True}]},
+        )
+        until(lambda: made.worker("record").get("state") == "running", "it records", 30)
+        yield made
+
+
+def until_written(deployment: Deployment, *topics: str) -> dict[str, Any]:
+    """The recorder's status once each of the topics has a message that is written."""
+
+    def status() -> dict[str, Any] | None:
+        told: dict[str, Any] = deployment.worker("record").get("recording", {})
+        written = {each["topic"] for each in told.get("topics", []) if each["messages"]}
+        return told if written >= set(topics) else None
+
+    return until(status, f"{topics} are written", 40, every=0.1)
+
+
+def test_what_programs_of_all_sides_say_is_read_by_rosbags_and_by_mcaps_decoder(
+    recorded: Deployment, names: Names
+) -> None:
+    ros1, ros2, sdk = recorded.ros1(), recorded.ros2(), recorded.sdk()
+    yarp = recorded.keep(YarpProgram(names, "/program", Definitions((CUSTOM_FOLDER,))))
+    programs = {"ros1": ros1, "ros2": ros2, "zenoh": sdk, "yarp": yarp}
+    pose = {"header": {"frame_id": "map"}, "pose": {"position": {"x": 1.5}}}
+    ends = {side: (program, program.advertise(f"/from_{side}", STRING)) for side, program in programs.items()}
+    late = ros1.advertise("/kept", "geometry_msgs/PoseStamped", latched=True)
+    ros1.publish(late, pose)
+
+    def said() -> bool:
+        for side, (program, end) in ends.items():
+            program.publish(end, {"data": side})
+        told = recorded.worker("record").get("recording", {})
+        return {f"/from_{side}" for side in programs} <= {each["topic"] for each in told.get("topics", [])}
+
+    until(said, "all are heard", 30, every=0.1)
+    until_written(recorded, "/kept", *(f"/from_{side}" for side in programs))
+    done = recorded.command("record", "--daemon", "split", "--json")
+    assert done.returncode == 0, done.stderr
+    file = Path(recorded.worker("record")["recording"]["file"])
+    assert str(file) in done.stdout
+    with AnyReader([file]) as bag:
+        found: dict[str, Any] = {c.topic: bag.deserialize(raw, c.msgtype) for c, _, raw in bag.messages()}
+    assert {side: found[f"/from_{side}"].data for side in programs} == {side: side for side in programs}
+    assert (found["/kept"].header.frame_id, found["/kept"].pose.position.x) == ("map", 1.5)
+    with file.open("rb") as stream:
+        reader = make_reader(stream, decoder_factories=[DecoderFactory()])
+        topics = ["/kept", *(f"/from_{side}" for side in programs)]
+        decoded = {
+            channel.topic: (channel.metadata["side"], message)
+            for _, channel, _, message in reader.iter_decoded_messages(topics)
+        }
+    assert {side: decoded[f"/from_{side}"][0] for side in programs} == {side: side for side in programs}
+    assert {decoded[f"/from_{side}"][1].data for side in programs} == set(programs)
+    assert decoded["/kept"][1].pose.position.x == 1.5
+
+
+def test_what_stays_at_home_is_recorded_of_its_side(recorded: Deployment, tmp_path: Path) -> None:
+    ros1 = recorded.ros1()
+    home, other = ros1.advertise("/home", STRING, latched=True), ros1.advertise("/out", STRING)
+    ros1.publish(home, {"data": "at home"})
+    ros1.publish(other, {"data": "not asked for"})
+    until(lambda: any(line["topic"] == "/home" for line in recorded.explain("/home")), "it is seen")
+    file = tmp_path / "home.mcap"
+    words = ["record", "/home", "-o", file, "--config", recorded.file]
+    with Process([*MIDSPAN, *words]) as recorder:
+        until(lambda: heard_by_verb(recorded, file) or recorder.popen.poll(), "it is written", 40, every=0.1)
+        recorder.signal(signal.SIGINT)
+        until(lambda: recorder.popen.poll() is not None, "it ends", 20)
+    assert recorder.popen.poll() == 0, recorder.output()
+    found = read(file)
+    assert found.texts("/home") == ["at home"]
+    assert set(found.channels) == {"/home"}
+    assert found.channels["/home"][0].metadata["side"] == "ros1"
+    assert found.channels["/home"][0].metadata["tap"] == "/_midspan/ros1/home"
+
+
+def test_what_status_called_written_is_read_after_kill_9_and_the_daemon_goes_on(recorded: Deployment) -> None:
+    registry = Registry()
+    robot = recorded.zenoh()
+    kind = "std_msgs/msg/String"
+    out = robot.hub.publisher("/many", kind, registry.ros2(kind).type_id, Qos(depth=1000))
+    until(lambda: any("record" in e.node for e in robot.hub.graph.subscriptions("/many")), "it is heard", 30)
+    sent = 0
+    told: dict[str, Any] = {}
+    end = time.monotonic() + 20.0
+    while time.monotonic() < end and many(told) < 500:
+        for _ in range(100):
+            sent += 1
+            out.put(from_json(registry, kind, {"data": str(sent) + "x" * 500}))
+        told = recorded.worker("record")["recording"]
+    pid = recorded.worker("record")["pid"]
+    told = recorded.worker("record")["recording"]
+    os.kill(pid, signal.SIGKILL)
+    found = read(Path(told["file"]))
+    assert not found.whole
+    assert many(told) >= 500
+    assert len(numbers(found)) >= many(told)
+    assert numbers(found) == list(range(numbers(found)[0], len(numbers(found)) + numbers(found)[0]))
+
+    def again() -> bool:
+        document = recorded.worker("record")
+        return document.get("pid", pid) != pid and document["recording"]["file"] != told["file"]
+
+    until(again, "the daemon records again", 30, every=0.1)
+    assert recorded.worker("ros1")["state"] == "running"
+
+
+def heard_by_verb(deployment: Deployment, file: Path) -> bool:
+    """Whether the verb that writes this file has written a message; it has a status as a worker has."""
+    told = [document.get("recording", {}) for document in deployment.status()]
+    return any(each.get("file") == str(file) and each["messages"] for each in told)
+
+
+def many(told: dict[str, Any]) -> int:
+    return next((each["messages"] for each in told.get("topics", []) if each["topic"] == "/many"), 0)
+
+
+def numbers(found: Contents) -> list[int]:
+    return [int(text.rstrip("x")) for text in found.texts("/many")]
