@@ -3,7 +3,7 @@
 # What is there already is left alone, so a second run takes a second. What apt, pip and the compilers print goes to
 # .cache/setup.log; here stands what is being done, how long that takes, and how far it is. Knows these variables:
 #   PYTHON         the Python to make the virtual environment with (3.11 or newer)
-#   CI=true        whatever cannot be had is an error
+#   CI=true        whatever cannot be had is an error; Prometheus, too, for the tests of metrics
 #   BROWSER=yes    Chromium, too, for the tests of the console
 #   MIDSPAN_CACHE  where built message packages go; default ~/.cache/midspan/interfaces
 # Where /opt/ros/jazzy is sourced, its packages are used and no ROS 2 wheels are installed.
@@ -189,6 +189,24 @@ packages_in() {
     grep -c == "$1"
 }
 
+# For the tests of metrics, in CI: the two programs alone, unpacked. As a Debian package they would be a service that runs.
+prometheus() {
+    folder=.cache/prometheus
+    if [ "${CI:-}" != true ] || command -v promtool >/dev/null || [ -x "$folder/usr/bin/promtool" ]; then
+        return
+    fi
+    say "unpacking Prometheus (20 MB)"
+    mkdir -p "$folder/deb"
+    if ! (cd "$folder/deb" && apt-get -q download prometheus) >/dev/null 2>&1; then
+        logged "no progress" 0 as_root apt-get -q update || true
+        (cd "$folder/deb" && apt-get -q download prometheus) >/dev/null 2>&1 || lacking "apt-get could not download prometheus"
+    fi
+    for file in "$folder"/deb/prometheus_*.deb; do
+        dpkg-deb -x "$file" "$folder" || lacking "$file cannot be unpacked"
+    done
+    rm -rf "$folder/deb" "$folder/usr/share" "$folder/etc"
+}
+
 # The kernels compiled, of the sources that lie here; without a compiler they run as Python, which does not drive.
 kernels() {
     if .venv/bin/python -P bridge/kernels.py >/dev/null; then
@@ -241,6 +259,7 @@ bytecode() {
 }
 
 system_packages
+prometheus
 environment
 kernels
 bytecode

@@ -14,7 +14,7 @@ from bridge import __version__
 from bridge.daemon.query import Phase
 from bridge.metrics.families import Families, Family, Kind
 from bridge.metrics.routes import RouteTeller
-from bridge.metrics.source import AT_REST, Document, Picture, Source
+from bridge.metrics.source import AT_REST, Document, Snapshot, Source
 from bridge.sides import all_networks
 
 MOST_OWN = 50
@@ -46,7 +46,7 @@ class MidspanCollector(Collector):
         """All families that have samples."""
         return self.of(self._source.picture())
 
-    def of(self, picture: Picture) -> Families:
+    def of(self, picture: Snapshot) -> Families:
         """The families of what is known at one moment."""
         families = Families()
         _daemon(families, picture)
@@ -64,7 +64,7 @@ class MidspanCollector(Collector):
         return families
 
 
-def _daemon(families: Families, picture: Picture) -> None:
+def _daemon(families: Families, picture: Snapshot) -> None:
     put = families.put
     put("midspan_build_info", 1, __version__, picture.name)
     put("midspan_daemon_up", bool(picture.daemon))
@@ -76,7 +76,7 @@ def _daemon(families: Families, picture: Picture) -> None:
         _process(families, "daemon", picture.daemon.get("pid"))
 
 
-def _workers(families: Families, picture: Picture) -> None:
+def _workers(families: Families, picture: Snapshot) -> None:
     put = families.put
     answering = {document.get("pid") for document in picture.documents}
     for one in picture.workers:

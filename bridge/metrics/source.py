@@ -37,7 +37,7 @@ Ask = Callable[[], list[WorkerAnswer]]
 
 
 @dataclass(frozen=True)
-class Picture:
+class Snapshot:
     """What is known at one moment.
 
     Attributes:
@@ -66,10 +66,10 @@ class Source:
     def __init__(self, config: Config, ask: Ask) -> None:
         self._config, self._ask = config, ask
         self._lock = threading.Lock()
-        self._picture: Picture | None = None
+        self._picture: Snapshot | None = None
         self._until = 0.0
 
-    def picture(self) -> Picture:
+    def picture(self) -> Snapshot:
         """What is known now, or was a moment ago."""
         with self._lock:
             if self._picture is None or time.monotonic() >= self._until:
@@ -77,7 +77,7 @@ class Source:
                 self._until = time.monotonic() + FRESH_SECONDS
             return self._picture
 
-    def _look(self) -> Picture:
+    def _look(self) -> Snapshot:
         began = time.monotonic()
         try:
             answers, hub = self._ask(), True
@@ -89,7 +89,7 @@ class Source:
             if isinstance(answer.value, dict) and not answer.error and answer.daemon == self._config.name
         )
         daemon = ask_daemon(self._config, _DAEMON_SECONDS) or {}
-        return Picture(self._config.name, documents, daemon, hub, time.monotonic() - began)
+        return Snapshot(self._config.name, documents, daemon, hub, time.monotonic() - began)
 
 
 class Readiness:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from bridge.metrics.source import Picture
+from bridge.metrics.source import Snapshot
 from bridge.routing.counters import Counters
 from bridge.routing.services.route import CallCounters
 
@@ -36,6 +36,6 @@ def side(*routes: dict[str, Any], worker: str = "ros1", **more: Any) -> dict[str
     return {**head, "refused": [], "routes": list(routes), **more}
 
 
-def picture(*documents: dict[str, Any], **daemon: Any) -> Picture:
+def picture(*documents: dict[str, Any], **daemon: Any) -> Snapshot:
     """What a source would know."""
-    return Picture("here", documents, daemon, hub=True, seconds=0.01)
+    return Snapshot("here", documents, daemon, hub=True, seconds=0.01)

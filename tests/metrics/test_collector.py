@@ -13,7 +13,7 @@ from prometheus_client.openmetrics.parser import text_string_to_metric_families 
 from prometheus_client.parser import text_string_to_metric_families as parse
 
 from bridge.metrics.collector import MOST_OWN, MidspanCollector
-from bridge.metrics.source import Picture
+from bridge.metrics.source import Snapshot
 from bridge.routing.counters import DROPS
 from tests.metrics.documents import picture, route, service, side
 
@@ -21,10 +21,10 @@ from tests.metrics.documents import picture, route, service, side
 class Fixed:
     """A source that knows one picture."""
 
-    def __init__(self, known: Picture) -> None:
+    def __init__(self, known: Snapshot) -> None:
         self.known = known
 
-    def picture(self) -> Picture:
+    def picture(self) -> Snapshot:
         return self.known
 
 

@@ -21,6 +21,7 @@ ROS2 = f"{_MARK}ROS 2 (`make setup` installs its wheels on Linux with x86_64; el
 DART = f"{_MARK}DART (`make setup` installs dartpy where there is a wheel: Linux, Python up to 3.13)"
 BROWSER = f"{_MARK}Chromium (`make test` installs it from apt on Debian 12, as root or with sudo)"
 COMPILER = f"{_MARK}a C compiler (apt install g++ python3-dev, then `make setup`)"
+PROMETHEUS = f"{_MARK}Prometheus and promtool (apt install prometheus; in CI scripts/setup.sh unpacks them)"
 
 _PACKAGES = {"rospy": ROS1, "rosgraph": ROS1, "genpy": ROS1, "rclpy": ROS2, "rosidl_parser": ROS2, "dartpy": DART}
 """What a test that cannot import one of these lacks."""
@@ -34,6 +35,13 @@ def has_ros1() -> bool:
     return bool(shutil.which("roscore", path="/usr/bin")) and Path("/usr/lib/python3/dist-packages/rospy").is_dir()
 
 
+def prometheus_tool(name: str) -> Path | None:
+    """``prometheus`` or ``promtool``: installed, or unpacked by scripts/setup.sh; None where there is none."""
+    unpacked = Path(__file__).parents[2] / ".cache" / "prometheus" / "usr" / "bin"
+    found = shutil.which(name) or shutil.which(name, path=str(unpacked))
+    return Path(found) if found else None
+
+
 @functools.cache
 def lacking() -> frozenset[str]:
     """What this machine lacks, as reasons."""
@@ -42,6 +50,7 @@ def lacking() -> frozenset[str]:
         ROS2: find_spec("rclpy") is not None,
         DART: find_spec("dartpy") is not None,
         BROWSER: bool(shutil.which("chromium") and shutil.which("chromedriver")),
+        PROMETHEUS: prometheus_tool("promtool") is not None and prometheus_tool("prometheus") is not None,
         COMPILER: shutil.which("g++") is not None,
     }
     return frozenset(reason for reason, found in there.items() if not found)

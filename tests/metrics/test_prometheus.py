@@ -1,0 +1,210 @@
+"""A real Prometheus scrapes a real daemon, promtool checks the alerts, and all that they name is told."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import signal
+import subprocess
+import urllib.parse
+import urllib.request
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+import yaml
+from prometheus_client.openmetrics.parser import text_string_to_metric_families as parse_openmetrics
+from prometheus_client.parser import text_string_to_metric_families as parse
+
+from bridge.config.load import load
+from bridge.daemon.query import ask_daemon
+from bridge.metrics.families import FAMILIES
+from tests.interop.deployment import Deployment
+from tests.support.missing import PROMETHEUS, needs, prometheus_tool
+from tests.support.ports import free_port
+from tests.support.process import Process
+from tests.support.wait import until
+
+ROOT = Path(__file__).parents[2]
+RULES = ROOT / "packaging" / "prometheus" / "midspan.rules.yml"
+DASHBOARD = ROOT / "packaging" / "grafana" / "midspan.json"
+STRING = "std_msgs/String"
+
+
+class Watched(Deployment):
+    """A deployment with metrics at an address of their own, a gateway, a store, and a topic that crosses."""
+
+    def __init__(self, folder: Path) -> None:
+        super().__init__(folder)
+        self.port_of_metrics = free_port()
+        self.address = f"127.0.0.1:{self.port_of_metrics}"
+
+    def begin(self) -> None:
+        self.start(
+            metrics={"enabled": True, "listen": self.address},
+            navigation={"planner": "nav2"}, store={"enabled": True}, yarp={"enabled": False},
+        )  # fmt: skip
+        talker, hearer = self.ros1(), self.ros2()
+        out, heard = talker.advertise("/said", STRING), hearer.subscribe("/said", STRING)
+
+        def crosses() -> bool:
+            talker.publish(out, {"data": "x"})
+            return bool(hearer.wait(heard, 1, 0.2))
+
+        until(crosses, "a message crosses", 40)
+        added = self.command("location", "add", "--map", "hall", "dock", "1", "2", "90")
+        assert added.returncode == 0, added.stderr
+        until(lambda: self.get("/readyz")[0] == 200, "all is ready", 40, every=0.2)
+
+    def pid_of(self, worker: str) -> int:
+        """The process of a worker, by the daemon's word."""
+        said = ask_daemon(load(self.file))
+        assert said is not None
+        return next(one["pid"] for one in said["workers"] if one["worker"] == worker)
+
+    def get(self, path: str, accept: str = "text/plain") -> tuple[int, str]:
+        request = urllib.request.Request(f"http://{self.address}{path}", headers={"Accept": accept})
+        try:
+            with urllib.request.urlopen(request, timeout=20) as answer:
+                return answer.status, answer.read().decode()
+        except urllib.error.HTTPError as err:
+            with err:
+                return err.code, err.read().decode()
+        except OSError as err:
+            return 0, str(err)
+
+
+@pytest.fixture(scope="module")
+def watched(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Watched]:
+    with Watched(tmp_path_factory.mktemp("watched")) as made:
+        made.begin()
+        yield made
+
+
+def promtool(*words: str, text: str = "") -> str:
+    done = subprocess.run(
+        [str(prometheus_tool("promtool")), *words], input=text, capture_output=True, text=True, timeout=60, check=False
+    )
+    assert done.returncode == 0, done.stdout + done.stderr
+    return done.stdout + done.stderr
+
+
+def named(text: str) -> set[str]:
+    """The metric families that a text names."""
+    found = set(re.findall(r"\bmidspan_[a-z0-9_]+\b", text))
+    return {re.sub(r"_(bucket|sum|count)$", "", name) for name in found}
+
+
+@needs(PROMETHEUS)
+def test_promtool_likes_the_alerts() -> None:
+    assert "5 rules found" in promtool("check", "rules", str(RULES))
+
+
+@needs(PROMETHEUS)
+def test_the_alerts_fire_where_they_should() -> None:
+    assert "SUCCESS" in promtool("test", "rules", str(Path(__file__).with_name("alerts.test.yml")))
+
+
+@needs(PROMETHEUS)
+def test_promtool_likes_a_scrape(watched: Watched) -> None:
+    assert promtool("check", "metrics", text=watched.get("/metrics")[1]) == ""
+
+
+def test_a_scrape_of_a_real_daemon_is_openmetrics(watched: Watched) -> None:
+    text = watched.get("/metrics", "application/openmetrics-text; version=1.0.0")[1]
+    families = {family.name: family for family in parse_openmetrics(text)}
+    said = [
+        sample
+        for sample in families["midspan_route_latency_seconds"].samples
+        if sample.labels["topic"] == "/said" and sample.name.endswith("_count")
+    ]
+    assert {(sample.labels["side"], sample.labels["direction"]) for sample in said} == {("ros1", "in"), ("ros2", "out")}
+    assert sum(sample.value for sample in said) > 0, "who delivers measures"
+
+
+def test_all_that_the_dashboard_and_the_alerts_name_is_told(watched: Watched) -> None:
+    told = set()
+    for family in parse(watched.get("/metrics")[1]):
+        told.add(family.name + ("_total" if family.type == "counter" else ""))
+    wanted = named(DASHBOARD.read_text()) | named(RULES.read_text())
+    assert len(wanted) > 30
+    assert not wanted - told
+    assert {family.name for family in FAMILIES} - told == set(), "each family is told of by a real daemon"
+
+
+def test_the_dashboard_is_whole() -> None:
+    dashboard = json.loads(DASHBOARD.read_text())
+    panels = [panel for panel in dashboard["panels"] if panel["type"] != "row"]
+    assert len({panel["id"] for panel in dashboard["panels"]}) == len(dashboard["panels"])
+    assert all(target["datasource"]["uid"] == "${datasource}" for panel in panels for target in panel["targets"])
+    variables = {variable["name"] for variable in dashboard["templating"]["list"]}
+    used = {name for name in re.findall(r"\$(\w+)", json.dumps(panels)) if not name.startswith("__")}
+    assert used <= variables
+    wanted = {
+        "bytes",
+        "drops",
+        "latency",
+        "cpu",
+        "memory",
+        "restarts",
+        "heartbeat",
+        "lease",
+        "store",
+        "goals",
+        "side_state",
+    }
+    text = json.dumps(panels)
+    assert not {word for word in wanted if word not in text}
+
+
+class Prometheus:
+    """A Prometheus that scrapes an address each second, with the alerts."""
+
+    def __init__(self, folder: Path, target: str) -> None:
+        self.port = free_port()
+        config = {
+            "global": {"scrape_interval": "1s", "evaluation_interval": "1s"},
+            "rule_files": [str(RULES)],
+            "scrape_configs": [{"job_name": "midspan", "static_configs": [{"targets": [target]}]}],
+        }
+        (folder / "prometheus.yml").write_text(yaml.safe_dump(config))
+        promtool("check", "config", str(folder / "prometheus.yml"))
+        self._process = Process([
+            str(prometheus_tool("prometheus")), f"--config.file={folder / 'prometheus.yml'}",
+            f"--storage.tsdb.path={folder / 'data'}", f"--web.listen-address=127.0.0.1:{self.port}",
+            "--log.level=warn",
+        ])  # fmt: skip
+
+    def query(self, expression: str) -> list[dict[str, Any]]:
+        asked = urllib.parse.urlencode({"query": expression})
+        try:
+            with urllib.request.urlopen(f"http://127.0.0.1:{self.port}/api/v1/query?{asked}", timeout=10) as answer:
+                found: list[dict[str, Any]] = json.load(answer)["data"]["result"]
+        except OSError:
+            return []
+        return found
+
+    def close(self) -> None:
+        self._process.stop()
+
+
+@pytest.mark.thorough
+@needs(PROMETHEUS)
+def test_a_real_prometheus_scrapes_it(watched: Watched, tmp_path: Path) -> None:
+    prometheus = Prometheus(tmp_path, watched.address)
+    try:
+        until(lambda: prometheus.query('up{job="midspan"} == 1'), "it scrapes", 9, every=0.2)
+        routes = until(lambda: prometheus.query('midspan_route_messages_total{topic="/said"}'), "routes", 20, every=0.2)
+        assert {route["metric"]["side"] for route in routes} == {"ros1", "ros2"}
+        quantile = "histogram_quantile(0.5, sum by (le) (midspan_route_latency_seconds_bucket{topic='/said'}))"
+        assert 0.0 < float(prometheus.query(quantile)[0]["value"][1]) < 2.5
+        assert prometheus.query("midspan_worker_up == 1 and midspan_worker_answering == 1")
+        anew = 'ALERTS{alertname="MidspanWorkerRestarts", worker="modules", alertstate="firing"}'
+        assert not prometheus.query(anew)
+        os.kill(watched.pid_of("modules"), signal.SIGKILL)
+        until(lambda: prometheus.query(anew), "the alert fires", 40, every=0.2)
+    finally:
+        prometheus.close()
+    until(lambda: "midspan_goals_total" in watched.get("/metrics")[1], "the modules are back", 40, every=0.2)
