@@ -46,7 +46,7 @@ class PlannerLink:
         self._heard_at, self._beats = 0.0, 0
         self._listed_since, self._before = False, set[bytes]()
         self._listed: dict[bytes, GoalState] = {}
-        self._lister = b""
+        self._lister, self._lister_seen, self._listed_at = b"", False, 0.0
         self._followed: bytes | None = None
         self._own: Message | None = None
         self.ended: tuple[bytes, State, str] | None = None  # a goal of others that ended last, how, and why if known
@@ -211,9 +211,14 @@ class PlannerLink:
                 self._client.cancel(one)
 
     def _forget_the_dead(self) -> None:
-        """Drop the list of a program that has gone, once another one is there: that one has none of its goals."""
+        """Drop the list of a program that has gone, once another one is there: that one has none of its goals.
+
+        A list may come before the graph tells of the program that sent it.
+        """
         there = {one.gid for one in self._host.node.hub.graph.publishers(self._list.topic)}
-        if there and self._lister not in there:
+        if self._lister in there:
+            self._lister_seen = True
+        elif there and (self._lister_seen or time.monotonic() > self._listed_at + _LIST_SECONDS):
             self._listed = {}
 
     def _follow(self) -> None:
@@ -249,7 +254,9 @@ class PlannerLink:
         if self.gone is not None and self.gone[0] in listed and listed[self.gone[0]].ended:
             self.ended, self.gone = (self.gone[0], _ENDS[listed[self.gone[0]]], ""), None
         self._heard(listed == self._listed)
+        self._lister_seen = self._lister_seen and self._lister == self._list.sender
         self._listed, self._lister, self._listed_since = listed, self._list.sender, True
+        self._listed_at = time.monotonic()
         if self.ready:
             self._ask_to_let_go()  # before anything else that comes
         self._follow()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+import time
 from collections.abc import Iterator
 from typing import Any
 
@@ -10,7 +11,9 @@ import pytest
 
 from bridge.config.sections.section import Section
 from bridge.hub.errors import HubError
-from bridge.messages.actions import GoalState
+from bridge.hub.wire.keys import pack_attachment, topic_key
+from bridge.messages.actions import STATUSES, GoalState, names
+from bridge.messages.values import MessageWriter
 from bridge.modules import clients
 from bridge.modules.action_server import Goal
 from bridge.modules.host import Host
@@ -18,7 +21,7 @@ from navigation.gateway import stop
 from navigation.gateway.module import GatewayModule
 from navigation.status import Fault, State
 from tests.navigation.gateway.odometry import Odometry
-from tests.navigation.gateway.rig import LATCHED, Asked, Planner, Rig, pose
+from tests.navigation.gateway.rig import LATCHED, REGISTRY, Asked, Planner, Rig, pose
 from tests.support.faults import FaultProxy
 from tests.support.wait import until
 from yarp_compat.dev.client import ServiceClient
@@ -196,6 +199,26 @@ def test_goals_that_others_gave_are_stopped_once_the_planner_is_back(rig: Rig) -
         link.thaw()
         link.cut()
         until(lambda: not goal.active, "the planner was told to stop", 30)
+
+
+def test_a_planner_that_speaks_before_the_graph_tells_of_it_is_believed(
+    rig: Rig, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Its list of goals may come ahead of its token, while a predecessor's publisher is still on the graph."""
+    topic = names(f"/planner/{PLANNER}/navigate_to_pose").status
+    (before,) = rig.client.node.hub.graph.publishers(topic)
+    one = {"goal_info": {"goal_id": {"uuid": list(bytes(range(16)))}}, "status": GoalState.EXECUTING.value}
+    payload = MessageWriter(REGISTRY.schema(STATUSES)).message({"status_list": [one]})
+    attached = pack_attachment(1, time.time_ns(), bytes(range(16)))
+    with rig.hubs.program() as session:
+        session.put(topic_key(rig.hubs.domain, topic, before.type_name, before.type_hash), payload, attachment=attached)
+        rig.state(State.MOVING, "itself")
+        count, looks, link = len(rig.statuses), [], rig.gateway.link
+        look = link.look
+        monkeypatch.setattr(link, "look", lambda: looks.append(look()))
+        until(lambda: len(looks) > 3, "the gateway has looked again")
+        assert {told["state"] for told in rig.statuses[count - 1 :]} == {State.MOVING.value}
+    rig.state(State.ABORTED, "")
 
 
 def test_a_goal_that_others_gave_goes_on_while_the_planner_is_out_of_reach(rig: Rig, odometry: Odometry) -> None:
