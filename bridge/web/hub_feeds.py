@@ -26,7 +26,7 @@ _log = logging.getLogger("midspan.web")
 STATUS_SECONDS = 1.0
 _ASK_SECONDS = 1.0
 _NOT_HERE = {phase.value for phase in Phase} - {Phase.OFF.value, Phase.UP.value}
-_ROUTE = ("direction", "topic", "hub_topic", "type", "kind", "state", "rate", "bytes", "error")
+_ROUTE = ("direction", "topic", "hub_topic", "type", "kind", "state", "rate", "bytes", "error", "way", "why")
 _DECISION = ("daemon", "direction", "decision", "why", "cure")
 
 

@@ -151,6 +151,8 @@ class Route(Model):
     dropped: int
     drops: dict[str, int] | None
     latency: float | None
+    way: str | None
+    why: str | None
 
 
 class Refused(Model):
