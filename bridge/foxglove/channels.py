@@ -6,7 +6,6 @@ import logging
 from threading import Lock
 from typing import Any
 
-from bridge.foxglove.events import Events
 from bridge.foxglove.server import FoxgloveServer
 from bridge.hub.endpoints.subscription import HubSample
 from bridge.modules.hub_topics import HubTopic, HubTopics, TopicKey
@@ -79,11 +78,10 @@ class TopicChannel:
 class Channels:
     """All of them. On the worker's thread, but for what its docstring says otherwise."""
 
-    def __init__(self, server: FoxgloveServer, topics: HubTopics, events: Events) -> None:
-        self._server, self._topics, self._events = server, topics, events
+    def __init__(self, server: FoxgloveServer, topics: HubTopics) -> None:
+        self._server, self._topics = server, topics
         self._channels: dict[str, TopicChannel] = {}
         self._refused: dict[TopicKey, str] = {}
-        self._watched: set[int] = set()
 
     def look(self) -> None:
         """Announce topics that came, and withdraw those that went."""
@@ -101,14 +99,12 @@ class Channels:
                 self._open(topic)
             elif shown.topic.key != key:
                 self._refused[key] = f"its name is shown as {shown.topic.key.type_name}; the app knows names alone"
-        self.watch()
 
-    def watch(self) -> None:
-        """Hear what is watched, and nothing else."""
-        self._watched, late = self._events.take()
+    def watch(self, watched: set[int], late: set[int]) -> None:
+        """Hear what is watched, and nothing else; ``late``: what somebody began to watch just now."""
         for channel in self._channels.values():
             number = channel.channel.id()
-            if number in self._watched:
+            if number in watched:
                 if channel.heard and number in late:
                     channel.again()
                 elif not channel.heard:

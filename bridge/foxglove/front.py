@@ -19,7 +19,7 @@ import threading
 from collections.abc import Coroutine
 from dataclasses import dataclass
 from http import HTTPStatus
-from typing import Any
+from typing import TYPE_CHECKING, Any
 from urllib.parse import parse_qs, urlsplit
 
 from bridge.config.sections.foxglove import FoxgloveSection
@@ -27,7 +27,9 @@ from bridge.config.sections.web import WebSection, split
 from bridge.foxglove.visitors import Visitor, Visitors
 from bridge.web.access import Access, Grant, TooManyError
 from bridge.web.scarce_log import ScarceLog
-from bridge.web.tls import ServerTls
+
+if TYPE_CHECKING:
+    from bridge.web.tls import ServerTls
 
 _log = logging.getLogger("midspan.foxglove")
 

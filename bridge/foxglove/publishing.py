@@ -12,7 +12,6 @@ import math
 from abc import ABC, abstractmethod
 from typing import Any
 
-from bridge.cli.messages import ros2_spelling
 from bridge.config.sections.section import ROS2_NAME
 from bridge.foxglove.events import Advertised, ClientMessage, Events
 from bridge.foxglove.server import FoxgloveServer
@@ -113,7 +112,7 @@ class Coder:
         try:
             return self._registry.ros1_to_hub(spelled).target.name
         except MessageTypeError:
-            return ros2_spelling(spelled, "msg")
+            return spelled.replace("/", "/msg/")
 
     def cdr(self, data: bytes) -> bytes:
         """A message's bytes for the hub; raises `ConversionError`."""

@@ -12,6 +12,7 @@ import sys
 from typing import Any
 
 import foxglove
+from foxglove.channels import SceneUpdateChannel
 from foxglove.websocket import Capability, ServerListener, StatusLevel
 
 BACKLOG = 256
@@ -44,6 +45,10 @@ class FoxgloveServer:
         """
         schema = foxglove.Schema(name=type_name, encoding="ros2msg", data=definition.encode())
         return self._context._create_channel(topic, message_encoding="cdr", schema=schema, metadata=metadata)
+
+    def scene(self, topic: str) -> SceneUpdateChannel:
+        """Announce a scene."""
+        return SceneUpdateChannel(topic, context=self._context)
 
     def offer_services(self, services: list[foxglove.Service]) -> None:
         """Announce services."""

@@ -7,8 +7,9 @@ import logging
 import os
 import time
 from collections.abc import Callable
+from functools import partial
 from threading import Lock
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import psutil
 from foxglove.websocket import Capability
@@ -20,6 +21,7 @@ from bridge.foxglove.events import Events
 from bridge.foxglove.front import Front
 from bridge.foxglove.parameters import Parameters
 from bridge.foxglove.publishing import Publishing
+from bridge.foxglove.scene import SCENE, Scene
 from bridge.foxglove.server import FoxgloveServer
 from bridge.foxglove.services import Services
 from bridge.foxglove.visitors import Visitors
@@ -27,9 +29,11 @@ from bridge.messages.registry import Registry
 from bridge.modules.host import Host
 from bridge.modules.hub_topics import HubTopics
 from bridge.web.hold import HandDriving
-from bridge.web.robot import DrivingFeed
-from bridge.web.tls import ServerTls
 from bridge.worker import Health, Worker, costs
+
+if TYPE_CHECKING:
+    from bridge.web.robot import DrivingFeed
+    from bridge.web.tls import ServerTls
 
 _log = logging.getLogger("midspan.foxglove")
 
@@ -75,7 +79,7 @@ class Live:
     def __init__(self, config: Config) -> None:
         section, types = config.foxglove, config.types
         registry = Registry(folders=list(types.folders), mapping_rules=list(types.mapping_rules))
-        self._tls = ServerTls(config, "the Foxglove server") if section.guarded else None
+        self._tls = _tls(config) if section.guarded else None
         self._visitors = Visitors()
         self.host = host = Host("foxglove", config, registry)
         self._events = events = Events(self._visitors, lambda: host.loop.post(self._look))
@@ -87,10 +91,12 @@ class Live:
             made.pop_all()
         self._graph = Gathered(host, self._follow)
         self._topics = HubTopics(host.node.hub, registry, self._graph.changed)
-        self._channels = Channels(server, self._topics, events)
-        self._gateway = DrivingFeed(host, config)
+        self._channels = Channels(server, self._topics)
+        self._scene = Scene(host, config, server)
+        self._gateway = _gateway(host, config) if section.commanded else None
         most = config.web.speed, config.web.turn
-        driving = HandDriving(host, config.navigation.velocity, most, lambda: self._gateway.busy)
+        busy = partial(getattr, self._gateway, "busy", "")
+        driving = HandDriving(host, config.navigation.velocity, most, busy)
         self._publishing = Publishing(host, server, events, self._visitors, self._topics.definitions, driving)
         self._services = Services(host, server, self._visitors)
         self._parameters = events.parameters = Parameters(host, server, self._visitors)
@@ -101,8 +107,8 @@ class Live:
         """Show what there is."""
         loop = self.host.loop
         loop.start()
-        if self.host.config.foxglove.commanded:
-            loop.call(lambda: self._gateway.watch(self))  # who drives by hand must not drive against a planner
+        if (gateway := self._gateway) is not None:
+            loop.call(lambda: gateway.watch(self))  # who drives by hand must not drive against a planner
         self.host.answer("status", self._status)
         loop.every(1.0, self._tick)
         self._graph.changed()
@@ -130,7 +136,9 @@ class Live:
             self._services.look()
 
     def _look(self) -> None:
-        self._channels.watch()
+        watched, late = self._events.take()
+        self._channels.watch(watched, late)
+        self._scene.watch_channels(watched, late)
         self._publishing.look()
 
     def _tick(self) -> None:
@@ -151,6 +159,7 @@ class Live:
             "uptime": round(time.monotonic() - self._started, 1),
             **costs(self._process),
             **found,
+            "warnings": [f"{SCENE} without places: {self._scene.why}"] if self._scene.why else [],
             "topics": [*found["topics"], *self._publishing.status()],
             "clients": [
                 {
@@ -174,9 +183,21 @@ class Live:
         self._server.close()
         self._services.close()
         self.host.loop.call(self._parameters.close)
+        self.host.loop.call(self._scene.end)
         self.host.loop.call(self._channels.close)
         self._topics.close()
         self.host.close()
+
+
+def _gateway(host: Host, config: Config) -> DrivingFeed:
+    from bridge.web.robot import DrivingFeed  # who only looks does without
+
+    return DrivingFeed(host, config)
+
+
+def _tls(config: Config) -> ServerTls:
+
+    return ServerTls(config, "the Foxglove server")
 
 
 def _capabilities(section: FoxgloveSection) -> list[Capability]:

@@ -18,7 +18,6 @@ from pathlib import Path
 from typing import Any
 
 from bridge.config.sections.web import Role, TokenSection, WebSection
-from bridge.hub.security.certificates import write_private
 from bridge.hub.security.tokens import token_hash
 
 COOKIE = "__Host-midspan"
@@ -167,6 +166,8 @@ class Slowness:
 
 def kept_secret(folder: Path) -> bytes:
     """The secret of this console, made where there is none; raises `RuntimeError` where it cannot be kept."""
+    from bridge.hub.security.certificates import write_private
+
     file = folder / "web.secret"
     try:
         if file.exists() and len(found := file.read_bytes()) == _SECRET_BYTES:

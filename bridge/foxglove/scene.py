@@ -1,0 +1,196 @@
+"""What the store knows and ROS types do not show: the robot's shape, places and areas, and where robots keep out.
+
+Two channels of the server's own, followed while a client watches them: `SCENE` (``foxglove.SceneUpdate``: the robot in
+its own frame, places, areas and paths of the map in use) and `KEEP_OUT` (``nav_msgs/OccupancyGrid``: 100 where robots
+keep out, 0 elsewhere, as `navigation.maps.masks` has it).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+from foxglove.messages import (
+    ArrowPrimitive,
+    Color,
+    LinePrimitive,
+    LinePrimitiveLineType,
+    Point3,
+    Pose,
+    Quaternion,
+    SceneEntity,
+    SceneEntityDeletion,
+    SceneEntityDeletionType,
+    SceneUpdate,
+    TextPrimitive,
+    Timestamp,
+    Vector3,
+)
+
+from bridge.config.model import Config
+from bridge.foxglove.server import FoxgloveServer
+from bridge.messages.definitions.text import full_text
+from bridge.messages.values import MessageWriter
+from bridge.modules.host import Host
+from bridge.web.feed import Feed
+
+if TYPE_CHECKING:
+    from bridge.web.maps import StoreFollower, StoreView
+
+SCENE, KEEP_OUT = "/midspan/scene", "/midspan/keep_out"
+GRID = "nav_msgs/msg/OccupancyGrid"
+MOST_ENTITIES = 2_000
+"""Places, areas and paths together; those beyond are left out."""
+
+_ROBOT, _PLACE, _AREA, _PATH = (
+    Color(r=0.1, g=0.5, b=0.9, a=1.0), Color(r=0.9, g=0.5, b=0.1, a=1.0), Color(r=0.2, g=0.7, b=0.3, a=1.0),
+    Color(r=0.6, g=0.4, b=0.8, a=1.0),
+)  # fmt: skip
+_LINE = 0.03
+_LETTERS = 0.2
+_CORNERS = 24
+
+
+class Scene(Feed):
+    """On the worker's thread. It follows the store as a feed of the console's does.
+
+    Attributes:
+        why: why nothing of the store is shown, "" where it is.
+    """
+
+    def __init__(self, host: Host, config: Config, server: FoxgloveServer) -> None:
+        super().__init__(SCENE)
+        self._host, self._config = host, config
+        self._store: StoreFollower | None = None
+        self._view: StoreView | None = None
+        registry = host.node.registry
+        self._grid = registry.schema(GRID)
+        self._scene = server.scene(SCENE)
+        self._keep_out = server.channel(KEEP_OUT, GRID, full_text(self._grid), {"side": "midspan", "latched": "true"})
+        self._watched: frozenset[int] = frozenset()
+        self.why = ""
+
+    def watch_channels(self, watched: set[int], late: set[int]) -> None:
+        """Follow the store while either is watched; who comes gets what there is."""
+        own = frozenset(watched & {self._scene.id(), self._keep_out.id()})
+        before, self._watched = self._watched, own
+        if own and not before:
+            self.open()
+        elif before and not own:
+            self.close()
+        if own & late:
+            self._say(own & late)
+
+    def open(self) -> None:
+        """Follow the store."""
+        from bridge.web.maps import StoreFollower  # it makes pictures, too: who needs no scene does without
+
+        self._store = self._store or StoreFollower(self._host, self._config)
+        self._store.begin(self, self._take)
+
+    def close(self) -> None:
+        """Rest."""
+        if self._store is not None:
+            self._store.end(self)
+        self._view = None
+
+    def put(self, value: Any, why: str = "") -> None:
+        """The store cannot be read: what was shown goes."""
+        self.why = why
+        if value is None and self._view is not None:
+            self._view = None
+            self._say(self._watched)
+
+    def _take(self, view: StoreView) -> None:
+        self._view, self.why = view, ""
+        self._say(self._watched)
+
+    def _say(self, channels: frozenset[int]) -> None:
+        now = self._host.clock.now_ns()
+        if self._scene.id() in channels:
+            self._scene.log(self._update(now), log_time=now)
+        if self._keep_out.id() in channels and (message := self._mask(now)) is not None:
+            self._keep_out.log(message, now)
+
+    def _update(self, now: int) -> SceneUpdate:
+        """All there is, in place of all that was."""
+        at = Timestamp(*divmod(now, 1_000_000_000))
+        every = SceneEntityDeletion(timestamp=at, type=SceneEntityDeletionType.All)
+        section = self._config.web
+        corners = section.footprint or _disc(section.radius)
+        robot = SceneEntity(
+            timestamp=at, frame_id=self._config.navigation.base_frame, id="robot", frame_locked=True,
+            lines=[_loop(corners, _ROBOT)], arrows=[_arrow(0.0, 0.0, 0.0, section.radius, _ROBOT)],
+        )  # fmt: skip
+        return SceneUpdate(deletions=[every], entities=[robot, *self._places(at)[:MOST_ENTITIES]])
+
+    def _places(self, at: Timestamp) -> list[SceneEntity]:
+        if self._view is None:
+            return []
+        frame, places = self._config.navigation.frame, self._view.places
+        found: list[SceneEntity] = []
+
+        def add(kind: str, name: str, where: tuple[float, float], color: Color, **parts: Any) -> None:
+            found.append(
+                SceneEntity(
+                    timestamp=at, frame_id=frame, id=f"{kind}:{name}", frame_locked=True,
+                    texts=[_label(name, *where, color)], **parts,
+                )
+            )  # fmt: skip
+
+        for name, one in places["locations"].items():
+            if one["map"] == self._view.name:
+                arrow = _arrow(one["x"], one["y"], one["theta"], 0.4, _PLACE)
+                add("place", name, (one["x"], one["y"]), _PLACE, arrows=[arrow])
+        for kind, color in (("areas", _AREA), ("paths", _PATH)):
+            for name, one in places[kind].items():
+                if one["map"] == self._view.name and one["points"]:
+                    lines = [_loop(one["points"], color, closed=kind == "areas")]
+                    add(kind[:-1], name, one["points"][0], color, lines=lines)
+        return found
+
+    def _mask(self, now: int) -> bytes | None:
+        """Where robots keep out by the flags of the map in use, None where none is."""
+        grid = None if self._view is None else self._view.grid
+        if grid is None:
+            return None
+        from navigation.maps.grid import data_of, message_of, turned
+        from navigation.maps.masks import keepout_mask
+
+        lies = turned(grid)
+        message = message_of(data_of(keepout_mask(lies)), lies, self._config.navigation.frame, now)
+        return MessageWriter(self._grid).message(message)
+
+    def end(self) -> None:
+        """End its thread."""
+        self.close()
+        if self._store is not None:
+            self._store.close()
+
+
+def _loop(points: Sequence[Sequence[float]], color: Color, *, closed: bool = True) -> LinePrimitive:
+    kind = LinePrimitiveLineType.LineLoop if closed else LinePrimitiveLineType.LineStrip
+    corners = [Point3(x=float(x), y=float(y), z=_LINE) for x, y in points]
+    return LinePrimitive(type=kind, pose=_pose(0.0, 0.0, 0.0), thickness=_LINE, points=corners, color=color)
+
+
+def _arrow(x: float, y: float, theta: float, length: float, color: Color) -> ArrowPrimitive:
+    return ArrowPrimitive(
+        pose=_pose(x, y, theta), shaft_length=0.7 * length, shaft_diameter=0.05, head_length=0.3 * length,
+        head_diameter=0.12, color=color,
+    )  # fmt: skip
+
+
+def _label(text: str, x: float, y: float, color: Color) -> TextPrimitive:
+    return TextPrimitive(pose=_pose(x, y, 0.0, z=_LETTERS), billboard=True, font_size=_LETTERS, color=color, text=text)
+
+
+def _pose(x: float, y: float, theta: float, z: float = 0.0) -> Pose:
+    turn = Quaternion(z=math.sin(theta / 2), w=math.cos(theta / 2))
+    return Pose(position=Vector3(x=float(x), y=float(y), z=z), orientation=turn)
+
+
+def _disc(radius: float) -> list[tuple[float, float]]:
+    turns = (math.tau * corner / _CORNERS for corner in range(_CORNERS))
+    return [(radius * math.cos(turn), radius * math.sin(turn)) for turn in turns]

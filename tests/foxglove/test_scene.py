@@ -1,0 +1,152 @@
+"""The robot's shape, the store's places and the keep-out cells, as the app shows them."""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from bridge.foxglove.scene import KEEP_OUT, SCENE
+from bridge.stores.kinds import AREA, CURRENT, LOCATION, MAP
+from bridge.stores.store import THE_MAP, Store, Write
+from tests.foxglove.app import App
+from tests.foxglove.conftest import Desk
+from tests.stores.parts import Shared
+from yarp_compat.dev.locations import Map2DArea, Map2DLocation
+from yarp_compat.dev.mapgrid import MapFlag, MapGrid2D
+from yarp_compat.sig.vec2d import Vec2D
+
+
+@pytest.fixture
+def store(desk: Desk, tmp_path: Path) -> Iterator[Store]:
+    with Shared(tmp_path, "here", desk.hubs.endpoint) as shared:
+        grid = MapGrid2D.of(
+            np.zeros((4, 6), np.uint8), np.zeros((4, 6), np.uint8), name="hall", resolution=0.5, origin=(1.0, 2.0, 0.0)
+        )
+        grid.flags[3, 0] = MapFlag.KEEP_OUT  # the cell at the origin: rows go down
+        shared.store.write([
+            Write(MAP, "hall", grid), Write(CURRENT, THE_MAP, "hall"),
+            Write(LOCATION, "kitchen", Map2DLocation("hall", 2.0, 3.0, 90.0)),
+            Write(LOCATION, "far", Map2DLocation("other", 2.0, 3.0, 90.0)),
+            Write(AREA, "desk", Map2DArea("hall", [Vec2D(1, 2), Vec2D(2, 2), Vec2D(2, 3)])),
+        ])  # fmt: skip
+        yield shared.store
+
+
+class Proto:
+    """A protobuf message by the numbers of its fields (protobuf.dev, "Encoding")."""
+
+    def __init__(self, data: bytes) -> None:
+        self._fields: dict[int, list[Any]] = {}
+        self._data, self._at = data, 0
+        while self._at < len(data):
+            number, kind = divmod(self._varint(), 8)
+            self._fields.setdefault(number, []).append(self._value(kind))
+
+    def _varint(self) -> int:
+        found = shift = 0
+        while True:
+            byte = self._data[self._at]
+            self._at += 1
+            found |= (byte & 0x7F) << shift
+            shift += 7
+            if byte < 0x80:
+                return found
+
+    def _value(self, kind: int) -> Any:
+        if kind == 0:
+            return self._varint()
+        size = {1: 8, 5: 4}.get(kind) or self._varint()
+        part = self._data[self._at : self._at + size]
+        self._at += size
+        return struct.unpack("<d", part)[0] if kind == 1 else part
+
+    def each(self, number: int) -> list[Proto]:
+        return [Proto(part) for part in self._fields.get(number, [])]
+
+    def one(self, *numbers: int) -> Proto:
+        """A message within messages."""
+        return self if not numbers else self.each(numbers[0])[0].one(*numbers[1:])
+
+    def text(self, number: int) -> str:
+        return bytes(self._fields[number][0]).decode()
+
+    def number(self, number: int) -> Any:
+        return self._fields.get(number, [0])[0]
+
+    def spot(self) -> tuple[float, float]:
+        """X and y of a Point3 or Vector3."""
+        return self.number(1), self.number(2)
+
+
+FRAME, ID, LOCKED, ARROWS, LINES, TEXTS = 2, 3, 5, 7, 11, 13
+"""Fields of foxglove.SceneEntity (foxglove/foxglove-sdk, schemas/proto)."""
+
+
+def scene(app: App) -> dict[str, Proto]:
+    """The newest scene's entities by id."""
+    channel = app.channel(SCENE)
+    assert (channel["encoding"], channel["schemaName"]) == ("protobuf", "foxglove.SceneUpdate")
+    update = Proto(app.messages[SCENE][-1][1])
+    assert [each.number(2) for each in update.each(1)] == [1], "what was shown before goes"
+    return {each.text(ID): each for each in update.each(2)}
+
+
+def corners(entity: Proto) -> list[tuple[float, float]]:
+    return [point.spot() for point in entity.one(LINES).each(5)]
+
+
+def test_the_robot_has_its_shape_without_a_store(desk: Desk) -> None:
+    desk.open_with(web={"footprint": [[0.4, 0.3], [-0.4, 0.3], [-0.4, -0.3], [0.4, -0.3]]})
+    with desk.app() as app:
+        app.subscribe(SCENE)
+        app.received(SCENE)
+        (robot,) = scene(app).values()
+        assert (robot.text(ID), robot.text(FRAME), robot.number(LOCKED)) == ("robot", "base_link", 1)
+        assert corners(robot) == [(0.4, 0.3), (-0.4, 0.3), (-0.4, -0.3), (0.4, -0.3)]
+
+
+def test_places_and_areas_of_the_map_in_use(desk: Desk, store: Store) -> None:
+    with desk.app() as app:
+        app.subscribe(SCENE)
+        app.received(SCENE)
+        found = app.until(lambda: scene(app) if len(scene(app)) == 3 else None, "robot, place and area")
+        assert set(found) == {"robot", "place:kitchen", "area:desk"}
+        kitchen, area = found["place:kitchen"], found["area:desk"]
+        assert (kitchen.text(FRAME), kitchen.one(TEXTS).text(6)) == ("map", "kitchen")
+        assert kitchen.one(ARROWS, 1, 1).spot() == (2.0, 3.0)
+        assert kitchen.one(ARROWS, 1, 2).number(3) == pytest.approx(0.5**0.5, abs=1e-3)
+        assert corners(area) == [(1.0, 2.0), (2.0, 2.0), (2.0, 3.0)]
+        store.write([Write(LOCATION, "door", Map2DLocation("hall", 1.0, 1.0, 0.0))])
+        app.until(lambda: "place:door" in scene(app), "a new place")
+        with desk.app() as late:
+            late.subscribe(SCENE)
+            late.received(SCENE)
+            assert "place:door" in scene(late)
+
+
+def test_keep_out_cells_lie_as_on_the_map(desk: Desk, store: Store) -> None:
+    assert store is not None
+    with desk.app() as app:
+        app.subscribe(KEEP_OUT)
+        app.received(KEEP_OUT)
+        found = app.decoded(KEEP_OUT)
+        assert (found.header.frame_id, found.info.width, found.info.height) == ("map", 6, 4)
+        assert (found.info.origin.position.x, found.info.origin.position.y) == (1.0, 2.0)
+        assert np.asarray(found.data).tolist() == [100] + [0] * 23
+
+
+def test_the_store_is_asked_while_somebody_watches_alone(desk: Desk, store: Store) -> None:
+    assert store is not None
+    live = desk.live
+    with desk.app() as app:
+        app.channel(SCENE)
+        assert live._scene._store is None
+        number = app.subscribe(SCENE)
+        app.until(lambda: app.messages[SCENE], "a scene")
+        app.unsubscribe(number)
+        app.until(lambda: live._scene._view is None and not live._scene._store._feeds, "it rests")  # type: ignore[union-attr]
