@@ -196,6 +196,7 @@ def _gateway(host: Host, config: Config) -> DrivingFeed:
 
 
 def _tls(config: Config) -> ServerTls:
+    from bridge.web.tls import ServerTls
 
     return ServerTls(config, "the Foxglove server")
 
