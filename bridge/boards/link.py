@@ -63,6 +63,7 @@ class BoardLink:
     def __init__(self, section: ControlBoardSection, local: str, naming: Naming, told: Told) -> None:
         self._section, self._local, self._naming, self._told = section, local, naming, told
         self.joints: Joints | None = None
+        self.remote = section.remote
         self.trouble = "not reached yet"
         self.states = self.dropped = 0
         self._command: JointCommand | None = None

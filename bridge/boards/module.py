@@ -54,6 +54,7 @@ class ControlBoards(Module):
         return {
             "boards": [
                 {
+                    "board": link.remote,
                     "joints": list(link.joints.names) if link.joints is not None else [],
                     "trouble": link.trouble,
                     "states": link.states,

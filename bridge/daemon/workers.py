@@ -113,7 +113,7 @@ WORKERS = (
     WorkerKind(
         "web",
         "bridge.web.worker:WebWorker",
-        sections=frozenset({"web", "navigation", "modules", "types", "limits"}),
+        sections=frozenset({"web", "metrics", "navigation", "modules", "types", "limits"}),
         environment="bridge.web.environment",
     ),
     WorkerKind(
@@ -125,7 +125,7 @@ WORKERS = (
     WorkerKind(
         "metrics",
         "bridge.web.metrics_worker:MetricsWorker",
-        sections=frozenset({"metrics", "web"}),
+        sections=frozenset({"metrics", "web", "clock", "types", "modules", "navigation"}),
         environment="bridge.web.environment",
     ),
 )

@@ -44,7 +44,7 @@ class MidspanCollector(Collector):
 
     def collect(self) -> Iterable[Metric]:
         """All families that have samples."""
-        return self.of(self._source.picture())
+        return self.of(self._source.snapshot())
 
     def of(self, picture: Snapshot) -> Families:
         """The families of what is known at one moment."""

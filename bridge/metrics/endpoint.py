@@ -10,7 +10,7 @@ from starlette.routing import Route
 
 from bridge.config.model import Config
 from bridge.metrics.collector import MidspanCollector
-from bridge.metrics.source import Ask, Readiness, Source
+from bridge.metrics.source import Readiness, Source
 
 
 class MetricsRoutes:
@@ -18,16 +18,16 @@ class MetricsRoutes:
 
     Args:
         config: the configuration.
-        ask: asks this daemon's workers.
+        source: what is known of this daemon's workers.
 
     Attributes:
         routes: for a server.
     """
 
-    def __init__(self, config: Config, ask: Ask) -> None:
+    def __init__(self, config: Config, source: Source) -> None:
         self._readiness = Readiness(config)
         self._registry = CollectorRegistry(auto_describe=False)
-        self._registry.register(MidspanCollector(Source(config, ask), config.metrics.routes))
+        self._registry.register(MidspanCollector(source, config.metrics.routes))
         self.routes = [
             Route("/metrics", self._metrics),
             Route("/healthz", self._alive),

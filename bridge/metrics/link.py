@@ -1,8 +1,7 @@
-"""The way to the workers of a process that is no node of the hub: a client of its router, which asks and answers."""
+"""The way to the hub of the worker of metrics: a client of its router, which asks, answers and tells."""
 
 from __future__ import annotations
 
-import logging
 import threading
 from collections.abc import Callable
 from typing import Any
@@ -10,20 +9,19 @@ from typing import Any
 import zenoh
 
 from bridge.config.model import Config
-from bridge.hub.control import Control, WorkerAnswer, ask
+from bridge.hub.control import WorkerAnswer
 from bridge.hub.errors import HubError, zenoh_reason
+from bridge.hub.session import Hub, HubSession, HubSettings
 from bridge.hub.zenoh_config import client_session_config
 from bridge.metrics.source import ASK_SECONDS
-
-_log = logging.getLogger("midspan.metrics")
 
 _CONNECT_SECONDS = 0.5
 
 
 class HubLink:
-    """A session that is opened when the router is there; zenoh joins it again where the router comes back.
+    """A node that joins the hub when the router is there; zenoh joins it again where the router comes back.
 
-    It has no graph and no links to the workers: to ask them, the router is way enough, and that spares memory.
+    It has no links to the workers, nor a lane: to ask them, the router is way enough.
 
     Args:
         worker: the name under which it answers.
@@ -33,51 +31,53 @@ class HubLink:
     def __init__(self, config: Config, worker: str, status: Callable[[], dict[str, Any]]) -> None:
         self._config, self._worker, self._status = config, worker, status
         self._lock = threading.Lock()
-        self._open: tuple[zenoh.Session, Control] | None = None
+        self._hub: Hub | None = None
+        self._session: zenoh.Session | None = None
         self._why = ""
 
     @property
     def trouble(self) -> str:
-        """Why there is no session, "" where there is one."""
+        """Why there is no node, "" where there is one."""
         return self._why
 
-    def look(self) -> None:
-        """Open the session where there is none. To be called by one thread, again and again."""
-        if self._open is not None:
-            return
+    def join(self) -> Hub | None:
+        """The node, made where there is none yet, None where that fails; called by one thread, again and again."""
+        if self._hub is not None:
+            return self._hub
         hub = self._config.hub
         try:
             session = zenoh.open(client_session_config(hub.listen, hub.zenoh, _CONNECT_SECONDS))
         except zenoh.ZError as err:
             self._why = f"no router at {hub.listen}: {zenoh_reason(err)}"
-            return
+            return None
         except HubError as err:
             self._why = f"hub.zenoh: {err}"
-            return
-        control = Control(session, hub.domain, self._config.name, self._worker)
-        control.serve("status", lambda _params: self._status())
+            return None
+        settings = HubSettings(
+            domain=hub.domain, node=f"midspan_{self._worker}", daemon=self._config.name, worker=self._worker
+        )
+        node = Hub(HubSession(session, settings), settings)
+        node.serve("status", lambda _params: self._status())
         with self._lock:
-            self._open, self._why = (session, control), ""
+            self._hub, self._session, self._why = node, session, ""
+        return node
 
     def ask(self) -> list[WorkerAnswer]:
         """The status of each worker of this daemon; raises `HubError` where there is no hub. On any thread."""
         with self._lock:
-            found = self._open
-        if found is None:
+            hub, session = self._hub, self._session
+        if hub is None or session is None:
             raise HubError(self._why or "the hub is not joined yet")
-        session = found[0]
         try:
             if not session.info.routers_zid():  # zenoh goes on trying
                 raise HubError(f"the router at {self._config.hub.listen} is gone")
-            return ask(session, self._config.hub.domain, "status", {}, self._config.name, "*", ASK_SECONDS)
+            return hub.ask("status", {}, daemon=self._config.name, timeout=ASK_SECONDS)
         except zenoh.ZError as err:
             raise HubError(zenoh_reason(err)) from None
 
     def close(self) -> None:
-        """Close the session. Safe to call twice."""
+        """Leave the hub. Safe to call twice."""
         with self._lock:
-            found, self._open = self._open, None
-        if found is not None:
-            session, control = found
-            control.close()
-            session.close()  # type: ignore[no-untyped-call]
+            hub, self._hub, self._session = self._hub, None, None
+        if hub is not None:
+            hub.close()

@@ -66,16 +66,16 @@ class Source:
     def __init__(self, config: Config, ask: Ask) -> None:
         self._config, self._ask = config, ask
         self._lock = threading.Lock()
-        self._picture: Snapshot | None = None
+        self._snapshot: Snapshot | None = None
         self._until = 0.0
 
-    def picture(self) -> Snapshot:
+    def snapshot(self) -> Snapshot:
         """What is known now, or was a moment ago."""
         with self._lock:
-            if self._picture is None or time.monotonic() >= self._until:
-                self._picture = self._look()
+            if self._snapshot is None or time.monotonic() >= self._until:
+                self._snapshot = self._look()
                 self._until = time.monotonic() + FRESH_SECONDS
-            return self._picture
+            return self._snapshot
 
     def _look(self) -> Snapshot:
         began = time.monotonic()

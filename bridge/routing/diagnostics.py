@@ -1,4 +1,7 @@
-"""The routes' counters as ``/diagnostics`` on the side, for the tools that robots have already (rqt_robot_monitor)."""
+"""The routes' counters as ``/diagnostics`` on the side, for the tools that robots have already (rqt_robot_monitor).
+
+How the daemon's parts are is told on the hub by one of its processes (`bridge.metrics.diagnostics`), and crosses.
+"""
 
 from __future__ import annotations
 
@@ -7,6 +10,8 @@ import struct
 import time
 from typing import Any
 
+from bridge.hub.diagnostics import HEARD, TOPIC, TYPE
+from bridge.hub.endpoints.subscription import HubSubscription
 from bridge.hub.wire.qos import Qos
 from bridge.messages.errors import MessageError
 from bridge.messages.registry import Registry
@@ -16,8 +21,6 @@ from bridge.routing.route import Route
 
 _log = logging.getLogger(__name__)
 
-TOPIC = "/diagnostics"
-TYPE = "diagnostic_msgs/msg/DiagnosticArray"
 _PERIOD = 1.0
 _OK, _WARN, _ERROR = 0, 1, 2
 _HEADER = struct.Struct("<III")  # sequence number, seconds, nanoseconds
@@ -34,9 +37,11 @@ class Diagnostics:
         self._edge, self._engine = edge, engine
         self._hardware_id = hardware_id
         self._publisher: EdgePublisher | None = None
+        self._asked: HubSubscription | None = None
         self._due = 0.0
         self._turn = 0
-        conversion = edge.from_hub(TYPE, registry.ros2(TYPE).type_id)
+        self._hash = registry.ros2(TYPE).type_id
+        conversion = edge.from_hub(TYPE, self._hash)
         self._convert, self._type = conversion.convert, conversion.target
         to_hub = registry.ros1_to_hub(registry.hub_to_ros1(TYPE).target.name).convert
         assert to_hub is not None
@@ -51,7 +56,9 @@ class Diagnostics:
         try:
             if self._publisher is None:
                 self._publisher = self._edge.advertise(TOPIC, self._type, Qos(depth=10))
-            if not self._edge.is_heard(TOPIC):
+            heard = self._edge.is_heard(TOPIC)
+            self._ask_for_all(heard=heard)
+            if not heard:
                 return
             cdr = self._to_hub(self._array())
             self._publisher.send(cdr if self._convert is None else self._convert(cdr), "diagnostics")
@@ -61,9 +68,18 @@ class Diagnostics:
 
     def close(self) -> None:
         """Stop publishing."""
+        self._ask_for_all(heard=False)
         if self._publisher is not None:
             self._publisher.close()
             self._publisher = None
+
+    def _ask_for_all(self, *, heard: bool) -> None:
+        """Have the daemon's other parts tell of themselves while the side hears it; see `bridge.hub.diagnostics`."""
+        if heard and self._asked is None:
+            self._asked = self._engine.hub.subscription(HEARD, TYPE, self._hash, Qos(), lambda _sample: None)
+        elif not heard and self._asked is not None:
+            self._asked.close()
+            self._asked = None
 
     def _array(self) -> bytes:
         """The message in ROS 1's form, which has no padding and can be put together from parts.

@@ -9,10 +9,15 @@ from typing import Any
 
 import psutil
 
+from bridge.clock import RunClock
 from bridge.config.model import Config
 from bridge.config.sections.web import WebSection
+from bridge.hub.session import Hub, follow_clock
+from bridge.messages.registry import Registry
+from bridge.metrics.diagnostics import DiagnosticsTeller
 from bridge.metrics.endpoint import MetricsRoutes
 from bridge.metrics.link import HubLink
+from bridge.metrics.source import Source
 from bridge.web.access import Access
 from bridge.web.serving import HttpServer
 from bridge.web.tls import ServerTls
@@ -29,6 +34,7 @@ class MetricsWorker(Worker):
         self._server: HttpServer | None = None
         self._link: HubLink | None = None
         self._tls: ServerTls | None = None
+        self._teller: DiagnosticsTeller | None = None
         self._process = psutil.Process(os.getpid())
 
     def start(self, config: Config) -> None:
@@ -41,7 +47,8 @@ class MetricsWorker(Worker):
         self._tls = ServerTls(config) if section.reached else None
         # nobody logs in here, so no cookie fits
         access = Access(config.web if section.reached else WebSection(), secrets.token_bytes(32))
-        routes = MetricsRoutes(config, self._link.ask).routes
+        self._source = Source(config, self._link.ask)
+        routes = MetricsRoutes(config, self._source).routes
         self._server = HttpServer(
             section.listen, routes, access, self._tls, what="the worker metrics", key="metrics.listen"
         )
@@ -57,11 +64,14 @@ class MetricsWorker(Worker):
         """Where it is; joins the hub where it has not yet."""
         assert self._server is not None
         assert self._link is not None
+        assert self._config is not None
         if self._tls is not None:
             self._tls.look()
         if self._server.trouble:
             raise RuntimeError(self._server.trouble)
-        self._link.look()
+        hub = self._link.join()
+        if hub is not None and self._teller is None and self._config.metrics.diagnostics:
+            self._teller = _teller(self._config, hub, self._source)
         return Health("running", "; ".join(filter(None, (f"{self._server.address}metrics", self._link.trouble))))
 
     def stop(self) -> None:
@@ -69,6 +79,9 @@ class MetricsWorker(Worker):
         server, self._server = self._server, None
         if server is not None:
             server.close()
+        teller, self._teller = self._teller, None
+        if teller is not None:
+            teller.close()
         if self._link is not None:
             self._link.close()
 
@@ -78,3 +91,11 @@ class MetricsWorker(Worker):
             "side": "metrics", "state": "running", "text": "" if server is None else f"{server.address}metrics",
             "pid": os.getpid(), **costs(self._process),
         }  # fmt: skip
+
+
+def _teller(config: Config, hub: Hub, source: Source) -> DiagnosticsTeller:
+    clock = RunClock(simulated=config.clock.simulated)
+    follow_clock(clock, hub)
+    types = config.types
+    registry = Registry(folders=list(types.folders), mapping_rules=list(types.mapping_rules))
+    return DiagnosticsTeller(config, hub, registry, clock, source)

@@ -16,8 +16,9 @@ from bridge.concurrency import SerialExecutor
 from bridge.config.model import Config
 from bridge.hub.control import WorkerAnswer
 from bridge.messages.registry import Registry
+from bridge.metrics.diagnostics import DiagnosticsTeller
 from bridge.metrics.endpoint import MetricsRoutes
-from bridge.metrics.source import ASK_SECONDS
+from bridge.metrics.source import ASK_SECONDS, Source
 from bridge.modules.host import Host
 from bridge.state_file import worker_folder
 from bridge.web.access import Access, Grant, kept_secret
@@ -94,13 +95,17 @@ class Console:
         pictures = Pictures()
         self._tls = ServerTls(config) if section.guarded else None
         access = Access(section, kept_secret(worker_folder(config)) if section.guarded else b"")
-        metrics = MetricsRoutes(config, self._ask_workers)
+        source = Source(config, self._ask_workers)
+        metrics = MetricsRoutes(config, source)
         self.server = WebServer(section.listen, self._serve, pictures, access, self._tls, metrics.routes)
         try:
             self.host = host = Host("web", config, registry)
         except BaseException:
             self.server.close()
             raise
+        self._teller: DiagnosticsTeller | None = None
+        if config.metrics.diagnostics and not config.metrics.enabled:  # else the worker of metrics tells
+            self._teller = DiagnosticsTeller(config, host.node.hub, registry, host.clock, source)
         self._process = psutil.Process(os.getpid())
         client = CliClient(host.node.hub, config, f"the hub of {config.name}")
         known = Types(client)
@@ -187,6 +192,8 @@ class Console:
     def close(self) -> None:
         """Stop the robot where a page drives it, then leave."""
         self.server.close()
+        if self._teller is not None:
+            self._teller.close()
         self.host.loop.call(self._stand)
         self.host.loop.call(self._feeds.close)
         self._verbs.close()

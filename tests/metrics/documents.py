@@ -36,6 +36,6 @@ def side(*routes: dict[str, Any], worker: str = "ros1", **more: Any) -> dict[str
     return {**head, "refused": [], "routes": list(routes), **more}
 
 
-def picture(*documents: dict[str, Any], **daemon: Any) -> Snapshot:
+def snapshot(*documents: dict[str, Any], **daemon: Any) -> Snapshot:
     """What a source would know."""
     return Snapshot("here", documents, daemon, hub=True, seconds=0.01)

@@ -15,7 +15,7 @@ from prometheus_client.parser import text_string_to_metric_families as parse
 from bridge.metrics.collector import MOST_OWN, MidspanCollector
 from bridge.metrics.source import Snapshot
 from bridge.routing.counters import DROPS
-from tests.metrics.documents import picture, route, service, side
+from tests.metrics.documents import route, service, side, snapshot
 
 
 class Fixed:
@@ -24,7 +24,7 @@ class Fixed:
     def __init__(self, known: Snapshot) -> None:
         self.known = known
 
-    def picture(self) -> Snapshot:
+    def snapshot(self) -> Snapshot:
         return self.known
 
 
@@ -32,7 +32,7 @@ class Scrape:
     """The samples of a picture, in the text that Prometheus gets."""
 
     def __init__(self, *documents: dict[str, Any], most: int = 200, **daemon: Any) -> None:
-        self.source = Fixed(picture(*documents, **daemon))
+        self.source = Fixed(snapshot(*documents, **daemon))
         self.registry = CollectorRegistry(auto_describe=False)
         self.registry.register(MidspanCollector(self.source, most))
 
@@ -145,7 +145,7 @@ def test_more_routes_than_are_told_of_are_counted_and_who_is_told_of_stays_so() 
     told = lambda: {s.labels["topic"] for s in scrape.families()["midspan_route_bytes"].samples}  # noqa: E731
     assert told() == {"/t5", "/t6", "/t7"}
     assert scrape.value("midspan_side_routes_untold") == 1
-    scrape.source.known = picture(side(*(route(f"/t{n}") for n in (1, 2, 6, 7, 8))))
+    scrape.source.known = snapshot(side(*(route(f"/t{n}") for n in (1, 2, 6, 7, 8))))
     assert told() == {"/t1", "/t6", "/t7"}, "a counter does not end because another route came"
     assert scrape.value("midspan_side_routes") == 5
     assert scrape.value("midspan_side_routes_untold") == 2

@@ -69,7 +69,7 @@ def test_many_who_ask_at_once_cause_one_question(config: Config) -> None:
 
     known = Source(config, ask)
     with ThreadPoolExecutor(8) as pool:
-        pictures = [pool.submit(known.picture) for _ in range(8)]
+        pictures = [pool.submit(known.snapshot) for _ in range(8)]
         until(lambda: asked, "one asks")
         go_on.set()
         assert len({id(each.result(10)) for each in pictures}) == 1
@@ -80,7 +80,7 @@ def test_it_is_asked_again_once_the_answer_is_old(config: Config, monkeypatch: p
     monkeypatch.setattr(source, "FRESH_SECONDS", 0.0)
     answers = iter([[WorkerAnswer("here", "ros1", {"n": 1})], [WorkerAnswer("here", "ros1", {"n": 2})]])
     known = Source(config, lambda: next(answers))
-    assert [known.picture().documents[0]["n"] for _ in range(2)] == [1, 2]
+    assert [known.snapshot().documents[0]["n"] for _ in range(2)] == [1, 2]
 
 
 def test_what_is_no_document_of_this_daemon_is_left_out(config: Config) -> None:
@@ -88,14 +88,14 @@ def test_what_is_no_document_of_this_daemon_is_left_out(config: Config) -> None:
         WorkerAnswer("here", "ros1", {"worker": "other"}), WorkerAnswer("there", "ros1", {}),
         WorkerAnswer("here", "ros2", None), WorkerAnswer("here", "yarp", {}, "it failed"),
     ]  # fmt: skip
-    assert Source(config, lambda: answers).picture().documents == ({"worker": "ros1"},)
+    assert Source(config, lambda: answers).snapshot().documents == ({"worker": "ros1"},)
 
 
 def test_without_a_hub_the_daemon_still_tells(config: Config, daemon: Daemon) -> None:
     def ask() -> list[WorkerAnswer]:
         raise HubError("no router")
 
-    found = Source(config, ask).picture()
+    found = Source(config, ask).snapshot()
     assert not found.hub
     assert found.daemon["daemon"] == "here"
 

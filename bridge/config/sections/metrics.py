@@ -17,6 +17,11 @@ class MetricsSection(Section):
         "Address and port; port 0: any. One that other machines reach has TLS and asks who comes, as the console does:"
         " by `web.tokens` and `web.trusted`, with the certificate of `hub.open`; see [metrics](metrics.md).",
     )
+    diagnostics: bool = setting(
+        True,
+        "Whether `/diagnostics` of the hub tells how each part is, while somebody hears it: by the worker of metrics if"
+        " that is enabled, else by the console if that is.",
+    )
     routes: int = setting(
         200, "Routes of each side that are told of at most; of more, only their number.", ge=1, le=5000
     )
