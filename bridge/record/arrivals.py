@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import Counter, deque
 from dataclasses import dataclass, field
-from threading import Condition
+from threading import Condition, Lock
 from typing import Any, NamedTuple
 
 from bridge.hub.graph.tokens import Origin
@@ -13,6 +13,7 @@ from bridge.modules.hub_topics import TopicKey
 LARGE = 64 << 10
 """Bytes from which a message is large: large ones leave an eighth of the room to the others."""
 
+_BATCH = 8 << 20
 _OVERHEAD = 512
 """Bytes that a waiting message costs beside its own, about."""
 
@@ -79,10 +80,11 @@ class ArrivalQueue:
 
     def __init__(self, limit: int) -> None:
         self._limit = limit
-        self._condition = Condition()
+        self._condition = Condition(Lock())
         self._waiting: deque[Arrival] = deque()
         self._bytes = self.most = 0
-        self._woken = self._wanted = False
+        self._batch = min(_BATCH, limit // 4)
+        self._woken = self._waits = False
 
     def has_room(self, size: int) -> bool:
         """Whether a message of so many bytes would be taken now."""
@@ -97,17 +99,20 @@ class ArrivalQueue:
                 return
             self._waiting.append(arrival)
             self._bytes += size + _OVERHEAD
-            if self._wanted:
-                self._wanted = False
+            if self._waits and self._bytes >= self._batch:
+                self._waits = False
                 self._condition.notify()
 
     def take(self, seconds: float) -> deque[Arrival]:
-        """All that waits; none where none came for so long, or `wake` was called. For one thread alone."""
+        """All that waits, after so long, or once it is much, or `wake` was called. For one thread alone.
+
+        Messages are gathered: a thread that woke for each one would cost more than what it does then.
+        """
         with self._condition:
-            if not (self._waiting or self._woken):
-                self._wanted = True
+            if not (self._woken or self._bytes >= self._batch):
+                self._waits = True
                 self._condition.wait(seconds)
-            self._woken = self._wanted = False
+            self._woken = self._waits = False
             waiting, self._waiting = self._waiting, deque()
             self.most = max(self.most, self._bytes)
             return waiting

@@ -34,6 +34,9 @@ from bridge.record.selection import Selection, side_of, tapped
 _log = logging.getLogger("midspan.record")
 
 FLUSH_SECONDS = 1.0
+GATHER_SECONDS = 0.05
+"""So long messages are gathered before they are written, unless they are many megabytes."""
+
 GONE_SECONDS = 10.0
 """So long a topic that nobody publishes any more is still heard: what was sent last may come after that news."""
 
@@ -180,20 +183,21 @@ class Recorder:
         return self._post(action).result(_COMMAND_SECONDS)
 
     def close(self) -> None:
-        """Write what waits, and end. Safe to call twice."""
+        """Write what waits, as long as that goes on, and end. Safe to call twice."""
         with self._turn:
             self._on = False
             self.topics.close()
         self._ending = True
         self._queue.wake()
-        self._thread.join(_COMMAND_SECONDS)
+        while self._thread.is_alive() and time.monotonic() - self._turned < _COMMAND_SECONDS:
+            self._thread.join(0.5)
 
     # -- the thread that writes ----------------------------------------------------------------------------------------
 
     def _run(self) -> None:
         while True:
             ending = self._ending
-            waiting = self._queue.take(0.0 if self._commands or ending else FLUSH_SECONDS / 2)
+            waiting = self._queue.take(0.0 if self._commands or ending else GATHER_SECONDS)
             while waiting:
                 self._turned = time.monotonic()
                 arrival = waiting.popleft()
@@ -321,13 +325,17 @@ class Recorder:
         file, self._file = self._file, None
         if file is None:
             return None
-        try:
-            written = file.close(ending)
-        except OSError:
-            written = file.abandon()
         self._closed_files += 1
-        self._place.closed(written)
-        return written.path
+        try:
+            try:
+                written = file.close(ending)
+            except OSError as err:
+                _log.warning("%s ends without its summary: %s", file.path, err.strerror or err)
+                written = file.abandon()
+            self._place.closed(written)
+        except OSError as err:
+            _log.error("%s: %s", file.path, err.strerror or err)
+        return file.path
 
     def _keep(self, why: str) -> Path | None:
         if not isinstance(self._place, Ring):

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from benchmarks import flood, many_topics, transcode, yarp_ports
+from benchmarks import flood, many_topics, record, transcode, yarp_ports
 
 
 @pytest.mark.thorough
@@ -30,6 +30,16 @@ def test_flood_measures_with_and_without_the_stream(tmp_path: Path) -> None:
     rows = {row["case"]: row for row in json.loads(file.read_text())}
     assert rows["/tf beside 100 MB/s, ROS 1 to ROS 2, p99, to without"]["peer"] > 0
     assert rows["the stream, ROS 1 to ROS 2, arrived of sent"]["ours"] > 0
+
+
+@pytest.mark.thorough
+def test_record_compares_with_a_bare_subscriber(tmp_path: Path) -> None:
+    file = tmp_path / "rows.json"
+    record.main(["--rounds", "1", "--seconds", "0.5", "--flow", "20e6", "--folder", str(tmp_path), "--json", str(file)])
+    rows = {row["case"]: row for row in json.loads(file.read_text())}
+    assert rows["messages lost"]["ours"] == 0
+    assert rows["processor, none, against bare"]["ours"] > 0
+    assert rows["latency p50 of small ones, against nobody"]["peer"] > 0
 
 
 @pytest.mark.parametrize("case", ["TFMessage of 20", "Image 1 MB"])

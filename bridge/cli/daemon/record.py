@@ -228,6 +228,10 @@ def _follow(recording: Recording, duration: float | None, ended: threading.Event
     end = None if duration is None else time.monotonic() + duration
     trouble = ""
     while not ended.wait(_LOOK_SECONDS if end is None else max(0.0, min(_LOOK_SECONDS, end - time.monotonic()))):
+        try:
+            recording.recorder.computes()
+        except (RuntimeError, TimeoutError) as err:
+            raise CliError(f"recording ends: {err}") from None
         told = recording.recorder.status()
         if told["error"] != trouble:
             trouble = told["error"]

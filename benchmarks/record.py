@@ -1,0 +1,401 @@
+"""Recording images at 200 MB/s and 5,000 small messages a second: what is lost, what it costs, whom it delays.
+
+One sender, one listener of the same topics, and in turns beside them `midspan record`, a bare zenoh subscriber that
+writes the same bytes with the library `mcap` on another thread, and nobody. All are processes of their own on one
+hub, with the hub's own session configuration. Rows:
+
+- messages lost: numbered by the sender and not in the file;
+- processor time of the recorder's process over the bare subscriber's, for each gigabyte that was sent (the aim: 1.3);
+- latency of the small messages to the listener beside the recorder, over that beside nobody (the aim: 1.1).
+
+Chunks are not compressed unless ``--compression`` says so: zstd, `midspan record`'s default, takes about 14 processor
+seconds for a gigabyte of these images, which is more than two cores at 200 MB/s, for whoever writes them by `mcap`.
+Files are written into memory (/dev/shm) unless ``--folder`` says where: the disk is not what is measured.
+"""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import json
+import os
+import signal
+import statistics
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from queue import SimpleQueue
+from threading import Event, Thread
+from typing import Any, NamedTuple
+
+sys.path.insert(0, str(Path(__file__).parents[1]))
+
+import psutil
+
+from benchmarks.rows import Row, add_json_option, report
+from bridge.hub.session import Hub, HubSettings
+from bridge.hub.wire.qos import Qos
+from bridge.messages.registry import Registry
+
+IMAGE, IMAGE_TYPE = "/camera/image", "sensor_msgs/msg/Image"
+SMALL = [f"/small_{number}" for number in range(5)]
+SMALL_TYPE = "geometry_msgs/msg/TwistStamped"
+SIDE = 1200
+"""Pixels of an image's side; three bytes each: 4.3 MB."""
+
+SMALL_RATE = 1000.0
+FLOW = 200e6
+SETTLE_SECONDS = 2.0
+ROOT = Path(__file__).parents[1]
+RECORDERS = ("nobody", "midspan", "bare")
+
+
+def settings(endpoint: str, node: str) -> HubSettings:
+    """Of each participant: the hub's defaults, without a lane."""
+    return HubSettings(router=endpoint, node=node, worker=node)
+
+
+def picture() -> bytes:
+    """An image in CDR: a gradient with noise in its lowest bits, as a camera has."""
+    import numpy as np
+
+    from bridge.messages.values import MessageWriter
+
+    rows, columns = np.mgrid[0:SIDE, 0:SIDE]
+    noise = np.random.default_rng(1).integers(0, 8, (SIDE, SIDE, 3))
+    pixels = ((rows + columns)[:, :, None] // 10 + noise).astype(np.uint8)
+    fields = {"height": SIDE, "width": SIDE, "encoding": "rgb8", "step": 3 * SIDE, "data": pixels.reshape(-1)}
+    return bytes(MessageWriter(Registry().schema(IMAGE_TYPE)).message(fields))
+
+
+# -- the processes -----------------------------------------------------------------------------------------------------
+
+
+def send(endpoint: str, flow: float) -> None:
+    """Publish for so many seconds whenever a line says how many; tells how many of each were sent."""
+    registry = Registry()
+    image, small = picture(), bytes(100)
+    image_rate = flow / len(image)
+    with Hub.open(settings(endpoint, "sender")) as hub:
+        big = hub.publisher(IMAGE, IMAGE_TYPE, registry.ros2(IMAGE_TYPE).type_id, Qos(depth=100))
+        few = [hub.publisher(t, SMALL_TYPE, registry.ros2(SMALL_TYPE).type_id, Qos(depth=1000)) for t in SMALL]
+        tell({"ready": True, "image": len(image)})
+        for line in sys.stdin:
+            seconds = float(line)
+            begin = time.monotonic()
+            images = smalls = 0
+            while (now := time.monotonic() - begin) < seconds:
+                while smalls < now * SMALL_RATE:
+                    for publisher in few:
+                        publisher.put(small)
+                    smalls += 1
+                if images < now * image_rate:
+                    big.put(image)
+                    images += 1
+                time.sleep(0.0005)
+            tell({"images": images, "small": smalls * len(few), "seconds": time.monotonic() - begin})
+
+
+def listen(endpoint: str) -> None:
+    """Hear everything; at each line tell how late the small messages came (ms), and forget them."""
+    registry = Registry()
+    ages: list[int] = []
+    images = [0]
+    with Hub.open(settings(endpoint, "listener")) as hub:
+        kind = registry.ros2(SMALL_TYPE).type_id
+        for topic in SMALL:
+            hub.subscription(
+                topic, SMALL_TYPE, kind, Qos(depth=1000), lambda s: ages.append(time.time_ns() - s.source_time_ns)
+            )
+
+        def image(_: Any) -> None:
+            images[0] += 1
+
+        hub.subscription(IMAGE, IMAGE_TYPE, registry.ros2(IMAGE_TYPE).type_id, Qos(depth=10), image)
+        tell({"ready": True})
+        for _ in sys.stdin:
+            found = sorted(ages)
+            ages.clear()
+            share = {name: found[int(len(found) * part)] / 1e6 for name, part in (("p50", 0.5), ("p99", 0.99))}
+            tell({**share, "heard": len(found), "images": images[0]})
+            images[0] = 0
+
+
+def bare(endpoint: str, file: Path, compression: str) -> None:
+    """Subscribe with bare zenoh, and write with `mcap` on another thread; ends at the end of its input.
+
+    Where it wrote in zenoh's callback it would hold the sender up, and be sent less.
+    """
+    import zenoh
+    from mcap.writer import CompressionType, Writer
+
+    from bridge.hub.wire.keys import unpack_attachment
+    from bridge.hub.zenoh_config import MAX_PAYLOAD, make_config, session_tree
+    from bridge.messages.definitions.text import full_text
+
+    registry = Registry()
+    config = make_config(session_tree(endpoint, shared_memory=True, max_payload=MAX_PAYLOAD), None)
+    with file.open("wb") as stream, zenoh.open(config) as session:
+        writer = Writer(stream, compression=CompressionType[compression.upper()])
+        writer.start("ros2")
+        queue: SimpleQueue[tuple[int, int, bytes, int, int] | None] = SimpleQueue()
+        subscribers = []
+        for topic, kind in [(IMAGE, IMAGE_TYPE), *((topic, SMALL_TYPE) for topic in SMALL)]:
+            schema = writer.register_schema(kind, "ros2msg", full_text(registry.schema(kind)).encode())
+            channel = writer.register_channel(topic, "cdr", schema)
+
+            def take(sample: zenoh.Sample, channel: int = channel) -> None:
+                now = time.time_ns()
+                assert sample.attachment is not None
+                sequence, sent, _ = unpack_attachment(sample.attachment.to_bytes())
+                queue.put((channel, now, sample.payload.to_bytes(), sent, sequence))
+
+            handler = zenoh.handlers.Callback(take, indirect=False)
+            subscribers.append(session.declare_subscriber(f"0{topic}/**", handler))
+        tell({"ready": True})
+
+        def until_the_end() -> None:
+            sys.stdin.read()
+            queue.put(None)
+
+        Thread(target=until_the_end, daemon=True).start()
+        while (message := queue.get()) is not None:
+            writer.add_message(*message)
+        for subscriber in subscribers:
+            subscriber.undeclare()  # type: ignore[no-untyped-call]
+        writer.finish()  # type: ignore[no-untyped-call]
+
+
+def tell(what: dict[str, Any]) -> None:
+    """A line of JSON for who started this."""
+    print(json.dumps(what), flush=True)
+
+
+# -- the turns ---------------------------------------------------------------------------------------------------------
+
+
+class Program:
+    """A process that is told lines, and tells lines."""
+
+    def __init__(self, *words: str | Path) -> None:
+        self._name = " ".join(map(str, words))
+        self.process = subprocess.Popen(
+            [sys.executable, *map(str, words)], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, cwd=ROOT,
+            env={**os.environ, "_ROS_WHEELS_BOOTSTRAP_COMPLETE": "1"},
+        )  # fmt: skip
+
+    def hear(self) -> dict[str, Any]:
+        """The next line; raises `RuntimeError` where the process has ended."""
+        assert self.process.stdout is not None
+        line = self.process.stdout.readline()
+        if not line:
+            raise RuntimeError(f"{self._name} has ended")
+        found: dict[str, Any] = json.loads(line)
+        return found
+
+    def say(self, line: str) -> None:
+        """A line for it."""
+        assert self.process.stdin is not None
+        self.process.stdin.write(f"{line}\n")
+        self.process.stdin.flush()
+
+    def cpu(self) -> float:
+        """Processor seconds so far."""
+        times = psutil.Process(self.process.pid).cpu_times()
+        return float(times.user + times.system)
+
+    def rest(self) -> float:
+        """The same once it rests, which it does when all is written."""
+        before, now = -1.0, self.cpu()
+        while now - before > 0.05:
+            Event().wait(0.5)
+            before, now = now, self.cpu()
+        return now
+
+    def end(self) -> None:
+        """Have it end by itself, by the end of its input and Ctrl-C."""
+        if self.process.poll() is None:
+            assert self.process.stdin is not None
+            self.process.stdin.close()
+            self.process.send_signal(signal.SIGINT)
+        try:
+            self.process.wait(30)
+        except subprocess.TimeoutExpired:
+            self.process.kill()
+            self.process.wait()
+
+
+class Turn(NamedTuple):
+    """One turn: processor seconds a GB, messages lost in the file, latency in ms, what the sender reached."""
+
+    cpu: float
+    lost: int
+    p50: float
+    p99: float
+    megabytes: float
+    small: float
+
+
+@contextlib.contextmanager
+def running(*words: str | Path) -> Iterator[Program]:
+    """A program until the block's end."""
+    program = Program(*words)
+    try:
+        yield program
+    finally:
+        program.end()
+
+
+class Bench:
+    """The hub, the sender and the listener; turns of recorders beside them."""
+
+    def __init__(self, args: argparse.Namespace, stack: contextlib.ExitStack) -> None:
+        from tests.support.ports import free_port
+
+        folder = args.folder or (Path("/dev/shm") if Path("/dev/shm").is_dir() else None)
+        self.folder = Path(stack.enter_context(tempfile.TemporaryDirectory(dir=folder)))
+        self.args, self.endpoint = args, f"tcp/127.0.0.1:{free_port()}"
+        self.config = self.folder / "midspan.yaml"
+        self.config.write_text(
+            f"name: bench\nstate: {self.folder / 'state'}\nhub: {{listen: '{self.endpoint}', lane: false}}\n"
+        )
+        stack.enter_context(running("-m", "bridge.cli.main", "worker", "router", "--config", self.config))
+        self.watch = stack.enter_context(Hub.open(settings(self.endpoint, "watch")))
+        self.listener = stack.enter_context(running(__file__, "--role", "listen", "--endpoint", self.endpoint))
+        self.sender = stack.enter_context(
+            running(__file__, "--role", "send", "--endpoint", self.endpoint, "--flow", str(args.flow))
+        )
+        self.listener.hear()
+        self.image = self.sender.hear()["image"]
+
+    def turn(self, recorder: str) -> Turn:
+        """One turn with this recorder."""
+        file = self.folder / "turn.mcap"
+        with contextlib.ExitStack() as stack:
+            program = None
+            if recorder != "nobody":
+                program = stack.enter_context(running(*self._command(recorder, file)))
+            self._await_subscribers(2 if recorder == "midspan" else 1)
+            if recorder == "bare":
+                assert program is not None
+                program.hear()
+            self._flow(1.0)  # links, caches and the first file's channels
+            before = program.cpu() if program is not None else 0.0
+            sent = self._flow(self.args.seconds)
+            self.listener.say("tell")
+            heard = self.listener.hear()
+            used = program.rest() - before if program is not None else 0.0
+        lost = self._lost(file) if program is not None else 0
+        file.unlink(missing_ok=True)
+        told = sent["seconds"]
+        megabytes, small = sent["images"] * self.image / told / 1e6, sent["small"] / told
+        found = Turn(used / (sent["images"] * self.image / 1e9), lost, heard["p50"], heard["p99"], megabytes, small)
+        print(f"{recorder:8} {found}", file=sys.stderr, flush=True)
+        return found
+
+    def _command(self, recorder: str, file: Path) -> list[str | Path]:
+        how = self.args.compression
+        if recorder == "bare":
+            return [__file__, "--role", "bare", "--endpoint", self.endpoint, "--file", file, "--compression", how]
+        return [
+            "-m", "bridge.cli.main", "record", IMAGE, "/small_*", "-o", file, "--compression", how, "--queue", "512MB",
+            "--config", self.config,
+        ]  # fmt: skip
+
+    def _await_subscribers(self, count: int) -> None:
+        end = time.monotonic() + 20.0
+        topics = [IMAGE, *SMALL]
+        while any(len(self.watch.graph.subscriptions(topic)) != count for topic in topics):
+            if time.monotonic() > end:
+                raise RuntimeError(f"there are not {count} subscribers of each topic")
+            time.sleep(0.05)
+
+    def _flow(self, seconds: float) -> dict[str, Any]:
+        """Have the sender send, and wait until all has arrived and is written."""
+        self.sender.say(str(seconds))
+        told = self.sender.hear()
+        Event().wait(SETTLE_SECONDS)
+        if seconds == 1.0:
+            self.listener.say("forget")
+            self.listener.hear()
+        return told
+
+    @staticmethod
+    def _lost(file: Path) -> int:
+        """Messages that are missing between the first and the last of each topic."""
+        from mcap.records import Channel, Message
+        from mcap.stream_reader import StreamReader
+
+        spans: dict[int, tuple[int, int, int]] = {}
+        topics: dict[int, str] = {}
+        with file.open("rb") as stream:
+            for record in StreamReader(stream, record_size_limit=None).records:
+                if isinstance(record, Channel):
+                    topics[record.id] = record.topic
+                elif isinstance(record, Message):
+                    number = record.sequence
+                    first, last, count = spans.get(record.channel_id, (number, number, 0))
+                    spans[record.channel_id] = min(first, number), max(last, number), count + 1
+        if set(topics.values()) != {IMAGE, *SMALL}:
+            raise RuntimeError(f"the file has {set(topics.values())}")
+        return sum(last - first + 1 - count for first, last, count in spans.values())
+
+
+def measure(args: argparse.Namespace) -> list[Row]:
+    """All turns, recorders in turn; the medians as rows."""
+    turns: dict[str, list[Turn]] = {name: [] for name in RECORDERS}
+    with contextlib.ExitStack() as stack:
+        bench = Bench(args, stack)
+        for _ in range(args.rounds):
+            for name in RECORDERS:
+                turns[name].append(bench.turn(name))
+
+    def middle(name: str, figure: str) -> float:
+        return float(statistics.median(getattr(turn, figure) for turn in turns[name]))
+
+    flow = middle("midspan", "megabytes"), middle("midspan", "small")
+    print(f"sent beside midspan: {flow[0]:.0f} MB/s of images, {flow[1]:.0f} small messages a second", file=sys.stderr)
+    lost = {name: float(sum(turn.lost for turn in turns[name])) for name in RECORDERS}
+    return [
+        Row("images of MB/s that were sent, beside its recorder", flow[0], middle("bare", "megabytes"), "MB/s", "more"),
+        Row("messages lost", lost["midspan"], lost["bare"], "msgs"),
+        Row(f"processor, {args.compression}, against bare", middle("midspan", "cpu"), middle("bare", "cpu"), "s/GB"),
+        Row("latency p50 of small ones, against nobody", middle("midspan", "p50"), middle("nobody", "p50"), "ms"),
+        Row("latency p99 of small ones, against nobody", middle("midspan", "p99"), middle("nobody", "p99"), "ms"),
+        Row("latency p50 of small ones, against bare", middle("midspan", "p50"), middle("bare", "p50"), "ms"),
+        Row("latency p99 of small ones, against bare", middle("midspan", "p99"), middle("bare", "p99"), "ms"),
+    ]
+
+
+def main(argv: Sequence[str] | None = None) -> None:
+    """Run the comparison."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--seconds", type=float, default=10.0, help="of each turn (default 10)")
+    parser.add_argument("--rounds", type=int, default=3, help="turns of each (default 3)")
+    parser.add_argument("--flow", type=float, default=FLOW, help="bytes a second of images (default 200e6)")
+    parser.add_argument("--compression", choices=["zstd", "lz4", "none"], default="none")
+    parser.add_argument("--folder", type=Path, help="where files are written (default: memory)")
+    add_json_option(parser)
+    inner = parser.add_argument_group("for its own processes")
+    inner.add_argument("--role", choices=["send", "listen", "bare"])
+    inner.add_argument("--endpoint")
+    inner.add_argument("--file", type=Path)
+    args = parser.parse_args(argv)
+    if args.role is None:
+        report(measure(args), args.json)
+        return
+    # Ctrl-C ends the benchmark, which ends its processes in its own order
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    if args.role == "send":
+        send(args.endpoint, args.flow)
+    elif args.role == "listen":
+        listen(args.endpoint)
+    else:
+        bare(args.endpoint, args.file, args.compression)
+
+
+if __name__ == "__main__":
+    main()
