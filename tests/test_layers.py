@@ -16,6 +16,7 @@ TOOLS = {"clock", "concurrency", "progress", "resources", "sides", "state_file",
 BELOW = {
     "config": {"sides"},
     "messages": set[str](),
+    "bags": {"hub", "messages"},
     "tf": set(),
     "tf/server": {"tf", "clock", "config", "hub", "messages", "modules", "worker"},
     "interfaces": {"config", "messages"},

@@ -1,0 +1,166 @@
+"""Reads rosbag2's SQLite files, all versions of their tables (rosbag2_storage_sqlite3, sqlite_storage.cpp).
+
+By the standard library's `sqlite3`, with SQLite's own defences against a file that was made to harm
+(https://www.sqlite.org/security.html): sizes are bound, and the file's own views and functions are not trusted.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import sqlite3
+from collections.abc import Callable, Collection, Iterator
+from pathlib import Path
+from typing import Any, Literal
+from urllib.parse import quote
+
+from bridge.bags.bag import MAX_CHUNK, MAX_TOPICS, Bag, BagError, BagMessage, BagTopic, Kind, reading
+from bridge.bags.qos import parse_qos
+from bridge.messages.definitions.schema import World
+
+MAGIC = b"SQLite format 3\0"
+_LARGEST_TEXT = 4 << 20
+_STEPS, _MAX_QUIET = 1_000_000, 60
+"""SQLite's instructions between two looks, and how many looks without a message are too many to open a file."""
+
+
+class Db3Bag(Bag):
+    """One SQLite file of rosbag2.
+
+    Args:
+        packed: whether each message is compressed by zstd, as the folder's ``metadata.yaml`` says.
+    """
+
+    kind: Kind = "db3"
+
+    def __init__(self, path: Path, *, packed: bool = False) -> None:
+        super().__init__(path)
+        self._packed = packed
+        self.size = path.stat().st_size
+        self.compression = "zstd" if packed else "none"
+        with reading(path):
+            self._file = _connect(path)
+        try:
+            with reading(path), self._bounded():
+                self._topic_of = self._read_topics()
+        except BaseException:
+            self.close()
+            raise
+        self.topics = tuple(self._topic_of.values())
+
+    def _read_topics(self) -> dict[int, BagTopic]:
+        tables = {name for (name,) in self._file.execute("SELECT name FROM sqlite_master WHERE type = 'table'")}
+        if not {"topics", "messages"} <= tables:
+            raise BagError(self.path, "is no bag: it has no tables 'topics' and 'messages'")
+        known = {row[1] for row in self._file.execute("PRAGMA table_info(topics)")}
+        qos = "offered_qos_profiles" if "offered_qos_profiles" in known else "''"
+        type_hash = "type_description_hash" if "type_description_hash" in known else "''"
+        definitions = self._read_definitions() if "message_definitions" in tables else {}
+        counts = dict(self._file.execute("SELECT topic_id, count(*) FROM messages GROUP BY topic_id"))
+        start, end = self._file.execute("SELECT min(timestamp), max(timestamp) FROM messages").fetchone()
+        self.start_ns, self.end_ns = int(start or 0), int(end or 0)
+        query = f"SELECT id, name, type, serialization_format, {qos}, {type_hash} FROM topics ORDER BY id"  # noqa: S608
+        found: dict[int, BagTopic] = {}
+        left_out: list[str] = []
+        for number, name, type_name, encoding, offered, hashed in self._file.execute(query):
+            if len(found) >= MAX_TOPICS:
+                raise BagError(self.path, f"the bag has more than {MAX_TOPICS} topics")
+            if encoding != "cdr":
+                left_out.append(f"{name} ({str(encoding)[:20]})")
+                continue
+            definition = definitions.get(type_name, "")
+            count = int(counts.get(number, 0))
+            found[number] = BagTopic(
+                _text(name), _text(type_name), World.ROS2, definition, _text(hashed), parse_qos(_text(offered)), count
+            )
+        self.left_out = tuple(left_out)
+        return found
+
+    def _read_definitions(self) -> dict[str, str]:
+        query = "SELECT topic_type, encoded_message_definition FROM message_definitions WHERE encoding = 'ros2msg'"
+        return {_text(name): _text(text) for name, text in self._file.execute(query)}
+
+    def messages(
+        self, topics: Collection[BagTopic] | None = None, start_ns: int | None = None, end_ns: int | None = None
+    ) -> Iterator[BagMessage]:
+        """See `Bag.messages`."""
+        wanted = None if topics is None else set(topics)
+        ids = [number for number, topic in self._topic_of.items() if wanted is None or topic in wanted]
+        clauses, values = ["1"], list[int]()
+        if len(ids) <= 100:  # else all are read, and those of others left aside
+            clauses.append(f"topic_id IN ({','.join('?' * len(ids))})")
+            values += ids
+        for clause, value in (("timestamp >= ?", start_ns), ("timestamp < ?", end_ns)):
+            if value is not None:
+                clauses.append(clause)
+                values.append(min(max(value, -(1 << 63)), (1 << 63) - 1))
+        query = f"SELECT topic_id, timestamp, data FROM messages WHERE {' AND '.join(clauses)} ORDER BY timestamp, id"  # noqa: S608
+        chosen = {number: self._topic_of[number] for number in ids}
+        unpack = _unzstd if self._packed else bytes
+        with reading(self.path):
+            rows = self._file.execute(query, values)
+        while True:
+            with reading(self.path):
+                row = rows.fetchone()
+                if row is None:
+                    return
+                if row[0] not in chosen:
+                    continue
+                time = int(row[1])
+                message = BagMessage(chosen[row[0]], time, time, _blob(row[2], unpack))
+            yield message
+
+    @contextlib.contextmanager
+    def _bounded(self) -> Iterator[None]:
+        """A query that computes without end is broken off."""
+        looks = 0
+
+        def look() -> int:
+            nonlocal looks
+            looks += 1
+            return int(looks > _MAX_QUIET * (1 + self.size // (64 << 20)))
+
+        self._file.set_progress_handler(look, _STEPS)
+        try:
+            yield
+        finally:
+            self._file.set_progress_handler(None, 0)
+
+    def close(self) -> None:
+        """See `Bag.close`."""
+        self._file.close()
+
+
+def _connect(path: Path) -> sqlite3.Connection:
+    wal = path.with_name(f"{path.name}-wal")
+    # what a killed recorder left in its log is read too; else nothing is made beside a file that is only read
+    mode: Literal["mode=ro", "immutable=1"] = "mode=ro" if wal.is_file() and wal.stat().st_size else "immutable=1"
+    file = sqlite3.connect(f"file:{quote(str(path))}?{mode}", uri=True, check_same_thread=False)
+    file.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, MAX_CHUNK)
+    file.execute("PRAGMA trusted_schema = OFF")
+    file.execute("PRAGMA cell_size_check = ON")
+    file.execute("PRAGMA mmap_size = 0")
+    return file
+
+
+def _text(value: Any) -> str:
+    if not isinstance(value, str) or len(value) > _LARGEST_TEXT:
+        msg = f"a name or a definition is not text of up to {_LARGEST_TEXT} characters"
+        raise ValueError(msg)
+    return value
+
+
+def _blob(value: Any, unpack: Callable[[bytes], bytes]) -> bytes:
+    if not isinstance(value, bytes):
+        msg = "a message is not made of bytes"
+        raise TypeError(msg)
+    return unpack(value)
+
+
+def _unzstd(data: bytes) -> bytes:
+    import zstandard
+
+    told = zstandard.frame_content_size(data)
+    if told > MAX_CHUNK:
+        msg = f"a message declares {told} bytes, which is more than the {MAX_CHUNK} that are read"
+        raise ValueError(msg)
+    return zstandard.ZstdDecompressor().decompress(data, max_output_size=MAX_CHUNK if told < 0 else told)

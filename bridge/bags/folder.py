@@ -1,0 +1,126 @@
+"""Folders of rosbag2: ``metadata.yaml`` and one file or several, of MCAP or SQLite, compressed or not."""
+
+from __future__ import annotations
+
+import shutil
+import tempfile
+from collections.abc import Callable, Collection, Iterator
+from contextlib import ExitStack
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from bridge.bags.bag import Bag, BagError, BagMessage, BagTopic, reading
+from bridge.bags.qos import load_yaml
+
+METADATA = "metadata.yaml"
+_LARGEST_METADATA = 4 << 20
+_PACKED = (".zstd", ".zst")
+_MOST_PACKED = 200
+"""How many times larger than its compressed file a file of a folder may be."""
+
+
+class FolderBag(Bag):
+    """A folder of rosbag2. Its files follow each other in time; topics that several have are one.
+
+    Args:
+        open_file: opens one file; the second argument is whether its messages are compressed.
+    """
+
+    def __init__(self, path: Path, open_file: Callable[[Path, bool], Bag]) -> None:
+        super().__init__(path)
+        with reading(path):
+            metadata = _metadata(path)
+            files = _files(path, metadata)
+        self.unfinished = not metadata
+        packed = metadata.get("compression_mode") == "message"
+        with ExitStack() as stack:
+            with reading(path):
+                plain = [_unpacked(file, stack) for file in files]
+            self._parts = [stack.enter_context(open_file(file, packed)) for file in plain]
+            self._stack = stack.pop_all()
+        self._parts.sort(key=lambda part: part.start_ns)
+        self._topic_of: dict[BagTopic, BagTopic] = {}
+        self._join()
+        self.kind = self._parts[0].kind
+        self.size = sum(file.stat().st_size for file in files)
+        self.unfinished |= any(part.unfinished for part in self._parts)
+        self.trouble = next((part.trouble for part in self._parts if part.trouble is not None), None)
+        told = {part.compression for part in self._parts}
+        self.compression = "zstd" if files != plain else ",".join(sorted(told))
+        self.left_out = tuple(dict.fromkeys(name for part in self._parts for name in part.left_out))
+
+    def _join(self) -> None:
+        joined: dict[tuple[Any, ...], list[BagTopic]] = {}
+        for topic in (topic for part in self._parts for topic in part.topics):
+            key = (topic.name, topic.type_name, topic.world, topic.definition, topic.type_hash, topic.qos)
+            joined.setdefault((*key, *sorted(topic.metadata.items())), []).append(topic)
+        for same in joined.values():
+            one = replace(same[0], count=sum(topic.count for topic in same))
+            self._topic_of.update(dict.fromkeys(same, one))
+        self.topics = tuple(dict.fromkeys(self._topic_of.values()))
+        times = [part for part in self._parts if any(topic.count for topic in part.topics)]
+        self.start_ns = min((part.start_ns for part in times), default=0)
+        self.end_ns = max((part.end_ns for part in times), default=0)
+
+    def messages(
+        self, topics: Collection[BagTopic] | None = None, start_ns: int | None = None, end_ns: int | None = None
+    ) -> Iterator[BagMessage]:
+        """See `Bag.messages`; files whose times overlap are read one after the other."""
+        wanted = None if topics is None else set(topics)
+        for part in self._parts:
+            mine = None if wanted is None else [topic for topic in part.topics if self._topic_of[topic] in wanted]
+            for message in part.messages(mine, start_ns, end_ns):
+                yield message._replace(topic=self._topic_of[message.topic])
+
+    def close(self) -> None:
+        """See `Bag.close`."""
+        self._stack.close()
+
+
+def _metadata(path: Path) -> dict[str, Any]:
+    """What the folder's file says; nothing where it has none, as that of a recorder that was killed."""
+    file = path / METADATA
+    if not file.is_file():
+        return {}
+    if file.stat().st_size > _LARGEST_METADATA:
+        raise BagError(file, f"is larger than {_LARGEST_METADATA} bytes")
+    with reading(file):
+        found = load_yaml(file.read_text(encoding="utf-8"))
+        told = found["rosbag2_bagfile_information"]
+        if not isinstance(told, dict):
+            raise TypeError("rosbag2_bagfile_information is no mapping")
+        return told
+
+
+def _files(path: Path, metadata: dict[str, Any]) -> list[Path]:
+    listed = metadata.get("relative_file_paths")
+    if isinstance(listed, list) and listed:
+        files = [path / Path(str(name)).name for name in listed]  # nothing outside of the folder
+    else:
+        ends = (".mcap", ".db3", *(f"{kind}{end}" for kind in (".mcap", ".db3") for end in _PACKED))
+        files = sorted(file for file in path.iterdir() if file.name.endswith(ends))
+    if not files:
+        raise BagError(path, f"is no bag: it has no {METADATA}, no .mcap and no .db3")
+    return files
+
+
+def _unpacked(file: Path, stack: ExitStack) -> Path:
+    """The file itself, or for a compressed one what it holds, in a temporary folder that goes with the bag."""
+    if not file.name.endswith(_PACKED):
+        return file
+    import zstandard
+
+    folder = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="midspan-bag-")))
+    target = folder / file.name.rpartition(".")[0]
+    room = min(file.stat().st_size * _MOST_PACKED + (1 << 20), shutil.disk_usage(folder).free * 9 // 10)
+    with reading(file), file.open("rb") as packed, target.open("wb") as plain:
+        source = zstandard.ZstdDecompressor().stream_reader(packed)
+        while piece := source.read(1 << 20):
+            room -= len(piece)
+            if room < 0:
+                cure = f"unpack it by hand with 'zstd -d', or give TMPDIR a larger disk than that of {folder.parent}"
+                what = f"unpacks to more than {_MOST_PACKED} times its size, or than the disk"
+                raise BagError(file, what, None, cure)
+            plain.write(piece)
+    return target

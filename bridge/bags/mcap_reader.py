@@ -1,0 +1,234 @@
+"""Reads MCAP, finished or not: profiles ``ros1`` and ``ros2``, any chunks and compression.
+
+The records are those of https://mcap.dev/spec; the library `mcap` reads all but messages and the heads of chunks. A
+file is first walked from record to record, which costs one look at each chunk, so that the index of the file is not
+needed, and need not be believed. Channels and counts come from the summary where there is one, else from the chunks.
+"""
+
+from __future__ import annotations
+
+import io
+import struct
+import zlib
+from collections import Counter
+from pathlib import Path
+from typing import BinaryIO
+
+from mcap.data_stream import ReadDataStream
+from mcap.opcode import Opcode
+from mcap.records import Channel, Header, Schema, Statistics
+
+from bridge.bags.bag import MAX_TOPICS, BagError, BagMessage, BagTopic, Kind, reading
+from bridge.bags.qos import parse_qos
+from bridge.bags.spans import Span, SpanBag, unpack
+from bridge.hub.wire.qos import LATCHED, Qos
+from bridge.messages.definitions.schema import World
+
+MAGIC = b"\x89MCAP0\r\n"
+_HEAD = struct.Struct("<BQ")
+_MESSAGE = struct.Struct("<HIQQ")
+_CHUNK = struct.Struct("<QQQII")
+_LARGEST_TABLE = 16 << 20
+"""Bytes of a record that is neither a chunk nor a message."""
+_RUN = 1 << 20
+"""Bytes of messages outside of chunks that are read at once."""
+
+_WORLDS = {"cdr": World.ROS2, "ros1": World.ROS1}
+_DEFINITIONS = {"ros2msg", "ros1msg"}
+_TABLES = {Opcode.HEADER, Opcode.SCHEMA, Opcode.CHANNEL, Opcode.STATISTICS}
+
+
+class McapBag(SpanBag):
+    """One MCAP file. ``profile`` and ``library`` are what its header says."""
+
+    kind: Kind = "mcap"
+
+    def __init__(self, path: Path, file: BinaryIO) -> None:
+        super().__init__(path, file)
+        self.profile = self.library = ""
+        self.schemas: dict[int, Schema] = {}
+        self.channels: dict[int, Channel] = {}
+        self.topic_of: dict[int, BagTopic] = {}
+        self._left_out: dict[int, str] = {}
+        self._statistics: Statistics | None = None
+        self._compressions: set[str] = set()
+        self._fixed = False
+        with reading(path, 0):
+            self._walk()
+        counts: Counter[int] = Counter()
+        if self.unfinished or self._statistics is None or not self.channels:
+            counts = self._scan()
+        else:
+            counts.update(self._statistics.channel_message_counts)
+        self._fixed = True
+        with reading(path):
+            for number, channel in self.channels.items():
+                self._make_topic(number, channel, counts[number])
+        self.topics = tuple(self.topic_of.values())
+        self.left_out = tuple(self._left_out.values())
+        self.compression = ",".join(sorted(self._compressions)) or "none"
+        self._set_times()
+
+    def number_of(self, topic: BagTopic) -> int:
+        """The number of a topic's channel."""
+        return next(number for number, each in self.topic_of.items() if each is topic)
+
+    def _walk(self) -> None:
+        """From record to record, until the file ends or stops making sense."""
+        at = len(MAGIC)
+        while True:
+            if at + _HEAD.size > self.size:
+                return self._end(at, "the file ends without its footer")
+            opcode, length = _HEAD.unpack(self._read(at, _HEAD.size))
+            body, after = at + _HEAD.size, at + _HEAD.size + length
+            if opcode == 0 or after > self.size:
+                return self._end(at, "the file ends within a record, or a length is wrong")
+            if opcode == Opcode.FOOTER:
+                return None if self._magic_at(after) else self._end(after, "the file ends without its last bytes")
+            if opcode == Opcode.CHUNK:
+                self._walk_chunk(at, body, length)
+            elif opcode == Opcode.MESSAGE:
+                self._walk_message(at, body, length)
+            elif opcode in _TABLES:
+                if length > _LARGEST_TABLE:
+                    raise BagError(self.path, f"a record of type {opcode} declares {length} bytes", at)
+                with reading(self.path, at):
+                    self._take(opcode, self._read(body, length))
+            at = after
+
+    def _magic_at(self, offset: int) -> bool:
+        return self.size >= offset + len(MAGIC) and self._read(offset, len(MAGIC)) == MAGIC
+
+    def _end(self, offset: int, what: str) -> None:
+        self.unfinished = True
+        cure = "what stands before can be read; 'midspan bag mend' writes it into a whole file"
+        self.trouble = BagError(self.path, what, offset, cure)
+
+    def _walk_chunk(self, at: int, body: int, length: int) -> None:
+        if length < _CHUNK.size:
+            raise BagError(self.path, f"a chunk has only {length} bytes", at)
+        start, end, _, _, name = _CHUNK.unpack(self._read(body, _CHUNK.size))
+        if name > 20 or _CHUNK.size + name + 8 > length:
+            raise BagError(self.path, "a chunk has no compression that is known", at)
+        self._compressions.add(self._read(body + _CHUNK.size, name).decode(errors="replace") or "none")
+        self._spans.append(Span(at, length, start, max(start, end), chunk=True))
+
+    def _walk_message(self, at: int, body: int, length: int) -> None:
+        if length < _MESSAGE.size:
+            raise BagError(self.path, f"a message record has only {length} bytes", at)
+        time = _MESSAGE.unpack(self._read(body, _MESSAGE.size))[2]
+        size = _HEAD.size + length
+        last = self._spans[-1] if self._spans else None
+        if last is not None and not last.chunk and last.offset + last.length == at and last.length + size <= _RUN:
+            self._spans[-1] = Span(last.offset, last.length + size, min(last.start, time), max(last.end, time), False)
+        else:
+            self._spans.append(Span(at, size, time, time, chunk=False))
+
+    def _take(self, opcode: int, data: bytes) -> None:
+        """Take up one record that says something of the whole file."""
+        stream = ReadDataStream(io.BytesIO(data))
+        if opcode == Opcode.HEADER:
+            header = Header.read(stream)
+            self.profile, self.library = header.profile, header.library
+        elif opcode == Opcode.STATISTICS:
+            self._statistics = Statistics.read(stream)
+        elif opcode == Opcode.SCHEMA:
+            if int.from_bytes(data[:2], "little") not in self.schemas:
+                schema = Schema.read(stream)
+                self.schemas[schema.id] = schema
+        elif int.from_bytes(data[:2], "little") not in self.channels:
+            channel = Channel.read(stream)
+            if self._fixed:
+                raise BagError(self.path, f"the summary does not have channel {channel.id} ({channel.topic!r})")
+            if len(self.channels) < MAX_TOPICS:
+                self.channels[channel.id] = channel
+
+    def _scan(self) -> Counter[int]:
+        """Look into all chunks for channels and counts; one that is damaged is told of when it is to be read."""
+        counts: Counter[int] = Counter()
+        for number, span in enumerate(self._spans):
+            try:
+                with reading(self.path, span.offset):
+                    data = self._plain(span)
+                    times = []
+                    for channel, time, _, _, _ in self._records(data, span.offset):
+                        counts[channel] += 1
+                        times.append(time)
+                    if times:
+                        self._spans[number] = span._replace(start=min(times), end=max(times))
+            except BagError as err:
+                self.trouble = self.trouble or err
+        return counts
+
+    def _make_topic(self, number: int, channel: Channel, count: int) -> None:
+        schema = self.schemas.get(channel.schema_id)
+        world = _WORLDS.get(channel.message_encoding)
+        if world is None or (schema is None and channel.schema_id):
+            self._left_out[number] = f"{channel.topic} ({channel.message_encoding or 'no encoding'})"
+            return
+        more = dict(channel.metadata)
+        offered, md5 = more.pop("offered_qos_profiles", ""), more.pop("md5sum", "")
+        if world is World.ROS1:
+            qos = LATCHED if more.pop("latching", "") in ("1", "true") else Qos()
+        else:
+            qos = parse_qos(offered)
+        for name in ("topic", "type", "message_definition"):
+            more.pop(name, None)
+        encoding = "" if schema is None else schema.encoding
+        self.topic_of[number] = BagTopic(
+            channel.topic,
+            "" if schema is None else schema.name,
+            world,
+            schema.data.decode(errors="replace") if schema is not None and encoding in _DEFINITIONS else "",
+            md5 if world is World.ROS1 else more.pop("topic_type_hash", ""),
+            qos,
+            count,
+            more,
+        )
+
+    def _plain(self, span: Span) -> bytes:
+        """A span's records."""
+        if not span.chunk:
+            return self._read(span.offset, span.length)
+        body = self._read(span.offset + _HEAD.size, span.length)
+        _, _, size, crc, name = _CHUNK.unpack_from(body)
+        compression = body[_CHUNK.size : _CHUNK.size + name].decode(errors="replace")
+        begin = _CHUNK.size + name + 8
+        told = int.from_bytes(body[begin - 8 : begin], "little")
+        if told != len(body) - begin:
+            raise BagError(self.path, f"a chunk has {len(body) - begin} bytes, and declares {told}", span.offset)
+        plain = unpack(compression, body[begin:], size)
+        if crc and zlib.crc32(plain) != crc:
+            raise BagError(self.path, "a chunk's checksum is wrong: its bytes were changed", span.offset)
+        return plain
+
+    def _records(self, data: bytes, offset: int) -> list[tuple[int, int, int, int, bytes]]:
+        """Channel, log time, publish time, sequence and data of each message."""
+        found = []
+        at, size = 0, len(data)
+        head, message = _HEAD.unpack_from, _MESSAGE.unpack_from
+        while at < size:
+            opcode, length = head(data, at)
+            body, at = at + 9, at + 9 + length
+            if at > size:
+                raise BagError(self.path, "a record is longer than its chunk", offset)
+            if opcode == 5:
+                if length < 22:
+                    raise BagError(self.path, f"a message record has only {length} bytes", offset)
+                channel, sequence, log, publish = message(data, body)
+                found.append((channel, log, publish, sequence, data[body + 22 : at]))
+            elif opcode in (3, 4):
+                self._take(opcode, data[body:at])
+        return found
+
+    def _load(self, span: Span) -> list[BagMessage]:
+        topics = self.topic_of
+        found = []
+        for channel, log, publish, _, data in self._records(self._plain(span), span.offset):
+            topic = topics.get(channel)
+            if topic is not None:
+                found.append(BagMessage(topic, log, publish, data))
+            elif channel not in self._left_out:
+                what = f"a message is of channel {channel}, which the file does not have"
+                raise BagError(self.path, what, span.offset)
+        return found

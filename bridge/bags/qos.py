@@ -1,0 +1,59 @@
+"""QoS profiles as rosbag2 writes them: YAML, the policies as rmw's numbers (to version 8) or as names (from 9)."""
+
+from __future__ import annotations
+
+from enum import IntEnum
+from typing import Any, TypeVar
+
+from bridge.hub.wire.qos import Durability, History, Qos, Reliability
+
+_LONGEST = 1 << 16
+_DEPTH = 1_000_000
+_Policy = TypeVar("_Policy", bound=IntEnum)
+
+
+def parse_qos(text: str) -> Qos:
+    """One profile for all that a topic's publishers offered; the usual one where the text says nothing readable.
+
+    It is transient local where any of them is, best effort where all are, and as deep as the deepest.
+    """
+    found = _profiles(text)
+    if not found:
+        return Qos()
+    durable = any(_policy(p, "durability", Durability.VOLATILE) is Durability.TRANSIENT_LOCAL for p in found)
+    lossy = all(_policy(p, "reliability", Reliability.RELIABLE) is Reliability.BEST_EFFORT for p in found)
+    every = any(_policy(p, "history", History.KEEP_LAST) is History.KEEP_ALL for p in found)
+    depths = [depth for p in found if isinstance(depth := p.get("depth"), int) and 0 < depth <= _DEPTH]
+    return Qos(
+        Reliability.BEST_EFFORT if lossy else Reliability.RELIABLE,
+        Durability.TRANSIENT_LOCAL if durable else Durability.VOLATILE,
+        History.KEEP_ALL if every else History.KEEP_LAST,
+        max(depths, default=10),
+    )
+
+
+def load_yaml(text: str) -> Any:
+    """A YAML document of plain values; raises `yaml.YAMLError`. By libyaml, which is quicker, where it is there."""
+    import yaml
+
+    return yaml.load(text, getattr(yaml, "CSafeLoader", yaml.SafeLoader))  # noqa: S506 - both are safe
+
+
+def _profiles(text: str) -> list[dict[str, Any]]:
+    import yaml
+
+    if not text or len(text) > _LONGEST:
+        return []
+    try:
+        found = load_yaml(text)
+    except (yaml.YAMLError, ValueError, RecursionError):
+        return []
+    return [each for each in found if isinstance(each, dict)] if isinstance(found, list) else []
+
+
+def _policy(profile: dict[str, Any], name: str, usual: _Policy) -> _Policy:
+    value = profile.get(name)
+    kind = type(usual)
+    if isinstance(value, str) and value.upper() in kind.__members__:
+        return kind[value.upper()]
+    return kind(value) if isinstance(value, int) and value in set(kind) else usual
