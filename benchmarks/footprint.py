@@ -1,6 +1,6 @@
 """What Midspan takes of a small computer: memory, processor time and seconds of each worker, beside bare peers.
 
-Four parts, `--parts` chooses:
+Five parts, `--parts` chooses:
 
 - `start`: each worker in turn, started as the daemon starts it, beside an interpreter that has nothing but rospy, rclpy
   or a zenoh session and one subscriber: seconds to the first heartbeat and until it runs, processor time until then.
@@ -8,6 +8,7 @@ Four parts, `--parts` chooses:
   aims and beside the bare peers, seconds until all sides run, processor time while it stands.
 - `idle`: the same without a robot and with the zenoh side: processor time while nothing happens, beside bare zenoh
   sessions that are configured and joined as the hub's are, and idle programs of ROS 1 and ROS 2: what is left to save.
+- `metrics`: what metrics cost at rest, not scraped and scraped each five seconds, beside the same daemon without them.
 - `cli`: seconds of the command line's verbs, on the robot's daemon.
 
 Files are warm: what the first run compiles and reads is there.
@@ -21,7 +22,9 @@ import math
 import statistics
 import subprocess
 import sys
+import threading
 import time
+import urllib.request
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -53,7 +56,8 @@ VERBS = ("--help", "status", "topic list", "nav status", "tf tree")
 SETTLE_SECONDS = 10.0
 """What is compiled, opened and found at the start is over by then."""
 _UP_SECONDS = 60.0
-PARTS = ("start", "robot", "idle", "cli")
+PARTS = ("start", "robot", "idle", "metrics", "cli")
+SCRAPE_SECONDS = 5.0
 
 
 def _laid_over() -> dict[str, Any]:
@@ -87,8 +91,41 @@ def main(arguments: Sequence[str] | None = None) -> int:
         with _daemon(Processes(dialects, yarp=True), (*SIDES, "zenoh_ros2dds")) as (idle, seconds):
             rows += [*seconds, *_rest("idle", idle, args.seconds, IDLE)]
             rows.append(replace(rows[-1], case="idle: all, bare sessions", peer=idle_floor))
+    if "metrics" in args.parts:
+        rows += _metrics(peers, args.seconds)
     report(rows, args.json)
     return 0
+
+
+def _metrics(peers: dict[str, Taken], seconds: float) -> list[Row]:
+    """The same daemon without metrics, with them, and scraped."""
+    modules = {"modules": {"enabled": False}}
+    address = f"127.0.0.1:{free_port()}"
+    with _daemon(Processes(modules, yarp=True), SIDES) as (place, _):
+        without = _rest("without metrics", place, seconds, IDLE)[-1]
+    with _daemon(Processes({**modules, "metrics": {"enabled": True, "listen": address}}, yarp=True), SIDES) as (
+        place,
+        _,
+    ):
+        found = taken(daemon_processes(place.place.folder)["metrics"])
+        quiet = _rest("metrics, not scraped", place, seconds, IDLE)[-1]
+        stop = threading.Event()
+        scraper = threading.Thread(target=_scrape, args=(f"http://{address}/metrics", stop))
+        scraper.start()
+        scraped = _rest("metrics, scraped each 5 s", place, seconds, IDLE)[-1]
+        stop.set()
+        scraper.join()
+    return [
+        Row("metrics: PSS, bare zenoh", found.pss, peers["zenoh"].pss, "MB"),
+        without,
+        *(replace(row, peer=without.ours) for row in (quiet, scraped)),
+    ]
+
+
+def _scrape(url: str, stop: threading.Event) -> None:
+    while not stop.wait(SCRAPE_SECONDS):
+        with urllib.request.urlopen(url, timeout=SCRAPE_SECONDS) as answer:
+            answer.read()
 
 
 def _peers(place: Processes) -> tuple[dict[str, Taken], dict[str, float]]:

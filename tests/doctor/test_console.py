@@ -24,6 +24,14 @@ def test_a_console_on_loopback_needs_none() -> None:
     assert only(look_at_certificate(around({"web": {"enabled": True}}))).result is Result.SKIP
 
 
+def test_metrics_that_others_reach_need_one_without_a_console(tmp_path: Path) -> None:
+    open_to_all = {"enabled": True, "listen": "0.0.0.0:9480"}
+    config = {"hub": {"open": {"keys": str(tmp_path)}}, "web": {"tokens": TOKENS}, "metrics": open_to_all}
+    found = only(look_at_certificate(around(config)))
+    assert found.result is Result.FAIL
+    assert "the worker metrics cannot start" in found.seen
+
+
 def test_files_that_are_missing(tmp_path: Path) -> None:
     found = only(look_at_certificate(place(tmp_path)))
     assert found.result is Result.FAIL

@@ -190,6 +190,22 @@ class Prometheus:
         self._process.stop()
 
 
+def test_a_worker_that_hangs_is_told_of_and_holds_nothing_up(watched: Watched) -> None:
+    answering = 'midspan_worker_answering{worker="modules"} '
+    pid = watched.pid_of("modules")
+    os.kill(pid, signal.SIGSTOP)
+    try:
+        scrapes = iter(lambda: watched.get("/metrics")[1], "")
+        text = until(lambda: text if f"{answering}0.0" in (text := next(scrapes)) else "", "it is told of", 9)
+        assert 'midspan_worker_answering{worker="ros1"} 1.0' in text
+        took = next(float(line.split()[1]) for line in text.splitlines() if line.startswith("midspan_ask_duration"))
+        assert 0.9 < took < 3.0
+        assert 'midspan_worker_resident_memory_bytes{worker="modules"}' in text, "the system says it all the same"
+    finally:
+        os.kill(pid, signal.SIGCONT)
+    until(lambda: f"{answering}1.0" in watched.get("/metrics")[1], "it answers again", 40, every=0.2)
+
+
 @pytest.mark.thorough
 @needs(PROMETHEUS)
 def test_a_real_prometheus_scrapes_it(watched: Watched, tmp_path: Path) -> None:

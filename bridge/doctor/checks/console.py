@@ -15,13 +15,13 @@ _MAKE = "'midspan keys make' makes the files; see docs/operate/console.md"
 
 def look_at_certificate(context: CheckContext) -> Findings:
     """The files of the console's TLS: there, readable, of one authority, valid for a while, and nobody else's."""
-    web = context.config.web
-    if not (web.enabled and web.guarded):
-        return skip("the console runs on this machine's loopback alone, or not at all: no certificate is needed")
+    web, metrics = context.config.web, context.config.metrics
+    if not (web.enabled and web.guarded) and not (metrics.enabled and metrics.reached):
+        return skip("console and metrics are on this machine's loopback alone, or off: no certificate is needed")
     files = key_files(context.config)
     why = trouble(files)
     if why:
-        return fail(f"the console cannot start: {why}", _MAKE)
+        return fail(f"{'the console' if web.enabled else 'the worker metrics'} cannot start: {why}", _MAKE)
     own = read_certificate(files.certificate)
     findings: list[Finding] = []
     if own.days_left() < SOON_DAYS:
