@@ -367,7 +367,7 @@ class Recorder:
         refused = self._left[1] + sum(each.refused for each in heard)
         dropped |= {reason: count for reason, count in (("lost", lost), ("refused", refused)) if count}
         return {
-            "state": "full" if self.trouble else "recording" if self._on else "stopped",
+            "state": "blocked" if self.trouble else "recording" if self._on else "stopped",
             "file": str(file.path if file is not None else self._last_path or ""),
             "file_bytes": file.safe if file is not None else 0,
             "file_messages": file.messages if file is not None else 0,

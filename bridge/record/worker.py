@@ -83,10 +83,10 @@ class Recording:
 
     def close(self) -> None:
         """Write what waits, and leave the hub."""
-        self._taps.close()
         if self.triggers is not None:
             self.triggers.close()
         self.recorder.close()
+        self._taps.close()
         self.host.close()
 
 
@@ -168,7 +168,7 @@ def metrics(told: dict[str, Any]) -> dict[str, float]:
         "files_total": told["files"],
         "topics": len(told["topics"]),
         "recording": float(told["state"] == "recording"),
-        "stopped_by_disk": float(told["state"] == "full"),
+        "blocked": float(told["state"] == "blocked"),
         **{f"dropped_{reason}_total": count for reason, count in dropped.items()},
     }
 
@@ -181,6 +181,6 @@ def summary(told: dict[str, Any]) -> str:
     reasons = ", ".join(f"{count} {reason}" for reason, count in told["dropped"].items())
     drops = f", {dropped} dropped ({reasons})" if dropped else ""
     figures = f"{told['messages']} messages, {told['bytes'] / 1e6:.1f} MB, {len(told['topics'])} topics{drops}"
-    if told["state"] == "full":
+    if told["state"] == "blocked":
         return f"not recording: {told['error']}; {figures}"
     return f"{'ring' if told['ring'] else 'recording'} {told['file']}, {figures}"

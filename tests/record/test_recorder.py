@@ -164,6 +164,61 @@ def test_a_ring_forgets_what_is_older(hubs: QuickHub, robot: Robot, tmp_path: Pa
         assert made.recorder.trigger("nothing").result(10) is None
 
 
+def test_what_a_killed_run_left_in_its_ring_is_kept(tmp_path: Path) -> None:
+    section = RecordSection.model_validate({"ring": {"seconds": 5.0}})
+    (tmp_path / ".ring").mkdir()
+    for name in ("1.mcap", "2.mcap"):
+        (tmp_path / ".ring" / name).write_text(name)
+    ring = Ring(KeptFolder(tmp_path, section.keep), section.ring)
+    assert ring.next().parent == tmp_path / ".ring"
+    (folder,) = tmp_path.glob(f"{PREFIX}*")
+    assert {file.name: file.read_text() for file in folder.iterdir()} == {"1.mcap": "1.mcap", "2.mcap": "2.mcap"}
+    assert not list((tmp_path / ".ring").iterdir())
+
+
+def test_what_a_side_keeps_at_home_is_asked_of_its_worker(hubs: QuickHub, tmp_path: Path) -> None:
+    asked: list[str] = []
+    decided = [("/arm/home", "private", "in"), ("/arm/out", "bridged", "in"), ("/leg/home", "denied", "in")]
+    with Hub.open(hubs.settings("yarp_worker", worker="yarp")) as hub:
+        hub.set_origin(Origin("yarp", "here", "robot1"))
+        robot = Robot(hub)
+        hub.serve("explain", lambda _: [{"topic": t, "decision": d, "direction": w} for t, d, w in decided])
+        hub.serve("tap", lambda what: asked.append(what["topic"]))
+        shown = robot.publisher("/_midspan/yarp/arm/home", LATCHED)
+        shown.put(robot.text("at home"))
+        unasked = robot.publisher("/_midspan/yarp/other", LATCHED)
+        unasked.put(robot.text("of another"))
+        section = {"topics": ["/arm/**"], "sides": ["yarp"]}
+        with recording(hubs, tmp_path, Files(tmp_path / "one", split=False), **section) as made:
+            made.recorder.begin()
+            await_written(made, 1)
+            until(lambda: asked, "it is asked for")
+    assert set(asked) == {"/arm/home"}
+    found = read(tmp_path / "one.mcap")
+    assert found.texts("/arm/home") == ["at home"]
+    assert set(found.channels) == {"/arm/home"}
+
+
+def test_a_folder_that_cannot_be_made_is_told_and_tried_again(
+    hubs: QuickHub, robot: Robot, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(record_recorder, "RETRY_SECONDS", 0.1)
+    place = tmp_path / "place"
+    place.write_text("a file where the folder should be")
+    said = robot.publisher("/said")
+    keep = RecordSection().keep
+    with recording(hubs, tmp_path, KeptFolder(place, keep)) as made:
+        with pytest.raises(OSError, match=r"exists|directory"):
+            made.recorder.begin()
+        assert made.recorder.status()["state"] == "blocked"
+        place.unlink()
+        until(lambda: not made.recorder.status()["error"], "it goes on")
+        until(said.matched, "it is heard")
+        said.put(robot.text("after"))
+        told = await_written(made, 1)
+    assert read(Path(told["file"])).texts("/said") == ["after"]
+
+
 def test_a_full_disk_stops_recording_until_there_is_room(
     hubs: QuickHub, robot: Robot, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -180,7 +235,7 @@ def test_a_full_disk_stops_recording_until_there_is_room(
         free[0] = 1 << 20
         said.put(robot.text("last"))
         told = until(lambda: (now := made.recorder.status())["error"] and now, "it stops")
-        assert told["state"] == "full"
+        assert told["state"] == "blocked"
         assert "1 MB of room are left" in told["error"]
         closed = read(tmp_path / "one.mcap")
         assert (closed.texts("/said"), closed.whole) == (["before", "last"], True)
