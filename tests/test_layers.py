@@ -35,7 +35,7 @@ BELOW = {
         "routing.limits",
     },
     "adapters": {*TOOLS, "callers", "config", "kernels", "messages", "interfaces", "hub", "routing"},
-    "metrics": {*TOOLS, "config", "daemon", "hub", "messages", "modules.endpoints", "routing.counters"},
+    "metrics": {*TOOLS, "config", "daemon", "hub", "messages", "routing.counters"},
     "daemon": {*TOOLS, "config", "messages", "interfaces", "hub", "routing", "adapters"},
 }
 """What each part of ``bridge`` may import beside itself; the command line, the doctor and the demo may import all."""

@@ -20,9 +20,9 @@ from bridge.hub.session import Hub
 from bridge.hub.wire.qos import Qos
 from bridge.messages.errors import MessageError
 from bridge.messages.registry import Registry
+from bridge.messages.values import MessageWriter
 from bridge.metrics.parts import Level, parts, worker_status
 from bridge.metrics.source import AT_REST, Document, Source
-from bridge.modules.endpoints import ModulePublisher
 
 _log = logging.getLogger("midspan.metrics")
 
@@ -47,7 +47,7 @@ class DiagnosticsTeller:
     def __init__(self, config: Config, hub: Hub, registry: Registry, clock: RunClock, source: Source) -> None:
         self._config, self._hub, self._clock, self._source = config, hub, clock, source
         end = hub.publisher(TOPIC, TYPE, registry.ros2(TYPE).type_id, Qos(depth=10))
-        self._publisher = ModulePublisher(end, registry, TYPE)
+        self._publisher, self._schema = end, registry.schema(TYPE)
         self._changed, self._closing = threading.Event(), threading.Event()
         self._unwatch = hub.graph.watch(self._changed.set)
         self._levels: dict[str, Level] = {}
@@ -95,6 +95,8 @@ class DiagnosticsTeller:
         found = parts(replace(self._source.snapshot(), daemon=said), self._config)
         self._levels = {status.part: status.level for status in found}
         name = self._config.name
-        self._publisher.publish({
-            "header": {"stamp": self._clock.stamp()}, "status": [status.message_of(name) for status in found],
-        })  # fmt: skip
+        message = {
+            "header": {"stamp": self._clock.stamp()},
+            "status": [status.message_of(name) for status in found],
+        }
+        self._publisher.put(MessageWriter(self._schema).message(message))

@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 import os
 import secrets
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import psutil
 
@@ -20,8 +20,10 @@ from bridge.metrics.link import HubLink
 from bridge.metrics.source import Source
 from bridge.web.access import Access
 from bridge.web.serving import HttpServer
-from bridge.web.tls import ServerTls
 from bridge.worker import Health, Worker, costs
+
+if TYPE_CHECKING:
+    from bridge.web.tls import ServerTls
 
 _log = logging.getLogger("midspan.metrics")
 
@@ -44,7 +46,10 @@ class MetricsWorker(Worker):
         if unguarded := section.unguarded(config.web):
             raise RuntimeError(f"metrics.listen: {unguarded}")
         self._link = HubLink(config, "metrics", self._status)
-        self._tls = ServerTls(config) if section.reached else None
+        if section.reached:
+            from bridge.web.tls import ServerTls  # what it needs is memory that nobody needs on loopback
+
+            self._tls = ServerTls(config)
         # nobody logs in here, so no cookie fits
         access = Access(config.web if section.reached else WebSection(), secrets.token_bytes(32))
         self._source = Source(config, self._link.ask)

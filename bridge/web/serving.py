@@ -12,6 +12,7 @@ import logging
 import socket
 import threading
 from collections.abc import Callable, Sequence
+from typing import TYPE_CHECKING
 
 import uvicorn
 from starlette.applications import Starlette
@@ -32,7 +33,9 @@ from bridge.web.connections import (
 )
 from bridge.web.login import LoginGuard
 from bridge.web.scarce_log import ScarceLog
-from bridge.web.tls import ServerTls
+
+if TYPE_CHECKING:
+    from bridge.web.tls import ServerTls
 
 _log = logging.getLogger("midspan.web")
 

@@ -41,6 +41,16 @@ done
 _APT_CACHE = """#!/bin/sh
 case " $NOT_IN_ARCHIVE " in *" $2 "*) exit 100 ;; esac
 """
+_APT_GET = """#!/bin/sh
+echo "apt-get $*" >>"$LOG"
+case "$*" in *" download "*) touch "prometheus_1_amd64.deb" ;; esac
+"""
+_DPKG_DEB = """#!/bin/sh
+echo "dpkg-deb $*" >>"$LOG"
+mkdir -p "$3/usr/bin"
+touch "$3/usr/bin/promtool"
+chmod +x "$3/usr/bin/promtool"
+"""
 
 
 class Machine:
@@ -68,7 +78,8 @@ class Machine:
         if apt:
             self._command("dpkg-query", _DPKG_QUERY)
             self._command("apt-cache", _APT_CACHE)
-            self._command("apt-get", '#!/bin/sh\necho "apt-get $*" >>"$LOG"\n')
+            self._command("apt-get", _APT_GET)
+            self._command("dpkg-deb", _DPKG_DEB)
         if sudo:
             self._command("sudo", '#!/bin/sh\necho "sudo $*" >>"$LOG"\n[ "$1" = -n ] && shift\nexec "$@"\n')
 

@@ -92,6 +92,17 @@ def test_missing_packages_are_installed_with_sudo(tmp_path: Path) -> None:
     assert machine.called("sudo -n env", "apt-get", "install", "python3-rospy")
 
 
+def test_prometheus_is_unpacked_in_ci_alone_and_once(tmp_path: Path) -> None:
+    machine = Machine(tmp_path)
+    assert machine.setup().returncode == 0
+    assert not machine.called("dpkg-deb")
+    assert machine.setup(CI="true").returncode == 0
+    assert machine.called("apt-get", "download", "prometheus")
+    assert machine.called("dpkg-deb", "-x", "prometheus_1_amd64.deb")
+    machine.setup(CI="true")
+    assert not machine.called("dpkg-deb")
+
+
 LACKING: list[tuple[str, dict[str, bool | int], dict[str, str], str]] = [
     ("no apt", {"apt": False}, {}, "no apt on this system"),
     ("no root", {"user": 1000}, {"NOT_INSTALLED": "python3-rospy"}, "ask for: apt-get install python3-rospy"),
