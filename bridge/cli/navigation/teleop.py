@@ -3,17 +3,14 @@
 from __future__ import annotations
 
 import argparse
-import contextlib
-import os
-import select
 import sys
 import time
-from collections.abc import Iterator
 from typing import Any, NamedTuple
 
 from bridge.cli.arguments import add_hub_arguments
 from bridge.cli.client import open_client
 from bridge.cli.graph.view import absolute
+from bridge.cli.keyboard import pressed, raw
 from bridge.cli.messages import Types
 from bridge.cli.output import CliError
 from bridge.hub.endpoints.publisher import HubPublisher
@@ -111,7 +108,7 @@ def run(args: argparse.Namespace) -> int:
         print(f"{HELP}\n{topic}:", flush=True)
         keys = Keys(args.speed, args.turn)
         try:
-            with _raw(sys.stdin.fileno()) as terminal:
+            with raw(sys.stdin.fileno()) as terminal:
                 _drive(keys, terminal, publisher, types.registry)
         except KeyboardInterrupt:
             pass
@@ -126,7 +123,7 @@ def _drive(keys: Keys, terminal: int, publisher: HubPublisher, registry: Registr
     due = time.monotonic()
     idle = False
     while not keys.ended:
-        for key in _pressed(terminal, max(0.0, due - time.monotonic())):
+        for key in pressed(terminal, max(0.0, due - time.monotonic())):
             keys.press(key, time.monotonic())
         if time.monotonic() < due:
             continue
@@ -143,32 +140,3 @@ def _show(keys: Keys, twist: dict[str, Any]) -> None:
     linear, turn = twist["linear"], twist["angular"]["z"]
     now = f"x {linear['x']:+.2f} y {linear['y']:+.2f} m/s, turn {turn:+.2f} rad/s"
     print(f"\r{now}   (speed {keys.speed:.2f}, turn {keys.turn:.2f}) ", end="", flush=True)
-
-
-def _pressed(terminal: int, seconds: float) -> Iterator[str]:
-    """The keys that came within so many seconds; an arrow is one key."""
-    if not select.select([terminal], [], [], seconds)[0]:
-        return
-    text = os.read(terminal, 1024).decode(errors="ignore")
-    if not text:
-        yield "x"  # the terminal is gone
-    while text:
-        length = 3 if text.startswith("\x1b[") else 1
-        yield text[:length]
-        text = text[length:]
-
-
-@contextlib.contextmanager
-def _raw(terminal: int) -> Iterator[int]:
-    """A terminal that gives each key at once and shows none."""
-    try:
-        import termios
-        import tty
-    except ImportError:
-        raise CliError("teleop needs a POSIX terminal; 'midspan topic pub' publishes from any system") from None
-    before = termios.tcgetattr(terminal)
-    try:
-        tty.setcbreak(terminal)
-        yield terminal
-    finally:
-        termios.tcsetattr(terminal, termios.TCSADRAIN, before)

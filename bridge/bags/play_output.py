@@ -1,0 +1,130 @@
+"""What a play says on the hub: its publishers, its clock, and the zero that ends a velocity."""
+
+from __future__ import annotations
+
+import struct
+import threading
+import time
+from collections import Counter
+from collections.abc import Iterable, Sequence
+from contextlib import suppress
+from dataclasses import replace
+from typing import Any
+
+from bridge.bags.play_topics import PlayTopic
+from bridge.clock import CLOCK_TOPIC, CLOCK_TYPE
+from bridge.hub.definitions import VERB
+from bridge.hub.endpoints.publisher import HubPublisher
+from bridge.hub.errors import HubClosedError, HubError
+from bridge.hub.session import Hub
+from bridge.hub.wire.qos import Qos
+from bridge.messages.json import from_json
+from bridge.messages.registry import Registry
+
+_CLOCK = struct.Struct("<4siI")
+_LITTLE = b"\x00\x01\x00\x00"
+_LOOK = 0.02
+_NS = 1_000_000_000
+
+_Key = tuple[str, str, str, Qos]
+
+
+class HubOutput:
+    """Publishers of all topics that are played, as they were recorded. Safe to use from any thread.
+
+    A topic that several publishers latched, or several files hold, has one publisher that keeps as many messages.
+    """
+
+    def __init__(self, hub: Hub, registry: Registry, topics: Sequence[PlayTopic], *, clock: bool = False) -> None:
+        self._hub = hub
+        self._definitions = {t.type_name: (t.type_hash, t.definition) for t in topics if t.definition}
+        self._publishers: dict[_Key, HubPublisher] = {}
+        self._ends: dict[PlayTopic, HubPublisher] = {}
+        latched = Counter(_key(topic) for topic in topics if topic.qos.latched and not topic.static)
+        for topic in topics:
+            self._ends[topic] = self._made(topic, latched[_key(topic)])
+        self._zeros = {t: from_json(registry, t.type_name, {}) for t in topics if t.velocity}
+        self._lock = threading.Lock()
+        self._moving: dict[HubPublisher, bytes] = {}
+        self._finished = False
+        self._clock: HubPublisher | None = None
+        if clock:
+            kind = registry.ros2(CLOCK_TYPE).type_id
+            self._clock = hub.publisher(CLOCK_TOPIC, CLOCK_TYPE, kind, Qos(depth=1))
+        self._unserve = hub.serve(VERB, self._define)
+
+    def _made(self, topic: PlayTopic, latched: int) -> HubPublisher:
+        key = _key(topic)
+        if key not in self._publishers:
+            qos = replace(topic.qos, depth=max(topic.qos.depth, latched)) if topic.qos.latched else topic.qos
+            self._publishers[key] = self._hub.publisher(
+                topic.name, topic.type_name, topic.type_hash, qos, priority=topic.priority
+            )
+        return self._publishers[key]
+
+    def _define(self, params: dict[str, Any]) -> dict[str, Any]:
+        """Workers that lack a type ask for it; on a thread of the hub."""
+        name = str(params.get("name", ""))
+        type_hash, definition = self._definitions.get(name, ("", ""))
+        return {"name": name, "hash": type_hash, "definition": definition} if definition else {}
+
+    def put(self, topic: PlayTopic, data: bytes) -> None:
+        """Publish CDR; raises `bridge.hub.errors.HubError` where the hub does not take it, or all is finished."""
+        end = self._ends[topic]
+        zero = self._zeros.get(topic)
+        if zero is None:
+            end.put(data)
+            return
+        with self._lock:
+            if self._finished:
+                raise HubClosedError("the play has ended")
+            self._moving[end] = zero
+            end.put(data)
+
+    def clock(self, time_ns: int) -> None:
+        """Say the bag's time."""
+        if self._clock is not None:
+            seconds, rest = divmod(time_ns, _NS)
+            self._clock.put(_CLOCK.pack(_LITTLE, seconds, rest))
+
+    def end_velocities(self) -> bool:
+        """Command zero where a velocity was played; whether there was any."""
+        with self._lock:
+            moving, self._moving = self._moving, {}
+            for end, zero in moving.items():
+                end.put(zero)
+        return bool(moving)
+
+    def finish(self) -> None:
+        """Take no velocity any more, from a thread that still plays, and end those that were played."""
+        with self._lock:
+            self._finished = True
+        with suppress(HubError):
+            self.end_velocities()
+
+    def others(self) -> dict[str, list[str]]:
+        """The nodes of others that publish what is to be played, by topic."""
+        ends: Iterable[HubPublisher] = self._publishers.values()
+        names = {end.topic for end in ends} | ({CLOCK_TOPIC} if self._clock is not None else set())
+        found = {name: [e.node for e in self._hub.graph.publishers(name) if not e.own] for name in sorted(names)}
+        return {name: nodes for name, nodes in found.items() if nodes}
+
+    def await_listeners(self, seconds: float, ended: threading.Event) -> bool:
+        """Wait until zenoh knows of all that subscribe by the hub's graph; whether anybody does."""
+        end = time.monotonic() + seconds
+        graph = self._hub.graph
+        ends = [*self._publishers.values(), *([self._clock] if self._clock is not None else [])]
+        while True:
+            heard = [each for each in ends if any(not s.own for s in graph.subscriptions(each.topic))]
+            if (heard and all(each.matched() for each in heard)) or time.monotonic() >= end or ended.wait(_LOOK):
+                return bool(heard)
+
+    def close(self) -> None:
+        """Leave the hub's graph. Safe to call twice."""
+        self._unserve()
+        for end in [*self._publishers.values(), *([self._clock] if self._clock is not None else [])]:
+            end.close()
+
+
+def _key(topic: PlayTopic) -> _Key:
+    return topic.name, topic.type_name, topic.type_hash, topic.qos

@@ -1,0 +1,42 @@
+"""Pause and step by services on the hub, for who has no terminal: from any side that the rules let through."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from bridge.bags.play_timeline import Timeline
+from bridge.clock import SYSTEM
+from bridge.hub.session import Hub
+from bridge.messages.registry import Registry
+from bridge.modules.endpoints import Endpoints
+from bridge.modules.loop import EventLoop
+from bridge.modules.services import Answer
+
+PREFIX = "/midspan/play"
+PAUSE, STEP = f"{PREFIX}/pause", f"{PREFIX}/step"
+
+
+class PlayServices:
+    """``std_srvs/SetBool`` pauses (true) or goes on (false); ``std_srvs/Trigger`` plays one message while paused."""
+
+    def __init__(self, hub: Hub, registry: Registry, timeline: Timeline) -> None:
+        self._timeline = timeline
+        self._loop = EventLoop("midspan-play-services")
+        self._loop.start()
+        self._node = Endpoints(hub, registry, self._loop, SYSTEM)
+        self._node.server(PAUSE, "std_srvs/srv/SetBool", self._pause)
+        self._node.server(STEP, "std_srvs/srv/Trigger", self._step)
+
+    def _pause(self, request: dict[str, Any], answer: Answer) -> None:
+        paused = bool(request["data"])
+        self._timeline.pause(paused)
+        answer({"success": True, "message": "paused" if paused else "playing"})
+
+    def _step(self, _request: dict[str, Any], answer: Answer) -> None:
+        stepped = self._timeline.step()
+        answer({"success": stepped, "message": "" if stepped else f"it is not paused: call {PAUSE} first"})
+
+    def close(self) -> None:
+        """Serve no more."""
+        self._node.close()
+        self._loop.close()

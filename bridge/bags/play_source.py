@@ -1,0 +1,120 @@
+"""The messages of several bags in order of time, and what is latched at the beginning."""
+
+from __future__ import annotations
+
+import heapq
+from collections import deque
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+from bridge.bags.bag import Bag, BagError, BagTopic
+from bridge.bags.play_topics import PlayTopic
+from bridge.messages.errors import ConversionError
+from bridge.routing.rewrites import StaticTransforms
+
+MAX_KEPT = 100
+"""Messages of a latched topic from before the beginning that are played at most."""
+
+MAX_KEPT_BYTES = 64 << 20
+"""Bytes of all of them at most; those of topics that come later are left out."""
+
+_NS = 1e9
+
+
+@dataclass(frozen=True)
+class PlayPart:
+    """Which part of the bags is played: seconds from the beginning of the first one."""
+
+    start: float = 0.0
+    duration: float | None = None
+
+
+class Played(NamedTuple):
+    """A message: ``data`` in the wire of the bag, or CDR where ``ready``."""
+
+    topic: PlayTopic
+    time_ns: int
+    data: bytes
+    ready: bool = False
+
+
+class PlaySource:
+    """What is played, again and again.
+
+    Attributes:
+        begin_ns: time of the bags at which it begins.
+        end_ns: and ends.
+
+    Raises:
+        BagError: nothing lies in that part.
+    """
+
+    def __init__(self, bags: Mapping[Bag, Sequence[PlayTopic]], part: PlayPart) -> None:
+        self._bags = bags
+        spans = [(bag.start_ns, bag.end_ns) for bag in bags if bag.end_ns]
+        if not spans:
+            raise BagError(next(iter(bags)).path, "there is no message in it")
+        first, last = min(start for start, _ in spans), max(end for _, end in spans)
+        self.begin_ns = first + int(part.start * _NS)
+        if self.begin_ns > last:
+            raise BagError(next(iter(bags)).path, f"it has {(last - first) / _NS:.1f} s, and --start is {part.start:g}")
+        self.end_ns = last if part.duration is None else min(last, self.begin_ns + int(part.duration * _NS))
+        self.bad: list[tuple[PlayTopic, str]] = []
+        self._kept: list[Played] | None = None
+
+    def kept(self) -> list[Played]:
+        """What publishers kept for late joiners when this part began, and all static transforms of the bags, as one."""
+        if self._kept is None:
+            self._kept = [*self._static(), *self._latched()]
+        return self._kept
+
+    def messages(self) -> Iterator[Played]:
+        """All others of this part, by time."""
+        return self._merged(lambda topic: not topic.static, self.begin_ns, self.end_ns + 1)
+
+    def _static(self) -> Iterator[Played]:
+        whole: dict[tuple[str, str], tuple[PlayTopic, StaticTransforms, bytes]] = {}
+        for topic, _, data, _ in self._merged(lambda topic: topic.static, None, None):
+            key = topic.name, topic.type_hash
+            first, transforms, before = whole.get(key, (topic, StaticTransforms(), b""))
+            try:
+                before = transforms.merge(topic.convert(data) if topic.convert else data)
+            except (ConversionError, ValueError) as err:
+                self.bad.append((topic, str(err)))
+            whole[key] = first, transforms, before
+        for topic, _, data in whole.values():
+            if data:
+                yield Played(topic, self.begin_ns, data, ready=True)
+
+    def _latched(self) -> Iterator[Played]:
+        """Those from before the beginning."""
+        if all(bag.start_ns >= self.begin_ns for bag in self._bags):
+            return
+        kept: dict[PlayTopic, deque[Played]] = {}
+        for message in self._merged(lambda topic: topic.qos.latched and not topic.static, None, self.begin_ns):
+            depth = min(max(message.topic.qos.depth, 1), MAX_KEPT)
+            kept.setdefault(message.topic, deque(maxlen=depth)).append(message)
+        size = 0
+        for messages in kept.values():
+            size += sum(len(message.data) for message in messages)
+            if size > MAX_KEPT_BYTES:
+                return
+            yield from messages
+
+    def _merged(
+        self, wanted: Callable[[PlayTopic], bool], start_ns: int | None, end_ns: int | None
+    ) -> Iterator[Played]:  # fmt: skip
+        streams = []
+        for bag, topics in self._bags.items():
+            chosen = {topic.topic: topic for topic in topics if wanted(topic)}
+            if chosen:
+                streams.append(_messages(bag, chosen, start_ns, end_ns))
+        return heapq.merge(*streams, key=lambda message: message.time_ns)
+
+
+def _messages(
+    bag: Bag, topics: Mapping[BagTopic, PlayTopic], start_ns: int | None, end_ns: int | None
+) -> Iterator[Played]:  # fmt: skip
+    for message in bag.messages(list(topics), start_ns, end_ns):
+        yield Played(topics[message.topic], message.time_ns, message.data)

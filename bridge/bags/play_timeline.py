@@ -1,0 +1,173 @@
+"""When the messages of a bag are due: the bag's time against the monotonic clock, with pause and step."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable
+from enum import Enum
+
+LATE = 0.2
+"""Seconds of lag from which the bag's time is set back: it does not run on while messages cannot follow."""
+
+MAX_STEPS = 1000
+"""Steps that wait at most."""
+
+_NS = 1e9
+
+Wait = Callable[[threading.Condition, float | None], object]
+"""Waits on the condition for so many seconds; None: until it is told."""
+
+
+class Due(Enum):
+    """What is to be done now."""
+
+    MESSAGE = "message"
+    STEP = "step"
+    """The message is due because somebody asked for it while paused."""
+    CLOCK = "clock"
+    PAUSED = "paused"
+    """A pause has begun."""
+    STOPPED = "stopped"
+
+
+def _wait(condition: threading.Condition, seconds: float | None) -> object:
+    return condition.wait(seconds)
+
+
+class Timeline:
+    """The bag's time. It never passes a message that has not been played; so nobody's clock is ahead of what is said.
+
+    One thread asks for what is `next`; any thread may pause, step and stop.
+
+    Args:
+        rate: seconds of the bag for each second.
+        paused: begin so.
+        clock_hz: how often a second `Due.CLOCK` comes, also while paused; 0: never.
+        now: seconds of a monotonic clock.
+        wait: see `Wait`.
+
+    Attributes:
+        late: seconds that the last message was late.
+        behind: seconds that the play has lost because messages could not follow, in all.
+    """
+
+    def __init__(
+        self,
+        rate: float = 1.0,
+        *,
+        paused: bool = False,
+        clock_hz: float = 0.0,
+        now: Callable[[], float] = time.monotonic,
+        wait: Wait = _wait,
+    ) -> None:
+        self.rate = rate
+        self.late = self.behind = 0.0
+        self._now, self._wait = now, wait
+        self._changed = threading.Condition()
+        self._paused, self._tell = paused, False
+        self._steps = 0
+        self._stopped = False
+        self._period = 1.0 / clock_hz if clock_hz else 0.0
+        self._clock_due = now()
+        self._at = self._next = 0
+        self._since = now()
+
+    @property
+    def paused(self) -> bool:
+        """Whether the bag's time stands still."""
+        return self._paused
+
+    @property
+    def stopped(self) -> bool:
+        """Whether `stop` was called."""
+        return self._stopped
+
+    def begin(self, time_ns: int) -> None:
+        """Set the bag's time, which runs from here on unless it is paused."""
+        with self._changed:
+            self._at = self._next = time_ns
+            self._since = self._clock_due = self._now()
+
+    def now_ns(self) -> int:
+        """The bag's time."""
+        with self._changed:
+            return self._position()
+
+    def _position(self) -> int:
+        if self._paused:
+            return self._at
+        passed = int((self._now() - self._since) * self.rate * _NS)
+        return min(self._at + passed, self._next)
+
+    def next(self, time_ns: int) -> Due:
+        """Wait until a message of this time is due, or something else; ask again after that.
+
+        Deadlines count from when the bag's time began to run, so that waits that were too long do not add up.
+        """
+        with self._changed:
+            self._next = max(self._next, time_ns)
+            while True:
+                now = self._now()
+                if (due := self._other(now)) is not None:
+                    return due
+                deadline = self._deadline()
+                if deadline is not None and now >= deadline:
+                    self._followed(now, now - deadline)
+                    return Due.MESSAGE
+                ends = [end for end in (deadline, self._clock_due if self._period else None) if end is not None]
+                self._wait(self._changed, min(ends) - now if ends else None)
+
+    def _other(self, now: float) -> Due | None:
+        """What comes before the message."""
+        if self._stopped:
+            return Due.STOPPED
+        if self._tell:
+            self._tell = False
+            return Due.PAUSED
+        if self._period and now >= self._clock_due:
+            self._clock_due = max(self._clock_due + self._period, now)
+            return Due.CLOCK
+        if self._paused and self._steps:
+            self._steps -= 1
+            self._at, self.late = self._next, 0.0
+            return Due.STEP
+        return None
+
+    def _deadline(self) -> float | None:
+        if self._paused:
+            return None
+        return self._since + (self._next - self._at) / (self.rate * _NS)
+
+    def _followed(self, now: float, late: float) -> None:
+        self.late = late
+        if late > LATE:
+            self.behind += late
+            self._at, self._since = self._next, now
+
+    def pause(self, paused: bool) -> None:
+        """Have the bag's time stand still, or run again from where it stands."""
+        with self._changed:
+            if paused == self._paused:
+                return
+            if paused:
+                self._at = self._position()
+            self._paused = self._tell = paused
+            self._since = self._now()
+            self._steps = 0
+            self._changed.notify_all()
+
+    def step(self) -> bool:
+        """Play one message while paused; False where it is not, or too many steps wait."""
+        with self._changed:
+            if not self._paused or self._steps >= MAX_STEPS:
+                return False
+            self._steps += 1
+            self._changed.notify_all()
+            return True
+
+    def stop(self) -> None:
+        """Have `next` say so from now on."""
+        with self._changed:
+            self._stopped = True
+            self._changed.notify_all()

@@ -1,0 +1,167 @@
+"""Plays bags: message by message when it is due.
+
+Commands are never late, latched or queued: one that is late is dropped, a step passes them over, and zero ends a
+velocity at the end, on a pause and on a stop.
+"""
+
+from __future__ import annotations
+
+import contextlib
+from collections import Counter
+from collections.abc import Callable, Iterator
+from typing import Protocol
+
+from bridge.bags.play_source import Played
+from bridge.bags.play_timeline import Due, Timeline
+from bridge.bags.play_topics import PlayTopic
+from bridge.hub.errors import HubClosedError, HubError
+from bridge.messages.errors import ConversionError
+
+COMMAND_LATE = 0.1
+"""Seconds from which a command is too late to be obeyed."""
+
+LEAST_SECONDS = 0.1
+"""Of a loop, so that a bag of one message is not played without a rest."""
+
+_NS = 1_000_000_000
+
+
+class Messages(Protocol):
+    """What is played: `bridge.bags.play_source.PlaySource`."""
+
+    begin_ns: int
+    end_ns: int
+    bad: list[tuple[PlayTopic, str]]
+
+    def kept(self) -> list[Played]:
+        """What stands at the beginning."""
+        ...
+
+    def messages(self) -> Iterator[Played]:
+        """All others by time."""
+        ...
+
+
+class PlayOutput(Protocol):
+    """Where it is played: `bridge.bags.play_output.HubOutput`."""
+
+    def put(self, topic: PlayTopic, data: bytes) -> None:
+        """Publish CDR."""
+        ...
+
+    def clock(self, time_ns: int) -> None:
+        """Say the bag's time."""
+        ...
+
+    def end_velocities(self) -> bool:
+        """Command zero where a velocity was played."""
+        ...
+
+
+class Player:
+    """Plays once, or again and again until it is stopped.
+
+    Args:
+        tell: called with what a person should know, on the thread that plays.
+
+    Attributes:
+        played: messages, by topic.
+        dropped: those that were not, by topic and reason: ``late``, ``stepped`` over, ``bad``.
+        loops: how often the end was reached.
+    """
+
+    def __init__(
+        self, source: Messages, output: PlayOutput, timeline: Timeline, *, loop: bool = False,
+        tell: Callable[[str], object] = lambda _: None,
+    ) -> None:  # fmt: skip
+        self._source, self._output, self.timeline = source, output, timeline
+        self._loop, self._tell = loop, tell
+        self.played: Counter[str] = Counter()
+        self.dropped: Counter[tuple[str, str]] = Counter()
+        self.loops = 0
+        self._told = 0.0
+
+    def run(self) -> None:
+        """Play; raises `bridge.bags.bag.BagError` where a bag is damaged, `HubError` where the hub has gone."""
+        try:
+            while self._once() and self._loop:
+                pass
+        finally:
+            with contextlib.suppress(HubError):
+                self._output.end_velocities()
+
+    def _once(self) -> bool:
+        """Play from the beginning to the end; False where it was stopped."""
+        source, timeline = self._source, self.timeline
+        kept = source.kept()
+        for topic, why in source.bad:
+            self._drop(topic, "bad", why)
+        source.bad.clear()
+        timeline.begin(source.begin_ns)
+        self._output.clock(source.begin_ns)
+        for message in kept:
+            self._put(message.topic, message.data, ready=message.ready)
+        for message in source.messages():
+            if not self._play(message):
+                return False
+        end = source.end_ns
+        if self._loop:
+            end = max(end, source.begin_ns + int(LEAST_SECONDS * timeline.rate * _NS))
+        if self._await(end) is Due.STOPPED:
+            return False
+        self._output.end_velocities()
+        self._output.clock(end)
+        self.loops += 1
+        return True
+
+    def _await(self, time_ns: int) -> Due:
+        """Wait until the bag's time is there, or it is to end."""
+        while True:
+            due = self.timeline.next(time_ns)
+            if due is Due.CLOCK:
+                self._output.clock(self.timeline.now_ns())
+            elif due is Due.PAUSED:
+                self._output.end_velocities()
+            else:
+                return due
+
+    def _play(self, message: Played) -> bool:
+        """Play a message when it is due; False where it is to end."""
+        topic = message.topic
+        due = self._await(message.time_ns)
+        if due is Due.STOPPED:
+            return False
+        if topic.command and due is Due.STEP:
+            self._drop(topic, "stepped")
+            self.timeline.step()  # it was for the next one
+            return True
+        if topic.command and self.timeline.late > COMMAND_LATE:
+            self._drop(topic, "late")
+        else:
+            self._put(topic, message.data, ready=message.ready)
+        if due is Due.STEP:
+            self._output.clock(self.timeline.now_ns())
+        self._tell_lag()
+        return True
+
+    def _put(self, topic: PlayTopic, data: bytes, *, ready: bool) -> None:
+        try:
+            self._output.put(topic, topic.convert(data) if topic.convert is not None and not ready else data)
+        except HubClosedError:
+            raise
+        except (ConversionError, HubError) as err:
+            self._drop(topic, "bad", str(err))
+        else:
+            self.played[topic.name] += 1
+
+    def _drop(self, topic: PlayTopic, reason: str, why: str = "") -> None:
+        self.dropped[topic.name, reason] += 1
+        if why and self.dropped[topic.name, reason] == 1:
+            self._tell(f"{topic.name}: a message is left out: {why}")
+
+    def _tell_lag(self) -> None:
+        """Say that it cannot keep up, again each time that it has become twice as bad."""
+        behind = self.timeline.behind
+        if behind > 2 * self._told:
+            self._told = behind
+            self._tell(f"cannot keep up with a rate of {self.timeline.rate:g}: {behind:.1f} s behind so far")

@@ -1,0 +1,1 @@
+"""Bags: files of messages, played, looked at and converted."""

@@ -1,0 +1,256 @@
+"""``midspan play``: bags onto the hub, so that each side hears them in its own wire."""
+
+from __future__ import annotations
+
+import argparse
+import re
+import signal
+import sys
+import threading
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from bridge.cli.arguments import add_hub_arguments, number_in
+from bridge.cli.client import CliClient, open_client
+from bridge.cli.output import CliError, clean, plural, print_json
+
+if TYPE_CHECKING:
+    from bridge.bags.bag import Bag
+    from bridge.bags.play_source import PlaySource
+    from bridge.bags.play_topics import LeftOut, PlayChoice, PlayTopic
+    from bridge.bags.player import Player
+
+CLOCK_HZ = 40.0
+MATCH_SECONDS = 1.0
+_EPILOG = """\
+While it plays in a terminal: space pauses and goes on, '.' or 's' plays one message while paused, 'q' ends.
+Without one: the services /midspan/play/pause (std_srvs/SetBool) and /midspan/play/step (std_srvs/Trigger).
+
+examples:
+  midspan play run.bag                                   # a ROS 1 bag, heard by ROS 2, YARP and zenoh too
+  midspan play run.mcap --clock --rate 2 --loop
+  midspan play run_0.mcap run_1.mcap --start 30 --duration 10
+  midspan play ros2_folder --topics /scan '/tf*' --remap /scan:=/laser/scan
+"""
+_LINGER_SECONDS = 0.3
+"""So long the publishers stay after the last message, so that it gets through before they are gone."""
+
+_LOOK_SECONDS = 0.1
+_END_SECONDS = 0.5
+_REMAP = re.compile(r"(?P<old>[^:=\s]+):=(?P<new>[^:=\s]+)")
+
+
+def register(parser: argparse.ArgumentParser) -> None:
+    """Describe the verb and its arguments."""
+    parser.description = (
+        "Plays bags onto the hub: MCAP, ROS 2's .db3 and folders, ROS 1's .bag. The rules say where each topic crosses."
+        " Velocities, goals and cancels are left out unless --commands."
+    )
+    parser.epilog = _EPILOG
+    parser.formatter_class = argparse.RawDescriptionHelpFormatter
+    parser.add_argument("files", nargs="+", type=Path, metavar="FILE", help="bags; several are played as one, by time")
+    what = parser.add_argument_group("what")
+    what.add_argument("--topics", nargs="+", action="extend", metavar="TOPIC", help="names or globs, as /camera/**")
+    what.add_argument(
+        "-x", "--exclude", action="append", default=[], metavar="RE",
+        help="leave out topics in whose name this regular expression is found; may be repeated",
+    )  # fmt: skip
+    what.add_argument(
+        "--remap", action="append", default=[], type=remapping, metavar="OLD:=NEW",
+        help="another name for a topic; may be repeated",
+    )  # fmt: skip
+    what.add_argument(
+        "--commands", action="store_true",
+        help="play velocities, goals and cancels too: THE ROBOT MOVES. Late ones are dropped; zero ends them",
+    )  # fmt: skip
+    when = parser.add_argument_group("when")
+    when.add_argument("--rate", type=number_in(0.01, 100), default=1.0, metavar="R", help="times as fast (default 1)")
+    when.add_argument("--loop", action="store_true", help="begin again at the end, until Ctrl-C")
+    when.add_argument("--start", type=_seconds, default=0.0, metavar="SECONDS", help="begin so far into the bags")
+    when.add_argument("--duration", type=_seconds, metavar="SECONDS", help="play so much of them")
+    when.add_argument("--paused", action="store_true", help="begin paused")
+    when.add_argument(
+        "--clock", type=number_in(1, 1000), nargs="?", const=CLOCK_HZ, default=0.0, metavar="HZ",
+        help=f"say the bags' time on /clock so often a second (default {CLOCK_HZ:g}); it stands still while paused",
+    )  # fmt: skip
+    when.add_argument(
+        "--settle", type=_seconds, default=1.0, metavar="SECONDS", help="time for listeners to connect (default 1)"
+    )
+    parser.add_argument("--json", action="store_true", help="print what was played as JSON, at the end")
+    add_hub_arguments(parser)
+    parser.set_defaults(run=run)
+
+
+def _seconds(text: str) -> float:
+    value = float(text)
+    if not 0.0 <= value < 1e9:
+        raise argparse.ArgumentTypeError(f"{text} is no number of seconds")
+    return value
+
+
+def remapping(text: str) -> tuple[str, str]:
+    """``/scan:=/laser/scan``."""
+    from bridge.cli.graph.view import absolute
+
+    found = _REMAP.fullmatch(text)
+    if found is None:
+        raise argparse.ArgumentTypeError(f"{text!r} is no remapping: write it as /scan:=/laser/scan")
+    return absolute(found["old"]), absolute(found["new"])
+
+
+def run(args: argparse.Namespace) -> int:
+    """Play to the end, or until Ctrl-C."""
+    from bridge.bags.bag import BagError
+
+    try:
+        with ExitStack() as stack:
+            bags = _opened(args.files, stack)
+            with open_client(args) as client, _signals() as ended:
+                return _play(args, client, bags, ended)
+    except BagError as err:
+        raise CliError(str(err)) from None
+
+
+def _opened(files: list[Path], stack: ExitStack) -> list[Bag]:
+    from bridge.bags.reader import open_bag
+
+    bags = [stack.enter_context(open_bag(file)) for file in files]
+    for bag in bags:
+        if bag.trouble is not None:
+            _say(str(bag.trouble))
+        for name in bag.left_out:
+            _say(f"{bag.path}: {name} is left out")
+    return bags
+
+
+@contextmanager
+def _signals() -> Iterator[threading.Event]:
+    """Set by Ctrl-C and SIGTERM."""
+    ended = threading.Event()
+    before = {number: signal.signal(number, lambda *_: ended.set()) for number in (signal.SIGINT, signal.SIGTERM)}
+    try:
+        yield ended
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
+def _play(args: argparse.Namespace, client: CliClient, bags: list[Bag], ended: threading.Event) -> int:
+    from bridge.bags.play_output import HubOutput
+    from bridge.bags.play_services import PlayServices
+    from bridge.bags.play_source import PlayPart, PlaySource
+    from bridge.bags.play_timeline import Timeline
+    from bridge.bags.play_topics import choose
+    from bridge.bags.player import Player
+
+    registry = client.registry()
+    chosen, left = choose(bags, registry, client.config, _wanted(args))
+    topics = [topic for found in chosen.values() for topic in found]
+    _tell_choice(topics, left)
+    source = PlaySource(chosen, PlayPart(args.start, args.duration))
+    client.settle()
+    output = HubOutput(client.hub, registry, topics, clock=bool(args.clock))
+    timeline = Timeline(args.rate, paused=args.paused, clock_hz=args.clock)
+    services = PlayServices(client.hub, registry, timeline)
+    player = Player(source, output, timeline, loop=args.loop, tell=_say)
+    try:
+        _begin(args, output, ended)
+        _follow(args, player, source, ended)
+    finally:
+        services.close()
+        output.finish()
+        if player.played:
+            threading.Event().wait(_LINGER_SECONDS)
+        output.close()
+    if args.json:
+        print_json(_summary(player, left))
+    else:
+        _tell_end(player)
+    return 0
+
+
+def _wanted(args: argparse.Namespace) -> PlayChoice:
+    """As ``midspan record`` reads topics."""
+    from pydantic import ValidationError
+
+    from bridge.bags.play_topics import PlayChoice
+    from bridge.cli.graph.view import absolute
+    from bridge.config.sections.record import RecordSection
+    from bridge.record.selection import Selection
+
+    topics = [absolute(topic) for topic in args.topics or ["/**"]]
+    try:
+        section = RecordSection.model_validate({"topics": topics, "exclude": args.exclude})
+    except ValidationError as err:
+        first = err.errors()[0]
+        raise CliError(f"{first['loc'][0]}: {first['msg'].removeprefix('Value error, ')}") from None
+    return PlayChoice(Selection(section).name, dict(args.remap), args.commands, bool(args.clock))
+
+
+def _tell_choice(topics: list[PlayTopic], left: list[LeftOut]) -> None:
+    from bridge.bags.play_topics import twice
+
+    for each in left:
+        _say(f"{each.name} ({each.type_name}) is left out: {each.why}")
+    if not topics:
+        raise CliError("there is nothing to play: no topic is left" + ("" if left else " by --topics and --exclude"))
+    for name in sorted(twice(topics)):
+        _say(f"{name} has several types in the bags: who subscribes hears one of them")
+    if moving := sorted({topic.name for topic in topics if topic.command}):
+        _say(f"commands are played, the robot may move: {', '.join(moving)}")
+
+
+def _begin(args: argparse.Namespace, output: Any, ended: threading.Event) -> None:
+    """Warn of a live robot, and let listeners connect."""
+    for name, nodes in output.others().items():
+        _say(f"{name} has a publisher already, {', '.join(sorted(set(nodes)))}: listeners hear both (a live robot?)")
+    if output.await_listeners(MATCH_SECONDS, ended):
+        # the workers listen; those on their sides are still connecting to the publishers that the workers made
+        ended.wait(args.settle)
+
+
+def _follow(args: argparse.Namespace, player: Player, source: PlaySource, ended: threading.Event) -> None:
+    """Play on a thread of its own; keys, progress and signals are heard here. Raises what playing raised."""
+    from bridge.cli.bags.play_screen import Screen
+
+    failed: list[BaseException] = []
+
+    def play() -> None:
+        try:
+            player.run()
+        except BaseException as err:
+            failed.append(err)
+
+    thread = threading.Thread(target=play, name="midspan-play", daemon=True)
+    with Screen(player, source, keys=sys.stdin.isatty(), progress=sys.stderr.isatty() and not args.json) as screen:
+        thread.start()
+        while thread.is_alive() and not ended.is_set():
+            if screen.look(_LOOK_SECONDS, ended):
+                break
+        player.timeline.stop()
+        thread.join(_END_SECONDS)
+    if failed:
+        raise failed[0]
+
+
+def _summary(player: Player, left: list[LeftOut]) -> dict[str, Any]:
+    drops = [{"topic": name, "reason": reason, "count": n} for (name, reason), n in sorted(player.dropped.items())]
+    return {
+        "messages": player.played.total(), "topics": dict(sorted(player.played.items())), "dropped": drops,
+        "behind": round(player.timeline.behind, 3), "loops": player.loops,
+        "left_out": [{"topic": e.name, "type": e.type_name, "why": e.why, "command": e.command} for e in left],
+    }  # fmt: skip
+
+
+def _tell_end(player: Player) -> None:
+    drops = "".join(f"; {count} {reason} of {clean(name)}" for (name, reason), count in sorted(player.dropped.items()))
+    behind = player.timeline.behind
+    late = f"; {behind:.1f} s were lost because it could not keep up" if behind else ""
+    print(f"played {plural(player.played.total(), 'message')}{drops and f', dropped: {drops[2:]}'}{late}")
+
+
+def _say(text: str) -> None:
+    over = "\r\x1b[K" if sys.stderr.isatty() else ""  # the line of progress
+    print(f"{over}{clean(text)}", file=sys.stderr, flush=True)

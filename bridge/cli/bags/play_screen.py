@@ -1,0 +1,65 @@
+"""The terminal while bags are played: keys, and one line of progress."""
+
+from __future__ import annotations
+
+import sys
+import threading
+from contextlib import ExitStack
+from typing import TYPE_CHECKING, Self
+
+from bridge.cli.keyboard import GONE, pressed, raw
+
+if TYPE_CHECKING:
+    from bridge.bags.play_source import PlaySource
+    from bridge.bags.player import Player
+
+_CLEAR = "\r\x1b[K"
+
+
+class Screen:
+    """Hears keys and shows the progress, each where there is a terminal for it; a context manager."""
+
+    def __init__(self, player: Player, source: PlaySource, *, keys: bool, progress: bool) -> None:
+        self._player, self._source = player, source
+        self._keys, self._progress = keys, progress
+        self._stack = ExitStack()
+
+    def __enter__(self) -> Self:
+        if self._keys:
+            self._stack.enter_context(raw(sys.stdin.fileno()))
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._stack.close()
+        if self._progress:
+            print(_CLEAR, end="", file=sys.stderr, flush=True)
+
+    def look(self, seconds: float, ended: threading.Event) -> bool:
+        """Wait so long for keys, and show where the play is; whether somebody wants it to end."""
+        if self._progress:
+            print(f"{_CLEAR}{self.line()}", end="", file=sys.stderr, flush=True)
+        if not self._keys:
+            ended.wait(seconds)
+            return False
+        return any(map(self.press, pressed(sys.stdin.fileno(), seconds)))
+
+    def press(self, key: str) -> bool:
+        """Do what a key means; whether that is to end."""
+        timeline = self._player.timeline
+        if key == " ":
+            timeline.pause(not timeline.paused)
+        elif key in ".s":
+            timeline.step()
+        return key in ("q", GONE)
+
+    def line(self) -> str:
+        """``12.3 of 60.0 s, rate 1, 456 messages, paused``."""
+        source, timeline = self._source, self._player.timeline
+        at = max(0.0, (timeline.now_ns() - source.begin_ns) / 1e9)
+        whole = (source.end_ns - source.begin_ns) / 1e9
+        words = [f"{at:.1f} of {whole:.1f} s", f"rate {timeline.rate:g}", f"{self._player.played.total()} messages"]
+        if dropped := self._player.dropped.total():
+            words.append(f"{dropped} dropped")
+        if timeline.paused:
+            words.append("paused")
+        return ", ".join(words)

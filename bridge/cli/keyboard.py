@@ -1,0 +1,42 @@
+"""Keys of a terminal as they are pressed, for verbs that are steered while they run."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import select
+from collections.abc import Iterator
+
+from bridge.cli.output import CliError
+
+GONE = "\x04"
+"""Ctrl-D, and what comes once the terminal is gone."""
+
+
+def pressed(terminal: int, seconds: float) -> Iterator[str]:
+    """The keys that came within so many seconds; an arrow is one key."""
+    if not select.select([terminal], [], [], seconds)[0]:
+        return
+    text = os.read(terminal, 1024).decode(errors="ignore")
+    if not text:
+        yield GONE
+    while text:
+        length = 3 if text.startswith("\x1b[") else 1
+        yield text[:length]
+        text = text[length:]
+
+
+@contextlib.contextmanager
+def raw(terminal: int) -> Iterator[int]:
+    """A terminal that gives each key at once and shows none; raises `CliError` where the system has no such."""
+    try:
+        import termios
+        import tty
+    except ImportError:
+        raise CliError("keys are read from a POSIX terminal; 'midspan topic pub' publishes from any system") from None
+    before = termios.tcgetattr(terminal)
+    try:
+        tty.setcbreak(terminal)
+        yield terminal
+    finally:
+        termios.tcsetattr(terminal, termios.TCSADRAIN, before)

@@ -1,0 +1,362 @@
+"""What is played and dropped, by a clock that the test moves; and which topics are commands."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from bridge.bags.bag import BagError, BagTopic
+from bridge.bags.play_source import Played, PlayPart, PlaySource
+from bridge.bags.play_timeline import Timeline
+from bridge.bags.play_topics import Commands, LeftOut, PlayChoice, PlayTopic, choose
+from bridge.bags.player import LEAST_SECONDS, Player
+from bridge.bags.reader import open_bag
+from bridge.config.model import Config
+from bridge.hub.errors import HubClosedError, HubError
+from bridge.hub.wire.qos import Durability, Qos
+from bridge.messages.definitions.schema import World
+from bridge.messages.errors import ConversionError
+from bridge.messages.json import to_json
+from bridge.messages.registry import Registry
+from tests.bags.playing import NS, START, Said, transform, write_bag
+from tests.bags.test_play_timeline import Clock
+
+TEXT, TWIST, TF = "std_msgs/String", "geometry_msgs/Twist", "tf2_msgs/TFMessage"
+REGISTRY = Registry()
+
+
+def topic(name: str, *, command: bool = False, convert: Callable[[bytes], bytes] | None = None) -> PlayTopic:
+    found = BagTopic(name, "std_msgs/msg/String", World.ROS2)
+    return PlayTopic(found, name, "std_msgs/msg/String", "", convert, "", Qos(), command=command)
+
+
+SCAN, DRIVE = topic("/scan"), topic("/cmd_vel", command=True)
+
+
+class Tape:
+    """Messages in memory."""
+
+    def __init__(self, *messages: tuple[float, PlayTopic]) -> None:
+        self.begin_ns, self.end_ns = START, START + max(round(at * NS) for at, _ in messages)
+        self.bad: list[tuple[PlayTopic, str]] = []
+        self._messages = [Played(topic, START + round(at * NS), str(at).encode()) for at, topic in messages]
+
+    def kept(self) -> list[Played]:
+        return []
+
+    def messages(self) -> Iterator[Played]:
+        return iter(self._messages)
+
+
+class Ears:
+    """Notes what was published, and when."""
+
+    def __init__(self, clock: Clock) -> None:
+        self.now = clock.now
+        self.heard: list[tuple[float, str, str]] = []
+        self.times: list[int] = []
+        self.after: Callable[[], None] = lambda: None
+        self._moving = False
+
+    def put(self, topic: PlayTopic, data: bytes) -> None:
+        self.heard.append((round(self.now() - 5000.0, 3), topic.name, data.decode()))
+        self._moving |= topic.command
+        self.after()
+
+    def clock(self, time_ns: int) -> None:
+        self.times.append(time_ns - START)
+
+    def end_velocities(self) -> bool:
+        moving, self._moving = self._moving, False
+        if moving:
+            self.heard.append((round(self.now() - 5000.0, 3), "/cmd_vel", "zero"))
+        return moving
+
+    def of(self, name: str) -> list[tuple[float, str]]:
+        return [(at, data) for at, heard, data in self.heard if heard == name]
+
+
+class Stage:
+    """A player of messages in memory, on a clock that the test moves."""
+
+    def __init__(self, *messages: tuple[float, PlayTopic], paused: bool = False, **more: Any) -> None:
+        self.clock = Clock()
+        self.ears = Ears(self.clock)
+        self.said: list[str] = []
+        self.timeline = Timeline(paused=paused, now=self.clock.now, wait=self.clock.wait)
+        self.player = Player(Tape(*messages), self.ears, self.timeline, tell=self.said.append, **more)
+
+
+def test_each_message_is_played_at_its_time_and_a_velocity_ends_with_zero() -> None:
+    stage = Stage((0.0, SCAN), (0.5, DRIVE), (1.0, SCAN))
+    stage.player.run()
+    assert stage.ears.heard == [
+        (0.0, "/scan", "0.0"), (0.5, "/cmd_vel", "0.5"), (1.0, "/scan", "1.0"), (1.0, "/cmd_vel", "zero"),
+    ]  # fmt: skip
+    assert stage.player.played == {"/scan": 2, "/cmd_vel": 1}
+    assert not stage.player.dropped
+
+
+def test_late_commands_are_dropped_and_all_else_is_played_late_and_told() -> None:
+    stage = Stage((0.0, SCAN), *((0.1 * n, DRIVE) for n in range(1, 9)), (0.9, SCAN))
+
+    def stall() -> None:
+        stage.clock.seconds += 0.7
+        stage.ears.after = lambda: None
+
+    stage.ears.after = stall
+    stage.player.run()
+    # at 0.7 s that of 0.1 s is far too late; the bag's time is set back to it, and the others keep their distance
+    assert stage.ears.of("/cmd_vel")[:2] == [(0.8, "0.2"), (0.9, "0.30000000000000004")]
+    assert stage.player.dropped == {("/cmd_vel", "late"): 1}
+    assert [data for _, data in stage.ears.of("/scan")] == ["0.0", "0.9"]
+    assert stage.said == ["cannot keep up with a rate of 1: 0.6 s behind so far"]
+
+
+def test_commands_that_are_a_little_late_do_not_come_in_a_burst() -> None:
+    stage = Stage((0.0, SCAN), *((0.02 * n, DRIVE) for n in range(1, 11)))
+
+    def stall() -> None:
+        stage.clock.seconds += 0.19
+        stage.ears.after = lambda: None
+
+    stage.ears.after = stall
+    stage.player.run()
+    assert stage.player.dropped == {("/cmd_vel", "late"): 4}
+    assert stage.said == []
+
+
+def test_a_pause_ends_a_velocity_and_no_old_command_comes_after_it() -> None:
+    stage = Stage((0.0, DRIVE), (0.1, DRIVE), (5.0, DRIVE))
+    calls: list[float | None] = []
+
+    def wait(condition: threading.Condition, seconds: float | None) -> None:
+        calls.append(seconds)
+        if len(calls) == 2:  # while it waits for the third message
+            stage.clock.seconds += 1.0
+            stage.timeline.pause(True)
+        elif seconds is None:
+            stage.clock.seconds += 60.0
+            stage.timeline.pause(False)
+        else:
+            stage.clock.wait(condition, seconds)
+
+    stage.timeline._wait = wait
+    stage.player.run()
+    assert stage.ears.of("/cmd_vel") == [
+        (0.0, "0.0"), (0.1, "0.1"), (1.1, "zero"), (65.0, "5.0"), (65.0, "zero"),
+    ]  # fmt: skip
+
+
+def test_a_step_passes_commands_over_and_tells_the_time() -> None:
+    stage = Stage((0.0, DRIVE), (0.1, DRIVE), (0.2, SCAN), (0.3, SCAN), paused=True)
+    stage.timeline.step()
+    stage.timeline._wait = lambda *_: stage.timeline.stop()
+    stage.player.run()
+    assert [(name, data) for _, name, data in stage.ears.heard] == [("/scan", "0.2")]
+    assert stage.player.dropped == {("/cmd_vel", "stepped"): 2}
+    assert stage.ears.times == [0, NS // 5]
+
+
+def test_a_stop_in_the_middle_ends_the_velocity() -> None:
+    stage = Stage((0.0, DRIVE), (10.0, SCAN))
+    stage.ears.after = stage.timeline.stop
+    stage.player.run()
+    assert [data for _, _, data in stage.ears.heard] == ["0.0", "zero"]
+    assert stage.player.loops == 0
+
+
+def test_the_velocity_ends_where_the_bag_is_damaged(tmp_path: Path) -> None:
+    stage = Stage((0.0, DRIVE), (1.0, DRIVE))
+    messages = stage.player._source.messages
+
+    def damaged() -> Iterator[Played]:
+        yield from messages()
+        raise BagError(tmp_path, "is damaged", 17)
+
+    stage.player._source.messages = damaged  # type: ignore[method-assign]
+    with pytest.raises(BagError, match="byte 17"):
+        stage.player.run()
+    assert [data for _, _, data in stage.ears.heard] == ["0.0", "1.0", "zero"]
+
+
+def test_a_loop_ends_the_velocity_each_time_and_rests_where_the_bag_has_one_message() -> None:
+    stage = Stage((0.0, DRIVE), loop=True)
+
+    def third() -> None:
+        if len(stage.ears.heard) == 5:
+            stage.timeline.stop()
+
+    stage.ears.after = third
+    stage.player.run()
+    assert [at for at, _, data in stage.ears.heard if data != "zero"] == [0.0, LEAST_SECONDS, 2 * LEAST_SECONDS]
+    assert [data for _, _, data in stage.ears.heard] == ["0.0", "zero"] * 3
+
+
+def test_a_message_that_is_no_message_of_its_type_is_left_out_and_told_once() -> None:
+    def refuse(_: bytes) -> bytes:
+        raise ConversionError("it ends early")
+
+    stage = Stage((0.0, topic("/bad", convert=refuse)), (0.1, topic("/bad", convert=refuse)), (0.2, SCAN))
+    stage.player.run()
+    assert stage.player.dropped == {("/bad", "bad"): 2}
+    assert stage.said == ["/bad: a message is left out: it ends early"]
+    assert stage.player.played == {"/scan": 1}
+
+
+@pytest.mark.parametrize(("err", "goes_on"), [(HubError("too large"), True), (HubClosedError("gone"), False)])
+def test_a_hub_that_refuses_one_message_gets_the_next_one_and_one_that_has_gone_ends_it(
+    err: HubError, goes_on: bool
+) -> None:
+    stage = Stage((0.0, SCAN), (0.1, SCAN))
+
+    def refuse() -> None:
+        stage.ears.after = lambda: None
+        raise err
+
+    stage.ears.after = refuse
+    if goes_on:
+        stage.player.run()
+        assert stage.player.dropped == {("/scan", "bad"): 1}
+        assert stage.player.played == {"/scan": 1}
+    else:
+        with pytest.raises(HubClosedError):
+            stage.player.run()
+
+
+COMMANDS = [
+    ("/cmd_vel", "geometry_msgs/msg/Twist"),
+    ("/anything", "geometry_msgs/msg/TwistStamped"),
+    ("/move_base_simple/goal", "geometry_msgs/msg/PoseStamped"),
+    ("/goal_pose", "geometry_msgs/msg/PoseStamped"),
+    ("/move_base/goal", "move_base_msgs/msg/MoveBaseActionGoal"),
+    ("/move_base/cancel", "actionlib_msgs/msg/GoalID"),
+    ("/arm/drive", "std_msgs/msg/Float64"),
+    ("/wheels", "my_msgs/msg/Wheels"),
+]
+HARMLESS = [
+    ("/pose", "geometry_msgs/msg/PoseStamped"),
+    ("/initialpose", "geometry_msgs/msg/PoseWithCovarianceStamped"),
+    ("/move_base/feedback", "move_base_msgs/msg/MoveBaseActionFeedback"),
+    ("/move_base/status", "actionlib_msgs/msg/GoalStatusArray"),
+    ("/odom", "nav_msgs/msg/Odometry"),
+    ("/arm/state", "std_msgs/msg/Float64"),
+    ("/velocity", "geometry_msgs/msg/TwistWithCovarianceStamped"),
+]
+
+
+@pytest.mark.parametrize(
+    ("name", "type_name", "moves"), [*((*each, True) for each in COMMANDS), *((*each, False) for each in HARMLESS)]
+)
+def test_commands_are_known_by_type_and_role_and_by_the_rules(name: str, type_name: str, moves: bool) -> None:
+    rules = [
+        {"topic": "/arm/drive", "type": "std_msgs/msg/Float64", "priority": "command"},
+        {"topic": "/wheels", "priority": "command"},
+    ]
+    moving = Commands(Config.model_validate({"routing": {"rules": rules}}))
+    assert moving.has(name, type_name) is moves
+
+
+def chosen(
+    path: Path, stack: ExitStack, config: Config | None = None, **wanted: Any
+) -> tuple[dict[Any, list[PlayTopic]], list[LeftOut]]:
+    asked = PlayChoice(**{"name": lambda _: True, "remap": {}, **wanted})
+    return choose([stack.enter_context(open_bag(path))], REGISTRY, config or Config(), asked)
+
+
+DRIVING = [
+    Said(0.0, "/scan", "sensor_msgs/LaserScan", {"ranges": [1.0]}),
+    Said(0.1, "/cmd_vel", TWIST, {"linear": {"x": 0.5}}),
+    Said(0.2, "/move_base_simple/goal", "geometry_msgs/PoseStamped", {}),
+    Said(0.3, "/clock", "rosgraph_msgs/Clock", {}),
+    Said(0.4, "no/slash", TEXT, {}),
+]
+
+
+@pytest.fixture(scope="module")
+def driving(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    latched = ("/cmd_vel", "/scan")
+    return write_bag(tmp_path_factory.mktemp("bags") / "driving.bag", DRIVING, latched)
+
+
+def test_commands_are_left_out_and_told_unless_they_are_asked_for(driving: Path) -> None:
+    with ExitStack() as stack:
+        found, left = chosen(driving, stack)
+        names = {topic.name for topics in found.values() for topic in topics}
+        assert names == {"/scan", "/clock", "/no/slash"}
+        assert [(each.name, each.command) for each in left] == [("/cmd_vel", True), ("/move_base_simple/goal", True)]
+
+
+def test_commands_that_are_asked_for_are_never_latched(driving: Path) -> None:
+    with ExitStack() as stack:
+        found, left = chosen(driving, stack, commands=True, clock=True)
+        topics = {topic.name: topic for made in found.values() for topic in made}
+        assert [(each.name, each.why) for each in left] == [("/clock", "--clock takes its place")]
+        drive = topics["/cmd_vel"]
+        assert (drive.command, drive.velocity, drive.priority) == (True, True, "command")
+        assert drive.qos.durability is Durability.VOLATILE
+        assert topics["/scan"].qos.latched
+        assert (topics["/move_base_simple/goal"].command, topics["/move_base_simple/goal"].velocity) == (True, False)
+
+
+def test_a_new_name_decides_what_is_a_command(driving: Path) -> None:
+    remap = {"/move_base_simple/goal": "/shown/place", "/cmd_vel": "/shown/velocity", "/scan": "/bad name"}
+    with ExitStack() as stack:
+        found, left = chosen(driving, stack, remap=remap)
+        names = {topic.name for topics in found.values() for topic in topics}
+        assert "/shown/place" in names
+        assert {each.name for each in left} == {"/shown/velocity", "/bad name"}
+
+
+def test_all_static_transforms_of_the_bag_stand_at_the_beginning_as_one(tmp_path: Path) -> None:
+    messages = [
+        Said(0.0, "/tf_static", TF, {"transforms": [transform("base", "laser", x=1.0)]}),
+        Said(1.0, "/tf_static", TF, {"transforms": [transform("base", "camera", x=2.0)]}),
+        Said(1.5, "/tf_static", TF, {"transforms": [transform("base", "laser", x=3.0)]}),
+        Said(2.0, "/tf", TF, {"transforms": [transform("odom", "base")]}),
+    ]
+    bag = write_bag(tmp_path / "tf.bag", messages, latched=["/tf_static"])
+    with ExitStack() as stack:
+        found, _ = chosen(bag, stack)
+        source = PlaySource(found, PlayPart(start=0.5))
+        kept = source.kept()
+        assert [(each.topic.name, each.ready) for each in kept] == [("/tf_static", True)]
+        told = to_json(REGISTRY, "tf2_msgs/msg/TFMessage", kept[0].data)["transforms"]
+        places = {each["child_frame_id"]: each["transform"]["translation"]["x"] for each in told}
+        assert places == {"laser": 3.0, "camera": 2.0}
+        assert [message.topic.name for message in source.messages()] == ["/tf"]
+        assert source.kept() is kept
+
+
+def test_what_was_latched_before_the_beginning_is_played_and_a_part_ends_in_time(tmp_path: Path) -> None:
+    messages = [
+        *(Said(at, "/name", TEXT, {"data": f"name {at}"}) for at in (0.0, 1.0, 4.0)),
+        *(Said(0.5 * n, "/said", TEXT, {"data": f"said {n}"}) for n in range(10)),
+    ]
+    bag = write_bag(tmp_path / "latched.bag", sorted(messages), latched=["/name"])
+    with ExitStack() as stack:
+        found, _ = chosen(bag, stack)
+        source = PlaySource(found, PlayPart(start=2.0, duration=1.5))
+        kept = [each.topic.convert(each.data) for each in source.kept() if each.topic.convert]
+        assert [to_json(REGISTRY, "std_msgs/msg/String", data) for data in kept] == [{"data": "name 1.0"}]
+        assert [(each.time_ns - START) / NS for each in source.messages()] == [2.0, 2.5, 3.0, 3.5]
+        with pytest.raises(BagError, match=r"it has 4\.5 s, and --start is 5"):
+            PlaySource(found, PlayPart(start=5.0))
+
+
+def test_several_bags_are_one_by_time(tmp_path: Path) -> None:
+    bags = [
+        write_bag(tmp_path / f"{name}.bag", [Said(at, f"/{name}", TEXT, {}) for at in times])
+        for name, times in (("a", (1.0, 3.0)), ("b", (0.0, 2.0, 4.0)))
+    ]
+    with ExitStack() as stack:
+        opened = [stack.enter_context(open_bag(bag)) for bag in bags]
+        found, _ = choose(opened, REGISTRY, Config(), PlayChoice(lambda _: True, {}))
+        source = PlaySource(found, PlayPart())
+        assert [message.topic.name for message in source.messages()] == ["/b", "/a", "/b", "/a", "/b"]
+        assert (source.end_ns - source.begin_ns) == 4 * NS
