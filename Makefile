@@ -2,7 +2,7 @@
 
 BIN := .venv/bin
 
-.PHONY: help setup demo mix bench-peers test test-fast test-all lint types check bench screenshots lock clean
+.PHONY: help setup demo mix bench-peers test test-fast test-all lint types check bench screenshots dist lock clean
 .DEFAULT_GOAL := help
 
 # a file at a time to each process; bytecode is kept, or each process would compile all tests and all programs again
@@ -56,6 +56,11 @@ bench-peers: setup ## install the libraries that benchmarks compare with
 
 bench: bench-peers ## every benchmark, one after the other
 	@set -e; for file in $$(grep -l __main__ benchmarks/*.py); do echo "== $$file"; $(BIN)/python $$file; done
+
+dist: setup ## wheels and source distributions of midspan and yarp-compat, into dist/ (Linux)
+	@$(BIN)/python -m pip install -q --disable-pip-version-check -c requirements.lock $$($(BIN)/python -c \
+	    "import tomllib; print(*tomllib.load(open('pyproject.toml', 'rb'))['project']['optional-dependencies']['dist'])")
+	@$(BIN)/python scripts/dist.py
 
 screenshots: ## the docs' pictures of the console, made anew; ARGS=FOLDER: all views, to be looked at
 	@$(MAKE) -s setup BROWSER=yes

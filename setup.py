@@ -1,13 +1,14 @@
 """Compiles the kernels (`bridge.kernels`), into the tree or into a wheel; the rest stands in pyproject.toml.
 
 Only what is missing or stale is compiled in the tree. Where there is no compiler a kernel is left out and runs as
-Python; set-up and ``midspan doctor`` tell.
+Python; set-up and ``midspan doctor`` tell. With ``$MIDSPAN_PURE`` set none is compiled: the wheel is for any system.
 """
 
 from __future__ import annotations
 
 import importlib.util
 import json
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -104,8 +105,9 @@ class BuildKernels(build_ext):
             file.write_text(json.dumps(known, indent=1, sort_keys=True) + "\n", encoding="utf-8")
 
 
+MODULES = () if os.environ.get("MIDSPAN_PURE") else (kernels.SHARED, *kernels.C_MODULES, *kernels.KERNELS)
 setup(
-    ext_modules=[_extension(module) for module in (kernels.SHARED, *kernels.C_MODULES, *kernels.KERNELS)],
+    ext_modules=[_extension(module) for module in MODULES],
     cmdclass={"build_ext": BuildKernels},
     options={"build_ext": {"parallel": 2}, "bdist_wheel": {"py_limited_api": "cp311"}},
 )

@@ -51,7 +51,12 @@ SHARED_FLAGS = ("/O1",) if sys.platform == "win32" else ("-O1", "-g0")
 RECORD = "kernels.json"
 """Beside this file: digest of each module as it was built."""
 
-CURE = "install a C compiler and Python's headers (Debian: apt install g++ python3-dev), then run 'make setup'"
+_CHECKOUT = (ROOT / "setup.py").is_file()
+
+REBUILD = "run 'make setup'" if _CHECKOUT else "pip install --force-reinstall --no-deps --no-binary midspan midspan"
+"""What compiles them anew."""
+
+CURE = f"install a C compiler and Python's headers (Debian: apt install g++ python3-dev), then {REBUILD}"
 
 
 @dataclass(frozen=True, slots=True)
@@ -113,9 +118,9 @@ def compiler_version() -> str:
 
 
 def state() -> KernelState:
-    """How the kernels are, as the Cython that is installed would build them; where none is, as the one that built."""
+    """How the kernels are, as the Cython that is installed would build them; in a wheel, as the one that built."""
     known = record()
-    compiler = compiler_version() or known.get("cython", "")
+    compiler = (compiler_version() if _CHECKOUT else "") or known.get("cython", "")
     modules = (*KERNELS, *C_MODULES, SHARED)
     missing = tuple(module for module in modules if built(module) is None)
     stale = tuple(m for m in modules if m not in missing and known.get(m) != digest(m, compiler))

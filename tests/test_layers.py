@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).parents[1]
-TOOLS = {"clock", "concurrency", "progress", "resources", "sides", "state_file", "worker"}
+TOOLS = {"clock", "concurrency", "progress", "resources", "shipped", "sides", "state_file", "worker"}
 """Single files that stand beside the parts; they import nothing of ``bridge`` but ``config``."""
 
 BELOW = {

@@ -7,8 +7,8 @@ import sys
 from dataclasses import dataclass
 from pathlib import Path
 
-import bridge
 from bridge.config import generate
+from bridge.shipped import shipped_folder
 
 UNITS = ("midspan-router.service", "midspan.service")
 UNIT_FOLDER = Path("etc/systemd/system")
@@ -137,9 +137,5 @@ def _closed_folder(folder: Path) -> Path | None:
 
 
 def _template(name: str) -> str:
-    """A file of the checkout, or of what an installed wheel put beside its Python."""
-    for folder in (Path(bridge.__file__).parents[1], Path(sys.prefix) / "share" / "midspan"):
-        file = folder / name
-        if file.is_file():
-            return file.read_text()
-    raise RuntimeError(f"{name} is missing from this installation of Midspan; install it again")
+    """A file that comes with Midspan."""
+    return (shipped_folder() / name).read_text(encoding="utf-8")

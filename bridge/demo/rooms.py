@@ -19,14 +19,14 @@ from bridge.demo.progress import STILL_SECONDS, DemoRun, Part
 from bridge.demo.sandbox import SYSTEM_PYTHON, Sandbox
 from bridge.demo.shutdown import Shutdown, end_all
 from bridge.demo.tracking import RobotTracker
+from bridge.shipped import shipped_folder
 from bridge.web import environment as web
 from yarp_compat.naming import connections
 from yarp_compat.naming.client import NameClient
 from yarp_compat.naming.config import Address
 
-ROOT = Path(__file__).parents[2]
-CONFIG = ROOT / "configs" / "navigation.yaml"
-EXAMPLES = ROOT / "examples"
+CONFIG = shipped_folder() / "configs" / "navigation.yaml"
+EXAMPLES = shipped_folder() / "examples"
 NEAR = 0.3
 """Metres from a room's place within which the robot is there, in truth."""
 

@@ -22,13 +22,14 @@ from bridge.adapters.ros1 import environment as ros1
 from bridge.adapters.ros2 import environment as ros2
 from bridge.config.load import load
 from bridge.config.model import Config
+from bridge.shipped import shipped_folder
 from navigation.status import not_compiled
 
 MARK = "MIDSPAN_DEMO"
 """Variable in the environment of all processes of one run; its value is the run's folder."""
 
 _ROOT = Path(bridge.__file__).parents[1]
-CONFIG = _ROOT / "configs" / "demo.yaml"
+CONFIG = shipped_folder() / "configs" / "demo.yaml"
 
 _NOT_OURS = ("ROS_HOSTNAME", "ROS_NAMESPACE", "ROS_LOCALHOST_ONLY", "ROS_STATIC_PEERS")
 _NOT_OURS_PREFIXES = ("ZENOH_", "RMW_", "FASTDDS_", "FASTRTPS_", "MIDSPAN_")

@@ -61,7 +61,7 @@ def look_at_kernels(_around: CheckContext) -> Findings:
     found = kernels.state()
     if found.missing:
         return fail(f"{found}; messages are converted slowly, and nothing drives", kernels.CURE)
-    return warn(str(found), "run 'make setup'") if found.stale else ok(str(found))
+    return warn(str(found), kernels.REBUILD) if found.stale else ok(str(found))
 
 
 WARN_SECONDS = 0.02

