@@ -67,14 +67,14 @@ class FrameMeter:
         return made
 
 
-QUIET, MOST = 0.25, 1.0
+QUIET, MOST = 0.15, 1.0
 """Seconds without news after which all frames are known where every publisher spoke, and seconds listened at most."""
 
 PATIENCE = 5.0
 """Seconds within which the first transform is to come."""
 
 _LOOK_SECONDS = 0.5
-_FIRST_LOOK_SECONDS = 0.05
+_FIRST_LOOK_SECONDS = 0.02
 
 
 class TransformFeed(TopicFeed):

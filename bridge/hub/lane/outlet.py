@@ -18,7 +18,7 @@ MAX_WAITING = 32 << 20
 """Bytes that wait for one reader at most, but for the newest message."""
 
 
-class Waiting:
+class LaneMessage:
     """A message that waits; ``at``: bytes of it that were sent in parts."""
 
     __slots__ = ("at", "attached", "fence", "payload")
@@ -41,7 +41,7 @@ class Outlet:
     def __init__(self, link: ReaderLink, number: int, key: str) -> None:
         self.key, self.link, self.number = key, link, number
         self.command, self.depth = False, 1
-        self.queue: deque[Waiting] = deque()
+        self.queue: deque[LaneMessage] = deque()
         self.dropped = self.fences = 0
         self._head = HEAD.pack(DATA, number)
 
@@ -88,7 +88,7 @@ class ReaderLink:
                     return
                 if self._closed:
                     return
-            self._wait(outlet, Waiting(attached, payload))
+            self._wait(outlet, LaneMessage(attached, payload))
 
     def note(self, record: bytes) -> None:
         """Send a record that goes before all messages."""
@@ -105,7 +105,7 @@ class ReaderLink:
             if self._closed:
                 return
             if outlet.queue or not self._put(record):
-                outlet.queue.append(Waiting(b"", b"", record))
+                outlet.queue.append(LaneMessage(b"", b"", record))
                 outlet.fences += 1
                 self._queued[outlet] = None
                 self._watch(True)
@@ -141,7 +141,7 @@ class ReaderLink:
         with contextlib.suppress(OSError):
             self.sock.shutdown(socket.SHUT_RDWR)
 
-    def _wait(self, outlet: Outlet, message: Waiting) -> None:
+    def _wait(self, outlet: Outlet, message: LaneMessage) -> None:
         queue = outlet.queue
         queue.append(message)
         self._bytes += len(message.payload)
@@ -170,7 +170,7 @@ class ReaderLink:
             outlet.fences -= bool(message.fence)
         return sent
 
-    def _send_parts(self, outlet: Outlet, message: Waiting) -> bool:
+    def _send_parts(self, outlet: Outlet, message: LaneMessage) -> bool:
         whole = len(message.payload)
         head = HEAD.pack(PART, outlet.number) + message.attached
         while message.at < whole:
