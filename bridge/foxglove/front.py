@@ -20,7 +20,7 @@ from collections.abc import Coroutine
 from dataclasses import dataclass
 from http import HTTPStatus
 from typing import TYPE_CHECKING, Any
-from urllib.parse import parse_qs, urlsplit
+from urllib.parse import parse_qs
 
 from bridge.config.sections.foxglove import FoxgloveSection
 from bridge.config.sections.web import WebSection, split
@@ -43,6 +43,7 @@ STILL_SECONDS = 20.0
 _STEP = 256 << 10
 _STOP_SECONDS = 1.5
 _NOT_THE_APP = "here is a WebSocket for the Foxglove app alone"
+_CONTROL = re.compile(r"[\x00-\x08\n-\x1f\x7f]")
 _REQUEST = re.compile(r"GET (\S+) HTTP/1\.1")
 
 
@@ -76,7 +77,7 @@ class Request:
         headers: dict[str, str] = {}
         for line in lines:
             name, parted, value = line.partition(":")
-            if not parted or name != name.strip():
+            if not parted or name != name.strip() or _CONTROL.search(line):
                 raise TurnedAwayError(HTTPStatus.BAD_REQUEST, f"this is no header: {line[:80]!r}")
             key = name.lower()
             headers[key] = f"{headers[key]},{value.strip()}" if key in headers else value.strip()
@@ -86,7 +87,7 @@ class Request:
     def token(self) -> str:
         """What it says to be let in: ``?token=`` of its address, or a bearer's header; "" without."""
         scheme, _, word = self.headers.get("authorization", "").partition(" ")
-        said = parse_qs(urlsplit(self.target).query).get("token", [""])[0]
+        said = parse_qs(self.target.partition("?")[2]).get("token", [""])[0]
         return word.strip() if scheme.lower() == "bearer" else said
 
     def forwarded(self) -> bytes:

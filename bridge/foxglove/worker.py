@@ -29,6 +29,7 @@ from bridge.messages.registry import Registry
 from bridge.modules.host import Host
 from bridge.modules.hub_topics import HubTopics
 from bridge.web.hold import HandDriving
+from bridge.web.scarce_log import ScarceLog
 from bridge.worker import Health, Worker, costs
 
 if TYPE_CHECKING:
@@ -51,6 +52,7 @@ class FoxgloveWorker(Worker):
     def start(self, config: Config) -> None:
         """Open the node and the server; raises `RuntimeError` where the address is taken."""
         self._config = config
+        SdkLog.install()
         self._live = Live(config)
         self._live.start()
         _log.info("the Foxglove app finds the hub at %s", self._live.front.address)
@@ -205,6 +207,24 @@ def _capabilities(section: FoxgloveSection) -> list[Capability]:
     """What the app may offer; who may only look is refused where others may do more."""
     commands = [Capability.ClientPublish, Capability.Services] if section.commanded else []
     return [Capability.Parameters, *commands]
+
+
+class SdkLog(logging.Handler):
+    """What the SDK says of clients, a line for each bad frame: few enough for a log."""
+
+    def __init__(self) -> None:
+        super().__init__(logging.WARNING)
+        self._log = ScarceLog("midspan.foxglove")
+
+    def emit(self, record: logging.LogRecord) -> None:
+        """Log it, or count it."""
+        self._log.warn(f"the SDK: {record.getMessage()[:500]}")
+
+    @classmethod
+    def install(cls) -> None:
+        """Take all that the SDK logs in this process."""
+        logger = logging.getLogger("foxglove")
+        logger.handlers, logger.propagate = [cls()], False
 
 
 class Gathered:

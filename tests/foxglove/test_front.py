@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import logging
 import socket
 import ssl
 from collections.abc import Iterator
@@ -18,7 +19,7 @@ from bridge.config.sections.foxglove import FoxgloveSection
 from bridge.foxglove import front
 from bridge.foxglove.front import Request, TurnedAwayError
 from bridge.foxglove.visitors import MARK
-from bridge.foxglove.worker import Live
+from bridge.foxglove.worker import Live, SdkLog
 from bridge.hub.security.certificates import Authority
 from bridge.hub.security.tokens import new_token
 from tests.foxglove.app import App
@@ -157,6 +158,7 @@ def test_a_word_is_good_once(desk: Desk) -> None:
     [
         b"GET / HTTP/1.0\r\n\r\n", b"POST / HTTP/1.1\r\n\r\n", b"GET / HTTP/1.1\r\nno header\r\n\r\n", b"\r\n\r\n",
         b"GET / HTTP/1.1\r\n folded: x\r\n\r\n", b"GET  HTTP/1.1\r\n\r\n", b"\xff\xfe\r\n\r\n",
+        b"GET / HTTP/1.1\r\nHost: x\nOrigin: y\r\n\r\n", b"GET / HTTP/1.1\r\nHost: x\0\r\n\r\n",
     ],
 )  # fmt: skip
 def test_heads_that_are_none(head: bytes) -> None:
@@ -169,6 +171,7 @@ def test_a_head_is_handed_on_without_its_secrets() -> None:
         b"GET /?token=a%20b HTTP/1.1\r\nHost: x\r\nCookie: c\r\nUpgrade: websocket\r\nX: 1\r\nx: 2\r\n\r\n"
     )
     assert request.token == "a b"
+    assert Request.read(b"GET //[x?token=t HTTP/1.1\r\n\r\n").token == "t"
     assert request.forwarded() == b"GET / HTTP/1.1\r\nhost: x\r\nupgrade: websocket\r\nx: 1,2\r\n\r\n"
     assert Request.read(b"GET / HTTP/1.1\r\nAuthorization: Bearer t\r\n\r\n").token == "t"
 
@@ -228,3 +231,18 @@ def test_who_takes_nothing_is_cut_and_holds_nobody_up(desk: Desk, monkeypatch: p
 def test_a_taken_address_is_told(desk: Desk) -> None:
     with pytest.raises(RuntimeError, match=r"cannot listen on 127\.0\.0\.1:\d+: .*; set foxglove\.listen"):
         desk.open(foxglove={"listen": f"127.0.0.1:{desk.live.front.port}"})
+
+
+def test_what_the_sdk_says_of_clients_does_not_fill_the_log(caplog: pytest.LogCaptureFixture) -> None:
+    logger = logging.getLogger("foxglove")
+    before = logger.handlers, logger.propagate
+    try:
+        SdkLog.install()
+        with caplog.at_level(logging.WARNING):
+            for number in range(200):
+                logging.getLogger("foxglove.websocket").error("bad frame %d", number)
+    finally:
+        logger.handlers, logger.propagate = before
+    said = [record.getMessage() for record in caplog.records if record.name == "midspan.foxglove"]
+    assert said[0] == "the SDK: bad frame 0"
+    assert len(said) == 20
