@@ -185,7 +185,7 @@ def relay(router: str) -> None:
     channel = foxglove.Channel(TOPIC, message_encoding="cdr", schema=schema)
     tree = session_tree(router, shared_memory=True, max_payload=MAX_PAYLOAD)
     with zenoh.open(make_config(tree, None)) as session:
-        take = zenoh.handlers.Callback(lambda sample: channel.log(sample.payload.to_bytes()), indirect=False)
+        take: Any = zenoh.handlers.Callback(lambda sample: channel.log(sample.payload.to_bytes()), indirect=False)
         session.declare_subscriber(f"0{TOPIC}/**", take)
         print("port", server.port, flush=True)
         signal.pause()

@@ -35,6 +35,8 @@ _log = logging.getLogger("midspan.foxglove")
 
 PROTOCOL = "foxglove.sdk.v1"
 MOST_CLIENTS = 32
+MOST_CONNECTIONS = 4 * MOST_CLIENTS
+"""Those that have not said yet who they are among them; what comes beyond is cut."""
 MOST_HEAD = 16 << 10
 HEAD_SECONDS = 5.0
 """A request's head, and the SDK's answer, take no longer."""
@@ -209,12 +211,15 @@ class Front:
     async def _came(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         task = asyncio.current_task()
         assert task is not None
+        if len(self._open) >= MOST_CONNECTIONS:
+            writer.transport.abort()
+            return
         self._open.add(task)
         address = str(writer.get_extra_info("peername")[0])
         try:
-            self._check_room()
             async with asyncio.timeout(HEAD_SECONDS):
-                request = Request.read(await reader.readuntil(b"\r\n\r\n"))
+                head = await reader.readuntil(b"\r\n\r\n")  # also of who is refused: else the answer might be lost
+            request = Request.read(head)
             visitor = Visitor(self._door.grant(request, address), address)
             await self._join(request, visitor, reader, writer)
         except TurnedAwayError as err:
@@ -226,14 +231,12 @@ class Front:
             self._open.discard(task)
             writer.transport.abort()
 
-    def _check_room(self) -> None:
-        if len(self._open) > MOST_CLIENTS:
-            raise TurnedAwayError(HTTPStatus.SERVICE_UNAVAILABLE, f"{MOST_CLIENTS} clients are here already")
-
     async def _join(
         self, request: Request, visitor: Visitor, reader: asyncio.StreamReader, writer: asyncio.StreamWriter
     ) -> None:
         """Have a visitor and the SDK's server talk until either ends."""
+        if len(self._visitors.all()) >= MOST_CLIENTS:
+            raise TurnedAwayError(HTTPStatus.SERVICE_UNAVAILABLE, f"{MOST_CLIENTS} clients are here already")
         first = self._visitors.expect(visitor)
         inner: asyncio.StreamWriter | None = None
         try:

@@ -18,6 +18,8 @@ from mcap_ros2.decoder import DecoderFactory
 from websockets.sync.client import ClientConnection, connect
 from websockets.typing import Subprotocol
 
+from tests.web.page import TlsSocket
+
 T = TypeVar("T")
 
 PROTOCOL = Subprotocol("foxglove.sdk.v1")
@@ -40,9 +42,9 @@ class App:
         tls = "s" if "ssl" in options else ""
         address = f"ws{tls}://{host}:{port}/{query}"
         options.setdefault("max_queue", None)
-        self.socket: ClientConnection = self._stack.enter_context(
-            connect(address, subprotocols=[PROTOCOL], max_size=None, compression=None, **options)
-        )
+        join: Any = TlsSocket if tls else connect
+        options |= {"subprotocols": [PROTOCOL], "max_size": None, "compression": None}
+        self.socket: ClientConnection = self._stack.enter_context(join(address, **options))
         self.channels: dict[str, dict[str, Any]] = {}
         self.services: dict[str, dict[str, Any]] = {}
         self.messages: dict[str, list[tuple[int, bytes]]] = {}
