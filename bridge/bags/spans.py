@@ -5,7 +5,7 @@ from __future__ import annotations
 import heapq
 from abc import abstractmethod
 from bisect import bisect_left, bisect_right
-from collections.abc import Collection, Iterator
+from collections.abc import Callable, Collection, Iterator
 from operator import attrgetter
 from pathlib import Path
 from typing import BinaryIO, NamedTuple
@@ -29,7 +29,13 @@ class Span(NamedTuple):
 
 
 class SpanBag(Bag):
-    """A bag of spans; subclasses find them, and read the messages of each."""
+    """A bag of spans; subclasses find them, and read the messages of each.
+
+    Attributes:
+        on_damage: takes what is wrong with a piece, which is left out then; None raises it.
+    """
+
+    on_damage: Callable[[BagError], None] | None = None
 
     def __init__(self, path: Path, file: BinaryIO) -> None:
         super().__init__(path)
@@ -53,8 +59,7 @@ class SpanBag(Bag):
         ]
         waiting: list[BagMessage] = []
         for number, span in enumerate(spans):
-            with reading(self.path, span.offset):
-                rows = self._load(span)
+            rows = self._read_span(span)
             if wanted is not None:
                 rows = [row for row in rows if row.topic in wanted]
             rows = _within(_ordered(rows), start_ns, end_ns)
@@ -66,14 +71,15 @@ class SpanBag(Bag):
             yield from rows[:due]
             waiting = rows[due:]
 
-    def read_spans(self) -> Iterator[tuple[Span, list[BagMessage] | BagError]]:
-        """All pieces as they stand in the file, each with its messages or with what is wrong with it."""
-        for span in self._spans:
-            try:
-                with reading(self.path, span.offset):
-                    yield span, self._load(span)
-            except BagError as err:
-                yield span, err
+    def _read_span(self, span: Span) -> list[BagMessage]:
+        try:
+            with reading(self.path, span.offset):
+                return self._load(span)
+        except BagError as err:
+            if self.on_damage is None:
+                raise
+            self.on_damage(err)
+            return []
 
     def close(self) -> None:
         """See `Bag.close`."""

@@ -45,6 +45,7 @@ VERBS: dict[str, Verb] = {
     "action": Verb("bridge.cli.graph.calls:register_action", "list, info and send on any side's actions"),
     "record": Verb("bridge.cli.daemon.record:register", "record topics of any side into MCAP files"),
     "play": Verb("bridge.cli.bags.play:register", "play bags of ROS 1, ROS 2 and MCAP onto the hub"),
+    "bag": Verb("bridge.cli.bags.bag:register", "info, convert, cut and mend of MCAP files and ROS bags"),
     "tf": Verb("bridge.cli.frames.tf:register", "list, tree, echo and monitor of frames"),
     "map": Verb("bridge.cli.maps.map:register", "list, show, import, export, edit-flags and use of the stored maps"),
     "location": Verb("bridge.cli.maps.location:register", "list, add, remove and export of the stored locations"),

@@ -104,3 +104,15 @@ def mcap_file(path: Path, count: int = 20, compression: Compression = "zstd", *,
     """The same as a file of MCAP."""
     path.write_bytes(mcap_bytes(count, compression, finished=finished))
     return path
+
+
+def long_mcap(path: Path, count: int, size: int) -> Path:
+    """A file of MCAP with so many texts of so many bytes, not compressed."""
+    text = size.to_bytes(4, "little") + b"x" * (size - 1) + b"\0"
+    with path.open("wb") as stream:
+        writer = McapWriter(stream, "none")
+        channel = writer.channel(ChannelInfo("/text", STRING, definition="string data\n"))
+        for number in range(count):
+            writer.write(channel, START + number, START + number, b"\0\1\0\0" + text)
+        writer.finish()
+    return path

@@ -1,0 +1,193 @@
+"""Copies a bag: into another format, a part of it, or what is left of a damaged one."""
+
+from __future__ import annotations
+
+import re
+from collections import deque
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from fnmatch import fnmatchcase
+from itertools import chain
+from operator import attrgetter
+from pathlib import Path
+from typing import Any
+
+from bridge.bags.bag import Bag, BagError, BagMessage, BagTopic, Kind
+from bridge.bags.conversion import Form, to_hub, to_ros1
+from bridge.bags.mcap_reader import McapBag
+from bridge.bags.spans import SpanBag
+from bridge.bags.writers import COMPRESSIONS, BagWriter, open_writer, written_whole
+from bridge.messages.errors import ConversionError
+from bridge.messages.registry import Registry
+
+_LATCHED_DEPTH = 100
+_TOLD_BYTES = 1 << 18
+
+
+@dataclass(frozen=True)
+class Choice:
+    """Which messages are copied.
+
+    Attributes:
+        topics: names or globs; none means all.
+        exclude: regular expressions; a topic in whose name one is found is left out.
+        start_ns, end_ns: ``start_ns <= time < end_ns``.
+        latched: what latched topics said last before the start comes too, with the start's time.
+    """
+
+    topics: tuple[str, ...] = ()
+    exclude: tuple[str, ...] = ()
+    start_ns: int | None = None
+    end_ns: int | None = None
+    latched: bool = False
+
+    def chosen(self, bag: Bag) -> list[BagTopic]:
+        """The topics of a bag; raises `BagError` where a name stands for none."""
+        for name in self.topics:
+            if not any(fnmatchcase(topic.name, name) for topic in bag.topics):
+                raise BagError(bag.path, f"has no topic {name}", None, "'midspan bag info' lists them")
+        out = [re.compile(each) for each in self.exclude]
+        return [
+            topic
+            for topic in bag.topics
+            if (not self.topics or any(fnmatchcase(topic.name, name) for name in self.topics))
+            and not any(each.search(topic.name) for each in out)
+        ]
+
+
+@dataclass
+class Copied:
+    """What was copied.
+
+    Attributes:
+        messages: how many.
+        data: bytes of them, as read.
+        unknown: topics whose type has no counterpart, which were left out, with the reason.
+        refused: messages whose bytes are not what their type says, by topic; they were left out.
+        lost: fields of ROS 1 types that ROS 2 has none for, by type.
+        damage: what could not be read.
+    """
+
+    messages: int = 0
+    data: int = 0
+    unknown: dict[str, str] = field(default_factory=dict)
+    refused: dict[str, int] = field(default_factory=dict)
+    lost: dict[str, tuple[str, ...]] = field(default_factory=dict)
+    damage: list[BagError] = field(default_factory=list)
+
+
+Told = Callable[[int, int], None]
+"""Told of progress: messages and bytes so far."""
+
+
+def _quiet(_messages: int, _data: int) -> None:
+    """Tells nobody."""
+
+
+def convert(
+    bag: Bag, target: Path, kind: Kind, registry: Registry, choice: Choice = Choice(), compression: str = "",
+    *, skip_unknown: bool = False, skip_bad: bool = False, told: Told = _quiet,
+) -> Copied:  # fmt: skip
+    """Copy a bag into any format, by the bridge's conversions between ROS 1 and ROS 2.
+
+    Raises `BagError`: a type has no counterpart (unless ``skip_unknown``), a message is not what its type says
+    (unless ``skip_bad``), the bag is damaged, the target exists or cannot be written.
+    """
+    done = Copied()
+    forms: dict[BagTopic, Form] = {}
+    for topic in choice.chosen(bag):
+        try:
+            forms[topic] = (to_ros1 if kind == "bag" else to_hub)(registry, topic, bag.path)
+        except BagError as err:
+            if not skip_unknown:
+                more = "; " if err.cure else ""
+                raise BagError(bag.path, err.what, None, f"{err.cure}{more}--skip-unknown leaves it out") from None
+            done.unknown[topic.name] = err.what
+        else:
+            if forms[topic].left_out:
+                done.lost[topic.type_name] = forms[topic].left_out
+    with written_whole(target, kind) as making:
+        writer = open_writer(making, kind, compression or COMPRESSIONS[kind][0])
+        _copy(bag, writer, forms, _messages(bag, list(forms), choice), done, skip_bad=skip_bad, told=told)
+    return done
+
+
+def cut(
+    bag: Bag, target: Path, choice: Choice = Choice(), compression: str = "", *, mend: bool = False,
+    told: Told = _quiet,
+) -> Copied:  # fmt: skip
+    """Copy a part of a bag into the same format, its messages and types as they are.
+
+    With ``mend`` what is damaged is left out, and told of in `Copied.damage`. Raises `BagError`.
+    """
+    done = Copied()
+    if mend and isinstance(bag, SpanBag):
+        bag.on_damage = done.damage.append
+    if mend and bag.trouble is not None:
+        done.damage.append(bag.trouble)
+    forms = {topic: Form(topic.type_name, topic.type_hash, topic.definition, None) for topic in choice.chosen(bag)}
+    usual = bag.compression if bag.compression in COMPRESSIONS[bag.kind] else COMPRESSIONS[bag.kind][0]
+    messages = _messages(bag, list(forms), choice)
+    with written_whole(target, bag.kind) as making:
+        source = bag if isinstance(bag, McapBag) else None
+        writer = open_writer(making, bag.kind, compression or usual, source)
+        _copy(bag, writer, forms, _mended(messages, done.damage) if mend else messages, done, told=told)
+    done.damage[:] = {str(err): err for err in done.damage}.values()  # of a chunk that was looked at twice
+    return done
+
+
+def _mended(messages: Iterator[BagMessage], damage: list[BagError]) -> Iterator[BagMessage]:
+    try:
+        yield from messages
+    except BagError as err:
+        damage.append(err)
+
+
+def _messages(bag: Bag, topics: list[BagTopic], choice: Choice) -> Iterator[BagMessage]:
+    messages = bag.messages(topics, choice.start_ns, choice.end_ns)
+    if not choice.latched or choice.start_ns is None:
+        return messages
+    return chain(_latched(bag, topics, choice.start_ns), messages)
+
+
+def _latched(bag: Bag, topics: list[BagTopic], start_ns: int) -> Iterator[BagMessage]:
+    latched = [topic for topic in topics if topic.qos.latched]
+    last: dict[BagTopic, deque[BagMessage]] = {
+        topic: deque(maxlen=min(topic.qos.depth, _LATCHED_DEPTH)) for topic in latched
+    }
+    for message in bag.messages(latched, None, start_ns):
+        last[message.topic].append(message)
+    found = [message._replace(time_ns=start_ns) for each in last.values() for message in each]
+    return iter(sorted(found, key=attrgetter("publish_ns")))
+
+
+def _copy(
+    bag: Bag, writer: BagWriter, forms: dict[BagTopic, Form], messages: Iterator[BagMessage], done: Copied,
+    *, skip_bad: bool = False, told: Told,
+) -> None:  # fmt: skip
+    try:
+        places: dict[BagTopic, tuple[Any, Callable[[bytes], bytes] | None]] = {
+            topic: (writer.add(topic, form), form.convert) for topic, form in forms.items()
+        }
+        waiting = 0
+        for topic, time_ns, publish_ns, data in messages:
+            place, change = places[topic]
+            try:
+                made = data if change is None else change(data)
+            except ConversionError as err:
+                if not skip_bad:
+                    what = f"a message of {topic.name} at {time_ns} ns is bad: {err}"
+                    raise BagError(bag.path, what, None, "--skip-bad leaves it out") from None
+                done.refused[topic.name] = done.refused.get(topic.name, 0) + 1
+                continue
+            writer.write(place, time_ns, publish_ns, made)
+            done.messages += 1
+            waiting += len(data)
+            if waiting > _TOLD_BYTES:
+                done.data, waiting = done.data + waiting, 0
+                told(done.messages, done.data)
+        done.data += waiting
+        writer.finish()
+    except BaseException:
+        writer.abandon()
+        raise

@@ -1,0 +1,257 @@
+"""Writes bags of all formats: MCAP by `mcap`, ROS 1's bags and rosbag2's SQLite files by `rosbags`.
+
+A bag is written in a folder beside its place, and comes to its place when it is whole; else nothing is left.
+"""
+
+from __future__ import annotations
+
+import shutil
+import tempfile
+from abc import ABC, abstractmethod
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from mcap.writer import CompressionType, Writer
+
+from bridge.bags.bag import BagError, BagTopic, Kind
+from bridge.bags.conversion import Form
+from bridge.bags.mcap_reader import McapBag
+from bridge.bags.mcap_writer import CHUNK_BYTES, ChannelInfo, Compression, McapWriter
+
+COMPRESSIONS: dict[Kind, tuple[str, ...]] = {
+    "mcap": ("zstd", "lz4", "none"), "bag": ("none", "lz4", "bz2"), "db3": ("none",),
+}  # fmt: skip
+"""What each format can be compressed by, the usual one first; SQLite files of rosbag2 are not compressed here."""
+
+_MAX_SECONDS = 1 << 32
+_UNKNOWN_HASH = "INVALID"
+"""What rosidl's own text of a type hash is where there is none (rosidl_runtime_c, type_hash.c)."""
+
+_INFINITE_S, _INFINITE_NS = 9_223_372_036, 854_775_807
+_NS = 1_000_000_000
+
+
+class BagWriter(ABC):
+    """Writes one bag; raises `OSError` of the disk."""
+
+    @abstractmethod
+    def add(self, topic: BagTopic, form: Form) -> Any:
+        """Add a topic as ``form`` says; what comes back is for `write`."""
+
+    @abstractmethod
+    def write(self, place: Any, time_ns: int, publish_ns: int, data: bytes) -> None:
+        """Add a message, in the form of its topic."""
+
+    @abstractmethod
+    def finish(self) -> None:
+        """Write what closes the bag."""
+
+    def abandon(self) -> None:  # noqa: B027 - most have nothing to let go
+        """Let go of the file, which will be removed."""
+
+
+class Mcap(BagWriter):
+    """Profile ``ros2``, as ``midspan record`` writes it."""
+
+    def __init__(self, path: Path, compression: Compression) -> None:
+        self._file = path.open("wb")
+        self._writer = McapWriter(self._file, compression)
+
+    def add(self, topic: BagTopic, form: Form) -> int:
+        """See `BagWriter.add`."""
+        more = dict(topic.metadata)
+        definition = form.definition or None
+        return self._writer.channel(
+            ChannelInfo(topic.name, form.type_name, form.type_hash, definition, (topic.qos,), more=more)
+        )
+
+    def write(self, place: int, time_ns: int, publish_ns: int, data: bytes) -> None:
+        """See `BagWriter.write`."""
+        self._writer.write(place, time_ns, publish_ns, data)
+
+    def finish(self) -> None:
+        """See `BagWriter.finish`."""
+        self._writer.finish()
+        self._file.close()
+
+    def abandon(self) -> None:
+        """See `BagWriter.abandon`."""
+        self._file.close()
+
+
+class McapCopy(BagWriter):
+    """Takes schemas, channels and encodings of another MCAP file as they are."""
+
+    def __init__(self, path: Path, compression: str, source: McapBag) -> None:
+        self._file = path.open("wb")
+        self._source = source
+        kind = CompressionType[compression.upper()]
+        self._writer = Writer(self._file, CHUNK_BYTES, kind)
+        self._writer.start(source.profile, source.library)
+        self._schemas: dict[int, int] = {0: 0}
+
+    def add(self, topic: BagTopic, _form: Form) -> int:
+        """See `BagWriter.add`."""
+        channel = self._source.channels[self._source.number_of(topic)]
+        if channel.schema_id not in self._schemas:
+            schema = self._source.schemas[channel.schema_id]
+            self._schemas[schema.id] = self._writer.register_schema(schema.name, schema.encoding, schema.data)
+        return self._writer.register_channel(
+            channel.topic, channel.message_encoding, self._schemas[channel.schema_id], channel.metadata
+        )
+
+    def write(self, place: int, time_ns: int, publish_ns: int, data: bytes) -> None:
+        """See `BagWriter.write`."""
+        self._writer.add_message(place, time_ns, data, publish_ns)
+
+    def finish(self) -> None:
+        """See `BagWriter.finish`."""
+        self._writer.finish()  # type: ignore[no-untyped-call]
+        self._file.close()
+
+    def abandon(self) -> None:
+        """See `BagWriter.abandon`."""
+        self._file.close()
+
+
+class Ros1(BagWriter):
+    """A ROS 1 bag."""
+
+    def __init__(self, path: Path, compression: str) -> None:
+        from rosbags.rosbag1 import Writer as Writer1
+
+        class Frugal(Writer1):
+            """Keeps of each chunk that is written how many messages it has, and not where each stands."""
+
+            def write_chunk(self, chunk: Any) -> None:
+                super().write_chunk(chunk)
+                chunk.connections = {number: range(len(items)) for number, items in chunk.connections.items()}
+
+        self._path = path
+        self._writer = Frugal(path)
+        if compression != "none":
+            self._writer.set_compression(Writer1.CompressionFormat[compression.upper()])
+        self._writer.open()
+        self._known: dict[tuple[Any, ...], Any] = {}
+
+    def add(self, topic: BagTopic, form: Form) -> Any:
+        """See `BagWriter.add`."""
+        caller = topic.metadata.get("callerid") or topic.metadata.get("origin") or "/midspan"
+        package, _, name = form.type_name.partition("/")
+        latching = int(topic.qos.latched)
+        key = (topic.name, form.type_name, form.type_hash, caller, latching)
+        if key not in self._known:
+            self._known[key] = self._writer.add_connection(
+                topic.name, f"{package}/msg/{name}", msgdef=form.definition, md5sum=form.type_hash or "*",
+                callerid=caller, latching=latching,
+            )  # fmt: skip
+        return self._known[key]
+
+    def write(self, place: Any, time_ns: int, _publish_ns: int, data: bytes) -> None:
+        """See `BagWriter.write`."""
+        if not 0 <= time_ns < _MAX_SECONDS * _NS:
+            raise BagError(self._path, f"a message of {place.topic} has time {time_ns} ns, which no ROS 1 bag can hold")
+        self._writer.write(place, time_ns, data)
+
+    def finish(self) -> None:
+        """See `BagWriter.finish`."""
+        self._writer.close()
+
+    def abandon(self) -> None:
+        """See `BagWriter.abandon`."""
+        self._writer.abort()
+
+
+class Db3(BagWriter):
+    """A folder of rosbag2 with a file of SQLite and ``metadata.yaml``."""
+
+    def __init__(self, path: Path) -> None:
+        from rosbags.rosbag2 import Writer as Writer2
+
+        self._writer = Writer2(path, version=Writer2.VERSION_LATEST)
+        self._writer.open()
+        self._known: dict[tuple[Any, ...], Any] = {}
+
+    def add(self, topic: BagTopic, form: Form) -> Any:
+        """See `BagWriter.add`."""
+        key = (topic.name, form.type_name)
+        if key not in self._known:
+            self._known[key] = self._writer.add_connection(
+                topic.name, form.type_name, msgdef=form.definition, rihs01=form.type_hash or _UNKNOWN_HASH,
+                offered_qos_profiles=[_profile(topic)],
+            )  # fmt: skip
+        return self._known[key]
+
+    def write(self, place: Any, time_ns: int, _publish_ns: int, data: bytes) -> None:
+        """See `BagWriter.write`."""
+        self._writer.write(place, time_ns, data)
+
+    def finish(self) -> None:
+        """See `BagWriter.finish`."""
+        self._writer.close()
+
+    def abandon(self) -> None:
+        """See `BagWriter.abandon`."""
+        storage = self._writer.storage
+        if storage is not None:
+            storage.abort()
+
+
+def _profile(topic: BagTopic) -> Any:
+    from rosbags.interfaces import Qos, QosDurability, QosHistory, QosLiveliness, QosReliability, QosTime
+
+    def time(nanoseconds: int | None) -> Any:
+        return QosTime(*((_INFINITE_S, _INFINITE_NS) if nanoseconds is None else divmod(nanoseconds, _NS)))
+
+    qos = topic.qos
+    return Qos(
+        QosHistory[qos.history.name], qos.depth, QosReliability[qos.reliability.name],
+        QosDurability[qos.durability.name], time(qos.deadline_ns), time(qos.lifespan_ns), QosLiveliness.AUTOMATIC,
+        time(None), False,
+    )  # fmt: skip
+
+
+def kind_of(path: Path) -> Kind:
+    """The format that a file's ending asks for; a name without one is a folder of rosbag2. Raises `BagError`."""
+    kinds: dict[str, Kind] = {".mcap": "mcap", ".db3": "db3", ".bag": "bag", "": "db3"}
+    kind = kinds.get(path.suffix.lower())
+    if kind is None:
+        raise BagError(path, "says no format", None, "name it .mcap, .bag or .db3, or without an ending: a folder")
+    return kind
+
+
+def open_writer(path: Path, kind: Kind, compression: str, source: McapBag | None = None) -> BagWriter:
+    """A writer of this format; with a source of MCAP, one that takes over its schemas and channels."""
+    if compression not in COMPRESSIONS[kind]:
+        msg = f"cannot be compressed by {compression}"
+        raise BagError(path, msg, None, f"{kind} has {', '.join(COMPRESSIONS[kind])}")
+    if kind == "bag":
+        return Ros1(path, compression)
+    if kind == "db3":
+        return Db3(path)
+    if source is not None:
+        return McapCopy(path, compression, source)
+    return Mcap(path, "zstd" if compression == "zstd" else "lz4" if compression == "lz4" else "none")
+
+
+@contextmanager
+def written_whole(target: Path, kind: Kind) -> Iterator[Path]:
+    """Where to write a bag that comes to ``target`` at the end, or not at all; raises `BagError`."""
+    if target.exists():
+        raise BagError(target, "is there already", None, "remove it, or take another name")
+    try:
+        making = Path(tempfile.mkdtemp(prefix=f".{target.name}.", dir=target.parent))
+    except OSError as err:
+        raise BagError(target, f"cannot be written: {err.strerror}") from None
+    try:
+        made = making / target.name
+        yield made
+        if kind == "db3" and target.suffix:  # the file alone, without its folder
+            made = made / f"{made.name}.db3"
+        made.rename(target)
+    except OSError as err:
+        raise BagError(target, f"cannot be written: {err.strerror or err}") from err
+    finally:
+        shutil.rmtree(making, ignore_errors=True)

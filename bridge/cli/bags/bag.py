@@ -1,0 +1,297 @@
+"""``midspan bag``: look at bags, convert them, cut them, mend them. No daemon is asked."""
+
+from __future__ import annotations
+
+import argparse
+import re
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from datetime import datetime
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from bridge.cli.arguments import add_verb, add_verbs
+from bridge.cli.output import CliError, clean, duration, make_console, plural, print_json, rate, size
+
+if TYPE_CHECKING:
+    from bridge.bags.bag import Bag, BagTopic
+    from bridge.bags.copy import Choice, Copied, Told
+
+_NS = 1_000_000_000
+_UNIX = 1e8
+"""A plain number from here on is a time of the clock, below it one of the bag."""
+
+_OFFSET = re.compile(r"(\d+(?:\.\d+)?)\s*(ms|s|min|m|h|)", re.IGNORECASE)
+_SECONDS = {"": 1.0, "s": 1.0, "ms": 0.001, "m": 60.0, "min": 60.0, "h": 3600.0}
+
+
+def register(parser: argparse.ArgumentParser) -> None:
+    """Add the verbs' parsers."""
+    verbs = add_verbs(
+        parser, "Works on bags: MCAP (.mcap), ROS 2's SQLite files (.db3, or a folder) and ROS 1's bags (.bag)."
+    )
+    info = add_verb(
+        verbs, "info", _info, "topics, types, counts, rates, times of a bag", example="midspan bag info run.mcap",
+        hub=False,
+    )  # fmt: skip
+    info.add_argument("bag", type=Path, metavar="BAG", help="a file, or a folder of rosbag2")
+    info.add_argument("--json", action="store_true", help="as JSON")
+    convert = add_verb(
+        verbs, "convert", _convert, "copy a bag into another format",
+        "Copies a bag into the format that OUT's ending names; without an ending it is a folder of rosbag2. Messages"
+        " and types become those of ROS 1 or ROS 2 as the bridge itself converts them. OUT appears when it is whole.",
+        example="midspan bag convert old.bag new.mcap", hub=False,
+    )  # fmt: skip
+    convert.add_argument("--skip-unknown", action="store_true", help="leave out topics whose type has no counterpart")
+    convert.add_argument("--skip-bad", action="store_true", help="leave out messages that are not what their type says")
+    cut = add_verb(
+        verbs, "cut", _cut, "copy a part of a bag, in its format",
+        "Copies a part of a bag into the same format, the messages as they are.",
+        example="midspan bag cut run.mcap crash.mcap --start 30s --end 1m --latched", hub=False,
+    )  # fmt: skip
+    mend = add_verb(
+        verbs, "mend", _mend, "write what can be read of a damaged bag into a whole one",
+        "Writes all that can be read of a bag whose writer was killed, or that is damaged, into a whole one of the same"
+        " format, and tells what is lost.",
+        example="midspan bag mend killed.mcap whole.mcap", hub=False,
+    )  # fmt: skip
+    for verb in (convert, cut, mend):
+        verb.add_argument("bag", type=Path, metavar="IN", help="a file, or a folder of rosbag2")
+        verb.add_argument("out", type=Path, metavar="OUT", help="must not be there yet")
+        verb.add_argument("--compression", choices=["zstd", "lz4", "bz2", "none"], help="default: the format's own")
+        verb.add_argument("--json", action="store_true", help="tell as JSON what was done")
+    for verb in (convert, cut):
+        verb.add_argument(
+            "--topics", nargs="+", action="extend", default=[], metavar="TOPIC", help="names or globs, as '/camera/*'"
+        )
+        verb.add_argument(
+            "-x", "--exclude", action="append", default=[], type=_pattern, metavar="RE",
+            help="leave out topics in whose name this regular expression is found; may be repeated",
+        )  # fmt: skip
+        verb.add_argument(
+            "--start",
+            type=_moment,
+            metavar="TIME",
+            help="from 30s or 2m into the bag, Unix seconds, or a date and time",
+        )
+        verb.add_argument("--end", type=_moment, metavar="TIME", help="up to this time, which is left out")
+        verb.add_argument(
+            "--latched", action="store_true", help="start with what latched topics said last before the start"
+        )
+
+
+def _pattern(text: str) -> str:
+    try:
+        re.compile(text)
+    except re.error as err:
+        raise argparse.ArgumentTypeError(f"{text!r} is no regular expression: {err}") from None
+    return text
+
+
+def _moment(text: str) -> tuple[bool, int]:
+    """Whether it is a time of the clock, and nanoseconds: since 1970, or since the bag's start."""
+    found = _OFFSET.fullmatch(text.strip())
+    if found is not None:
+        value = float(found[1]) * _SECONDS[found[2].lower()]
+        return not found[2] and value >= _UNIX, round(value * _NS)
+    try:
+        return True, round(datetime.fromisoformat(text).timestamp() * _NS)
+    except ValueError:
+        msg = f"{text!r} is no time: write it as 30s, 2m, 1700000000.5 or 2026-05-04T10:30:00"
+        raise argparse.ArgumentTypeError(msg) from None
+
+
+@contextmanager
+def _opened(path: Path) -> Iterator[Bag]:
+    """The bag; its errors are the command's."""
+    from bridge.bags.reader import BagError, open_bag
+
+    try:
+        with open_bag(path) as bag:
+            yield bag
+    except BagError as err:
+        raise CliError(clean(err)) from None
+
+
+def _choice(args: argparse.Namespace, bag: Bag) -> Choice:
+    from bridge.bags.copy import Choice
+
+    start, end = (
+        None if moment is None else moment[1] + (0 if moment[0] else bag.start_ns) for moment in (args.start, args.end)
+    )
+    if start is not None and end is not None and end <= start:
+        raise CliError("--end is not after --start")
+    return Choice(tuple(args.topics), tuple(args.exclude), start, end, args.latched)
+
+
+def _info(args: argparse.Namespace) -> int:
+    with _opened(args.bag) as bag:
+        told = describe(bag)
+    if args.json:
+        print_json(told)
+    else:
+        _print_info(told)
+    return 0
+
+
+def describe(bag: Bag) -> dict[str, Any]:
+    """What ``midspan bag info`` tells of a bag."""
+    lasted = (bag.end_ns - bag.start_ns) / _NS
+    return {
+        "file": str(bag.path),
+        "format": bag.kind,
+        "bytes": bag.size,
+        "compression": bag.compression,
+        "start": bag.start_ns / _NS,
+        "end": bag.end_ns / _NS,
+        "seconds": lasted,
+        "messages": sum(topic.count for topic in bag.topics),
+        "unfinished": bag.unfinished,
+        "trouble": None if bag.trouble is None else str(bag.trouble),
+        "not_read": list(bag.left_out),
+        "topics": [_describe_topic(topic, lasted) for topic in sorted(bag.topics, key=lambda topic: topic.name)],
+    }
+
+
+def _describe_topic(topic: BagTopic, lasted: float) -> dict[str, Any]:
+    return {
+        "name": topic.name,
+        "type": topic.type_name,
+        "world": topic.world.value,
+        "type_hash": topic.type_hash,
+        "defined": bool(topic.definition),
+        "messages": topic.count,
+        "rate": round((topic.count - 1) / lasted, 3) if lasted > 0 and topic.count > 1 else 0.0,
+        "latched": topic.qos.latched,
+        "reliability": topic.qos.reliability.name.lower(),
+        "metadata": dict(topic.metadata),
+    }
+
+
+def _print_info(told: dict[str, Any]) -> None:
+    from rich.table import Table
+
+    when = [datetime.fromtimestamp(told[name]).isoformat(" ", "milliseconds") for name in ("start", "end")]
+    print(f"{clean(told['file'])}: {told['format']}, {size(told['bytes'])}, compression {clean(told['compression'])}")
+    if told["messages"]:
+        print(f"{when[0]} to {when[1]}, {duration(told['seconds'])}, {plural(told['messages'], 'message')}")
+    else:
+        print("no messages")
+    if told["unfinished"]:
+        print("unfinished: its writer never closed it, or its end is lost")
+    if told["trouble"]:
+        print(clean(told["trouble"]))
+    for name in told["not_read"]:
+        print(f"not read: {clean(name)}")
+    table = Table(box=None, pad_edge=False)
+    for name in ("topic", "type", "messages", "msg/s", "side", ""):
+        table.add_column(name, justify="right" if name in ("messages", "msg/s") else "left")
+    for topic in told["topics"]:
+        more = topic["metadata"]
+        origin = " of ".join(clean(more[key]) for key in ("side", "daemon") if more.get(key)) or topic["world"]
+        table.add_row(
+            clean(topic["name"]), clean(topic["type"]), str(topic["messages"]), rate(topic["rate"]), origin,
+            "latched" if topic["latched"] else "",
+        )  # fmt: skip
+    make_console().print(table)
+
+
+def _convert(args: argparse.Namespace) -> int:
+    from bridge.bags.copy import convert
+    from bridge.bags.writers import kind_of
+    from bridge.messages.registry import Registry
+
+    with _opened(args.bag) as bag:
+        kind = kind_of(args.out)
+        choice = _choice(args, bag)
+        begun = time.monotonic()
+        with _progress(bag) as told:
+            done = convert(
+                bag, args.out, kind, Registry(), choice, args.compression or "",
+                skip_unknown=args.skip_unknown, skip_bad=args.skip_bad, told=told,
+            )  # fmt: skip
+        if bag.trouble is not None:
+            done.damage.append(bag.trouble)
+    _tell(args, done, time.monotonic() - begun)
+    return 0
+
+
+def _cut(args: argparse.Namespace) -> int:
+    from bridge.bags.copy import cut
+
+    with _opened(args.bag) as bag:
+        _same_format(args, bag)
+        choice = _choice(args, bag)
+        begun = time.monotonic()
+        with _progress(bag) as told:
+            done = cut(bag, args.out, choice, args.compression or "", told=told)
+        if bag.trouble is not None:
+            done.damage.append(bag.trouble)
+    _tell(args, done, time.monotonic() - begun)
+    return 0
+
+
+def _mend(args: argparse.Namespace) -> int:
+    from bridge.bags.copy import Choice, cut
+
+    with _opened(args.bag) as bag:
+        _same_format(args, bag)
+        begun = time.monotonic()
+        with _progress(bag) as told:
+            done = cut(bag, args.out, Choice(), args.compression or "", mend=True, told=told)
+    _tell(args, done, time.monotonic() - begun)
+    return 0
+
+
+def _same_format(args: argparse.Namespace, bag: Bag) -> None:
+    from bridge.bags.writers import kind_of
+
+    if kind_of(args.out) != bag.kind:
+        raise CliError(f"{args.bag} is {bag.kind}, and {args.out} asks for another format: use 'midspan bag convert'")
+
+
+@contextmanager
+def _progress(bag: Bag) -> Iterator[Told]:
+    """A bar on the standard error, where that is a terminal."""
+    from rich.console import Console
+    from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
+
+    total = sum(topic.count for topic in bag.topics)
+    console = Console(stderr=True)
+    columns = (BarColumn(), TaskProgressColumn(), TextColumn("{task.fields[speed]}"), TimeRemainingColumn())
+    with Progress(*columns, console=console, transient=True, disable=not sys.stderr.isatty()) as bar:
+        task = bar.add_task("", total=total, speed="")
+        begun = time.monotonic()
+
+        def told(messages: int, data: int) -> None:
+            speed = f"{size(data)}, {size(data / max(time.monotonic() - begun, 1e-3))}/s"
+            bar.update(task, completed=messages, speed=speed)
+
+        yield told
+
+
+def _tell(args: argparse.Namespace, done: Copied, seconds: float) -> None:
+    told = {
+        "file": str(args.out),
+        "messages": done.messages,
+        "bytes": done.data,
+        "seconds": round(seconds, 3),
+        "unknown": done.unknown,
+        "bad": done.refused,
+        "fields_lost": {name: list(fields) for name, fields in done.lost.items()},
+        "damage": [str(err) for err in done.damage],
+    }
+    if args.json:
+        print_json(told)
+        return
+    print(f"{clean(args.out)}: {plural(done.messages, 'message')}, {size(done.data)}, {duration(seconds)}")
+    for reason in done.unknown.values():
+        print(f"left out: {clean(reason)}")
+    for name, count in done.refused.items():
+        print(f"left out: {plural(count, 'message')} of {clean(name)} that are not what their type says")
+    for name, fields in done.lost.items():
+        print(f"ROS 2 has no place for {clean(', '.join(fields))} of {clean(name)}")
+    for err in done.damage:
+        print(f"not read: {clean(err.what)}" + (f" (byte {err.offset})" if err.offset is not None else ""))

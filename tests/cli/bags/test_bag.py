@@ -1,0 +1,93 @@
+"""``midspan bag`` as it is typed."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from rosbags.highlevel import AnyReader
+
+from bridge.cli.main import main
+from tests.bags.written import START, long_mcap, mcap_bytes, mcap_file, ros1_bag
+from tests.support.wait import until
+
+SECOND = 1_000_000_000
+
+
+@pytest.fixture(autouse=True)
+def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+def test_info_tells_what_is_in_a_bag(capsys: pytest.CaptureFixture[str]) -> None:
+    mcap_file(Path("run.mcap"))
+    assert main(["bag", "info", "run.mcap"]) == 0
+    shown = capsys.readouterr().out
+    assert "run.mcap: mcap" in shown
+    assert "compression zstd" in shown
+    assert "1.9 s, 21 messages" in shown
+    pose = next(line for line in shown.splitlines() if line.startswith("/pose"))
+    assert pose.split() == ["/pose", "geometry_msgs/msg/PoseStamped", "20", "10.0", "ros2", "of", "robot1"]
+    assert main(["bag", "info", "run.mcap", "--json"]) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert (told["messages"], told["unfinished"], told["start"]) == (21, False, START / SECOND)
+    assert {topic["name"]: topic["latched"] for topic in told["topics"]} == {"/map_name": True, "/pose": False}
+    assert told["topics"][0]["metadata"]["daemon"] == "robot1"
+
+
+def test_a_bag_is_converted_and_cut(capsys: pytest.CaptureFixture[str]) -> None:
+    ros1_bag(Path("old.bag"))
+    assert main(["bag", "convert", "old.bag", "new.mcap", "--topics", "/pose"]) == 0
+    assert "new.mcap: 20 messages" in capsys.readouterr().out
+    assert main(["bag", "cut", "new.mcap", "part.mcap", "--start", "500ms", "--end", str(START // SECOND + 1)]) == 0
+    with AnyReader([Path("part.mcap")]) as bag:
+        assert sum(1 for _ in bag.messages()) == 5
+
+
+def test_an_unfinished_bag_is_told_of_and_mended(capsys: pytest.CaptureFixture[str]) -> None:
+    Path("killed.mcap").write_bytes(mcap_bytes(100, finished=False)[:-30])
+    assert main(["bag", "info", "killed.mcap"]) == 0
+    assert "unfinished" in capsys.readouterr().out
+    assert main(["bag", "mend", "killed.mcap", "whole.mcap", "--json"]) == 0
+    told = json.loads(capsys.readouterr().out)
+    with AnyReader([Path("whole.mcap")]) as bag:
+        assert sum(1 for _ in bag.messages()) == told["messages"] > 50
+    assert "byte" in told["damage"][0]
+
+
+@pytest.mark.parametrize(
+    ("words", "says"),
+    [
+        ("info gone.mcap", "gone.mcap: there is no such file"),
+        ("info text.bag", "text.bag: is neither MCAP nor a bag"),
+        ("convert a.mcap b.zip", "b.zip: says no format"),
+        ("convert a.mcap a.mcap", "a.mcap: is there already"),
+        ("convert a.mcap b.bag --topics /gone", "a.mcap: has no topic /gone"),
+        ("cut a.mcap b.bag", "use 'midspan bag convert'"),
+        ("cut a.mcap b.mcap --start 2s --end 1s", "--end is not after --start"),
+    ],
+)
+def test_what_cannot_be_done_is_said(words: str, says: str, capsys: pytest.CaptureFixture[str], here: Path) -> None:
+    Path("text.bag").write_text("hello, this is a text")
+    mcap_file(Path("a.mcap"))
+    assert main(["bag", *words.split()]) == 1
+    assert says in capsys.readouterr().err
+    assert sorted(path.name for path in here.iterdir()) == ["a.mcap", "text.bag"]
+
+
+def test_ctrl_c_leaves_nothing(here: Path) -> None:
+    long_mcap(Path("a.mcap"), 1000, 50_000)
+    command = [sys.executable, "-m", "bridge.cli.main", "bag", "convert", "a.mcap", "b.bag", "--compression", "bz2"]
+    environ = {**os.environ, "PYTHONPATH": str(Path(__file__).parents[3])}
+    process = subprocess.Popen(command, env=environ, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
+    until(lambda: any(path.name.startswith(".b.bag.") for path in here.iterdir()), what="it writes")
+    process.send_signal(signal.SIGINT)
+    process.communicate(timeout=20)
+    assert process.returncode == 130
+    assert sorted(path.name for path in here.iterdir()) == ["a.mcap"]
