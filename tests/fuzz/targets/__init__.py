@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from tests.fuzz.target import Target
 from tests.fuzz.targets import (
+    bags,
     cli,
     config,
     daemon,
@@ -25,6 +26,7 @@ from tests.fuzz.targets import (
 )
 
 _MODULES = (
+    bags,
     messages,
     definitions,
     interfaces,
