@@ -3,6 +3,7 @@
 Beyond the common commands: ``define`` type, definition (full text: own fields, then each nested type's after a line of
 ``=`` and ``MSG: name``) makes a type known that is not installed; ``advertise`` and ``subscribe`` take ``queue``
 (rospy's queue_size); ``header`` id -> headers of the last message of each publisher; ``parameters`` -> names;
+``now`` -> seconds: the node's time, 0 where it waits for /clock;
 ``log`` text: to /rosout; ``await_service`` service, seconds: rospy's wait_for_service; ``count``, ``counted`` and
 ``tally`` as `tests.support.peer` says.
 
@@ -305,6 +306,9 @@ class Peer:
 
     def do_parameters(self, **_):
         return {"names": rosgraph.Master(rospy.get_name()).getParamNames()}
+
+    def do_now(self, **_):
+        return {"seconds": rospy.get_time()}
 
     def do_exit(self, **_):
         return {}

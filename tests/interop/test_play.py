@@ -1,0 +1,134 @@
+"""A bag of ROS 1 is played: RViz 2's client library, a YARP reader, Mapper2D and a rospy node hear it, on its time."""
+
+from __future__ import annotations
+
+import math
+import signal
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from bridge.bags.play_services import PAUSE, STEP
+from tests.bags.playing import NS, START, Said, stamp, transform, write_bag
+from tests.contract.side import CUSTOM_FOLDER
+from tests.interop.deployment import MIDSPAN, Deployment
+from tests.support.process import Process
+from tests.support.wait import until
+from tests.support.yarp_programs import Definitions, Names, YarpProgram
+
+SCAN, TF, TWIST, GRID = "sensor_msgs/LaserScan", "tf2_msgs/TFMessage", "geometry_msgs/Twist", "nav_msgs/OccupancyGrid"
+SECONDS = 4.0
+IMPORTS = ("bridge.bags.play_output", "bridge.bags.player", "bridge.cli.bags.play", "bridge.cli.main")
+
+
+def drive() -> Iterator[Said]:
+    """A robot in a round room: frames at 20 Hz, scans and velocities at 5 Hz."""
+    yield Said(0.0, "/tf_static", TF, {"transforms": [transform("base_link", "laser", x=0.2)]})
+    for tick in range(int(20 * SECONDS) + 1):
+        at = tick / 20
+        yield Said(at, "/tf", TF, {"transforms": [transform("odom", "base_link", at, at / SECONDS)]})
+        if tick % 4 == 0:
+            header = {"stamp": stamp(at), "frame_id": "laser"}
+            beams = {"angle_min": -math.pi, "angle_increment": math.tau / 180, "ranges": [2.0] * 180}
+            yield Said(at, "/scan", SCAN, {"header": header, "range_min": 0.1, "range_max": 20.0, **beams})
+            yield Said(at, "/cmd_vel", TWIST, {"linear": {"x": 0.25}})
+
+
+@pytest.fixture(scope="module")
+def bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return write_bag(tmp_path_factory.mktemp("bags") / "drive.bag", drive(), ["/tf_static"])
+
+
+@pytest.fixture(scope="module")
+def names() -> Iterator[Names]:
+    made = Names()
+    yield made
+    made.stop()
+
+
+@pytest.fixture(scope="module")
+def site(tmp_path_factory: pytest.TempPathFactory, names: Names) -> Iterator[Deployment]:
+    """A deployment on the time of /clock with Mapper2D."""
+    mapper = {"enabled": True, "map_frame": "odom", "width": 8, "height": 8, "resolution": 0.1, "period": 0.2}
+    with Deployment(tmp_path_factory.mktemp("site")) as made:
+        made.start(
+            clock={"source": "sim"},
+            yarp={"enabled": True, "nameserver": "site", "address": names.endpoint, "poll": 0.1},
+            modules={"mapper2d": mapper},
+        )
+        until(lambda: mapper_of(made), "the mapper runs", 40, every=0.1)
+        yield made
+        made.stop_programs()
+
+
+def mapper_of(site: Deployment) -> list[dict[str, Any]]:
+    """The status document of Mapper2D."""
+    return [document for document in site.status() if "scans" in document]
+
+
+def play(site: Deployment, bag: Path, *words: str) -> Process:
+    return Process([*MIDSPAN, "play", bag, "--config", site.file, *words], imports=IMPORTS)
+
+
+def in_the_bag(seconds: float) -> bool:
+    return START / NS <= seconds <= START / NS + SECONDS
+
+
+def test_each_side_and_the_mapper_hear_a_bag_of_ros_1_on_its_time(site: Deployment, bag: Path, names: Names) -> None:
+    rviz, rospy = site.ros2(), site.ros1()
+    yarp = site.keep(YarpProgram(names, "/reader", Definitions((CUSTOM_FOLDER,))))
+    scans, frames = rviz.subscribe("/scan", SCAN), rviz.subscribe("/tf_static", TF, latched=True)
+    grids, velocities = rviz.subscribe("/mapper2d/map", GRID, latched=True), rviz.subscribe("/cmd_vel", TWIST)
+    ports = yarp.subscribe("/scan", SCAN)
+    assert rospy.ask("now")["seconds"] == 0.0  # it waits for the clock
+    with play(site, bag, "--clock", "--rate", "2", "--loop") as player:
+        heard = rviz.wait(scans, 10)
+        assert [round(value, 2) for value in heard[-1]["ranges"]] == [2.0] * 180
+        assert heard[-1]["header"]["frame_id"] == "laser"
+        assert rviz.wait(frames, 1)[0]["transforms"][0]["child_frame_id"] == "laser"
+        assert yarp.wait(ports, 3, 30)[-1]["header"]["frame_id"] == "laser"
+        until(lambda: in_the_bag(rospy.ask("now")["seconds"]), "rospy is in the bag's time", 20)
+
+        def mapped() -> list[dict[str, Any]]:
+            return [grid for grid in rviz.wait(grids, 1) if grid["data"].count(100) > 50]
+
+        walls = until(mapped, "the mapper has walls", 40, every=0.2)
+        assert in_the_bag(walls[-1]["header"]["stamp"]["sec"])
+        player.signal(signal.SIGINT)
+        until(lambda: player.popen.poll() is not None, "it ends", 10)
+    assert player.popen.poll() == 0
+    assert rviz.wait(velocities, 0) == []
+
+
+def test_velocities_that_are_asked_for_reach_each_side_and_end_with_zero(site: Deployment, bag: Path) -> None:
+    rviz, rospy = site.ros2(), site.ros1()
+    ends = [(peer, peer.subscribe("/cmd_vel", TWIST)) for peer in (rviz, rospy)]
+    with play(site, bag, "--commands", "--topics", "/cmd_vel", "--duration", "1") as player:
+        for peer, end in ends:
+            until(lambda peer=peer, end=end: zero(peer.wait(end, 1)), "zero is heard", 30)  # type: ignore[misc]
+            assert [each["linear"]["x"] for each in peer.wait(end, 1)][-2:] == [0.25, 0.0]
+        until(lambda: player.popen.poll() is not None, "it ends", 10)
+        assert "the robot may move: /cmd_vel" in player.output()
+
+
+def zero(twists: list[dict[str, Any]]) -> bool:
+    return bool(twists) and twists[-1]["linear"]["x"] == 0.0
+
+
+def test_a_rospy_program_steps_and_goes_on_and_its_time_is_the_bags(site: Deployment, bag: Path) -> None:
+    rospy = site.ros1()
+    scans = rospy.subscribe("/scan", SCAN)
+    with play(site, bag, "--clock", "--paused", "--topics", "/scan"):
+        for service in (STEP, PAUSE):
+            rospy.ask("await_service", service=service, seconds=30)
+        for count in (1, 2):
+            call = rospy.ask("call", service=STEP, type="std_srvs/Trigger", request={})["id"]
+            assert rospy.ask("result", id=call, seconds=20)["reply"]["success"]
+            assert len(rospy.wait(scans, count)) == count
+        at = START / NS + 0.2
+        until(lambda: rospy.ask("now")["seconds"] == pytest.approx(at), "its time is the second scan's", 10)
+        call = rospy.ask("call", service=PAUSE, type="std_srvs/SetBool", request={"data": False})["id"]
+        assert rospy.ask("result", id=call, seconds=20)["reply"]["success"]
+        assert len(rospy.wait(scans, 21)) == 21
