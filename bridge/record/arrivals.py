@@ -53,7 +53,7 @@ class TopicCounts:
         return {**about, "dropped": dict(self.dropped)}
 
 
-class Arrival(NamedTuple):
+class RecordedMessage(NamedTuple):
     """A message that came.
 
     ``gid`` names its publisher, ``origin`` the foreign network that it comes from; times in nanoseconds since 1970.
@@ -81,7 +81,7 @@ class ArrivalQueue:
     def __init__(self, limit: int) -> None:
         self._limit = limit
         self._condition = Condition(Lock())
-        self._waiting: deque[Arrival] = deque()
+        self._waiting: deque[RecordedMessage] = deque()
         self._bytes = self.most = 0
         self._batch = min(_BATCH, limit // 4)
         self._woken = self._waits = False
@@ -90,7 +90,7 @@ class ArrivalQueue:
         """Whether a message of so many bytes would be taken now."""
         return self._bytes + size <= (self._limit - self._limit // 8 if size >= LARGE else self._limit)
 
-    def put(self, arrival: Arrival) -> None:
+    def put(self, arrival: RecordedMessage) -> None:
         """Queue a message; from any thread."""
         size = len(arrival.data)
         with self._condition:
@@ -103,7 +103,7 @@ class ArrivalQueue:
                 self._waits = False
                 self._condition.notify()
 
-    def take(self, seconds: float) -> deque[Arrival]:
+    def take(self, seconds: float) -> deque[RecordedMessage]:
         """All that waits, after so long, or once it is much, or `wake` was called. For one thread alone.
 
         Messages are gathered: a thread that woke for each one would cost more than what it does then.
@@ -117,7 +117,7 @@ class ArrivalQueue:
             self.most = max(self.most, self._bytes)
             return waiting
 
-    def wrote(self, arrival: Arrival) -> None:
+    def wrote(self, arrival: RecordedMessage) -> None:
         """A message that was taken waits no more: there is room again."""
         with self._condition:
             self._bytes -= len(arrival.data) + _OVERHEAD

@@ -12,7 +12,7 @@ from typing import BinaryIO, cast
 from bridge.bags.mcap_writer import ChannelInfo, Compression, McapWriter
 from bridge.hub.graph.tokens import Origin
 from bridge.modules.hub_topics import TopicKey
-from bridge.record.arrivals import Arrival, TopicCounts
+from bridge.record.arrivals import RecordedMessage, TopicCounts
 
 RESERVE = 2 << 20
 """Bytes of room on the disk that are left, for the file's summary."""
@@ -138,7 +138,7 @@ class RecordFile:
         """Add a channel."""
         self._channels[key] = self._writer.channel(info), info
 
-    def write(self, arrival: Arrival, log_time: int, *, again: bool = False) -> None:
+    def write(self, arrival: RecordedMessage, log_time: int, *, again: bool = False) -> None:
         """Add a message to its channel, which must be there; ``again``: it was counted before.
 
         Raises `DiskFullError` where there is no room for it: then it is not in the file, which can be closed.

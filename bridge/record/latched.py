@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from bridge.hub.endpoints.publisher import cache_depth
 from bridge.hub.graph import HubGraph
 from bridge.modules.hub_topics import TopicKey
-from bridge.record.arrivals import Arrival
+from bridge.record.arrivals import RecordedMessage
 
 MAX_BYTES = 128 << 20
 """Bytes that are kept at most; the oldest go first."""
@@ -19,11 +19,11 @@ class LatchedState:
 
     def __init__(self, graph: HubGraph) -> None:
         self._graph = graph
-        self._kept: dict[tuple[TopicKey, bytes], deque[Arrival]] = {}
+        self._kept: dict[tuple[TopicKey, bytes], deque[RecordedMessage]] = {}
         self._plain: set[bytes] = set()
         self._bytes = 0
 
-    def saw(self, arrival: Arrival) -> None:
+    def saw(self, arrival: RecordedMessage) -> None:
         """A message was recorded."""
         gid = arrival.gid
         if gid in self._plain:
@@ -50,7 +50,7 @@ class LatchedState:
         if not kept:
             del self._kept[key]
 
-    def all(self) -> Iterator[Arrival]:
+    def all(self) -> Iterator[RecordedMessage]:
         """All of it in the order in which it came; what publishers that are gone kept is forgotten."""
         here = {endpoint.gid for endpoint in self._graph.publishers()}
         self._plain &= here

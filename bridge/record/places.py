@@ -20,7 +20,7 @@ PREFIX = "midspan_"
 """What the names of recordings begin with that nobody else named; only such are ever deleted."""
 
 
-class Place(Protocol):
+class RecordPlace(Protocol):
     """Where files go."""
 
     def next(self) -> Path:
@@ -47,13 +47,14 @@ class Files:
     def next(self) -> Path:
         """The next file."""
         self._base.parent.mkdir(parents=True, exist_ok=True)
-        number, self._number = self._number, self._number + 1
+        number = self._number
         # the second file of one that is not split: the disk was full in between, or a person asked for it
         name = f"{self._base.name}_{number}" if self._split or number else self._base.name
         return self._base.with_name(f"{name}.mcap")
 
     def closed(self, _written: Written) -> None:
-        """Nothing more is to be done."""
+        """The next one has another number; one that could not be made leaves no gap."""
+        self._number += 1
 
 
 class BagFolder:
@@ -62,17 +63,20 @@ class BagFolder:
     def __init__(self, folder: Path) -> None:
         self._folder = folder
         self._files = Files(folder / folder.name, split=True)
+        self._made = False
         self._written: list[Written] = []
 
     def next(self) -> Path:
         """The next file; raises `FileExistsError` where somebody has the folder."""
-        if not self._written:
+        if not self._made:
             self._folder.mkdir(parents=True)
+            self._made = True
         return self._files.next()
 
     def closed(self, written: Written) -> None:
         """Tell of it in the metadata; raises `OSError`."""
         self._written.append(written)
+        self._files.closed(written)
         write_metadata(self._folder, self._written)
 
 

@@ -24,10 +24,10 @@ from bridge.hub.endpoints.subscription import HubSample
 from bridge.hub.session import Hub
 from bridge.messages.registry import Registry
 from bridge.modules.hub_topics import HubTopic, HubTopics, TopicKey
-from bridge.record.arrivals import Arrival, ArrivalQueue, TopicCounts
+from bridge.record.arrivals import ArrivalQueue, RecordedMessage, TopicCounts
 from bridge.record.file import RESUME, ChannelKey, RecordFile, room, total
 from bridge.record.latched import LatchedState
-from bridge.record.places import Place
+from bridge.record.places import RecordPlace
 from bridge.record.ring import Ring
 from bridge.record.selection import Selection, side_of, tapped
 
@@ -69,7 +69,7 @@ class Recorder:
     """
 
     def __init__(
-        self, hub: Hub, registry: Registry, section: RecordSection, place: Place, about: dict[str, str],
+        self, hub: Hub, registry: Registry, section: RecordSection, place: RecordPlace, about: dict[str, str],
         changed: Callable[[], None],
     ) -> None:  # fmt: skip
         self._hub, self._section, self._place, self._about = hub, section, place, about
@@ -144,7 +144,7 @@ class Recorder:
             return
         sent = sample.source_time_ns if sample.source_time_ns > 0 else now
         # copied out of the sender's shared memory, of which there is little
-        self._queue.put(Arrival(counts, sample.gid, origin, sample.sequence, now, sent, sample.data()))
+        self._queue.put(RecordedMessage(counts, sample.gid, origin, sample.sequence, now, sent, sample.data()))
 
     # -- commands ------------------------------------------------------------------------------------------------------
 
@@ -222,7 +222,7 @@ class Recorder:
                 _log.debug("a command failed", exc_info=True)
                 future.set_exception(err)
 
-    def _write(self, arrival: Arrival) -> None:
+    def _write(self, arrival: RecordedMessage) -> None:
         if self._file is None and not (self._on or self._ending):
             return  # it was heard just before the pause
         try:
@@ -276,7 +276,7 @@ class Recorder:
             raise
         return file.path if file is not None else None
 
-    def _have_channel(self, file: RecordFile, arrival: Arrival) -> None:
+    def _have_channel(self, file: RecordFile, arrival: RecordedMessage) -> None:
         key: ChannelKey = arrival.counts.key, arrival.origin
         if file.has(key):
             return

@@ -16,7 +16,7 @@ from bridge.config.sections.record import RecordSection
 from bridge.hub.errors import HubError
 from bridge.messages.registry import Registry
 from bridge.modules.host import Host
-from bridge.record.places import KeptFolder, Place
+from bridge.record.places import KeptFolder, RecordPlace
 from bridge.record.recorder import Recorder
 from bridge.record.ring import Ring
 from bridge.record.taps import Taps
@@ -43,7 +43,7 @@ class Recording:
         HubError: the hub cannot be joined.
     """
 
-    def __init__(self, name: str, config: Config, section: RecordSection, place: Place) -> None:
+    def __init__(self, name: str, config: Config, section: RecordSection, place: RecordPlace) -> None:
         types = config.types
         registry = Registry(folders=list(types.folders), mapping_rules=list(types.mapping_rules))
         self.host = Host(name, config, registry)
@@ -95,7 +95,7 @@ def default_folder(config: Config) -> Path:
     return config.record.folder or worker_folder(config) / "recordings"
 
 
-def ring_or_files(folder: KeptFolder, section: RecordSection) -> Place:
+def ring_or_files(folder: KeptFolder, section: RecordSection) -> RecordPlace:
     """Where files go by a section."""
     return Ring(folder, section.ring) if section.ring.seconds else folder
 

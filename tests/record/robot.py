@@ -19,7 +19,7 @@ from bridge.hub.session import Hub
 from bridge.hub.wire.qos import Qos
 from bridge.messages.json import from_json
 from bridge.messages.registry import Registry
-from bridge.record.places import Place
+from bridge.record.places import RecordPlace
 from bridge.record.worker import Recording
 from tests.support.quick_hub import QuickHub
 from tests.support.wait import until
@@ -92,7 +92,7 @@ def config(hubs: QuickHub, state: Path, **section: Any) -> Config:
 
 
 @contextmanager
-def recording(hubs: QuickHub, state: Path, place: Place, **section: Any) -> Iterator[Recording]:
+def recording(hubs: QuickHub, state: Path, place: RecordPlace, **section: Any) -> Iterator[Recording]:
     """A recorder on a hub that has begun."""
     made = Recording("recorder", config(hubs, state, **section), RecordSection.model_validate(section), place)
     try:

@@ -16,7 +16,7 @@ from bridge.hub.session import Hub
 from bridge.hub.wire.qos import LATCHED, Durability, Qos
 from bridge.record import file as record_file
 from bridge.record import recorder as record_recorder
-from bridge.record.arrivals import Arrival, ArrivalQueue, TopicCounts
+from bridge.record.arrivals import ArrivalQueue, RecordedMessage, TopicCounts
 from bridge.record.places import PREFIX, BagFolder, Files, KeptFolder
 from bridge.record.ring import Ring
 from tests.record.robot import Robot, await_topics, await_written, read, recording
@@ -246,6 +246,7 @@ def test_a_full_disk_stops_recording_until_there_is_room(
         said.put(robot.text("after"))
         told = await_written(made, 3)
     assert told["dropped"] == {"disk": 1}
+    assert Path(told["file"]).name == "one_1.mcap"
     assert read(Path(told["file"])).texts("/said") == ["after"]
 
 
@@ -254,7 +255,7 @@ def test_what_is_too_much_for_the_queue_is_dropped_and_counted_large_ones_first(
     images, small = (TopicCounts(name, None) for name in ("/image", "/small"))  # type: ignore[arg-type]
 
     def put(counts: TopicCounts, size: int) -> None:
-        queue.put(Arrival(counts, b"", None, 1, 1, 1, bytes(size)))
+        queue.put(RecordedMessage(counts, b"", None, 1, 1, 1, bytes(size)))
 
     for _ in range(20):
         put(images, 100_000)
@@ -268,6 +269,13 @@ def test_what_is_too_much_for_the_queue_is_dropped_and_counted_large_ones_first(
         queue.wrote(arrival)
     put(images, 100_000)
     assert len(queue.take(0.0)) == 1
+
+
+def test_a_folder_is_made_once_however_often_its_first_file_fails(tmp_path: Path) -> None:
+    place = BagFolder(tmp_path / "run")
+    assert {place.next() for _ in range(3)} == {tmp_path / "run" / "run_0.mcap"}
+    with pytest.raises(FileExistsError):
+        BagFolder(tmp_path / "run").next()
 
 
 def test_the_oldest_recordings_make_room(tmp_path: Path) -> None:

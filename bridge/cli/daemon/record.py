@@ -19,7 +19,7 @@ from bridge.cli.output import CliError, clean, print_json, size
 if TYPE_CHECKING:
     from bridge.config.model import Config
     from bridge.config.sections.record import RecordSection
-    from bridge.record.places import Place
+    from bridge.record.places import RecordPlace
     from bridge.record.worker import Recording
 
 _EPILOG = """\
@@ -171,7 +171,7 @@ def _section(args: argparse.Namespace) -> RecordSection:
         raise CliError(f"{first['loc'][0]}: {first['msg'].removeprefix('Value error, ')}") from None
 
 
-def _place(args: argparse.Namespace, section: RecordSection, output: Path) -> Place:
+def _place(args: argparse.Namespace, section: RecordSection, output: Path) -> RecordPlace:
     from bridge.record.places import BagFolder, Files, KeptFolder
     from bridge.record.ring import Ring
 
