@@ -6,6 +6,7 @@ from typing import Any
 
 from bridge.bags.play_timeline import Timeline
 from bridge.clock import SYSTEM
+from bridge.hub.control import RECORDED
 from bridge.hub.session import Hub
 from bridge.messages.registry import Registry
 from bridge.modules.endpoints import Endpoints
@@ -17,15 +18,20 @@ PAUSE, STEP = f"{PREFIX}/pause", f"{PREFIX}/step"
 
 
 class PlayServices:
-    """``std_srvs/SetBool`` pauses (true) or goes on (false); ``std_srvs/Trigger`` plays one message while paused."""
+    """``std_srvs/SetBool`` pauses (true) or goes on (false); ``std_srvs/Trigger`` plays one message while paused.
 
-    def __init__(self, hub: Hub, registry: Registry, timeline: Timeline) -> None:
+    Args:
+        commands: commands are played, so that a halt of the robot pauses them.
+    """
+
+    def __init__(self, hub: Hub, registry: Registry, timeline: Timeline, *, commands: bool = False) -> None:
         self._timeline = timeline
         self._loop = EventLoop("midspan-play-services")
         self._loop.start()
         self._node = Endpoints(hub, registry, self._loop, SYSTEM)
         self._node.server(PAUSE, "std_srvs/srv/SetBool", self._pause)
         self._node.server(STEP, "std_srvs/srv/Trigger", self._step)
+        self._unserve = hub.serve("halt", self._halt) if commands else None
 
     def _pause(self, request: dict[str, Any], answer: Answer) -> None:
         paused = bool(request["data"])
@@ -36,7 +42,14 @@ class PlayServices:
         stepped = self._timeline.step()
         answer({"success": stepped, "message": "" if stepped else f"it is not paused: call {PAUSE} first"})
 
+    def _halt(self, _params: dict[str, Any]) -> dict[str, Any]:
+        """Before it is answered no more velocity is played; on a thread of the hub."""
+        self._timeline.pause(True)
+        return RECORDED
+
     def close(self) -> None:
         """Serve no more."""
+        if self._unserve is not None:
+            self._unserve()
         self._node.close()
         self._loop.close()

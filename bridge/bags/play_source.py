@@ -45,6 +45,8 @@ class PlaySource:
     Attributes:
         begin_ns: time of the bags at which it begins.
         end_ns: and ends.
+        bad: messages that could not be kept, and why; the player takes them.
+        troubles: what else `kept` met.
 
     Raises:
         BagError: nothing lies in that part.
@@ -61,6 +63,7 @@ class PlaySource:
             raise BagError(next(iter(bags)).path, f"it has {(last - first) / _NS:.1f} s, and --start is {part.start:g}")
         self.end_ns = last if part.duration is None else min(last, self.begin_ns + int(part.duration * _NS))
         self.bad: list[tuple[PlayTopic, str]] = []
+        self.troubles: list[str] = []
         self._kept: list[Played] | None = None
 
     def kept(self) -> list[Played]:
@@ -75,7 +78,7 @@ class PlaySource:
 
     def _static(self) -> Iterator[Played]:
         whole: dict[tuple[str, str], tuple[PlayTopic, StaticTransforms, bytes]] = {}
-        for topic, _, data, _ in self._merged(lambda topic: topic.static, None, None):
+        for topic, _, data, _ in self._found(lambda topic: topic.static, None):
             key = topic.name, topic.type_hash
             first, transforms, before = whole.get(key, (topic, StaticTransforms(), b""))
             try:
@@ -92,7 +95,7 @@ class PlaySource:
         if all(bag.start_ns >= self.begin_ns for bag in self._bags):
             return
         kept: dict[PlayTopic, deque[Played]] = {}
-        for message in self._merged(lambda topic: topic.qos.latched and not topic.static, None, self.begin_ns):
+        for message in self._found(lambda topic: topic.qos.latched and not topic.static, self.begin_ns):
             depth = min(max(message.topic.qos.depth, 1), MAX_KEPT)
             kept.setdefault(message.topic, deque(maxlen=depth)).append(message)
         size = 0
@@ -101,6 +104,20 @@ class PlaySource:
             if size > MAX_KEPT_BYTES:
                 return
             yield from messages
+
+    def _found(self, wanted: Callable[[PlayTopic], bool], end_ns: int | None) -> Iterator[Played]:
+        """All messages of some topics; what stands behind the last of them is not read."""
+        left = sum(topic.topic.count for topics in self._bags.values() for topic in topics if wanted(topic))
+        if not left:
+            return
+        try:
+            for message in self._merged(wanted, None, end_ns):
+                yield message
+                left -= 1
+                if not left:
+                    return
+        except BagError as err:  # what stands before the damage is played nevertheless
+            self.troubles.append(str(err))
 
     def _merged(
         self, wanted: Callable[[PlayTopic], bool], start_ns: int | None, end_ns: int | None

@@ -32,6 +32,7 @@ class Messages(Protocol):
     begin_ns: int
     end_ns: int
     bad: list[tuple[PlayTopic, str]]
+    troubles: list[str]
 
     def kept(self) -> list[Played]:
         """What stands at the beginning."""
@@ -96,7 +97,10 @@ class Player:
         kept = source.kept()
         for topic, why in source.bad:
             self._drop(topic, "bad", why)
+        for why in source.troubles:
+            self._tell(why)
         source.bad.clear()
+        source.troubles.clear()
         timeline.begin(source.begin_ns)
         self._output.clock(source.begin_ns)
         for message in kept:

@@ -3,7 +3,11 @@
 from __future__ import annotations
 
 import json
+import os
+import pty
+import select
 import signal
+import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator
@@ -15,11 +19,13 @@ import yaml
 
 from bridge.bags.play_services import PAUSE, STEP
 from bridge.cli.main import main
+from bridge.hub.control import RECORDED
 from bridge.hub.endpoints.subscription import HubSample
 from bridge.hub.session import Hub
 from bridge.hub.wire.qos import LATCHED, Qos
 from bridge.messages.json import from_json, to_json
 from bridge.messages.registry import Registry
+from tests.bags import written
 from tests.bags.playing import NS, START, Said, transform, write_bag
 from tests.contract.hubside import HubSide
 from tests.support.peer import stop_all
@@ -148,6 +154,20 @@ def test_a_bag_is_heard_on_the_hub_with_its_times_and_without_its_commands(
     assert "/cmd_vel (geometry_msgs/Twist) is left out: it moves the robot (--commands plays it)" in out.err
 
 
+@pytest.mark.parametrize("kind", ["ros1", "rosbag2", "mcap"])
+def test_each_format_is_heard_the_same(
+    kind: str, file: Path, tmp_path: Path, listener: Listener, capsys: pytest.CaptureFixture[str]
+) -> None:
+    made = {"ros1": written.ros1_bag, "rosbag2": written.db3_folder, "mcap": written.mcap_file}[kind](tmp_path / "bag")
+    listener.hear("/pose", "geometry_msgs/msg/PoseStamped")
+    listener.hear("/map_name", "std_msgs/msg/String", LATCHED)
+    assert main(["play", str(made), "--config", str(file), "--settle", "0", "--rate", "20", "--json"]) == 0
+    until(lambda: len(listener.of("/pose")) == 20, "all is heard", 5)
+    assert [pose["pose"]["position"]["x"] for pose in listener.of("/pose")] == [float(n) for n in range(20)]
+    assert listener.texts("/map_name") == ["text 0"]
+    assert json.loads(capsys.readouterr().out)["topics"] == {"/map_name": 1, "/pose": 20}
+
+
 def test_commands_come_with_commands_and_zero_ends_them(
     play: Play, listener: Listener, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -170,6 +190,57 @@ def test_latched_stays_latched_and_a_velocity_is_not(player: Player, listener: L
     ended(program)
     assert time.monotonic() - begun < 2.0
     assert listener.of("/cmd_vel")[-1]["linear"]["x"] == 0.0
+
+
+def test_a_halt_pauses_a_player_of_commands(player: Player, listener: Listener) -> None:
+    program = player("--commands", "--topics", "/cmd_vel", "--rate", "0.05", "--clock")
+    until(lambda: listener.of("/cmd_vel"), "it drives", 20)
+    assert [answer.value for answer in listener.hub.ask("halt", {})] == [RECORDED]
+    until(lambda: listener.of("/cmd_vel")[-1]["linear"]["x"] == 0.0, "it stands", 5)
+    until(lambda: listener.of("/clock")[-1] == listener.of("/clock")[-2], "the time stands still", 5)
+    at, said = listener.of("/clock")[-1], len(listener.of("/clock"))
+    until(lambda: len(listener.of("/clock")) > said + 5, "the clock is said again", 5)
+    assert listener.of("/clock")[-1] == at
+    assert [twist["linear"]["x"] for twist in listener.of("/cmd_vel")] == [0.5, 0.0]
+    program.signal(signal.SIGINT)
+    ended(program)
+
+
+def test_keys_pause_step_and_end_it(file: Path, bag: Path, listener: Listener) -> None:
+    primary, secondary = pty.openpty()
+    line = [sys.executable, "-m", "bridge.cli.main", "play", str(bag), "--config", str(file), "--settle", "0"]
+    program = subprocess.Popen(
+        [*line, "--topics", "/said", "--paused"], stdin=secondary, stdout=secondary, stderr=secondary
+    )
+    try:
+        shown = Shown(primary)
+        until(lambda: "paused" in shown.text(), "its line is there", 20)
+        os.write(primary, b".")
+        until(lambda: listener.texts() == ["said 0"], "a key steps", 5)
+        os.write(primary, b"s")
+        until(lambda: listener.texts() == ["said 0", "said 1"], "and another one", 5)
+        until(lambda: "0.1 of 0.5 s, rate 1, 2 messages, paused" in shown.text(), "the progress is shown", 5)
+        os.write(primary, b" ")
+        until(lambda: "said 4" in listener.texts(), "it goes on", 5)
+        os.write(primary, b"q")
+        assert program.wait(10) == 0
+    finally:
+        program.kill()
+        program.wait()
+        os.close(primary)
+        os.close(secondary)
+
+
+class Shown:
+    """What a program writes to a terminal."""
+
+    def __init__(self, terminal: int) -> None:
+        self._terminal, self._text = terminal, ""
+
+    def text(self) -> str:
+        while select.select([self._terminal], [], [], 0)[0]:
+            self._text += os.read(self._terminal, 4096).decode()
+        return self._text
 
 
 def test_pause_and_step_by_service_while_the_clock_stands_still(player: Player, listener: Listener) -> None:

@@ -44,6 +44,7 @@ class Tape:
     def __init__(self, *messages: tuple[float, PlayTopic]) -> None:
         self.begin_ns, self.end_ns = START, START + max(round(at * NS) for at, _ in messages)
         self.bad: list[tuple[PlayTopic, str]] = []
+        self.troubles: list[str] = []
         self._messages = [Played(topic, START + round(at * NS), str(at).encode()) for at, topic in messages]
 
     def kept(self) -> list[Played]:
@@ -331,6 +332,23 @@ def test_all_static_transforms_of_the_bag_stand_at_the_beginning_as_one(tmp_path
         assert places == {"laser": 3.0, "camera": 2.0}
         assert [message.topic.name for message in source.messages()] == ["/tf"]
         assert source.kept() is kept
+
+
+def test_a_damaged_end_does_not_keep_the_static_transforms_from_being_played(tmp_path: Path) -> None:
+    messages = [
+        Said(0.0, "/tf_static", TF, {"transforms": [transform("base", "laser")]}),
+        *(Said(0.1 * n, "/said", TEXT, {"data": "x" * 100_000}) for n in range(1, 60)),
+        Said(6.0, "/tf_static", TF, {"transforms": [transform("base", "camera")]}),
+    ]
+    bag = write_bag(tmp_path / "damaged.bag", messages, latched=["/tf_static"])
+    data = bytearray(bag.read_bytes())
+    data[1_300_000:1_450_000] = bytes(150_000)  # of the second chunk, over the head of a message
+    bag.write_bytes(data)
+    with ExitStack() as stack:
+        found, _ = chosen(bag, stack)
+        source = PlaySource(found, PlayPart())
+        assert [each.topic.name for each in source.kept()] == ["/tf_static"]
+        assert [str(bag) in trouble for trouble in source.troubles] == [True]
 
 
 def test_what_was_latched_before_the_beginning_is_played_and_a_part_ends_in_time(tmp_path: Path) -> None:

@@ -153,7 +153,8 @@ def _play(args: argparse.Namespace, client: CliClient, bags: list[Bag], ended: t
     client.settle()
     output = HubOutput(client.hub, registry, topics, clock=bool(args.clock))
     timeline = Timeline(args.rate, paused=args.paused, clock_hz=args.clock)
-    services = PlayServices(client.hub, registry, timeline)
+    moves = any(topic.command for topic in topics)
+    services = PlayServices(client.hub, registry, timeline, commands=moves)
     player = Player(source, output, timeline, loop=args.loop, tell=_say)
     try:
         _begin(args, output, ended)
