@@ -14,14 +14,16 @@ from typing import Any
 
 from bridge.bags.bag import Bag, BagError, BagMessage, BagTopic, Kind
 from bridge.bags.conversion import Form, to_hub, to_ros1
+from bridge.bags.mcap_copy import McapCopy, Ros2Mcap
 from bridge.bags.mcap_reader import McapBag
 from bridge.bags.spans import SpanBag
-from bridge.bags.writers import COMPRESSIONS, BagWriter, open_writer, written_whole
+from bridge.bags.writers import COMPRESSIONS, BagWriter, check_compression, open_writer, written_whole
 from bridge.messages.errors import ConversionError
 from bridge.messages.registry import Registry
 
 _LATCHED_DEPTH = 100
 _TOLD_BYTES = 1 << 18
+_FOREVER = 1 << 64
 
 
 @dataclass(frozen=True)
@@ -94,6 +96,7 @@ def convert(
     (unless ``skip_bad``), the bag is damaged, the target exists or cannot be written.
     """
     done = Copied()
+    _check_sound(bag)
     forms: dict[BagTopic, Form] = {}
     for topic in choice.chosen(bag):
         try:
@@ -106,8 +109,10 @@ def convert(
         else:
             if forms[topic].left_out:
                 done.lost[topic.type_name] = forms[topic].left_out
+    check_compression(target, kind, compression or COMPRESSIONS[kind][0])
     with written_whole(target, kind) as making:
-        writer = open_writer(making, kind, compression or COMPRESSIONS[kind][0])
+        usual = compression or COMPRESSIONS[kind][0]
+        writer = Ros2Mcap(making, usual) if kind == "mcap" else open_writer(making, kind, usual)
         _copy(bag, writer, forms, _messages(bag, list(forms), choice), done, skip_bad=skip_bad, told=told)
     return done
 
@@ -121,6 +126,8 @@ def cut(
     With ``mend`` what is damaged is left out, and told of in `Copied.damage`. Raises `BagError`.
     """
     done = Copied()
+    if not mend:
+        _check_sound(bag)
     if mend and isinstance(bag, SpanBag):
         bag.on_damage = done.damage.append
     if mend and bag.trouble is not None:
@@ -128,12 +135,52 @@ def cut(
     forms = {topic: Form(topic.type_name, topic.type_hash, topic.definition, None) for topic in choice.chosen(bag)}
     usual = bag.compression if bag.compression in COMPRESSIONS[bag.kind] else COMPRESSIONS[bag.kind][0]
     messages = _messages(bag, list(forms), choice)
+    check_compression(target, bag.kind, compression or usual)
     with written_whole(target, bag.kind) as making:
-        source = bag if isinstance(bag, McapBag) else None
-        writer = open_writer(making, bag.kind, compression or usual, source)
+        if isinstance(bag, McapBag):
+            copier = McapCopy(making, compression or usual, bag)
+            if not (mend or choice.topics or choice.exclude or choice.latched):
+                _copy_chunks(bag, copier, choice, compression or usual, done, told)
+                return done
+        writer = copier if isinstance(bag, McapBag) else open_writer(making, bag.kind, compression or usual)
         _copy(bag, writer, forms, _mended(messages, done.damage) if mend else messages, done, told=told)
     done.damage[:] = {str(err): err for err in done.damage}.values()  # of a chunk that was looked at twice
     return done
+
+
+def _check_sound(bag: Bag) -> None:
+    """Raises what is wrong with a bag; what only lacks its end is read up to there."""
+    if bag.trouble is not None and not bag.unfinished:
+        raise BagError(bag.path, bag.trouble.what, bag.trouble.offset, "'midspan bag mend' saves the rest")
+
+
+def _copy_chunks(bag: McapBag, copier: McapCopy, choice: Choice, compression: str, done: Copied, told: Told) -> None:
+    """Copy all channels, also those that only others understand; what lies within the times stays packed."""
+    start = 0 if choice.start_ns is None else choice.start_ns
+    end = _FOREVER if choice.end_ns is None else choice.end_ns
+    try:
+        for number in bag.channels:
+            copier.add_number(number)
+        for span in bag.spans():
+            if span.end < start or span.start >= end:
+                continue
+            inside = start <= span.start and span.end < end
+            chunk = bag.whole_chunk(span) if inside else None
+            if chunk is not None and (chunk.compression or "none") == compression:
+                copier.take(chunk)
+                done.messages += sum(chunk.counts.values())
+                done.data += chunk.size
+            else:
+                for number, time_ns, publish_ns, data in bag.span_rows(span):
+                    if start <= time_ns < end:
+                        copier.write(number, time_ns, publish_ns, data)
+                        done.messages += 1
+                        done.data += len(data)
+            told(done.messages, done.data)
+        copier.finish()
+    except BaseException:
+        copier.abandon()
+        raise
 
 
 def _mended(messages: Iterator[BagMessage], damage: list[BagError]) -> Iterator[BagMessage]:

@@ -11,8 +11,9 @@ import io
 import struct
 import zlib
 from collections import Counter
+from collections.abc import Mapping
 from pathlib import Path
-from typing import BinaryIO
+from typing import BinaryIO, NamedTuple
 
 from mcap.data_stream import ReadDataStream
 from mcap.opcode import Opcode
@@ -38,6 +39,27 @@ _DEFINITIONS = {"ros2msg", "ros1msg"}
 _TABLES = {Opcode.HEADER, Opcode.SCHEMA, Opcode.CHANNEL, Opcode.STATISTICS}
 
 
+class WholeChunk(NamedTuple):
+    """A chunk's record and the records of its indexes as they stand in a file.
+
+    Attributes:
+        offsets: where in ``indexes`` that of a channel begins.
+        counts: messages of each channel.
+        packed, size: bytes of its data in the file, and unpacked.
+        start, end: times of its first and last message.
+    """
+
+    record: bytes
+    indexes: bytes
+    offsets: Mapping[int, int]
+    counts: Mapping[int, int]
+    compression: str
+    packed: int
+    size: int
+    start: int
+    end: int
+
+
 class McapBag(SpanBag):
     """One MCAP file. ``profile`` and ``library`` are what its header says."""
 
@@ -56,7 +78,7 @@ class McapBag(SpanBag):
         with reading(path, 0):
             self._walk()
         counts: Counter[int] = Counter()
-        if self.unfinished or self._statistics is None or not self.channels:
+        if self.trouble is not None or self._statistics is None or not self.channels:
             counts = self._scan()
         else:
             counts.update(self._statistics.channel_message_counts)
@@ -73,6 +95,44 @@ class McapBag(SpanBag):
         """The number of a topic's channel."""
         return next(number for number, each in self.topic_of.items() if each is topic)
 
+    def spans(self) -> list[Span]:
+        """The pieces of the file, in order of their first times."""
+        return sorted(self._spans, key=lambda span: span.start)
+
+    def span_rows(self, span: Span) -> list[tuple[int, int, int, bytes]]:
+        """Channel, log time, publish time and data of a piece's messages, as they stand; raises `BagError`."""
+        with reading(self.path, span.offset):
+            rows = self._records(self._plain(span), span.offset)
+        if any(row[0] not in self.channels for row in rows):
+            raise BagError(self.path, "a message is of a channel that the file does not have", span.offset)
+        return [(channel, log, publish, data) for channel, log, publish, _, data in rows]
+
+    def whole_chunk(self, span: Span) -> WholeChunk | None:
+        """A chunk with its indexes, None for what is no chunk or has none; raises `BagError` where it is damaged."""
+        if not span.chunk:
+            return None
+        with reading(self.path, span.offset):
+            plain, compression = self._unpacked(span)
+            at = span.offset + _HEAD.size + span.length
+            indexes, offsets, counts = bytearray(), dict[int, int](), dict[int, int]()
+            while at + _HEAD.size < self.size:
+                opcode, length = _HEAD.unpack(self._read(at, _HEAD.size))
+                if opcode != Opcode.MESSAGE_INDEX or length > _LARGEST_TABLE:
+                    break
+                record = self._read(at, _HEAD.size + length)
+                number = int.from_bytes(record[9:11], "little")
+                offsets[number] = len(indexes)
+                counts[number] = (length - 6) // 16
+                indexes += record
+                at += len(record)
+            if not offsets or offsets.keys() - self.channels.keys():
+                return None
+            packed = span.length - _CHUNK.size - len(compression) - 8
+            record = self._read(span.offset, _HEAD.size + span.length)
+            return WholeChunk(
+                record, bytes(indexes), offsets, counts, compression, packed, len(plain), span.start, span.end
+            )
+
     def _walk(self) -> None:
         """From record to record, until the file ends or stops making sense."""
         at = len(MAGIC)
@@ -85,16 +145,22 @@ class McapBag(SpanBag):
                 return self._end(at, "the file ends within a record, or a length is wrong")
             if opcode == Opcode.FOOTER:
                 return None if self._magic_at(after) else self._end(after, "the file ends without its last bytes")
-            if opcode == Opcode.CHUNK:
-                self._walk_chunk(at, body, length)
-            elif opcode == Opcode.MESSAGE:
-                self._walk_message(at, body, length)
-            elif opcode in _TABLES:
-                if length > _LARGEST_TABLE:
-                    raise BagError(self.path, f"a record of type {opcode} declares {length} bytes", at)
+            try:
                 with reading(self.path, at):
-                    self._take(opcode, self._read(body, length))
+                    self._walk_record(opcode, at, body, length)
+            except BagError as err:  # its length is right, and so the next one can be read
+                self.trouble = self.trouble or err
             at = after
+
+    def _walk_record(self, opcode: int, at: int, body: int, length: int) -> None:
+        if opcode == Opcode.CHUNK:
+            self._walk_chunk(at, body, length)
+        elif opcode == Opcode.MESSAGE:
+            self._walk_message(at, body, length)
+        elif opcode in _TABLES:
+            if length > _LARGEST_TABLE:
+                raise BagError(self.path, f"a record of type {opcode} declares {length} bytes", at)
+            self._take(opcode, self._read(body, length))
 
     def _magic_at(self, offset: int) -> bool:
         return self.size >= offset + len(MAGIC) and self._read(offset, len(MAGIC)) == MAGIC
@@ -186,10 +252,12 @@ class McapBag(SpanBag):
             more,
         )
 
-    def _plain(self, span: Span) -> bytes:
+    def _plain(self, span: Span) -> bytes | memoryview:
         """A span's records."""
-        if not span.chunk:
-            return self._read(span.offset, span.length)
+        return self._unpacked(span)[0] if span.chunk else self._read(span.offset, span.length)
+
+    def _unpacked(self, span: Span) -> tuple[bytes | memoryview, str]:
+        """A chunk's records, and what they were compressed by."""
         body = self._read(span.offset + _HEAD.size, span.length)
         _, _, size, crc, name = _CHUNK.unpack_from(body)
         compression = body[_CHUNK.size : _CHUNK.size + name].decode(errors="replace")
@@ -197,12 +265,12 @@ class McapBag(SpanBag):
         told = int.from_bytes(body[begin - 8 : begin], "little")
         if told != len(body) - begin:
             raise BagError(self.path, f"a chunk has {len(body) - begin} bytes, and declares {told}", span.offset)
-        plain = unpack(compression, body[begin:], size)
+        plain = unpack(compression, memoryview(body)[begin:], size)
         if crc and zlib.crc32(plain) != crc:
             raise BagError(self.path, "a chunk's checksum is wrong: its bytes were changed", span.offset)
-        return plain
+        return plain, compression
 
-    def _records(self, data: bytes, offset: int) -> list[tuple[int, int, int, int, bytes]]:
+    def _records(self, data: bytes | memoryview, offset: int) -> list[tuple[int, int, int, int, bytes]]:
         """Channel, log time, publish time, sequence and data of each message."""
         found = []
         at, size = 0, len(data)
@@ -216,9 +284,9 @@ class McapBag(SpanBag):
                 if length < 22:
                     raise BagError(self.path, f"a message record has only {length} bytes", offset)
                 channel, sequence, log, publish = message(data, body)
-                found.append((channel, log, publish, sequence, data[body + 22 : at]))
+                found.append((channel, log, publish, sequence, bytes(data[body + 22 : at])))
             elif opcode in (3, 4):
-                self._take(opcode, data[body:at])
+                self._take(opcode, bytes(data[body:at]))
         return found
 
     def _load(self, span: Span) -> list[BagMessage]:

@@ -37,9 +37,11 @@ class Ros1Bag(SpanBag):
         self._topic_of: dict[int, BagTopic] = {}
         self._infos: dict[int, tuple[int, int, Counter[int]]] = {}
         self._compressions: set[str] = set()
-        self._fixed = False
+        self._fixed = self._encrypted = False
         with reading(path, 0):
             self._walk()
+        if self._encrypted:
+            raise BagError(path, "the bag is encrypted", None, "decrypt it with 'rosbag decrypt'")
         counts = self._scan()
         self._fixed = True
         with reading(path):
@@ -59,21 +61,22 @@ class Ros1Bag(SpanBag):
                 return self._end(at)
             if length > _LARGEST_HEADER:
                 raise BagError(self.path, f"a record's header declares {length} bytes", at)
-            with reading(self.path, at):
-                fields = parse_fields(self._read(at + 4, length))
-                body = at + 8 + length
-                size = _U32.unpack(self._read(body - 4, 4))[0]
-                if body + size > self.size:
-                    return self._end(at)
-                self._walk_record(fields, at, body, size)
+            body = at + 8 + length
+            size = _U32.unpack(self._read(body - 4, 4))[0]
+            if body + size > self.size:
+                return self._end(at)
+            try:
+                with reading(self.path, at):
+                    self._walk_record(parse_fields(self._read(at + 4, length)), at, body, size)
+            except BagError as err:  # its lengths are right, and so the next one can be read
+                self.trouble = self.trouble or err
             at = body + size
         return None
 
     def _walk_record(self, fields: Fields, at: int, body: int, size: int) -> None:
         kind = fields[b"op"][0]
         if kind == _BAG:
-            if fields.get(b"encryptor"):
-                raise BagError(self.path, "the bag is encrypted", at, "decrypt it with 'rosbag decrypt'")
+            self._encrypted = bool(fields.get(b"encryptor"))
             if not any(fields[b"index_pos"]):
                 self._end(self.size, "the bag has no index: its writer never closed it")
         elif kind == _CHUNK:
@@ -133,12 +136,12 @@ class Ros1Bag(SpanBag):
         length = _U32.unpack_from(raw)[0]
         fields = parse_fields(raw[4 : 4 + length])
         size = _U32.unpack(fields[b"size"])[0]
-        data = unpack(fields[b"compression"].decode(errors="replace"), raw[8 + length :], size)
+        data = unpack(fields[b"compression"].decode(errors="replace"), memoryview(raw)[8 + length :], size)
         found = []
         at, u32 = 0, _U32.unpack_from
         while at < size:
             (length,) = u32(data, at)
-            fields = parse_fields(data[at + 4 : at + 4 + length])
+            fields = parse_fields(bytes(data[at + 4 : at + 4 + length]))
             body = at + 8 + length
             (count,) = u32(data, body - 4)
             at = body + count
@@ -146,9 +149,9 @@ class Ros1Bag(SpanBag):
                 raise BagError(self.path, "a record is longer than its chunk", span.offset)
             kind = fields[b"op"][0]
             if kind == _MESSAGE:
-                found.append((_U32.unpack(fields[b"conn"])[0], _time(fields[b"time"]), data[body:at]))
+                found.append((_U32.unpack(fields[b"conn"])[0], _time(fields[b"time"]), bytes(data[body:at])))
             elif kind == _CONNECTION:
-                self._take(fields, data[body:at])
+                self._take(fields, bytes(data[body:at]))
         return found
 
     def _load(self, span: Span) -> list[BagMessage]:

@@ -119,14 +119,14 @@ def _due(rows: list[BagMessage], next_start: int) -> int:
     return due
 
 
-def unpack(compression: str, data: bytes, size: int) -> bytes:
+def unpack(compression: str, data: memoryview, size: int) -> bytes | memoryview:
     """A chunk's bytes, which must be ``size`` as declared; never makes more than that. Raises what the library does."""
     if size > MAX_CHUNK:
         msg = f"a chunk declares {size} bytes, which is more than the {MAX_CHUNK} that are read"
         raise ValueError(msg)
     match compression:
         case "" | "none":
-            plain = data
+            plain: bytes | memoryview = data
         case "zstd":
             plain = _unpack_zstd(data, size)
         case "lz4":
@@ -146,7 +146,7 @@ def unpack(compression: str, data: bytes, size: int) -> bytes:
     return plain
 
 
-def _unpack_zstd(data: bytes, size: int) -> bytes:
+def _unpack_zstd(data: memoryview, size: int) -> bytes:
     import zstandard
 
     if not size:

@@ -1,4 +1,4 @@
-"""Writes bags of all formats: MCAP by `mcap`, ROS 1's bags and rosbag2's SQLite files by `rosbags`.
+"""Writes ROS's own bags by `rosbags`: ROS 1's, and rosbag2's SQLite files; and what writers of all formats share.
 
 A bag is written in a folder beside its place, and comes to its place when it is whole; else nothing is left.
 """
@@ -13,12 +13,8 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from mcap.writer import CompressionType, Writer
-
 from bridge.bags.bag import BagError, BagTopic, Kind
 from bridge.bags.conversion import Form
-from bridge.bags.mcap_reader import McapBag
-from bridge.bags.mcap_writer import CHUNK_BYTES, ChannelInfo, Compression, McapWriter
 
 COMPRESSIONS: dict[Kind, tuple[str, ...]] = {
     "mcap": ("zstd", "lz4", "none"), "bag": ("none", "lz4", "bz2"), "db3": ("none",),
@@ -50,70 +46,6 @@ class BagWriter(ABC):
 
     def abandon(self) -> None:  # noqa: B027 - most have nothing to let go
         """Let go of the file, which will be removed."""
-
-
-class Mcap(BagWriter):
-    """Profile ``ros2``, as ``midspan record`` writes it."""
-
-    def __init__(self, path: Path, compression: Compression) -> None:
-        self._file = path.open("wb")
-        self._writer = McapWriter(self._file, compression)
-
-    def add(self, topic: BagTopic, form: Form) -> int:
-        """See `BagWriter.add`."""
-        more = dict(topic.metadata)
-        definition = form.definition or None
-        return self._writer.channel(
-            ChannelInfo(topic.name, form.type_name, form.type_hash, definition, (topic.qos,), more=more)
-        )
-
-    def write(self, place: int, time_ns: int, publish_ns: int, data: bytes) -> None:
-        """See `BagWriter.write`."""
-        self._writer.write(place, time_ns, publish_ns, data)
-
-    def finish(self) -> None:
-        """See `BagWriter.finish`."""
-        self._writer.finish()
-        self._file.close()
-
-    def abandon(self) -> None:
-        """See `BagWriter.abandon`."""
-        self._file.close()
-
-
-class McapCopy(BagWriter):
-    """Takes schemas, channels and encodings of another MCAP file as they are."""
-
-    def __init__(self, path: Path, compression: str, source: McapBag) -> None:
-        self._file = path.open("wb")
-        self._source = source
-        kind = CompressionType[compression.upper()]
-        self._writer = Writer(self._file, CHUNK_BYTES, kind)
-        self._writer.start(source.profile, source.library)
-        self._schemas: dict[int, int] = {0: 0}
-
-    def add(self, topic: BagTopic, _form: Form) -> int:
-        """See `BagWriter.add`."""
-        channel = self._source.channels[self._source.number_of(topic)]
-        if channel.schema_id not in self._schemas:
-            schema = self._source.schemas[channel.schema_id]
-            self._schemas[schema.id] = self._writer.register_schema(schema.name, schema.encoding, schema.data)
-        return self._writer.register_channel(
-            channel.topic, channel.message_encoding, self._schemas[channel.schema_id], channel.metadata
-        )
-
-    def write(self, place: int, time_ns: int, publish_ns: int, data: bytes) -> None:
-        """See `BagWriter.write`."""
-        self._writer.add_message(place, time_ns, data, publish_ns)
-
-    def finish(self) -> None:
-        """See `BagWriter.finish`."""
-        self._writer.finish()  # type: ignore[no-untyped-call]
-        self._file.close()
-
-    def abandon(self) -> None:
-        """See `BagWriter.abandon`."""
-        self._file.close()
 
 
 class Ros1(BagWriter):
@@ -222,18 +154,16 @@ def kind_of(path: Path) -> Kind:
     return kind
 
 
-def open_writer(path: Path, kind: Kind, compression: str, source: McapBag | None = None) -> BagWriter:
-    """A writer of this format; with a source of MCAP, one that takes over its schemas and channels."""
+def check_compression(path: Path, kind: Kind, compression: str) -> None:
+    """Raises `BagError` for a compression that the format has not."""
     if compression not in COMPRESSIONS[kind]:
         msg = f"cannot be compressed by {compression}"
         raise BagError(path, msg, None, f"{kind} has {', '.join(COMPRESSIONS[kind])}")
-    if kind == "bag":
-        return Ros1(path, compression)
-    if kind == "db3":
-        return Db3(path)
-    if source is not None:
-        return McapCopy(path, compression, source)
-    return Mcap(path, "zstd" if compression == "zstd" else "lz4" if compression == "lz4" else "none")
+
+
+def open_writer(path: Path, kind: Kind, compression: str) -> BagWriter:
+    """A writer of one of ROS's own formats."""
+    return Ros1(path, compression) if kind == "bag" else Db3(path)
 
 
 @contextmanager

@@ -1,0 +1,217 @@
+"""Writes MCAP from other bags; chunks of MCAP that come whole are not packed again.
+
+`mcap`'s own writer takes single messages only, and copies each several times; here chunks are put together. The library
+writes all records that are not messages (https://mcap.dev/spec).
+"""
+
+from __future__ import annotations
+
+import struct
+import zlib
+from collections import Counter, defaultdict
+from pathlib import Path
+
+from mcap.data_stream import RecordBuilder
+from mcap.opcode import Opcode
+from mcap.records import (
+    Channel,
+    Chunk,
+    ChunkIndex,
+    DataEnd,
+    Footer,
+    Header,
+    McapRecord,
+    MessageIndex,
+    Schema,
+    Statistics,
+    SummaryOffset,
+)
+
+from bridge import __version__
+from bridge.bags.bag import BagTopic
+from bridge.bags.conversion import Form
+from bridge.bags.mcap_reader import MAGIC, McapBag, WholeChunk
+from bridge.bags.mcap_writer import CHUNK_BYTES, PROFILE, ChannelInfo, ros2msg
+from bridge.bags.writers import BagWriter
+
+_MESSAGE = struct.Struct("<BQHIQQ")
+_FOOTER = struct.Struct("<BQQQ")
+_BODY = 22
+"""Bytes of a message record beside its head and data."""
+
+
+class ChunkedMcap(BagWriter):
+    """Writes MCAP from records and whole chunks."""
+
+    def __init__(self, path: Path, compression: str, profile: str, library: str) -> None:
+        self._file = path.open("wb")
+        self._schemas: dict[int, Schema] = {}
+        self._compression = "" if compression == "none" else compression
+        self._channels: dict[int, Channel] = {}
+        self._counts: Counter[int] = Counter()
+        self._indexes: list[ChunkIndex] = []
+        self._parts: list[bytes] = []
+        self._size = 0
+        self._places: defaultdict[int, list[tuple[int, int]]] = defaultdict(list)
+        self._file.write(MAGIC)
+        self._record(Header(profile=profile, library=library))
+
+    def add_channel(self, channel: Channel, schema: Schema | None) -> None:
+        """Add a channel and its schema, where they are not there yet."""
+        if schema is not None and schema.id not in self._schemas:
+            self._schemas[schema.id] = schema
+            self._record(schema)
+        if channel.id not in self._channels:
+            self._channels[channel.id] = channel
+            self._record(channel)
+
+    def write(self, place: int, time_ns: int, publish_ns: int, data: bytes) -> None:
+        """Add a message."""
+        self._places[place].append((time_ns, self._size))
+        self._parts += (_MESSAGE.pack(Opcode.MESSAGE, _BODY + len(data), place, 0, time_ns, publish_ns), data)
+        self._size += _MESSAGE.size + len(data)
+        if self._size > CHUNK_BYTES:
+            self._close_chunk()
+
+    def take(self, chunk: WholeChunk) -> None:
+        """Add a chunk of the source as it is, with its indexes."""
+        self._close_chunk()
+        at = self._file.tell()
+        self._file.write(chunk.record)
+        self._file.write(chunk.indexes)
+        after = at + len(chunk.record)
+        offsets = {number: after + offset for number, offset in chunk.offsets.items()}
+        self._counts.update(chunk.counts)
+        self._indexes.append(
+            ChunkIndex(
+                chunk_length=len(chunk.record), chunk_start_offset=at, compression=chunk.compression,
+                compressed_size=chunk.packed, message_end_time=chunk.end, message_index_length=len(chunk.indexes),
+                message_index_offsets=offsets, message_start_time=chunk.start, uncompressed_size=chunk.size,
+            )
+        )  # fmt: skip
+
+    def finish(self) -> None:
+        """Write the summary."""
+        self._close_chunk()
+        self._record(DataEnd(0))
+        start = self._file.tell()
+        summary = RecordBuilder()
+        offsets: list[SummaryOffset] = []
+        for opcode, records in (
+            (Opcode.SCHEMA, list(self._schemas.values())), (Opcode.CHANNEL, list(self._channels.values())),
+            (Opcode.STATISTICS, [self._statistics()]), (Opcode.CHUNK_INDEX, self._indexes),
+        ):  # fmt: skip
+            begun = summary.count
+            for record in records:
+                record.write(summary)
+            if records:
+                offsets.append(SummaryOffset(opcode, start + begun, summary.count - begun))
+        offset_start = start + summary.count
+        for offset in offsets:
+            offset.write(summary)
+        data = _bytes(summary)
+        self._file.write(data)
+        crc = zlib.crc32(_FOOTER.pack(Opcode.FOOTER, 20, start, offset_start), zlib.crc32(data))
+        self._record(Footer(summary_start=start, summary_offset_start=offset_start, summary_crc=crc))
+        self._file.write(MAGIC)
+        self._file.close()
+
+    def abandon(self) -> None:
+        """Let go of the file."""
+        self._file.close()
+
+    def _record(self, record: McapRecord) -> None:
+        builder = RecordBuilder()
+        record.write(builder)
+        self._file.write(_bytes(builder))
+
+    def _close_chunk(self) -> None:
+        if not self._parts:
+            return
+        plain = b"".join(self._parts)
+        times = [time for places in self._places.values() for time, _ in places]
+        packed = _pack(self._compression, plain)
+        builder = RecordBuilder()
+        Chunk(
+            compression=self._compression, data=packed, message_end_time=max(times), message_start_time=min(times),
+            uncompressed_crc=zlib.crc32(plain), uncompressed_size=len(plain),
+        ).write(builder)  # fmt: skip
+        record = _bytes(builder)
+        offsets: dict[int, int] = {}
+        for number, places in self._places.items():
+            offsets[number] = builder.count
+            MessageIndex(number, places).write(builder)
+        counts = {number: len(places) for number, places in self._places.items()}
+        self._parts, self._size = [], 0
+        self._places.clear()
+        start, end = min(times), max(times)
+        indexes, sizes = _bytes(builder), (len(packed), len(plain))
+        self.take(WholeChunk(record, indexes, offsets, counts, self._compression, *sizes, start, end))
+
+    def _statistics(self) -> Statistics:
+        return Statistics(
+            attachment_count=0, channel_count=len(self._channels), channel_message_counts=dict(self._counts),
+            chunk_count=len(self._indexes), message_count=self._counts.total(),
+            message_end_time=max((index.message_end_time for index in self._indexes), default=0),
+            message_start_time=min((index.message_start_time for index in self._indexes), default=0),
+            metadata_count=0, schema_count=len(self._schemas),
+        )  # fmt: skip
+
+
+class McapCopy(ChunkedMcap):
+    """Writes a part of another MCAP file, with its channels as they are."""
+
+    def __init__(self, path: Path, compression: str, source: McapBag) -> None:
+        super().__init__(path, compression, source.profile, source.library)
+        self._source = source
+
+    def add(self, topic: BagTopic, _form: Form) -> int:
+        """See `BagWriter.add`."""
+        number = self._source.number_of(topic)
+        self.add_number(number)
+        return number
+
+    def add_number(self, number: int) -> None:
+        """Add one of the source's channels."""
+        channel = self._source.channels[number]
+        self.add_channel(channel, self._source.schemas.get(channel.schema_id))
+
+
+class Ros2Mcap(ChunkedMcap):
+    """Writes MCAP of profile ``ros2``, as ``midspan record`` does."""
+
+    def __init__(self, path: Path, compression: str) -> None:
+        super().__init__(path, compression, PROFILE, f"midspan {__version__}")
+        self._known: dict[tuple[str, str], Schema] = {}
+
+    def add(self, topic: BagTopic, form: Form) -> int:
+        """See `BagWriter.add`."""
+        text = ros2msg(form.definition)
+        new = Schema(
+            id=len(self._known) + 1, name=form.type_name, encoding="ros2msg" if text else "", data=text.encode()
+        )
+        schema = self._known.setdefault((form.type_name, text), new)
+        info = ChannelInfo(topic.name, form.type_name, form.type_hash, qos=(topic.qos,), more=dict(topic.metadata))
+        number = len(self._channels)
+        channel = Channel(
+            id=number, topic=topic.name, message_encoding="cdr", metadata=info.metadata(), schema_id=schema.id
+        )
+        self.add_channel(channel, schema)
+        return number
+
+
+def _bytes(builder: RecordBuilder) -> bytes:
+    """What was built, which is empty then."""
+    return bytes(builder.end())  # type: ignore[no-untyped-call]
+
+
+def _pack(compression: str, plain: bytes) -> bytes:
+    if compression == "zstd":
+        import zstandard
+
+        return zstandard.compress(plain)
+    if compression == "lz4":
+        import lz4.frame  # type: ignore[import-untyped]
+
+        return bytes(lz4.frame.compress(plain))
+    return plain

@@ -1,0 +1,195 @@
+"""Files that were cut, changed or made to harm: an error with its place, what stands before it, and bounded memory."""
+
+from __future__ import annotations
+
+import bz2
+import io
+import sqlite3
+import struct
+import tracemalloc
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import lz4.frame  # type: ignore[import-untyped]
+import pytest
+import zstandard
+from mcap.reader import make_reader
+
+from bridge.bags.bag import BagError
+from bridge.bags.copy import Choice, convert, cut
+from bridge.bags.reader import open_bag
+from bridge.messages.registry import Registry
+from tests.bags.written import START, db3_folder, mcap_bytes, mcap_file, ros1_bag
+
+MEGABYTE = 1 << 20
+
+
+def chunk(compression: bytes, data: bytes, size: int) -> bytes:
+    """A file of MCAP with one chunk that says what it likes of its size."""
+    body = struct.pack("<QQQII", 0, 9, size, 0, len(compression)) + compression + struct.pack("<Q", len(data)) + data
+    header = struct.pack("<BQII", 1, 8, 0, 0)
+    return b"\x89MCAP0\r\n" + header + struct.pack("<BQ", 6, len(body)) + body
+
+
+def ros1_chunk(compression: bytes, data: bytes, size: int) -> bytes:
+    """The same as a bag of ROS 1."""
+
+    def record(fields: dict[bytes, bytes], content: bytes) -> bytes:
+        made = [name + b"=" + value for name, value in fields.items()]
+        head = b"".join(struct.pack("<I", len(field)) + field for field in made)
+        return struct.pack("<I", len(head)) + head + struct.pack("<I", len(content)) + content
+
+    start = record({b"op": b"\x03", b"index_pos": bytes(8), b"conn_count": bytes(4), b"chunk_count": bytes(4)}, b"")
+    fields = {b"op": b"\x05", b"compression": compression, b"size": struct.pack("<I", size)}
+    return b"#ROSBAG V2.0\n" + start + record(fields, data)
+
+
+ZEROS = bytes(64 * MEGABYTE)
+UNSIZED = zstandard.ZstdCompressor(write_content_size=False)
+BOMBS: dict[str, Callable[[], bytes]] = {
+    "zstd that declares little": lambda: chunk(b"zstd", zstandard.compress(ZEROS), 1000),
+    "zstd without its size": lambda: chunk(
+        b"zstd", zstandard.ZstdCompressor(write_content_size=False).compress(ZEROS), 99
+    ),
+    "zstd of 4 GB": lambda: chunk(b"zstd", zstandard.compress(b"x"), 1 << 32),
+    "zstd of 2^63 bytes": lambda: chunk(b"zstd", zstandard.compress(b"x"), 1 << 63),
+    "lz4": lambda: chunk(b"lz4", lz4.frame.compress(ZEROS), 1000),
+    "ROS 1, lz4": lambda: ros1_chunk(b"lz4", lz4.frame.compress(ZEROS), 1000),
+    "ROS 1, bz2": lambda: ros1_chunk(b"bz2", bz2.compress(ZEROS), 1000),
+    "ROS 1, 4 GB": lambda: ros1_chunk(b"none", b"", 0xFFFFFFFF),
+    "unknown compression": lambda: chunk(b"odd", b"x", 1),
+}
+
+
+@pytest.mark.parametrize("name", BOMBS)
+def test_a_chunk_that_unpacks_to_something_else_is_refused_before_that(name: str, tmp_path: Path) -> None:
+    path = tmp_path / "a"
+    path.write_bytes(BOMBS[name]())
+    tracemalloc.start()
+    try:
+        with open_bag(path) as bag, pytest.raises(BagError, match=r", byte \d+: ") as caught:
+            list(bag.messages())
+        assert tracemalloc.get_traced_memory()[1] < 8 * MEGABYTE
+    finally:
+        tracemalloc.stop()
+    assert caught.value.offset is not None
+
+
+@pytest.mark.parametrize("length", [1 << 32, 1 << 62, (1 << 64) - 1])
+@pytest.mark.parametrize("opcode", [3, 5, 6, 11, 0x80])
+def test_a_record_that_is_longer_than_the_file_ends_what_can_be_read(opcode: int, length: int, tmp_path: Path) -> None:
+    path = tmp_path / "a.mcap"
+    good = mcap_bytes(20, finished=False)
+    path.write_bytes(good + struct.pack("<BQ", opcode, length) + bytes(100))
+    with open_bag(path) as bag:
+        assert bag.unfinished
+        assert bag.trouble is not None
+        assert bag.trouble.offset == len(good)
+        assert sum(1 for _ in bag.messages()) == 21
+
+
+def test_a_header_of_ros_1_that_declares_4_gb_ends_what_can_be_read(tmp_path: Path) -> None:
+    path = ros1_bag(tmp_path / "a.bag")
+    good = path.stat().st_size
+    with path.open("ab") as file:
+        file.write(b"\xff\xff\xff\xff" + bytes(50))
+    with open_bag(path) as bag:
+        assert (bag.trouble is not None and bag.trouble.offset) == good
+        assert sum(1 for _ in bag.messages()) == 21
+
+
+@pytest.mark.parametrize("part", [0.2, 0.5, 0.9])
+def test_a_file_of_sqlite_that_was_cut_is_an_error(part: float, tmp_path: Path) -> None:
+    file = db3_folder(tmp_path / "a", 2000) / "a.db3"
+    data = file.read_bytes()
+    file.write_bytes(data[: int(len(data) * part)])
+    with pytest.raises(BagError, match=r"a\.db3: is damaged: DatabaseError"), open_bag(file) as bag:
+        list(bag.messages())
+
+
+def test_a_database_that_is_no_bag_or_computes_without_end_is_an_error(tmp_path: Path) -> None:
+    other = sqlite3.connect(tmp_path / "other.db3")
+    other.execute("CREATE TABLE things(id)")
+    other.commit()
+    other.close()
+    with pytest.raises(BagError, match="is no bag: it has no tables 'topics' and 'messages'"):
+        open_bag(tmp_path / "other.db3")
+    endless = sqlite3.connect(tmp_path / "endless.db3")
+    endless.execute("CREATE TABLE messages(id, topic_id, timestamp, data)")
+    endless.execute(
+        "CREATE VIEW topics AS WITH RECURSIVE n(i) AS (SELECT 1 UNION ALL SELECT i + 1 FROM n) SELECT i AS id FROM n"
+    )
+    endless.commit()
+    endless.close()
+    with pytest.raises(BagError, match="is no bag"):
+        open_bag(tmp_path / "endless.db3")
+
+
+def test_a_folder_reads_nothing_outside_of_itself(tmp_path: Path) -> None:
+    mcap_file(tmp_path / "secret.mcap")
+    folder = tmp_path / "bag"
+    folder.mkdir()
+    text = "rosbag2_bagfile_information:\n  relative_file_paths: [../secret.mcap]\n  compression_mode: ''\n"
+    (folder / "metadata.yaml").write_text(text)
+    with pytest.raises(BagError, match=r"bag/secret\.mcap: there is no such file"):
+        open_bag(folder)
+    (folder / "metadata.yaml").write_text("a: [b")
+    with pytest.raises(BagError, match=r"metadata\.yaml: is damaged: \w+Error"):
+        open_bag(folder)
+
+
+def test_a_definition_that_nobody_can_read_is_an_error_that_names_the_type(tmp_path: Path) -> None:
+    data = mcap_bytes(3, "none").replace(b"std_msgs/msg/String", b"odd_msgs/msg/Strong")
+    data = data.replace(b"string data", b"stronk data")
+    path = tmp_path / "a.mcap"
+    path.write_bytes(crc_of_nobody(data))
+    with open_bag(path) as bag, pytest.raises(BagError, match=r"/map_name has type odd_msgs/msg/Strong"):
+        convert(bag, tmp_path / "b.bag", "bag", Registry())
+
+
+def crc_of_nobody(data: bytes) -> bytes:
+    """The file without its chunks' checksums."""
+    made, at = bytearray(data), 8
+    while at < len(made) - 8:
+        opcode, length = struct.unpack_from("<BQ", made, at)
+        if opcode == 6:
+            made[at + 33 : at + 37] = bytes(4)
+        at += 9 + length
+    return bytes(made)
+
+
+def test_a_damaged_table_stops_a_conversion_and_not_a_mending(tmp_path: Path) -> None:
+    data = bytearray(mcap_bytes(100))
+    at = 8
+    while data[at] != 11:  # the statistics
+        at += 9 + struct.unpack_from("<Q", data, at + 1)[0]
+    data[at + 9 + 42 : at + 9 + 46] = b"\xff\xff\xff\xff"
+    path = tmp_path / "a.mcap"
+    path.write_bytes(data)
+    with open_bag(path) as bag:
+        assert bag.trouble is not None
+        assert bag.trouble.offset == at
+        with pytest.raises(BagError, match="'midspan bag mend' saves the rest"):
+            convert(bag, tmp_path / "b.db3", "db3", Registry())
+        assert cut(bag, tmp_path / "b.mcap", mend=True).messages == 101
+
+
+def test_chunks_that_are_cut_out_whole_keep_their_index(tmp_path: Path) -> None:
+    path = mcap_file(tmp_path / "a.mcap", 200)
+    start, end = START + 3_000_000_000, START + 15_000_000_000
+    with open_bag(path) as bag:
+        done = cut(bag, tmp_path / "b.mcap", Choice(start_ns=start, end_ns=end))
+    expected = [(channel.topic, m.log_time, m.data) for _, channel, m in messages(path) if start <= m.log_time < end]
+    with (tmp_path / "b.mcap").open("rb") as file:
+        summary = make_reader(file, validate_crcs=True).get_summary()
+    assert summary is not None
+    assert summary.statistics is not None
+    assert summary.statistics.message_count == len(expected) == done.messages == 120
+    assert len(summary.chunk_indexes) > 5
+    assert [(channel.topic, m.log_time, m.data) for _, channel, m in messages(tmp_path / "b.mcap")] == expected
+
+
+def messages(path: Path) -> list[Any]:
+    """All messages by the library, in order of time, found by the index."""
+    return list(make_reader(io.BytesIO(path.read_bytes()), validate_crcs=True).iter_messages())
