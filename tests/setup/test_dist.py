@@ -3,18 +3,33 @@
 from __future__ import annotations
 
 import re
+import signal
 import subprocess
 import tarfile
 import tomllib
 import zipfile
 from collections.abc import Sequence
+from contextlib import ExitStack
 from email import message_from_string
 from pathlib import Path
 
 import pytest
+import yaml
 
+from bridge import kernels
 from scripts import dist
+from tests.setup.installed import Installed
 from tests.setup.machine import ROOT
+from tests.support.missing import COMPILER, need
+from tests.support.ports import free_port
+from tests.support.process import Process
+from tests.support.rosbags_messages import Messages
+from tests.support.wait import until
+from tests.support.yarp_programs import Definitions, Names, YarpProgram
+from tests.support.zenoh_programs import Ros2ddsBridge, Router
+
+COMPILED, PURE, COMPAT = "midspan-*-cp311-abi3-manylinux*.whl", "midspan-*-none-any.whl", "yarp_compat-*-none-any.whl"
+MODULES = (kernels.SHARED, *kernels.C_MODULES, *kernels.KERNELS)
 
 
 def tracked(*names: str) -> set[str]:
@@ -54,6 +69,7 @@ def test_links_of_the_repository_are_words_on_an_index() -> None:
 @pytest.fixture(scope="module")
 def files(tmp_path_factory: pytest.TempPathFactory) -> Sequence[Path]:
     """All that is built."""
+    need(COMPILER)
     folder = tmp_path_factory.mktemp("dist")
     return dist.build(folder / "dist", folder / "work")
 
@@ -75,19 +91,13 @@ def test_a_wheel_has_each_file_of_its_packages_and_no_other(files: Sequence[Path
     outside = {f"{share}{name}" for name in tracked("configs", "packaging") if "packaging/yarp_compat" not in name}
     outside |= {f"{share}{n}" for n in tracked("examples") if n.count("/") == 1 and not n.endswith(".md")}
     packages = tracked("bridge", "navigation", "sim")
-    pure = {name for name in names(only(files, "midspan-*-none-any.whl")) if ".dist-info/" not in name}
+    pure = {name for name in names(only(files, PURE)) if ".dist-info/" not in name}
     assert pure == packages | outside
-    compiled = {n for n in names(only(files, "midspan-*-cp311-abi3-manylinux*.whl")) if ".dist-info/" not in n}
-    built = {f"{module.replace('.', '/')}.abi3.so" for module in kernel_modules()} | {"bridge/kernels.json"}
+    compiled = {n for n in names(only(files, COMPILED)) if ".dist-info/" not in n}
+    built = {f"{module.replace('.', '/')}.abi3.so" for module in MODULES} | {"bridge/kernels.json"}
     assert compiled == pure | built
-    compat = {n for n in names(only(files, "yarp_compat-*-none-any.whl")) if ".dist-info/" not in n}
+    compat = {n for n in names(only(files, COMPAT)) if ".dist-info/" not in n}
     assert compat == tracked("yarp_compat")
-
-
-def kernel_modules() -> tuple[str, ...]:
-    from bridge import kernels
-
-    return (kernels.SHARED, *kernels.C_MODULES, *kernels.KERNELS)
 
 
 @pytest.mark.long
@@ -113,4 +123,106 @@ def test_what_the_distributions_say_of_themselves(files: Sequence[Path]) -> None
             assert needed == ["numpy"]
         else:
             assert f"yarp-compat=={dist.version()}" in needed
-            assert {"ros2", "sim", "web", "foxglove"} <= set(said.get_all("Provides-Extra"))
+            assert {"ros2", "sim", "web", "foxglove"} <= set(said.get_all("Provides-Extra", []))
+
+
+@pytest.mark.long
+@pytest.mark.timeout(900)
+@pytest.mark.parametrize("wheel", [COMPILED, PURE])
+def test_midspan_runs_where_its_wheel_is_installed(files: Sequence[Path], wheel: str, tmp_path: Path) -> None:
+    there = Installed(tmp_path / "big path", [only(files, wheel), only(files, COMPAT)])
+    place = "import bridge, sim, yarp_compat; print(bridge.__file__, sim.__file__, yarp_compat.__file__, sep='\\n')"
+    assert all(line.startswith(str(there.folder)) for line in there.run("python", "-c", place).splitlines())
+    assert there.run("midspan", "--version") == f"midspan {dist.version()}\n"
+    assert "topic" in there.run("midspan", "--help")
+    share = there.folder / "share" / "midspan"
+    assert there.run("midspan", "config", "check", share / "configs" / "default.yaml")
+    kernels_told = there.run("midspan", "doctor", "--only", "kernels", code=0 if wheel == COMPILED else 1)
+    assert ("all kernels are compiled" in kernels_told) == (wheel == COMPILED)
+    assert ("not compiled" in kernels_told) == (wheel == PURE)
+    assert ("--no-binary midspan" in kernels_told) == (wheel == PURE)
+    there.run("midspan", "install", "--root", there.folder / "root")
+    unit = (there.folder / "root/etc/systemd/system/midspan.service").read_text(encoding="utf-8")
+    assert str(there.bin / "midspan") in unit
+    assert_a_message_crosses(there)
+
+
+def assert_a_message_crosses(there: Installed) -> None:
+    """From a YARP program to one behind a zenoh-bridge-ros2dds, by the daemon that is installed there."""
+    with ExitStack() as stack:
+        names = Names()
+        stack.callback(names.stop)
+        router = Router()
+        stack.callback(router.stop)
+        program = YarpProgram(names, "/program", Definitions(()))
+        stack.callback(program.stop)
+        bridge = Ros2ddsBridge(router.endpoint, Messages(ros1=False))
+        stack.callback(bridge.stop)
+        config = {
+            "name": "there",
+            "state": str(there.folder / "state"),
+            "hub": {"listen": f"tcp/127.0.0.1:{free_port()}", "shared_memory": False},
+            "ros1": {"enabled": False},
+            "ros2": {"enabled": False},
+            "yarp": {"nameserver": "site", "address": names.endpoint, "poll": 0.1},
+            "zenoh": {"router": router.endpoint, "dialects": [{"dialect": "ros2dds"}]},
+        }
+        file = there.folder / "midspan.yaml"
+        file.write_text(yaml.safe_dump(config), encoding="utf-8")
+        daemon = stack.enter_context(Process([there.bin / "midspan", "run", "--config", file], there.environ()))
+        out, heard = program.advertise("/word", "std_msgs/String"), bridge.subscribe("/word", "std_msgs/String")
+
+        def crossed() -> bool:
+            assert daemon.popen.poll() is None, daemon.output()
+            program.publish(out, {"data": "there"})
+            return bool(bridge.wait(heard, 1, 0.2))
+
+        until(crossed, "a message crosses", 60)
+        assert bridge.wait(heard, 1)[0] == {"data": "there"}
+        daemon.signal(signal.SIGINT)
+        assert daemon.popen.wait(30) == 0, daemon.output()
+
+
+SCRIPT = """
+import sys, yarp
+from yarp_compat.naming.server import NameServer
+
+with NameServer(port=int(sys.argv[1])):
+    yarp.Network.init()
+    yarp.Network.setNameServerContact(yarp.Contact("/root", "tcp", "127.0.0.1", int(sys.argv[1])))
+    source, sink = yarp.BufferedPortVector(), yarp.BufferedPortVector()
+    assert source.open("/out") and sink.open("/in") and yarp.Network.connect("/out", "/in")
+    vector = source.prepare()
+    vector.resize(2)
+    vector[1] = 2.5
+    source.writeStrict()
+    print(sink.read(True).toString())
+    source.close()
+    sink.close()
+    yarp.Network.fini()
+"""
+
+
+@pytest.mark.long
+@pytest.mark.timeout(900)
+def test_yarp_compat_needs_numpy_alone(files: Sequence[Path], tmp_path: Path) -> None:
+    there = Installed(tmp_path / "alone", [only(files, COMPAT)], libraries=("numpy",))
+    script = there.folder / "script.py"
+    script.write_text(SCRIPT, encoding="utf-8")
+    port = free_port()
+    (there.folder / "yarp.conf").write_text(f"127.0.0.1 {port} yarp\n", encoding="utf-8")
+    assert "with every name" in there.run("python", "-m", "yarp_compat", "--check", script)
+    assert "2.5" in there.run("python", "-m", "yarp_compat", script, str(port))
+    there.run("python", "-c", "import bridge", code=1)
+
+
+@pytest.mark.long
+@pytest.mark.timeout(900)
+def test_what_is_uninstalled_leaves_the_other_whole(files: Sequence[Path], tmp_path: Path) -> None:
+    assert not names(only(files, COMPILED)) & names(only(files, COMPAT))
+    there = Installed(tmp_path / "both", [only(files, COMPILED), only(files, COMPAT)])
+    there.pip("uninstall", "-q", "-y", "midspan")
+    assert there.run("python", "-c", "from yarp_compat import Bottle; print(Bottle('1 2').size())") == "2\n"
+    left = [file.relative_to(there.folder).parts for file in there.folder.rglob("*") if file.is_file()]
+    assert any("yarp_compat" in parts for parts in left)
+    assert not [parts for parts in left if any(p in ("bridge", "sim") or p.startswith("midspan") for p in parts)]

@@ -1,0 +1,55 @@
+"""Environments outside of the checkout, with wheels in them."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import sysconfig
+from collections.abc import Sequence
+from pathlib import Path
+
+HERE = Path(sysconfig.get_path("purelib"))
+"""The libraries that are installed for the tests."""
+
+
+class Installed:
+    """A virtual environment with wheels, whose libraries are those of the tests.
+
+    Args:
+        folder: where to make it.
+        wheels: what is installed, without what it requires.
+        libraries: packages that it finds here; None: all. Midspan's own are found in the environment alone.
+    """
+
+    def __init__(self, folder: Path, wheels: Sequence[Path], libraries: Sequence[str] | None = None) -> None:
+        self.folder = folder
+        subprocess.run([sys.executable, "-m", "venv", "--without-pip", folder], check=True)
+        self.bin = folder / "bin"
+        site = folder / "lib" / f"python{sys.version_info[0]}.{sys.version_info[1]}" / "site-packages"
+        if libraries is None:
+            (site / "libraries.pth").write_text(f"{HERE}\n", encoding="utf-8")
+        for name in libraries or ():
+            for entry in HERE.glob(f"{name}*"):
+                (site / entry.name).symlink_to(entry)
+        self.pip("install", "-q", "--no-index", "--no-deps", "--no-compile", *map(str, wheels))
+
+    def environ(self) -> dict[str, str]:
+        """What its programs see: nothing that leads to the checkout."""
+        kept = {k: v for k, v in os.environ.items() if k in ("LANG", "LC_ALL", "MIDSPAN_TEST_RUN", "TMPDIR")}
+        return {**kept, "PATH": f"{self.bin}:/usr/bin:/bin", "HOME": str(self.folder), "PYTHONDONTWRITEBYTECODE": "1"}
+
+    def pip(self, *words: str) -> None:
+        """Run the tests' pip on it."""
+        command = [sys.executable, "-m", "pip", "--disable-pip-version-check", "--python", str(self.bin / "python")]
+        done = subprocess.run([*command, *words], capture_output=True, text=True, timeout=120, check=False)
+        assert done.returncode == 0, done.stdout + done.stderr
+
+    def run(self, *words: str | Path, code: int = 0) -> str:
+        """Run a program of it in its folder; returns what that printed."""
+        done = subprocess.run(
+            [self.bin / words[0], *words[1:]],
+            cwd=self.folder, env=self.environ(), capture_output=True, text=True, timeout=120, check=False,
+        )  # fmt: skip
+        assert done.returncode == code, done.stdout + done.stderr
+        return done.stdout
