@@ -109,6 +109,8 @@ def ask_socket(
     """The answer on one of the daemon's sockets, None where there is none."""
     config = config.model_copy(update={"state": state_folder(config).absolute()})
     answer = b""
+    if not hasattr(socket, "AF_UNIX"):  # Windows, where no daemon runs
+        return None
     with socket.socket(socket.AF_UNIX) as sock:
         sock.settimeout(seconds)
         try:

@@ -41,6 +41,12 @@ def register_run(parser: argparse.ArgumentParser) -> None:
 
 def run_run(args: argparse.Namespace) -> int:
     """Run the daemon until it is asked to stop."""
+    if sys.platform == "win32":  # its locks, and its word with its workers, are POSIX's
+        workers = ", ".join(kind.name for kind in WORKERS)
+        raise CliError(
+            f"no daemon runs on Windows: start each worker by 'midspan worker NAME' ({workers}),"
+            " or run the daemon on a machine with Linux, in the same hub"
+        )
     from bridge.config.document import ConfigError
     from bridge.daemon import log
     from bridge.daemon.protocol import EXIT_CANNOT_WORK

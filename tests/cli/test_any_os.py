@@ -1,0 +1,89 @@
+"""The command line runs on any OS: here with all hidden that Windows does not have, in a process of its own."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from bridge.hub.session import Hub
+from bridge.messages.registry import Registry
+from tests.cli.workers import config_file
+from tests.contract.hubside import HubSide
+from tests.support.hidden import HIDE, LIBRARIES, NAME
+from tests.support.quick_hub import QuickHub
+
+ROOT = Path(__file__).parents[2]
+COMMANDS = """
+import json
+from bridge.cli.main import main
+
+config = sys.argv[1]
+for words in json.loads(sys.stdin.read()):
+    print("##", *words, flush=True)
+    try:
+        code = main([config if word == "FILE" else word for word in words])
+    except SystemExit as end:
+        code = end.code
+    print("=>", code, flush=True)
+"""
+
+
+@pytest.fixture
+def hub() -> Iterator[QuickHub]:
+    """A hub of the test's own."""
+    made = QuickHub()
+    yield made
+    made.stop_router()
+
+
+def run(config: Path, *commands: str) -> dict[str, tuple[int, str]]:
+    """Exit code and output of each command, one after the other."""
+    words = str([command.split() for command in commands]).replace("'", '"')
+    done = subprocess.run(
+        [sys.executable, "-c", LIBRARIES + HIDE + NAME + COMMANDS, config],
+        input=words, env={**os.environ, "PYTHONPATH": str(ROOT)}, stdout=subprocess.PIPE, stderr=subprocess.STDOUT,
+        text=True, timeout=100, check=False,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stdout
+    found = {}
+    for part in done.stdout.split("## ")[1:]:
+        command, _, rest = part.partition("\n")
+        output, _, code = rest.rpartition("=> ")
+        found[command] = int(code.split()[0]), output
+    return found
+
+
+def test_verbs_do_what_they_do_elsewhere(hub: QuickHub, tmp_path: Path) -> None:
+    folder = tmp_path / "big path"
+    folder.mkdir()
+    config = config_file(folder, hub)
+    far = HubSide(Hub.open(hub.settings("far")), Registry())
+    try:
+        far.publish(far.advertise("/word", "std_msgs/String", latched=True), {"data": "there"})
+        said = run(
+            config,
+            "config check FILE",
+            "topic list --config FILE",
+            "topic echo /word --count 1 --config FILE",
+            "doctor --only config --config FILE",
+            "status --config FILE",
+            "run --config FILE",
+            "install",
+        )
+    finally:
+        far.hub.close()
+    assert said["config check FILE"][0] == 0, said
+    assert (said["topic list --config FILE"][0], "/word" in said["topic list --config FILE"][1]) == (0, True), said
+    code, text = said["topic echo /word --count 1 --config FILE"]
+    assert (code, "data: there" in text) == (0, True), said
+    assert said["doctor --only config --config FILE"][0] == 0, said
+    assert "AttributeError" not in said["status --config FILE"][1], said
+    code, text = said["run --config FILE"]
+    assert code == 1
+    assert "midspan worker NAME" in text
+    assert "systemd services are Linux's" in said["install"][1]
