@@ -16,6 +16,7 @@ from bridge.clock import CLOCK_TOPIC, CLOCK_TYPE
 from bridge.hub.definitions import VERB
 from bridge.hub.endpoints.publisher import HubPublisher
 from bridge.hub.errors import HubClosedError, HubError
+from bridge.hub.graph import HubEndpoint
 from bridge.hub.session import Hub
 from bridge.hub.wire.qos import Qos
 from bridge.messages.json import from_json
@@ -106,7 +107,7 @@ class HubOutput:
         """The nodes of others that publish what is to be played, by topic."""
         ends: Iterable[HubPublisher] = self._publishers.values()
         names = {end.topic for end in ends} | ({CLOCK_TOPIC} if self._clock is not None else set())
-        found = {name: [e.node for e in self._hub.graph.publishers(name) if not e.own] for name in sorted(names)}
+        found = {name: [_who(e) for e in self._hub.graph.publishers(name) if not e.own] for name in sorted(names)}
         return {name: nodes for name, nodes in found.items() if nodes}
 
     def await_listeners(self, seconds: float, ended: threading.Event) -> bool:
@@ -124,6 +125,10 @@ class HubOutput:
         self._unserve()
         for end in [*self._publishers.values(), *([self._clock] if self._clock is not None else [])]:
             end.close()
+
+
+def _who(end: HubEndpoint) -> str:
+    return end.node if end.origin is None else f"{end.node} of {end.origin.side}"
 
 
 def _key(topic: PlayTopic) -> _Key:

@@ -22,10 +22,14 @@ class PlayServices:
 
     Args:
         commands: commands are played, so that a halt of the robot pauses them.
+
+    Attributes:
+        taken: another player has services of these names on the hub.
     """
 
     def __init__(self, hub: Hub, registry: Registry, timeline: Timeline, *, commands: bool = False) -> None:
         self._timeline = timeline
+        self.taken = any(not server.own for server in hub.graph.servers(PAUSE))
         self._loop = EventLoop("midspan-play-services")
         self._loop.start()
         self._node = Endpoints(hub, registry, self._loop, SYSTEM)

@@ -77,7 +77,9 @@ class Commands:
 
     def __init__(self, config: Config) -> None:
         section = config.navigation
-        self._types = commands(config.rules)
+        self._parts: dict[str, set[str]] = {}
+        for type_name, parts in commands(config.rules).items():
+            self._parts.setdefault(_short(type_name), set()).update(parts)
         self._rules = RuleSet(config.rules)
         self._velocities = {section.velocity, *(planner.velocity for planner in section.others.values())} - {""}
 
@@ -86,9 +88,14 @@ class Commands:
         if type_name.endswith(_GOAL) or name in self._velocities:
             return True
         last = name.rpartition("/")[2]
-        if any(_fits(last, part) for part in self._types.get(type_name, ())):
+        if any(_fits(last, part) for part in self._parts.get(_short(type_name), ())):
             return True
         return self._rules.enter("zenoh", name, type_name).priority == Priority.COMMAND.value
+
+
+def _short(type_name: str) -> str:
+    """Without its package: types of the same name in others count, too."""
+    return type_name.rpartition("/")[2]
 
 
 def _fits(last: str, part: str) -> bool:

@@ -316,3 +316,19 @@ def test_a_file_that_is_no_bag_is_told(file: Path, tmp_path: Path, capsys: pytes
     (tmp_path / "no.bag").write_bytes(b"nothing of the kind")
     assert main(["play", str(tmp_path / "no.bag"), "--config", str(file)]) == 1
     assert "no.bag" in capsys.readouterr().err
+
+
+def test_a_damaged_bag_is_played_up_to_the_damage_and_fails(
+    file: Path, tmp_path: Path, listener: Listener, capsys: pytest.CaptureFixture[str]
+) -> None:
+    messages = [Said(0.01 * n, "/said", TEXT, {"data": f"{n}" + "x" * 100_000}) for n in range(40)]
+    made = write_bag(tmp_path / "damaged.bag", messages)
+    data = bytearray(made.read_bytes())
+    data[1_300_000:1_450_000] = bytes(150_000)  # of the second chunk, over the head of a message
+    made.write_bytes(data)
+    assert main(["play", str(made), "--config", str(file), "--settle", "0", "--json"]) == 1
+    out = capsys.readouterr()
+    played = json.loads(out.out)["messages"]
+    assert 5 < played < 20
+    assert "damaged.bag, byte" in out.err
+    until(lambda: len(listener.texts()) == played, "what stands before is heard", 5)

@@ -239,6 +239,7 @@ COMMANDS = [
     ("/move_base/cancel", "actionlib_msgs/msg/GoalID"),
     ("/arm/drive", "std_msgs/msg/Float64"),
     ("/wheels", "my_msgs/msg/Wheels"),
+    ("/drive", "my_msgs/msg/Twist"),
 ]
 HARMLESS = [
     ("/pose", "geometry_msgs/msg/PoseStamped"),

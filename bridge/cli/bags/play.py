@@ -148,7 +148,7 @@ def _play(args: argparse.Namespace, client: CliClient, bags: list[Bag], ended: t
     registry = client.registry()
     chosen, left = choose(bags, registry, client.config, _wanted(args))
     topics = [topic for found in chosen.values() for topic in found]
-    _tell_choice(topics, left)
+    _tell_choice(topics, left, args.rate)
     source = PlaySource(chosen, PlayPart(args.start, args.duration))
     client.settle()
     output = HubOutput(client.hub, registry, topics, clock=bool(args.clock))
@@ -156,9 +156,12 @@ def _play(args: argparse.Namespace, client: CliClient, bags: list[Bag], ended: t
     moves = any(topic.command for topic in topics)
     services = PlayServices(client.hub, registry, timeline, commands=moves)
     player = Player(source, output, timeline, loop=args.loop, tell=_say)
+    if services.taken:
+        _say("another player is on the hub: a call of /midspan/play/pause or /midspan/play/step reaches one of them")
+    failed: BaseException | None = None
     try:
         _begin(args, output, ended)
-        _follow(args, player, source, ended)
+        failed = _follow(args, player, source, ended)
     finally:
         services.close()
         output.finish()
@@ -169,6 +172,8 @@ def _play(args: argparse.Namespace, client: CliClient, bags: list[Bag], ended: t
         print_json(_summary(player, left))
     else:
         _tell_end(player)
+    if failed is not None:
+        raise failed
     return 0
 
 
@@ -190,7 +195,7 @@ def _wanted(args: argparse.Namespace) -> PlayChoice:
     return PlayChoice(Selection(section).name, dict(args.remap), args.commands, bool(args.clock))
 
 
-def _tell_choice(topics: list[PlayTopic], left: list[LeftOut]) -> None:
+def _tell_choice(topics: list[PlayTopic], left: list[LeftOut], rate: float) -> None:
     from bridge.bags.play_topics import twice
 
     for each in left:
@@ -201,6 +206,8 @@ def _tell_choice(topics: list[PlayTopic], left: list[LeftOut]) -> None:
         _say(f"{name} has several types in the bags: who subscribes hears one of them")
     if moving := sorted({topic.name for topic in topics if topic.command}):
         _say(f"commands are played, the robot may move: {', '.join(moving)}")
+        if rate != 1.0:
+            _say(f"at a rate of {rate:g} each velocity lasts {1 / rate:.2g} times as long: another way is driven")
 
 
 def _begin(args: argparse.Namespace, output: Any, ended: threading.Event) -> None:
@@ -212,8 +219,10 @@ def _begin(args: argparse.Namespace, output: Any, ended: threading.Event) -> Non
         ended.wait(args.settle)
 
 
-def _follow(args: argparse.Namespace, player: Player, source: PlaySource, ended: threading.Event) -> None:
-    """Play on a thread of its own; keys, progress and signals are heard here. Raises what playing raised."""
+def _follow(
+    args: argparse.Namespace, player: Player, source: PlaySource, ended: threading.Event
+) -> BaseException | None:
+    """Play on a thread of its own; keys, progress and signals are heard here. Returns what playing raised."""
     from bridge.cli.bags.play_screen import Screen
 
     failed: list[BaseException] = []
@@ -232,8 +241,7 @@ def _follow(args: argparse.Namespace, player: Player, source: PlaySource, ended:
                 break
         player.timeline.stop()
         thread.join(_END_SECONDS)
-    if failed:
-        raise failed[0]
+    return failed[0] if failed else None
 
 
 def _summary(player: Player, left: list[LeftOut]) -> dict[str, Any]:
