@@ -16,7 +16,6 @@ TOOLS = {"clock", "concurrency", "progress", "resources", "shipped", "sides", "s
 BELOW = {
     "config": {"sides"},
     "messages": set[str](),
-    "bags": {"hub", "messages"},
     "tf": set(),
     "tf/server": {"tf", "clock", "config", "hub", "messages", "modules", "worker"},
     "interfaces": {"config", "messages"},
@@ -34,6 +33,7 @@ BELOW = {
         "routing.gates",
         "routing.limits",
     },
+    "bags": {*TOOLS, "config", "messages", "hub", "modules", "routing"},
     "adapters": {*TOOLS, "callers", "config", "kernels", "messages", "interfaces", "hub", "routing"},
     "metrics": {*TOOLS, "config", "daemon", "hub", "messages", "routing.counters"},
     "daemon": {*TOOLS, "config", "messages", "interfaces", "hub", "routing", "adapters"},

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import contextlib
 import sqlite3
-from collections.abc import Callable, Collection, Iterator
+from collections.abc import Collection, Iterator
 from pathlib import Path
 from typing import Any, Literal
 from urllib.parse import quote
@@ -24,19 +24,13 @@ _STEPS, _MAX_QUIET = 1_000_000, 60
 
 
 class Db3Bag(Bag):
-    """One SQLite file of rosbag2.
-
-    Args:
-        packed: whether each message is compressed by zstd, as the folder's ``metadata.yaml`` says.
-    """
+    """One SQLite file of rosbag2."""
 
     kind: Kind = "db3"
 
-    def __init__(self, path: Path, *, packed: bool = False) -> None:
+    def __init__(self, path: Path) -> None:
         super().__init__(path)
-        self._packed = packed
         self.size = path.stat().st_size
-        self.compression = "zstd" if packed else "none"
         with reading(path):
             self._file = _connect(path)
         try:
@@ -95,7 +89,6 @@ class Db3Bag(Bag):
                 values.append(min(max(value, -(1 << 63)), (1 << 63) - 1))
         query = f"SELECT topic_id, timestamp, data FROM messages WHERE {' AND '.join(clauses)} ORDER BY timestamp, id"  # noqa: S608
         chosen = {number: self._topic_of[number] for number in ids}
-        unpack = _unzstd if self._packed else bytes
         with reading(self.path):
             rows = self._file.execute(query, values)
         while True:
@@ -106,7 +99,7 @@ class Db3Bag(Bag):
                 if row[0] not in chosen:
                     continue
                 time = int(row[1])
-                message = BagMessage(chosen[row[0]], time, time, _blob(row[2], unpack))
+                message = BagMessage(chosen[row[0]], time, time, _blob(row[2]))
             yield message
 
     @contextlib.contextmanager
@@ -149,18 +142,8 @@ def _text(value: Any) -> str:
     return value
 
 
-def _blob(value: Any, unpack: Callable[[bytes], bytes]) -> bytes:
+def _blob(value: Any) -> bytes:
     if not isinstance(value, bytes):
         msg = "a message is not made of bytes"
         raise TypeError(msg)
-    return unpack(value)
-
-
-def _unzstd(data: bytes) -> bytes:
-    import zstandard
-
-    told = zstandard.frame_content_size(data)
-    if told > MAX_CHUNK:
-        msg = f"a message declares {told} bytes, which is more than the {MAX_CHUNK} that are read"
-        raise ValueError(msg)
-    return zstandard.ZstdDecompressor().decompress(data, max_output_size=MAX_CHUNK if told < 0 else told)
+    return value

@@ -10,7 +10,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from bridge.bags.bag import Bag, BagError, BagMessage, BagTopic, reading
+from bridge.bags.bag import MAX_CHUNK, Bag, BagError, BagMessage, BagTopic, reading
 from bridge.bags.qos import load_yaml
 
 METADATA = "metadata.yaml"
@@ -24,20 +24,20 @@ class FolderBag(Bag):
     """A folder of rosbag2. Its files follow each other in time; topics that several have are one.
 
     Args:
-        open_file: opens one file; the second argument is whether its messages are compressed.
+        open_file: opens one file.
     """
 
-    def __init__(self, path: Path, open_file: Callable[[Path, bool], Bag]) -> None:
+    def __init__(self, path: Path, open_file: Callable[[Path], Bag]) -> None:
         super().__init__(path)
         with reading(path):
             metadata = _metadata(path)
             files = _files(path, metadata)
         self.unfinished = not metadata
-        packed = metadata.get("compression_mode") == "message"
+        self._packed = str(metadata.get("compression_mode", "")).lower() == "message"
         with ExitStack() as stack:
             with reading(path):
                 plain = [_unpacked(file, stack) for file in files]
-            self._parts = [stack.enter_context(open_file(file, packed)) for file in plain]
+            self._parts = [stack.enter_context(open_file(file)) for file in plain]
             self._stack = stack.pop_all()
         self._parts.sort(key=lambda part: part.start_ns)
         self._topic_of: dict[BagTopic, BagTopic] = {}
@@ -47,7 +47,7 @@ class FolderBag(Bag):
         self.unfinished |= any(part.unfinished for part in self._parts)
         self.trouble = next((part.trouble for part in self._parts if part.trouble is not None), None)
         told = {part.compression for part in self._parts}
-        self.compression = "zstd" if files != plain else ",".join(sorted(told))
+        self.compression = "zstd" if self._packed or files != plain else ",".join(sorted(told))
         self.left_out = tuple(dict.fromkeys(name for part in self._parts for name in part.left_out))
 
     def _join(self) -> None:
@@ -71,7 +71,11 @@ class FolderBag(Bag):
         for part in self._parts:
             mine = None if wanted is None else [topic for topic in part.topics if self._topic_of[topic] in wanted]
             for message in part.messages(mine, start_ns, end_ns):
-                yield message._replace(topic=self._topic_of[message.topic])
+                data = message.data
+                if self._packed:
+                    with reading(part.path):
+                        data = _unzstd(data)
+                yield message._replace(topic=self._topic_of[message.topic], data=data)
 
     def close(self) -> None:
         """See `Bag.close`."""
@@ -124,3 +128,13 @@ def _unpacked(file: Path, stack: ExitStack) -> Path:
                 raise BagError(file, what, None, cure)
             plain.write(piece)
     return target
+
+
+def _unzstd(data: bytes) -> bytes:
+    import zstandard
+
+    told = zstandard.frame_content_size(data)
+    if told > MAX_CHUNK:
+        msg = f"a message declares {told} bytes, which is more than the {MAX_CHUNK} that are read"
+        raise ValueError(msg)
+    return zstandard.ZstdDecompressor().decompress(data, max_output_size=MAX_CHUNK if told < 0 else told)

@@ -17,21 +17,21 @@ def open_bag(path: Path) -> Bag:
             from bridge.bags.folder import FolderBag
 
             return FolderBag(path, _open_file)
-        return _open_file(path, packed=False)
+        return _open_file(path)
 
 
-def _open_file(path: Path, packed: bool) -> Bag:
+def _open_file(path: Path) -> Bag:
     with reading(path):
         file = path.open("rb")
     try:
         with reading(path, 0):
-            return _open_content(path, file, packed)
+            return _open_content(path, file)
     except BaseException:
         file.close()
         raise
 
 
-def _open_content(path: Path, file: BinaryIO, packed: bool) -> Bag:
+def _open_content(path: Path, file: BinaryIO) -> Bag:
     start = file.read(16)
     if start.startswith(b"\x89MCAP"):
         from bridge.bags.mcap_reader import MAGIC, McapBag
@@ -50,7 +50,7 @@ def _open_content(path: Path, file: BinaryIO, packed: bool) -> Bag:
         from bridge.bags.db3_reader import Db3Bag
 
         file.close()
-        return Db3Bag(path, packed=packed)
+        return Db3Bag(path)
     if not start:
         raise BagError(path, "is empty", None, "its recorder was killed before it wrote anything")
     raise BagError(path, "is neither MCAP nor a bag of ROS 1 or ROS 2")

@@ -9,6 +9,8 @@ from pathlib import Path
 import pytest
 from mcap.writer import CompressionType, Writer
 from rosbags.highlevel import AnyReader
+from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin
+from rosbags.rosbag2 import Writer as Writer2
 from rosbags.typesys.msg import normalize_msgtype
 
 from bridge.bags.conversion import to_hub, to_ros1
@@ -155,3 +157,18 @@ def test_both_worlds_have_the_same_message(type_name: str, tmp_path: Path) -> No
         assert back.convert is not None
         assert (there.convert(first.data), back.convert(second.data)) == (second.data, first.data)
         assert to_hub(registry, second.topic).type_hash == there.type_hash == ROS2.hash_rihs01(type_name)
+
+
+@pytest.mark.parametrize("mode", ["FILE", "MESSAGE"])
+@pytest.mark.parametrize("plugin", ["SQLITE3", "MCAP"])
+def test_compressed_folders_are_read(mode: str, plugin: str, tmp_path: Path) -> None:
+    writer = Writer2(tmp_path / "a", version=9, storage_plugin=StoragePlugin[plugin])
+    writer.set_compression(CompressionMode[mode], CompressionFormat.ZSTD)
+    data = bytes(ROS2.serialize_cdr(value(ROS2, POSE, 3), POSE))
+    with writer:
+        connection = writer.add_connection("/pose", POSE, typestore=ROS2)
+        for number in range(5):
+            writer.write(connection, START + number, data)
+    with open_bag(tmp_path / "a") as bag:
+        assert [(m.time_ns, m.data) for m in bag.messages()] == [(START + number, data) for number in range(5)]
+        assert (bag.compression, bag.unfinished) == ("zstd", False)

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from benchmarks import flood, many_topics, record, transcode, yarp_ports
+from benchmarks import bags, flood, many_topics, record, transcode, yarp_ports
 
 
 @pytest.mark.thorough
@@ -40,6 +40,16 @@ def test_record_compares_with_a_bare_subscriber(tmp_path: Path) -> None:
     assert rows["messages lost"]["ours"] == 0
     assert rows["processor, none, against bare"]["ours"] > 0
     assert rows["latency p50 of small ones, against nobody"]["peer"] > 0
+
+
+@pytest.mark.thorough
+def test_bags_are_measured_beside_the_disk_and_zstd(tmp_path: Path) -> None:
+    file = tmp_path / "rows.json"
+    bags.main(["--megabytes", "4", "--rounds", "1", "--cases", "images", "--json", str(file)])
+    rows = {row["case"]: row for row in json.loads(file.read_text())}
+    assert rows["cut images, mcap (disk)"]["peer"] > 0
+    assert rows["convert images, bag to mcap zstd (zstd)"]["ours"] > 0
+    assert rows["memory: convert images, bag to mcap zstd"]["ours"] > 10
 
 
 @pytest.mark.parametrize("case", ["TFMessage of 20", "Image 1 MB"])
