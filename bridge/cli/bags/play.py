@@ -161,7 +161,8 @@ def _play(args: argparse.Namespace, client: CliClient, bags: list[Bag], ended: t
     failed: BaseException | None = None
     try:
         _begin(args, output, ended)
-        failed = _follow(args, player, source, ended)
+        if not ended.is_set():
+            failed = _follow(args, player, source, ended)
     finally:
         services.close()
         output.finish()
