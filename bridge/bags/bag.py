@@ -7,6 +7,7 @@ from collections.abc import Collection, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
+from types import MappingProxyType
 from typing import Literal, NamedTuple, Self
 
 from bridge.hub.wire.qos import Qos
@@ -82,6 +83,7 @@ class Bag(ABC):
         trouble: where and why reading ends early, None where all can be read.
         compression: ``zstd``, ``lz4``, ``bz2``, several with commas, or ``none``.
         left_out: topics that no side of Midspan can read, with their encoding.
+        about: what the recorder wrote of itself, as MCAP's records of metadata: values by record and name.
     """
 
     kind: Kind
@@ -91,6 +93,7 @@ class Bag(ABC):
     trouble: BagError | None = None
     compression = "none"
     left_out: tuple[str, ...] = ()
+    about: Mapping[str, Mapping[str, str]] = MappingProxyType({})
 
     def __init__(self, path: Path) -> None:
         self.path = path

@@ -22,6 +22,8 @@ from mcap.records import (
     Header,
     McapRecord,
     MessageIndex,
+    Metadata,
+    MetadataIndex,
     Schema,
     Statistics,
     SummaryOffset,
@@ -46,6 +48,8 @@ class ChunkedMcap(BagWriter):
     def __init__(self, path: Path, compression: str, profile: str, library: str) -> None:
         self._file = path.open("wb")
         self._schemas: dict[int, Schema] = {}
+        self._metadata: list[Metadata] = []
+        self._metadata_indexes: list[MetadataIndex] = []
         self._compression = "" if compression == "none" else compression
         self._channels: dict[int, Channel] = {}
         self._counts: Counter[int] = Counter()
@@ -93,6 +97,10 @@ class ChunkedMcap(BagWriter):
     def finish(self) -> None:
         """Write the summary."""
         self._close_chunk()
+        for metadata in self._metadata:
+            at = self._file.tell()
+            self._record(metadata)
+            self._metadata_indexes.append(MetadataIndex(at, self._file.tell() - at, metadata.name))
         self._record(DataEnd(0))
         start = self._file.tell()
         summary = RecordBuilder()
@@ -100,6 +108,7 @@ class ChunkedMcap(BagWriter):
         for opcode, records in (
             (Opcode.SCHEMA, list(self._schemas.values())), (Opcode.CHANNEL, list(self._channels.values())),
             (Opcode.STATISTICS, [self._statistics()]), (Opcode.CHUNK_INDEX, self._indexes),
+            (Opcode.METADATA_INDEX, self._metadata_indexes),
         ):  # fmt: skip
             begun = summary.count
             for record in records:
@@ -154,7 +163,7 @@ class ChunkedMcap(BagWriter):
             chunk_count=len(self._indexes), message_count=self._counts.total(),
             message_end_time=max((index.message_end_time for index in self._indexes), default=0),
             message_start_time=min((index.message_start_time for index in self._indexes), default=0),
-            metadata_count=0, schema_count=len(self._schemas),
+            metadata_count=len(self._metadata), schema_count=len(self._schemas),
         )  # fmt: skip
 
 
@@ -164,6 +173,7 @@ class McapCopy(ChunkedMcap):
     def __init__(self, path: Path, compression: str, source: McapBag) -> None:
         super().__init__(path, compression, source.profile, source.library)
         self._source = source
+        self._metadata = source.records
 
     def add(self, topic: BagTopic, _form: Form) -> int:
         """See `BagWriter.add`."""

@@ -17,7 +17,7 @@ from typing import BinaryIO, NamedTuple
 
 from mcap.data_stream import ReadDataStream
 from mcap.opcode import Opcode
-from mcap.records import Channel, Header, Schema, Statistics
+from mcap.records import Channel, Header, Metadata, Schema, Statistics
 
 from bridge.bags.bag import MAX_TOPICS, BagError, BagMessage, BagTopic, Kind, reading
 from bridge.bags.qos import parse_qos
@@ -37,6 +37,7 @@ _RUN = 1 << 20
 _WORLDS = {"cdr": World.ROS2, "ros1": World.ROS1}
 _DEFINITIONS = {"ros2msg", "ros1msg"}
 _TABLES = {Opcode.HEADER, Opcode.SCHEMA, Opcode.CHANNEL, Opcode.STATISTICS}
+_MOST_METADATA, _LARGEST_METADATA = 1000, 1 << 16
 
 
 class WholeChunk(NamedTuple):
@@ -61,7 +62,7 @@ class WholeChunk(NamedTuple):
 
 
 class McapBag(SpanBag):
-    """One MCAP file. ``profile`` and ``library`` are what its header says."""
+    """One MCAP file. ``profile`` and ``library`` are what its header says, ``records`` those of metadata."""
 
     kind: Kind = "mcap"
 
@@ -71,6 +72,7 @@ class McapBag(SpanBag):
         self.schemas: dict[int, Schema] = {}
         self.channels: dict[int, Channel] = {}
         self.topic_of: dict[int, BagTopic] = {}
+        self.records: list[Metadata] = []
         self._left_out: dict[int, str] = {}
         self._statistics: Statistics | None = None
         self._compressions: set[str] = set()
@@ -161,6 +163,9 @@ class McapBag(SpanBag):
             if length > _LARGEST_TABLE:
                 raise BagError(self.path, f"a record of type {opcode} declares {length} bytes", at)
             self._take(opcode, self._read(body, length))
+        elif opcode == Opcode.METADATA and length <= _LARGEST_METADATA and len(self.records) < _MOST_METADATA:
+            self.records.append(Metadata.read(ReadDataStream(io.BytesIO(self._read(body, length)))))
+            self.about = {record.name: record.metadata for record in self.records}
 
     def _magic_at(self, offset: int) -> bool:
         return self.size >= offset + len(MAGIC) and self._read(offset, len(MAGIC)) == MAGIC

@@ -208,13 +208,16 @@ def test_a_cut_of_mcap_keeps_what_only_others_understand(tmp_path: Path) -> None
     channel = writer.register_channel("/a", "ros1", schema, {"md5sum": "992ce8a1687cec8c8bd883ec73ca41d1", "own": "x"})
     for time in range(10):
         writer.add_message(channel, time, b"\0\0\0\0", time + 1)
+    writer.add_metadata("theirs", {"robot": "r1"})
     writer.finish()
     (tmp_path / "a.mcap").write_bytes(stream.getvalue())
     with open_bag(tmp_path / "a.mcap") as bag:
+        assert bag.about == {"theirs": {"robot": "r1"}}
         assert cut(bag, tmp_path / "b.mcap", Choice(start_ns=5)).messages == 5
     with (tmp_path / "b.mcap").open("rb") as file:
         reader = make_reader(file)
         assert reader.get_header().profile == "ros1"
+        assert [record.metadata for record in reader.iter_metadata()] == [{"robot": "r1"}]
         rows = list(reader.iter_messages())
     assert rows[0][1].metadata["own"] == "x"
     assert [(m.log_time, m.publish_time) for _, _, m in rows] == [(time, time + 1) for time in range(5, 10)]

@@ -151,6 +151,7 @@ def describe(bag: Bag) -> dict[str, Any]:
         "unfinished": bag.unfinished,
         "trouble": None if bag.trouble is None else str(bag.trouble),
         "not_read": list(bag.left_out),
+        "about": {name: dict(values) for name, values in bag.about.items()},
         "topics": [_describe_topic(topic, lasted) for topic in sorted(bag.topics, key=lambda topic: topic.name)],
     }
 
@@ -183,6 +184,8 @@ def _print_info(told: dict[str, Any]) -> None:
         print("unfinished: its writer never closed it, or its end is lost")
     if told["trouble"]:
         print(clean(told["trouble"]))
+    for name, values in told["about"].items():
+        print(clean(f"{name}: " + ", ".join(f"{key} {value}" for key, value in values.items())))
     for name in told["not_read"]:
         print(f"not read: {clean(name)}")
     table = Table(box=None, pad_edge=False)
