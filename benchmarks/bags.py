@@ -3,9 +3,10 @@
 Each row is one bag of ``--megabytes`` whose messages are images of 1 MB (half of each noise), or texts of 1 kB. Ours is
 ``midspan bag``'s own functions in a process of its own; so is the peer's work:
 
-- disk: the source's bytes are copied to a new file by 1 MB. Both count the time until their file is on the disk.
-- zstd: the source's data are compressed by 1 MB and written, unpacked before where the source is compressed. Both
-  count the processor time, which other work on the machine does not change.
+- disk: the source's bytes are copied to a new file by 1 MB;
+- zstd: the source's data are compressed by 1 MB and written, unpacked before where the source is compressed.
+
+Each counts the time until its file is on the disk, and its start, without the interpreter's.
 
 The last rows are the largest memory of those processes, in megabytes, beside a limit of 400.
 """
@@ -137,14 +138,13 @@ def _pieces(source: Path) -> Iterator[bytes]:
 WORK: dict[str, Callable[[Path, Path], None]] = {"ours": ours, "disk": disk, "zstd": zstd}
 
 
-def work(what: str, source: Path, target: Path, *, disk_counts: bool) -> None:
+def work(what: str, source: Path, target: Path) -> None:
     """One process's work; prints seconds, and the largest memory in megabytes."""
-    clock = time.perf_counter if disk_counts else time.process_time
-    begun = clock()
+    begun = time.perf_counter()
     WORK[what](source, target)
     with target.open("rb") as file:
         os.fsync(file.fileno())
-    took = clock() - begun
+    took = time.perf_counter() - begun
     print(json.dumps([took, _peak()]))
 
 
@@ -154,10 +154,10 @@ def _peak() -> float:
     return int(line.split()[1]) / 1024
 
 
-def measure(what: str, source: Path, folder: Path, name: str, against: str) -> tuple[float, float]:
+def measure(what: str, source: Path, folder: Path, name: str) -> tuple[float, float]:
     """Seconds and megabytes of a process that does it once."""
     target = folder / name
-    command = [sys.executable, __file__, "--work", what, str(source), str(target), against]
+    command = [sys.executable, __file__, "--work", what, str(source), str(target)]
     told = subprocess.run(command, check=True, capture_output=True, text=True).stdout
     target.unlink()
     seconds, memory = json.loads(told)
@@ -165,7 +165,7 @@ def measure(what: str, source: Path, folder: Path, name: str, against: str) -> t
 
 
 def _both(source: Path, target: str, peer: str, folder: Path) -> tuple[tuple[float, float], tuple[float, float]]:
-    return measure("ours", source, folder, target, peer), measure(peer, source, folder, target, peer)
+    return measure("ours", source, folder, target), measure(peer, source, folder, target)
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
@@ -174,12 +174,11 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--megabytes", type=int, default=1000)
     parser.add_argument("--rounds", type=int, default=3)
     parser.add_argument("--cases", nargs="+", default=[""], metavar="WORD", help="only cases with such a word")
-    parser.add_argument("--work", nargs=4, help=argparse.SUPPRESS)
+    parser.add_argument("--work", nargs=3, help=argparse.SUPPRESS)
     add_json_option(parser)
     args = parser.parse_args(arguments)
     if args.work:
-        what, source, target, against = args.work
-        return work(what, Path(source), Path(target), disk_counts=against == "disk")
+        return work(args.work[0], Path(args.work[1]), Path(args.work[2]))
     rows: list[Row] = []
     memory: list[Row] = []
     with tempfile.TemporaryDirectory(prefix="midspan-bags-") as folder:

@@ -8,7 +8,8 @@ from __future__ import annotations
 
 import struct
 import zlib
-from collections import Counter, defaultdict
+from collections import Counter, defaultdict, deque
+from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
 
 from mcap.data_stream import RecordBuilder
@@ -38,6 +39,9 @@ from bridge.bags.writers import BagWriter
 
 _MESSAGE = struct.Struct("<BQHIQQ")
 _FOOTER = struct.Struct("<BQQQ")
+_AHEAD = 2
+"""Chunks that may be packed, or wait for it, while others are read."""
+
 _BODY = 22
 """Bytes of a message record beside its head and data."""
 
@@ -47,6 +51,8 @@ class ChunkedMcap(BagWriter):
 
     def __init__(self, path: Path, compression: str, profile: str, library: str) -> None:
         self._file = path.open("wb")
+        self._packer = ThreadPoolExecutor(1, "midspan-bag-packer")
+        self._packing: deque[tuple[Future[tuple[bytes, int, int]], dict[int, list[tuple[int, int]]]]] = deque()
         self._schemas: dict[int, Schema] = {}
         self._metadata: list[Metadata] = []
         self._metadata_indexes: list[MetadataIndex] = []
@@ -79,7 +85,10 @@ class ChunkedMcap(BagWriter):
 
     def take(self, chunk: WholeChunk) -> None:
         """Add a chunk of the source as it is, with its indexes."""
-        self._close_chunk()
+        self._write_chunks()
+        self._put(chunk)
+
+    def _put(self, chunk: WholeChunk) -> None:
         at = self._file.tell()
         self._file.write(chunk.record)
         self._file.write(chunk.indexes)
@@ -96,7 +105,8 @@ class ChunkedMcap(BagWriter):
 
     def finish(self) -> None:
         """Write the summary."""
-        self._close_chunk()
+        self._write_chunks()
+        self._packer.shutdown()
         for metadata in self._metadata:
             at = self._file.tell()
             self._record(metadata)
@@ -127,6 +137,7 @@ class ChunkedMcap(BagWriter):
 
     def abandon(self) -> None:
         """Let go of the file."""
+        self._packer.shutdown(cancel_futures=True)
         self._file.close()
 
     def _record(self, record: McapRecord) -> None:
@@ -135,27 +146,38 @@ class ChunkedMcap(BagWriter):
         self._file.write(_bytes(builder))
 
     def _close_chunk(self) -> None:
-        if not self._parts:
-            return
-        plain = b"".join(self._parts)
-        times = [time for places in self._places.values() for time, _ in places]
-        packed = _pack(self._compression, plain)
+        """Have the chunk packed beside what goes on here; some may be under way, and are written in their order."""
+        if self._parts:
+            task = self._packer.submit(_pack, self._compression, b"".join(self._parts))
+            self._packing.append((task, dict(self._places)))
+            self._parts, self._size = [], 0
+            self._places.clear()
+        while len(self._packing) > _AHEAD:
+            self._write_chunk()
+
+    def _write_chunks(self) -> None:
+        self._close_chunk()
+        while self._packing:
+            self._write_chunk()
+
+    def _write_chunk(self) -> None:
+        task, all_places = self._packing.popleft()
+        packed, size, crc = task.result()
+        times = [time for places in all_places.values() for time, _ in places]
+        start, end = min(times), max(times)
         builder = RecordBuilder()
         Chunk(
-            compression=self._compression, data=packed, message_end_time=max(times), message_start_time=min(times),
-            uncompressed_crc=zlib.crc32(plain), uncompressed_size=len(plain),
+            compression=self._compression, data=packed, message_end_time=end, message_start_time=start,
+            uncompressed_crc=crc, uncompressed_size=size,
         ).write(builder)  # fmt: skip
         record = _bytes(builder)
         offsets: dict[int, int] = {}
-        for number, places in self._places.items():
+        for number, places in all_places.items():
             offsets[number] = builder.count
             MessageIndex(number, places).write(builder)
-        counts = {number: len(places) for number, places in self._places.items()}
-        self._parts, self._size = [], 0
-        self._places.clear()
-        start, end = min(times), max(times)
-        indexes, sizes = _bytes(builder), (len(packed), len(plain))
-        self.take(WholeChunk(record, indexes, offsets, counts, self._compression, *sizes, start, end))
+        counts = {number: len(places) for number, places in all_places.items()}
+        indexes = _bytes(builder)
+        self._put(WholeChunk(record, indexes, offsets, counts, self._compression, len(packed), size, start, end))
 
     def _statistics(self) -> Statistics:
         return Statistics(
@@ -215,13 +237,15 @@ def _bytes(builder: RecordBuilder) -> bytes:
     return bytes(builder.end())  # type: ignore[no-untyped-call]
 
 
-def _pack(compression: str, plain: bytes) -> bytes:
+def _pack(compression: str, plain: bytes) -> tuple[bytes, int, int]:
+    """A chunk's data, its size before that, and its checksum."""
+    packed = plain
     if compression == "zstd":
         import zstandard
 
-        return zstandard.compress(plain)
-    if compression == "lz4":
+        packed = zstandard.compress(plain)
+    elif compression == "lz4":
         import lz4.frame  # type: ignore[import-untyped]
 
-        return bytes(lz4.frame.compress(plain))
-    return plain
+        packed = bytes(lz4.frame.compress(plain))
+    return packed, len(plain), zlib.crc32(plain)
