@@ -181,7 +181,13 @@ def written_whole(target: Path, kind: Kind) -> Iterator[Path]:
         if kind == "db3" and target.suffix:  # the file alone, without its folder
             made = made / f"{made.name}.db3"
         made.rename(target)
+    except (BagError, MemoryError):
+        raise
     except OSError as err:
         raise BagError(target, f"cannot be written: {err.strerror or err}") from err
+    except (
+        Exception
+    ) as err:  # libraries raise what they like: sqlite3.Error for a full disk
+        raise BagError(target, f"cannot be written: {type(err).__name__}: {err}") from err
     finally:
         shutil.rmtree(making, ignore_errors=True)

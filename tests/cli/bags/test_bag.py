@@ -91,3 +91,18 @@ def test_ctrl_c_leaves_nothing(here: Path) -> None:
     process.communicate(timeout=20)
     assert process.returncode == 130
     assert sorted(path.name for path in here.iterdir()) == ["a.mcap"]
+
+
+@pytest.mark.parametrize("name", ["b.bag", "b.mcap", "b.db3"])
+def test_a_full_disk_is_said_and_leaves_nothing(name: str, here: Path) -> None:
+    long_mcap(Path("a.mcap"), 100, 50_000)
+    code = (
+        "import resource, sys; resource.setrlimit(resource.RLIMIT_FSIZE, (1_000_000, 1_000_000))\n"
+        "from bridge.cli.main import main\n"
+        f"sys.exit(main(['bag', 'convert', 'a.mcap', '{name}', '--compression', 'none']))"
+    )
+    environ = {**os.environ, "PYTHONPATH": str(Path(__file__).parents[3])}
+    done = subprocess.run([sys.executable, "-c", code], env=environ, capture_output=True, text=True, check=False)
+    assert done.returncode == 1
+    assert f"{name}: cannot be written: " in done.stderr
+    assert sorted(path.name for path in here.iterdir()) == ["a.mcap"]
