@@ -114,7 +114,8 @@ class McapBag(SpanBag):
         if not span.chunk:
             return None
         with reading(self.path, span.offset):
-            plain, compression = self._unpacked(span)
+            whole = self._read(span.offset, _HEAD.size + span.length)
+            plain, compression = self._unpacked(span, memoryview(whole)[_HEAD.size :])
             at = span.offset + _HEAD.size + span.length
             indexes, offsets, counts = bytearray(), dict[int, int](), dict[int, int]()
             while at + _HEAD.size < self.size:
@@ -130,9 +131,8 @@ class McapBag(SpanBag):
             if not offsets or offsets.keys() - self.channels.keys():
                 return None
             packed = span.length - _CHUNK.size - len(compression) - 8
-            record = self._read(span.offset, _HEAD.size + span.length)
             return WholeChunk(
-                record, bytes(indexes), offsets, counts, compression, packed, len(plain), span.start, span.end
+                whole, bytes(indexes), offsets, counts, compression, packed, len(plain), span.start, span.end
             )
 
     def _walk(self) -> None:
@@ -259,18 +259,19 @@ class McapBag(SpanBag):
 
     def _plain(self, span: Span) -> bytes | memoryview:
         """A span's records."""
-        return self._unpacked(span)[0] if span.chunk else self._read(span.offset, span.length)
+        if not span.chunk:
+            return self._read(span.offset, span.length)
+        return self._unpacked(span, memoryview(self._read(span.offset + _HEAD.size, span.length)))[0]
 
-    def _unpacked(self, span: Span) -> tuple[bytes | memoryview, str]:
+    def _unpacked(self, span: Span, body: memoryview) -> tuple[bytes | memoryview, str]:
         """A chunk's records, and what they were compressed by."""
-        body = self._read(span.offset + _HEAD.size, span.length)
         _, _, size, crc, name = _CHUNK.unpack_from(body)
-        compression = body[_CHUNK.size : _CHUNK.size + name].decode(errors="replace")
+        compression = bytes(body[_CHUNK.size : _CHUNK.size + name]).decode(errors="replace")
         begin = _CHUNK.size + name + 8
         told = int.from_bytes(body[begin - 8 : begin], "little")
         if told != len(body) - begin:
             raise BagError(self.path, f"a chunk has {len(body) - begin} bytes, and declares {told}", span.offset)
-        plain = unpack(compression, memoryview(body)[begin:], size)
+        plain = unpack(compression, body[begin:], size)
         if crc and zlib.crc32(plain) != crc:
             raise BagError(self.path, "a chunk's checksum is wrong: its bytes were changed", span.offset)
         return plain, compression

@@ -185,9 +185,7 @@ def written_whole(target: Path, kind: Kind) -> Iterator[Path]:
         raise
     except OSError as err:
         raise BagError(target, f"cannot be written: {err.strerror or err}") from err
-    except (
-        Exception
-    ) as err:  # libraries raise what they like: sqlite3.Error for a full disk
+    except Exception as err:  # libraries raise what they like: sqlite3.Error for a full disk
         raise BagError(target, f"cannot be written: {type(err).__name__}: {err}") from err
     finally:
         shutil.rmtree(making, ignore_errors=True)
