@@ -58,7 +58,7 @@ class TurnedAwayError(Exception):
 
 
 @dataclass(frozen=True, slots=True)
-class Request:
+class RequestHead:
     """The head of a request.
 
     Attributes:
@@ -70,7 +70,7 @@ class Request:
     headers: dict[str, str]
 
     @classmethod
-    def read(cls, head: bytes) -> Request:
+    def read(cls, head: bytes) -> RequestHead:
         """Raises `TurnedAwayError`."""
         first, *lines = head.decode("latin-1").removesuffix("\r\n\r\n").split("\r\n")
         match = _REQUEST.fullmatch(first)
@@ -106,7 +106,7 @@ class Door:
         self._section = section
         self._access = Access(WebSection(tokens=section.tokens), b"") if section.tokens else None
 
-    def grant(self, request: Request, address: str) -> Grant:
+    def grant(self, request: RequestHead, address: str) -> Grant:
         """As what somebody comes in; raises `TurnedAwayError`."""
         protocols = request.headers.get("sec-websocket-protocol", "").replace(" ", "").split(",")
         if request.headers.get("upgrade", "").lower() != "websocket" or PROTOCOL not in protocols:
@@ -219,7 +219,7 @@ class Front:
         try:
             async with asyncio.timeout(HEAD_SECONDS):
                 head = await reader.readuntil(b"\r\n\r\n")  # also of who is refused: else the answer might be lost
-            request = Request.read(head)
+            request = RequestHead.read(head)
             visitor = Visitor(self._door.grant(request, address), address)
             await self._join(request, visitor, reader, writer)
         except TurnedAwayError as err:
@@ -232,7 +232,7 @@ class Front:
             writer.transport.abort()
 
     async def _join(
-        self, request: Request, visitor: Visitor, reader: asyncio.StreamReader, writer: asyncio.StreamWriter
+        self, request: RequestHead, visitor: Visitor, reader: asyncio.StreamReader, writer: asyncio.StreamWriter
     ) -> None:
         """Have a visitor and the SDK's server talk until either ends."""
         if len(self._visitors.all()) >= MOST_CLIENTS:

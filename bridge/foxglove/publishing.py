@@ -38,15 +38,15 @@ ENCODINGS = ("cdr", "json")
 DEPTH = 10
 
 
-class RefusedError(Exception):
+class NotPublishedError(Exception):
     """A channel's messages are not published; the text says why."""
 
 
-class UnknownYetError(RefusedError):
+class UnknownYetError(NotPublishedError):
     """Nobody has told the type's definition yet; it is asked for."""
 
 
-class Route(ABC):
+class PublishedChannel(ABC):
     """One channel of a client, on the worker's thread."""
 
     def __init__(self, channel: Advertised, visitor: Visitor | None) -> None:
@@ -56,13 +56,13 @@ class Route(ABC):
 
     @abstractmethod
     def send(self, message: ClientMessage) -> None:
-        """Publish; raises `RefusedError`."""
+        """Publish; raises `NotPublishedError`."""
 
     def close(self) -> None:  # noqa: B027 - most have nothing to give back
         """Publish no more."""
 
 
-class RefusedRoute(Route):
+class RefusedChannel(PublishedChannel):
     """Publishes nothing; a route that waits for its definition is made anew."""
 
     def __init__(self, channel: Advertised, visitor: Visitor | None, why: str, *, waits: bool) -> None:
@@ -79,7 +79,7 @@ class Coder:
 
     Raises:
         UnknownYetError: the type's definition is asked for.
-        RefusedError: there is no such type.
+        NotPublishedError: there is no such type.
     """
 
     def __init__(self, host: Host, definitions: Definitions, channel: Advertised) -> None:
@@ -102,13 +102,13 @@ class Coder:
         except MessageTypeError as err:
             if found:
                 raise UnknownYetError(f"the definition of {name} is asked for on the hub") from None
-            raise RefusedError(str(err)) from None
+            raise NotPublishedError(str(err)) from None
 
     def _name(self, spelled: str) -> str:
         if is_ros2_name(spelled):
             return spelled
         if not is_ros1_name(spelled):
-            raise RefusedError(f"{spelled[:80]!r} is no type: write it as std_msgs/msg/String")
+            raise NotPublishedError(f"{spelled[:80]!r} is no type: write it as std_msgs/msg/String")
         try:
             return self._registry.ros1_to_hub(spelled).target.name
         except MessageTypeError:
@@ -131,7 +131,7 @@ class Coder:
         return MessageReader(self._schema, cdr).message()
 
 
-class TopicRoute(Route):
+class ClientTopic(PublishedChannel):
     """A topic that is no velocity. Nothing is kept for late joiners."""
 
     def __init__(self, host: Host, channel: Advertised, visitor: Visitor | None, coder: Coder) -> None:
@@ -140,7 +140,7 @@ class TopicRoute(Route):
         try:
             self._end = host.node.hub.publisher(channel.topic, coder.type_name, coder.type_hash, Qos(depth=DEPTH))
         except HubError as err:
-            raise RefusedError(str(err)) from None
+            raise NotPublishedError(str(err)) from None
 
     def send(self, message: ClientMessage) -> None:
         """Publish as it is, once it has been checked."""
@@ -149,7 +149,7 @@ class TopicRoute(Route):
             self._end.put(cdr)
         except (ConversionError, HubError) as err:
             self.counters.dropped("bad")
-            raise RefusedError(str(err)) from None
+            raise NotPublishedError(str(err)) from None
         self.counters.crossed(len(cdr))
 
     def close(self) -> None:
@@ -157,7 +157,7 @@ class TopicRoute(Route):
         self._end.close()
 
 
-class VelocityRoute(Route):
+class ClientVelocity(PublishedChannel):
     """The base's velocity; a `bridge.web.hold.HandDriver`."""
 
     def __init__(self, driving: HandDriving, channel: Advertised, visitor: Visitor, coder: Coder) -> None:
@@ -172,16 +172,16 @@ class VelocityRoute(Route):
             found = self._coder.fields(self._coder.cdr(message.data))
         except ConversionError as err:
             self.counters.dropped("bad")
-            raise RefusedError(str(err)) from None
+            raise NotPublishedError(str(err)) from None
         x, y, turn = found["linear"]["x"], found["linear"]["y"], found["angular"]["z"]
         if not all(map(math.isfinite, (x, y, turn))):
             self.counters.dropped("bad")
-            raise RefusedError("a velocity is a finite number")
+            raise NotPublishedError("a velocity is a finite number")
         self._refusal = ""
         self._driving.hold(self, x, y, turn, message.arrived)
         if self._refusal:
             self.counters.dropped("held")
-            raise RefusedError(self._refusal)
+            raise NotPublishedError(self._refusal)
         self.counters.crossed(len(message.data))
 
     def held(self, x: float, y: float, turn: float) -> None:
@@ -209,7 +209,7 @@ class Publishing:
         self._velocity = section.velocity
         self._velocities = {section.velocity, *(planner.velocity for planner in section.others.values())} - {""}
         self._rules = RuleSet(host.config.rules)
-        self._routes: dict[tuple[int, int], Route] = {}
+        self._routes: dict[tuple[int, int], PublishedChannel] = {}
         self._said: dict[tuple[int, int], str] = {}
         self._closed = False
 
@@ -233,33 +233,35 @@ class Publishing:
         visitor = self._visitors.of(channel.client)
         try:
             self._routes[key] = self._made(channel, visitor)
-        except RefusedError as err:
-            self._routes[key] = RefusedRoute(channel, visitor, str(err), waits=isinstance(err, UnknownYetError))
+        except NotPublishedError as err:
+            self._routes[key] = RefusedChannel(channel, visitor, str(err), waits=isinstance(err, UnknownYetError))
             self._say(key, f"{channel.topic[:200]}: {err}")
         else:
             assert visitor is not None
             _log.info("%s publishes %s", visitor.who, channel.topic)
 
-    def _made(self, channel: Advertised, visitor: Visitor | None) -> Route:
+    def _made(self, channel: Advertised, visitor: Visitor | None) -> PublishedChannel:
         if visitor is None or not visitor.grant.may_drive:
-            raise RefusedError("you may look, and not publish (foxglove.drive, or the role of your token)")
+            raise NotPublishedError("you may look, and not publish (foxglove.drive, or the role of your token)")
         if channel.encoding not in ENCODINGS:
-            raise RefusedError(f"messages come as {' or '.join(ENCODINGS)}, not {channel.encoding[:40]!r}")
+            raise NotPublishedError(f"messages come as {' or '.join(ENCODINGS)}, not {channel.encoding[:40]!r}")
         if channel.topic.startswith(TAPS) or not ROS2_NAME.fullmatch(channel.topic):
-            raise RefusedError("it is no topic: begin it with a slash; letters, digits and underscores make its parts")
+            raise NotPublishedError(
+                "it is no topic: begin it with a slash; letters, digits and underscores make its parts"
+            )
         coder = Coder(self._host, self._definitions, channel)
         commands = self._rules.enter("zenoh", channel.topic, coder.type_name).priority == "command"
         if not (commands or coder.type_name in COMMAND_TYPES or channel.topic in self._velocities):
-            return TopicRoute(self._host, channel, visitor, coder)
+            return ClientTopic(self._host, channel, visitor, coder)
         if channel.topic != self._velocity or coder.type_name != TWIST:
             where = f"{self._velocity} as {TWIST}" if self._velocity else "no topic (navigation.velocity)"
-            raise RefusedError(f"velocities are taken on {where}: nobody would stop the base behind this one")
-        return VelocityRoute(self._driving, channel, visitor, coder)
+            raise NotPublishedError(f"velocities are taken on {where}: nobody would stop the base behind this one")
+        return ClientVelocity(self._driving, channel, visitor, coder)
 
-    def _send(self, key: tuple[int, int], route: Route, message: ClientMessage) -> None:
+    def _send(self, key: tuple[int, int], route: PublishedChannel, message: ClientMessage) -> None:
         try:
             route.send(message)
-        except RefusedError as err:
+        except NotPublishedError as err:
             route.counters.failed(str(err))
             self._say(key, f"{route.channel.topic}: {err}")
 
@@ -278,7 +280,7 @@ class Publishing:
         """Count rates; try again what waits for a definition."""
         for key, route in list(self._routes.items()):
             route.counters.tick()
-            if isinstance(route, RefusedRoute) and route.waits:
+            if isinstance(route, RefusedChannel) and route.waits:
                 self._close(key)
                 self._open(key, route.channel)
 

@@ -17,7 +17,7 @@ from websockets.exceptions import InvalidStatus
 from bridge.config.model import Config
 from bridge.config.sections.foxglove import FoxgloveSection
 from bridge.foxglove import front
-from bridge.foxglove.front import Request, TurnedAwayError
+from bridge.foxglove.front import RequestHead, TurnedAwayError
 from bridge.foxglove.visitors import MARK
 from bridge.foxglove.worker import Live, SdkLog
 from bridge.hub.security.certificates import Authority
@@ -163,17 +163,17 @@ def test_a_word_is_good_once(desk: Desk) -> None:
 )  # fmt: skip
 def test_heads_that_are_none(head: bytes) -> None:
     with pytest.raises(TurnedAwayError):
-        Request.read(head)
+        RequestHead.read(head)
 
 
 def test_a_head_is_handed_on_without_its_secrets() -> None:
-    request = Request.read(
+    request = RequestHead.read(
         b"GET /?token=a%20b HTTP/1.1\r\nHost: x\r\nCookie: c\r\nUpgrade: websocket\r\nX: 1\r\nx: 2\r\n\r\n"
     )
     assert request.token == "a b"
-    assert Request.read(b"GET //[x?token=t HTTP/1.1\r\n\r\n").token == "t"
+    assert RequestHead.read(b"GET //[x?token=t HTTP/1.1\r\n\r\n").token == "t"
     assert request.forwarded() == b"GET / HTTP/1.1\r\nhost: x\r\nupgrade: websocket\r\nx: 1,2\r\n\r\n"
-    assert Request.read(b"GET / HTTP/1.1\r\nAuthorization: Bearer t\r\n\r\n").token == "t"
+    assert RequestHead.read(b"GET / HTTP/1.1\r\nAuthorization: Bearer t\r\n\r\n").token == "t"
 
 
 def raw(desk: Desk, data: bytes) -> bytes:

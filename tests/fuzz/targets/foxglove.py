@@ -7,12 +7,12 @@ from tests.fuzz.target import Subject, Target, texts
 
 def _heads() -> Subject:
     """What is handed on is a head again, with the same headers but for the secrets."""
-    from bridge.foxglove.front import Request, TurnedAwayError
+    from bridge.foxglove.front import RequestHead, TurnedAwayError
 
     def parse(data: bytes) -> None:
-        request = Request.read(data)
+        request = RequestHead.read(data)
         assert isinstance(request.token, str)
-        again = Request.read(request.forwarded())
+        again = RequestHead.read(request.forwarded())
         kept = {name: value for name, value in request.headers.items() if name not in ("authorization", "cookie")}
         assert (again.target, again.headers) == ("/", kept)
 
