@@ -18,7 +18,7 @@ from bridge.messages.transcode.conversion import Conversion, SideType
 
 
 @dataclass(frozen=True, slots=True)
-class Form:
+class TopicForm:
     """How a topic's messages look elsewhere.
 
     Attributes:
@@ -36,10 +36,7 @@ class Form:
     left_out: tuple[str, ...] = ()
 
 
-HubForm = Form
-
-
-def to_hub(registry: Registry, topic: BagTopic, path: Path = Path("bag")) -> HubForm:
+def to_hub(registry: Registry, topic: BagTopic, path: Path = Path("bag")) -> TopicForm:
     """A topic's messages as the hub and ROS 2 have them; raises `BagError` naming a type that nothing stands for."""
     if topic.world is World.ROS1:
         try:
@@ -49,16 +46,16 @@ def to_hub(registry: Registry, topic: BagTopic, path: Path = Path("bag")) -> Hub
         return _form(conversion)
     known = _learn(registry, topic)
     if known is None:  # CDR can be handed on by who does not know it
-        return Form(topic.type_name, topic.type_hash, topic.definition, None)
-    return Form(topic.type_name, topic.type_hash or known.type_id, topic.definition or known.definition, None)
+        return TopicForm(topic.type_name, topic.type_hash, topic.definition, None)
+    return TopicForm(topic.type_name, topic.type_hash or known.type_id, topic.definition or known.definition, None)
 
 
-def to_ros1(registry: Registry, topic: BagTopic, path: Path = Path("bag")) -> Form:
+def to_ros1(registry: Registry, topic: BagTopic, path: Path = Path("bag")) -> TopicForm:
     """A topic's messages as ROS 1 has them; raises `BagError` naming a type that nothing stands for."""
     try:
         if topic.world is World.ROS1:
             registry.ros1_to_hub(topic.type_name, topic.type_hash, topic.definition)
-            return Form(topic.type_name, topic.type_hash, topic.definition, None)
+            return TopicForm(topic.type_name, topic.type_hash, topic.definition, None)
         known = _learn(registry, topic)
         return _form(registry.hub_to_ros1(topic.type_name, "" if known is None else known.type_id))
     except MessageTypeError as err:
@@ -82,9 +79,9 @@ def _learn(registry: Registry, topic: BagTopic) -> SideType | None:
     return None
 
 
-def _form(conversion: Conversion) -> Form:
+def _form(conversion: Conversion) -> TopicForm:
     target = conversion.target
-    return Form(target.name, target.type_id, target.definition, conversion.convert, conversion.left_out)
+    return TopicForm(target.name, target.type_id, target.definition, conversion.convert, conversion.left_out)
 
 
 def _refusal(path: Path, topic: BagTopic, err: MessageTypeError) -> BagError:

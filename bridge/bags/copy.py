@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from bridge.bags.bag import Bag, BagError, BagMessage, BagTopic, Kind
-from bridge.bags.conversion import Form, to_hub, to_ros1
+from bridge.bags.conversion import TopicForm, to_hub, to_ros1
 from bridge.bags.mcap_copy import McapCopy, Ros2Mcap
 from bridge.bags.mcap_reader import McapBag
 from bridge.bags.spans import SpanBag
@@ -27,7 +27,7 @@ _FOREVER = 1 << 64
 
 
 @dataclass(frozen=True)
-class Choice:
+class BagSelection:
     """Which messages are copied.
 
     Attributes:
@@ -87,8 +87,8 @@ def _quiet(_messages: int, _data: int) -> None:
 
 
 def convert(
-    bag: Bag, target: Path, kind: Kind, registry: Registry, choice: Choice = Choice(), compression: str = "",
-    *, skip_unknown: bool = False, skip_bad: bool = False, told: Told = _quiet,
+    bag: Bag, target: Path, kind: Kind, registry: Registry, choice: BagSelection = BagSelection(),
+    compression: str = "", *, skip_unknown: bool = False, skip_bad: bool = False, told: Told = _quiet,
 ) -> Copied:  # fmt: skip
     """Copy a bag into any format, by the bridge's conversions between ROS 1 and ROS 2.
 
@@ -97,7 +97,7 @@ def convert(
     """
     done = Copied()
     _check_sound(bag)
-    forms: dict[BagTopic, Form] = {}
+    forms: dict[BagTopic, TopicForm] = {}
     for topic in choice.chosen(bag):
         try:
             forms[topic] = (to_ros1 if kind == "bag" else to_hub)(registry, topic, bag.path)
@@ -118,7 +118,7 @@ def convert(
 
 
 def cut(
-    bag: Bag, target: Path, choice: Choice = Choice(), compression: str = "", *, mend: bool = False,
+    bag: Bag, target: Path, choice: BagSelection = BagSelection(), compression: str = "", *, mend: bool = False,
     told: Told = _quiet,
 ) -> Copied:  # fmt: skip
     """Copy a part of a bag into the same format, its messages and types as they are.
@@ -132,7 +132,7 @@ def cut(
         bag.on_damage = done.damage.append
     if mend and bag.trouble is not None:
         done.damage.append(bag.trouble)
-    forms = {topic: Form(topic.type_name, topic.type_hash, topic.definition, None) for topic in choice.chosen(bag)}
+    forms = {topic: TopicForm(topic.type_name, topic.type_hash, topic.definition, None) for topic in choice.chosen(bag)}
     usual = bag.compression if bag.compression in COMPRESSIONS[bag.kind] else COMPRESSIONS[bag.kind][0]
     messages = _messages(bag, list(forms), choice)
     check_compression(target, bag.kind, compression or usual)
@@ -154,7 +154,9 @@ def _check_sound(bag: Bag) -> None:
         raise BagError(bag.path, bag.trouble.what, bag.trouble.offset, "'midspan bag mend' saves the rest")
 
 
-def _copy_chunks(bag: McapBag, copier: McapCopy, choice: Choice, compression: str, done: Copied, told: Told) -> None:
+def _copy_chunks(
+    bag: McapBag, copier: McapCopy, choice: BagSelection, compression: str, done: Copied, told: Told
+) -> None:
     """Copy all channels, also those that only others understand; what lies within the times stays packed."""
     start = 0 if choice.start_ns is None else choice.start_ns
     end = _FOREVER if choice.end_ns is None else choice.end_ns
@@ -190,7 +192,7 @@ def _mended(messages: Iterator[BagMessage], damage: list[BagError]) -> Iterator[
         damage.append(err)
 
 
-def _messages(bag: Bag, topics: list[BagTopic], choice: Choice) -> Iterator[BagMessage]:
+def _messages(bag: Bag, topics: list[BagTopic], choice: BagSelection) -> Iterator[BagMessage]:
     messages = bag.messages(topics, choice.start_ns, choice.end_ns)
     if not choice.latched or choice.start_ns is None:
         return messages
@@ -209,7 +211,7 @@ def _latched(bag: Bag, topics: list[BagTopic], start_ns: int) -> Iterator[BagMes
 
 
 def _copy(
-    bag: Bag, writer: BagWriter, forms: dict[BagTopic, Form], messages: Iterator[BagMessage], done: Copied,
+    bag: Bag, writer: BagWriter, forms: dict[BagTopic, TopicForm], messages: Iterator[BagMessage], done: Copied,
     *, skip_bad: bool = False, told: Told,
 ) -> None:  # fmt: skip
     try:

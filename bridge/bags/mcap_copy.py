@@ -32,7 +32,7 @@ from mcap.records import (
 
 from bridge import __version__
 from bridge.bags.bag import BagTopic
-from bridge.bags.conversion import Form
+from bridge.bags.conversion import TopicForm
 from bridge.bags.mcap_reader import MAGIC, McapBag, WholeChunk
 from bridge.bags.mcap_writer import CHUNK_BYTES, PROFILE, ChannelInfo, ros2msg
 from bridge.bags.writers import BagWriter
@@ -197,7 +197,7 @@ class McapCopy(ChunkedMcap):
         self._source = source
         self._metadata = source.records
 
-    def add(self, topic: BagTopic, _form: Form) -> int:
+    def add(self, topic: BagTopic, _form: TopicForm) -> int:
         """See `BagWriter.add`."""
         number = self._source.number_of(topic)
         self.add_number(number)
@@ -216,7 +216,7 @@ class Ros2Mcap(ChunkedMcap):
         super().__init__(path, compression, PROFILE, f"midspan {__version__}")
         self._known: dict[tuple[str, str], Schema] = {}
 
-    def add(self, topic: BagTopic, form: Form) -> int:
+    def add(self, topic: BagTopic, form: TopicForm) -> int:
         """See `BagWriter.add`."""
         text = ros2msg(form.definition)
         new = Schema(

@@ -21,7 +21,7 @@ from mcap.records import Channel, Header, Metadata, Schema, Statistics
 
 from bridge.bags.bag import MAX_TOPICS, BagError, BagMessage, BagTopic, Kind, reading
 from bridge.bags.qos import parse_qos
-from bridge.bags.spans import Span, SpanBag, unpack
+from bridge.bags.spans import FileSpan, SpanBag, unpack
 from bridge.hub.wire.qos import LATCHED, Qos
 from bridge.messages.definitions.schema import World
 
@@ -97,11 +97,11 @@ class McapBag(SpanBag):
         """The number of a topic's channel."""
         return next(number for number, each in self.topic_of.items() if each is topic)
 
-    def spans(self) -> list[Span]:
+    def spans(self) -> list[FileSpan]:
         """The pieces of the file, in order of their first times."""
         return sorted(self._spans, key=lambda span: span.start)
 
-    def span_rows(self, span: Span) -> list[tuple[int, int, int, bytes]]:
+    def span_rows(self, span: FileSpan) -> list[tuple[int, int, int, bytes]]:
         """Channel, log time, publish time and data of a piece's messages, as they stand; raises `BagError`."""
         with reading(self.path, span.offset):
             rows = self._records(self._plain(span), span.offset)
@@ -109,7 +109,7 @@ class McapBag(SpanBag):
             raise BagError(self.path, "a message is of a channel that the file does not have", span.offset)
         return [(channel, log, publish, data) for channel, log, publish, _, data in rows]
 
-    def whole_chunk(self, span: Span) -> WholeChunk | None:
+    def whole_chunk(self, span: FileSpan) -> WholeChunk | None:
         """A chunk with its indexes, None for what is no chunk or has none; raises `BagError` where it is damaged."""
         if not span.chunk:
             return None
@@ -182,7 +182,7 @@ class McapBag(SpanBag):
         if name > 20 or _CHUNK.size + name + 8 > length:
             raise BagError(self.path, "a chunk has no compression that is known", at)
         self._compressions.add(self._read(body + _CHUNK.size, name).decode(errors="replace") or "none")
-        self._spans.append(Span(at, length, start, max(start, end), chunk=True))
+        self._spans.append(FileSpan(at, length, start, max(start, end), chunk=True))
 
     def _walk_message(self, at: int, body: int, length: int) -> None:
         if length < _MESSAGE.size:
@@ -191,9 +191,11 @@ class McapBag(SpanBag):
         size = _HEAD.size + length
         last = self._spans[-1] if self._spans else None
         if last is not None and not last.chunk and last.offset + last.length == at and last.length + size <= _RUN:
-            self._spans[-1] = Span(last.offset, last.length + size, min(last.start, time), max(last.end, time), False)
+            self._spans[-1] = FileSpan(
+                last.offset, last.length + size, min(last.start, time), max(last.end, time), False
+            )
         else:
-            self._spans.append(Span(at, size, time, time, chunk=False))
+            self._spans.append(FileSpan(at, size, time, time, chunk=False))
 
     def _take(self, opcode: int, data: bytes) -> None:
         """Take up one record that says something of the whole file."""
@@ -257,13 +259,13 @@ class McapBag(SpanBag):
             more,
         )
 
-    def _plain(self, span: Span) -> bytes | memoryview:
+    def _plain(self, span: FileSpan) -> bytes | memoryview:
         """A span's records."""
         if not span.chunk:
             return self._read(span.offset, span.length)
         return self._unpacked(span, memoryview(self._read(span.offset + _HEAD.size, span.length)))[0]
 
-    def _unpacked(self, span: Span, body: memoryview) -> tuple[bytes | memoryview, str]:
+    def _unpacked(self, span: FileSpan, body: memoryview) -> tuple[bytes | memoryview, str]:
         """A chunk's records, and what they were compressed by."""
         _, _, size, crc, name = _CHUNK.unpack_from(body)
         compression = bytes(body[_CHUNK.size : _CHUNK.size + name]).decode(errors="replace")
@@ -295,7 +297,7 @@ class McapBag(SpanBag):
                 self._take(opcode, bytes(data[body:at]))
         return found
 
-    def _load(self, span: Span) -> list[BagMessage]:
+    def _load(self, span: FileSpan) -> list[BagMessage]:
         topics = self.topic_of
         found = []
         for channel, log, publish, _, data in self._records(self._plain(span), span.offset):

@@ -72,7 +72,7 @@ class LeftOut:
     command: bool = False
 
 
-class Commands:
+class CommandTopics:
     """Tells what moves a robot by type and name, as the hub's door does (docs/operate/security.md)."""
 
     def __init__(self, config: Config) -> None:
@@ -123,7 +123,7 @@ def choose(
     bags: Iterable[Bag], registry: Registry, config: Config, wanted: PlayChoice
 ) -> tuple[dict[Bag, list[PlayTopic]], list[LeftOut]]:
     """What is played of each bag, and what is left out of all that was asked for."""
-    moving = Commands(config)
+    moving = CommandTopics(config)
     found: dict[Bag, list[PlayTopic]] = {}
     left: dict[LeftOut, None] = {}
     for bag in bags:
@@ -143,7 +143,9 @@ def _absolute(name: str) -> str:
     return name if name.startswith("/") else f"/{name}"
 
 
-def _made(path: Path, topic: BagTopic, registry: Registry, moving: Commands, wanted: PlayChoice) -> PlayTopic | LeftOut:
+def _made(
+    path: Path, topic: BagTopic, registry: Registry, moving: CommandTopics, wanted: PlayChoice
+) -> PlayTopic | LeftOut:
     source = _absolute(topic.name)
     name = wanted.remap.get(source, source)
 

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import BinaryIO
 
 from bridge.bags.bag import MAX_TOPICS, BagError, BagMessage, BagTopic, Kind, reading
-from bridge.bags.spans import Span, SpanBag, unpack
+from bridge.bags.spans import FileSpan, SpanBag, unpack
 from bridge.hub.wire.qos import LATCHED, Qos
 from bridge.messages.definitions.schema import World
 
@@ -81,7 +81,7 @@ class Ros1Bag(SpanBag):
                 self._end(self.size, "the bag has no index: its writer never closed it")
         elif kind == _CHUNK:
             self._compressions.add(fields[b"compression"].decode(errors="replace")[:20])
-            self._spans.append(Span(at, body + size - at, 0, 0, chunk=True))
+            self._spans.append(FileSpan(at, body + size - at, 0, 0, chunk=True))
         elif kind in (_CONNECTION, _CHUNK_INFO):
             if size > _LARGEST_TABLE:
                 raise BagError(self.path, f"a record of the index declares {size} bytes", at)
@@ -130,7 +130,7 @@ class Ros1Bag(SpanBag):
                 self.trouble = self.trouble or err
         return counts
 
-    def _records(self, span: Span) -> list[tuple[int, int, bytes]]:
+    def _records(self, span: FileSpan) -> list[tuple[int, int, bytes]]:
         """Connection, time and data of each message of a chunk."""
         raw = self._read(span.offset, span.length)
         length = _U32.unpack_from(raw)[0]
@@ -154,7 +154,7 @@ class Ros1Bag(SpanBag):
                 self._take(fields, bytes(data[body:at]))
         return found
 
-    def _load(self, span: Span) -> list[BagMessage]:
+    def _load(self, span: FileSpan) -> list[BagMessage]:
         topics, found = self._topic_of, []
         for number, time, data in self._records(span):
             topic = topics.get(number)

@@ -18,7 +18,7 @@ HELD = 128 << 20
 _time = attrgetter("time_ns")
 
 
-class Span(NamedTuple):
+class FileSpan(NamedTuple):
     """A piece of the file: where it is, the times of its messages, and whether it is a chunk that is to be opened."""
 
     offset: int
@@ -41,10 +41,10 @@ class SpanBag(Bag):
         super().__init__(path)
         self._file = file
         self.size = file.seek(0, 2)
-        self._spans: list[Span] = []
+        self._spans: list[FileSpan] = []
 
     @abstractmethod
-    def _load(self, span: Span) -> list[BagMessage]:
+    def _load(self, span: FileSpan) -> list[BagMessage]:
         """The messages of a span as they stand; raises anything for bad bytes."""
 
     def messages(
@@ -71,7 +71,7 @@ class SpanBag(Bag):
             yield from rows[:due]
             waiting = rows[due:]
 
-    def _read_span(self, span: Span) -> list[BagMessage]:
+    def _read_span(self, span: FileSpan) -> list[BagMessage]:
         try:
             with reading(self.path, span.offset):
                 return self._load(span)

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from bridge.bags.bag import BagError, BagTopic, Kind
-from bridge.bags.conversion import Form
+from bridge.bags.conversion import TopicForm
 
 COMPRESSIONS: dict[Kind, tuple[str, ...]] = {
     "mcap": ("zstd", "lz4", "none"), "bag": ("none", "lz4", "bz2"), "db3": ("none",),
@@ -33,7 +33,7 @@ class BagWriter(ABC):
     """Writes one bag; raises `OSError` of the disk."""
 
     @abstractmethod
-    def add(self, topic: BagTopic, form: Form) -> Any:
+    def add(self, topic: BagTopic, form: TopicForm) -> Any:
         """Add a topic as ``form`` says; what comes back is for `write`."""
 
     @abstractmethod
@@ -68,7 +68,7 @@ class Ros1(BagWriter):
         self._writer.open()
         self._known: dict[tuple[Any, ...], Any] = {}
 
-    def add(self, topic: BagTopic, form: Form) -> Any:
+    def add(self, topic: BagTopic, form: TopicForm) -> Any:
         """See `BagWriter.add`."""
         caller = topic.metadata.get("callerid") or topic.metadata.get("origin") or "/midspan"
         package, _, name = form.type_name.partition("/")
@@ -106,7 +106,7 @@ class Db3(BagWriter):
         self._writer.open()
         self._known: dict[tuple[Any, ...], Any] = {}
 
-    def add(self, topic: BagTopic, form: Form) -> Any:
+    def add(self, topic: BagTopic, form: TopicForm) -> Any:
         """See `BagWriter.add`."""
         key = (topic.name, form.type_name)
         if key not in self._known:

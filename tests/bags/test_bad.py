@@ -17,7 +17,7 @@ import zstandard
 from mcap.reader import make_reader
 
 from bridge.bags.bag import BagError
-from bridge.bags.copy import Choice, convert, cut
+from bridge.bags.copy import BagSelection, convert, cut
 from bridge.bags.reader import open_bag
 from bridge.messages.registry import Registry
 from tests.bags.written import START, db3_folder, mcap_bytes, mcap_file, ros1_bag
@@ -179,7 +179,7 @@ def test_chunks_that_are_cut_out_whole_keep_their_index(tmp_path: Path) -> None:
     path = mcap_file(tmp_path / "a.mcap", 200)
     start, end = START + 3_000_000_000, START + 15_000_000_000
     with open_bag(path) as bag:
-        done = cut(bag, tmp_path / "b.mcap", Choice(start_ns=start, end_ns=end))
+        done = cut(bag, tmp_path / "b.mcap", BagSelection(start_ns=start, end_ns=end))
     expected = [(channel.topic, m.log_time, m.data) for _, channel, m in messages(path) if start <= m.log_time < end]
     with (tmp_path / "b.mcap").open("rb") as file:
         summary = make_reader(file, validate_crcs=True).get_summary()

@@ -19,7 +19,7 @@ from rosbags.rosbag1 import Writer as Writer1
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from bridge.bags.bag import BagError, BagMessage, Kind
-from bridge.bags.copy import Choice, Copied, convert, cut
+from bridge.bags.copy import BagSelection, Copied, convert, cut
 from bridge.bags.reader import open_bag
 from bridge.messages.registry import Registry
 from tests.bags.written import (
@@ -190,7 +190,7 @@ def test_a_part_is_cut_with_what_was_latched_before(form: str, tmp_path: Path) -
     }[form]
     start = START + SECOND
     with open_bag(source()) as bag:
-        cut(bag, target, Choice(start_ns=start, end_ns=start + SECOND // 2, latched=True))
+        cut(bag, target, BagSelection(start_ns=start, end_ns=start + SECOND // 2, latched=True))
         topics = {topic.name: (topic.type_name, topic.definition, topic.qos) for topic in bag.topics}
     found = raw_of(target)
     assert [(name, time) for name, _, time, _ in found] == [
@@ -213,7 +213,7 @@ def test_a_cut_of_mcap_keeps_what_only_others_understand(tmp_path: Path) -> None
     (tmp_path / "a.mcap").write_bytes(stream.getvalue())
     with open_bag(tmp_path / "a.mcap") as bag:
         assert bag.about == {"theirs": {"robot": "r1"}}
-        assert cut(bag, tmp_path / "b.mcap", Choice(start_ns=5)).messages == 5
+        assert cut(bag, tmp_path / "b.mcap", BagSelection(start_ns=5)).messages == 5
     with (tmp_path / "b.mcap").open("rb") as file:
         reader = make_reader(file)
         assert reader.get_header().profile == "ros1"
@@ -225,10 +225,10 @@ def test_a_cut_of_mcap_keeps_what_only_others_understand(tmp_path: Path) -> None
 
 def test_topics_are_chosen_by_name_and_glob(registry: Registry, tmp_path: Path) -> None:
     source = mcap_file(tmp_path / "a.mcap")
-    assert copied(source, tmp_path / "b.mcap", registry, choice=Choice(("/map*",))).messages == 1
-    assert copied(source, tmp_path / "c.mcap", registry, choice=Choice(exclude=("^/map",))).messages == 20
+    assert copied(source, tmp_path / "b.mcap", registry, choice=BagSelection(("/map*",))).messages == 1
+    assert copied(source, tmp_path / "c.mcap", registry, choice=BagSelection(exclude=("^/map",))).messages == 20
     with pytest.raises(BagError, match="has no topic /nowhere"):
-        copied(source, tmp_path / "d.mcap", registry, choice=Choice(("/nowhere",)))
+        copied(source, tmp_path / "d.mcap", registry, choice=BagSelection(("/nowhere",)))
 
 
 def test_what_a_killed_recorder_left_is_mended(tmp_path: Path) -> None:

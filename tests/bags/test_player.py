@@ -13,7 +13,7 @@ import pytest
 from bridge.bags.bag import BagError, BagTopic
 from bridge.bags.play_source import Played, PlayPart, PlaySource
 from bridge.bags.play_timeline import Timeline
-from bridge.bags.play_topics import Commands, LeftOut, PlayChoice, PlayTopic, choose
+from bridge.bags.play_topics import CommandTopics, LeftOut, PlayChoice, PlayTopic, choose
 from bridge.bags.player import LEAST_SECONDS, Player
 from bridge.bags.reader import open_bag
 from bridge.config.model import Config
@@ -260,7 +260,7 @@ def test_commands_are_known_by_type_and_role_and_by_the_rules(name: str, type_na
         {"topic": "/arm/drive", "type": "std_msgs/msg/Float64", "priority": "command"},
         {"topic": "/wheels", "priority": "command"},
     ]
-    moving = Commands(Config.model_validate({"routing": {"rules": rules}}))
+    moving = CommandTopics(Config.model_validate({"routing": {"rules": rules}}))
     assert moving.has(name, type_name) is moves
 
 

@@ -17,7 +17,7 @@ from bridge.cli.output import CliError, clean, duration, make_console, plural, p
 
 if TYPE_CHECKING:
     from bridge.bags.bag import Bag, BagTopic
-    from bridge.bags.copy import Choice, Copied, Told
+    from bridge.bags.copy import BagSelection, Copied, Told
 
 _NS = 1_000_000_000
 _UNIX = 1e8
@@ -115,15 +115,15 @@ def _opened(path: Path) -> Iterator[Bag]:
         raise CliError(clean(err)) from None
 
 
-def _choice(args: argparse.Namespace, bag: Bag) -> Choice:
-    from bridge.bags.copy import Choice
+def _choice(args: argparse.Namespace, bag: Bag) -> BagSelection:
+    from bridge.bags.copy import BagSelection
 
     start, end = (
         None if moment is None else moment[1] + (0 if moment[0] else bag.start_ns) for moment in (args.start, args.end)
     )
     if start is not None and end is not None and end <= start:
         raise CliError("--end is not after --start")
-    return Choice(tuple(args.topics), tuple(args.exclude), start, end, args.latched)
+    return BagSelection(tuple(args.topics), tuple(args.exclude), start, end, args.latched)
 
 
 def _info(args: argparse.Namespace) -> int:
@@ -237,13 +237,13 @@ def _cut(args: argparse.Namespace) -> int:
 
 
 def _mend(args: argparse.Namespace) -> int:
-    from bridge.bags.copy import Choice, cut
+    from bridge.bags.copy import BagSelection, cut
 
     with _opened(args.bag) as bag:
         _same_format(args, bag)
         begun = time.monotonic()
         with _progress(bag) as told:
-            done = cut(bag, args.out, Choice(), args.compression or "", mend=True, told=told)
+            done = cut(bag, args.out, BagSelection(), args.compression or "", mend=True, told=told)
     _tell(args, done, time.monotonic() - begun)
     return 0
 
