@@ -30,7 +30,7 @@ sys.path.insert(0, str(Path(__file__).parents[1]))
 
 from benchmarks.rows import Row, add_json_option, report
 from bridge.bags.bag import BagTopic
-from bridge.bags.conversion import Form
+from bridge.bags.conversion import TopicForm
 from bridge.bags.mcap_copy import Ros2Mcap
 from bridge.bags.writers import open_writer
 from bridge.messages.definitions.schema import World
@@ -75,13 +75,13 @@ def write_source(path: Path, megabytes: int) -> None:
     type_name, made = messages("texts" if path.name.startswith("texts") else "images", registry)
     kind = "bag" if path.suffix == ".bag" else "mcap"
     world = World.ROS2
-    form = Form(type_name, registry.ros2(type_name).type_id, full_text(registry.schema(type_name)), None)
+    form = TopicForm(type_name, registry.ros2(type_name).type_id, full_text(registry.schema(type_name)), None)
     if kind == "bag":
         conversion = registry.hub_to_ros1(type_name)
         assert conversion.convert is not None
         made = [conversion.convert(data) for data in made]
         side = conversion.target
-        form, world = Form(side.name, side.type_id, side.definition, None), World.ROS1
+        form, world = TopicForm(side.name, side.type_id, side.definition, None), World.ROS1
     compression = "zstd" if "zstd" in path.name else "none"
     writer = open_writer(path, "bag", compression) if kind == "bag" else Ros2Mcap(path, compression)
     place = writer.add(BagTopic("/data", form.type_name, world), form)

@@ -47,15 +47,16 @@ def recorded(tmp_path_factory: pytest.TempPathFactory, names: Names) -> Iterator
         yield made
 
 
+def written(deployment: Deployment, *topics: str) -> dict[str, Any] | None:
+    """The recorder's status if each of the topics has a message that is written."""
+    told: dict[str, Any] = deployment.worker("record").get("recording", {})
+    there = {each["topic"] for each in told.get("topics", []) if each["messages"]}
+    return told if there >= set(topics) else None
+
+
 def until_written(deployment: Deployment, *topics: str) -> dict[str, Any]:
-    """The recorder's status once each of the topics has a message that is written."""
-
-    def status() -> dict[str, Any] | None:
-        told: dict[str, Any] = deployment.worker("record").get("recording", {})
-        written = {each["topic"] for each in told.get("topics", []) if each["messages"]}
-        return told if written >= set(topics) else None
-
-    return until(status, f"{topics} are written", 40, every=0.1)
+    """The same, once they have."""
+    return until(lambda: written(deployment, *topics), f"{topics} are written", 40, every=0.1)
 
 
 def test_what_programs_of_all_sides_say_is_read_by_rosbags_and_by_mcaps_decoder(
@@ -72,11 +73,9 @@ def test_what_programs_of_all_sides_say_is_read_by_rosbags_and_by_mcaps_decoder(
     def said() -> bool:
         for side, (program, end) in ends.items():
             program.publish(end, {"data": side})
-        told = recorded.worker("record").get("recording", {})
-        return {f"/from_{side}" for side in programs} <= {each["topic"] for each in told.get("topics", [])}
+        return written(recorded, "/kept", *(f"/from_{side}" for side in programs)) is not None
 
-    until(said, "all are heard", 30, every=0.1)
-    until_written(recorded, "/kept", *(f"/from_{side}" for side in programs))
+    until(said, "a message of each is written", 40, every=0.1)
     done = recorded.command("record", "--daemon", "split", "--json")
     assert done.returncode == 0, done.stderr
     file = Path(recorded.worker("record")["recording"]["file"])

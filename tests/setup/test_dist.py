@@ -12,6 +12,7 @@ from collections.abc import Sequence
 from contextlib import ExitStack
 from email import message_from_string
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import pytest
 import yaml
@@ -160,7 +161,7 @@ def assert_a_message_crosses(there: Installed) -> None:
         stack.callback(bridge.stop)
         config = {
             "name": "there",
-            "state": str(there.folder / "state"),
+            "state": stack.enter_context(TemporaryDirectory(prefix="midspan-")),  # a socket's path is short
             "hub": {"listen": f"tcp/127.0.0.1:{free_port()}", "shared_memory": False},
             "ros1": {"enabled": False},
             "ros2": {"enabled": False},

@@ -22,7 +22,11 @@ def goes_by(heard: Heard, way: str, why: str = "") -> None:
     def so() -> bool:
         return chosen.way == way and chosen.settled and why in chosen.why
 
-    until(so, f"{chosen.topic} goes by {way} {why}: {chosen.why}")
+    try:
+        until(so, f"{chosen.topic} goes by {way} {why}")
+    except AssertionError as err:
+        err.add_note(f"it goes by {chosen.way} ({chosen.why}), settled: {chosen.settled}")
+        raise
 
 
 def whole(texts: list[str]) -> None:
