@@ -18,7 +18,7 @@ from bridge.hub.wire.qos import LATCHED, Qos
 from bridge.messages.errors import MessageTypeError
 from bridge.messages.registry import Registry
 from bridge.routing.gates import TAPS
-from bridge.routing.limits import COMMAND_TYPES, Priority, default_priority
+from bridge.routing.limits import COMMAND_NAME, COMMAND_TYPES, Priority, default_priority
 from bridge.routing.rewrites import TF_TYPE
 from bridge.routing.rules import RuleSet
 
@@ -73,19 +73,25 @@ class LeftOut:
 
 
 class CommandTopics:
-    """Tells what moves a robot by type and name, as the hub's door does (docs/operate/security.md)."""
+    """Tells what moves a robot by type and name: what the hub's door knows (docs/operate/security.md), and more.
+
+    A door that is too strict cuts a state off; here `--commands` is at hand. So a name that says command is enough,
+    whatever the type, and the joints that this configuration drives are known by their topics.
+    """
 
     def __init__(self, config: Config) -> None:
-        section = config.navigation
+        section, modules = config.navigation, config.modules
         self._parts: dict[str, set[str]] = {}
         for type_name, parts in commands(config.rules).items():
             self._parts.setdefault(_short(type_name), set()).update(parts)
         self._rules = RuleSet(config.rules)
-        self._velocities = {section.velocity, *(planner.velocity for planner in section.others.values())} - {""}
+        velocities = {section.velocity, *(planner.velocity for planner in section.others.values())}
+        joints = {modules.base_control.wheel_command, *(board.command for board in modules.control_boards.boards)}
+        self._driven = (velocities | joints) - {""}
 
     def has(self, name: str, type_name: str) -> bool:
-        """Whether messages of this type (ROS 2's name) on this topic of the hub are velocities, goals or cancels."""
-        if type_name.endswith(_GOAL) or name in self._velocities:
+        """Whether messages of this type (ROS 2's name) on this topic of the hub move a robot."""
+        if type_name.endswith(_GOAL) or name in self._driven or COMMAND_NAME.search(name):
             return True
         last = name.rpartition("/")[2]
         if any(_fits(last, part) for part in self._parts.get(_short(type_name), ())):

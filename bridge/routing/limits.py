@@ -11,7 +11,8 @@ from bridge.hub.wire.qos import Durability, Qos, Reliability
 COMMAND_TYPES = frozenset({"geometry_msgs/msg/Twist", "geometry_msgs/msg/TwistStamped"})
 """Types that command a velocity."""
 
-_COMMAND_NAME = re.compile(r"(^|[/_])(cmd|command)", re.IGNORECASE)
+COMMAND_NAME = re.compile(r"(^|[/_])(cmd|command)", re.IGNORECASE)
+"""Names of topics that command, as far as a name tells."""
 
 
 class Priority(Enum):
@@ -27,7 +28,7 @@ class Priority(Enum):
 
 def default_priority(topic: str, type_name: str, *, latched: bool) -> Priority:
     """The class of a topic that no rule names: velocity commands by type and name, latched topics as state."""
-    if type_name in COMMAND_TYPES and _COMMAND_NAME.search(topic):
+    if type_name in COMMAND_TYPES and COMMAND_NAME.search(topic):
         return Priority.COMMAND
     return Priority.STATE if latched else Priority.STREAM
 

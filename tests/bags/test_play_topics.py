@@ -1,0 +1,55 @@
+"""What moves a robot, and is left out of a play."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from bridge.bags.play_topics import CommandTopics
+from bridge.config.load import load
+
+JOINTS, TWIST = "sensor_msgs/msg/JointState", "geometry_msgs/msg/Twist"
+_CONFIG = """
+modules:
+  base_control: {wheel_command: /wheels}
+  control_boards: {boards: [{remote: /cer/arm, command: /arm/go}]}
+"""
+
+
+@pytest.fixture
+def moving(tmp_path: Path) -> CommandTopics:
+    file = tmp_path / "midspan.yaml"
+    file.write_text(_CONFIG)
+    return CommandTopics(load(file))
+
+
+@pytest.mark.parametrize(
+    ("name", "type_name"),
+    [
+        ("/turtle/drive", TWIST),
+        ("/move_base/goal", "move_base_msgs/msg/MoveBaseActionGoal"),
+        ("/move_base/cancel", "actionlib_msgs/msg/GoalID"),
+        ("/goal_pose", "geometry_msgs/msg/PoseStamped"),
+        ("/wheels", JOINTS),
+        ("/arm/go", JOINTS),
+        ("/wheel_command", JOINTS),
+        ("/arm/command", "std_msgs/msg/Float64"),
+        ("/ackermann_cmd", "ackermann_msgs/msg/AckermannDriveStamped"),
+    ],
+)
+def test_what_moves_a_robot_is_known(name: str, type_name: str, moving: CommandTopics) -> None:
+    assert moving.has(name, type_name)
+
+
+@pytest.mark.parametrize(
+    ("name", "type_name"),
+    [
+        ("/joint_states", JOINTS),
+        ("/odom", "nav_msgs/msg/Odometry"),
+        ("/pose", "geometry_msgs/msg/PoseStamped"),
+        ("/initialpose", "geometry_msgs/msg/PoseWithCovarianceStamped"),
+    ],
+)
+def test_what_only_tells_is_played(name: str, type_name: str, moving: CommandTopics) -> None:
+    assert not moving.has(name, type_name)
