@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -106,6 +106,9 @@ class Bag(ABC):
 
         Raises `BagError` where the bag is damaged; what stands before that has been given.
         """
+
+    def skip_damage(self, told: Callable[[BagError], None]) -> None:  # noqa: B027 - a file of SQLite cannot
+        """Leave out what is damaged from now on, and tell of it, where the rest can be read without it."""
 
     @abstractmethod
     def close(self) -> None:

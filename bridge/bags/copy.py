@@ -16,8 +16,8 @@ from bridge.bags.bag import Bag, BagError, BagMessage, BagTopic, Kind
 from bridge.bags.conversion import TopicForm, to_hub, to_ros1
 from bridge.bags.mcap_copy import McapCopy, Ros2Mcap
 from bridge.bags.mcap_reader import McapBag
-from bridge.bags.spans import SpanBag
 from bridge.bags.writers import COMPRESSIONS, BagWriter, check_compression, open_writer, written_whole
+from bridge.messages.definitions.schema import World
 from bridge.messages.errors import ConversionError
 from bridge.messages.registry import Registry
 
@@ -112,8 +112,8 @@ def convert(
     check_compression(target, kind, compression or COMPRESSIONS[kind][0])
     with written_whole(target, kind) as making:
         usual = compression or COMPRESSIONS[kind][0]
-        writer = Ros2Mcap(making, usual) if kind == "mcap" else open_writer(making, kind, usual)
-        _copy(bag, writer, forms, _messages(bag, list(forms), choice), done, skip_bad=skip_bad, told=told)
+        messages = _messages(bag, list(forms), choice)
+        _copy(bag, _writer(making, kind, usual), forms, messages, done, skip_bad=skip_bad, told=told)
     return done
 
 
@@ -128,11 +128,13 @@ def cut(
     done = Copied()
     if not mend:
         _check_sound(bag)
-    if mend and isinstance(bag, SpanBag):
-        bag.on_damage = done.damage.append
+    if mend:
+        bag.skip_damage(done.damage.append)
     if mend and bag.trouble is not None:
         done.damage.append(bag.trouble)
     forms = {topic: TopicForm(topic.type_name, topic.type_hash, topic.definition, None) for topic in choice.chosen(bag)}
+    if bag.kind == "mcap" and not isinstance(bag, McapBag) and any(t.world is World.ROS1 for t in forms):
+        raise BagError(bag.path, "is a folder of ROS 1's MCAP", None, "cut or mend its files one by one")
     usual = bag.compression if bag.compression in COMPRESSIONS[bag.kind] else COMPRESSIONS[bag.kind][0]
     messages = _messages(bag, list(forms), choice)
     check_compression(target, bag.kind, compression or usual)
@@ -142,10 +144,14 @@ def cut(
             if not (mend or choice.topics or choice.exclude or choice.latched):
                 _copy_chunks(bag, copier, choice, compression or usual, done, told)
                 return done
-        writer = copier if isinstance(bag, McapBag) else open_writer(making, bag.kind, compression or usual)
+        writer = copier if isinstance(bag, McapBag) else _writer(making, bag.kind, compression or usual)
         _copy(bag, writer, forms, _mended(messages, done.damage) if mend else messages, done, told=told)
     done.damage[:] = {str(err): err for err in done.damage}.values()  # of a chunk that was looked at twice
     return done
+
+
+def _writer(path: Path, kind: Kind, compression: str) -> BagWriter:
+    return Ros2Mcap(path, compression) if kind == "mcap" else open_writer(path, kind, compression)
 
 
 def _check_sound(bag: Bag) -> None:

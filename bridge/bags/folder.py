@@ -27,6 +27,8 @@ class FolderBag(Bag):
         open_file: opens one file.
     """
 
+    _on_damage: Callable[[BagError], None] | None = None
+
     def __init__(self, path: Path, open_file: Callable[[Path], Bag]) -> None:
         super().__init__(path)
         with reading(path):
@@ -69,13 +71,29 @@ class FolderBag(Bag):
         """See `Bag.messages`; files whose times overlap are read one after the other."""
         wanted = None if topics is None else set(topics)
         for part in self._parts:
-            mine = None if wanted is None else [topic for topic in part.topics if self._topic_of[topic] in wanted]
-            for message in part.messages(mine, start_ns, end_ns):
-                data = message.data
-                if self._packed:
-                    with reading(part.path):
-                        data = _unzstd(data)
-                yield message._replace(topic=self._topic_of[message.topic], data=data)
+            try:
+                yield from self._of(part, wanted, start_ns, end_ns)
+            except BagError as err:
+                if self._on_damage is None:
+                    raise
+                self._on_damage(err)
+
+    def _of(
+        self, part: Bag, wanted: set[BagTopic] | None, start_ns: int | None, end_ns: int | None
+    ) -> Iterator[BagMessage]:
+        mine = None if wanted is None else [topic for topic in part.topics if self._topic_of[topic] in wanted]
+        for message in part.messages(mine, start_ns, end_ns):
+            data = message.data
+            if self._packed:
+                with reading(part.path):
+                    data = _unzstd(data)
+            yield message._replace(topic=self._topic_of[message.topic], data=data)
+
+    def skip_damage(self, told: Callable[[BagError], None]) -> None:
+        """See `Bag.skip_damage`: of a file that cannot skip anything, the rest is left out."""
+        self._on_damage = told
+        for part in self._parts:
+            part.skip_damage(told)
 
     def close(self) -> None:
         """See `Bag.close`."""

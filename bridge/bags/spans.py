@@ -29,13 +29,9 @@ class FileSpan(NamedTuple):
 
 
 class SpanBag(Bag):
-    """A bag of spans; subclasses find them, and read the messages of each.
+    """A bag of spans; subclasses find them, and read the messages of each."""
 
-    Attributes:
-        on_damage: takes what is wrong with a piece, which is left out then; None raises it.
-    """
-
-    on_damage: Callable[[BagError], None] | None = None
+    _on_damage: Callable[[BagError], None] | None = None
 
     def __init__(self, path: Path, file: BinaryIO) -> None:
         super().__init__(path)
@@ -76,10 +72,14 @@ class SpanBag(Bag):
             with reading(self.path, span.offset):
                 return self._load(span)
         except BagError as err:
-            if self.on_damage is None:
+            if self._on_damage is None:
                 raise
-            self.on_damage(err)
+            self._on_damage(err)
             return []
+
+    def skip_damage(self, told: Callable[[BagError], None]) -> None:
+        """See `Bag.skip_damage`: a piece is left out."""
+        self._on_damage = told
 
     def close(self) -> None:
         """See `Bag.close`."""

@@ -162,7 +162,8 @@ def check_compression(path: Path, kind: Kind, compression: str) -> None:
 
 
 def open_writer(path: Path, kind: Kind, compression: str) -> BagWriter:
-    """A writer of one of ROS's own formats."""
+    """A writer of one of ROS's own formats, of which MCAP is none."""
+    assert kind != "mcap"
     return Ros1(path, compression) if kind == "bag" else Db3(path)
 
 

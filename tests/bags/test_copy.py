@@ -16,6 +16,8 @@ from mcap_ros2.decoder import DecoderFactory
 from rosbags.highlevel import AnyReader
 from rosbags.interfaces import ConnectionExtRosbag1
 from rosbags.rosbag1 import Writer as Writer1
+from rosbags.rosbag2 import StoragePlugin
+from rosbags.rosbag2 import Writer as Writer2
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from bridge.bags.bag import BagError, BagMessage, Kind
@@ -24,6 +26,7 @@ from bridge.bags.reader import open_bag
 from bridge.messages.registry import Registry
 from tests.bags.written import (
     ROS1,
+    ROS2,
     SECOND,
     START,
     STRING,
@@ -280,3 +283,32 @@ def test_a_chunk_that_was_changed_is_told_of_and_the_rest_is_saved(form: str, tm
     assert 80 < done.messages < 101
     assert [err.offset for err in done.damage] == [caught.value.offset]
     assert len(heard(tmp_path / f"b.{form}")) == done.messages
+
+
+def test_a_folder_of_mcap_is_cut_into_one_file_of_mcap(tmp_path: Path) -> None:
+    with Writer2(tmp_path / "run", version=9, storage_plugin=StoragePlugin.MCAP) as writer:
+        text = writer.add_connection("/text", STRING, typestore=ROS2)
+        for number in range(10):
+            data = bytes(ROS2.serialize_cdr(value(ROS2, STRING, number), STRING))
+            writer.write(text, START + number * SECOND, data)
+    with open_bag(tmp_path / "run") as bag:
+        assert cut(bag, tmp_path / "a.mcap", BagSelection(start_ns=START + 4 * SECOND)).messages == 6
+        assert cut(bag, tmp_path / "b.mcap", mend=True).messages == 10
+    assert [message.data for _, _, message in heard(tmp_path / "a.mcap")] == [f"text {n}" for n in range(4, 10)]
+    assert raw_of(tmp_path / "b.mcap") == raw_of(tmp_path / "run")
+
+
+def test_damage_in_a_file_of_a_folder_costs_its_chunk_alone(tmp_path: Path) -> None:
+    folder = tmp_path / "run"
+    folder.mkdir()
+    for number in range(2):
+        mcap_file(folder / f"run_{number}.mcap", 100, "none")
+    whole = raw_of(folder)
+    broken = bytearray((folder / "run_0.mcap").read_bytes())
+    broken[len(broken) // 2] ^= 0xFF
+    (folder / "run_0.mcap").write_bytes(broken)
+    with open_bag(folder) as bag:
+        done = cut(bag, tmp_path / "a.mcap", mend=True)
+    assert [err.path.name for err in done.damage] == ["run_0.mcap"]
+    assert done.messages == len(raw_of(tmp_path / "a.mcap"))
+    assert 0 < len(whole) - done.messages < 20
