@@ -96,9 +96,9 @@ def test_of_two_types_of_one_name_the_first_is_shown_and_the_other_told(desk: De
 def test_a_client_that_never_reads_holds_nobody_up_and_costs_a_bounded_backlog(desk: Desk) -> None:
     publisher, _ = desk.far._publishers[desk.far.advertise("/blob", "std_msgs/String")]
     with desk.app() as app, desk.app(max_queue=1, close_timeout=0.1) as deaf:
-        deaf.subscribe("/blob")
         app.subscribe("/blob")
         app.until(publisher.matched, "it is heard")
+        deaf.subscribe("/blob")
         word = cdr("x" * 100_000)
         for sent in range(1, 601):  # 60 MB, of which what was not read is dropped
             publisher.put(word)
