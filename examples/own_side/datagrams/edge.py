@@ -173,7 +173,7 @@ class _OwnEnd:
         self._node.publish(self._end, payload, source)
 
     def forget(self, source: str) -> None:
-        self._end.kept.pop(source, None)
+        self._node.forget(self._end, source)
 
     def close(self) -> None:
         self._node.close_end(self._end)

@@ -1,9 +1,10 @@
 """The network: every program sends datagrams of JSON to one multicast group, and all hear all of them.
 
-``{"hello": ID, "node": NAME, "by": "", "ends": {ID: [KIND, TOPIC, TYPE, LATCHED]}, "record": ""}`` twice a second, and
-at once when it changes; ``{"bye": ID}``; ``{"from": ENDPOINT, "topic": TOPIC, "message": {...}}``. What was published
-latched has ``"source"`` and ``"number"`` too, and is sent again to each new subscription of its topic, to that program
-alone. One that was open before its hello arrived hears it both ways, in either order: the numbers tell.
+``{"hello": ID, "node": NAME, "by": "", "ends": {ID: [KIND, TOPIC, TYPE, LATCHED, NUMBERS]}, "record": ""}`` twice a
+second, and at once when it changes; ``{"bye": ID}``; ``{"from": ENDPOINT, "topic": TOPIC, "message": {...}}``. What was
+published latched has ``"source"`` and ``"number"`` too, and the publisher's hello says the numbers of what it keeps. A
+program with a subscription that has not heard one of them, as it came later or the datagram was lost, says
+``{"again": [ENDPOINT]}`` and is sent what is kept, alone. It may hear a message twice, in any order: the numbers tell.
 """
 
 from __future__ import annotations
@@ -37,9 +38,12 @@ class End:
     type: str
     latched: bool
     take: Callable[[bytes, str], None] | None = None
-    kept: dict[str, bytes] = field(default_factory=dict)
+    kept: dict[str, tuple[int, bytes]] = field(default_factory=dict)
+    """Of a latched publisher: number and datagram of the last message of each source."""
     heard: dict[tuple[str, str], int] = field(default_factory=dict)
     """Of a subscription: the last number of each latched publisher and source."""
+    numbers: list[int] = field(default_factory=list)
+    """Of what a publisher keeps, as its program says them."""
 
 
 @dataclass
@@ -53,6 +57,10 @@ class Program:
     by: str = ""
     record: str = ""
     ends: dict[str, End] = field(default_factory=dict)
+
+    def seen(self) -> list[tuple[str, ...]]:
+        """What the graph shows of its endpoints."""
+        return [(e.id, e.kind, e.topic, e.type, str(e.latched)) for e in self.ends.values()]
 
 
 class Node:
@@ -102,6 +110,8 @@ class Node:
         with self._lock:
             self._ends[end.id] = end
         self.hello()
+        for program in list(self.programs.values()):
+            self._ask(program)
         return end
 
     def close_end(self, end: End) -> None:
@@ -113,21 +123,30 @@ class Node:
     def publish(self, end: End, message: bytes, source: str = "") -> None:
         """Send JSON to all; keep it where the publisher is latched. Raises `ValueError` where it fits no datagram."""
         with self._lock:
-            head = {"from": end.id, "topic": end.topic}
+            head, number = {"from": end.id, "topic": end.topic}, next(self._numbers)
             if end.latched:
-                head |= {"source": source, "number": next(self._numbers)}
+                head |= {"source": source, "number": number}
             data = json.dumps(head)[:-1].encode() + b', "message": %b}' % message
             if len(data) > LARGEST:
                 msg = f"a message of {len(message)} bytes on {end.topic}: a datagram takes up to {LARGEST}"
                 raise ValueError(msg)
             if end.latched:
-                end.kept[source] = data
+                end.kept[source] = number, data
+                end.numbers = [number for number, _ in end.kept.values()]
             self._send(data)
+
+    def forget(self, end: End, source: str) -> None:
+        """Keep what this source published no longer."""
+        with self._lock:
+            end.kept.pop(source, None)
+            end.numbers = [number for number, _ in end.kept.values()]
 
     def hello(self) -> None:
         """Say who this is, and what it publishes and hears."""
         with self._lock:
-            ends = {end.id: [end.kind, end.topic, end.type, end.latched] for end in self._ends.values()}
+            ends = {
+                e.id: [e.kind, e.topic, e.type, e.latched, [n for n, _ in e.kept.values()]] for e in self._ends.values()
+            }
             said = {"hello": self.id, "node": self.name, "by": self.by, "record": self.record, "ends": ends}
             self._send(json.dumps(said).encode())
 
@@ -168,8 +187,16 @@ class Node:
             self._message(said)
         elif "hello" in said and said["hello"] != self.id:
             self._hello(said, address)
+        elif "again" in said:
+            self._again(said["again"], address)
         elif "bye" in said:
             self._gone(said["bye"])
+
+    def _again(self, ends: list[str], address: tuple[str, int]) -> None:
+        with self._lock:
+            for end in (self._ends[id_] for id_ in ends if id_ in self._ends):
+                for _, data in end.kept.values():
+                    self._send(data, address)
 
     def _gone(self, program: str) -> None:
         if self.programs.pop(program, None) is None:
@@ -198,13 +225,25 @@ class Node:
     def _hello(self, said: dict[str, Any], address: tuple[str, int]) -> None:
         before = self.programs.get(said["hello"])
         now = Program(said["hello"], address, time.monotonic(), said["node"], said["by"], said["record"])
-        now.ends = {id_: End(id_, str(k), str(t), str(ty), bool(la)) for id_, (k, t, ty, la) in said["ends"].items()}
+        now.ends = {
+            id_: End(id_, str(k), str(t), str(ty), bool(la), numbers=[int(n) for n in numbers])
+            for id_, (k, t, ty, la, numbers) in said["ends"].items()
+        }
         self.programs[now.id] = now
-        known = {} if before is None else before.ends
-        with self._lock:
-            for new in (end for id_, end in now.ends.items() if end.kind == "sub" and end.latched and id_ not in known):
-                for own in (e for e in self._ends.values() if e.kind == "pub" and e.topic == new.topic):
-                    for data in own.kept.values():
-                        self._send(data, address)
-        if before is None or (before.ends, before.record) != (now.ends, now.record):
+        self._ask(now)
+        if before is None or (before.seen(), before.record) != (now.seen(), now.record):
             self._changed()
+
+    def _ask(self, program: Program) -> None:
+        """Ask the program for what it keeps and a latched subscription has not heard."""
+        with self._lock:
+            latched = [e for e in self._ends.values() if e.kind == "sub" and e.latched]
+            behind = [
+                pub.id
+                for pub in program.ends.values()
+                for sub in latched
+                if sub.topic == pub.topic and pub.numbers
+                if set(pub.numbers) - {number for (of, _), number in sub.heard.items() if of == pub.id}
+            ]
+            if behind:
+                self._send(json.dumps({"again": behind}).encode(), program.address)
