@@ -315,7 +315,7 @@ class SimWorker(Worker):
     def start(self, config: Config) -> None:
         """Start the simulation; where it cannot, it is tried again and `health` says why."""
         self._config = config
-        registry = Registry(folders=list(config.types.folders), mapping_rules=list(config.types.mapping_rules))
+        registry = Registry.of(config.types)
         self._running = Running(Simulator, Simulator.name, config.sim, config, registry)
         self._running.start()
 

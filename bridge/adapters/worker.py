@@ -61,7 +61,7 @@ class BridgeWorker(Worker):
         sys.setswitchinterval(SWITCH_INTERVAL)
         keep_memory()
         config = _with_memory(config)
-        registry = Registry(folders=list(config.types.folders), mapping_rules=list(config.types.mapping_rules))
+        registry = Registry.of(config.types)
         working.at(self.side.loading or f"loading the {self.side.name} side")
         for name, edge in make_edges(self.side.name, config, registry, worker_folder(config)).items():
             working.at("opening the hub")

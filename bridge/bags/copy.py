@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import re
 from collections import deque
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
-from fnmatch import fnmatchcase
 from itertools import chain
 from operator import attrgetter
 from pathlib import Path
@@ -20,6 +18,7 @@ from bridge.bags.writers import COMPRESSIONS, BagWriter, check_compression, open
 from bridge.messages.definitions.schema import World
 from bridge.messages.errors import ConversionError
 from bridge.messages.registry import Registry
+from bridge.routing.rules import NameFilter
 
 _LATCHED_DEPTH = 100
 _TOLD_BYTES = 1 << 18
@@ -31,30 +30,23 @@ class BagSelection:
     """Which messages are copied.
 
     Attributes:
-        topics: names or globs; none means all.
-        exclude: regular expressions; a topic in whose name one is found is left out.
+        names: of topics.
         start_ns, end_ns: ``start_ns <= time < end_ns``.
         latched: what latched topics said last before the start comes too, with the start's time.
     """
 
-    topics: tuple[str, ...] = ()
-    exclude: tuple[str, ...] = ()
+    names: NameFilter | None = None
     start_ns: int | None = None
     end_ns: int | None = None
     latched: bool = False
 
     def chosen(self, bag: Bag) -> list[BagTopic]:
         """The topics of a bag; raises `BagError` where a name stands for none."""
-        for name in self.topics:
-            if not any(fnmatchcase(topic.name, name) for topic in bag.topics):
-                raise BagError(bag.path, f"has no topic {name}", None, "'midspan bag info' lists them")
-        out = [re.compile(each) for each in self.exclude]
-        return [
-            topic
-            for topic in bag.topics
-            if (not self.topics or any(fnmatchcase(topic.name, name) for name in self.topics))
-            and not any(each.search(topic.name) for each in out)
-        ]
+        if self.names is None:
+            return list(bag.topics)
+        for name in self.names.idle(topic.name for topic in bag.topics):
+            raise BagError(bag.path, f"has no topic {name}", None, "'midspan bag info' lists them")
+        return [topic for topic in bag.topics if self.names.wants(topic.name)]
 
 
 @dataclass
@@ -141,7 +133,7 @@ def cut(
     with written_whole(target, bag.kind) as making:
         if isinstance(bag, McapBag):
             copier = McapCopy(making, compression or usual, bag)
-            if not (mend or choice.topics or choice.exclude or choice.latched):
+            if not (mend or choice.names or choice.latched):
                 _copy_chunks(bag, copier, choice, compression or usual, done, told)
                 return done
         writer = copier if isinstance(bag, McapBag) else _writer(making, bag.kind, compression or usual)

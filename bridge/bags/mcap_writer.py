@@ -15,6 +15,7 @@ from typing import BinaryIO, Literal
 from mcap.writer import CompressionType, Writer
 
 from bridge import __version__
+from bridge.bags.qos import qos_yaml
 from bridge.hub.graph.tokens import Origin
 from bridge.hub.wire.qos import Qos
 
@@ -25,8 +26,6 @@ CHUNK_BYTES = 1 << 20
 """Uncompressed bytes from which a chunk is closed; one larger message makes a chunk of its own."""
 
 _COMPRESSIONS = {"zstd": CompressionType.ZSTD, "lz4": CompressionType.LZ4, "none": CompressionType.NONE}
-_INFINITE_S, _INFINITE_NS = 9_223_372_036, 854_775_807
-_NS = 1_000_000_000
 _NESTED = re.compile(r"(?m)^((?:MSG: )?\w+)/(?:action|srv)/(\w+)")
 _UNBOUNDED = 1 << 62
 _RECORD = 31
@@ -138,29 +137,3 @@ def ros2msg(definition: str) -> str:
     The hash of such a type is not that of the text any more; it stands in the channel's metadata.
     """
     return _NESTED.sub(r"\1/\2", definition)
-
-
-def qos_yaml(offered: tuple[Qos, ...]) -> str:
-    """QoS profiles as rosbag2 writes them since version 9 of its metadata: YAML with the policies' names."""
-    return "\n".join(_profile(qos) for qos in offered)
-
-
-def _profile(qos: Qos) -> str:
-    return "\n".join(
-        (
-            f"- history: {qos.history.name.lower()}",
-            f"  depth: {qos.depth}",
-            f"  reliability: {qos.reliability.name.lower()}",
-            f"  durability: {qos.durability.name.lower()}",
-            f"  deadline: {_time(qos.deadline_ns)}",
-            f"  lifespan: {_time(qos.lifespan_ns)}",
-            "  liveliness: automatic",
-            f"  liveliness_lease_duration: {_time(None)}",
-            "  avoid_ros_namespace_conventions: false",
-        )
-    )
-
-
-def _time(nanoseconds: int | None) -> str:
-    sec, nsec = (_INFINITE_S, _INFINITE_NS) if nanoseconds is None else divmod(nanoseconds, _NS)
-    return f"{{sec: {sec}, nsec: {nsec}}}"

@@ -32,6 +32,36 @@ def parse_qos(text: str) -> Qos:
     )
 
 
+def qos_yaml(offered: tuple[Qos, ...]) -> str:
+    """QoS profiles as rosbag2 writes them since version 9 of its metadata: YAML with the policies' names."""
+    return "\n".join(_profile(qos) for qos in offered)
+
+
+def _profile(qos: Qos) -> str:
+    return "\n".join(
+        (
+            f"- history: {qos.history.name.lower()}",
+            f"  depth: {qos.depth}",
+            f"  reliability: {qos.reliability.name.lower()}",
+            f"  durability: {qos.durability.name.lower()}",
+            f"  deadline: {_yaml_time(qos.deadline_ns)}",
+            f"  lifespan: {_yaml_time(qos.lifespan_ns)}",
+            "  liveliness: automatic",
+            f"  liveliness_lease_duration: {_yaml_time(None)}",
+            "  avoid_ros_namespace_conventions: false",
+        )
+    )
+
+
+def _yaml_time(nanoseconds: int | None) -> str:
+    return "{{sec: {}, nsec: {}}}".format(*rosbag2_time(nanoseconds))
+
+
+def rosbag2_time(nanoseconds: int | None) -> tuple[int, int]:
+    """Seconds and nanoseconds of a QoS profile; None is for ever."""
+    return (9_223_372_036, 854_775_807) if nanoseconds is None else divmod(nanoseconds, 1_000_000_000)
+
+
 def load_yaml(text: str) -> Any:
     """A YAML document of plain values; raises `yaml.YAMLError`. By libyaml, which is quicker, where it is there."""
     import yaml

@@ -15,6 +15,7 @@ from typing import Any
 
 from bridge.bags.bag import BagError, BagTopic, Kind
 from bridge.bags.conversion import TopicForm
+from bridge.bags.qos import rosbag2_time
 
 COMPRESSIONS: dict[Kind, tuple[str, ...]] = {
     "mcap": ("zstd", "lz4", "none"), "bag": ("none", "lz4", "bz2"), "db3": ("none",),
@@ -25,7 +26,6 @@ _MAX_SECONDS = 1 << 32
 _UNKNOWN_HASH = "INVALID"
 """What rosidl's own text of a type hash is where there is none (rosidl_runtime_c, type_hash.c)."""
 
-_INFINITE_S, _INFINITE_NS = 9_223_372_036, 854_775_807
 _NS = 1_000_000_000
 
 
@@ -135,7 +135,7 @@ def _profile(topic: BagTopic) -> Any:
     from rosbags.interfaces import Qos, QosDurability, QosHistory, QosLiveliness, QosReliability, QosTime
 
     def time(nanoseconds: int | None) -> Any:
-        return QosTime(*((_INFINITE_S, _INFINITE_NS) if nanoseconds is None else divmod(nanoseconds, _NS)))
+        return QosTime(*rosbag2_time(nanoseconds))
 
     qos = topic.qos
     return Qos(

@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 import argparse
+import re
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 Run = Callable[[argparse.Namespace], int]
+
+_SPAN = re.compile(r"(\d+(?:\.\d+)?)\s*(ms|s|min|m|h|)", re.IGNORECASE)
+_SECONDS = {"": 1.0, "s": 1.0, "ms": 0.001, "m": 60.0, "min": 60.0, "h": 3600.0}
 
 
 def add_verb(
@@ -47,6 +51,31 @@ def add_hub_arguments(parser: argparse.ArgumentParser) -> None:
     add_config(group)
     group.add_argument("--router", metavar="ENDPOINT", help="zenoh endpoint of the router, as tcp/192.168.1.4:7447")
     group.add_argument("--hub-domain", type=int, metavar="N", help="the hub's domain; default the configuration's")
+
+
+def add_exclude(parser: argparse._ActionsContainer) -> None:
+    """``--exclude``, as all verbs that choose topics have it."""
+    parser.add_argument(
+        "-x", "--exclude", action="append", default=[], type=expression, metavar="RE",
+        help="leave out topics in whose name this regular expression is found; may be repeated",
+    )  # fmt: skip
+
+
+def expression(text: str) -> str:
+    """The type of an argument that takes a regular expression."""
+    try:
+        re.compile(text)
+    except re.error as err:
+        raise argparse.ArgumentTypeError(f"{text!r} is no regular expression: {err}") from None
+    return text
+
+
+def span(text: str) -> float:
+    """The type of an argument that takes a time: ``10m``, ``90s``, ``1.5h``, ``30`` (seconds)."""
+    found = _SPAN.fullmatch(text.strip())
+    if found is None:
+        raise argparse.ArgumentTypeError(f"{text!r} is no time: write it as 30s, 10m or 1h")
+    return float(found[1]) * _SECONDS[found[2].lower()]
 
 
 def number_in(least: float, most: float) -> Callable[[str], float]:

@@ -50,8 +50,7 @@ class CliClient:
         """The message types known here, by the configuration's folders and rules."""
         from bridge.messages.registry import Registry  # many verbs need no types
 
-        types = self.config.types
-        return Registry(folders=list(types.folders), mapping_rules=list(types.mapping_rules))
+        return Registry.of(self.config.types)
 
     def settle(self) -> None:
         """Wait until the hub's graph is known here: all that the router knew, and nothing new for a moment."""

@@ -7,7 +7,13 @@ import os
 import select
 from collections.abc import Iterator
 
-from bridge.cli.output import CliError
+try:
+    import termios
+    import tty
+except ImportError:  # Windows has no such terminals
+    AVAILABLE = False
+else:
+    AVAILABLE = True
 
 GONE = "\x04"
 """Ctrl-D, and what comes once the terminal is gone."""
@@ -28,12 +34,7 @@ def pressed(terminal: int, seconds: float) -> Iterator[str]:
 
 @contextlib.contextmanager
 def raw(terminal: int) -> Iterator[int]:
-    """A terminal that gives each key at once and shows none; raises `CliError` where the system has no such."""
-    try:
-        import termios
-        import tty
-    except ImportError:
-        raise CliError("keys are read from a POSIX terminal; 'midspan topic pub' publishes from any system") from None
+    """A terminal that gives each key at once and shows none; where they are `AVAILABLE`."""
     before = termios.tcgetattr(terminal)
     try:
         tty.setcbreak(terminal)

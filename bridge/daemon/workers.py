@@ -7,6 +7,7 @@ arguments; it then runs in the daemon's own environment.
 from __future__ import annotations
 
 import importlib
+import importlib.util
 import os
 import site
 import sys
@@ -30,8 +31,9 @@ class WorkerKind:
     """One kind of worker.
 
     Its own process imports ``factory`` (``module:Class``). Changes outside ``sections`` of the configuration do not
-    touch it. ``environment`` is a module with ``available(config)`` and ``worker_environment(config, environ)``. A
-    worker that ``outlives`` goes on when the daemon dies, and the next daemon adopts it.
+    touch it. ``environment`` is a module with ``available(config)`` and ``worker_environment(config, environ)``. One
+    without imports what it ``needs``, which pip's ``extra`` brings. A worker that ``outlives`` goes on when the daemon
+    dies, and the next daemon adopts it.
     """
 
     name: str
@@ -39,6 +41,8 @@ class WorkerKind:
     arguments: tuple[str, ...] = ()
     sections: frozenset[str] = frozenset()
     environment: str = ""
+    needs: tuple[str, ...] = ()
+    extra: str = ""
     outlives: bool = False
 
     def create(self) -> Worker:
@@ -59,10 +63,11 @@ class WorkerKind:
 
     def missing(self, config: Config) -> str:
         """Why it cannot run on this machine, "" where it can."""
-        if not self.environment:
-            return ""
-        reason: str = importlib.import_module(self.environment).available(config)
-        return reason
+        if self.environment:
+            reason: str = importlib.import_module(self.environment).available(config)
+            return reason
+        missing = [name for name in self.needs if importlib.util.find_spec(name) is None]
+        return f"{', '.join(missing)} cannot be imported; pip install 'midspan[{self.extra}]'" if missing else ""
 
     def child_environment(self, config: Config, environ: Mapping[str, str] = os.environ) -> dict[str, str]:
         """The environment that its process is started with; raises `RuntimeError` where it has none here."""
@@ -91,6 +96,8 @@ def _of_side(side: Side) -> WorkerKind:
     return WorkerKind(side.name, "bridge.adapters.worker:BridgeWorker", (side.name,), sections, side.environment)
 
 
+_WEB = ("starlette", "uvicorn", "websockets")
+
 WORKERS = (
     WorkerKind("router", "bridge.hub.router:RouterWorker", outlives=True),
     *map(_of_side, all_sides()),
@@ -114,19 +121,22 @@ WORKERS = (
         "web",
         "bridge.web.worker:WebWorker",
         sections=frozenset({"web", "metrics", "navigation", "modules", "types", "limits"}),
-        environment="bridge.web.environment",
+        needs=_WEB,
+        extra="web",
     ),
     WorkerKind(
         "foxglove",
         "bridge.foxglove.worker:FoxgloveWorker",
         sections=frozenset({"foxglove", "web", "navigation", "types", "limits", "clock", "routing"}),
-        environment="bridge.foxglove.environment",
+        needs=("foxglove",),
+        extra="foxglove",
     ),
     WorkerKind(
         "metrics",
         "bridge.web.metrics_worker:MetricsWorker",
         sections=frozenset({"metrics", "web", "clock", "types", "modules", "navigation"}),
-        environment="bridge.web.environment",
+        needs=_WEB,
+        extra="web",
     ),
 )
 
@@ -138,7 +148,7 @@ def worker_kinds(environ: Mapping[str, str] = os.environ) -> dict[str, WorkerKin
         name, _, factory = entry.partition("=")
         if name not in kinds or ":" not in factory:
             raise RuntimeError(f"${VARIABLE}: {entry!r} is not NAME=module:Class with a NAME of {', '.join(kinds)}")
-        kinds[name] = replace(kinds[name], factory=factory, arguments=(), environment="")
+        kinds[name] = replace(kinds[name], factory=factory, arguments=(), environment="", needs=())
     return kinds
 
 

@@ -14,13 +14,13 @@ from typing import Any
 from bridge.cli.client import connect
 from bridge.cli.output import CliError
 from bridge.config.load import load
+from bridge.daemon.workers import worker_kinds
 from bridge.demo.processes import Program
 from bridge.demo.progress import STILL_SECONDS, DemoRun, Part
 from bridge.demo.sandbox import SYSTEM_PYTHON, Sandbox
 from bridge.demo.shutdown import Shutdown, end_all
 from bridge.demo.tracking import RobotTracker
 from bridge.shipped import shipped_folder
-from bridge.web import environment as web
 from yarp_compat.naming import connections
 from yarp_compat.naming.client import NameClient
 from yarp_compat.naming.config import Address
@@ -194,7 +194,7 @@ def laid_over(template: Path) -> dict[str, Any]:
     return {
         "store": {key: str(file) for key, file in files.items() if file is not None},
         "sim": {"people": False},
-        "web": {"enabled": not web.available(config)},
+        "web": {"enabled": not worker_kinds()["web"].missing(config)},
     }
 
 

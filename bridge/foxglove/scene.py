@@ -49,7 +49,6 @@ _ROBOT, _PLACE, _AREA, _PATH = (
 )  # fmt: skip
 _LINE = 0.03
 _LETTERS = 0.2
-_CORNERS = 24
 
 
 class Scene(Feed):
@@ -115,10 +114,12 @@ class Scene(Feed):
 
     def _update(self, now: int) -> SceneUpdate:
         """All there is, in place of all that was."""
+        from bridge.web.robot import disc  # it follows the gateway, too: who needs no scene does without
+
         at = Timestamp(*divmod(now, 1_000_000_000))
         every = SceneEntityDeletion(timestamp=at, type=SceneEntityDeletionType.All)
         section = self._config.web
-        corners = section.footprint or _disc(section.radius)
+        corners = section.footprint or disc(section.radius)
         robot = SceneEntity(
             timestamp=at, frame_id=self._config.navigation.base_frame, id="robot", frame_locked=True,
             lines=[_loop(corners, _ROBOT)], arrows=[_arrow(0.0, 0.0, 0.0, section.radius, _ROBOT)],
@@ -189,8 +190,3 @@ def _label(text: str, x: float, y: float, color: Color) -> TextPrimitive:
 def _pose(x: float, y: float, theta: float, z: float = 0.0) -> Pose:
     turn = Quaternion(z=math.sin(theta / 2), w=math.cos(theta / 2))
     return Pose(position=Vector3(x=float(x), y=float(y), z=z), orientation=turn)
-
-
-def _disc(radius: float) -> list[tuple[float, float]]:
-    turns = (math.tau * corner / _CORNERS for corner in range(_CORNERS))
-    return [(radius * math.cos(turn), radius * math.sin(turn)) for turn in turns]

@@ -79,8 +79,8 @@ class Live:
     """The parts of the server, put together."""
 
     def __init__(self, config: Config) -> None:
-        section, types = config.foxglove, config.types
-        registry = Registry(folders=list(types.folders), mapping_rules=list(types.mapping_rules))
+        section = config.foxglove
+        registry = Registry.of(config.types)
         self._tls = _tls(config) if section.guarded else None
         self._visitors = Visitors()
         self.host = host = Host("foxglove", config, registry)

@@ -9,6 +9,7 @@ from __future__ import annotations
 import threading
 from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import Protocol, Self
 
 from bridge.messages.definitions.library import DefinitionLibrary
 from bridge.messages.definitions.names import is_ros1_name, is_ros2_name
@@ -22,6 +23,16 @@ from bridge.messages.mapping.messages import ANY_MD5, MessageMapping
 from bridge.messages.mapping.rules import Rules
 from bridge.messages.mapping.services import ServiceMapping, ServiceSchema, ros1_service, ros2_service
 from bridge.messages.transcode.conversion import Conversion, Convert, ServiceConversion, SideType, check_cdr
+
+
+class _Types(Protocol):
+    """The part ``types`` of a configuration."""
+
+    @property
+    def folders(self) -> Sequence[Path]: ...
+
+    @property
+    def mapping_rules(self) -> Sequence[Path]: ...
 
 
 class Registry:
@@ -50,6 +61,11 @@ class Registry:
         self._messages = MessageMapping(self._ros1, self._ros2, Rules(mapping_rules))
         self._services = ServiceMapping(self._messages)
         self._actions = ActionMapping(self._messages)
+
+    @classmethod
+    def of(cls, types: _Types) -> Self:
+        """The registry that a configuration's part ``types`` asks for."""
+        return cls(types.folders, types.mapping_rules)
 
     def ros1(self, name: str) -> SideType:
         """The ROS 1 type ``name``; where ROS 2 alone has it, the one derived from there."""

@@ -203,7 +203,7 @@ class ModulesWorker(Worker):
         """Start the modules; one that cannot start does not keep the others from it."""
         sys.setswitchinterval(SWITCH_INTERVAL)
         self._config = config
-        self._registry = Registry(folders=list(config.types.folders), mapping_rules=list(config.types.mapping_rules))
+        self._registry = Registry.of(config.types)
         self._shared = Shared(config, self._only)
         for name, section in self._sections(config).items():
             self._start(name, section, config, self._registry, self._shared)

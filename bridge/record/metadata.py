@@ -9,7 +9,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from bridge.bags.mcap_writer import ChannelInfo, qos_yaml
+from bridge.bags.mcap_writer import ChannelInfo
+from bridge.bags.qos import qos_yaml
 from bridge.record.file import Written
 
 VERSION = 9

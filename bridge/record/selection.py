@@ -2,33 +2,27 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Sequence
 
 from bridge.config.sections.record import RecordSection
 from bridge.hub.graph.tokens import Origin
 from bridge.modules.hub_topics import HubTopic
 from bridge.routing.gates import TAPS
-from bridge.routing.rules import glob_regex
+from bridge.routing.rules import NameFilter
 
 
 class Selection:
     """Chooses by name and side.
 
     Attributes:
+        name: whether a topic of this name is recorded.
         sides: those from which messages are taken; none: all.
     """
 
     def __init__(self, section: RecordSection) -> None:
-        self._globs = [glob_regex(glob) for glob in section.topics]
+        self.name = NameFilter(section.topics, section.exclude).wants
         self._named = {glob for glob in section.topics if not set("*?") & set(glob)}
-        self._exclude = [re.compile(expression) for expression in section.exclude]
         self.sides: Sequence[str] = section.sides
-
-    def name(self, name: str) -> bool:
-        """Whether a topic of this name is recorded."""
-        wanted = any(glob.fullmatch(name) for glob in self._globs)
-        return wanted and not any(expression.search(name) for expression in self._exclude)
 
     def wants(self, topic: HubTopic) -> bool:
         """Whether a topic on the hub is recorded; of what workers show on request (a tap) what was asked for."""

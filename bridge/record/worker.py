@@ -44,8 +44,7 @@ class Recording:
     """
 
     def __init__(self, name: str, config: Config, section: RecordSection, place: RecordPlace) -> None:
-        types = config.types
-        registry = Registry(folders=list(types.folders), mapping_rules=list(types.mapping_rules))
+        registry = Registry.of(config.types)
         self.host = Host(name, config, registry)
         self._changed = Event()
         about = {"daemon": config.name, "version": __version__}

@@ -43,6 +43,35 @@ def rename_glob(match: re.Match[str], new: str) -> str:
     return renamed.rstrip("/") or "/"
 
 
+class NameFilter:
+    """Chooses topics by name: those that a glob fits, less those in which an expression is found.
+
+    Args:
+        globs: as rules have them; one without its slash at the start gets it, as does each name that is asked about.
+        exclude: regular expressions.
+    """
+
+    def __init__(self, globs: Iterable[str] = ("/**",), exclude: Iterable[str] = ()) -> None:
+        self._globs = {glob: glob_regex(_slashed(glob)) for glob in globs}
+        self._exclude = [re.compile(expression) for expression in exclude]
+
+    def wants(self, name: str) -> bool:
+        """Whether a topic of this name is chosen."""
+        name = _slashed(name)
+        return any(glob.fullmatch(name) for glob in self._globs.values()) and not any(
+            expression.search(name) for expression in self._exclude
+        )
+
+    def idle(self, names: Iterable[str]) -> list[str]:
+        """The globs that fit none of these names."""
+        known = list(map(_slashed, names))
+        return [glob for glob, regex in self._globs.items() if not any(map(regex.fullmatch, known))]
+
+
+def _slashed(name: str) -> str:
+    return name if name.startswith("/") else f"/{name}"
+
+
 @functools.cache
 def _patterns(side: str, kind: str) -> tuple[tuple[re.Pattern[str], str], ...]:
     found = all_networks().get(side)

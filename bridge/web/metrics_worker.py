@@ -101,6 +101,5 @@ class MetricsWorker(Worker):
 def _teller(config: Config, hub: Hub, source: Source) -> DiagnosticsTeller:
     clock = RunClock(simulated=config.clock.simulated)
     follow_clock(clock, hub)
-    types = config.types
-    registry = Registry(folders=list(types.folders), mapping_rules=list(types.mapping_rules))
+    registry = Registry.of(config.types)
     return DiagnosticsTeller(config, hub, registry, clock, source)

@@ -90,8 +90,7 @@ class Console:
 
     def __init__(self, config: Config) -> None:
         section = config.web
-        types = config.types
-        registry = Registry(folders=list(types.folders), mapping_rules=list(types.mapping_rules))
+        registry = Registry.of(config.types)
         pictures = Pictures()
         self._tls = ServerTls(config) if section.guarded else None
         access = Access(section, kept_secret(worker_folder(config)) if section.guarded else b"")

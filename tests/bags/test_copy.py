@@ -24,6 +24,7 @@ from bridge.bags.bag import BagError, BagMessage, Kind
 from bridge.bags.copy import BagSelection, Copied, convert, cut
 from bridge.bags.reader import open_bag
 from bridge.messages.registry import Registry
+from bridge.routing.rules import NameFilter
 from tests.bags.written import (
     ROS1,
     ROS2,
@@ -34,6 +35,7 @@ from tests.bags.written import (
     long_mcap,
     mcap_bytes,
     mcap_file,
+    nobody_knows,
     ros1_bag,
     value,
 )
@@ -129,19 +131,6 @@ def test_a_type_of_the_bag_alone_goes_round(tmp_path: Path) -> None:
     assert raw_of(source) == raw_of(tmp_path / "d.bag")
 
 
-def nobody_knows(path: Path) -> Path:
-    """A file whose one type has no definition anywhere, beside one that is known."""
-    stream = io.BytesIO()
-    writer = Writer(stream)
-    writer.start("ros2", "test")
-    for topic, name in {"/odd": "none_msgs/msg/None", "/known": STRING}.items():
-        channel = writer.register_channel(topic, "cdr", writer.register_schema(name, "", b""))
-        writer.add_message(channel, START, b"\0\1\0\0\x03\0\0\0hi\0", START)
-    writer.finish()
-    path.write_bytes(stream.getvalue())
-    return path
-
-
 def test_a_type_without_counterpart_is_named_or_left_out(registry: Registry, tmp_path: Path) -> None:
     source = nobody_knows(tmp_path / "a.mcap")
     with pytest.raises(BagError, match=r"/odd has type none_msgs/msg/None.*--skip-unknown"):
@@ -228,10 +217,11 @@ def test_a_cut_of_mcap_keeps_what_only_others_understand(tmp_path: Path) -> None
 
 def test_topics_are_chosen_by_name_and_glob(registry: Registry, tmp_path: Path) -> None:
     source = mcap_file(tmp_path / "a.mcap")
-    assert copied(source, tmp_path / "b.mcap", registry, choice=BagSelection(("/map*",))).messages == 1
-    assert copied(source, tmp_path / "c.mcap", registry, choice=BagSelection(exclude=("^/map",))).messages == 20
+    assert copied(source, tmp_path / "b.mcap", registry, choice=BagSelection(NameFilter(["map*"]))).messages == 1
+    rest = BagSelection(NameFilter(exclude=["^/map"]))
+    assert copied(source, tmp_path / "c.mcap", registry, choice=rest).messages == 20
     with pytest.raises(BagError, match="has no topic /nowhere"):
-        copied(source, tmp_path / "d.mcap", registry, choice=BagSelection(("/nowhere",)))
+        copied(source, tmp_path / "d.mcap", registry, choice=BagSelection(NameFilter(["/pose", "/nowhere"])))
 
 
 def test_what_a_killed_recorder_left_is_mended(tmp_path: Path) -> None:

@@ -6,6 +6,7 @@ import io
 from pathlib import Path
 from typing import Any
 
+from mcap.writer import Writer
 from rosbags.interfaces import Qos as BagQos
 from rosbags.interfaces import QosDurability, QosHistory, QosLiveliness, QosReliability, QosTime
 from rosbags.rosbag1 import Writer as Writer1
@@ -103,6 +104,19 @@ def mcap_bytes(count: int = 20, compression: Compression = "zstd", *, finished: 
 def mcap_file(path: Path, count: int = 20, compression: Compression = "zstd", *, finished: bool = True) -> Path:
     """The same as a file of MCAP."""
     path.write_bytes(mcap_bytes(count, compression, finished=finished))
+    return path
+
+
+def nobody_knows(path: Path) -> Path:
+    """A file whose one type has no definition anywhere, beside one that is known."""
+    stream = io.BytesIO()
+    writer = Writer(stream)
+    writer.start("ros2", "test")
+    for topic, name in {"/odd": "none_msgs/msg/None", "/known": STRING}.items():
+        channel = writer.register_channel(topic, "cdr", writer.register_schema(name, "", b""))
+        writer.add_message(channel, START, b"\0\1\0\0\x03\0\0\0hi\0", START)
+    writer.finish()
+    path.write_bytes(stream.getvalue())
     return path
 
 

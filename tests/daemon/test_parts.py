@@ -223,9 +223,19 @@ def test_state_folder(environ: dict[str, str], folder: str) -> None:
 def test_table_of_workers() -> None:
     kinds = worker_kinds({VARIABLE: "ros1=a.b:C"})
     assert (kinds["ros1"].factory, kinds["ros1"].arguments, kinds["ros1"].environment) == ("a.b:C", (), "")
+    assert worker_kinds({VARIABLE: "web=a.b:C"})["web"].needs == ()
     assert kinds["ros2"].factory == "bridge.adapters.worker:BridgeWorker"
     with pytest.raises(RuntimeError, match="is not NAME=module:Class with a NAME of router, ros1, ros2"):
         worker_kinds({VARIABLE: "ros3=a:B"})
+
+
+def test_a_worker_says_what_it_lacks_and_the_extra_that_brings_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    kinds = worker_kinds({})
+    assert [kind.missing(Config()) for kind in (kinds["router"], kinds["web"], kinds["foxglove"])] == ["", "", ""]
+    monkeypatch.setattr("importlib.util.find_spec", lambda name: None if name != "uvicorn" else name)
+    assert kinds["router"].missing(Config()) == ""
+    assert kinds["metrics"].missing(Config()) == "starlette, websockets cannot be imported; pip install 'midspan[web]'"
+    assert kinds["foxglove"].missing(Config()) == "foxglove cannot be imported; pip install 'midspan[foxglove]'"
 
 
 def test_workers_environment_is_not_the_daemons() -> None:

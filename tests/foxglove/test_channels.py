@@ -104,6 +104,8 @@ def test_a_client_that_never_reads_holds_nobody_up_and_costs_a_bounded_backlog(d
             publisher.put(word)
             app.received("/blob", sent)
         assert len(app.messages["/blob"]) == 600
+        heard, unheard = (client["bytes"] for client in desk.status()["clients"])
+        assert 100e3 < unheard < 30e6 < 60e6 < heard
 
 
 FRAMES: tuple[str | bytes, ...] = (

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 
+from bridge.config.model import TypesSection
 from bridge.messages.errors import MessageTypeError
 from bridge.messages.json import from_json, to_json
 from bridge.messages.registry import Registry
@@ -47,6 +48,18 @@ def test_nothing_is_read_before_it_is_asked_for(monkeypatch: pytest.MonkeyPatch)
 
     monkeypatch.setattr("bridge.messages.definitions.sources.read_text", refuse)
     Registry(folders=[DATA])
+
+
+def test_a_configuration_names_folders_and_mapping_rules(tmp_path: Path):
+    package = tmp_path / "new_msgs" / "msg"
+    package.mkdir(parents=True)
+    (package / "Place.msg").write_text("int32 east\n")
+    rules = tmp_path / "rules.yaml"
+    rules.write_text("- {ros1_package_name: old_msgs, ros2_package_name: new_msgs}\n")
+    types = TypesSection(folders=(tmp_path,), mapping_rules=(rules,))
+    registry = Registry.of(types)
+    registry.learn_ros1("old_msgs/Place", "int32 east\n")
+    assert registry.hub_to_ros1("new_msgs/msg/Place").target.name == "old_msgs/Place"
 
 
 def test_converters_are_made_once(registry: Registry):

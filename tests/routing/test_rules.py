@@ -6,7 +6,7 @@ import pytest
 
 from bridge.config.sections.routing import RoutingSection
 from bridge.hub.wire.qos import Durability, Qos, Reliability
-from bridge.routing.rules import RuleSet
+from bridge.routing.rules import NameFilter, RuleSet
 
 STRING = "std_msgs/msg/String"
 
@@ -100,3 +100,16 @@ def test_qos_and_depth_are_overridden() -> None:
         "ros1", "/a", STRING
     )
     assert policy.override(Qos()) == Qos(Reliability.BEST_EFFORT, Durability.TRANSIENT_LOCAL, depth=3)
+
+
+def test_names_are_chosen_as_in_rules() -> None:
+    names = ["/camera", "/camera/a/b", "/scan", "/scan/raw", "tf"]
+    for globs, exclude, wanted in (
+        (["/**"], [], names),
+        (["/camera/**", "tf"], [], ["/camera", "/camera/a/b", "tf"]),
+        (["/s*"], [], ["/scan"]),
+        (["scan/*", "/t?"], [], ["/scan/raw", "tf"]),
+        (["/**"], ["raw$", "^/cam"], ["/scan", "tf"]),
+    ):
+        assert list(filter(NameFilter(globs, exclude).wants, names)) == wanted, (globs, exclude)
+    assert NameFilter(["/scan", "s*", "/gone/**", "/camera"], ["scan"]).idle(names) == ["/gone/**"]

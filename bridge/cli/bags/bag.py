@@ -3,16 +3,15 @@
 from __future__ import annotations
 
 import argparse
-import re
 import sys
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from datetime import datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from bridge.cli.arguments import add_verb, add_verbs
+from bridge.cli.arguments import add_config, add_exclude, add_verb, add_verbs, span
 from bridge.cli.output import CliError, clean, duration, make_console, plural, print_json, rate, size
 
 if TYPE_CHECKING:
@@ -21,10 +20,7 @@ if TYPE_CHECKING:
 
 _NS = 1_000_000_000
 _UNIX = 1e8
-"""A plain number from here on is a time of the clock, below it one of the bag."""
-
-_OFFSET = re.compile(r"(\d+(?:\.\d+)?)\s*(ms|s|min|m|h|)", re.IGNORECASE)
-_SECONDS = {"": 1.0, "s": 1.0, "ms": 0.001, "m": 60.0, "min": 60.0, "h": 3600.0}
+"""Seconds from here on are a time of the clock, below it one of the bag."""
 
 
 def register(parser: argparse.ArgumentParser) -> None:
@@ -46,6 +42,7 @@ def register(parser: argparse.ArgumentParser) -> None:
     )  # fmt: skip
     convert.add_argument("--skip-unknown", action="store_true", help="leave out topics whose type has no counterpart")
     convert.add_argument("--skip-bad", action="store_true", help="leave out messages that are not what their type says")
+    add_config(convert)
     cut = add_verb(
         verbs, "cut", _cut, "copy a part of a bag, in its format",
         "Copies a part of a bag into the same format, the messages as they are.",
@@ -64,12 +61,9 @@ def register(parser: argparse.ArgumentParser) -> None:
         verb.add_argument("--json", action="store_true", help="tell as JSON what was done")
     for verb in (convert, cut):
         verb.add_argument(
-            "--topics", nargs="+", action="extend", default=[], metavar="TOPIC", help="names or globs, as '/camera/*'"
+            "--topics", nargs="+", action="extend", metavar="TOPIC", help="names or globs, as '/camera/**'"
         )
-        verb.add_argument(
-            "-x", "--exclude", action="append", default=[], type=_pattern, metavar="RE",
-            help="leave out topics in whose name this regular expression is found; may be repeated",
-        )  # fmt: skip
+        add_exclude(verb)
         verb.add_argument(
             "--start",
             type=_moment,
@@ -82,20 +76,10 @@ def register(parser: argparse.ArgumentParser) -> None:
         )
 
 
-def _pattern(text: str) -> str:
-    try:
-        re.compile(text)
-    except re.error as err:
-        raise argparse.ArgumentTypeError(f"{text!r} is no regular expression: {err}") from None
-    return text
-
-
 def _moment(text: str) -> tuple[bool, int]:
     """Whether it is a time of the clock, and nanoseconds: since 1970, or since the bag's start."""
-    found = _OFFSET.fullmatch(text.strip())
-    if found is not None:
-        value = float(found[1]) * _SECONDS[found[2].lower()]
-        return not found[2] and value >= _UNIX, round(value * _NS)
+    with suppress(argparse.ArgumentTypeError):
+        return (value := span(text)) >= _UNIX, round(value * _NS)
     try:
         return True, round(datetime.fromisoformat(text).timestamp() * _NS)
     except ValueError:
@@ -117,13 +101,15 @@ def _opened(path: Path) -> Iterator[Bag]:
 
 def _choice(args: argparse.Namespace, bag: Bag) -> BagSelection:
     from bridge.bags.copy import BagSelection
+    from bridge.routing.rules import NameFilter
 
     start, end = (
         None if moment is None else moment[1] + (0 if moment[0] else bag.start_ns) for moment in (args.start, args.end)
     )
     if start is not None and end is not None and end <= start:
         raise CliError("--end is not after --start")
-    return BagSelection(tuple(args.topics), tuple(args.exclude), start, end, args.latched)
+    names = NameFilter(args.topics or ["/**"], args.exclude) if args.topics or args.exclude else None
+    return BagSelection(names, start, end, args.latched)
 
 
 def _info(args: argparse.Namespace) -> int:
@@ -204,15 +190,17 @@ def _print_info(told: dict[str, Any]) -> None:
 def _convert(args: argparse.Namespace) -> int:
     from bridge.bags.copy import convert
     from bridge.bags.writers import kind_of
+    from bridge.config.load import load
     from bridge.messages.registry import Registry
 
+    registry = Registry.of(load(args.config).types)
     with _opened(args.bag) as bag:
         kind = kind_of(args.out)
         choice = _choice(args, bag)
         begun = time.monotonic()
         with _progress(bag) as told:
             done = convert(
-                bag, args.out, kind, Registry(), choice, args.compression or "",
+                bag, args.out, kind, registry, choice, args.compression or "",
                 skip_unknown=args.skip_unknown, skip_bad=args.skip_bad, told=told,
             )  # fmt: skip
         if bag.trouble is not None:
@@ -222,37 +210,29 @@ def _convert(args: argparse.Namespace) -> int:
 
 
 def _cut(args: argparse.Namespace) -> int:
-    from bridge.bags.copy import cut
-
-    with _opened(args.bag) as bag:
-        _same_format(args, bag)
-        choice = _choice(args, bag)
-        begun = time.monotonic()
-        with _progress(bag) as told:
-            done = cut(bag, args.out, choice, args.compression or "", told=told)
-        if bag.trouble is not None:
-            done.damage.append(bag.trouble)
-    _tell(args, done, time.monotonic() - begun)
-    return 0
+    return _cut_or_mend(args, mend=False)
 
 
 def _mend(args: argparse.Namespace) -> int:
+    return _cut_or_mend(args, mend=True)
+
+
+def _cut_or_mend(args: argparse.Namespace, *, mend: bool) -> int:
     from bridge.bags.copy import BagSelection, cut
-
-    with _opened(args.bag) as bag:
-        _same_format(args, bag)
-        begun = time.monotonic()
-        with _progress(bag) as told:
-            done = cut(bag, args.out, BagSelection(), args.compression or "", mend=True, told=told)
-    _tell(args, done, time.monotonic() - begun)
-    return 0
-
-
-def _same_format(args: argparse.Namespace, bag: Bag) -> None:
     from bridge.bags.writers import kind_of
 
-    if kind_of(args.out) != bag.kind:
-        raise CliError(f"{args.bag} is {bag.kind}, and {args.out} asks for another format: use 'midspan bag convert'")
+    with _opened(args.bag) as bag:
+        if kind_of(args.out) != bag.kind:
+            other = f"{args.out} asks for another format"
+            raise CliError(f"{args.bag} is {bag.kind}, and {other}: use 'midspan bag convert'")
+        choice = BagSelection() if mend else _choice(args, bag)
+        begun = time.monotonic()
+        with _progress(bag) as told:
+            done = cut(bag, args.out, choice, args.compression or "", mend=mend, told=told)
+        if bag.trouble is not None and not mend:
+            done.damage.append(bag.trouble)
+    _tell(args, done, time.monotonic() - begun)
+    return 0
 
 
 @contextmanager

@@ -12,14 +12,14 @@ from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from bridge.cli.arguments import add_hub_arguments, number_in
+from bridge.cli.arguments import add_exclude, add_hub_arguments, number_in, span
 from bridge.cli.client import CliClient, open_client
 from bridge.cli.output import CliError, clean, plural, print_json
 
 if TYPE_CHECKING:
     from bridge.bags.bag import Bag
     from bridge.bags.play_source import PlaySource
-    from bridge.bags.play_topics import LeftOut, PlayChoice, PlayTopic
+    from bridge.bags.play_topics import LeftOut, PlayTopic
     from bridge.bags.player import Player
 
 CLOCK_HZ = 40.0
@@ -52,11 +52,8 @@ def register(parser: argparse.ArgumentParser) -> None:
     parser.formatter_class = argparse.RawDescriptionHelpFormatter
     parser.add_argument("files", nargs="+", type=Path, metavar="FILE", help="bags; several are played as one, by time")
     what = parser.add_argument_group("what")
-    what.add_argument("--topics", nargs="+", action="extend", metavar="TOPIC", help="names or globs, as /camera/**")
-    what.add_argument(
-        "-x", "--exclude", action="append", default=[], metavar="RE",
-        help="leave out topics in whose name this regular expression is found; may be repeated",
-    )  # fmt: skip
+    what.add_argument("--topics", nargs="+", action="extend", metavar="TOPIC", help="names or globs, as '/camera/**'")
+    add_exclude(what)
     what.add_argument(
         "--remap", action="append", default=[], type=remapping, metavar="OLD:=NEW",
         help="another name for a topic; may be repeated",
@@ -68,26 +65,17 @@ def register(parser: argparse.ArgumentParser) -> None:
     when = parser.add_argument_group("when")
     when.add_argument("--rate", type=number_in(0.01, 100), default=1.0, metavar="R", help="times as fast (default 1)")
     when.add_argument("--loop", action="store_true", help="begin again at the end, until Ctrl-C")
-    when.add_argument("--start", type=_seconds, default=0.0, metavar="SECONDS", help="begin so far into the bags")
-    when.add_argument("--duration", type=_seconds, metavar="SECONDS", help="play so much of them")
+    when.add_argument("--start", type=span, default=0.0, metavar="TIME", help="begin so far into the bags")
+    when.add_argument("--duration", type=span, metavar="TIME", help="play so much of them")
     when.add_argument("--paused", action="store_true", help="begin paused")
     when.add_argument(
         "--clock", type=number_in(1, 1000), nargs="?", const=CLOCK_HZ, default=0.0, metavar="HZ",
         help=f"say the bags' time on /clock so often a second (default {CLOCK_HZ:g}); it stands still while paused",
     )  # fmt: skip
-    when.add_argument(
-        "--settle", type=_seconds, default=1.0, metavar="SECONDS", help="time for listeners to connect (default 1)"
-    )
+    when.add_argument("--settle", type=span, default=1.0, metavar="TIME", help="for listeners to connect (default 1s)")
     parser.add_argument("--json", action="store_true", help="print what was played as JSON, at the end")
     add_hub_arguments(parser)
     parser.set_defaults(run=run)
-
-
-def _seconds(text: str) -> float:
-    value = float(text)
-    if not 0.0 <= value < 1e9:
-        raise argparse.ArgumentTypeError(f"{text} is no number of seconds")
-    return value
 
 
 def remapping(text: str) -> tuple[str, str]:
@@ -142,11 +130,14 @@ def _play(args: argparse.Namespace, client: CliClient, bags: list[Bag], ended: t
     from bridge.bags.play_services import PlayServices
     from bridge.bags.play_source import PlayPart, PlaySource
     from bridge.bags.play_timeline import Timeline
-    from bridge.bags.play_topics import choose
+    from bridge.bags.play_topics import PlayChoice, choose
     from bridge.bags.player import Player
+    from bridge.routing.rules import NameFilter
 
     registry = client.registry()
-    chosen, left = choose(bags, registry, client.config, _wanted(args))
+    names = NameFilter(args.topics or ["/**"], args.exclude)
+    wanted = PlayChoice(names.wants, dict(args.remap), args.commands, bool(args.clock))
+    chosen, left = choose(bags, registry, client.config, wanted)
     topics = [topic for found in chosen.values() for topic in found]
     _tell_choice(topics, left, args.rate)
     source = PlaySource(chosen, PlayPart(args.start, args.duration))
@@ -178,24 +169,6 @@ def _play(args: argparse.Namespace, client: CliClient, bags: list[Bag], ended: t
     return 0
 
 
-def _wanted(args: argparse.Namespace) -> PlayChoice:
-    """As ``midspan record`` reads topics."""
-    from pydantic import ValidationError
-
-    from bridge.bags.play_topics import PlayChoice
-    from bridge.cli.graph.view import absolute
-    from bridge.config.sections.record import RecordSection
-    from bridge.record.selection import Selection
-
-    topics = [absolute(topic) for topic in args.topics or ["/**"]]
-    try:
-        section = RecordSection.model_validate({"topics": topics, "exclude": args.exclude})
-    except ValidationError as err:
-        first = err.errors()[0]
-        raise CliError(f"{first['loc'][0]}: {first['msg'].removeprefix('Value error, ')}") from None
-    return PlayChoice(Selection(section).name, dict(args.remap), args.commands, bool(args.clock))
-
-
 def _tell_choice(topics: list[PlayTopic], left: list[LeftOut], rate: float) -> None:
     from bridge.bags.play_topics import twice
 
@@ -225,6 +198,7 @@ def _follow(
 ) -> BaseException | None:
     """Play on a thread of its own; keys, progress and signals are heard here. Returns what playing raised."""
     from bridge.cli.bags.play_screen import Screen
+    from bridge.cli.keyboard import AVAILABLE
 
     failed: list[BaseException] = []
 
@@ -235,7 +209,8 @@ def _follow(
             failed.append(err)
 
     thread = threading.Thread(target=play, name="midspan-play", daemon=True)
-    with Screen(player, source, keys=sys.stdin.isatty(), progress=sys.stderr.isatty() and not args.json) as screen:
+    keys, progress = AVAILABLE and sys.stdin.isatty(), sys.stderr.isatty() and not args.json
+    with Screen(player, source, keys=keys, progress=progress) as screen:
         thread.start()
         while thread.is_alive() and not ended.is_set():
             if screen.look(_LOOK_SECONDS, ended):

@@ -12,7 +12,7 @@ import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from bridge.cli.arguments import add_hub_arguments
+from bridge.cli.arguments import add_exclude, add_hub_arguments, span
 from bridge.cli.client import CliClient, client_config, open_client
 from bridge.cli.output import CliError, clean, print_json, size
 
@@ -33,8 +33,6 @@ examples:
 """
 _COMMANDS = ("start", "stop", "split", "trigger")
 _SIZE = re.compile(r"(\d+(?:\.\d+)?)\s*([kMGT]?)i?B?", re.IGNORECASE)
-_TIME = re.compile(r"(\d+(?:\.\d+)?)\s*(ms|s|min|m|h|)", re.IGNORECASE)
-_SECONDS = {"": 1.0, "s": 1.0, "ms": 0.001, "m": 60.0, "min": 60.0, "h": 3600.0}
 _JOIN_SECONDS = 5.0
 _LOOK_SECONDS = 0.2
 
@@ -50,15 +48,6 @@ def megabytes(text: str) -> int:
     return int(value)
 
 
-def seconds(text: str) -> float:
-    """``10m``, ``90s``, ``1.5h``, ``30`` (seconds)."""
-    found = _TIME.fullmatch(text.strip())
-    value = float(found[1]) * _SECONDS[found[2].lower()] if found is not None else 0.0
-    if value <= 0.0:
-        raise argparse.ArgumentTypeError(f"{text!r} is no time: write it as 30s, 10m or 1h")
-    return value
-
-
 def register(parser: argparse.ArgumentParser) -> None:
     """Describe the verb and its arguments."""
     parser.description = (
@@ -71,29 +60,26 @@ def register(parser: argparse.ArgumentParser) -> None:
     what = parser.add_argument_group("what")
     what.add_argument("topics", nargs="*", metavar="TOPIC", help="names or globs, as /camera/**")
     what.add_argument("-a", "--all", action="store_true", help="all topics")
-    what.add_argument(
-        "-x", "--exclude", action="append", default=[], metavar="RE",
-        help="leave out topics in whose name this regular expression is found; may be repeated",
-    )  # fmt: skip
+    add_exclude(what)
     what.add_argument(
         "--side", action="append", default=[], metavar="SIDE",
         help="only from this side, and of it also what does not cross: ros1, ros2, yarp, zenoh ...; may be repeated",
     )  # fmt: skip
-    what.add_argument("--duration", type=seconds, metavar="TIME", help="end after so long, as 30s or 10m")
+    what.add_argument("--duration", type=span, metavar="TIME", help="end after so long, as 30s or 10m")
     where = parser.add_argument_group("where")
     where.add_argument("-o", "--output", type=Path, metavar="FILE", help="default midspan_<time>.mcap, here")
     where.add_argument(
         "--folder", action="store_true", help="write a folder with metadata.yaml, as rosbag2 does, of that name"
     )
     where.add_argument("--split-size", type=megabytes, default=0, metavar="SIZE", help="another file after 1GB")
-    where.add_argument("--split-time", type=seconds, default=0.0, metavar="TIME", help="another file after 10m")
+    where.add_argument("--split-time", type=span, default=0.0, metavar="TIME", help="another file after 10m")
     where.add_argument("--compression", choices=["zstd", "lz4", "none"], default="zstd", help="default zstd")
     where.add_argument(
         "--queue", type=megabytes, default=128, metavar="SIZE", help="wait to be written (default 128MB)"
     )
     ring = parser.add_argument_group("the last minutes alone")
     ring.add_argument(
-        "--ring", type=seconds, default=0.0, metavar="TIME",
+        "--ring", type=span, default=0.0, metavar="TIME",
         help="keep so much, and write it into a folder (in that of -o) when triggered: by 'midspan halt', a goal of the"
         " gateway that failed, a call of /record/trigger, or --trigger",
     )  # fmt: skip
@@ -199,7 +185,7 @@ def _record(args: argparse.Namespace, config: Config, section: RecordSection, ou
             raise CliError(f"cannot write {err.filename or output}: {err.strerror or err}") from None
         where = f"the last {args.ring:g} s are kept" if args.ring else f"recording into {path}"
         print(f"{where}; Ctrl-C ends it", file=sys.stderr, flush=True)
-        _follow(recording, args.duration, ended)
+        _follow(recording, args.duration or None, ended)
     finally:
         recording.close()
         for number, handler in before.items():

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 from bridge.cli.arguments import add_hub_arguments
 from bridge.cli.client import open_client
 from bridge.cli.graph.view import absolute
-from bridge.cli.keyboard import pressed, raw
+from bridge.cli.keyboard import AVAILABLE, pressed, raw
 from bridge.cli.messages import Types
 from bridge.cli.output import CliError
 from bridge.hub.endpoints.publisher import HubPublisher
@@ -99,8 +99,8 @@ def run(args: argparse.Namespace) -> int:
     """Drive until Ctrl-C or ``x``."""
     if not (0.0 < args.speed <= MOST_SPEED and 0.0 < args.turn <= MOST_TURN):
         raise CliError(f"--speed is at most {MOST_SPEED:g} m/s and --turn at most {MOST_TURN:g} rad/s, both above 0")
-    if not sys.stdin.isatty():
-        raise CliError("teleop reads keys from a terminal only; 'midspan topic pub' publishes from scripts")
+    if not (AVAILABLE and sys.stdin.isatty()):
+        raise CliError("teleop reads keys from a terminal of POSIX only; 'midspan topic pub' publishes from scripts")
     topic = absolute(args.topic)
     with open_client(args) as client:
         types = Types(client)

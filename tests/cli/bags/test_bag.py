@@ -8,12 +8,13 @@ import signal
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 import pytest
 from rosbags.highlevel import AnyReader
 
 from bridge.cli.main import main
-from tests.bags.written import START, long_mcap, mcap_bytes, mcap_file, ros1_bag
+from tests.bags.written import START, long_mcap, mcap_bytes, mcap_file, nobody_knows, ros1_bag
 from tests.support.wait import until
 
 SECOND = 1_000_000_000
@@ -48,6 +49,23 @@ def test_a_bag_is_converted_and_cut(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["bag", "cut", "new.mcap", "part.mcap", "--start", "500ms", "--end", str(START // SECOND + 1)]) == 0
     with AnyReader([Path("part.mcap")]) as bag:
         assert sum(1 for _ in bag.messages()) == 5
+
+
+def test_types_of_the_configuration_count(here: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    nobody_knows(Path("humble.mcap"))  # as a .db3 of Humble, which has no definitions
+    assert main(["bag", "convert", "humble.mcap", "a.db3"]) == 0
+    assert main(["bag", "convert", "a.db3", "a.bag"]) == 1
+    assert "/odd has type none_msgs/msg/None" in capsys.readouterr().err
+    for package, text in {"none_msgs": "string<=9 text\n", "old_msgs": "string text\n"}.items():
+        (here / "types" / package / "msg").mkdir(parents=True)
+        (here / "types" / package / "msg" / "None.msg").write_text(text)
+    Path("rules.yaml").write_text("- {ros1_package_name: old_msgs, ros2_package_name: none_msgs}\n")
+    Path("midspan.yaml").write_text("types: {folders: [types], mapping_rules: [rules.yaml]}\n")
+    assert main(["bag", "convert", "a.db3", "a.bag", "--config", "midspan.yaml"]) == 0
+    with AnyReader([Path("a.bag")]) as bag:
+        assert {c.topic: c.msgtype for c in bag.connections}["/odd"] == "old_msgs/msg/None"
+        told: list[Any] = [bag.deserialize(raw, c.msgtype) for c, _, raw in bag.messages() if c.topic == "/odd"]
+    assert [message.text for message in told] == ["hi"]
 
 
 def test_an_unfinished_bag_is_told_of_and_mended(capsys: pytest.CaptureFixture[str]) -> None:

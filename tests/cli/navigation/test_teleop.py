@@ -97,5 +97,18 @@ def test_no_terminal(midspan: Midspan) -> None:
     assert (done.code, "reads keys from a terminal" in done.err) == (1, True)
 
 
+def test_a_system_without_such_terminals_is_told_before_it_joins(
+    midspan: Midspan, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    primary, secondary = pty.openpty()
+    with os.fdopen(secondary) as terminal:
+        monkeypatch.setattr("sys.stdin", terminal)
+        monkeypatch.setattr("bridge.cli.navigation.teleop.AVAILABLE", False)
+        monkeypatch.setattr("bridge.cli.navigation.teleop.open_client", lambda _: pytest.fail("it joins the hub"))
+        done = midspan("teleop")
+    os.close(primary)
+    assert (done.code, "a terminal of POSIX only" in done.err) == (1, True)
+
+
 def test_speeds_that_nobody_wants(midspan: Midspan) -> None:
     assert "at most 2 m/s" in midspan("teleop", "--speed", "20").err
