@@ -174,6 +174,11 @@ Midspan reads one YAML file. Every key is optional, and the defaults run on one 
 `./midspan.yaml`, `~/.config/midspan/midspan.yaml` (or under `$XDG_CONFIG_HOME`), `/etc/midspan/midspan.yaml`; where
 there is none, the defaults are. Relative paths are relative to the file's folder.
 
+`version` is the format of the file. `midspan config migrate FILE` brings an older file to today's keys: comments stay,
+what is gone becomes a comment, the former file is kept as `FILE.old`, and what is left to do by hand is named, with
+exit code 3. A file of a format that is newer than this Midspan is refused; so write `version` into files that may meet
+an older one.
+
 `midspan config check FILE` names every problem with its line and column. An unknown key is a problem, and so is a key
 given twice. `midspan config schema` prints a JSON schema; with
 

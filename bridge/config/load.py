@@ -10,6 +10,7 @@ from typing import Any
 from pydantic import BaseModel, ValidationError
 
 from bridge.config.document import ConfigError, Document, KeyPath, Problem, parse, read
+from bridge.config.migrate import too_new
 from bridge.config.model import Config
 from bridge.config.problems import key_name, model_of, problems
 from bridge.config.rules import untyped
@@ -49,6 +50,8 @@ def _config(document: Document) -> Config:
     data = {} if document.data is None else document.data
     if not isinstance(data, dict):
         raise ConfigError([document.problem((), "must be a map of sections, for example 'hub:'")])
+    if newer := too_new(document):
+        raise ConfigError([newer])
     try:
         config = Config.model_validate(_without_empty(data, Config))
     except ValidationError as err:

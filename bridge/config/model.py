@@ -26,6 +26,9 @@ from bridge.config.sections.yarp import YarpSection
 from bridge.config.sections.zenoh import ZenohSection
 from bridge.sides import imported, own_sides
 
+FORMAT = 1
+"""The format of the files that this Midspan reads; `bridge.config.migrate` brings older ones to it."""
+
 
 class TypesSection(Section):
     """Message types beyond those installed."""
@@ -62,6 +65,10 @@ class LogSection(Section):
 class Config(Section):
     """Midspan's configuration."""
 
+    # not for workers: one of an earlier version takes what it knows
+    version: int = setting(
+        FORMAT, "Format of this file; `midspan config migrate` brings an older one here.", ge=1, exclude=True
+    )
     name: Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]{0,62}$")] = Field(
         default_factory=lambda: re.sub(r"[^A-Za-z0-9_.-]", "-", socket.gethostname())[:63] or "midspan",
         description="Name of this daemon; default the machine's.",

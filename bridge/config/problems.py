@@ -12,6 +12,7 @@ from pydantic import BaseModel
 from pydantic.fields import FieldInfo
 
 from bridge.config.document import Document, KeyPath, Problem, key_text
+from bridge.config.migrate import COMMAND, REMOVED
 
 
 def key_name(name: str, info: FieldInfo) -> str:
@@ -53,6 +54,8 @@ def _model_at(model: type[BaseModel], path: KeyPath) -> type[BaseModel] | None:
 
 def _unknown_key(model: type[BaseModel], path: KeyPath) -> str:
     name = str(path[-1])
+    if path in REMOVED:
+        return f"is a key of an older Midspan; '{COMMAND}' brings the file to today's"
     around = _model_at(model, path[:-1])
     names = [key_name(n, info) for n, info in around.model_fields.items()] if around else []
     elsewhere = [key_text(key) for key in all_keys(model) if key[-1] == name]

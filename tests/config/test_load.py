@@ -88,7 +88,7 @@ CASES = [
         [
             (
                 "1:15: hub.listen: 'tcp/0.0.0.0:7447' is open to other machines; listen on 127.0.0.1, and let"
-                " others in by hub.open"
+                " others in by hub.open, to which 'midspan config migrate' brings it"
             )
         ],
     ),

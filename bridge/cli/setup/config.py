@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import argparse
+import contextlib
 import dataclasses
 import json
+import os
+import shutil
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -23,6 +26,11 @@ def register_config(parser: argparse.ArgumentParser) -> None:
     check = add_verb(actions, "check", run_config, "check a file: every problem with its place and cure", hub=False)
     check.add_argument("file", type=Path, nargs="?", metavar="FILE", help="the file (default: where one is found)")
     check.add_argument("--json", action="store_true", help="print JSON")
+    migrate = add_verb(
+        actions, "migrate", run_migrate, "bring an older file to today's keys; its comments stay", hub=False
+    )
+    migrate.add_argument("file", type=Path, nargs="?", metavar="FILE", help="the file (default: where one is found)")
+    migrate.add_argument("--print", action="store_true", help="print the new text, and leave the file as it is")
     for name, text in (
         ("schema", "print the JSON schema, for editors"),
         ("example", "print a file with all keys at their defaults and what each does"),
@@ -62,6 +70,53 @@ def _check_file(file: Path | None, *, as_json: bool) -> int:
 
 
 NOT_ALL = 3
+
+
+def run_migrate(args: argparse.Namespace) -> int:
+    """Migrate, and keep the former text beside the file."""
+    from bridge.cli.output import CliError
+    from bridge.config.document import ConfigError, text_of
+    from bridge.config.load import find, loads
+    from bridge.config.migrate import migrate
+
+    file = args.file if args.file is not None else find()
+    if file is None:
+        raise CliError("no file found: the defaults are used, and there is nothing to migrate")
+    before = text_of(file)
+    migration = migrate(before, file)
+    if args.print:
+        sys.stdout.write(migration.text)
+    elif migration.text == before:
+        print(f"{file}: is of today's format")
+    else:
+        _replace_file(file, migration.text)
+    for done in migration.done:
+        print(f"{file}: {done}", file=sys.stderr)
+    left: list[Problem] = [*migration.left]
+    try:
+        loads(migration.text, file)
+    except ConfigError as err:
+        left += err.problems
+    for problem in left:
+        print(problem, file=sys.stderr)
+    return NOT_ALL if left else 0
+
+
+def _replace_file(file: Path, text: str) -> None:
+    """Write a file's new text, whole or not at all; the former file stays as ``<name>.old``."""
+    from bridge.cli.output import CliError
+
+    file = file.resolve()
+    old, new = (file.with_name(f"{file.name}.{end}") for end in ("old", "new"))
+    if old.exists():
+        raise CliError(f"{old} is there already, from a migration before; move it away")
+    new.write_text(text, encoding="utf-8", newline="")
+    shutil.copymode(file, new)
+    with contextlib.suppress(AttributeError, PermissionError):  # no Windows has it; only root may
+        os.chown(new, file.stat().st_uid, file.stat().st_gid)
+    shutil.copy2(file, old)
+    new.replace(file)
+    print(f"{file}: migrated; as it was: {old}")
 
 
 def register_import(parser: argparse.ArgumentParser) -> None:

@@ -86,7 +86,10 @@ class HubSection(Section):
     @classmethod
     def _listens_on_this_machine(cls, value: str) -> str:
         if not is_loopback(value):
-            raise ValueError(f"{value!r} is open to other machines; listen on 127.0.0.1, and let others in by hub.open")
+            raise ValueError(
+                f"{value!r} is open to other machines; listen on 127.0.0.1, and let others in by hub.open, to which"
+                " 'midspan config migrate' brings it"
+            )
         return value
 
     @model_validator(mode="after")

@@ -51,3 +51,38 @@ def test_example_schema_and_reference(capsys: pytest.CaptureFixture[str]) -> Non
     assert capsys.readouterr().out == generate.schema()
     main(["config", "reference"])
     assert capsys.readouterr().out == generate.reference()
+
+
+def test_migrate_writes_the_file_and_keeps_the_former(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    file = tmp_path / "old.yaml"
+    text = "# robot\nros2:\n  build: true # long ago\n"
+    file.write_text(text)
+    file.chmod(0o640)
+    assert main(["config", "migrate", str(file), "--print"]) == 0
+    said = capsys.readouterr()
+    assert said.out == "# robot\nversion: 1\nros2:\n  # build: true # long ago\n"
+    assert "ros2.build is gone" in said.err
+    assert file.read_text() == text
+    assert main(["config", "migrate", str(file)]) == 0
+    assert (file.read_text(), (tmp_path / "old.yaml.old").read_text()) == (said.out, text)
+    assert file.stat().st_mode & 0o777 == 0o640
+    assert "as it was" in capsys.readouterr().out
+    assert main(["config", "migrate", str(file)]) == 0
+    assert capsys.readouterr().out == f"{file}: is of today's format\n"
+    file.write_text(text)
+    assert main(["config", "migrate", str(file)]) == 1
+    assert "is there already" in capsys.readouterr().err
+    assert file.read_text() == text
+
+
+def test_migrate_tells_what_is_left(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    file = tmp_path / "old.yaml"
+    file.write_text("hub: {listen: tcp/0.0.0.0:7447}\n")
+    assert main(["config", "migrate", str(file)]) == 3
+    said = capsys.readouterr().err
+    assert "hub.listen is hub.open.listen" in said
+    assert f"{file}:1:15: hub.listen: says no more who may command" in said
+    assert "has no TLS" in said
+    file.write_text("version: 7\n")
+    assert main(["config", "migrate", str(file)]) == 1
+    assert "update Midspan" in capsys.readouterr().err
