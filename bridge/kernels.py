@@ -33,6 +33,7 @@ KERNELS = (
     "navigation.algorithms.shortcut",
     "navigation.algorithms.stopping",
     "navigation.maps.kernels",
+    "sim.depth_kernel",
     "sim.laser_kernel",
 )
 """Modules that are compiled, each from its own ``.py``."""

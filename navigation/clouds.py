@@ -8,6 +8,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from bridge.tf.transform import Transform
+
 POINT_CLOUD = "sensor_msgs/msg/PointCloud2"
 MOST_POINTS = 4_000_000
 """A cloud of more is refused: a scanner with 128 lines and a 4-megapixel depth camera have fewer."""
@@ -48,6 +50,18 @@ def read_points(message: Mapping[str, Any], most: int = MOST_POINTS) -> Points:
     x, y, z = np.isfinite(points).T  # three times as fast as all(axis=1)
     finite = x & y & z
     return points if finite.all() else points[finite]
+
+
+def placed(points: Points, at: Transform) -> Points:
+    """Points (n, 3) of a frame that is at a pose in another one, in that one."""
+    x, y, z, w = at.rotation
+    turned = np.array([
+        (1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)),
+        (2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)),
+        (2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)),
+    ], np.float32)  # fmt: skip
+    found: Points = points @ turned.T + np.array(at.translation, np.float32)
+    return found
 
 
 def _layout(message: Mapping[str, Any], step: int) -> np.dtype[Any]:

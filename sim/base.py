@@ -57,6 +57,12 @@ class Base(ABC):
         self.robot = robot
         self.names = robot.wheels.names  # of the wheels' joints
 
+    def _put_on(self, middle: float) -> None:
+        """Give the body what stands on its hull; its own middle is so many metres above the floor."""
+        for part in self.robot.body.upper:
+            shape = dartpy().dynamics.CylinderShape(part.radius, part.high - part.low)
+            attach(self.body, shape, isometry(0.0, 0.0, (part.low + part.high) / 2 - middle), self.robot.body.friction)
+
     @abstractmethod
     def turn(self, velocities: Sequence[float]) -> None:
         """Let the motors aim at these velocities (radians per second), until told otherwise."""
@@ -117,6 +123,7 @@ class Differential(Base):
         middle = (body.low + body.high) / 2 - wheels.radius
         hull = dynamics.CylinderShape(body.radius, body.high - body.low)
         attach(self.body, hull, isometry(0.0, 0.0, middle), body.friction)
+        self._put_on(wheels.radius)
         for x, y in robot.casters.at:
             height = robot.casters.radius + robot.casters.gap - wheels.radius
             attach(self.body, dynamics.SphereShape(robot.casters.radius), isometry(x, y, height), 0.0)
@@ -225,6 +232,7 @@ class Holonomic(Base):
         self.body.setInertia(inertia)
         hull = dynamics.CylinderShape(body.radius, body.high - body.low)
         attach(self.body, hull, isometry(0.0, 0.0, (body.low + body.high) / 2), body.friction)
+        self._put_on(0.0)
         self._joint.setActuatorType(dynamics.ActuatorType.SERVO)
         # three wheels at 120 degrees push with 1.5 times what one of them gives, in any direction
         push = 1.5 * min(wheels.torque / wheels.radius, wheels.friction * body.mass * _GRAVITY / 3)

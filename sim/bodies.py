@@ -10,6 +10,7 @@ import numpy as np
 
 from sim.environment import dartpy
 from sim.pieces import Piece
+from sim.plan import Drop
 
 WALL_FRICTION = 0.3
 
@@ -41,17 +42,38 @@ def shape_of(piece: Piece) -> Any:
 
 
 def place_of(piece: Piece) -> Any:
-    """Where a piece is; it stands on the floor."""
-    return isometry(piece.x, piece.y, piece.height / 2, piece.yaw)
+    """Where a piece is."""
+    return isometry(piece.x, piece.y, piece.above + piece.height / 2, piece.yaw)
 
 
-def ground(reach: float) -> Any:
-    """The floor, a box whose top is at zero, so many metres each way."""
+_Part = tuple[float, float, float, float]  # x0, y0, x1, y1, metres
+
+
+def ground(reach: float, drops: Iterable[Drop] = ()) -> Any:
+    """The floor, a box whose top is at zero, so many metres each way; where it has drops, the boxes around them."""
     skeleton = dartpy().dynamics.Skeleton("ground")
     _, body = skeleton.createWeldJointAndBodyNodePair()
-    attach(body, dartpy().dynamics.BoxShape([2 * reach, 2 * reach, 0.2]), isometry(0.0, 0.0, -0.1), 1.0)
+    parts: list[tuple[_Part, float]] = [((-reach, -reach, reach, reach), 0.0)]
+    for drop in drops:
+        (x, y), (length, width) = drop.at, drop.size
+        hole = x - length / 2, y - width / 2, x + length / 2, y + width / 2
+        parts = [(rest, top) for part, top in parts for rest in _around(part, hole)]
+        parts.append((hole, -drop.depth))
+    for (x0, y0, x1, y1), top in parts:
+        shape = dartpy().dynamics.BoxShape([x1 - x0, y1 - y0, 0.2])
+        attach(body, shape, isometry((x0 + x1) / 2, (y0 + y1) / 2, top - 0.1), 1.0)
     skeleton.setMobile(False)
     return skeleton
+
+
+def _around(part: _Part, hole: _Part) -> Iterable[_Part]:
+    """What is left of a rectangle around a hole."""
+    x0, y0, x1, y1 = part
+    left, low, right, high = max(x0, hole[0]), max(y0, hole[1]), min(x1, hole[2]), min(y1, hole[3])
+    if left >= right or low >= high:
+        return [part]
+    rests = ((x0, y0, left, y1), (right, y0, x1, y1), (left, y0, right, low), (left, high, right, y1))
+    return [rest for rest in rests if rest[0] < rest[2] and rest[1] < rest[3]]
 
 
 def fixed(pieces: Iterable[Piece]) -> tuple[Any, list[Any]]:

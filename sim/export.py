@@ -1,6 +1,7 @@
 """Maps, locations and areas of a floor plan for planners, and pictures of the floor from above.
 
-On a map doors stand open, and what moves is left out. DART's package draws nothing without a display.
+On a map doors stand open; what moves is left out, and what a laser as high as the R1's does not see. DART's package
+draws nothing without a display.
 """
 
 from __future__ import annotations
@@ -16,7 +17,7 @@ from numpy.typing import NDArray
 from sim import pieces
 from sim.environment import SimError
 from sim.pieces import Piece
-from sim.plan import Floor, Plan
+from sim.plan import Plan
 from sim.simulation import Simulation
 from yarp_compat.dev.extras import MapLink
 from yarp_compat.dev.locations import Map2DArea, Map2DLocation
@@ -25,6 +26,7 @@ from yarp_compat.dev.places import Places, save_maps
 from yarp_compat.sig.vec2d import Vec2D
 
 _MARGIN = 0.5  # metres around what stands on a floor
+_SEEN = 0.19  # metres above the floor: the laser that a map is made with
 
 
 def grid(plan: Plan, floor: str, resolution: float = 0.05) -> MapGrid2D:
@@ -36,8 +38,9 @@ def grid(plan: Plan, floor: str, resolution: float = 0.05) -> MapGrid2D:
     if width * height > MAX_CELLS:
         raise SimError(f"the map of {floor} would have {width} by {height} cells; the resolution should be coarser")
     wall = np.zeros((height, width), np.bool_)
-    for piece in _standing(there):
-        _mark(wall, piece, left, bottom, resolution)
+    for piece in pieces.standing(there):
+        if piece.above <= _SEEN < piece.top:
+            _mark(wall, piece, left, bottom, resolution)
     inside = (there.start, *there.places.values())
     free = _reached(wall, [((x - left) / resolution, (y - bottom) / resolution) for x, y, _ in inside])
     flags = np.where(wall, MapFlag.WALL, np.where(free, MapFlag.FREE, MapFlag.UNKNOWN)).astype(np.uint8)
@@ -83,11 +86,6 @@ def save(plan: Plan, folder: Path, resolution: float = 0.05) -> list[Path]:
 
 def _named(plan: Plan, floor: str, name: str) -> str:
     return name if len(plan.floors) == 1 else f"{floor}_{name}"
-
-
-def _standing(floor: Floor) -> list[Piece]:
-    boxes = [pieces.of_box(box) for box in floor.boxes if box.mass is None]
-    return [*pieces.walls(floor), *boxes, *(pieces.of_round(thing) for thing in floor.rounds)]
 
 
 def _mark(wall: NDArray[np.bool_], piece: Piece, left: float, bottom: float, resolution: float) -> None:

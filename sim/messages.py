@@ -8,8 +8,10 @@ from typing import Any
 
 import numpy as np
 
+from bridge.config.sections.sim import CameraSection
 from bridge.messages.scan import Turn
 from sim.base import BasePose, Encoders, Twist
+from sim.depth import Depths
 from sim.robot import RobotDescription
 from sim.sensors import Charge
 
@@ -18,6 +20,10 @@ _SECOND = 1_000_000_000
 _UNKNOWN = 0  # sensor_msgs/BatteryState
 _DISCHARGING = 2
 _LION = 2
+_FLOAT32 = 7  # sensor_msgs/PointField
+CAMERA_FRAME, OPTICAL_FRAME = "camera_link", "camera_depth_optical_frame"
+DEPTH, DEPTH_INFO, DEPTH_POINTS = "/camera/depth/image_rect_raw", "/camera/depth/camera_info", "/camera/depth/points"
+"""Frames and topics as realsense2_camera's driver has them."""
 _POSE_VARIANCE = np.diag([0.01, 0.01, 1e6, 1e6, 1e6, 0.03]).ravel()
 """What drivers of such bases say: of height and tilt, odometry knows nothing."""
 
@@ -64,6 +70,71 @@ def placed(time_ns: int, pose: BasePose) -> tuple[float, ...]:
 
 def _placed(pose: BasePose) -> tuple[float, ...]:
     return pose.x, pose.y, 0.0, 0.0, 0.0, math.sin(pose.yaw / 2), math.cos(pose.yaw / 2)
+
+
+def mount(time_ns: int, base: str, laser: str, height: float, camera: CameraSection | None, middle: float) -> Message:
+    """tf2_msgs/TFMessage of where the sensors are on the base, whose own frame is ``middle`` metres above the floor."""
+    made = transform(time_ns, base, laser, BasePose(0.0, 0.0, 0.0), height - middle)
+    if camera is not None:
+        x, y, z = camera.at
+        held = transform(time_ns, base, CAMERA_FRAME, BasePose(x, y, 0.0), z - middle)
+        optical = transform(time_ns, CAMERA_FRAME, OPTICAL_FRAME, BasePose(0.0, 0.0, 0.0))
+        held["transforms"][0]["transform"]["rotation"] = tilted(camera.yaw, camera.pitch)
+        # z ahead, x to the right, y down (REP 103)
+        optical["transforms"][0]["transform"]["rotation"] = {"x": -0.5, "y": 0.5, "z": -0.5, "w": 0.5}
+        made["transforms"] += [*held["transforms"], *optical["transforms"]]
+    return made
+
+
+def tilted(yaw: float, pitch: float) -> Message:
+    """geometry_msgs/Quaternion of so many degrees to the left, then down."""
+    c, s, cp, sp = (f(math.radians(angle) / 2) for angle in (yaw, pitch) for f in (math.cos, math.sin))
+    return {"x": -s * sp, "y": c * sp, "z": s * cp, "w": c * cp}
+
+
+def depth(time_ns: int, seen: Depths, encoding: str) -> Message:
+    """sensor_msgs/Image of depths, metres (REP 118); in whole millimetres, 0 is no value, as the D435's driver says."""
+    height, width = seen.shape
+    if encoding == "16UC1":
+        with np.errstate(invalid="ignore"):
+            seen = np.where(np.isfinite(seen), np.minimum(np.round(seen * 1000.0), 65535), 0).astype(np.uint16)
+    return {
+        "header": header(time_ns, OPTICAL_FRAME),
+        "height": height,
+        "width": width,
+        "encoding": encoding,
+        "step": width * seen.itemsize,
+        "data": seen.view(np.uint8).ravel(),
+    }
+
+
+def camera_info(time_ns: int, lens: tuple[float, float, float, float], width: int, height: int) -> Message:
+    """sensor_msgs/CameraInfo of a picture without distortion."""
+    fx, fy, cx, cy = lens
+    return {
+        "header": header(time_ns, OPTICAL_FRAME),
+        "height": height,
+        "width": width,
+        "distortion_model": "plumb_bob",
+        "d": [0.0] * 5,
+        "k": [fx, 0.0, cx, 0.0, fy, cy, 0.0, 0.0, 1.0],
+        "r": [1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0],
+        "p": [fx, 0.0, cx, 0.0, 0.0, fy, cy, 0.0, 0.0, 0.0, 1.0, 0.0],
+    }
+
+
+def points(time_ns: int, found: Depths) -> Message:
+    """sensor_msgs/PointCloud2 of (height, width, 3) points, metres; those that are none are not finite."""
+    height, width, _ = found.shape
+    return {
+        "header": header(time_ns, OPTICAL_FRAME),
+        "height": height,
+        "width": width,
+        "fields": [{"name": n, "offset": 4 * i, "datatype": _FLOAT32, "count": 1} for i, n in enumerate("xyz")],
+        "point_step": 12,
+        "row_step": 12 * width,
+        "data": found.view(np.uint8).ravel(),
+    }
 
 
 def transform(time_ns: int, parent: str, child: str, pose: BasePose, height: float = 0.0) -> Message:

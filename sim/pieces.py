@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.plan import Box, Floor, Person, Point, RoomDoor, Round
+from sim.plan import Box, Floor, Person, Point, RoomDoor, Round, Table
 
 _ON_LINE = 0.02  # metres that a door's post may lie beside its wall's middle line
 
@@ -26,8 +26,14 @@ class Piece:
     yaw: float  #: radians
     length: float  #: metres, along its own x
     width: float  #: metres
-    height: float  #: metres
+    height: float  #: metres, from its underside to its top
     radius: float = 0.0  #: metres; 0 for a box
+    above: float = 0.0  #: metres from the floor to its underside
+
+    @property
+    def top(self) -> float:
+        """Metres from the floor to its top."""
+        return self.above + self.height
 
     @property
     def reach(self) -> float:
@@ -106,12 +112,30 @@ def leaf(door: RoomDoor, floor: Floor) -> Piece:
 def of_box(box: Box) -> Piece:
     """A box."""
     x, y, yaw = box.at
-    return Piece(box.name, x, y, math.radians(yaw), *box.size)
+    return Piece(box.name, x, y, math.radians(yaw), *box.size, above=box.above)
 
 
 def of_round(thing: Round) -> Piece:
     """A round thing."""
-    return Piece(thing.name, *thing.at, 0.0, 0.0, 0.0, thing.height, thing.radius)
+    return Piece(thing.name, *thing.at, 0.0, 0.0, 0.0, thing.height, thing.radius, thing.above)
+
+
+def of_table(table: Table) -> Iterator[Piece]:
+    """A table's board, and its legs, which have no name."""
+    (x, y, degrees), (length, width, height) = table.at, table.size
+    yaw, under = math.radians(degrees), height - table.board
+    yield Piece(table.name, x, y, yaw, length, width, table.board, above=under)
+    c, s = math.cos(yaw), math.sin(yaw)
+    for along, aside in itertools.product((-1, 1), repeat=2):
+        dx, dy = along * (length - table.leg) / 2, aside * (width - table.leg) / 2
+        yield Piece("", x + c * dx - s * dy, y + s * dx + c * dy, yaw, table.leg, table.leg, under)
+
+
+def standing(floor: Floor) -> list[Piece]:
+    """What stands fast on a floor but for doors."""
+    boxes = (of_box(box) for box in floor.boxes if box.mass is None)
+    tables = (piece for table in floor.tables for piece in of_table(table))
+    return [*walls(floor), *boxes, *(of_round(thing) for thing in floor.rounds), *tables]
 
 
 def of_person(person: Person) -> Piece:

@@ -36,8 +36,15 @@ class Box(Section):
     name: str = ""
     at: Pose
     size: tuple[Size, Size, Size] = Field(description="Length, width, height.")
+    above: float = Field(default=0.0, ge=0, le=1000, description="Between the floor and its underside.")
     mass: float | None = Field(default=None, gt=0, le=10_000, description="Kilograms.")
     friction: float = Field(default=0.4, ge=0, le=2)
+
+    @model_validator(mode="after")
+    def _stands(self) -> Box:
+        if self.mass is not None and self.above:
+            raise ValueError("a box that can be pushed stands on the floor: mass and above do not go together")
+        return self
 
 
 class Round(Section):
@@ -47,6 +54,31 @@ class Round(Section):
     at: Point
     radius: Size
     height: Size = 1.0
+    above: float = Field(default=0.0, ge=0, le=1000, description="Between the floor and its underside.")
+
+
+class Table(Section):
+    """A board on four legs, which stand in its corners."""
+
+    name: str = ""
+    at: Pose
+    size: tuple[Size, Size, Size] = Field(description="Length, width, height.")
+    board: Size = Field(default=0.03, description="How thick the board is.")
+    leg: Size = Field(default=0.05, description="How thick a leg is.")
+
+    @model_validator(mode="after")
+    def _fits(self) -> Table:
+        if self.board >= self.size[2] or 2 * self.leg > min(self.size[:2]):
+            raise ValueError("a table's board and legs are thinner than the table")
+        return self
+
+
+class Drop(Section):
+    """Where the floor is lower: a step down, a stairwell. Its sides go along x and y."""
+
+    at: Point
+    size: tuple[Size, Size] = Field(description="Along x and along y.")
+    depth: Size = 0.1
 
 
 class Person(Section):
@@ -83,6 +115,8 @@ class Floor(Section):
     doors: tuple[RoomDoor, ...] = ()
     boxes: tuple[Box, ...] = ()
     rounds: tuple[Round, ...] = ()
+    tables: tuple[Table, ...] = ()
+    drops: tuple[Drop, ...] = ()
     people: tuple[Person, ...] = ()
     rooms: dict[str, Room] = Field(default_factory=dict)
     locations: dict[str, Pose] = Field(default_factory=dict, description="Named places.")
@@ -90,7 +124,8 @@ class Floor(Section):
 
     @model_validator(mode="after")
     def _names_differ(self) -> Floor:
-        things: tuple[RoomDoor | Box | Round | Person, ...] = (*self.doors, *self.boxes, *self.rounds, *self.people)
+        things: tuple[RoomDoor | Box | Round | Table | Person, ...]
+        things = (*self.doors, *self.boxes, *self.rounds, *self.tables, *self.people)
         names = [thing.name for thing in things if thing.name]
         twice = next((name for name in names if names.count(name) > 1), None)
         if twice is not None:
@@ -112,7 +147,8 @@ class Floor(Section):
     def extent(self) -> tuple[float, float, float, float]:
         """The least and greatest x and y of all walls and what stands fast, metres: x0, y0, x1, y1."""
         points = [p for wall in self.walls for p in wall] + [p for door in self.doors for p in door.line]
-        for box in self.boxes:
+        square: tuple[Box | Table, ...] = (*self.boxes, *self.tables)
+        for box in square:
             (x, y, degrees), (length, width, _) = box.at, box.size
             c, s = abs(math.cos(math.radians(degrees))), abs(math.sin(math.radians(degrees)))
             reach = (c * length + s * width) / 2, (s * length + c * width) / 2

@@ -21,6 +21,7 @@ from yarp_compat.dev.battery import BatteryData, BatteryStatus, IBatteryMsgs
 from yarp_compat.dev.controlboard.server import BoardAnswers, positions
 from yarp_compat.dev.rangefinder import DeviceStatus, LaserScan2D, Rangefinder2D
 from yarp_compat.dev.returnvalue import OK, ReturnCode, ReturnValue
+from yarp_compat.sig.image import ImageFloat
 from yarp_compat.sig.vector import Vector
 
 _ODOMETRY = 2
@@ -50,6 +51,9 @@ class RobotPorts:
         self._battery_data = yarp.output(f"{prefix}/battery/data:o")
         yarp.serve(f"{prefix}/battery/rpc:i", _Battery())
         self._board = _Board(host, f"{prefix}/{simulation.section.part}", simulation)
+        # as rgbdSensor_nws_yarp names it
+        camera = simulation.section.camera.rate
+        self._depth = yarp.output(f"{prefix}/depthCamera/depthImage:o") if camera else None
         self._ticks = 0
         self._scanned = -1
 
@@ -62,6 +66,8 @@ class RobotPorts:
             self._scanned = scan.time_ns
             if self._laser.heard:
                 self._laser.write(self._scan(), envelope)
+        if self._depth is not None and self._simulation.pictured == self._simulation.time_ns and self._depth.heard:
+            self._depth.write(ImageFloat.of(self._simulation.depth()), envelope)
         if self._ticks % _ODOMETRY == 0 and "encoders_silent" not in self._simulation.faults:
             self._tell_odometry(envelope)
         if self._ticks % _ODOMETRY == 0:

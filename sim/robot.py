@@ -31,6 +31,20 @@ class Wheels(Section):
     max_velocity: float = Field(default=6.28, gt=0, le=100, description="Of the joint, radians per second.")
 
 
+class Part(Section):
+    """A round part of the body above the hull."""
+
+    radius: float = Field(gt=0.02, le=3, description="Metres.")
+    low: float = Field(ge=0, description="Where it begins above the floor, metres.")
+    high: float = Field(gt=0, le=10, description="Where it ends, metres.")
+
+    @model_validator(mode="after")
+    def _is_upright(self) -> Part:
+        if self.low >= self.high:
+            raise ValueError("low must be less than high")
+        return self
+
+
 class Body(Section):
     """What stands on the wheels."""
 
@@ -41,6 +55,12 @@ class Body(Section):
     low: float = Field(default=0.05, ge=0, description="Where the hull begins above the floor, metres.")
     high: float = Field(default=0.5, gt=0, description="Where it ends, metres.")
     friction: float = Field(default=0.0, ge=0, description="Of the hull on walls.")
+    upper: tuple[Part, ...] = Field(default=(), description="What stands on the hull, from below.")
+
+    @property
+    def tall(self) -> float:
+        """Metres from the floor to its top."""
+        return max([self.high, *(part.high for part in self.upper)])
 
 
 class Casters(Section):

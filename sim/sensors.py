@@ -128,6 +128,8 @@ class Battery:
 KINDS = {
     "laser_silent": "no scans come",
     "laser_blind": "each beam of a scan is NaN",
+    "camera_silent": "no depth pictures come",
+    "camera_blind": "each pixel of a depth picture is NaN",
     "encoders_silent": "no joint states come, and no odometry",
     "encoders_frozen": "the encoders say that the wheels stand still, whatever they do",
 }

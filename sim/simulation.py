@@ -13,6 +13,7 @@ from bridge.messages.scan import Turn
 from sim import robot
 from sim.base import STEP_NS, Base, BasePose, Differential, Encoders, Floats, Holonomic, Twist
 from sim.board import WheelCommands
+from sim.depth import DepthCamera, Depths
 from sim.environment import SimError
 from sim.laser import Laser
 from sim.plan import Plan, load_plan
@@ -88,6 +89,8 @@ class Simulation:
         section = self.section
         noise = np.random.default_rng(section.seed)
         encoder_noise, laser_noise = noise.spawn(2)
+        self.camera = DepthCamera(section.camera, section.seed) if section.camera.rate else None
+        self.pictured = -1  # when the camera took its last picture; only then it can be had
         self.base: Base = (Differential if self.robot.kinematics == "differential" else Holonomic)(self.robot)
         self.floor = self.plan.first
         self.world = FloorWorld(self.plan.floors[self.floor], self.base, self.robot.lasers.height)
@@ -100,9 +103,11 @@ class Simulation:
         self.stopped = False
         self.faults = Faults()
         self.bumps: list[tuple[float, float]] = []
+        self._depth: tuple[int, Depths] | None = None
         self._sensed = Sensed(self.base, section.encoders, encoder_noise)
         self.odometry = Odometry(self.base)
         self._turn_ns = round(1e9 / section.laser.rate / TICK_NS) * TICK_NS or TICK_NS
+        self._picture_ns = round(1e9 / (section.camera.rate or 1.0) / TICK_NS) * TICK_NS or TICK_NS
         self._begun = self.time_ns
         self._sense()
         self.scan = self._scan()
@@ -135,6 +140,18 @@ class Simulation:
         self._sense(rests=rests)
         if since % self._turn_ns == 0 and "laser_silent" not in self.faults:
             self.scan = self._scan()
+        if self.camera is not None and since % self._picture_ns == 0 and "camera_silent" not in self.faults:
+            self.pictured = self.time_ns
+
+    def depth(self) -> Depths:
+        """What the depth camera sees now, (height, width) metres: computed at the first call after a tick."""
+        assert self.camera is not None
+        if self._depth is None or self._depth[0] != self.time_ns:
+            seen = self.camera.picture(self.time_ns, self.base.pose(), self.world.solids(), self.world.drops)
+            if "camera_blind" in self.faults:
+                seen[:] = math.nan
+            self._depth = self.time_ns, seen
+        return self._depth[1]
 
     def run(self, seconds: float) -> None:
         """Let so much time pass, in whole ticks."""

@@ -25,6 +25,7 @@ from sim.messages import TopicNames, names_of
 from sim.services import Stepping, Wishes, answered
 from sim.simulation import TICK_NS, Simulation
 
+_PICTURE = Qos(depth=2)  # large messages: an old one is worth nothing
 _NEWEST = Qos(Reliability.BEST_EFFORT, depth=1)
 _BUNDLE = 5  # ticks at one go where it runs as fast as it can: then others are heard
 
@@ -236,6 +237,7 @@ class Outlets:
         self._clock = node.publisher(CLOCK_TOPIC, CLOCK_TYPE) if clock else None
         self._view = node.publisher(names.view, "sensor_msgs/msg/Image") if section.view else None
         self._every_view = max(1, round(1e9 / section.view / TICK_NS)) if section.view else 0
+        self._camera = CameraOutlets(node, simulation) if simulation.section.camera.rate else None
         self._ticks = 0
         self._scanned = -1
         self._bumped = False
@@ -258,9 +260,10 @@ class Outlets:
     def begin(self, time_ns: int) -> None:
         """Say what is said once."""
         names, robot = self._names, self._simulation.robot
-        height = robot.lasers.height - (robot.wheels.radius if robot.kinematics == "differential" else 0.0)
-        place = BasePose(0.0, 0.0, 0.0)
-        self._static.publish(messages.transform(time_ns, names.base_frame, names.laser_frame, place, height))
+        middle = robot.wheels.radius if robot.kinematics == "differential" else 0.0
+        camera = None if self._simulation.camera is None else self._simulation.section.camera
+        frames = names.base_frame, names.laser_frame
+        self._static.publish(messages.mount(time_ns, *frames, robot.lasers.height, camera, middle))
 
     def tell(self, time_ns: int) -> None:
         """Say what is due after a tick; ``time_ns`` is the time of the stamps."""
@@ -275,6 +278,8 @@ class Outlets:
             rate = simulation.section.laser.rate
             scan, frame = simulation.scan, names.laser_frame
             self._scan.offer(lambda: self._scan.encoded(messages.scan(time_ns, scan, frame, rate)))
+        if self._camera is not None and simulation.pictured == simulation.time_ns:
+            self._camera.tell(time_ns)
         bumped = bool(simulation.bumps)
         if bumped != self._bumped or self._ticks % _BUMPER == 0:
             self._bumped = bumped
@@ -300,6 +305,25 @@ class Outlets:
             found = simulation.estimate
             self._odometry.offer(lambda: self._estimated.fill(*messages.moving(time_ns, found.pose, found.twist)))
             self._tf.offer(lambda: self._moved.fill(*messages.placed(time_ns, found.pose)))
+
+
+class CameraOutlets:
+    """The depth camera's publishers; a picture is computed where anybody may get it."""
+
+    def __init__(self, node: ModuleNode, simulation: Simulation) -> None:
+        self._simulation = simulation
+        self._depth = node.publisher(messages.DEPTH, "sensor_msgs/msg/Image", _PICTURE)
+        self._info = node.publisher(messages.DEPTH_INFO, "sensor_msgs/msg/CameraInfo")
+        self._points = node.publisher(messages.DEPTH_POINTS, "sensor_msgs/msg/PointCloud2", _PICTURE)
+
+    def tell(self, time_ns: int) -> None:
+        """Say what the picture that was just taken shows; ``time_ns`` is the time of the stamps."""
+        simulation, camera = self._simulation, self._simulation.camera
+        assert camera is not None
+        depth, info, points, encoding = self._depth, self._info, self._points, simulation.section.camera.encoding
+        info.offer(lambda: info.encoded(messages.camera_info(time_ns, camera.lens, *camera.size)))
+        depth.offer(lambda: depth.encoded(messages.depth(time_ns, simulation.depth(), encoding)))
+        points.offer(lambda: points.encoded(messages.points(time_ns, camera.points(simulation.depth()))))
 
 
 _FIXED = ("name", "state", "hub", "types", "limits", "clock")

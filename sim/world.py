@@ -64,7 +64,9 @@ class FloorWorld:
         self._world.setTimeStep(STEP_NS / 1e9)
         self._world.setCollisionDetector(dart.collision.BulletCollisionDetector())
         extent = floor.extent
-        self._world.addSkeleton(ground(max(50.0, *(abs(v) for v in extent)) + 10.0))
+        self._world.addSkeleton(ground(max(50.0, *(abs(v) for v in extent)) + 10.0, floor.drops))
+        # where the floor is lower, as `solids` has things
+        self.drops = solids_of([Piece("", *d.at, 0.0, *d.size, d.depth, above=-d.depth) for d in floor.drops])
         self._world.addSkeleton(base.skeleton)
         self.doors = {door.name: door.open for door in floor.doors}
         self.people = {person.name: Walker(person) for person in floor.people}
@@ -76,8 +78,7 @@ class FloorWorld:
     def _rebuild(self) -> None:
         """Make everything that stands fast anew: at the start, and when something comes or goes."""
         floor = self.floor
-        standing = [*made.walls(floor), *(made.of_box(box) for box in floor.boxes if box.mass is None)]
-        standing += [*(made.of_round(thing) for thing in floor.rounds), *self.extra.values()]
+        standing = [*made.standing(floor), *self.extra.values()]
         leaves = [made.leaf(door, floor) for door in floor.doors]
         self.pieces = [*standing, *leaves, *(walker.piece() for walker in self.people.values())]
         self.first_leaf = len(standing)
@@ -110,10 +111,17 @@ class FloorWorld:
 
     def _see(self) -> None:
         """What the laser sees of the things that stand fast."""
-        seen = [p for p in self.pieces[: self.first_leaf] if p.height > self._laser_height]
+        seen = [p for p in self.pieces[: self.first_leaf] if p.above <= self._laser_height < p.top]
         boxes = [p.segments() for p in seen if not p.radius]
         self._segments = np.vstack(boxes) if boxes else np.zeros((0, 4))
         self._circles = np.array([(p.x, p.y, p.radius) for p in seen if p.radius]).reshape(-1, 3)
+        self._solids = solids_of(self.pieces[: self.first_leaf])
+
+    def solids(self) -> Floats:
+        """What a camera sees now, as `sim.depth_kernel.render` has it: (n, 8), metres."""
+        moving = [*(crate.now() for crate in self.crates.values()), *self.leaves(is_open=False)]
+        moving += [walker.piece() for walker in self.people.values()]
+        return np.vstack([self._solids, solids_of(moving)])
 
     def seen(self) -> tuple[Floats, Floats]:
         """What the laser sees now: segments (n, 4) and circles (m, 3), metres."""
@@ -208,7 +216,8 @@ class FloorWorld:
         things += [(name, w.x, w.y, w.person.radius) for name, w in self.people.items()]
         things += [(name, (p := crate.now()).x, p.y, p.reach) for name, crate in self.crates.items()]
         for name, x, y, reach in things:
-            if name != leave_out and _distance(piece, x, y) < reach:
+            low = name == "the robot" and piece.above >= self.base.robot.body.tall
+            if name != leave_out and not low and _distance(piece, x, y) < reach:
                 return name
         return ""
 
@@ -253,7 +262,7 @@ class FloorWorld:
         there += [walker.piece() for walker in self.people.values()]
         there += [replace(crate.now(), name=name) for name, crate in self.crates.items()]
         for piece in there:
-            if _distance(piece, pose.x, pose.y) < radius:
+            if piece.above < self.base.robot.body.tall and _distance(piece, pose.x, pose.y) < radius:
                 msg = f"the robot cannot stand at {pose.x:.2f}, {pose.y:.2f}: {piece.name or 'a wall'} is there"
                 raise SimError(msg)
         self.base.place(pose)
@@ -275,6 +284,15 @@ def _solid(thing: Box | Person | Piece) -> Piece:
     if isinstance(thing, Piece):
         return thing
     return made.of_box(thing) if isinstance(thing, Box) else made.of_person(thing)
+
+
+def solids_of(pieces: Iterable[Piece]) -> Floats:
+    """Pieces as `sim.depth_kernel.render` has them: (n, 8)."""
+    rows = []
+    for p in pieces:
+        half = (p.radius, 0.0) if p.radius else (p.length / 2, p.width / 2)
+        rows.append((p.x, p.y, math.cos(p.yaw), math.sin(p.yaw), *half, p.above, p.top))
+    return np.array(rows, float).reshape(-1, 8)
 
 
 def _distance(piece: Piece, x: float, y: float) -> float:

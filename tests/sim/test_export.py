@@ -69,7 +69,7 @@ def test_the_picture_shows_walls_and_the_robot() -> None:
 
 def test_the_command_makes_maps_and_pictures(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["sim", "--list"]) == 0
-    assert "apartment, hall, lab, office, two_storeys" in capsys.readouterr().out
+    assert "apartment, hall, lab, office, tables, two_storeys" in capsys.readouterr().out
     config = tmp_path / "midspan.yaml"
     config.write_text(f"state: {tmp_path}\nsim: {{plan: hall}}\n")
     assert main(["sim", "--config", str(config), "--picture", str(tmp_path / "hall.png")]) == 0

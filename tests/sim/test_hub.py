@@ -7,12 +7,15 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from bridge.config.model import Config
 from bridge.config.sections.yarp import TopicPort, YarpSection
 from bridge.hub.session import Hub
 from bridge.messages.registry import Registry
+from sim import messages
+from sim.depth import DepthCamera
 from sim.simulator import SimWorker
 from tests.contract.hubside import HubSide
 from tests.support.ports import free_port
@@ -213,3 +216,41 @@ def test_a_release_of_yarp_leaves_the_simulation_alone(place: Place) -> None:
         assert after["zid"] == before["zid"]
         assert after["time"] >= before["time"]
     assert not place.worker.reload(config.model_copy(update={"yarp": YarpSection(namespace="/other")}))
+
+
+def test_depth_pictures_their_points_and_frames_where_they_are_heard(
+    place: Place, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    taken: list[int] = []
+    picture = DepthCamera.picture
+    monkeypatch.setattr(DepthCamera, "picture", lambda *args: (taken.append(args[1]), picture(*args))[1])
+    far, camera = place.far, {"rate": 10.0, "width": 32, "height": 16, "noise": 0.0}
+    place.worker.start(place.config(speed="step", plan="hall", camera=camera))
+    frames = far.subscribe("/tf_static", "tf2_msgs/TFMessage", latched=True)
+    (message,) = far.wait(frames, 1)
+    said = {t["child_frame_id"]: t for t in message["transforms"]}
+    assert {name: t["header"]["frame_id"] for name, t in said.items()} == {
+        "laser": "base_link", "camera_link": "base_link", "camera_depth_optical_frame": "camera_link",
+    }  # fmt: skip
+    place.step(0.5)
+    assert not taken  # nobody hears
+    ends = {
+        "/camera/depth/image_rect_raw": far.subscribe("/camera/depth/image_rect_raw", "sensor_msgs/Image"),
+        "/camera/depth/camera_info": far.subscribe("/camera/depth/camera_info", "sensor_msgs/CameraInfo"),
+        "/camera/depth/points": far.subscribe("/camera/depth/points", "sensor_msgs/PointCloud2"),
+    }
+    for topic in ends:
+        far.until_published(topic)
+    until(lambda: (place.step(0.1), all(far.wait(end, 1, 0.2) for end in ends.values()))[1], "all are heard", 20)
+    depth, info, cloud = (far.wait(end, 1)[-1] for end in ends.values())
+    assert depth["header"] == info["header"] == cloud["header"]
+    assert len(taken) == len(set(taken))  # one picture for both
+    assert (depth["width"], depth["height"], info["k"][2]) == (32, 16, 15.5)
+    assert cloud["row_step"] == 32 * 12
+
+
+def test_a_camera_in_millimetres() -> None:
+    seen = np.array([[1.2345, np.inf, -np.inf], [np.nan, 0.0004, 64.9]], np.float32)
+    made = messages.depth(5, seen, "16UC1")
+    assert (made["encoding"], made["step"]) == ("16UC1", 6)
+    assert made["data"].view(np.uint16).tolist() == [1234, 0, 0, 0, 0, 64900]

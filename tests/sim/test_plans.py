@@ -35,7 +35,7 @@ def test_one_can_stand_at_every_place_of_every_plan(name: str) -> None:
 
 
 def test_the_plans_that_are_there() -> None:
-    assert ready("plans") == ["apartment", "hall", "lab", "office", "two_storeys"]
+    assert ready("plans") == ["apartment", "hall", "lab", "office", "tables", "two_storeys"]
     assert {"kitchen", "bedroom"} < load_plan("apartment").floors["apartment"].rooms.keys()
     with pytest.raises(SimError, match="neither a file nor one of the plans"):
         load_plan("castle")

@@ -28,7 +28,10 @@ def test_a_yarp_client_has_laser_odometry_and_battery(tmp_path: Path) -> None:
         with NameServer(port=place.port, gc_seconds=0):
             names = NameClient(Address("127.0.0.1", place.port), namespace="/root")
             section = {"beams": 8, "farthest": 15.0}
-            place.worker.start(place.config(plan="hall", start=(0.5, 0.0, 0.0), yarp="/cer", laser=section))
+            camera = {"rate": 5.0, "width": 24, "height": 16, "noise": 0.0, "pitch": 0.0}
+            place.worker.start(
+                place.config(plan="hall", start=(0.5, 0.0, 0.0), yarp="/cer", laser=section, camera=camera)
+            )
             until(lambda: connections.exists(names, "/cer/battery/rpc:i"), "the last port is there")
             until(lambda: "waiting" not in str(place.status()["ports"]), "all are open")
             streams(place, names)
@@ -56,6 +59,9 @@ def streams(place: Place, names: NameClient) -> None:
     assert all(
         abs(r - wanted) < 0.05 for r, wanted in zip(list(scan.scans)[::2], (9.45, 6.95, 10.45, 6.95), strict=True)
     )
+    depth = heard("/cer/depthCamera/depthImage:o").to(yarp.ImageFloat)
+    assert (depth.width(), depth.height()) == (24, 16)
+    assert depth.numpy()[7, 12] == pytest.approx(9.45 - 0.1, abs=0.05)  # the wall ahead, from the camera
     received = heard("/cer/odometry:o")
     odometry = received.to(OdometryData)
     assert abs(odometry.odom_x) < 0.01

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Annotated, Literal
 
-from pydantic import Field, field_validator
+from pydantic import Field, field_validator, model_validator
 
 from bridge.config.sections.section import Section, matching, setting, subsection
 
@@ -23,6 +23,8 @@ class ClockSection(Section):
 
 
 _Prefix = Annotated[str, matching(r"(?:/[A-Za-z0-9_]+)*", "is not a prefix of port names: write it as /cer")]
+
+_Angle = Annotated[float, Field(ge=1, le=170)]
 
 _Part = Annotated[str, matching(r"[A-Za-z0-9_]+", "is no part of a port's name: write it as mobile_base")]
 
@@ -53,12 +55,44 @@ class EncodersSection(Section):
     noise: float = setting(0.0, "Standard deviation after one radian, in radians; it adds up.", ge=0, le=1)
 
 
+class CameraSection(Section):
+    """The depth camera: a RealSense D435, unless told otherwise (Intel's data sheet 337029)."""
+
+    rate: float = setting(0.0, "Pictures per second; 0: there is no camera.", ge=0, le=90)
+    width: int = setting(640, "Pixels.", ge=16, le=1280)
+    height: int = setting(480, "Pixels.", ge=16, le=960)
+    fov: tuple[_Angle, _Angle] = setting(
+        (87.0, 58.0), "Degrees that it sees from side to side, and from top to bottom."
+    )
+    nearest: float = setting(0.3, "Metres of depth; nearer is minus infinity (`16UC1`: 0).", ge=0, le=10)
+    farthest: float = setting(10.0, "Metres of depth; farther is infinite (`16UC1`: 0).", gt=0, le=65)
+    at: tuple[float, float, float] = setting(
+        (0.1, 0.0, 1.1), "Where it is: metres ahead, to the left, above the floor."
+    )
+    pitch: float = setting(25.0, "Degrees that it looks down.", ge=-90, le=90)
+    yaw: float = setting(0.0, "Degrees that it looks to the left.", ge=-180, le=180)
+    noise: float = setting(
+        0.08, "Standard deviation of a disparity, pixels: the depth's grows with its square. 0: none.", ge=0, le=10
+    )
+    baseline: float = setting(0.05, "Metres between its two imagers.", gt=0, le=1)
+    dropouts: float = setting(0.0, "Share of pixels without a value (NaN; `16UC1`: 0).", ge=0, le=1)
+    encoding: Literal["32FC1", "16UC1"] = setting(
+        "32FC1", "Of the picture: metres, or millimetres as the D435's driver."
+    )
+
+    @model_validator(mode="after")
+    def _sees(self) -> CameraSection:
+        if self.nearest >= self.farthest:
+            raise ValueError("nearest is less than farthest")
+        return self
+
+
 class SimSection(Section):
     """The R1's base, or another, in DART."""
 
     enabled: bool = setting(False, "Whether the worker `sim` runs.")
     plan: str = setting(
-        "apartment", "`apartment`, `office`, `lab`, `hall`, `two_storeys`, or a file (plan, map, image)."
+        "apartment", "`apartment`, `office`, `lab`, `hall`, `tables`, `two_storeys`, or a file (plan, map, image)."
     )
     resolution: float = setting(0.05, "Metres per pixel of a plan that is an image.", gt=0, le=10)
     robot: str = setting("r1", "`r1`, `r1_gazebo`, `ikart_v1`, or a file that describes another robot.")
@@ -86,6 +120,7 @@ class SimSection(Section):
     )
     view: float = setting(0.0, "Pictures of the floor per second, as `Image`; 0: none.", ge=0, le=10)
     laser: LaserSection = subsection(LaserSection, "Its laser.")
+    camera: CameraSection = subsection(CameraSection, "Its depth camera.")
     encoders: EncodersSection = subsection(EncodersSection, "Errors of its encoders.")
 
     @field_validator("speed")

@@ -1,0 +1,82 @@
+"""The depth camera: pictures of a world's solids with a stereo camera's noise, and the points that they show."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bridge.config.sections.sim import CameraSection
+from sim.base import BasePose
+from sim.depth_kernel import render
+
+Depths = NDArray[np.float32]
+Floats = NDArray[np.float64]
+
+_OPTICAL = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
+"""From the optical frame (z ahead, x to the right, y down) to the camera's own (x ahead, y to the left, z up)."""
+
+
+class DepthCamera:
+    """A pinhole camera on the base.
+
+    Its depth is focal length times baseline by disparity, so that an error of the disparity is one of the depth that
+    grows with its square (Intel's white paper "Subpixel Linearity Improvement for RealSense D400"); they are drawn
+    apart for each pixel.
+
+    Attributes:
+        lens: fx, fy, cx, cy, pixels.
+        size: width and height, pixels.
+    """
+
+    def __init__(self, section: CameraSection, seed: int) -> None:
+        self._section, self._seed = section, seed
+        self.size = width, height = section.width, section.height
+        fx, fy = (n / 2 / math.tan(math.radians(a) / 2) for n, a in zip(self.size, section.fov, strict=True))
+        self.lens = fx, fy, (width - 1) / 2, (height - 1) / 2
+        self._error = section.noise / (fx * section.baseline)
+        self._turned = _about_z(section.yaw) @ _about_y(section.pitch) @ _OPTICAL
+        rows, columns = np.indices((height, width), np.float32)
+        self._rays = np.stack(((columns - self.lens[2]) / fx, (rows - self.lens[3]) / fy), -1).astype(np.float32)
+
+    def picture(self, time_ns: int, pose: BasePose, solids: Floats, drops: Floats) -> Depths:
+        """The depths, (height, width) metres, of solids and drops (`sim.depth_kernel.render`) seen from the base.
+
+        Minus infinity is too near, infinity too far, NaN a pixel without a value. The noise is that of the time: the
+        same picture, whether others were taken before or not.
+        """
+        section, (x, y, z) = self._section, self._section.at
+        around = _about_z(math.degrees(pose.yaw))
+        out = np.empty(self.size[::-1], np.float32)
+        eye = around @ (x, y, 0.0) + (pose.x, pose.y, z)
+        render(solids, drops, eye, np.ascontiguousarray(around @ self._turned), np.array(self.lens), math.inf, out)
+        rng = np.random.default_rng((self._seed, time_ns))
+        if self._error:
+            noise = rng.standard_normal(out.shape, np.float32)
+            noise *= float(self._error)
+            with np.errstate(invalid="ignore"):
+                out += noise * np.square(np.where(np.isfinite(out), out, np.float32(0.0)))
+        out[out > section.farthest] = math.inf
+        out[out < section.nearest] = -math.inf
+        if section.dropouts:
+            out[rng.random(out.shape, np.float32) < section.dropouts] = math.nan
+        return out
+
+    def points(self, depths: Depths) -> Depths:
+        """The points in the optical frame of a picture's pixels, (height, width, 3) metres; not finite where none."""
+        found = np.empty((*depths.shape, 3), np.float32)
+        with np.errstate(invalid="ignore"):
+            np.multiply(self._rays, depths[..., None], out=found[..., :2])
+        found[..., 2] = depths
+        return found
+
+
+def _about_z(degrees: float) -> Floats:
+    c, s = math.cos(math.radians(degrees)), math.sin(math.radians(degrees))
+    return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+
+
+def _about_y(degrees: float) -> Floats:
+    c, s = math.cos(math.radians(degrees)), math.sin(math.radians(degrees))
+    return np.array([[c, 0.0, s], [0.0, 1.0, 0.0], [-s, 0.0, c]])
