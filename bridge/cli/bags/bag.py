@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import signal
 import sys
 import time
 from collections.abc import Iterator
@@ -89,14 +90,17 @@ def _moment(text: str) -> tuple[bool, int]:
 
 @contextmanager
 def _opened(path: Path) -> Iterator[Bag]:
-    """The bag; its errors are the command's."""
+    """The bag; its errors are the command's. SIGTERM ends it as Ctrl-C does: what is half written goes."""
     from bridge.bags.reader import BagError, open_bag
 
+    before = signal.signal(signal.SIGTERM, lambda number, _: sys.exit(128 + number))
     try:
         with open_bag(path) as bag:
             yield bag
     except BagError as err:
         raise CliError(clean(err)) from None
+    finally:
+        signal.signal(signal.SIGTERM, before)
 
 
 def _choice(args: argparse.Namespace, bag: Bag) -> BagSelection:

@@ -99,16 +99,19 @@ def test_what_cannot_be_done_is_said(words: str, says: str, capsys: pytest.Captu
     assert sorted(path.name for path in here.iterdir()) == ["a.mcap", "text.bag"]
 
 
-def test_ctrl_c_leaves_nothing(here: Path) -> None:
+@pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
+@pytest.mark.parametrize("verb", ["convert", "cut", "mend"])
+def test_who_ends_it_finds_nothing_left(verb: str, number: int, code: int, here: Path) -> None:
     long_mcap(Path("a.mcap"), 1000, 50_000)
-    command = [sys.executable, "-m", "bridge.cli.main", "bag", "convert", "a.mcap", "b.bag", "--compression", "bz2"]
+    assert main(["bag", "convert", "a.mcap", "a.bag"]) == 0
+    command = [sys.executable, "-m", "bridge.cli.main", "bag", verb, "a.bag", "b.bag", "--compression", "bz2"]
     environ = {**os.environ, "PYTHONPATH": str(Path(__file__).parents[3])}
     process = subprocess.Popen(command, env=environ, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
-    until(lambda: any(path.name.startswith(".b.bag.") for path in here.iterdir()), what="it writes")
-    process.send_signal(signal.SIGINT)
+    until(lambda: any(path.name.startswith(".b.") for path in here.iterdir()), what="it writes")
+    process.send_signal(number)
     process.communicate(timeout=20)
-    assert process.returncode == 130
-    assert sorted(path.name for path in here.iterdir()) == ["a.mcap"]
+    assert process.returncode == code
+    assert sorted(path.name for path in here.iterdir()) == ["a.bag", "a.mcap"]
 
 
 @pytest.mark.parametrize("name", ["b.bag", "b.mcap", "b.db3"])
