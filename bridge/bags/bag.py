@@ -48,8 +48,9 @@ class BagTopic:
         world: whose wire its messages are in.
         definition: the type's full definition, "" where the bag has none that can be read.
         type_hash: md5 or ``RIHS01_...``, "" where it is not known.
-        qos: what was offered; a latched ROS 1 connection is transient local.
+        qos: what was offered, of all publishers together; a latched ROS 1 connection is transient local.
         count: messages.
+        offered: what each of the publishers offered, where that is known.
         metadata: ``side``, ``origin``, ``daemon`` as Midspan's recordings have them; ROS 1's ``callerid``.
     """
 
@@ -61,6 +62,12 @@ class BagTopic:
     qos: Qos = USUAL
     count: int = 0
     metadata: Mapping[str, str] = field(default_factory=dict)
+    offered: tuple[Qos, ...] = ()
+
+    @property
+    def profiles(self) -> tuple[Qos, ...]:
+        """What a writer says of its QoS."""
+        return self.offered or (self.qos,)
 
 
 class BagMessage(NamedTuple):
@@ -82,7 +89,7 @@ class Bag(ABC):
         unfinished: whether its writer never closed it, or its end is lost.
         trouble: where and why reading ends early, None where all can be read.
         compression: ``zstd``, ``lz4``, ``bz2``, several with commas, or ``none``.
-        left_out: topics that no side of Midspan can read, with their encoding.
+        left_out: topics that no side of Midspan can read, with their encoding; further files that cannot be opened.
         about: what the recorder wrote of itself, as MCAP's records of metadata: values by record and name.
     """
 

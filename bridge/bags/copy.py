@@ -149,7 +149,7 @@ def _writer(path: Path, kind: Kind, compression: str) -> BagWriter:
 def _check_sound(bag: Bag) -> None:
     """Raises what is wrong with a bag; what only lacks its end is read up to there."""
     if bag.trouble is not None and not bag.unfinished:
-        raise BagError(bag.path, bag.trouble.what, bag.trouble.offset, "'midspan bag mend' saves the rest")
+        raise BagError(bag.trouble.path, bag.trouble.what, bag.trouble.offset, "'midspan bag mend' saves the rest")
 
 
 def _copy_chunks(

@@ -14,7 +14,7 @@ from typing import Any, Literal
 from urllib.parse import quote
 
 from bridge.bags.bag import MAX_CHUNK, MAX_TOPICS, Bag, BagError, BagMessage, BagTopic, Kind, reading
-from bridge.bags.qos import parse_qos
+from bridge.bags.qos import merged_qos, parse_qos
 from bridge.messages.definitions.schema import World
 
 MAGIC = b"SQLite format 3\0"
@@ -63,9 +63,11 @@ class Db3Bag(Bag):
                 continue
             definition = definitions.get(type_name, "")
             count = int(counts.get(number, 0))
+            profiles = parse_qos(_text(offered))
             found[number] = BagTopic(
-                _text(name), _text(type_name), World.ROS2, definition, _text(hashed), parse_qos(_text(offered)), count
-            )
+                _text(name), _text(type_name), World.ROS2, definition, _text(hashed), merged_qos(profiles), count,
+                offered=profiles,
+            )  # fmt: skip
         self.left_out = tuple(left_out)
         return found
 

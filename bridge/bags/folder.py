@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import heapq
 import shutil
 import tempfile
+from collections import deque
 from collections.abc import Callable, Collection, Iterator
 from contextlib import ExitStack
 from dataclasses import replace
@@ -16,12 +18,15 @@ from bridge.bags.qos import load_yaml
 METADATA = "metadata.yaml"
 _LARGEST_METADATA = 4 << 20
 _PACKED = (".zstd", ".zst")
+_ZSTD = b"\x28\xb5\x2f\xfd"
+"""So begins a message that is compressed by itself, which only the metadata tell; CDR begins with 0."""
+
 _MOST_PACKED = 200
 """How many times larger than its compressed file a file of a folder may be."""
 
 
 class FolderBag(Bag):
-    """A folder of rosbag2. Its files follow each other in time; topics that several have are one.
+    """A folder of rosbag2; topics that several of its files have are one. What cannot be opened is its `trouble`.
 
     Args:
         open_file: opens one file.
@@ -31,31 +36,48 @@ class FolderBag(Bag):
 
     def __init__(self, path: Path, open_file: Callable[[Path], Bag]) -> None:
         super().__init__(path)
-        with reading(path):
+        self._broken: list[BagError] = []
+        try:
             metadata = _metadata(path)
+        except BagError as err:
+            metadata = {}
+            self._broken.append(err)
+        with reading(path):
             files = _files(path, metadata)
+        if not files:
+            raise next(iter(self._broken), BagError(path, f"is no bag: it has no {METADATA}, no .mcap and no .db3"))
         self.unfinished = not metadata
         self._packed = str(metadata.get("compression_mode", "")).lower() == "message"
+        self._parts: list[Bag] = []
         with ExitStack() as stack:
-            with reading(path):
-                plain = [_unpacked(file, stack) for file in files]
-            self._parts = [stack.enter_context(open_file(file)) for file in plain]
+            for file in files:
+                try:
+                    self._parts.append(stack.enter_context(open_file(_unpacked(file, stack))))
+                    self.size += file.stat().st_size
+                except BagError as err:
+                    cure = err.cure or "'midspan bag mend' saves the other files"
+                    self._broken.append(BagError(file, err.what, err.offset, cure))
+            if not self._parts:
+                raise self._broken[-1]
             self._stack = stack.pop_all()
         self._parts.sort(key=lambda part: part.start_ns)
         self._topic_of: dict[BagTopic, BagTopic] = {}
         self._join()
         self.kind = self._parts[0].kind
-        self.size = sum(file.stat().st_size for file in files)
-        self.unfinished |= any(part.unfinished for part in self._parts)
-        self.trouble = next((part.trouble for part in self._parts if part.trouble is not None), None)
+        troubles = [part.trouble for part in self._parts if part.trouble is not None]
+        damage = [*self._broken, *(part.trouble for part in self._parts if part.trouble and not part.unfinished)]
+        self.trouble = next(iter([*damage, *troubles]), None)
+        self.unfinished = not damage and (self.unfinished or any(part.unfinished for part in self._parts))
         told = {part.compression for part in self._parts}
-        self.compression = "zstd" if self._packed or files != plain else ",".join(sorted(told))
-        self.left_out = tuple(dict.fromkeys(name for part in self._parts for name in part.left_out))
+        packed = self._packed or any(file.name.endswith(_PACKED) for file in files)
+        self.compression = "zstd" if packed else ",".join(sorted(told))
+        more = (f"{err.path.name} ({err.what})" for err in self._broken[1:])
+        self.left_out = (*dict.fromkeys(name for part in self._parts for name in part.left_out), *more)
 
     def _join(self) -> None:
         joined: dict[tuple[Any, ...], list[BagTopic]] = {}
         for topic in (topic for part in self._parts for topic in part.topics):
-            key = (topic.name, topic.type_name, topic.world, topic.definition, topic.type_hash, topic.qos)
+            key = (topic.name, topic.type_name, topic.world, topic.definition, topic.type_hash, topic.profiles)
             joined.setdefault((*key, *sorted(topic.metadata.items())), []).append(topic)
         for same in joined.values():
             one = replace(same[0], count=sum(topic.count for topic in same))
@@ -68,23 +90,43 @@ class FolderBag(Bag):
     def messages(
         self, topics: Collection[BagTopic] | None = None, start_ns: int | None = None, end_ns: int | None = None
     ) -> Iterator[BagMessage]:
-        """See `Bag.messages`; files whose times overlap are read one after the other."""
+        """See `Bag.messages`; a file is read from the time on at which it begins. Raises for a lost file at the end."""
         wanted = None if topics is None else set(topics)
-        for part in self._parts:
-            try:
-                yield from self._of(part, wanted, start_ns, end_ns)
-            except BagError as err:
-                if self._on_damage is None:
-                    raise
-                self._on_damage(err)
+        later = deque(self._parts)
+        heads: list[tuple[int, int, BagMessage, Iterator[BagMessage]]] = []
+        while later or heads:
+            while later and (not heads or later[0].start_ns <= heads[0][0]):
+                messages = self._of(later.popleft(), wanted, start_ns, end_ns)
+                if (first := next(messages, None)) is not None:
+                    heapq.heappush(heads, (first.time_ns, -len(later), first, messages))
+            if not heads:
+                continue
+            _, number, message, messages = heads[0]
+            yield message
+            if (following := next(messages, None)) is None:
+                heapq.heappop(heads)
+            else:
+                heapq.heapreplace(heads, (following.time_ns, number, following, messages))
+        if self._broken and self._on_damage is None:
+            raise self._broken[0]
 
     def _of(
+        self, part: Bag, wanted: set[BagTopic] | None, start_ns: int | None, end_ns: int | None
+    ) -> Iterator[BagMessage]:
+        try:
+            yield from self._read(part, wanted, start_ns, end_ns)
+        except BagError as err:
+            if self._on_damage is None:
+                raise
+            self._on_damage(err)
+
+    def _read(
         self, part: Bag, wanted: set[BagTopic] | None, start_ns: int | None, end_ns: int | None
     ) -> Iterator[BagMessage]:
         mine = None if wanted is None else [topic for topic in part.topics if self._topic_of[topic] in wanted]
         for message in part.messages(mine, start_ns, end_ns):
             data = message.data
-            if self._packed:
+            if self._packed or data.startswith(_ZSTD):
                 with reading(part.path):
                     data = _unzstd(data)
             yield message._replace(topic=self._topic_of[message.topic], data=data)
@@ -92,6 +134,8 @@ class FolderBag(Bag):
     def skip_damage(self, told: Callable[[BagError], None]) -> None:
         """See `Bag.skip_damage`: of a file that cannot skip anything, the rest is left out."""
         self._on_damage = told
+        for err in self._broken:
+            told(err)
         for part in self._parts:
             part.skip_damage(told)
 
@@ -122,8 +166,6 @@ def _files(path: Path, metadata: dict[str, Any]) -> list[Path]:
     else:
         ends = (".mcap", ".db3", *(f"{kind}{end}" for kind in (".mcap", ".db3") for end in _PACKED))
         files = sorted(file for file in path.iterdir() if file.name.endswith(ends))
-    if not files:
-        raise BagError(path, f"is no bag: it has no {METADATA}, no .mcap and no .db3")
     return files
 
 

@@ -223,7 +223,7 @@ class Ros2Mcap(ChunkedMcap):
             id=len(self._known) + 1, name=form.type_name, encoding="ros2msg" if text else "", data=text.encode()
         )
         schema = self._known.setdefault((form.type_name, text), new)
-        info = ChannelInfo(topic.name, form.type_name, form.type_hash, qos=(topic.qos,), more=dict(topic.metadata))
+        info = ChannelInfo(topic.name, form.type_name, form.type_hash, qos=topic.profiles, more=dict(topic.metadata))
         number = len(self._channels)
         channel = Channel(
             id=number, topic=topic.name, message_encoding="cdr", metadata=info.metadata(), schema_id=schema.id

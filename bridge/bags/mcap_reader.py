@@ -20,7 +20,7 @@ from mcap.opcode import Opcode
 from mcap.records import Channel, Header, Metadata, Schema, Statistics
 
 from bridge.bags.bag import MAX_TOPICS, BagError, BagMessage, BagTopic, Kind, reading
-from bridge.bags.qos import parse_qos
+from bridge.bags.qos import merged_qos, parse_qos
 from bridge.bags.spans import FileSpan, SpanBag, unpack
 from bridge.hub.wire.qos import LATCHED, Qos
 from bridge.messages.definitions.schema import World
@@ -240,11 +240,11 @@ class McapBag(SpanBag):
             self._left_out[number] = f"{channel.topic} ({channel.message_encoding or 'no encoding'})"
             return
         more = dict(channel.metadata)
-        offered, md5 = more.pop("offered_qos_profiles", ""), more.pop("md5sum", "")
+        offered, md5 = parse_qos(more.pop("offered_qos_profiles", "")), more.pop("md5sum", "")
         if world is World.ROS1:
             qos = LATCHED if more.pop("latching", "") in ("1", "true") else Qos()
         else:
-            qos = parse_qos(offered)
+            qos = merged_qos(offered)
         for name in ("topic", "type", "message_definition"):
             more.pop(name, None)
         encoding = "" if schema is None else schema.encoding
@@ -257,6 +257,7 @@ class McapBag(SpanBag):
             qos,
             count,
             more,
+            offered,
         )
 
     def _plain(self, span: FileSpan) -> bytes | memoryview:

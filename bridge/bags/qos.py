@@ -12,23 +12,26 @@ _DEPTH = 1_000_000
 _Policy = TypeVar("_Policy", bound=IntEnum)
 
 
-def parse_qos(text: str) -> Qos:
-    """One profile for all that a topic's publishers offered; the usual one where the text says nothing readable.
+def parse_qos(text: str) -> tuple[Qos, ...]:
+    """The profiles that a topic's publishers offered, each once; none where the text says nothing readable."""
+    return tuple(dict.fromkeys(map(_qos, _profiles(text))))
+
+
+def merged_qos(offered: tuple[Qos, ...]) -> Qos:
+    """One profile for all publishers of a topic; the usual one where there is none.
 
     It is transient local where any of them is, best effort where all are, and as deep as the deepest.
     """
-    found = _profiles(text)
-    if not found:
+    if not offered:
         return Qos()
-    durable = any(_policy(p, "durability", Durability.VOLATILE) is Durability.TRANSIENT_LOCAL for p in found)
-    lossy = all(_policy(p, "reliability", Reliability.RELIABLE) is Reliability.BEST_EFFORT for p in found)
-    every = any(_policy(p, "history", History.KEEP_LAST) is History.KEEP_ALL for p in found)
-    depths = [depth for p in found if isinstance(depth := p.get("depth"), int) and 0 < depth <= _DEPTH]
+    durable = any(qos.durability is Durability.TRANSIENT_LOCAL for qos in offered)
+    lossy = all(qos.reliability is Reliability.BEST_EFFORT for qos in offered)
+    every = any(qos.history is History.KEEP_ALL for qos in offered)
     return Qos(
         Reliability.BEST_EFFORT if lossy else Reliability.RELIABLE,
         Durability.TRANSIENT_LOCAL if durable else Durability.VOLATILE,
         History.KEEP_ALL if every else History.KEEP_LAST,
-        max(depths, default=10),
+        max(qos.depth for qos in offered),
     )
 
 
@@ -79,6 +82,28 @@ def _profiles(text: str) -> list[dict[str, Any]]:
     except (yaml.YAMLError, ValueError, RecursionError):
         return []
     return [each for each in found if isinstance(each, dict)] if isinstance(found, list) else []
+
+
+def _qos(profile: dict[str, Any]) -> Qos:
+    depth = profile.get("depth")
+    return Qos(
+        _policy(profile, "reliability", Reliability.RELIABLE),
+        _policy(profile, "durability", Durability.VOLATILE),
+        _policy(profile, "history", History.KEEP_LAST),
+        depth if isinstance(depth, int) and 0 < depth <= _DEPTH else 10,
+        _nanoseconds(profile.get("deadline")),
+        _nanoseconds(profile.get("lifespan")),
+    )
+
+
+def _nanoseconds(value: Any) -> int | None:
+    """None for what is not limited: rmw's infinite time, and 0 (rmw/types.h)."""
+    if not isinstance(value, dict):
+        return None
+    sec, nsec = value.get("sec"), value.get("nsec")
+    if not isinstance(sec, int) or not isinstance(nsec, int) or not (0, 0) < (sec, nsec) < rosbag2_time(None):
+        return None
+    return sec * 1_000_000_000 + nsec
 
 
 def _policy(profile: dict[str, Any], name: str, usual: _Policy) -> _Policy:

@@ -53,4 +53,4 @@ def _open_content(path: Path, file: BinaryIO) -> Bag:
         return Db3Bag(path)
     if not start:
         raise BagError(path, "is empty", None, "its recorder was killed before it wrote anything")
-    raise BagError(path, "is neither MCAP nor a bag of ROS 1 or ROS 2")
+    raise BagError(path, "is neither MCAP nor a bag of ROS 1 or ROS 2", 0)

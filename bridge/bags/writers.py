@@ -5,8 +5,8 @@ A bag is written in a folder beside its place, and comes to its place when it is
 
 from __future__ import annotations
 
+import secrets
 import shutil
-import tempfile
 from abc import ABC, abstractmethod
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -16,6 +16,7 @@ from typing import Any
 from bridge.bags.bag import BagError, BagTopic, Kind
 from bridge.bags.conversion import TopicForm
 from bridge.bags.qos import rosbag2_time
+from bridge.hub.wire.qos import Qos
 
 COMPRESSIONS: dict[Kind, tuple[str, ...]] = {
     "mcap": ("zstd", "lz4", "none"), "bag": ("none", "lz4", "bz2"), "db3": ("none",),
@@ -104,24 +105,32 @@ class Db3(BagWriter):
 
         self._writer = Writer2(path, version=Writer2.VERSION_LATEST)
         self._writer.open()
-        self._known: dict[tuple[Any, ...], Any] = {}
+        self._topics: dict[tuple[str, str], tuple[TopicForm, dict[Qos, None]]] = {}
+        self._connections: dict[tuple[str, str], Any] = {}
 
     def add(self, topic: BagTopic, form: TopicForm) -> Any:
-        """See `BagWriter.add`."""
-        key = (topic.name, form.type_name)
-        if key not in self._known:
-            self._known[key] = self._writer.add_connection(
-                topic.name, form.type_name, msgdef=form.definition, rihs01=form.type_hash or _UNKNOWN_HASH,
-                offered_qos_profiles=[_profile(topic)],
-            )  # fmt: skip
-        return self._known[key]
+        """See `BagWriter.add`: a topic is one connection, with what each of its publishers offered."""
+        key = topic.name, form.type_name
+        self._topics.setdefault(key, (form, {}))[1].update(dict.fromkeys(topic.profiles))
+        return key
 
     def write(self, place: Any, time_ns: int, _publish_ns: int, data: bytes) -> None:
         """See `BagWriter.write`."""
-        self._writer.write(place, time_ns, data)
+        if not self._connections:
+            self._connect()
+        self._writer.write(self._connections[place], time_ns, data)
+
+    def _connect(self) -> None:
+        for (name, type_name), (form, offered) in self._topics.items():
+            self._connections[name, type_name] = self._writer.add_connection(
+                name, type_name, msgdef=form.definition, rihs01=form.type_hash or _UNKNOWN_HASH,
+                offered_qos_profiles=list(map(_profile, offered)),
+            )  # fmt: skip
 
     def finish(self) -> None:
         """See `BagWriter.finish`."""
+        if not self._connections:
+            self._connect()
         self._writer.close()
 
     def abandon(self) -> None:
@@ -131,14 +140,14 @@ class Db3(BagWriter):
             storage.abort()
 
 
-def _profile(topic: BagTopic) -> Any:
-    from rosbags.interfaces import Qos, QosDurability, QosHistory, QosLiveliness, QosReliability, QosTime
+def _profile(qos: Qos) -> Any:
+    from rosbags.interfaces import Qos as BagQos
+    from rosbags.interfaces import QosDurability, QosHistory, QosLiveliness, QosReliability, QosTime
 
     def time(nanoseconds: int | None) -> Any:
         return QosTime(*rosbag2_time(nanoseconds))
 
-    qos = topic.qos
-    return Qos(
+    return BagQos(
         QosHistory[qos.history.name], qos.depth, QosReliability[qos.reliability.name],
         QosDurability[qos.durability.name], time(qos.deadline_ns), time(qos.lifespan_ns), QosLiveliness.AUTOMATIC,
         time(None), False,
@@ -172,11 +181,9 @@ def written_whole(target: Path, kind: Kind) -> Iterator[Path]:
     """Where to write a bag that comes to ``target`` at the end, or not at all; raises `BagError`."""
     if target.exists():
         raise BagError(target, "is there already", None, "remove it, or take another name")
+    making = target.parent / f".{target.name}.{secrets.token_hex(4)}"
     try:
-        making = Path(tempfile.mkdtemp(prefix=f".{target.name}.", dir=target.parent))
-    except OSError as err:
-        raise BagError(target, f"cannot be written: {err.strerror}") from None
-    try:
+        making.mkdir(0o700)  # here, since a signal may come as soon as it is there
         made = making / target.name
         yield made
         if kind == "db3" and target.suffix:  # the file alone, without its folder

@@ -27,11 +27,10 @@ def write_metadata(folder: Path, files: Sequence[Written]) -> None:
 
 def metadata(files: Sequence[Written]) -> dict[str, Any]:
     """The document; there is at least one file."""
-    topics: dict[tuple[str, str], tuple[ChannelInfo, int]] = {}
+    channels: dict[tuple[str, str], list[tuple[ChannelInfo, int]]] = {}
     for file in files:
         for info, messages in file.topics:
-            before = topics.get((info.topic, info.type_name), (info, 0))
-            topics[info.topic, info.type_name] = before[0], before[1] + messages
+            channels.setdefault((info.topic, info.type_name), []).append((info, messages))
     begin, end = min(file.begin for file in files), max(file.end for file in files)
     return {
         "rosbag2_bagfile_information": {
@@ -40,7 +39,7 @@ def metadata(files: Sequence[Written]) -> dict[str, Any]:
             "duration": {"nanoseconds": end - begin},
             "starting_time": {"nanoseconds_since_epoch": begin},
             "message_count": sum(file.messages for file in files),
-            "topics_with_message_count": [_topic(info, messages) for info, messages in topics.values()],
+            "topics_with_message_count": list(map(_topic, channels.values())),
             "compression_format": "",
             "compression_mode": "",
             "relative_file_paths": [file.path.name for file in files],
@@ -51,17 +50,19 @@ def metadata(files: Sequence[Written]) -> dict[str, Any]:
     }
 
 
-def _topic(info: ChannelInfo, messages: int) -> dict[str, Any]:
+def _topic(channels: Sequence[tuple[ChannelInfo, int]]) -> dict[str, Any]:
+    """A topic with all its channels: one of each origin, in each file."""
     import yaml
 
+    info, offered = channels[0][0], tuple(dict.fromkeys(qos for each, _ in channels for qos in each.qos))
     about = {
         "name": info.topic,
         "type": info.type_name,
         "serialization_format": "cdr",
-        "offered_qos_profiles": yaml.safe_load(qos_yaml(info.qos)) or [],
+        "offered_qos_profiles": yaml.safe_load(qos_yaml(offered)) or [],
         "type_description_hash": info.type_hash,
     }
-    return {"topic_metadata": about, "message_count": messages}
+    return {"topic_metadata": about, "message_count": sum(messages for _, messages in channels)}
 
 
 def _file(file: Written) -> dict[str, Any]:

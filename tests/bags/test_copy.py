@@ -14,7 +14,7 @@ from mcap.reader import make_reader
 from mcap.writer import Writer
 from mcap_ros2.decoder import DecoderFactory
 from rosbags.highlevel import AnyReader
-from rosbags.interfaces import ConnectionExtRosbag1
+from rosbags.interfaces import ConnectionExtRosbag1, ConnectionExtRosbag2, QosDurability
 from rosbags.rosbag1 import Writer as Writer1
 from rosbags.rosbag2 import StoragePlugin
 from rosbags.rosbag2 import Writer as Writer2
@@ -222,6 +222,24 @@ def test_topics_are_chosen_by_name_and_glob(registry: Registry, tmp_path: Path) 
     assert copied(source, tmp_path / "c.mcap", registry, choice=rest).messages == 20
     with pytest.raises(BagError, match="has no topic /nowhere"):
         copied(source, tmp_path / "d.mcap", registry, choice=BagSelection(NameFilter(["/pose", "/nowhere"])))
+
+
+def test_each_publishers_qos_is_kept(registry: Registry, tmp_path: Path) -> None:
+    with Writer1(tmp_path / "a.bag") as writer:
+        for caller, latching in {"/one": 1, "/two": 0}.items():
+            connection = writer.add_connection("/text", STRING, typestore=ROS1, callerid=caller, latching=latching)
+            writer.write(connection, START, b"\x02\0\0\0hi")
+    copied(tmp_path / "a.bag", tmp_path / "b", registry)
+    copied(tmp_path / "b", tmp_path / "c.mcap", registry)
+    copied(tmp_path / "c.mcap", tmp_path / "d.db3", registry)
+    for name in ("b", "c.mcap", "d.db3"):
+        with AnyReader([tmp_path / name]) as bag:
+            (connection,) = bag.connections
+            assert isinstance(connection.ext, ConnectionExtRosbag2)
+            found = [(qos.durability, qos.depth) for qos in connection.ext.offered_qos_profiles]
+        assert found == [(QosDurability.TRANSIENT_LOCAL, 1), (QosDurability.VOLATILE, 10)], name
+        with open_bag(tmp_path / name) as ours:
+            assert (ours.topics[0].qos.latched, ours.topics[0].count) == (True, 2)
 
 
 def test_what_a_killed_recorder_left_is_mended(tmp_path: Path) -> None:

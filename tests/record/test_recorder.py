@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+import yaml
 from rosbags.highlevel import AnyReader
 from rosbags.rosbag2 import Reader
 
@@ -96,6 +97,23 @@ def test_each_file_of_a_split_begins_with_what_is_latched(hubs: QuickHub, robot:
     with AnyReader([tmp_path / "run"]) as any_bag:
         words = [any_bag.deserialize(raw, c.msgtype) for c, _, raw in any_bag.messages() if c.topic == "/said"]
     assert [word.data for word in words] == ["first", "second"]  # type: ignore[attr-defined]
+
+
+def test_the_metadata_of_a_folder_have_the_qos_of_all_publishers(hubs: QuickHub, robot: Robot, tmp_path: Path) -> None:
+    with Hub.open(hubs.settings("yarp_robot")) as hub:
+        hub.set_origin(Origin("yarp", "here", "robot2"))
+        ends = [robot.publisher("/said"), Robot(hub).publisher("/said", LATCHED)]
+        with recording(hubs, tmp_path, BagFolder(tmp_path / "run")) as made:
+            made.recorder.begin()
+            until(lambda: all(end.matched() for end in ends), "both are heard")
+            for end in ends:
+                end.put(robot.text("hi"))
+            await_written(made, 2)
+    told = yaml.safe_load((tmp_path / "run" / "metadata.yaml").read_text())["rosbag2_bagfile_information"]
+    (topic,) = told["topics_with_message_count"]
+    offered = topic["topic_metadata"]["offered_qos_profiles"]
+    assert topic["message_count"] == 2
+    assert sorted(qos["durability"] for qos in offered) == ["transient_local", "volatile"]
 
 
 def gone_key(made: Any) -> Any:

@@ -281,4 +281,6 @@ def _tell(args: argparse.Namespace, done: Copied, seconds: float) -> None:
     for name, fields in done.lost.items():
         print(f"ROS 2 has no place for {clean(', '.join(fields))} of {clean(name)}")
     for err in done.damage:
-        print(f"not read: {clean(err.what)}" + (f" (byte {err.offset})" if err.offset is not None else ""))
+        where = f"{err.path.name}, " if err.path != args.bag else ""
+        place = f" ({where}byte {err.offset})" if err.offset is not None else where and f" ({err.path.name})"
+        print(clean(f"not read: {err.what}{place}"))

@@ -1,0 +1,121 @@
+"""Folders of rosbag2 whose files overlap in time, cannot be opened, or are many."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterator
+from pathlib import Path
+
+import pytest
+
+from bridge.bags.bag import Bag, BagError, BagMessage, BagTopic
+from bridge.bags.copy import convert, cut
+from bridge.bags.folder import FolderBag
+from bridge.bags.reader import open_bag
+from bridge.messages.definitions.schema import World
+from bridge.messages.registry import Registry
+from tests.bags.written import SECOND, START, STRING, db3_folder, mcap_file
+
+EMPTY, GARBAGE = b"", b"\0" * 300
+FILES = 20
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    """Three files of the same 21 times."""
+    made = tmp_path / "run"
+    made.mkdir()
+    for number in range(3):
+        mcap_file(made / f"run_{number}.mcap")
+    return made
+
+
+def test_files_that_overlap_are_read_in_order_of_time(folder: Path) -> None:
+    with open_bag(folder) as bag:
+        assert [topic.count for topic in bag.topics] == [3, 60]
+        times = [message.time_ns for message in bag.messages()]
+        assert (len(times), times) == (63, sorted(times))
+        start = START + SECOND
+        assert [m.time_ns for m in bag.messages(None, start, start + 2)] == [start] * 3
+
+
+class Watched(Bag):
+    """A file with one message a second; ``reading`` counts those that are being read."""
+
+    reading = most = 0
+
+    def __init__(self, path: Path) -> None:
+        super().__init__(path)
+        number = int(path.stem)
+        self.kind = "mcap"
+        self.topics = (BagTopic("/a", STRING, World.ROS2, count=3),)
+        self.start_ns, self.end_ns = 2 * number * SECOND, (2 * number + 2) * SECOND
+
+    def messages(
+        self, topics: Collection[BagTopic] | None = None, start_ns: int | None = None, end_ns: int | None = None
+    ) -> Iterator[BagMessage]:
+        assert (topics, start_ns, end_ns) == (None, None, None)
+        Watched.reading += 1
+        Watched.most = max(Watched.most, Watched.reading)
+        for time in range(self.start_ns, self.end_ns + 1, SECOND):
+            yield BagMessage(self.topics[0], time, time, b"")
+        Watched.reading -= 1
+
+    def close(self) -> None:
+        """Nothing is open."""
+
+
+def test_of_many_files_those_are_read_whose_time_has_come(tmp_path: Path) -> None:
+    for number in range(FILES):
+        (tmp_path / f"{number:02}.mcap").touch()
+    with FolderBag(tmp_path, Watched) as bag:
+        times = [message.time_ns for message in bag.messages()]
+    assert (times, len(times)) == (sorted(times), 3 * FILES)
+    assert (Watched.reading, Watched.most) == (0, 2)
+
+
+@pytest.mark.parametrize(("content", "words"), [(EMPTY, "is empty"), (GARBAGE, "is neither MCAP")])
+def test_a_file_that_cannot_be_opened_costs_itself_alone(
+    content: bytes, words: str, folder: Path, tmp_path: Path
+) -> None:
+    (folder / "run_1.mcap").write_bytes(content)
+    with open_bag(folder) as bag:
+        assert "run_1.mcap" in str(bag.trouble)
+        assert words in str(bag.trouble)
+        found: list[BagMessage] = []
+        with pytest.raises(BagError, match=r"run_1\.mcap"):  # a play goes on to there
+            found.extend(bag.messages())
+        assert len(found) == 42
+        for refused in (
+            lambda: convert(bag, tmp_path / "a.bag", "bag", Registry()), lambda: cut(bag, tmp_path / "a.mcap")
+        ):  # fmt: skip
+            with pytest.raises(BagError, match=rf"run_1\.mcap.*{words}.*midspan bag mend"):
+                refused()
+        done = cut(bag, tmp_path / "whole.mcap", mend=True)
+    assert (done.messages, [err.path.name for err in done.damage]) == (42, ["run_1.mcap"])
+    with open_bag(tmp_path / "whole.mcap") as whole:
+        assert (whole.trouble, sum(1 for _ in whole.messages())) == (None, 42)
+
+
+def test_several_that_cannot_be_opened_are_all_told(folder: Path, tmp_path: Path) -> None:
+    for number in (0, 2):
+        (folder / f"run_{number}.mcap").write_bytes(GARBAGE)
+    with open_bag(folder) as bag:
+        assert "run_0.mcap" in str(bag.trouble)
+        assert [name.split()[0] for name in bag.left_out] == ["run_2.mcap"]
+        assert [err.path.name for err in cut(bag, tmp_path / "a.mcap", mend=True).damage] == [
+            "run_0.mcap",
+            "run_2.mcap",
+        ]
+    (folder / "run_1.mcap").write_bytes(EMPTY)
+    with pytest.raises(BagError, match=r"run_2\.mcap, byte 0"):
+        open_bag(folder)
+
+
+def test_without_its_metadata_a_folder_is_mended(tmp_path: Path) -> None:
+    folder = db3_folder(tmp_path / "run")
+    (folder / "metadata.yaml").write_text("rosbag2_bagfile_information: [")
+    with open_bag(folder) as bag:
+        with pytest.raises(BagError, match=r"metadata\.yaml.*midspan bag mend"):
+            cut(bag, tmp_path / "a.db3")
+        done = cut(bag, tmp_path / "a.db3", mend=True)
+    assert (done.messages, [err.path.name for err in done.damage]) == (21, ["metadata.yaml"])
