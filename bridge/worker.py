@@ -53,6 +53,13 @@ class Worker(ABC):
             RuntimeError: the worker cannot go on; its process ends, and is started again.
         """
 
+    def hears_diagnostics(self) -> bool:
+        """Whether somebody hears ``/diagnostics``, which this process then tells unless another one of the daemon does.
+
+        False of a worker that cannot see it, or tells by itself.
+        """
+        return False
+
     @abstractmethod
     def stop(self) -> None:
         """Stop and unregister everything, within two seconds. Safe to call twice."""

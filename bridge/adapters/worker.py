@@ -20,6 +20,7 @@ from bridge.config.sections.routing import RoutingSection
 from bridge.config.sections.section import SideSection
 from bridge.hub import shared_memory
 from bridge.hub.control import Handler
+from bridge.hub.diagnostics import heard
 from bridge.hub.errors import HubError
 from bridge.hub.session import Hub, HubSettings, follow_clock
 from bridge.messages.registry import Registry
@@ -98,6 +99,10 @@ class BridgeWorker(Worker):
         best = min(found.values(), key=lambda health: health.state != "running")
         return Health(best.state, "; ".join(f"{name}: {health.text}" for name, health in found.items()))
 
+    def hears_diagnostics(self) -> bool:
+        """See `Worker`; each of several crossings sees the same hub."""
+        return bool(self._crossings) and self._crossings[0].hears_diagnostics()
+
     def stop(self) -> None:
         """Give back every endpoint and close the sessions."""
         crossings, self._crossings = self._crossings, []
@@ -143,7 +148,6 @@ class Crossing:
         self._started = time.monotonic()
         self._process = psutil.Process()
         self._stopped = False
-        self._diagnostics: Diagnostics | None = None
         self._hub = Hub.open(
             HubSettings(
                 domain=config.hub.domain,
@@ -171,8 +175,8 @@ class Crossing:
             "time": lambda _params: {"time_ns": time.time_ns()},
         }
         self._closers = [self._hub.serve(verb, handler) for verb, handler in verbs.items()]
-        if diagnostics:
-            self._diagnostics = Diagnostics(edge, registry, self._engine, f"midspan {config.name}/{name}")
+        who = f"midspan {config.name}/{name}"
+        self._diagnostics = Diagnostics(edge, registry, self._engine, who, counters=diagnostics)
         self._process.cpu_percent()
 
     def reload(self, config: Config) -> None:
@@ -194,16 +198,17 @@ class Crossing:
         engine = self._running()
         computes = engine.alive()
         summary = engine.summary()
-        if self._diagnostics is not None:
-            self._diagnostics.publish()
+        self._diagnostics.publish()
         text = summary.text or f"{self.name} is away"
         return Health(summary.state, f"{text}; it {computes}" if computes else text)
 
+    def hears_diagnostics(self) -> bool:
+        """Whether somebody on the hub, or a program of any side, hears `/diagnostics`."""
+        return heard(self._hub.graph)
+
     def stop(self) -> None:
         """Give back every endpoint and close the session."""
-        diagnostics, self._diagnostics = self._diagnostics, None
-        if diagnostics is not None:
-            diagnostics.close()
+        self._diagnostics.close()
         for closer in self._closers:
             closer()
         self._unshare()

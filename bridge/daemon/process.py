@@ -15,7 +15,7 @@ import sys
 import time
 from collections.abc import Callable
 from enum import Enum
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Protocol
 
 from bridge import resources, state_file
 from bridge.adapters.memory import few_heaps
@@ -46,16 +46,26 @@ class RunEnd(Enum):
     NEEDS_RESTART = "needs a restart"
 
 
+class Beside(Protocol):
+    """What a worker's process does besides; see `bridge.metrics.on_demand`."""
+
+    def look(self, config: Config) -> None:
+        """At each heartbeat: it returns at once."""
+
+    def close(self) -> None:
+        """Before the worker stops."""
+
+
 class Child:
     """One worker in this process.
 
     ``report`` must not block for long; ``load`` loads the configuration upon SIGHUP, None where the daemon sends it;
-    with ``end_for_restart`` the run ends where a reload needs a restart.
+    with ``end_for_restart`` the run ends where a reload needs a restart. ``beside`` is looked after at each heartbeat.
     """
 
     def __init__(
         self, worker: Worker, commands: Commands, report: Callable[[protocol.Report], None], *,
-        load: Callable[[], Config] | None = None, end_for_restart: bool = False,
+        load: Callable[[], Config] | None = None, end_for_restart: bool = False, beside: Beside | None = None,
     ) -> None:  # fmt: skip
         self._worker = worker
         self._commands = commands
@@ -67,6 +77,7 @@ class Child:
         self._said: Health | None = None
         self._answering = True
         self._short = False
+        self._beside = beside
 
     def run(self, config: Config) -> RunEnd:
         """Run until stopped. Whatever the worker raises but `RuntimeError` from its start goes through."""
@@ -74,6 +85,8 @@ class Child:
         try:
             return self._run()
         finally:
+            if self._beside is not None:
+                self._beside.close()
             self._worker.stop()
 
     def _run(self) -> RunEnd:
@@ -113,6 +126,8 @@ class Child:
         if self._beats % _LOOK_EACH == 0:
             self._look_at_descriptors()
         LARGE_MESSAGES.look()
+        if self._beside is not None:
+            self._beside.look(self._config)
         self._report(protocol.Beat(self._beats, health))
         before, self._said = self._said, health
         quiet = health == before and health.state == "running"
@@ -173,10 +188,14 @@ def install_signals(commands: Commands) -> None:
 
 
 class Process:
-    """The process of one worker; with a control socket (``control``) it outlives its daemon."""
+    """The process of one worker; with a control socket (``control``) it outlives its daemon.
 
-    def __init__(self, kind: WorkerKind, *, control: bool) -> None:
+    ``beside`` makes what is looked after beside a worker and its name.
+    """
+
+    def __init__(self, kind: WorkerKind, beside: Callable[[Worker, str], Beside], *, control: bool) -> None:
         self._kind = kind
+        self._beside = beside
         self._control = control
         few_heaps()
         self._commands = Commands()
@@ -252,7 +271,8 @@ class Process:
         try:
             working.at(f"loading the code of {self._kind.name}")
             worker = self._kind.create()
-            child = Child(worker, self._commands, report, load=load, end_for_restart=load is not None)
+            beside = self._beside(worker, self._kind.name)
+            child = Child(worker, self._commands, report, load=load, end_for_restart=load is not None, beside=beside)
             outcome = child.run(config)
         except Exception:
             logger.exception("%s failed", self._kind.name)

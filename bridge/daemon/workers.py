@@ -92,7 +92,7 @@ class WorkerKind:
 
 
 def _of_side(side: Side) -> WorkerKind:
-    sections = frozenset({side.name, "types", "routing", "navigation"})
+    sections = frozenset({side.name, "types", "routing", "navigation", "metrics", "modules"})
     return WorkerKind(side.name, "bridge.adapters.worker:BridgeWorker", (side.name,), sections, side.environment)
 
 
@@ -104,7 +104,7 @@ WORKERS = (
     WorkerKind(
         "modules",
         "bridge.modules.worker:ModulesWorker",
-        sections=frozenset({"modules", "navigation", "store", "types", "limits", "yarp"}),
+        sections=frozenset({"modules", "navigation", "store", "types", "limits", "yarp", "metrics"}),
     ),
     WorkerKind(
         "sim",
@@ -127,7 +127,9 @@ WORKERS = (
     WorkerKind(
         "foxglove",
         "bridge.foxglove.worker:FoxgloveWorker",
-        sections=frozenset({"foxglove", "web", "navigation", "types", "limits", "clock", "routing"}),
+        sections=frozenset(
+            {"foxglove", "web", "metrics", "navigation", "modules", "types", "limits", "clock", "routing"}
+        ),
         needs=("foxglove",),
         extra="foxglove",
     ),

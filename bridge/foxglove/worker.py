@@ -25,6 +25,7 @@ from bridge.foxglove.scene import SCENE, Scene
 from bridge.foxglove.server import FoxgloveServer
 from bridge.foxglove.services import Services
 from bridge.foxglove.visitors import Visitors
+from bridge.hub.diagnostics import announce, heard
 from bridge.messages.registry import Registry
 from bridge.modules.host import Host
 from bridge.modules.hub_topics import HubTopics
@@ -68,6 +69,10 @@ class FoxgloveWorker(Worker):
         self._live.check()
         return Health("running", self._live.text())
 
+    def hears_diagnostics(self) -> bool:
+        """See `Worker`."""
+        return self._live is not None and heard(self._live.host.node.hub.graph)
+
     def stop(self) -> None:
         """Cut the clients, and leave the hub."""
         live, self._live = self._live, None
@@ -102,6 +107,8 @@ class Live:
         self._publishing = Publishing(host, server, events, self._visitors, self._topics.definitions, driving)
         self._services = Services(host, server, self._visitors)
         self._parameters = events.parameters = Parameters(host, server, self._visitors)
+        if config.metrics.diagnostics:
+            announce(host.node.hub, registry)
         self._process = psutil.Process(os.getpid())
         self._started = time.monotonic()
 

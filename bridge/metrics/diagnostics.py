@@ -1,7 +1,8 @@
 """Tells on ``/diagnostics`` of the hub how each part of this daemon is, while anybody hears it.
 
 It is heard where a native program of the hub subscribes, or a side's worker says that one of its side does
-(`bridge.hub.diagnostics.HEARD`). Else nothing is asked and nothing is published.
+(`bridge.hub.diagnostics.HEARD`). Else nothing is asked and nothing is published. One process of the daemon tells
+(`whose_turn`): where that one ends, the next one goes on.
 """
 
 from __future__ import annotations
@@ -9,83 +10,66 @@ from __future__ import annotations
 import logging
 import threading
 import time
+from collections.abc import Callable
 from dataclasses import replace
 
 from bridge.clock import RunClock
 from bridge.config.model import Config
-from bridge.daemon.query import ask_daemon
-from bridge.hub.diagnostics import HEARD, TOPIC, TYPE
+from bridge.daemon.query import Phase, ask_daemon
+from bridge.hub.diagnostics import TYPE, announce
 from bridge.hub.errors import HubError
-from bridge.hub.session import Hub
-from bridge.hub.wire.qos import Qos
+from bridge.hub.session import Hub, follow_clock
 from bridge.messages.errors import MessageError
 from bridge.messages.registry import Registry
 from bridge.messages.values import MessageWriter
+from bridge.metrics.link import HubLink
 from bridge.metrics.parts import Level, parts, worker_status
 from bridge.metrics.source import AT_REST, Document, Source
+from bridge.sides import all_sides
 
 _log = logging.getLogger("midspan.metrics")
 
 PERIOD = 1.0
 LOOK_SECONDS = 0.2
-"""So often the daemon is asked whether a worker's level has changed, which is told at once."""
+"""So often the daemon is asked whose turn it is, and whether a worker's level has changed, which is told at once."""
 
 _DAEMON_SECONDS = 0.5
+_SILENCE = 60.0
+"""After what cannot be told."""
 
 
-class DiagnosticsTeller:
-    """Publishes on a thread of its own, which waits while nobody hears.
+def whose_turn(said: Document) -> str:
+    """Which worker tells: the first that runs, by the daemon's word; "" where it gives none.
+
+    First those that are to tell and carry no messages, then the sides.
+    """
+    up = {one["worker"] for one in said.get("workers", ()) if one["phase"] == Phase.UP.value}
+    order = ("metrics", "web", "foxglove", *(side.name for side in all_sides()), "modules")
+    return next((name for name in order if name in up), "")
+
+
+class Telling:
+    """Makes the message, and publishes it.
 
     Args:
-        config: the configuration.
         hub: a node that speaks for no side, so that what it says goes to all of them.
-        registry: of types.
-        clock: the time of the stamps.
         source: what is known.
     """
 
-    def __init__(self, config: Config, hub: Hub, registry: Registry, clock: RunClock, source: Source) -> None:
-        self._config, self._hub, self._clock, self._source = config, hub, clock, source
-        end = hub.publisher(TOPIC, TYPE, registry.ros2(TYPE).type_id, Qos(depth=10))
-        self._publisher, self._schema = end, registry.schema(TYPE)
-        self._changed, self._closing = threading.Event(), threading.Event()
-        self._unwatch = hub.graph.watch(self._changed.set)
+    def __init__(self, config: Config, hub: Hub, source: Source) -> None:
+        self._config, self._source = config, source
+        self._clock = RunClock(simulated=config.clock.simulated)
+        follow_clock(self._clock, hub)
+        registry = Registry.of(config.types)
+        self._publisher, self._schema = announce(hub, registry), registry.schema(TYPE)
         self._levels: dict[str, Level] = {}
-        self._thread = threading.Thread(target=self._run, name="midspan-diagnostics", daemon=True)
-        self._thread.start()
+        self._due = 0.0
 
-    def close(self) -> None:
-        """Tell no more."""
-        self._closing.set()
-        self._changed.set()
-        self._thread.join(2.0)
-        self._unwatch()
-        self._publisher.close()
-
-    def _run(self) -> None:
-        due = 0.0
-        while not self._closing.is_set():
-            self._changed.clear()
-            if not self._heard():
-                if not self._closing.is_set():
-                    self._changed.wait()
-                continue
-            try:
-                said = ask_daemon(self._config, _DAEMON_SECONDS) or {}
-                if time.monotonic() >= due or self._level_changed(said):
-                    due = time.monotonic() + PERIOD
-                    self._tell(said)
-            except HubError:
-                return
-            except MessageError:
-                _log.exception("no diagnostics")
-                return
-            self._closing.wait(LOOK_SECONDS)
-
-    def _heard(self) -> bool:
-        graph = self._hub.graph
-        native = (each for each in graph.subscriptions(TOPIC) if each.origin is None and not each.pending)
-        return any(not each.own for each in native) or bool(graph.subscriptions(HEARD))
+    def look(self, said: Document) -> None:
+        """Tell if it is time, or a worker's level is another one by the daemon's word; raises `HubError`."""
+        if time.monotonic() >= self._due or self._level_changed(said):
+            self._due = time.monotonic() + PERIOD
+            self._tell(said)
 
     def _level_changed(self, said: Document) -> bool:
         found = [worker_status(one) for one in said.get("workers", ()) if one["phase"] not in AT_REST]
@@ -94,9 +78,34 @@ class DiagnosticsTeller:
     def _tell(self, said: Document) -> None:
         found = parts(replace(self._source.snapshot(), daemon=said), self._config)
         self._levels = {status.part: status.level for status in found}
-        name = self._config.name
         message = {
             "header": {"stamp": self._clock.stamp()},
-            "status": [status.message_of(name) for status in found],
+            "status": [status.message_of(self._config.name) for status in found],
         }
         self._publisher.put(MessageWriter(self._schema).message(message))
+
+
+def tell_while(heard: Callable[[], bool], closing: threading.Event, config: Config, worker: str) -> None:
+    """Tell while it is heard and this worker's turn, by a session that is open for so long.
+
+    The worker's own would not do: what a side's session says comes from that side, and does not go back to it; and what
+    one node says, it does not hear itself, as the console would.
+    """
+    link, telling = HubLink(config, f"{worker}_diagnostics"), None
+    try:
+        while heard() and not closing.is_set():
+            said = ask_daemon(config, _DAEMON_SECONDS) or {}
+            mine = whose_turn(said) == worker
+            if telling is None and mine and (hub := link.join()) is not None:
+                telling = Telling(config, hub, Source(config, link.ask))
+            elif telling is not None and said and not mine:
+                link.close()
+                telling = None
+            if telling is not None:
+                telling.look(said)
+            closing.wait(LOOK_SECONDS)
+    except (HubError, MessageError) as err:
+        _log.warning("no diagnostics: %s", err)
+        closing.wait(_SILENCE)
+    finally:
+        link.close()

@@ -1,4 +1,4 @@
-"""The way to the hub of the worker of metrics: a client of its router, which asks, answers and tells."""
+"""The way to the hub of who tells of the workers: a client of its router, which asks, answers and tells."""
 
 from __future__ import annotations
 
@@ -25,10 +25,10 @@ class HubLink:
 
     Args:
         worker: the name under which it answers.
-        status: gives its status document.
+        status: gives its status document, None where it answers nothing.
     """
 
-    def __init__(self, config: Config, worker: str, status: Callable[[], dict[str, Any]]) -> None:
+    def __init__(self, config: Config, worker: str, status: Callable[[], dict[str, Any]] | None = None) -> None:
         self._config, self._worker, self._status = config, worker, status
         self._lock = threading.Lock()
         self._hub: Hub | None = None
@@ -57,7 +57,8 @@ class HubLink:
             domain=hub.domain, node=f"midspan_{self._worker}", daemon=self._config.name, worker=self._worker
         )
         node = Hub(HubSession(session, settings), settings)
-        node.serve("status", lambda _params: self._status())
+        if (status := self._status) is not None:
+            node.serve("status", lambda _params: status())
         with self._lock:
             self._hub, self._session, self._why = node, session, ""
         return node

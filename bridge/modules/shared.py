@@ -5,6 +5,7 @@ from __future__ import annotations
 from threading import Lock
 
 from bridge.config.model import Config
+from bridge.hub.diagnostics import heard
 from bridge.hub.errors import HubClosedError
 from bridge.hub.session import Hub, HubSession, HubSettings
 from bridge.state_file import lane_folder
@@ -55,6 +56,11 @@ class Shared:
             if self._session is None:
                 self._session = HubSession.open(hub_settings(self._config, node, worker), shared=True)
             return Hub.on(self._session, node, worker)
+
+    def hears_diagnostics(self) -> bool:
+        """Whether somebody hears `/diagnostics`, as far as a module has joined the hub."""
+        session = self._session
+        return session is not None and heard(session.graph)
 
     def close(self) -> None:
         """Close the store and the session. Safe to call twice."""

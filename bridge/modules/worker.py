@@ -252,6 +252,10 @@ class ModulesWorker(Worker):
         best = min(found.values(), key=lambda health: health.state != "running")
         return Health(best.state, ", ".join(_words(name, health) for name, health in found.items()))
 
+    def hears_diagnostics(self) -> bool:
+        """See `Worker`."""
+        return self._shared is not None and self._shared.hears_diagnostics()
+
     def stop(self) -> None:
         """Stop all modules."""
         while self._running:

@@ -31,10 +31,13 @@ ROUTES_AT_ONCE = 100
 
 
 class Diagnostics:
-    """Publishes a status of the worker and of each route while heard, `ROUTES_AT_ONCE` a second in turns."""
+    """Publishes a status of the worker and of each route while heard, `ROUTES_AT_ONCE` a second in turns.
 
-    def __init__(self, edge: Edge, registry: Registry, engine: Engine, hardware_id: str) -> None:
-        self._edge, self._engine = edge, engine
+    Without ``counters`` it only asks for those of the daemon's parts while its side hears them.
+    """
+
+    def __init__(self, edge: Edge, registry: Registry, engine: Engine, hardware_id: str, *, counters: bool) -> None:
+        self._edge, self._engine, self._counters = edge, engine, counters
         self._hardware_id = hardware_id
         self._publisher: EdgePublisher | None = None
         self._asked: HubSubscription | None = None
@@ -54,11 +57,11 @@ class Diagnostics:
             return
         self._due = now + _PERIOD
         try:
-            if self._publisher is None:
+            if self._publisher is None and self._counters:
                 self._publisher = self._edge.advertise(TOPIC, self._type, Qos(depth=10))
             heard = self._edge.is_heard(TOPIC)
             self._ask_for_all(heard=heard)
-            if not heard:
+            if not heard or self._publisher is None:
                 return
             cdr = self._to_hub(self._array())
             self._publisher.send(cdr if self._convert is None else self._convert(cdr), "diagnostics")

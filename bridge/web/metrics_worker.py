@@ -9,12 +9,11 @@ from typing import TYPE_CHECKING, Any
 
 import psutil
 
-from bridge.clock import RunClock
 from bridge.config.model import Config
 from bridge.config.sections.web import WebSection
-from bridge.hub.session import Hub, follow_clock
+from bridge.hub.diagnostics import announce, heard
+from bridge.hub.session import Hub
 from bridge.messages.registry import Registry
-from bridge.metrics.diagnostics import DiagnosticsTeller
 from bridge.metrics.endpoint import MetricsRoutes
 from bridge.metrics.link import HubLink
 from bridge.metrics.source import Source
@@ -36,7 +35,7 @@ class MetricsWorker(Worker):
         self._server: HttpServer | None = None
         self._link: HubLink | None = None
         self._tls: ServerTls | None = None
-        self._teller: DiagnosticsTeller | None = None
+        self._hub: Hub | None = None
         self._process = psutil.Process(os.getpid())
 
     def start(self, config: Config) -> None:
@@ -52,8 +51,7 @@ class MetricsWorker(Worker):
             self._tls = ServerTls(config)
         # nobody logs in here, so no cookie fits
         access = Access(config.web if section.reached else WebSection(), secrets.token_bytes(32))
-        self._source = Source(config, self._link.ask)
-        routes = MetricsRoutes(config, self._source).routes
+        routes = MetricsRoutes(config, Source(config, self._link.ask)).routes
         self._server = HttpServer(
             section.listen, routes, access, self._tls, what="the worker metrics", key="metrics.listen"
         )
@@ -75,18 +73,21 @@ class MetricsWorker(Worker):
         if self._server.trouble:
             raise RuntimeError(self._server.trouble)
         hub = self._link.join()
-        if hub is not None and self._teller is None and self._config.metrics.diagnostics:
-            self._teller = _teller(self._config, hub, self._source)
+        if hub is not None and self._hub is None and self._config.metrics.diagnostics:
+            announce(hub, Registry())
+            self._hub = hub
         return Health("running", "; ".join(filter(None, (f"{self._server.address}metrics", self._link.trouble))))
+
+    def hears_diagnostics(self) -> bool:
+        """See `Worker`."""
+        return self._hub is not None and heard(self._hub.graph)
 
     def stop(self) -> None:
         """Close the server and the session."""
         server, self._server = self._server, None
         if server is not None:
             server.close()
-        teller, self._teller = self._teller, None
-        if teller is not None:
-            teller.close()
+        self._hub = None
         if self._link is not None:
             self._link.close()
 
@@ -96,10 +97,3 @@ class MetricsWorker(Worker):
             "side": "metrics", "state": "running", "text": "" if server is None else f"{server.address}metrics",
             "pid": os.getpid(), **costs(self._process),
         }  # fmt: skip
-
-
-def _teller(config: Config, hub: Hub, source: Source) -> DiagnosticsTeller:
-    clock = RunClock(simulated=config.clock.simulated)
-    follow_clock(clock, hub)
-    registry = Registry.of(config.types)
-    return DiagnosticsTeller(config, hub, registry, clock, source)

@@ -15,8 +15,8 @@ from bridge.cli.messages import Types
 from bridge.concurrency import SerialExecutor
 from bridge.config.model import Config
 from bridge.hub.control import WorkerAnswer
+from bridge.hub.diagnostics import announce, heard
 from bridge.messages.registry import Registry
-from bridge.metrics.diagnostics import DiagnosticsTeller
 from bridge.metrics.endpoint import MetricsRoutes
 from bridge.metrics.source import ASK_SECONDS, Source
 from bridge.modules.host import Host
@@ -78,6 +78,10 @@ class WebWorker(Worker):
         pages = console.server.pages
         return Health("running", console.server.address + (f", {pages} open" if pages else ""))
 
+    def hears_diagnostics(self) -> bool:
+        """See `Worker`."""
+        return self._console is not None and heard(self._console.host.node.hub.graph)
+
     def stop(self) -> None:
         """Close the page's sockets and the node."""
         console, self._console = self._console, None
@@ -94,17 +98,15 @@ class Console:
         pictures = Pictures()
         self._tls = ServerTls(config) if section.guarded else None
         access = Access(section, kept_secret(worker_folder(config)) if section.guarded else b"")
-        source = Source(config, self._ask_workers)
-        metrics = MetricsRoutes(config, source)
+        metrics = MetricsRoutes(config, Source(config, self._ask_workers))
         self.server = WebServer(section.listen, self._serve, pictures, access, self._tls, metrics.routes)
         try:
             self.host = host = Host("web", config, registry)
         except BaseException:
             self.server.close()
             raise
-        self._teller: DiagnosticsTeller | None = None
-        if config.metrics.diagnostics and not config.metrics.enabled:  # else the worker of metrics tells
-            self._teller = DiagnosticsTeller(config, host.node.hub, registry, host.clock, source)
+        if config.metrics.diagnostics:
+            announce(host.node.hub, registry)
         self._process = psutil.Process(os.getpid())
         client = CliClient(host.node.hub, config, f"the hub of {config.name}")
         known = Types(client)
@@ -191,8 +193,6 @@ class Console:
     def close(self) -> None:
         """Stop the robot where a page drives it, then leave."""
         self.server.close()
-        if self._teller is not None:
-            self._teller.close()
         self.host.loop.call(self._stand)
         self.host.loop.call(self._feeds.close)
         self._verbs.close()

@@ -4,25 +4,27 @@ from __future__ import annotations
 
 import os
 import signal
+import threading
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import pytest
 
-from bridge.clock import SYSTEM
 from bridge.config.load import load
 from bridge.config.model import Config
+from bridge.config.sections.metrics import MetricsSection
 from bridge.daemon.query import ask_daemon
-from bridge.hub.control import WorkerAnswer
-from bridge.hub.diagnostics import HEARD, TOPIC, TYPE
+from bridge.hub.diagnostics import HEARD, TOPIC, TYPE, heard
+from bridge.hub.graph.tokens import Origin
 from bridge.hub.session import Hub
 from bridge.hub.wire.qos import Qos
 from bridge.messages.registry import Registry
 from bridge.metrics import diagnostics
-from bridge.metrics.diagnostics import DiagnosticsTeller
+from bridge.metrics.diagnostics import whose_turn
+from bridge.metrics.on_demand import DiagnosticsOnDemand
 from bridge.metrics.parts import Level, PartStatus, parts
-from bridge.metrics.source import Source
+from bridge.worker import Health, Worker
 from tests.contract.hubside import HubSide
 from tests.interop.deployment import Deployment
 from tests.metrics.documents import route, side, snapshot
@@ -93,22 +95,67 @@ def test_the_daemon() -> None:
     assert told(pid=1, refused="line 3")["daemon"].level is Level.WARN
 
 
+@pytest.mark.parametrize(
+    ("phases", "turn"),
+    [
+        ({"router": "running", "ros1": "running", "web": "running", "metrics": "running"}, "metrics"),
+        ({"ros1": "running", "web": "running", "metrics": "restarting"}, "web"),
+        ({"ros1": "starting", "ros2": "running", "modules": "running", "web": "off"}, "ros2"),
+        ({"modules": "running", "ros1": "off"}, "modules"),
+        ({"router": "running"}, ""),
+    ],
+)
+def test_one_of_them_tells(phases: dict[str, str], turn: str) -> None:
+    assert whose_turn({"workers": [word(name, phase) for name, phase in phases.items()]}) == turn
+
+
+class Side(Worker):
+    """A worker that sees the hub by a side's node."""
+
+    def __init__(self, hub: Hub) -> None:
+        self._hub = hub
+
+    def hears_diagnostics(self) -> bool:
+        return heard(self._hub.graph)
+
+    def start(self, config: Config) -> None:
+        """Nothing."""
+
+    def reload(self, config: Config) -> bool:  # noqa: ARG002
+        return True
+
+    def health(self) -> Health:
+        return Health("running", "")
+
+    def stop(self) -> None:
+        """Nothing."""
+
+
 class Told:
-    """A teller on a hub, of a daemon whose word the test gives."""
+    """The worker ``ros1`` on a hub, of a daemon whose word the test gives."""
 
     def __init__(self, folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         self.hubs = QuickHub()
-        self.hub = Hub.open(self.hubs.settings("teller", "metrics", "here"))
+        self.hub = Hub.open(self.hubs.settings("ros1", "ros1", "here"))
+        self.hub.set_origin(Origin("ros1", "n1", "here"))
+        self.asked = 0
+        self.hub.serve("status", self.status)
         self.far = HubSide(Hub.open(self.hubs.settings("far")), Registry())
         self.said: dict[str, Any] = {"pid": 1, "workers": [word("ros1")]}
-        self.asked = 0
         monkeypatch.setattr(diagnostics, "ask_daemon", lambda *_: self.said)
-        config = Config(name="here", state=folder)
-        self.teller = DiagnosticsTeller(config, self.hub, Registry(), SYSTEM, Source(config, self.ask))
+        self.config = Config.model_validate(
+            {"name": "here", "state": folder, "hub": {"listen": self.hubs.endpoint, "domain": self.hubs.domain}}
+        )
+        self.teller = DiagnosticsOnDemand(Side(self.hub), "ros1")
 
-    def ask(self) -> list[WorkerAnswer]:
+    def status(self, _params: dict[str, Any]) -> dict[str, Any]:
         self.asked += 1
-        return [WorkerAnswer("here", "ros1", side(state="running", network="n1"))]
+        return side(state="running", network="n1")
+
+    def announced(self) -> bool:
+        """Whether the topic is on the hub; a look at each call, as at a heartbeat."""
+        self.teller.look(self.config)
+        return bool(self.far.hub.graph.publishers(TOPIC))
 
     def close(self) -> None:
         self.teller.close()
@@ -128,8 +175,11 @@ def test_nothing_is_asked_while_nobody_hears_and_a_change_is_told_at_once(
     teller: Told, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     until(lambda: any(node.node == "far" for node in teller.hub.graph.nodes()), "the other node is seen")
-    assert teller.asked == 0
+    threads = threading.active_count()
+    assert not teller.announced()
+    assert (teller.asked, threading.active_count()) == (0, threads)
     heard = teller.far.subscribe(TOPIC, ARRAY)
+    until(teller.announced, "the topic is there", 10)
     first = until(lambda: teller.far.wait(heard, 1, 0.2), "it tells", 10)[0]
     named = {status["name"]: status for status in first["status"]}
     assert named["midspan here: side ros1"]["hardware_id"] == "here"
@@ -138,41 +188,45 @@ def test_nothing_is_asked_while_nobody_hears_and_a_change_is_told_at_once(
     monkeypatch.setattr(diagnostics, "PERIOD", 60.0)
     count = len(teller.far.wait(heard, 1, 0.0))
     assert len(teller.far.wait(heard, count + 1, 10.0)) == count + 1, "what was due already"
-    teller.said = {"pid": 1, "workers": [word("ros1", "restarting", None, "signal 9")]}
+    teller.said = {"pid": 1, "workers": [word("ros1"), word("ros2", "restarting", None, "signal 9")]}
     last = teller.far.wait(heard, count + 2, 10.0)[-1]
-    assert {s["name"]: s["level"] for s in last["status"]}["midspan here: worker ros1"] == Level.ERROR
+    assert {s["name"]: s["level"] for s in last["status"]}["midspan here: worker ros2"] == Level.ERROR
 
 
-def test_a_side_that_hears_is_told(teller: Told) -> None:
+def test_a_side_that_hears_is_told_and_another_one_tells_if_it_is_its_turn(teller: Told) -> None:
     kind = Registry().ros2(TYPE).type_id
     asked = teller.far.hub.subscription(HEARD, TYPE, kind, Qos(), lambda _sample: None)
-    until(lambda: teller.asked > 1, "it tells again and again", 10)
+    until(lambda: teller.announced() and teller.asked > 1, "it tells again and again", 10)
+    teller.said = {"pid": 1, "workers": [word("ros1"), word("metrics")]}
+    until(lambda: not teller.announced(), "the worker of metrics tells", 10)
+    teller.said = {"pid": 1, "workers": [word("ros1"), word("metrics", "restarting")]}
+    until(teller.announced, "that one ended", 10)
     asked.close()
-    until(lambda: not teller.hub.graph.subscriptions(HEARD), "nobody hears", 10)
+    until(lambda: not teller.announced(), "nobody hears", 10)
 
 
-def test_real_programs_of_both_sides_hear_of_all_parts(tmp_path: Path) -> None:
+def test_it_can_be_switched_off(teller: Told) -> None:
+    teller.far.subscribe(TOPIC, ARRAY)
+    until(teller.announced, "the topic is there", 10)
+    teller.config = teller.config.model_copy(update={"metrics": MetricsSection(diagnostics=False)})
+    until(lambda: not teller.announced(), "nothing is told", 10)
+
+
+def test_real_programs_of_both_sides_hear_of_all_parts_without_console_and_metrics(tmp_path: Path) -> None:
     with Deployment(tmp_path) as made:
-        made.start(
-            metrics={"enabled": True, "listen": "127.0.0.1:0"}, navigation={"planner": "nav2"},
-            store={"enabled": True}, yarp={"enabled": False},
-        )  # fmt: skip
+        made.start(navigation={"planner": "nav2"}, store={"enabled": True}, yarp={"enabled": False})
         hearers = [(program, program.subscribe(TOPIC, ARRAY)) for program in (made.ros1(), made.ros2())]
-
-        def every_level(program: Any, heard: int) -> list[dict[str, int]]:
-            """What each message says of the parts; those of a side's routes say nothing of them."""
-            return [
-                {s["name"].removeprefix("midspan interop: "): s["level"] for s in message["status"]}
-                for message in program.wait(heard, 1, 1.0)
-                if message["status"][0]["hardware_id"] == "interop"
-            ]
+        native = made.zenoh()
+        at_hub = native.subscribe(TOPIC, ARRAY)
 
         def levels(program: Any, heard: int) -> dict[str, int]:
-            return (every_level(program, heard) or [{}])[-1]
+            """What the last message says of the parts; those of a side's routes say nothing of them."""
+            told = [m["status"] for m in program.wait(heard, 1, 1.0) if m["status"][0]["hardware_id"] == "interop"]
+            return {s["name"].removeprefix("midspan interop: "): s["level"] for s in (told or [[]])[-1]}
 
-        parts = {f"worker {name}" for name in ("router", "ros1", "ros2", "modules", "metrics")}
+        parts = {f"worker {name}" for name in ("router", "ros1", "ros2", "modules")}
         parts |= {"daemon", "side ros1", "side ros2", "module gateway", "module store"}
-        for program, heard in hearers:
+        for program, heard in (*hearers, (native, at_hub)):
             found = until(lambda p=program, h=heard: parts <= (now := levels(p, h)).keys() and now, "all parts", 30)
             assert {part: found[part] for part in ("side ros1", "worker ros2", "module store")} == {
                 "side ros1": 0, "worker ros2": 0, "module store": 0,
@@ -180,10 +234,13 @@ def test_real_programs_of_both_sides_hear_of_all_parts(tmp_path: Path) -> None:
             assert found["module gateway"] == 1, "it waits for its planner"
         said = ask_daemon(load(made.file))
         assert said is not None
-        os.kill(next(one["pid"] for one in said["workers"] if one["worker"] == "modules"), signal.SIGKILL)
-        program, heard = hearers[0]
+        assert whose_turn(said) == "ros1"
+        os.kill(next(one["pid"] for one in said["workers"] if one["worker"] == "ros1"), signal.SIGKILL)
+        program, heard = hearers[1]
         until(
-            lambda: any(each["worker modules"] == Level.ERROR for each in every_level(program, heard)),
-            "the worker's end is told", 20,
+            lambda: levels(program, heard).get("worker ros1", 0) != 0, "the other side tells that it starts anew", 20,
+            every=0.05,
         )  # fmt: skip
-        until(lambda: levels(program, heard).get("worker modules") == 0, "it is up again", 40)
+        for program, heard in hearers:
+            program.wait(heard, 10_000, 0.1)
+            until(lambda p=program, h=heard: levels(p, h).get("worker ros1") == 0, "it is up again", 40)

@@ -19,8 +19,7 @@ class MetricsSection(Section):
     )
     diagnostics: bool = setting(
         True,
-        "Whether `/diagnostics` of the hub tells how each part is, while somebody hears it: by the worker of metrics if"
-        " that is enabled, else by the console if that is.",
+        "Whether `/diagnostics` of the hub tells how each part is, while somebody hears it.",
     )
     routes: int = setting(
         200, "Routes of each side that are told of at most; of more, only their number.", ge=1, le=5000
