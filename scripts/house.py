@@ -27,8 +27,8 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parents[1]
 PRODUCT = ("bridge", "yarp_compat", "navigation", "sim")
 SMALL, LARGE = 60, 500
-KNOWN_LARGE = {"bridge.tf.history"}
-"""A kernel of one class: across files Cython would make real calls of its inlined functions."""
+KNOWN_LARGE = {"bridge.tf.history", "navigation.algorithms.voxel_map"}
+"""Kernels of one class each: across files Cython would make real calls of its inlined functions."""
 
 _NAMEDTUPLE = {"_replace", "_asdict", "_fields", "_make", "_field_defaults"}
 _ASSERTS = re.compile(r"(^|_)(assert|expect|until|check|raises|fail|warns)(_|$)")

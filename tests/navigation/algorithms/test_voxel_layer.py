@@ -1,0 +1,154 @@
+"""What a robot would touch, of rooms that are built of voxels."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+
+from navigation.algorithms import voxel_layer
+from navigation.algorithms.voxel_layer import EDGE, FLOOR, OBSTACLE, UNKNOWN, Columns, Robot
+from navigation.algorithms.voxel_map import MIDDLE, VoxelMap
+from tests.support.uncompiled import uncompiled
+
+CELL = 0.05
+SIDE, TALL, GROUND = 60, 44, 8  # voxels of a room along x and y, and along z, and below its floor
+ROBOT = Robot(height=1.2, width=0.4, step=0.02, margin=0.05, slope=math.radians(10.0))
+Box = tuple[slice, slice, slice]
+
+
+class Room:
+    """A room of 3 x 3 m, seen wholly: its floor, and free air above."""
+
+    def __init__(self) -> None:
+        self.odds = np.full((SIDE, SIDE, TALL), np.nan, np.float32)
+        self.odds[:, :, GROUND:] = -1.0
+        self.odds[:, :, GROUND - 1] = 2.0
+
+    def box(self, x: slice, y: slice, low: float, high: float, odds: float = 2.0) -> Room:
+        """Something from one height above the floor to another, metres."""
+        self.odds[x, y, GROUND + round(low / CELL) : GROUND + round(high / CELL)] = odds
+        return self
+
+    def voxels(self) -> VoxelMap:
+        found = VoxelMap(CELL, 10_000)
+        places = np.argwhere(~np.isnan(self.odds))
+        found.fill(
+            places + np.array([MIDDLE, MIDDLE, MIDDLE - GROUND]), np.ones(len(places), int), self.odds[tuple(places.T)]
+        )
+        return found
+
+    def columns(self, module=voxel_layer, base=(0.5, 0.5, 0.0), robot=ROBOT, largest=20.0) -> Columns:
+        voxels = self.voxels()
+        return module.columns(voxels.blocks, voxels.values, CELL, base, robot, largest)
+
+    def kinds(self, **settings: Any) -> np.ndarray:
+        """By x and y, of the room alone."""
+        found = self.columns(**settings)
+        assert found.corner == (0.0, 0.0)
+        return found.kinds.T[:SIDE, :SIDE]
+
+
+FAR = slice(30, 40)
+ALL = slice(None)
+
+
+def test_a_bare_floor_is_free_and_what_is_beyond_is_unknown():
+    found = Room().columns()
+    assert (found.kinds[:SIDE, :SIDE] == FLOOR).all()
+    assert (found.kinds[SIDE:] == UNKNOWN).all()
+    assert found.floors[10, 10] == pytest.approx(-0.025)
+
+
+@pytest.mark.parametrize(
+    ("low", "high", "kind"),
+    [
+        (0.7, 0.75, OBSTACLE),  # a table's top: a laser at the ankles does not see it
+        (1.15, 1.2, OBSTACLE),
+        (1.3, 1.35, FLOOR),  # it fits under
+        (0.0, 0.05, FLOOR),  # less than voxels tell
+        (0.0, 0.15, OBSTACLE),  # a step
+        (0.0, 2.0, OBSTACLE),
+    ],
+)
+def test_what_stands_or_hangs_in_the_way(low, high, kind):
+    found = Room().box(FAR, FAR, low, high).kinds()
+    assert (found[FAR, FAR] == kind).all()
+    found[FAR, FAR] = FLOOR
+    assert (found == FLOOR).all()
+
+
+def test_a_lower_robot_drives_under_the_table_and_one_with_large_wheels_up_the_step():
+    low = ROBOT._replace(height=0.5)
+    assert (Room().box(FAR, FAR, 0.7, 0.75).kinds(robot=low) == FLOOR).all()
+    climber = ROBOT._replace(step=0.1)
+    assert (Room().box(FAR, ALL, 0.0, 0.1).kinds(robot=climber) == FLOOR).all()
+    assert (Room().box(FAR, ALL, 0.0, 0.15).kinds(robot=climber)[FAR] == OBSTACLE).all()
+
+
+def test_a_stair_downwards_is_a_drop_and_a_hole_in_what_is_seen_is_unknown():
+    room = Room()
+    room.odds[FAR, :, GROUND - 1] = np.nan
+    assert (room.kinds()[FAR] == UNKNOWN).all()
+    room.odds[FAR, :, GROUND - 4] = -1.0  # a ray passed below the floor
+    found = room.kinds()
+    assert (found[FAR] == EDGE).all()
+    assert (found[:30] == FLOOR).all()
+    room.odds[FAR, :, GROUND - 4] = 2.0  # the tread
+    assert (room.kinds()[FAR] == EDGE).all()
+
+
+def test_floor_behind_what_is_unknown_or_blocked_is_found_again():
+    room = Room().box(slice(20, 22), ALL, 0.0, 2.0)
+    room.odds[40:44] = np.nan
+    found = room.kinds()
+    assert (found[22:40] == FLOOR).all()
+    assert (found[40:44] == UNKNOWN).all()
+    assert (found[44:] == FLOOR).all()
+
+
+def test_a_ramp_is_floor_but_its_flank_and_what_is_steeper_are_not():
+    room = Room()
+    for x in range(30, 58):  # 1 in 7: 8 degrees
+        room.odds[x, 20:40, GROUND : GROUND + (x - 30) // 7 + 1] = 2.0
+    found = room.kinds()
+    assert (found[30:57, 21:39] == FLOOR).all()
+    assert (found[51:57, [20, 39]] == EDGE).all()
+    for x in range(30, 58):
+        room.odds[x, 20:40, GROUND : GROUND + (x - 30) // 2 + 1] = 2.0
+    assert (room.kinds()[37:55, 21:39] != FLOOR).all()
+
+
+def test_noise_of_one_voxel_on_the_floor_is_no_obstacle():
+    rng = np.random.default_rng(1)
+    room = Room()
+    room.odds[:, :, GROUND] = np.where(rng.random((SIDE, SIDE)) < 0.3, 2.0, -1.0)
+    assert (room.kinds() == FLOOR).all()
+
+
+def test_the_robot_stands_on_a_floor_of_its_own_height():
+    room = Room().box(ALL, ALL, 0.0, 0.5)
+    assert (room.kinds(base=(0.5, 0.5, 0.5)) == FLOOR).all()
+    assert (room.kinds(base=(0.5, 0.5, 0.0)) != FLOOR).mean() > 0.9
+
+
+def test_what_is_farther_than_the_layer_is_large_is_left_out():
+    found = Room().columns(largest=1.6)
+    assert found.kinds.shape == (32, 32)
+    empty = voxel_layer.columns(np.empty((0, 3), int), np.empty((0, 512), np.float32), CELL, (9, 9, 0), ROBOT, 20.0)
+    assert set(np.unique(empty.kinds)) == {UNKNOWN, FLOOR}
+
+
+def test_uncompiled_the_same():
+    room = Room().box(FAR, slice(10, 30), 0.7, 0.75).box(slice(10, 14), FAR, 0.0, 0.3)
+    fast, slow = room.columns(), room.columns(uncompiled("navigation.algorithms.voxel_layer"))
+    np.testing.assert_array_equal(fast.kinds, slow.kinds)
+    np.testing.assert_array_equal(fast.floors, slow.floors)
+
+
+@pytest.mark.parametrize("base", [(math.nan, 0.0, 0.0), (0.0, math.inf, 0.0)])
+def test_a_robot_that_is_nowhere_is_refused(base):
+    with pytest.raises(ValueError, match="nowhere"):
+        Room().columns(base=base)

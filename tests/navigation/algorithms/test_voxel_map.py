@@ -1,0 +1,146 @@
+"""The voxel map makes the tree that octomap makes of the same clouds."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from navigation.algorithms import voxel_leaves, voxel_map
+from navigation.algorithms.voxel_map import LEAST, MIDDLE, MOST, VoxelMap, within
+from tests.support.uncompiled import uncompiled
+
+Uncompiled: type[VoxelMap] = uncompiled("navigation.algorithms.voxel_map").VoxelMap
+CELL = 0.05
+
+
+def room(rng: np.random.Generator, count: int = 4000) -> tuple[np.ndarray, tuple[float, float, float]]:
+    """Points on the walls of a room, some beyond what is believed, and where they were seen from."""
+    origin = rng.uniform(-0.2, 0.2, 3)
+    ways = rng.normal(size=(count, 3)) * (1.0, 1.0, 0.4)
+    ways /= np.linalg.norm(ways, axis=1)[:, None]
+    reach = (np.array([1.0, 1.5, 0.6]) / np.abs(ways)).min(axis=1) + rng.normal(0.0, 0.02, count)
+    return (origin + ways * reach[:, None]).astype(np.float32), tuple(origin.tolist())
+
+
+def ours(voxels: VoxelMap) -> dict[tuple[int, int, int], float]:
+    """Log odds of all voxels that are known, by key."""
+    keys = voxels.blocks[:, None, :] * 8 + within(np.arange(512))
+    known = ~np.isnan(voxels.values)
+    return dict(zip(map(tuple, keys[known].tolist()), voxels.values[known].tolist(), strict=True))
+
+
+@pytest.mark.parametrize("farthest", [10.0, 1.1])
+def test_the_same_tree_as_octomap(farthest):
+    octomap = pytest.importorskip("pyoctomap")
+    rng = np.random.default_rng(3)
+    voxels, tree = VoxelMap(CELL, 10_000), octomap.OcTree(CELL)
+    for _ in range(6):
+        points, origin = room(rng)
+        voxels.insert(points, origin, farthest)
+        tree.insertPointCloud(points.astype(float), np.array(origin), max_range=farthest, discretize=True)
+    found, expected = ours(voxels), []
+    for leaf in tree.begin_leafs():
+        low = np.array(leaf.getCoordinate()) - (leaf.getSize() - CELL) / 2
+        key = tuple((np.floor(low / CELL).astype(int) + MIDDLE).tolist())
+        expected.append((leaf.getDepth(), leaf.current_node.getLogOdds(), found.get(key)))
+    _, depths, odds = voxel_leaves.leaves(voxels.blocks, voxels.values)
+    assert list(zip(depths.tolist(), odds.tolist(), odds.tolist(), strict=True)) == expected
+    assert min(depths) < 16
+    assert len(expected) > 2000
+    assert any(value > 0 for value in found.values())
+
+
+def test_compiled_and_uncompiled_make_the_same_leaves_of_nearly_the_same_map():
+    points, origin = room(np.random.default_rng(4), 600)
+    maps = [made(CELL, 10_000) for made in (VoxelMap, Uncompiled)]
+    for each in maps:
+        each.insert(points, origin, 1.1, 5.0)
+    one, other = map(ours, maps)  # Python's numbers are finer than C's, so that a ray may pass a corner at another side
+    assert len(one.keys() ^ other.keys()) < 0.01 * len(one)
+    assert {k for k, v in one.items() if v > 0} == {k for k, v in other.items() if v > 0}
+    slow = uncompiled("navigation.algorithms.voxel_leaves").leaves(maps[0].blocks, maps[0].values)
+    for fast, expected in zip(voxel_leaves.leaves(maps[0].blocks, maps[0].values), slow, strict=True):
+        np.testing.assert_array_equal(fast, expected)
+
+
+@pytest.mark.parametrize("made", [VoxelMap, Uncompiled])
+def test_what_is_hit_and_what_is_passed(made):
+    voxels = made(0.1, 100)
+    points = np.array([[1.05, 0.05, 0.05], [np.nan, 0, 0], [np.inf, 0, 0], [0, 1e30, 0]], np.float32)
+    assert voxels.insert(points, (0.05, 0.05, 0.05), 5.0, 7.0) == 11
+    odds = voxels.log_odds(np.array([[1.05, 0.05, 0.05], [0.55, 0.05, 0.05], [1.15, 0.05, 0.05], [1e9, 0, 0]]))
+    assert odds[:2].tolist() == pytest.approx([voxel_map.HIT, voxel_map.MISS])
+    assert np.isnan(odds[2:]).all()
+    assert np.flatnonzero(voxels.seen.ravel() == 7.0).size == 1
+    for _ in range(20):
+        voxels.insert(points, (0.05, 0.05, 0.05), 5.0)
+    assert np.nanmax(voxels.values) == np.float32(MOST)
+    assert np.nanmin(voxels.values) == np.float32(LEAST)
+    voxels.clear()
+    assert not voxels.count
+    assert np.isnan(voxels.log_odds(np.array([[1.05, 0.05, 0.05]]))).all()
+
+
+def test_a_point_beyond_is_not_hit_and_its_ray_frees_as_far_as_is_believed():
+    voxels = VoxelMap(0.1, 100)
+    voxels.insert(np.array([[9.05, 0.05, 0.05]], np.float32), (0.05, 0.05, 0.05), 2.0)
+    odds = voxels.log_odds(np.array([[x + 0.05, 0.05, 0.05] for x in np.arange(0.0, 3.0, 0.1)]))
+    assert (odds[:20] < 0).all()
+    assert np.isnan(odds[21:]).all()
+
+
+def test_it_grows_to_what_it_may_hold_and_tells_what_was_left_out():
+    points, origin = room(np.random.default_rng(5))
+    free, bounded = VoxelMap(CELL, 10_000), VoxelMap(CELL, 50)
+    free.insert(points, origin, 5.0)
+    bounded.insert(points, origin, 5.0)
+    assert free.count > 110
+    assert not free.full
+    assert bounded.count == 50
+    assert bounded.full
+    assert bounded.megabytes < 1.0
+    assert ours(bounded).items() <= ours(free).items()
+    bounded.keep(np.arange(50) < 40)
+    assert bounded.count == 40
+    kept = ours(bounded)
+    bounded.insert(points[:10], origin, 5.0)
+    assert len(ours(bounded)) >= len(kept)
+
+
+@pytest.mark.parametrize("made", [VoxelMap, Uncompiled])
+def test_leaves_that_are_filled_in(made):
+    voxels = made(CELL, 1000)
+    voxels.fill(np.array([[0, 0, 0], [40, 8, 8], [64, 64, 64]]), np.array([1, 4, 32]), np.array([1.0, -1.0, 2.0]))
+    assert sorted(set(ours(voxels).values())) == [-1.0, 1.0, 2.0]
+    assert len(ours(voxels)) == 1 + 4**3 + 32**3
+    _, depths, odds = voxel_leaves.leaves(voxels.blocks, voxels.values)
+    assert (depths.tolist(), odds.tolist()) == ([16, 14] + [13] * 64, [1.0, -1.0] + [2.0] * 64)
+
+
+@pytest.mark.parametrize(
+    ("keys", "side", "words"),
+    [
+        ([0, 0, 0], 65536, "more than the 50 blocks"),
+        ([0, 0, 0], 32, "more than the 50 blocks"),
+        ([0, 0, 65536], 1, "within its keys"),
+        ([-1, 0, 0], 1, "within its keys"),
+        ([0, 1, 0], 2, "within its keys"),
+        ([0, 0, 0], 3, "within its keys"),
+    ],
+)
+def test_cubes_that_are_none_are_refused(keys, side, words):
+    with pytest.raises(ValueError, match=words):
+        VoxelMap(CELL, 50).fill(np.array([keys]), np.array([side]), np.array([1.0]))
+
+
+@pytest.mark.parametrize("odd", [math.nan, math.inf, 1e9])
+def test_a_sensor_that_is_nowhere_is_refused(odd):
+    voxels = VoxelMap(CELL, 50)
+    with pytest.raises(ValueError, match="outside of the map"):
+        voxels.insert(np.zeros((1, 3), np.float32), (odd, 0.0, 0.0), 5.0)
+    with pytest.raises(ValueError, match="given as"):
+        voxels.insert(np.zeros((1, 2), np.float32), (0.0, 0.0, 0.0), 5.0)
+    with pytest.raises(ValueError, match="are none"):
+        VoxelMap(0.0, 50)
