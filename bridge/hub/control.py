@@ -1,7 +1,8 @@
 """The control plane: questions and answers in JSON between Midspan's own programs, as zenoh queries.
 
 A worker answers on ``@midspan/<domain>/<daemon>/<worker>/<verb>``. The answer is ``{"value": ...}`` or
-``{"error": "..."}``. A key that starts with ``@`` is not heard by those who listen to everything.
+``{"error": "..."}``, with ``wire``, the version of `bridge.hub.wire.version`. A key that starts with ``@`` is not heard
+by those who listen to everything.
 """
 
 from __future__ import annotations
@@ -20,6 +21,7 @@ import zenoh
 from bridge.concurrency import WorkerPool
 from bridge.hub.errors import HubError
 from bridge.hub.graph.tokens import MIDSPAN_SPACE
+from bridge.hub.wire.version import WIRE, refusal
 from bridge.hub.zenoh_compat import undeclare
 
 _log = logging.getLogger(__name__)
@@ -110,7 +112,7 @@ def ask(
 
 def _answer(handler: Handler, query: zenoh.Query) -> bytes:
     try:
-        return json.dumps({"value": handler(_params(query))}).encode()
+        return json.dumps({"wire": WIRE, "value": handler(_params(query))}).encode()
     except HubError as err:
         return _error(str(err))
     except Exception as err:
@@ -120,7 +122,7 @@ def _answer(handler: Handler, query: zenoh.Query) -> bytes:
 
 
 def _error(text: str) -> bytes:
-    return json.dumps({"error": text}).encode()
+    return json.dumps({"wire": WIRE, "error": text}).encode()
 
 
 def _params(query: zenoh.Query) -> dict[str, Any]:
@@ -151,6 +153,8 @@ def _read(sample: zenoh.Sample) -> WorkerAnswer:
     daemon, worker = parts[-3], parts[-2]
     try:
         answer = json.loads(sample.payload.to_bytes())
+        if why := refusal(answer.get("wire")):
+            return WorkerAnswer(daemon, worker, None, f"{daemon}/{worker} cannot be understood: {why}")
         return WorkerAnswer(daemon, worker, answer.get("value"), str(answer.get("error", "")))
     except (ValueError, AttributeError, RecursionError):
         return WorkerAnswer(daemon, worker, None, "the answer is not JSON")

@@ -37,6 +37,7 @@ from bridge.hub.graph.tokens import (
     endpoint_key,
     node_key,
     origin_key,
+    wire_key,
 )
 from bridge.hub.lane.folder import possible
 from bridge.hub.lane.lane import Lane
@@ -138,6 +139,7 @@ class HubSession:
         self._lock = RLock()
         self._closed = False
         self.graph = HubGraph(session, settings.domain, settings.max_tokens)
+        self.graph.announce(wire_key(settings.domain, self.zid))
         self.lane: Lane | None = None
         if settings.lane is not None and possible():
             self.lane = Lane(Path(settings.lane), self.zid, session, settings.domain)

@@ -22,6 +22,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
+from bridge.hub.wire.version import WIRE, refusal
 from bridge.routing.edge import Sighting
 
 PERIOD = 0.2
@@ -35,6 +36,9 @@ UNKNOWN = 5.0
 
 CUT = 1.0
 """Seconds after which a worker that lives here, but left our hub, counts as one of another hub."""
+
+FOREIGN = "another Midspan worker is on this network that is not understood"
+"""Begins the reason for which none is active where one speaks another version."""
 
 MAX_RECORD = 1 << 18
 _MAX_NAMES = 10_000
@@ -78,7 +82,7 @@ class Record:
     def encode(self) -> bytes:
         """The record as JSON."""
         return json.dumps({
-            "id": self.id, "daemon": self.daemon, "seq": self.seq, "acks": dict(self.acks),
+            "wire": WIRE, "id": self.id, "daemon": self.daemon, "seq": self.seq, "acks": dict(self.acks),
             "crew": sorted(self.sessions), "process": self.process, "role": self.role and _words(self.role),
             "carries": [[sorted(of), _words(claim)] for of, claim in self.carries.items()],
         }, separators=(",", ":")).encode()  # fmt: skip
@@ -87,7 +91,7 @@ class Record:
     def decode(cls, data: bytes) -> Record | None:
         """Read a record; None if the bytes are none."""
         try:
-            tree = json.loads(data) if len(data) <= MAX_RECORD else None
+            tree = None if cls.foreign(data) or len(data) > MAX_RECORD else json.loads(data)
             match tree:
                 case {
                     "id": str(id_), "daemon": str(daemon), "seq": int(seq), "acks": dict(acks), "crew": list(sessions),
@@ -100,6 +104,15 @@ class Record:
         except (ValueError, TypeError, OverflowError, RecursionError):
             return None
         return None
+
+    @staticmethod
+    def foreign(data: bytes) -> str:
+        """Why what another worker tells cannot be understood, "" where it is no matter of its version."""
+        try:
+            tree = json.loads(data) if len(data) <= MAX_RECORD else None
+        except (ValueError, RecursionError):
+            return ""
+        return refusal(tree.get("wire")) if isinstance(tree, dict) else ""
 
     @property
     def first(self) -> int:
@@ -231,7 +244,10 @@ class Election:
             record = self._decode(sighting, decoded)
             age = now - max(sighting.heard, self._lapsed)
             if record is None:
-                if age < UNKNOWN:
+                why = "" if sighting.record is None else Record.foreign(sighting.record)
+                if why and age < SILENCE:
+                    waiting = f"{FOREIGN}, and {why}"
+                elif age < UNKNOWN and not waiting:
                     waiting = "another Midspan worker on this network has not told yet what it carries"
             elif record.id != self._me and record.role is not None and age < SILENCE and not self._gone(record):
                 living[record.id] = record

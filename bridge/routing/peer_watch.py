@@ -13,7 +13,7 @@ from bridge.hub.session import Hub
 from bridge.hub.zenoh_config import LEASE_MS
 from bridge.progress import StepWatch
 from bridge.routing.edge import Edge
-from bridge.routing.election import PERIOD, Election, HubView, Outcome, join
+from bridge.routing.election import FOREIGN, PERIOD, Election, HubView, Outcome, join
 from bridge.routing.processes import has_ended, process_name
 
 
@@ -186,6 +186,8 @@ class PeerWatch:
     def _log_change(self, outcome: Outcome) -> None:
         before, now = self._outcome.standing_by, outcome.standing_by
         was_waiting = bool(self._outcome.waiting)
+        if FOREIGN in outcome.waiting and outcome.waiting != self._outcome.waiting:
+            _log.warning("%s: nothing crosses here: %s", self._edge.side, outcome.waiting)
         if now and now != before:
             _log.info("%s: standing by, %s is active on this network", self._edge.side, now)
         elif outcome.active and not now and not outcome.waiting and (before or was_waiting or not self._outcome.active):

@@ -9,10 +9,11 @@ from typing import Any, TypeVar
 
 from bridge.hub.endpoints.keyspace import KeySpace
 from bridge.hub.errors import HubError
+from bridge.hub.wire.version import WIRE
 from bridge.stores.entry import StoreError, check_name, json_object
 from bridge.stores.kinds import CURRENT, MAP, ValueKind
 from bridge.stores.store import THE_MAP, Write, rename_writes
-from bridge.stores.wire import key_of
+from bridge.stores.wire import check_wire, key_of
 
 T = TypeVar("T")
 
@@ -42,7 +43,9 @@ class StoreClient:
 
     def digest(self) -> list[list[Any]]:
         """Kind, name, version and size of every value, to be compared with a later one."""
-        found: list[list[Any]] = json.loads(self._ask("digest", "", b"{}")[0].body or b"{}").get("entries", [])
+        said = json_object(self._ask("digest", "", json.dumps({"wire": WIRE}).encode())[0].body or b"{}")
+        check_wire(said)
+        found: list[list[Any]] = said.get("entries", [])
         return sorted(found, key=lambda entry: entry[:2])
 
     def names(self, kind: ValueKind[Any]) -> list[str]:
@@ -89,7 +92,7 @@ class StoreClient:
             else:
                 bodies.append(each.kind.encode(each.name, each.value)[0])
                 heads.append({"key": key, "size": len(bodies[-1])})
-        head = json.dumps({"writes": heads, **({"stamps": stamps} if stamps else {})}).encode()
+        head = json.dumps({"wire": WIRE, "writes": heads, **({"stamps": stamps} if stamps else {})}).encode()
         said = self._ask("write", "", b"\n".join((head, b"".join(bodies))))[0].body
         return not json_object(said or b"{}").get("stale")
 
@@ -107,7 +110,7 @@ class StoreClient:
     def _fetch(self, kind: ValueKind[T], names: Sequence[str]) -> dict[str, T]:
         if not names:
             return {}
-        keys = json.dumps({"keys": [f"{kind.name}/{name}" for name in names]}).encode()
+        keys = json.dumps({"wire": WIRE, "keys": [f"{kind.name}/{name}" for name in names]}).encode()
         found: dict[str, T] = {}
         under = f"@sync/fetch/{self._zid}/"
         for item in self._ask("fetch", "/**", keys):

@@ -25,11 +25,12 @@ from typing import Any
 from bridge.concurrency import SerialExecutor
 from bridge.hub.endpoints.keyspace import KeyItem, KeyQuery, KeySpace
 from bridge.hub.errors import HubError
+from bridge.hub.wire.version import WIRE, refusal
 from bridge.stores.entry import StoreEntry, StoreError, json_object
 from bridge.stores.kinds import KINDS
 from bridge.stores.replica import Body, Key, Replica
 from bridge.stores.store import write_all
-from bridge.stores.wire import BUCKETS, bucket, digests, entry_of, item_of, key_of, stamp_of, version_of
+from bridge.stores.wire import BUCKETS, bucket, check_wire, digests, entry_of, item_of, key_of, stamp_of, version_of
 
 _log = logging.getLogger(__name__)
 
@@ -53,6 +54,7 @@ class StoreSync:
         self._unsent: dict[Key, None] = {}
         self._waiting = 0
         self._others: dict[str, str] = {}
+        self._strangers: set[str] = set()
         self._due: dict[str, int] = {}
         self.refused = 0
         self._wake = threading.Condition()
@@ -171,24 +173,24 @@ class StoreSync:
                     question.reply(item_of(entry))
 
     def _answer_digest(self, question: KeyQuery) -> None:
-        theirs = _texts(json_object(question.body, _NO_OBJECT), "digests", BUCKETS)
+        theirs = _texts(_asked_in(question.body), "digests", BUCKETS)
         versions = self._replica.versions()
         ours = digests(versions)
         differ = {number for number in range(BUCKETS) if number >= len(theirs) or theirs[number] != ours[number]}
         found = [
             [*key, stamp.ns, stamp.replica, size] for key, (stamp, size) in versions.items() if bucket(key) in differ
         ]
-        question.reply(KeyItem(f"@sync/digest/{self._zid}", json.dumps({"entries": found}).encode()))
+        question.reply(KeyItem(f"@sync/digest/{self._zid}", json.dumps({"wire": WIRE, "entries": found}).encode()))
 
     def _answer_fetch(self, question: KeyQuery) -> None:
-        for text in _texts(json_object(question.body, _NO_OBJECT), "keys", _MOST_KEYS):
+        for text in _texts(_asked_in(question.body), "keys", _MOST_KEYS):
             entry = self._replica.entry(*key_of(text))
             if entry is not None:
                 question.reply(item_of(entry, f"@sync/fetch/{self._zid}/"))
 
     def _answer_write(self, question: KeyQuery) -> None:
         end = question.body.find(b"\n", 0, _MOST_WRITE)
-        head = json_object(question.body[: max(end, 0)], _NO_OBJECT)
+        head = _asked_in(question.body[: max(end, 0)])
         writes, stamps = head.get("writes"), head.get("stamps", {})
         if not isinstance(writes, list) or not isinstance(stamps, dict):
             raise StoreError("it has nothing to write")
@@ -226,6 +228,7 @@ class StoreSync:
                 self._wake.notify()
             else:
                 self._others.pop(zid, None)
+                self._strangers.discard(zid)
                 self._due.pop(zid, None)
 
     def _run(self) -> None:
@@ -260,17 +263,31 @@ class StoreSync:
 
     def _align(self, zid: str) -> bool:
         """Take what another replica has and this one has not; False where it does not answer."""
-        question = json.dumps({"digests": digests(self._replica.versions())}).encode()
+        question = json.dumps({"wire": WIRE, "digests": digests(self._replica.versions())}).encode()
         answers = self._space.ask(f"@sync/digest/{zid}", question)
         if not answers:
             return False
         under = f"@sync/fetch/{zid}/"
-        for batch in self._batches(_entries(answers[0].body or b"")):
-            for item in self._space.ask(f"{under}**", json.dumps({"keys": batch}).encode(), 30.0):
+        said = json_object(answers[0].body or b"", _NO_OBJECT)
+        if why := refusal(said.get("wire")):
+            self._refuse(zid, why)
+            return True
+        for batch in self._batches(_entries(said)):
+            for item in self._space.ask(f"{under}**", json.dumps({"wire": WIRE, "keys": batch}).encode(), 30.0):
                 if self._closed:
                     return True
                 self._take(item, item.key.removeprefix(under))
         return True
+
+    def _refuse(self, zid: str, why: str) -> None:
+        """Say once of each store that it cannot be understood."""
+        with self._wake:
+            new = zid in self._others and zid not in self._strangers
+            if new:
+                self._strangers.add(zid)
+                self.refused += 1
+        if new:
+            _log.warning("the store of %s is not taken: %s", self._others.get(zid), why)
 
     def _batches(self, theirs: Iterable[Sequence[Any]]) -> Iterable[list[str]]:
         """The keys of which the other has a later version, in parts of bounded size."""
@@ -311,8 +328,15 @@ def _sizes(writes: Iterable[Any]) -> Iterable[tuple[str, int | None]]:
         yield key, size
 
 
-def _entries(data: bytes) -> list[Sequence[Any]]:
-    entries = json_object(data, _NO_OBJECT).get("entries")
+def _asked_in(body: bytes) -> dict[str, Any]:
+    """What a question says; raises `StoreError` where it is none, or in a version that cannot be understood."""
+    said = json_object(body, _NO_OBJECT)
+    check_wire(said)
+    return said
+
+
+def _entries(said: dict[str, Any]) -> list[Sequence[Any]]:
+    entries = said.get("entries")
     if not isinstance(entries, list) or len(entries) > _MOST_KEYS:
         raise StoreError("the other store's answer cannot be read")
     return [each for each in entries if isinstance(each, list) and len(each) == 5 and isinstance(each[4], int)]

@@ -1,8 +1,9 @@
 """How entries travel on the hub: a value under ``<kind>/<name>`` with its time, and its version in the attachment.
 
-The attachment is JSON, ``{"ns", "replica", "origin", "seen"}`` of `bridge.stores.entry`. A value without one comes from
-a program that knows zenoh alone: its time is zenoh's, and it counts as written by somebody who knew what was there.
-zenoh's routers give a time to a put that has none, and none to a delete (measured with zenoh 1.10).
+The attachment is JSON, ``{"ns", "replica", "origin", "seen"}`` of `bridge.stores.entry`, and ``wire``, the version of
+`bridge.hub.wire.version`, which the questions of `bridge.stores.sharing` and answers in JSON say, too. A value without
+one comes from a program that knows zenoh alone: its time is zenoh's, and it counts as written by somebody who knew what
+was there. zenoh's routers give a time to a put that has none, and none to a delete (measured with zenoh 1.10).
 """
 
 from __future__ import annotations
@@ -14,6 +15,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from bridge.hub.endpoints.keyspace import KeyItem
+from bridge.hub.wire.version import WIRE, refusal
 from bridge.stores.entry import LATEST, MOST_SEEN, ChangeStamp, StoreEntry, StoreError, Version, check_name, json_object
 from bridge.stores.kinds import KINDS
 from bridge.stores.replica import Key
@@ -34,7 +36,7 @@ def item_of(entry: StoreEntry, under: str = "") -> KeyItem:
     """An entry as it travels, for some answers under a key of their own."""
     version = entry.version
     ns, replica = version.stamp.ns, version.stamp.replica
-    about = {"ns": ns, "replica": replica, "origin": version.origin, "seen": dict(version.seen)}
+    about = {"ns": ns, "replica": replica, "origin": version.origin, "seen": dict(version.seen), "wire": WIRE}
     attached = json.dumps(about, separators=(",", ":")).encode()
     return KeyItem(f"{under}{entry.kind}/{entry.name}", entry.body, entry.encoding, ns, replica, attached)
 
@@ -61,6 +63,7 @@ def version_of(item: KeyItem) -> Version:
     if item.attached:
         attached = item.attached if len(item.attached) <= _MOST_ATTACHED else b""
         about = json_object(attached, "its attachment is not Midspan's")
+        check_wire(about)
         seen = about.get("seen")
         if not isinstance(seen, dict) or len(seen) > MOST_SEEN:
             raise StoreError("it does not say what its writer knew")
@@ -72,6 +75,12 @@ def version_of(item: KeyItem) -> Version:
         return Version(stamp, origin, {**found, stamp.replica: stamp.ns})
     stamp = stamp_of(item.ns, item.writer)
     return Version(stamp, f"zenoh {stamp.replica[:8]}")
+
+
+def check_wire(said: Mapping[str, Any]) -> None:
+    """Raise `StoreError` where something was said in a version that cannot be understood."""
+    if why := refusal(said.get("wire")):
+        raise StoreError(why)
 
 
 def stamp_of(ns: Any, replica: Any) -> ChangeStamp:

@@ -267,6 +267,25 @@ def test_while_one_has_told_nothing_nothing_crosses() -> None:
     assert not election.outcome.waiting
 
 
+def test_while_one_speaks_another_major_none_is_active_beside_it() -> None:
+    election = Election("b", "B")
+    other = json.loads(Record("a", "A", 5, {"b": 100}, frozenset("a"), "", Claim(1, held=True, first=1), {}).encode())
+
+    def turn(now: float, heard: float, version: str) -> str:
+        record = json.dumps({**other, "wire": version, "more": 1}).encode()
+        election.turn(now, 100, [Sighting("a", record, heard)], HubView(frozenset("ab")), settled=True)
+        assert not election.outcome.active
+        return election.outcome.waiting
+
+    for now in (1.0, 1.0 + 10 * UNKNOWN):
+        assert "speaks version 2.0 of Midspan's wire" in turn(now, now, "2.0")
+    assert turn(90.0, 90.0, "1.99") == ""
+    assert election.outcome.standing_by == "A", "a later minor is understood"
+    election.turn(91.0 + SILENCE, 100, [Sighting("a", b'{"wire": "2.0"}', 90.0)], HubView(), settled=True)
+    election.turn(91.0 + UNKNOWN, 100, [], HubView(), settled=True)
+    assert election.outcome.active, "it has gone"
+
+
 def test_while_it_is_unknown_whether_hubs_are_joined_nothing_crosses() -> None:
     election = Election("b", "B")
     other = Record("a", "A", 5, {"b": 100}, frozenset("a"), "", Claim(1, held=True, first=1), {})

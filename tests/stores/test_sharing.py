@@ -16,6 +16,7 @@ import zenoh
 
 from bridge.hub.endpoints.keyspace import KeySpace
 from bridge.hub.session import Hub
+from bridge.hub.wire.version import WIRE
 from bridge.stores.client import StoreClient
 from bridge.stores.entry import StoreError
 from bridge.stores.kinds import AREA, BEHAVIOUR, LOCATION, MAP, PATH
@@ -366,3 +367,36 @@ def plain(hub: QuickHub) -> Iterator[zenoh.Session]:
     config.insert_json5("scouting/multicast/enabled", "false")
     with zenoh.open(config) as session:
         yield session
+
+
+def test_a_store_of_another_major_is_not_taken(hub: QuickHub, tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    with Shared(tmp_path, "one", hub.endpoint) as one, plain(hub) as session:
+        asked: list[bytes] = []
+
+        def digest(query: zenoh.Query) -> None:
+            asked.append(query.payload.to_bytes() if query.payload else b"")
+            entries = [["location", "strange", 7, "aa", 2]]
+            query.reply(query.key_expr, json.dumps({"wire": "2.0", "entries": entries}))
+
+        zid = str(session.zid())
+        kept = session.declare_queryable(f"midspan/store/0/@sync/digest/{zid}", digest, complete=True)
+        with caplog.at_level(logging.WARNING):
+            token = session.liveliness().declare_token(f"midspan/store/0/@sync/alive/{zid}/far")
+            until(lambda: "the store of far is not taken" in caplog.text, "it is refused", SECONDS)
+        assert caplog.text.count("the store of far is not taken: it speaks version 2.0") == 1
+        assert json.loads(asked[0])["wire"] == WIRE
+        version = {"ns": 7, "replica": "aa", "origin": "far", "seen": {}}
+        for name, wire in (("strange", "2.0"), ("later", "1.7")):
+            attached = json.dumps({**version, "wire": wire, "more": 1}).encode()
+            session.put(f"midspan/store/0/location/{name}", b"{}", attachment=attached)
+        until(lambda: names(one), "that of a later minor is taken", SECONDS)
+        assert names(one) == ["later"]
+        assert "location/strange is not taken: it speaks version 2.0" in caplog.text
+        assert one.hub is not None
+        question = f"midspan/store/0/@sync/digest/{one.hub.zid}"
+        (refused,) = session.get(question, payload=b'{"wire": "2.0", "digests": []}')
+        assert b"speaks version 2.0" in refused.err.payload.to_bytes()
+        (taken,) = session.get(question, payload=b'{"wire": "1.7", "digests": [], "more": 1}')
+        assert json.loads(taken.ok.payload.to_bytes())["wire"] == WIRE
+        for declared in (kept, token):
+            declared.undeclare()

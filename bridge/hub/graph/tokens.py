@@ -9,7 +9,8 @@ Midspan's workers announce beside it which foreign network they speak for, their
 declared while its session has an origin carries the enclave ``/midspan``, so that whoever sees the endpoint first knows
 that an origin is to come. A worker that carries messages announces too which other workers it sees on its network:
 ``@midspan/<domain>/member/<zid>/<zid of the other>``, one for each and one for itself, so that two networks of two
-hubs are known to be one.
+hubs are known to be one. Each session of ours says in which version it says all this, before anything else:
+``@midspan/<domain>/wire/<zid>/<version>/<Midspan's release>`` (`bridge.hub.wire.version`).
 """
 
 from __future__ import annotations
@@ -20,9 +21,11 @@ from urllib.parse import quote, unquote
 
 import xxhash
 
+from bridge import __version__
 from bridge.hub.errors import HubWireError
 from bridge.hub.wire.keys import ANY_HASH, check_hash, check_topic, dds_type_name, demangle, mangle, ros_type_name
 from bridge.hub.wire.qos import Qos, decode_qos, encode_qos
+from bridge.hub.wire.version import WIRE
 
 
 @dataclass(frozen=True, slots=True)
@@ -167,6 +170,19 @@ def parse_member(key: str) -> tuple[str, str]:
     if len(parts) != 5 or parts[2] != "member":
         raise HubWireError("token is not a member's")
     return parts[3], _unquote(parts[4])
+
+
+def wire_key(domain: int, zid: str) -> str:
+    """The key of the token by which a session says the version of its wire."""
+    return f"{MIDSPAN_SPACE}/{domain}/wire/{zid}/{WIRE}/{_quote(__version__)}"
+
+
+def parse_wire(key: str) -> tuple[str, str, str]:
+    """Read a version's token: session, version and release, whatever a later one adds; raises `HubWireError`."""
+    parts = _split(key, MIDSPAN_SPACE)
+    if len(parts) < 6 or parts[2] != "wire":
+        raise HubWireError("token is not a version's")
+    return parts[3], parts[4], _unquote(parts[5])
 
 
 def gid_of(key: str) -> bytes:

@@ -23,8 +23,10 @@ from bridge.hub.graph.tokens import (
     parse_member,
     parse_origin,
     parse_token,
+    parse_wire,
 )
 from bridge.hub.wire.qos import Qos
+from bridge.hub.wire.version import refusal
 from bridge.hub.zenoh_compat import follow_tokens, undeclare
 
 _log = logging.getLogger(__name__)
@@ -88,6 +90,7 @@ class HubGraph:
         self._origin_tokens: dict[str, dict[str, Origin]] = {}
         self._origins: dict[str, Origin] = {}
         self._members: dict[str, dict[str, None]] = {}
+        self._strangers: set[str] = set()
         self._zids: dict[bytes, str] = {}
         self._own: dict[str, zenoh.LivelinessToken] = {}
         self._watches: dict[object, Callable[[], None]] = {}
@@ -95,7 +98,8 @@ class HubGraph:
         self.trouble = ""
         self._liveliness = session.liveliness()
         origins, members = f"{MIDSPAN_SPACE}/{domain}/origin/**", f"{MIDSPAN_SPACE}/{domain}/member/**"
-        spaces = (origins, members, f"{ADMIN_SPACE}/{domain}/**")
+        self._wire_space = f"{MIDSPAN_SPACE}/{domain}/wire/"
+        spaces = (f"{self._wire_space}**", origins, members, f"{ADMIN_SPACE}/{domain}/**")
         self._subscribers = [follow_tokens(session, space, self._on_sample) for space in spaces]
 
     def endpoints(self) -> list[HubEndpoint]:
@@ -218,6 +222,8 @@ class HubGraph:
                 return self._learn(key, parse_token(key))
             if key.startswith(self._member_space):
                 return self._put_member(key, *parse_member(key))
+            if key.startswith(self._wire_space):
+                return self._put_wire(key, *parse_wire(key))
             token = parse_origin(key)
         except HubWireError as err:
             self._refuse(key, str(err))
@@ -238,6 +244,8 @@ class HubGraph:
         try:
             if key.startswith(self._member_space):
                 return self._delete_member(*parse_member(key))
+            if key.startswith(self._wire_space):
+                return self._delete_wire(parse_wire(key)[0])
             zid = parse_origin(key).zid
         except HubWireError:
             return False
@@ -267,8 +275,29 @@ class HubGraph:
             del self._members[zid]
         return True
 
+    def _put_wire(self, key: str, zid: str, version: str, release: str) -> bool:
+        """What a session of a version that cannot be understood carries between networks stays of unknown origin."""
+        why = refusal(version)
+        if not why or zid in self._strangers:
+            return False
+        if len(self._strangers) >= self._max_tokens:
+            self._refuse(key, f"more than {self._max_tokens} versions")
+            return False
+        self._strangers.add(zid)
+        _log.warning("a Midspan %.40s on the hub is refused, session %s: %s", release, zid, why)
+        self._settle(zid, None)
+        return True
+
+    def _delete_wire(self, zid: str) -> bool:
+        if zid not in self._strangers:
+            return False
+        self._strangers.remove(zid)
+        tokens = self._origin_tokens.get(zid)
+        self._settle(zid, next(reversed(tokens.values())) if tokens else None)
+        return True
+
     def _settle(self, zid: str, origin: Origin | None) -> None:
-        if origin is None:
+        if origin is None or zid in self._strangers:
             self._origins.pop(zid, None)
         else:
             self._origins[zid] = origin

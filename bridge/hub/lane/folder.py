@@ -66,6 +66,12 @@ def check_peer(sock: socket.socket) -> None:
         raise PermissionError(f"a process of user {user} is at the other end of the lane")
 
 
+def other_version(folder: Path, zid: str) -> str:
+    """That a session has a lane of another version, "" where it has none."""
+    found = next(folder.glob(f"{zid}.*"), None) if zid.isalnum() else None
+    return f"its lane is of version {found.suffix[1:]}, ours of {VERSION}: over zenoh instead" if found else ""
+
+
 def remove(folder: Path, zid: str) -> None:
     """Remove a session's socket."""
     with contextlib.suppress(OSError):

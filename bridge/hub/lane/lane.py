@@ -138,8 +138,11 @@ class Lane:
         try:
             sock = folder.connect(self._folder, zid)
         except OSError as err:
-            why = "it has no lane here" if isinstance(err, FileNotFoundError) else str(err.strerror or err)
-            self._refuse(zid, why, again=not isinstance(err, FileNotFoundError))
+            there = not isinstance(err, FileNotFoundError)
+            why = err.strerror or str(err)
+            if not there:
+                why = folder.other_version(self._folder, zid) or "it has no lane here"
+            self._refuse(zid, why, again=there)
             return why
         inlet = Inlet(sock, zid, self._lost)
         with self._lock:

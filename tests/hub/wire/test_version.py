@@ -1,0 +1,105 @@
+"""Who speaks another version on the hub: a minor goes on, a major is refused with a line that says so."""
+
+from __future__ import annotations
+
+import json
+import logging
+from pathlib import Path
+
+import pytest
+import zenoh
+
+from bridge.hub.graph.tokens import (
+    BRIDGE_ENCLAVE,
+    EndpointKind,
+    EndpointToken,
+    NodeToken,
+    Origin,
+    OriginToken,
+    endpoint_key,
+    origin_key,
+)
+from bridge.hub.lane import folder
+from bridge.hub.lane.wire import VERSION
+from bridge.hub.session import Hub
+from bridge.hub.wire.version import MAJOR, WIRE, refusal
+from tests.hub.parts import HASH, STREAM, TYPE
+from tests.support.hub import HubNetwork
+from tests.support.wait import until
+
+LATER = f"{MAJOR}.12345"
+NEXT = f"{MAJOR + 1}.0"
+
+
+@pytest.mark.parametrize("version", [None, WIRE, LATER])
+def test_this_major_goes_on(version: object) -> None:
+    assert refusal(version) == ""
+
+
+@pytest.mark.parametrize("version", [NEXT, "0.9", "1", "1.0.0", "", 1, 1.0, True, ["1.0"], "1.0\n", "1.123456"])
+def test_any_other_is_refused(version: object) -> None:
+    assert refusal(version)
+
+
+def test_what_a_session_of_another_major_carries_has_no_origin(
+    network: HubNetwork, caplog: pytest.LogCaptureFixture
+) -> None:
+    with Hub.open(network.settings("here")) as here, network.program() as program:
+        zid = str(program.zid())
+        node = NodeToken(network.domain, zid, "0", "/", "far", BRIDGE_ENCLAVE)
+        endpoint = endpoint_key(EndpointToken(node, "1", EndpointKind.PUBLISHER, "/scan", TYPE, HASH, STREAM))
+        origin = origin_key(OriginToken(network.domain, zid, Origin("ros1", "net", "far")))
+
+        def seen() -> list[tuple[Origin | None, bool]]:
+            return [(each.origin, each.pending) for each in here.graph.publishers("/scan")]
+
+        tokens = program.liveliness()
+        kept = [tokens.declare_token(key) for key in (origin, endpoint)]
+        until(lambda: seen() == [(Origin("ros1", "net", "far"), False)], "it is known")
+        version = f"@midspan/{network.domain}/wire/{zid}"
+        with caplog.at_level(logging.WARNING):
+            later = tokens.declare_token(f"{version}/{LATER}/9.9/and/more")
+            strange = tokens.declare_token(f"{version}/{NEXT}/9.9")
+            until(lambda: seen() == [(None, True)], "it is refused: nothing of unknown origin crosses")
+        (said,) = (line for line in caplog.messages if zid in line)
+        assert said == f"a Midspan 9.9 on the hub is refused, session {zid}: {refusal(NEXT)}"
+        assert f"it speaks version {NEXT} of Midspan's wire, and this Midspan {WIRE}; bring both to one" in said
+        strange.undeclare()
+        until(lambda: seen() == [(Origin("ros1", "net", "far"), False)], "it is taken again")
+        for token in (later, *kept):
+            token.undeclare()
+
+
+def test_a_session_says_its_version(network: HubNetwork) -> None:
+    with Hub.open(network.settings("here")) as here, network.program() as program:
+        key = f"@midspan/{network.domain}/wire/{here.zid}/*/*"
+        until(lambda: list(program.liveliness().get(key)), "it says one")
+        (reply,) = program.liveliness().get(key)
+        assert str(reply.ok.key_expr).split("/")[4] == WIRE
+
+
+def test_answers_of_the_control_plane(network: HubNetwork) -> None:
+    with Hub.open(network.settings("here")) as here, network.program() as program:
+        key = f"@midspan/{network.domain}/far/worker"
+        answers = {"later": {"wire": LATER}, "next": {"wire": NEXT}, "none": {}}
+
+        def answer(query: zenoh.Query) -> None:
+            verb = str(query.key_expr).rpartition("/")[2]
+            query.reply(f"{key}/{verb}", json.dumps({"value": 7, "more": 8, **answers[verb]}))
+
+        kept = [program.declare_queryable(f"{key}/{verb}", answer, complete=True) for verb in answers]
+        until(lambda: here.ask("none", {}), "it is reached")
+        assert [(a.value, a.error) for a in here.ask("none", {})] == [(7, "")]
+        assert [(a.value, a.error) for a in here.ask("later", {})] == [(7, "")]
+        (refused,) = here.ask("next", {})
+        assert refused.value is None
+        assert refused.error.startswith(f"far/worker cannot be understood: it speaks version {NEXT}")
+        for queryable in kept:
+            queryable.undeclare()
+
+
+def test_a_lane_of_another_version_is_named(tmp_path: Path) -> None:
+    (tmp_path / "ab.7").touch()
+    assert folder.other_version(tmp_path, "ab") == f"its lane is of version 7, ours of {VERSION}: over zenoh instead"
+    assert folder.other_version(tmp_path, "cd") == ""
+    assert folder.other_version(tmp_path, "*") == ""
