@@ -30,7 +30,6 @@ BELOW = {
         "hub",
         "stores",
         "routing.counters",
-        "routing.gates",
         "routing.limits",
     },
     "bags": {*TOOLS, "config", "messages", "hub", "modules", "routing"},

@@ -13,11 +13,10 @@ from bridge.clock import CLOCK_TOPIC
 from bridge.config.model import Config
 from bridge.config.rules import EVERY, commands
 from bridge.config.sections.section import ROS2_NAME
-from bridge.hub.graph.tokens import UNKNOWN_HASH
+from bridge.hub.graph.tokens import TAPS, UNKNOWN_HASH
 from bridge.hub.wire.qos import LATCHED, Qos
 from bridge.messages.errors import MessageTypeError
 from bridge.messages.registry import Registry
-from bridge.routing.gates import TAPS
 from bridge.routing.limits import COMMAND_NAME, COMMAND_TYPES, Priority, default_priority
 from bridge.routing.rewrites import TF_TYPE
 from bridge.routing.rules import RuleSet

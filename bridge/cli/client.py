@@ -52,9 +52,13 @@ class CliClient:
 
         return Registry.of(self.config.types)
 
+    def catch_up(self) -> None:
+        """Wait until what the router knows of the hub's graph is known here."""
+        self.hub.graph.catch_up(_SETTLE_SECONDS)
+
     def settle(self) -> None:
         """Wait until the hub's graph is known here: all that the router knew, and nothing new for a moment."""
-        self.hub.graph.catch_up(_SETTLE_SECONDS)
+        self.catch_up()
         changed = threading.Event()
         close = self.hub.graph.watch(changed.set)
         end = time.monotonic() + _SETTLE_SECONDS

@@ -17,7 +17,7 @@ from bridge.foxglove.events import Advertised, ClientMessage, Events
 from bridge.foxglove.server import FoxgloveServer
 from bridge.foxglove.visitors import Visitor, Visitors
 from bridge.hub.errors import HubError
-from bridge.hub.graph.tokens import UNKNOWN_HASH
+from bridge.hub.graph.tokens import TAPS, UNKNOWN_HASH
 from bridge.hub.wire.qos import Qos
 from bridge.messages.definitions.names import is_ros1_name, is_ros2_name
 from bridge.messages.errors import ConversionError, MessageTypeError
@@ -26,7 +26,6 @@ from bridge.messages.values import MessageReader
 from bridge.modules.host import Host
 from bridge.modules.hub_topics import Definitions
 from bridge.routing.counters import Counters
-from bridge.routing.gates import TAPS
 from bridge.routing.limits import COMMAND_TYPES
 from bridge.routing.rules import RuleSet
 from bridge.web.hold import HandDriving

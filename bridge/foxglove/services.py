@@ -17,12 +17,12 @@ from bridge.foxglove.visitors import Visitors
 from bridge.hub.definitions import VERB, definition_among
 from bridge.hub.endpoints.calls import CallError
 from bridge.hub.errors import HubError
+from bridge.hub.graph.tokens import TAPS
 from bridge.messages.actions import split
 from bridge.messages.definitions.schema import Schema
 from bridge.messages.definitions.text import full_text
 from bridge.messages.errors import ConversionError, MessageTypeError
 from bridge.modules.host import Host
-from bridge.routing.gates import TAPS
 
 _log = logging.getLogger("midspan.foxglove")
 

@@ -28,13 +28,15 @@ import threading
 import time
 from collections.abc import Callable, Collection
 from threading import Event, Thread
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-import psutil
 import zenoh
 
 from bridge.hub.errors import HubError, zenoh_reason
 from bridge.hub.zenoh_config import LEASE_MS
+
+if TYPE_CHECKING:
+    import psutil
 
 _log = logging.getLogger(__name__)
 
@@ -182,6 +184,8 @@ def limit_links(process: psutil.Process, far: Callable[[str], bool] = _far) -> N
     """Give this process's connections to other machines the limit; those that have it already, once more."""
     if _OPTION is None:
         return
+    import psutil  # who opens no door does without
+
     with contextlib.suppress(psutil.Error, OSError):
         for connection in process.net_connections("tcp"):
             if connection.raddr and connection.fd >= 0 and far(connection.raddr.ip):
@@ -213,6 +217,8 @@ class LinkLimits:
         self._thread.join(2.0)
 
     def _run(self) -> None:
+        import psutil
+
         process = psutil.Process()
         while not self._end.wait(_EVERY):
             limit_links(process)

@@ -21,14 +21,13 @@ from bridge.concurrency import SerialExecutor
 from bridge.hub.definitions import VERB, definition_among
 from bridge.hub.endpoints.subscription import HubSample, HubSubscription
 from bridge.hub.errors import HubError
-from bridge.hub.graph import HubEndpoint
-from bridge.hub.graph.tokens import Origin
+from bridge.hub.graph import HubEndpoint, origin_side
+from bridge.hub.graph.tokens import TAPS, Origin
 from bridge.hub.session import Hub
 from bridge.hub.wire.qos import Durability, Qos
 from bridge.messages.definitions.text import full_text
 from bridge.messages.errors import MessageTypeError
 from bridge.messages.registry import Registry
-from bridge.routing.gates import TAPS, origin_side
 from bridge.routing.limits import combined_qos
 
 _log = logging.getLogger(__name__)
@@ -80,7 +79,7 @@ def published(endpoints: Iterable[HubEndpoint], *, taps: bool = False) -> dict[T
 
     Args:
         endpoints: publishers on the hub.
-        taps: also what workers show of a side to those who ask for it (`bridge.routing.gates.TAPS`).
+        taps: also what workers show of a side to those who ask for it (`bridge.hub.graph.tokens.TAPS`).
     """
     found: dict[TopicKey, list[HubEndpoint]] = {}
     for endpoint in endpoints:

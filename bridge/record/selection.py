@@ -5,9 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from bridge.config.sections.record import RecordSection
-from bridge.hub.graph.tokens import Origin
+from bridge.hub.graph.tokens import TAPS, Origin
 from bridge.modules.hub_topics import HubTopic
-from bridge.routing.gates import TAPS
 from bridge.routing.rules import NameFilter
 
 

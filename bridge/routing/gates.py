@@ -17,14 +17,11 @@ from typing import Literal
 
 from bridge.config.sections.routing import QosOverride
 from bridge.hub.graph import HubEndpoint
-from bridge.hub.graph.tokens import EndpointKind, Origin
+from bridge.hub.graph.tokens import TAPS, EndpointKind, Origin
 from bridge.messages.actions import COMMON, ENDINGS, part_name, split
 from bridge.routing.edge import Edge, Endpoint, Kind
 from bridge.routing.election import Outcome
 from bridge.routing.rules import RoutePolicy, RuleSet
-
-TAPS = "/_midspan/"
-"""Hub names under which workers show what does not cross to those who ask for it; nothing of it leaves the hub."""
 
 
 def may_leave(endpoint: HubEndpoint, edge: Edge) -> bool:
@@ -37,11 +34,6 @@ def may_leave(endpoint: HubEndpoint, edge: Edge) -> bool:
 def may_carry(endpoint: HubEndpoint, outcome: Outcome) -> bool:
     """Whether it is this worker that puts a hub publisher's messages on its network, and not another one there."""
     return outcome.active and (endpoint.origin is None or endpoint.zid in outcome.carried)
-
-
-def origin_side(endpoint: HubEndpoint) -> str:
-    """The side that a hub publisher's messages come from, ``zenoh`` for a native participant of the hub."""
-    return "zenoh" if endpoint.origin is None else endpoint.origin.side
 
 
 @dataclass(frozen=True, slots=True)

@@ -13,6 +13,7 @@ from bridge.clock import CLOCK_TOPIC, CLOCK_TYPE
 from bridge.concurrency import BoundedQueue
 from bridge.hub.endpoints.publisher import HubPublisher
 from bridge.hub.errors import HubError
+from bridge.hub.graph.tokens import TAPS
 from bridge.hub.wire.keys import topic_key
 from bridge.hub.wire.qos import LATCHED, Durability, Qos, Reliability
 from bridge.messages.errors import MessageError
@@ -20,7 +21,7 @@ from bridge.messages.transcode.conversion import Conversion
 from bridge.routing.backlog import Backlog
 from bridge.routing.decision import RouteDecision, RouteKey, native_groups
 from bridge.routing.edge import EdgeSubscription, Endpoint, Kind
-from bridge.routing.gates import TAPS, EntryGate
+from bridge.routing.gates import EntryGate
 from bridge.routing.limits import BULK, MAX_PENDING, QUEUE_BYTES, QUEUE_DEPTH, Priority, combined_qos, stream_depth
 from bridge.routing.rewrites import TF_TYPE, StaticTransforms
 from bridge.routing.route import EngineContext, RouteSet, TopicRoute

@@ -16,8 +16,8 @@ from bridge.cli.output import CliError
 from bridge.concurrency import SerialExecutor
 from bridge.daemon.query import Phase, ask_daemon
 from bridge.hub.errors import HubError
+from bridge.hub.graph.tokens import TAPS
 from bridge.modules.host import Host
-from bridge.routing.gates import TAPS
 from bridge.sides import all_sides, label
 from bridge.web.feed import Feed
 

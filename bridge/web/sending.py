@@ -15,13 +15,12 @@ from bridge.cli.messages import Types, ros2_spelling
 from bridge.config.model import Config
 from bridge.config.sections.section import ROS2_NAME
 from bridge.hub.endpoints.publisher import HubPublisher
-from bridge.hub.graph.tokens import EndpointKind
+from bridge.hub.graph.tokens import TAPS, EndpointKind
 from bridge.hub.wire.qos import Qos
 from bridge.messages.actions import split
 from bridge.messages.errors import ConversionError, MessageTypeError
 from bridge.messages.json import from_json
 from bridge.modules.host import Host
-from bridge.routing.gates import TAPS
 from bridge.routing.limits import COMMAND_TYPES, RateLimit
 from bridge.routing.rules import RuleSet
 from bridge.web.definitions import KINDS, definition

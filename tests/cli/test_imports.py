@@ -27,7 +27,13 @@ def test_help_loads_none_of_the_libraries() -> None:
 @pytest.mark.parametrize("verb", ["status", "topic", "service", "nav", "goto", "explain", "action", "top"])
 def test_a_verb_that_asks_the_daemon_loads_no_types_before_it_needs_them(verb: str) -> None:
     found = loaded(f"from bridge.cli.main import build_parser; build_parser([{verb!r}])")
-    assert not found & {"numpy", "PIL", "ruamel.yaml", "bridge.messages.registry", "sqlite3"}
+    others = {"numpy", "PIL", "ruamel.yaml", "sqlite3", "bridge.messages.registry", "bridge.messages.transcode"}
+    assert not found & others
+
+
+def test_the_frames_load_no_conversions() -> None:
+    found = loaded("from bridge.cli.main import build_parser; build_parser(['tf'])")
+    assert not found & {"PIL", "ruamel.yaml", "bridge.messages.transcode", "bridge.routing.edge"}
 
 
 _WORKERS = {

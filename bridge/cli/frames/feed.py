@@ -112,7 +112,7 @@ class TransformListener:
     def open(self) -> None:
         """Subscribe."""
         follow_clock(self.clock, self.client.hub)
-        self.client.settle()
+        self.client.catch_up()  # who comes a moment later is met by the looks while it listens
         self.look()
 
     def listen(self, seconds: float) -> None:

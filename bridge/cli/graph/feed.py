@@ -14,9 +14,8 @@ from bridge.cli.client import CliClient
 from bridge.cli.graph.view import absolute, all_topics, ask_decisions, unknown
 from bridge.cli.output import CliError, side_name
 from bridge.hub.endpoints.subscription import HubSample, HubSubscription
-from bridge.hub.graph import HubEndpoint
+from bridge.hub.graph import HubEndpoint, origin_side
 from bridge.hub.wire.qos import Durability, Qos
-from bridge.routing.gates import origin_side
 from bridge.routing.limits import combined_qos
 
 MAX_QUEUED = 10_000

@@ -10,10 +10,9 @@ from bridge.cli.client import CliClient
 from bridge.cli.documents import arrow, route_list
 from bridge.cli.messages import ros2_spelling
 from bridge.cli.output import CliError, clean, near, side_name
-from bridge.hub.graph import HubEndpoint
-from bridge.hub.graph.tokens import EndpointKind
+from bridge.hub.graph import HubEndpoint, origin_side
+from bridge.hub.graph.tokens import TAPS, EndpointKind
 from bridge.messages.actions import split
-from bridge.routing.gates import TAPS, origin_side
 from bridge.routing.limits import qos_text
 
 Kind = Literal["topic", "service", "action"]

@@ -50,6 +50,9 @@ class Origin:
 
 ADMIN_SPACE = "@ros2_lv"
 MIDSPAN_SPACE = "@midspan"
+TAPS = "/_midspan/"
+"""Hub names under which workers show what does not cross to those who ask for it; nothing of it leaves the hub."""
+
 BRIDGE_ENCLAVE = "/midspan"
 UNKNOWN_HASH = "RIHS01_" + "0" * 64
 """Stands in the token of a subscription that takes any hash."""

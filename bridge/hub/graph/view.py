@@ -68,6 +68,11 @@ class HubEndpoint:
     own: bool
 
 
+def origin_side(endpoint: HubEndpoint) -> str:
+    """The side that a hub publisher's messages come from, ``zenoh`` for a native participant of the hub."""
+    return "zenoh" if endpoint.origin is None else endpoint.origin.side
+
+
 class HubGraph:
     """Nodes, endpoints and origins. Safe to use from any thread.
 
