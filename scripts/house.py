@@ -21,6 +21,7 @@ import statistics
 import sys
 from collections import defaultdict
 from collections.abc import Iterable, Mapping
+from collections.abc import Set as AbstractSet
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -211,13 +212,14 @@ def report(files: Mapping[str, File]) -> None:
     print(f"tests: that assert nothing {len(assertless(ROOT))}")
 
 
-def wrong(files: Mapping[str, File]) -> list[str]:
+def wrong(files: Mapping[str, File], known_large: AbstractSet[str] = KNOWN_LARGE) -> list[str]:
     """Everything that must not be."""
     graph = imports(files)
     found = [f"circle among files: {' '.join(group)}" for group in circles(graph)]
     found += [f"circle among packages: {' '.join(group)}" for group in package_circles(files, graph)]
-    large = (file for file in files.values() if file.lines > LARGE and file.name not in KNOWN_LARGE)
-    found += [f"{file.path}: {file.lines} lines, at most {LARGE}" for file in large]
+    large = {file.name: file for file in files.values() if file.lines > LARGE}
+    found += [f"{f.path}: {f.lines} lines, at most {LARGE}" for f in large.values() if f.name not in known_large]
+    found += [f"{name} is no large file; take it out of KNOWN_LARGE" for name in sorted(known_large - large.keys())]
     return found
 
 

@@ -1,14 +1,10 @@
-"""What scripts/house.py finds: circles, and names of classes."""
+"""What scripts/house.py finds: circles, names of classes, large files. `make lint` looks at the tree itself."""
 
 from __future__ import annotations
 
 from pathlib import Path
 
-import pytest
-
 from scripts import house
-
-ROOT = Path(__file__).parents[1]
 
 
 def write(folder: Path, files: dict[str, str]) -> dict[str, house.File]:
@@ -68,21 +64,10 @@ def test_what_tests_reach_into_and_what_asserts_nothing(tmp_path: Path) -> None:
     assert house.assertless(tmp_path) == ["tests/test_a.py:6 test_c"]
 
 
-@pytest.fixture(scope="module")
-def product() -> dict[str, house.File]:
-    return house.read(ROOT)
-
-
-@pytest.mark.thorough  # `make lint` says it too
-def test_each_test_asserts() -> None:
-    assert house.assertless(ROOT) == []
-
-
-@pytest.mark.thorough  # `make lint` says it too
-def test_the_product_has_no_other_circle_and_no_larger_file(product: dict[str, house.File]) -> None:
-    assert house.wrong(product) == []
-
-
-@pytest.mark.thorough
-def test_what_is_known_is_still_so(product: dict[str, house.File]) -> None:
-    assert all(product[name].lines > house.LARGE for name in house.KNOWN_LARGE)
+def test_a_large_file_is_found_and_one_that_is_known_for_it_must_be(tmp_path: Path) -> None:
+    files = write(tmp_path, {"sim/a.py": "x = 1\n" * (house.LARGE + 1)})
+    assert house.wrong(files, known_large={"sim.b"}) == [
+        f"{tmp_path}/sim/a.py: {house.LARGE + 1} lines, at most {house.LARGE}",
+        "sim.b is no large file; take it out of KNOWN_LARGE",
+    ]
+    assert house.wrong(files, known_large={"sim.a"}) == []
