@@ -17,7 +17,7 @@ ros1="python3-actionlib python3-actionlib-msgs python3-diagnostic-msgs python3-g
     python3-std-srvs python3-stereo-msgs python3-tf2 python3-tf2-msgs python3-tf2-ros python3-trajectory-msgs
     python3-visualization-msgs"
 if [ "${CI:-}" = true ]; then
-    tools="$tools systemd procps" # procps: the units reload by /bin/kill
+    tools="$tools systemd procps octomap-tools" # procps: the units reload by /bin/kill
     BROWSER=yes
 fi
 if [ -n "${BROWSER:-}" ]; then

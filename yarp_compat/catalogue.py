@@ -47,6 +47,8 @@ _PLACES = {
     "dev.returnvalue": "CallFailed ReturnValue",
     "dev.server": "ServiceServer",
     "dev.client": "Stream",
+    "octomap": "Octomap",
+    "octree": "OcTree OctreeError",
     "os.data.bottle": "Bottle Property Searchable Value",
     "os.ports.buffered_port": "BufferedPort TypedReaderCallback",
     "os.ports.connection": "ConnectionReader ConnectionWriter PortInfo PortReport",

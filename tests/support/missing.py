@@ -22,6 +22,7 @@ DART = f"{_MARK}DART (`make setup` installs dartpy where there is a wheel: Linux
 BROWSER = f"{_MARK}Chromium (`make test` installs it from apt on Debian 12, as root or with sudo)"
 COMPILER = f"{_MARK}a C compiler (apt install g++ python3-dev, then `make setup`)"
 PROMETHEUS = f"{_MARK}Prometheus and promtool (apt install prometheus; in CI scripts/setup.sh unpacks them)"
+OCTOMAP = f"{_MARK}OctoMap's programs (apt install octomap-tools)"
 
 _PACKAGES = {"rospy": ROS1, "rosgraph": ROS1, "genpy": ROS1, "rclpy": ROS2, "rosidl_parser": ROS2, "dartpy": DART}
 """What a test that cannot import one of these lacks."""
@@ -52,6 +53,7 @@ def lacking() -> frozenset[str]:
         BROWSER: bool(shutil.which("chromium") and shutil.which("chromedriver")),
         PROMETHEUS: prometheus_tool("promtool") is not None and prometheus_tool("prometheus") is not None,
         COMPILER: shutil.which("g++") is not None,
+        OCTOMAP: shutil.which("convert_octree") is not None,
     }
     return frozenset(reason for reason, found in there.items() if not found)
 

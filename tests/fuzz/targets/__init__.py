@@ -13,6 +13,7 @@ from tests.fuzz.targets import (
     hub,
     interfaces,
     messages,
+    octomap,
     ros1,
     ros1_calls,
     ros2,
@@ -28,6 +29,7 @@ from tests.fuzz.targets import (
 _MODULES = (
     bags,
     messages,
+    octomap,
     definitions,
     interfaces,
     ros1,

@@ -1,0 +1,47 @@
+"""Octomaps: streams and files of octrees, as messages, stores and folders bring them."""
+
+from __future__ import annotations
+
+from tests.fuzz.target import Subject, Target
+
+_KINDS = ("OcTree", "ColorOcTree", "OcTreeStamped", "Other")
+
+
+def _octomap() -> Subject:
+    """A file or a stream: what is taken has leaves in their order, and is written as what says the same."""
+    import numpy as np
+
+    from yarp_compat.octomap import Octomap
+    from yarp_compat.octree import OcTree, OctreeError
+
+    def parse(data: bytes) -> None:
+        choice, data = data[0] if data else 0, data[1:]
+        if choice % 4 == 0:
+            octomap = Octomap.from_file(data)
+        else:
+            octomap = Octomap(_KINDS[choice // 4 % 4], choice % 4 == 1, 0.1, "map", data)
+        tree = octomap.tree()
+        ends = tree.codes + (np.uint64(1) << (3 * (16 - tree.depths.astype(np.int64))).astype(np.uint64))
+        assert (ends[:-1] <= tree.codes[1:]).all()
+        assert not len(tree) or int(ends[-1]) <= 1 << 48
+        again = OcTree.from_full(tree.full(), tree.resolution)
+        assert np.array_equal(again.codes, tree.codes)
+        assert np.array_equal(again.log_odds, tree.log_odds)
+        assert Octomap.from_file(octomap.bt()).bt() == octomap.bt()
+        found = tree.search(*octomap.voxels().centers.T)
+        assert found.shape == (len(tree),)
+
+    random = np.random.default_rng(1)
+    keys = np.unique(random.integers(32_768 - 6, 32_768 + 6, (300, 3)), axis=0)
+    tree = OcTree.of(keys, random.choice([-2.0, 3.5], len(keys)), resolution=0.05)
+    small = OcTree.of([[0, 0, 0], [40_000, 1, 2]], [1.0, -1.0], [16, 3], resolution=1.0)
+    chain = b"\0\0\0\0\1" * 16 + bytes(5)
+    seeds = [b"\x01" + b"\x03\x00" * 15 + b"\x01\x00", b"\x02" + chain, b"\x06" + bytes(7) + b"\1" + bytes(8)]
+    for one in (tree, tree.pruned(), small):
+        octomap = Octomap.of(one)
+        seeds += [b"\0" + octomap.bt(), b"\0" + octomap.ot(), b"\x01" + one.binary(), b"\x02" + one.full()]
+    words = [b"\ndata\n", b"size ", b"res ", b"id ", b"\xff\xff", b"\x03\x00", b"\0\0\xc0\x7f", b"1e999", b"nan"]
+    return Subject(parse, seeds, (OctreeError,), words)
+
+
+TARGETS = (Target("octomap", 10_000, _octomap),)

@@ -1,0 +1,373 @@
+"""Octrees of occupancy as OctoMap has them: their leaves as arrays, and its binary and full streams.
+
+A tree divides the cube of 65,536 cells a side around the origin into eighths, 16 times. A leaf is named by its Morton
+code, three bits a level (x lowest, then y, then z), and its depth. Leaves lie in the order of their codes, which is the
+order of OctoMap's streams: these are written depth first, from the root.
+
+Binary (``writeBinaryNode`` in `OccupancyOcTreeBase.hxx`): each inner node has 16 bits, two for each child, the lowest
+first: 0 unknown, 1 free leaf, 2 occupied leaf, 3 inner node. Full (``writeNodesRecurs`` in `OcTreeBaseImpl.hxx`): each
+node has its log-odds (float32), in a ``ColorOcTree`` three bytes of colour, and a byte whose bits say which children
+there are.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any, NamedTuple, Self
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from yarp_compat.wire.errors import WireError
+
+DEPTH = 16
+"""Levels below the root."""
+FREE, OCCUPIED = (math.log(odds / (1 - odds)) for odds in (0.1192, 0.971))
+"""Log-odds of what a binary tree holds: OctoMap's clamping thresholds (`AbstractOccupancyOcTree.cpp`)."""
+KINDS = {"OcTree": 5, "OcTreeStamped": 5, "ColorOcTree": 8}
+"""OctoMap's classes whose full streams are read, and their bytes a node (stamps are not written)."""
+MAX_NODES = 1 << 24
+"""A tree of more is refused before memory is taken for its leaves."""
+
+_MIDDLE = 1 << (DEPTH - 1)
+_CODES = np.uint64
+_SPREAD = (
+    (32, 0xFFFF00000000FFFF), (16, 0x00FF0000FF0000FF), (8, 0xF00F00F00F00F00F), (4, 0x30C30C30C30C30C3),
+    (2, 0x9249249249249249),
+)  # fmt: skip
+_EIGHT = np.arange(8)
+
+
+class OctreeError(WireError):
+    """A stream, a file or arrays that are no octree; the text says which part of it is wrong, and where."""
+
+
+class Voxels(NamedTuple):
+    """The leaves of a tree, in the order of their Morton codes."""
+
+    centers: NDArray[np.float32]  #: (N, 3), metres
+    sizes: NDArray[np.float32]  #: (N,) edges, metres
+    log_odds: NDArray[np.float32]  #: (N,)
+    occupied: NDArray[np.bool_]  #: (N,) whether the log-odds are above 0, as OctoMap's default threshold has it
+    colors: NDArray[np.uint8] | None  #: (N, 3) red, green and blue, of a ``ColorOcTree`` that came in full
+
+
+class OcTree:
+    """A tree by its leaves: ``codes`` (rising), ``depths`` (1 to 16; 0 is the whole cube) and ``log_odds``."""
+
+    __slots__ = ("codes", "colors", "depths", "log_odds", "resolution")
+
+    def __init__(
+        self,
+        resolution: float,
+        codes: NDArray[Any],
+        depths: NDArray[Any],
+        log_odds: NDArray[Any],
+        colors: NDArray[np.uint8] | None = None,
+    ) -> None:
+        check_resolution(resolution)
+        self.resolution = resolution
+        self.codes = np.asarray(codes, _CODES)  #: of each leaf's lowest cell, three bits a level, 48 in all
+        self.depths = np.asarray(depths, np.uint8)
+        self.log_odds = np.asarray(log_odds, np.float32)
+        self.colors = colors
+
+    @classmethod
+    def of(cls, keys: ArrayLike, log_odds: ArrayLike, depths: ArrayLike = DEPTH, *, resolution: float) -> Self:
+        """A tree of leaves in any order, by OctoMap's keys (N, 3) of any cell in each (0 to 65,535; 32,768 is at 0 m).
+
+        Raises `OctreeError` where leaves overlap, or numbers are none.
+        """
+        cells, values = np.asarray(keys), np.asarray(log_odds, np.float32)
+        if cells.ndim != 2 or cells.shape[1] != 3 or (cells.size and not 0 <= cells.min() <= cells.max() < 2 * _MIDDLE):
+            raise OctreeError(f"keys are (N, 3) whole numbers from 0 to {2 * _MIDDLE - 1}, not {cells.shape}")
+        levels = np.broadcast_to(np.asarray(depths, np.int64), len(cells))
+        values = np.broadcast_to(values, len(cells))
+        if len(cells) and not 0 <= levels.min() <= levels.max() <= DEPTH:
+            raise OctreeError(f"depths are 0 to {DEPTH}, not {levels.min()} to {levels.max()}")
+        if not np.isfinite(values).all():
+            raise OctreeError("log_odds has numbers that are not finite")
+        shift = _shifts(levels)
+        codes = codes_of(cells) >> shift << shift
+        order = np.argsort(codes, kind="stable")
+        codes, levels, values = codes[order], levels[order], values[order]
+        ends = codes + (_CODES(1) << shift[order])
+        if (ends[:-1] > codes[1:]).any():
+            raise OctreeError("keys has leaves that overlap")
+        return cls(resolution, codes, levels, values)
+
+    @classmethod
+    def from_binary(cls, data: bytes | NDArray[Any], resolution: float) -> Self:
+        """The tree of a binary stream; raises `OctreeError`. Bytes behind the tree are not looked at."""
+        check_resolution(resolution)
+        pairs = _binary_children(data)
+        codes, depths = _places(pairs == 3, DEPTH - 1)  # leaves are a level below
+        rows, children = np.nonzero((pairs == 1) | (pairs == 2))
+        levels = depths[rows] + 1
+        found = codes[rows] + (children.astype(_CODES) << _shifts(levels))
+        order = np.argsort(found, kind="stable")
+        values = np.where(pairs[rows, children] == 2, np.float32(OCCUPIED), np.float32(FREE))
+        return cls(resolution, found[order], levels[order], values[order])
+
+    @classmethod
+    def from_full(cls, data: bytes | NDArray[Any], resolution: float, kind: str = "OcTree") -> Self:
+        """The tree of a full stream of one of ``KINDS``; raises `OctreeError`. Inner nodes' own values are dropped."""
+        check_resolution(resolution)
+        nodes, masks = _full_nodes(data, kind)
+        codes, depths = _places(np.unpackbits(masks[:, None], axis=1, bitorder="little").view(bool), DEPTH)
+        leaves = masks == 0
+        found = nodes[leaves]
+        values = found[:, :4].copy().view("<f4").reshape(-1)
+        if not np.isfinite(values).all():
+            raise OctreeError(f"data: the log-odds of leaf {np.flatnonzero(~np.isfinite(values))[0]} are not finite")
+        return cls(resolution, codes[leaves], depths[leaves], values, found[:, 4:7].copy() if kind[0] == "C" else None)
+
+    def __len__(self) -> int:
+        return len(self.codes)
+
+    def voxels(self) -> Voxels:
+        """The leaves in metres."""
+        edges = self.edges()
+        centers = (self.keys() - float(_MIDDLE) + edges[:, None] / 2) * self.resolution
+        sizes = (edges * self.resolution).astype(np.float32)
+        return Voxels(centers.astype(np.float32), sizes, self.log_odds, self.log_odds > 0, self.colors)
+
+    def edges(self) -> NDArray[np.int64]:
+        """Each leaf's edge in cells of the finest level."""
+        return np.left_shift(1, DEPTH - self.depths.astype(np.int64))
+
+    def keys(self) -> NDArray[np.uint16]:
+        """OctoMap's keys (N, 3) of each leaf's lowest cell."""
+        return keys_of(self.codes)
+
+    def search(self, x: ArrayLike, y: ArrayLike, z: ArrayLike) -> Any:
+        """Log-odds at points (m), NaN where nothing is known: a float for numbers, an array for arrays."""
+        points = np.stack(np.broadcast_arrays(*(np.asarray(one, np.float64) for one in (x, y, z))), axis=-1)
+        shape = points.shape[:-1]
+        with np.errstate(invalid="ignore"):
+            cells = np.floor(points.reshape(-1, 3) / self.resolution) + _MIDDLE
+            inside = ((cells >= 0) & (cells < 2 * _MIDDLE)).all(axis=1)
+        found = np.full(len(cells), np.nan, np.float32)
+        if len(self):
+            wanted = codes_of(cells[inside].astype(np.int64))
+            leaf = np.searchsorted(self.codes, wanted, side="right") - 1
+            hit = (leaf >= 0) & (wanted - self.codes[leaf] < _CODES(1) << _shifts(self.depths[leaf]))
+            found[inside] = np.where(hit, self.log_odds[leaf], np.float32(np.nan))
+        return found.reshape(shape) if shape else float(found[0])
+
+    def pruned(self) -> Self:
+        """The same tree with eight leaves of one value made one, where they fill a node; without colours."""
+        codes, depths, values = self.codes, self.depths, self.log_odds
+        for level in range(DEPTH, 0, -1):
+            at = np.flatnonzero(depths == level)
+            parents = codes[at] >> _shift(level - 1)
+            starts = _starts(parents)
+            full = np.diff(starts, append=len(at)) == 8
+            if not full.any():
+                continue
+            own = values[at]
+            full &= np.maximum.reduceat(own, starts) == np.minimum.reduceat(own, starts)
+            gone = at[(starts[full][:, None] + _EIGHT[1:]).reshape(-1)]
+            depths = depths.copy()
+            depths[at[starts[full]]] -= 1
+            keep = np.ones(len(codes), bool)
+            keep[gone] = False
+            codes, depths, values = codes[keep], depths[keep], values[keep]
+        return type(self)(self.resolution, codes, depths, values)
+
+    def binary(self) -> bytes:
+        """The binary stream of what is likelier, pruned, as OctoMap's ``writeBinary`` makes it; empty for no leaves."""
+        likely = np.where(self.log_odds > 0, np.float32(OCCUPIED), np.float32(FREE))
+        tree = type(self)(self.resolution, self.codes, self.depths, likely).pruned()
+        if len(tree) == 1 and tree.depths[0] == 0:  # the stream begins below the root
+            value = tree.log_odds[0]
+            tree = type(self)(self.resolution, _EIGHT.astype(_CODES) << _shift(1), np.ones(8), np.full(8, value))
+        nodes = _Nodes.of(tree)
+        pairs = np.where(nodes.masks != 0, 3, np.where(nodes.values > 0, 2, 1)).astype(np.uint16)
+        return nodes.binary(pairs)
+
+    def full(self) -> bytes:
+        """The full stream of an ``OcTree``, inner nodes as likely as their likeliest child; empty for no leaves."""
+        return _Nodes.of(self).full()
+
+
+class _Nodes(NamedTuple):
+    """All nodes of a tree, parents before children."""
+
+    codes: NDArray[np.uint64]
+    depths: NDArray[np.uint8]
+    values: NDArray[np.float32]
+    masks: NDArray[np.uint8]  # children that there are
+
+    @classmethod
+    def of(cls, tree: OcTree) -> _Nodes:
+        """The nodes above leaves, made level by level from the finest up, and the leaves."""
+        levels = []
+        codes, values, masks = _none()
+        for level in range(DEPTH, -1, -1):
+            at = tree.depths == level
+            codes = np.concatenate([codes, tree.codes[at]])
+            order = np.argsort(codes, kind="stable")
+            codes = codes[order]
+            values = np.concatenate([values, tree.log_odds[at]])[order]
+            masks = np.concatenate([masks, np.zeros(len(codes) - len(masks), np.uint8)])[order]
+            levels.append(cls(codes, np.full(len(codes), level, np.uint8), values, masks))
+            if not level or not len(codes):
+                codes, values, masks = _none()
+                continue
+            parents = codes >> _shift(level - 1)
+            starts = _starts(parents)
+            child = np.uint8(1) << (codes >> _shift(level) & _CODES(7)).astype(np.uint8)
+            codes, values = parents[starts] << _shift(level - 1), np.maximum.reduceat(values, starts)
+            masks = np.bitwise_or.reduceat(child, starts)
+        parts: list[Any] = [np.concatenate(part) for part in zip(*levels, strict=True)]
+        order = np.argsort(_preorder(parts[0], parts[1]), kind="stable")
+        return cls(*(part[order] for part in parts))
+
+    def full(self) -> bytes:
+        """The full stream."""
+        made = np.empty((len(self.codes), 5), np.uint8)
+        made[:, :4] = self.values.astype("<f4")[:, None].view(np.uint8)
+        made[:, 4] = self.masks
+        return made.tobytes()
+
+    def binary(self, pairs: NDArray[np.uint16]) -> bytes:
+        """The binary stream, of the two bits that each node has in its parent."""
+        below = np.flatnonzero(self.depths > 0)
+        levels = self.depths[below].astype(np.int64)
+        places = (self.codes[below] >> _shifts(levels) & _CODES(7)).astype(np.uint16)
+        shift = _shifts(levels - 1)
+        inner = np.flatnonzero(self.masks != 0)
+        order = _preorder(self.codes[inner], self.depths[inner])
+        parents = np.searchsorted(order, _preorder(self.codes[below] >> shift << shift, levels - 1))
+        words = np.zeros(len(inner), "<u2")
+        np.bitwise_or.at(words, parents, pairs[below] << (places * np.uint16(2)))
+        return words.tobytes()
+
+
+def check_resolution(resolution: float) -> None:
+    """Raise `OctreeError` where the edge of a cell is no length."""
+    if not (math.isfinite(resolution) and resolution > 0):
+        raise OctreeError(f"resolution is {resolution}, and must be above 0 m")
+
+
+def count_nodes(data: bytes | NDArray[Any], kind: str, *, binary: bool) -> int:
+    """How many nodes a stream's tree has, which OctoMap's files say; raises `OctreeError`."""
+    if not len(data):
+        return 0
+    return int(np.count_nonzero(_binary_children(data))) + 1 if binary else len(_full_nodes(data, kind)[1])
+
+
+def codes_of(keys: NDArray[Any]) -> NDArray[np.uint64]:
+    """Morton codes of OctoMap's keys (N, 3)."""
+    bits = keys.astype(_CODES)
+    for shift, mask in _SPREAD:
+        bits = (bits | bits << _CODES(shift)) & _CODES(mask)
+    return np.asarray(bits[:, 0] | bits[:, 1] << _CODES(1) | bits[:, 2] << _CODES(2))
+
+
+def keys_of(codes: NDArray[np.uint64]) -> NDArray[np.uint16]:
+    """OctoMap's keys (N, 3) of Morton codes."""
+    bits = (codes[:, None] >> np.arange(3, dtype=_CODES)) & _CODES(_SPREAD[-1][1])
+    for (shift, _), (_, mask) in zip(_SPREAD[:0:-1], _SPREAD[-2::-1], strict=True):
+        bits = (bits | bits >> _CODES(shift)) & _CODES(mask)
+    return ((bits | bits >> _CODES(32)) & _CODES(0xFFFF)).astype(np.uint16)
+
+
+def _shift(level: int) -> np.uint64:
+    """How many bits of a code are below a level."""
+    return _CODES(3 * (DEPTH - level))
+
+
+def _shifts(levels: NDArray[Any]) -> NDArray[np.uint64]:
+    return (3 * (DEPTH - levels.astype(np.int64))).astype(_CODES)
+
+
+def _starts(groups: NDArray[Any]) -> NDArray[np.int64]:
+    """Where each run of equal numbers begins."""
+    return np.flatnonzero(np.concatenate([np.ones(min(1, len(groups)), bool), groups[1:] != groups[:-1]]))
+
+
+def _none() -> tuple[NDArray[np.uint64], NDArray[np.float32], NDArray[np.uint8]]:
+    return np.zeros(0, _CODES), np.zeros(0, np.float32), np.zeros(0, np.uint8)
+
+
+def _preorder(codes: NDArray[np.uint64], depths: NDArray[Any]) -> NDArray[np.uint64]:
+    """Numbers in whose order nodes are written: parents begin where their first child does."""
+    return codes << _CODES(5) | depths.astype(_CODES)
+
+
+def _array(data: bytes | NDArray[Any]) -> NDArray[np.uint8]:
+    return data.view(np.uint8) if isinstance(data, np.ndarray) else np.frombuffer(data, np.uint8)
+
+
+def _binary_children(data: bytes | NDArray[Any]) -> NDArray[np.uint8]:
+    """The two bits of each child (N, 8) of each inner node of a binary stream."""
+    found = _array(data)
+    words = found[: len(found) // 2 * 2].reshape(-1, 2)
+    inner = np.array([sum(byte >> place & 3 == 3 for place in range(0, 8, 2)) for byte in range(256)], np.int8)
+    count = _whole(inner[words[:, 0]] + inner[words[:, 1]], len(found))
+    pairs = (words[:count, :, None] >> np.arange(0, 8, 2, dtype=np.uint8) & np.uint8(3)).reshape(count, 8)
+    bad = np.flatnonzero(~pairs.any(axis=1))
+    if len(bad) and count > 1:
+        raise OctreeError(f"data: inner node {bad[0]} of {count} has no children")
+    if np.count_nonzero(pairs) > MAX_NODES:
+        raise OctreeError(f"data: more than {MAX_NODES} nodes")
+    return pairs
+
+
+def _full_nodes(data: bytes | NDArray[Any], kind: str) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
+    """The nodes of a full stream, as rows of bytes, and which children each has."""
+    size = KINDS.get(kind)
+    if size is None:
+        raise OctreeError(f"id: full trees are {', '.join(KINDS)}, not {kind!r:.40}")
+    found = _array(data)
+    rows = found[: len(found) // size * size].reshape(-1, size)
+    masks = rows[:, -1]
+    count = _whole(np.array([byte.bit_count() for byte in range(256)], np.int8)[masks], len(found))
+    return rows[:count], masks[:count].copy()
+
+
+def _whole(children: NDArray[np.int8], size: int) -> int:
+    """How many of the nodes that follow make one tree; raises `OctreeError` where it is cut off or too large."""
+    if not size:
+        return 0
+    open_nodes = np.cumsum(children.astype(np.int32) - 1, dtype=np.int64)
+    ends = np.flatnonzero(open_nodes == -1)
+    if not len(ends):
+        more = int(open_nodes[-1]) + 1 if len(children) else 1
+        raise OctreeError(f"data: cut off after {size} bytes: {more} more nodes are named")
+    if ends[0] >= MAX_NODES:
+        raise OctreeError(f"data: more than {MAX_NODES} nodes")
+    return int(ends[0]) + 1
+
+
+def _places(inner: NDArray[np.bool_], deepest: int) -> tuple[NDArray[np.uint64], NDArray[np.int64]]:
+    """Code and depth of each node that a stream has, by which of its children (N, 8) follow in the stream.
+
+    Let S be how many more nodes than have come are named before a node. A child that m siblings precede is the
+    first after its parent p whose S is S(p) + children(p) - 1 - m: all children of a level are found by one search.
+    """
+    many = inner.sum(axis=1, dtype=np.int64)
+    size = len(inner)
+    sums = np.concatenate([np.zeros(min(1, size), np.int64), np.cumsum(many - 1)[:-1]])
+    if size and sums.max() > 7 * DEPTH:
+        raise OctreeError(f"data: the tree is deeper than {DEPTH} levels")
+    order = np.argsort(sums.astype(np.uint8), kind="stable")
+    wanted = sums[order] * size + order
+    codes, depths = np.zeros(size, _CODES), np.zeros(size, np.int64)
+    level = np.zeros(min(1, size), np.int64)
+    for depth in range(1, deepest + 2):
+        rows, children = np.nonzero(inner[level])
+        if not len(rows):
+            return codes, depths
+        if depth > deepest:
+            break
+        parents = level[rows]
+        before = np.arange(len(rows)) - np.searchsorted(rows, rows)
+        target = sums[parents] + many[parents] - 1 - before
+        level = order[np.searchsorted(wanted, target * size + parents + 1)]
+        codes[level] = codes[parents] + (children.astype(_CODES) << _shift(depth))
+        depths[level] = depth
+        level = np.sort(level)
+    raise OctreeError(f"data: the tree is deeper than {DEPTH} levels")
