@@ -113,6 +113,23 @@ class RobotFrames:
         """
         return flat(self._look(target, source, stamp, extrapolate))
 
+    def placed_at(self, frame: str, stamp: int) -> tuple[Transform, Transform]:
+        """A frame and the base at ns or `LATEST`, in the odometry's frame, or on the map without odometry.
+
+        Raises `FramesError` if neither is known.
+        """
+
+        def both(fixed: str) -> tuple[Transform, Transform]:
+            return self._look(fixed, frame, stamp, LATE), self._look(fixed, self.base_frame, stamp, LATE)
+
+        try:
+            return both(self.odom_frame)
+        except FramesError as err:
+            try:
+                return both(self.map_frame)
+            except FramesError:
+                raise err from None
+
     def _fresh(self, target: str, source: str, age: float, what: str) -> Pose:
         found = flat(self._look(target, source, LATEST, 0.0))
         late = (self._now_ns() - found.stamp_ns) / 1e9 if found.stamp_ns else 0.0

@@ -46,11 +46,9 @@ class DepthCamera:
         Minus infinity is too near, infinity too far, NaN a pixel without a value. The noise is that of the time: the
         same picture, whether others were taken before or not.
         """
-        section, (x, y, z) = self._section, self._section.at
-        around = _about_z(math.degrees(pose.yaw))
-        out = np.empty(self.size[::-1], np.float32)
-        eye = around @ (x, y, 0.0) + (pose.x, pose.y, z)
-        render(solids, drops, eye, np.ascontiguousarray(around @ self._turned), np.array(self.lens), math.inf, out)
+        section, out = self._section, np.empty(self.size[::-1], np.float32)
+        turned, eye = self.placed(pose)
+        render(solids, drops, eye, turned, np.array(self.lens), math.inf, out)
         rng = np.random.default_rng((self._seed, time_ns))
         if self._error:
             noise = rng.standard_normal(out.shape, np.float32)
@@ -62,6 +60,12 @@ class DepthCamera:
         if section.dropouts:
             out[rng.random(out.shape, np.float32) < section.dropouts] = math.nan
         return out
+
+    def placed(self, pose: BasePose) -> tuple[Floats, Floats]:
+        """The optical frame's turn, (3, 3), and place, (3) metres, with the base at a pose; z from the floor."""
+        around = _about_z(math.degrees(pose.yaw))
+        x, y, z = self._section.at
+        return np.ascontiguousarray(around @ self._turned), around @ (x, y, 0.0) + (pose.x, pose.y, z)
 
     def points(self, depths: Depths) -> Depths:
         """The points in the optical frame of a picture's pixels, (height, width, 3) metres; not finite where none."""

@@ -26,7 +26,7 @@ from yarp_compat.dev.places import Places, save_maps
 from yarp_compat.sig.vec2d import Vec2D
 
 _MARGIN = 0.5  # metres around what stands on a floor
-_SEEN = 0.19  # metres above the floor: the laser that a map is made with
+SEEN = 0.19  # metres above the floor: the laser that a map is made with
 
 
 def grid(plan: Plan, floor: str, resolution: float = 0.05) -> MapGrid2D:
@@ -39,7 +39,7 @@ def grid(plan: Plan, floor: str, resolution: float = 0.05) -> MapGrid2D:
         raise SimError(f"the map of {floor} would have {width} by {height} cells; the resolution should be coarser")
     wall = np.zeros((height, width), np.bool_)
     for piece in pieces.standing(there):
-        if piece.above <= _SEEN < piece.top:
+        if piece.above <= SEEN < piece.top:
             _mark(wall, piece, left, bottom, resolution)
     inside = (there.start, *there.places.values())
     free = _reached(wall, [((x - left) / resolution, (y - bottom) / resolution) for x, y, _ in inside])

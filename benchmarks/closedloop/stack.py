@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import numpy as np
+
 from benchmarks.closedloop.robot import Robot
-from benchmarks.closedloop.worlds import World
+from benchmarks.closedloop.worlds import World, covered, hidden
 from bridge.config.sections.localization_server import LocaliserSection
-from bridge.config.sections.planners import RobotGotoSection, RobotPathPlannerSection
+from bridge.config.sections.planners import ObstacleSection, RobotGotoSection, RobotPathPlannerSection
 from navigation.constraints import Constraints
 from navigation.localization_server.estimate import LocalizationStatus
 from navigation.localization_server.localizer import Localizer
@@ -15,6 +17,7 @@ from navigation.robot_path_planner.ground import Ground
 from navigation.robot_path_planner.planner import PathPlanner
 from navigation.scan import scan_points
 from navigation.status import Fault, State
+from sim.base import BasePose
 
 RADII = {"r1": 0.3, "ikart_v1": 0.38}
 """What the navigation takes the robots' radii for: R1's as in its own files, iKart's a little more than its hull."""
@@ -26,8 +29,14 @@ _DRIVE_EVERY, _PLAN_EVERY, _LOOK_EVERY = 2, 10, 2
 """Ticks between steps of RobotGoto and of RobotPathPlanner, and scans between two that the latter looks at."""
 
 
+_POINTS, _LAYER = "/camera/depth/points", "/mapper3d/layer"
+
+
 class Ours:
     """All three, stepped as their modules would.
+
+    Where the robot has a depth camera, RobotGoto hears its points live, and the planner has a layer of what the map
+    does not show, which is that of the plan itself: whoever mapped it before had it right.
 
     Args:
         robot: whom they drive.
@@ -42,6 +51,7 @@ class Ours:
     ) -> None:
         self._robot = robot
         described = robot.simulation.robot
+        camera = robot.simulation.camera
         holonomic = described.kinematics != "differential"
         radius, limits = RADII[described.name], described.limits
         self.driver = Driver(
@@ -52,10 +62,15 @@ class Ours:
                 max_ang_speed=limits.angular,
                 max_lin_acc=limits.linear_acceleration,
                 max_ang_acc=limits.angular_acceleration,
+                obstacles=() if camera is None else (ObstacleSection(topic=_POINTS, type="cloud"),),
             )
         )
-        self.planner = PathPlanner(RobotPathPlannerSection(robot_radius=radius + _ROOM))
+        layers = () if camera is None else (ObstacleSection(topic=_LAYER),)
+        self.planner = PathPlanner(RobotPathPlannerSection(robot_radius=radius + _ROOM, obstacles=layers))
         self.planner.use_map(Ground(world.map, radius + _ROOM, self.planner.settings.clearance))
+        if camera is not None:
+            self.planner.layer(_LAYER, covered(world.map, hidden(robot.simulation.world)))
+        self._pictured = -1
         self.localizer: Localizer | None = None
         if localized:
             self.localizer = Localizer(world.map, LocaliserSection(holonomic=holonomic), seed)
@@ -100,6 +115,13 @@ class Ours:
         self.planner.cancel()
         self.driver.cancel()
 
+    def put_elsewhere(self) -> None:
+        """The robot was carried, and is told where it is."""
+        self.stop()
+        self.driver.forget()
+        if self.localizer is not None:
+            self.localizer.initial(self._robot.truth)
+
     @property
     def status(self) -> tuple[State, str]:
         """How the goal is getting on, and why."""
@@ -118,6 +140,9 @@ class Ours:
         if robot.scan.time_ns != self._scanned:
             self._scanned = robot.scan.time_ns
             self._scan()
+        if robot.simulation.pictured == robot.simulation.time_ns != self._pictured:
+            self._pictured = robot.simulation.time_ns
+            self._picture()
         drives, plans = self._ticks % _DRIVE_EVERY == 0, self._ticks % _PLAN_EVERY == 0
         self._ticks += 1
         if not drives:
@@ -138,6 +163,16 @@ class Ours:
         self._scans += 1
         if pose is not None and self._scans % _LOOK_EVERY == 0:
             self.planner.scan(robot.now, pose, scan)
+
+    def _picture(self) -> None:
+        """Give RobotGoto what the camera sees, as from its place on the base by odometry."""
+        simulation, at = self._robot.simulation, self._robot.odometry
+        camera = simulation.camera
+        assert camera is not None
+        turned, eye = camera.placed(BasePose(at.x, at.y, at.theta))
+        points = camera.points(simulation.depth()).reshape(-1, 3)
+        points = points[np.isfinite(points).all(axis=1)] @ turned.T.astype(np.float32) + eye.astype(np.float32)
+        self.driver.obstacles.cloud(_POINTS, self._robot.now, points, eye, at)
 
     def _known(self) -> tuple[Pose | None, str]:
         """The pose that may be driven by, and why there is none."""

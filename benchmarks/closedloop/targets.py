@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.closedloop.robot import Robot
-from benchmarks.closedloop.worlds import World
+from benchmarks.closedloop.worlds import World, covered, hidden
 from navigation.algorithms.astar import astar
 from navigation.algorithms.distance_transform import distance_transform
 from navigation.algorithms.shortcut import shortcut
@@ -47,15 +47,9 @@ class Targets:
         grid, there = self._world.map, self._robot.simulation.world
         solid = grid.flags != MapFlag.FREE
         pieces = [*there.leaves(is_open=False), *(crate.now() for crate in there.crates.values())]
-        rows, columns = np.indices(solid.shape)
-        x, y = grid.centers_of(np.stack((columns, rows), -1).reshape(-1, 2)).T
-        for piece in pieces:
-            c, s = math.cos(piece.yaw), math.sin(piece.yaw)
-            dx, dy = x - piece.x, y - piece.y
-            inside = (np.abs(c * dx + s * dy) <= piece.length / 2 + self._resolution / 2) & (
-                np.abs(c * dy - s * dx) <= piece.width / 2 + self._resolution / 2
-            )
-            solid |= inside.reshape(solid.shape)
+        pieces += hidden(there)
+        columns, rows = grid.cells_at(covered(grid, pieces)).T
+        solid[rows, columns] = True
         return distance_transform(solid) * np.float32(self._resolution)
 
     def _cell(self, pose: Pose) -> tuple[int, int]:

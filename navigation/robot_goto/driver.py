@@ -17,6 +17,7 @@ from navigation.constraints import Constraints
 from navigation.pose import Pose, wrapped
 from navigation.robot_goto.guard import FAST_ROOM, FollowCheck, Guard
 from navigation.robot_goto.local_grid import LocalGrid
+from navigation.robot_goto.obstacles import Obstacles
 from navigation.robot_goto.steering import STILL, Aim, DriveCommand, GoalLimits, GotoTask, aim, drive, people_speed
 from navigation.scan import AT_BASE, is_blind
 from navigation.status import Fault, PlannerStatus, State
@@ -39,6 +40,7 @@ class Driver:
         self._first = self.settings = settings or RobotGotoSection()
         # what the laser saw around it lately
         self.grid = LocalGrid(self.settings.memory, self.settings.robot_radius, self.settings.laser_offset)
+        self.obstacles = Obstacles(self.settings)  # what others see that the laser does not
         self.status = PlannerStatus()  # how the goal is getting on
         self.command = STILL  # what was commanded last
         # what there is to say to people around, the oldest first; whoever says it takes it out
@@ -67,6 +69,7 @@ class Driver:
         """Give the goal up, and all that was seen: time was set back."""
         self.cancel()
         self.grid.clear()
+        self.obstacles.clear()
         self._stall.clear()
         self._now = self._moved = None
 
@@ -181,10 +184,13 @@ class Driver:
         if moved is not None:
             if self._moved is not None and _jumped(self._moved, moved, passed):
                 self.grid.clear()
+                self.obstacles.forget_places()
                 self._guard.forget()
                 self._stall.clear()
             self._moved = moved
             self._stall.add(now, passed, self._guard.has, moved)
+            if self.settings.obstacles:
+                self.grid.beside(self.obstacles.places(now, pose, moved))
         self.command = self._chosen(now, passed, pose, moved, why)
         return self.command
 
@@ -229,7 +235,7 @@ class Driver:
         """Why nothing is seen; "" where something is."""
         scanned = self.grid.scanned
         if scanned is not None and now - scanned <= self.settings.laser_timeout:
-            return ""
+            return self.obstacles.unheard(now)
         if self._blind:
             return "the laser is blind: none of its beams says anything"
         if scanned is None:

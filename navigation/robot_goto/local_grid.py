@@ -32,24 +32,36 @@ class LocalGrid:
     def clear(self) -> None:
         """Forget all."""
         self._grid = RollingGrid(SIDE, RESOLUTION, self._memory)
-        self.points = np.empty((0, 3))  # where beams of the newest scan ended: x, y, and 1 where something came lately
+        # where beams of the newest scan ended: x, y, and 1 where something came lately; then what others see
+        self.points = np.empty((0, 3))
         self.count = 0  # how many of them there are
         self.scanned: float | None = None  # when that scan was made, seconds; None before the first
+        self._echoes = 0
+        self._others = np.empty((0, 2))
 
     def scan(self, scan: Turn, at: Pose, laser: Pose = AT_BASE) -> None:
         """Take up a scan of a laser on the base, which was at a pose in the grid's frame as it was made."""
         now = scan.time_ns / 1e9
         self._grid.move(math.floor(at.y / RESOLUTION) - SIDE // 2, math.floor(at.x / RESOLUTION) - SIDE // 2)
-        if len(self.points) < len(scan.ranges):
-            self.points = np.empty((len(scan.ranges), 3))
+        if len(self.points) < len(scan.ranges) + len(self._others):
+            self.points = np.empty((len(scan.ranges) + 2 * len(self._others), 3))
         self._grid.stand(now, at.x, at.y, 0.7 * self._radius)
         eye = at @ laser
         ranges = np.ascontiguousarray(scan.ranges, np.float64)
-        self.count = self._grid.mark(
+        self._echoes = self._grid.mark(
             now, eye.x, eye.y, eye.theta, scan.first, scan.step, scan.nearest, scan.farthest, self._aside, ranges,
             self.points,
         )  # fmt: skip
         self.scanned = now
+        self.beside(self._others)
+
+    def beside(self, places: NDArray[np.float64]) -> None:
+        """Take what others than the laser see now, in place of what they saw: (n, 2) x and y."""
+        self._others, self.count = places, self._echoes + len(places)
+        if len(self.points) < self.count:
+            self.points = np.concatenate((self.points[: self._echoes], np.empty((2 * len(places), 3))))
+        self.points[self._echoes : self.count, :2] = places
+        self.points[self._echoes : self.count, 2] = 0.0
 
     def unsure(self, at: Pose, now: float) -> tuple[NDArray[np.float64], int]:
         """Cells around a place, not free and unseen by the newest scan: (n, 3), `OCCUPIED` or `UNKNOWN`; how many."""
@@ -61,6 +73,10 @@ class LocalGrid:
         """(rows, columns) of all cells: free, `OCCUPIED` or `UNKNOWN`, from the window's corner."""
         out = np.empty((SIDE, SIDE), np.uint8)
         self._grid.states(now, out)
+        if len(self._others):
+            columns, rows = (np.floor(self._others / RESOLUTION).astype(np.int64) - self._grid.corner[::-1]).T
+            within = (rows >= 0) & (rows < SIDE) & (columns >= 0) & (columns < SIDE)
+            out[rows[within], columns[within]] = OCCUPIED
         return out
 
     def occupancy(self, now: float) -> NDArray[np.int8]:

@@ -9,7 +9,10 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from functools import partial
 from typing import Any
+
+import numpy as np
 
 from bridge.config.sections.planners import RobotGotoSection
 from bridge.config.sections.section import Section
@@ -20,10 +23,12 @@ from bridge.modules.host import Host
 from bridge.modules.loop import Newest
 from bridge.stores.entry import StoreError
 from bridge.worker import Health
+from navigation.clouds import POINT_CLOUD, CloudError, placed, read_points
 from navigation.constraints import Constraints
-from navigation.frames import FramesError, RobotFrames, laser_pose, moved_at
+from navigation.frames import FramesError, RobotFrames, flat, laser_pose, moved_at
 from navigation.goals import MapPlace
 from navigation.ini import laid_under
+from navigation.layers import LayersHeard
 from navigation.maps.grid import from_grid
 from navigation.messages import stamp_ns
 from navigation.planner_module import PlannerModule
@@ -37,6 +42,8 @@ from navigation.yarp import Calls, PortConnection
 from yarp_compat.dev.mapgrid import MapGrid2D
 from yarp_compat.dev.rangefinder import LaserScan2D
 from yarp_compat.pythonic import Received
+
+CLOUD_EVERY = 0.15  # seconds from one cloud that is taken up to the next: a camera's 30 Hz are a core's work
 
 
 class RobotGoto(PlannerModule):
@@ -52,12 +59,19 @@ class RobotGoto(PlannerModule):
             host.log.warning("%s", note)
         self.driver = Driver(section)
         self._lost = self._laser_trouble = ""
+        self._clouds: dict[str, float] = {}
         self._open(host, RobotFrames(host, section.frame, section.base_frame, section.odom_frame))
         self._yarp_scans = Newest(host.loop, self._take_yarp)
         self._topics = GotoTopics(host, section.frame, section.cmd_vel, section.prefix)
         self._connection: PortConnection | None = None
         if section.scan:
             host.node.subscription(section.scan, SCAN, self._scanned, Qos(depth=1))
+        for source in section.obstacles:
+            if source.type == "cloud":
+                host.node.subscription(source.topic, POINT_CLOUD, partial(self._clouded, source.topic), Qos(depth=1))
+        seen = self.driver.obstacles
+        take = lambda topic, places: seen.layer(topic, self.now(), places)  # noqa: E731
+        LayersHeard(host, section.obstacles, self._frames, take, seen.trouble)
         self._serve()
         host.answer("halt", lambda _params: host.loop.call(self.halt))
         if section.prefix:
@@ -113,6 +127,24 @@ class RobotGoto(PlannerModule):
             self.driver.unplaced = str(err) if isinstance(err, FramesError) else ""
         else:
             self._laser_trouble = ""
+
+    def _clouded(self, topic: str, message: dict[str, Any]) -> None:
+        """Give the driver a cloud, but not many a second."""
+        now, heard = self.now(), self._clouds.get(topic, -math.inf)
+        if 0.0 <= now - heard < CLOUD_EVERY:
+            return
+        self._clouds[topic] = now
+        stamp = stamp_ns(message["header"])
+        age = max(self._host.clock.now_ns() - stamp, 0) / 1e9 if stamp else 0.0
+        try:
+            points = read_points(message)
+            at, moved = self._frames.placed_at(message["header"]["frame_id"], stamp)
+        except (FramesError, CloudError) as err:
+            self.driver.obstacles.trouble[topic] = str(err)
+            return
+        up = np.array((0.0, 0.0, moved.translation[2] + self._section.floor))
+        points = placed(points, at) - up.astype(np.float32)
+        self.driver.obstacles.cloud(topic, now - age, points, np.array(at.translation) - up, flat(moved))
 
     # what is asked
 
@@ -223,8 +255,9 @@ class RobotGoto(PlannerModule):
         scanned = self.driver.grid.scanned
         if scanned is None or self.now() - scanned > self.driver.settings.laser_timeout:
             return Health("waiting", self._laser_trouble or "no scan of the laser comes; goals wait for one")
-        if self._lost:
-            return Health("waiting", self._lost)
+        unheard = self.driver.obstacles.unheard(self.now())
+        if unheard or self._lost:
+            return Health("waiting", unheard or self._lost)
         return Health("running", self.driver.status.words)
 
     def status(self) -> dict[str, Any]:
@@ -233,6 +266,7 @@ class RobotGoto(PlannerModule):
             "goal": None if target is None else list(target.pose[:3]),
             "command": list(self.driver.command),
             "laser": self._laser_trouble or (self._connection.trouble if self._connection else ""),
+            "obstacles": dict(self.driver.obstacles.trouble),
         }
 
     def stop(self) -> None:

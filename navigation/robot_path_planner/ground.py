@@ -148,9 +148,12 @@ _FORGET_EVERY = 1.0
 
 
 class Clutter:
-    """Temporary obstacles on the cells of a map; what is not seen any more is forgotten after ``memory`` seconds."""
+    """Obstacles on the cells of a map that it does not have; what the laser sees is forgotten after ``memory`` seconds.
 
-    def __init__(self, ground: Ground, memory: float) -> None:
+    Layers are places, (n, 2) metres on the map, that stay.
+    """
+
+    def __init__(self, ground: Ground, memory: float, layers: Sequence[NDArray[np.float64]] = ()) -> None:
         grid = ground.grid
         self._ground = ground
         rows, columns = ground.weights.shape
@@ -161,6 +164,16 @@ class Clutter:
         self._disc = _circle(ground.radius / grid.resolution + 0.5)
         self._half = _circle(ground.radius / 2 / grid.resolution + 0.5)
         self._cells: NDArray[np.int64] | None = None
+        self.layers(layers)
+
+    def layers(self, layers: Sequence[NDArray[np.float64]]) -> None:
+        """Have other layers."""
+        rows, columns = self._ground.weights.shape
+        at = self._ground.grid.cells_at(np.concatenate((np.empty((0, 2)), *layers)))[:, ::-1]
+        at = np.unique(at[((at >= 0) & (at < (rows, columns))).all(axis=1)], axis=0)
+        self.fixed = at[self._news[at[:, 0], at[:, 1]]].astype(np.int64)  # (n, 2) rows and columns of what they have
+        self.closed_by_layers = self._around(self.fixed, self._disc)  # where the robot does not fit for them
+        self._struck_by_layers = self._around(self.fixed, self._half)
 
     def see(self, laser: Pose, ranges: NDArray[np.float64], first: float, step: float, farthest: float) -> None:
         """Take a scan of a laser at a pose on the map, up to ``farthest`` metres; angles in radians from its direction.
@@ -185,7 +198,7 @@ class Clutter:
 
     @property
     def cells(self) -> NDArray[np.int64]:
-        """(n, 2) rows and columns of the obstacles that the map does not have."""
+        """(n, 2) rows and columns of the obstacles that the laser sees and the map does not have."""
         if self._cells is None:
             rows, columns = np.nonzero(self._seen.odds >= SURE)
             rows = self._seen.odds.shape[0] - 1 - rows
@@ -194,16 +207,15 @@ class Clutter:
         return self._cells
 
     def closed(self) -> NDArray[np.bool_]:
-        """(rows, columns) where the robot does not fit for them."""
-        return self._around(self._disc)
+        """(rows, columns) where the robot does not fit for them and the layers."""
+        return self._around(self.cells, self._disc) | self.closed_by_layers
 
     def struck(self) -> NDArray[np.bool_]:
         """(rows, columns) where the robot would strike them, half its radius about: it stops before, not in, this."""
-        return self._around(self._half)
+        return self._around(self.cells, self._half) | self._struck_by_layers
 
-    def _around(self, disc: NDArray[np.int64]) -> NDArray[np.bool_]:
+    def _around(self, cells: NDArray[np.int64], disc: NDArray[np.int64]) -> NDArray[np.bool_]:
         found = np.zeros(self._ground.weights.shape, np.bool_)
-        cells = self.cells
         if len(cells):
             rows, columns = (np.add.outer(cells[:, axis], disc[:, axis]).ravel() for axis in (0, 1))
             high, wide = self._ground.weights.shape
@@ -211,9 +223,10 @@ class Clutter:
             found[rows[fits], columns[fits]] = True
         return found
 
-    def weights(self) -> Weights:
-        """The map's weights with them as obstacles."""
-        found: Weights = np.where(self.closed(), np.uint8(0), self._ground.weights)
+    def weights(self, *, seen: bool = True) -> Weights:
+        """The map's weights with them as obstacles, or with the layers alone."""
+        closed = self.closed() if seen else self.closed_by_layers
+        found: Weights = np.where(closed, np.uint8(0), self._ground.weights)
         return found
 
 

@@ -23,6 +23,7 @@ from navigation.constraints import Constraints
 from navigation.frames import LATE, FramesError, RobotFrames
 from navigation.goals import MapPlace
 from navigation.ini import laid_under
+from navigation.layers import LayersHeard
 from navigation.map_in_use import MapInUse
 from navigation.messages import stamp_ns
 from navigation.planner_module import PlannerModule
@@ -107,6 +108,7 @@ class RobotPathPlanner(PlannerModule):
         if section.scan:
             take = lambda scan: self._laser.take(self.now(), scan)  # noqa: E731
             host.node.subscription(section.scan, SCAN, take, Qos(depth=1))
+        self._layers = LayersHeard(host, section.obstacles, self._frames, self.planner.layer)
         self._serve(self._brake)
         host.answer("picture", lambda _params: host.loop.call(self.picture))
         host.answer("halt", self._halt_asked)
@@ -271,7 +273,7 @@ class RobotPathPlanner(PlannerModule):
     # how it is
 
     def health(self) -> Health:
-        trouble = self.compiled.trouble or self._map.trouble
+        trouble = self.compiled.trouble or self._map.trouble or "; ".join(self._layers.trouble.values())
         if trouble:
             waits = "; goals wait for one" if self.planner.ground is None and not self.compiled.trouble else ""
             return Health("waiting", trouble + waits)
@@ -285,6 +287,7 @@ class RobotPathPlanner(PlannerModule):
             "waypoints": [[each.pose.x, each.pose.y] for each in self.planner.waypoints],
             "navigator": {"name": self._section.navigator, "state": self._local.state.value},
             "laser": self._laser.trouble,
+            "layers": dict(self._layers.trouble),
         }
 
     def stop(self) -> None:

@@ -63,6 +63,7 @@ class PathPlanner:
         self._jumps = JumpDetector()
         self._watched = -math.inf
         self.status = PlannerStatus()  # as it is now
+        self._layers: dict[str, Places] = {}
         self.blind = ""  # why the laser says nothing, "" where it does; whoever gives scans sets it
 
     @property
@@ -90,6 +91,11 @@ class PathPlanner:
         """How often the way was blocked and another was tried."""
         return self.task.recoveries if self.task else 0
 
+    @property
+    def _missing(self) -> str:
+        """A layer of the settings that has not come yet."""
+        return next((one.topic for one in self.settings.obstacles if one.topic not in self._layers), "")
+
     def remaining(self, pose: Pose) -> float:
         """Metres to the goal, or to the link from which the way goes on on another map."""
         task = self.task
@@ -100,7 +106,7 @@ class PathPlanner:
     def use_map(self, ground: Ground | None) -> None:
         """Plan on another map from now on, or on what has become of this one."""
         before, self.ground = self.ground, ground
-        self.clutter = Clutter(ground, self.settings.obstacle_memory) if ground else None
+        self._forget_clutter()
         task = self.task
         if task is not None and ground is not None and not task.goal.map_name:
             task.is_on(ground.name)  # it came before the map
@@ -171,6 +177,22 @@ class PathPlanner:
             self.clutter.see(laser, believed(scan), scan.first, scan.step, farthest)
             self.clutter.forget(now)
 
+    def layer(self, topic: str, places: Places) -> None:
+        """Plan around a layer's places from now on, (n, 2) metres on the map, in place of what it had."""
+        self._layers[topic] = places
+        if self.clutter is None or self.ground is None:
+            return
+        self.clutter.layers(list(self._layers.values()))
+        task = self.task
+        if task is None or not task.waypoints or task.due or task.arrived is not None:
+            return
+        if blocked(self.ground, self.clutter.closed_by_layers, self._line(task)):
+            task.due, task.not_before = f"{topic} has changed", -math.inf
+
+    def _forget_clutter(self) -> None:
+        ground, layers = self.ground, list(self._layers.values())
+        self.clutter = Clutter(ground, self.settings.obstacle_memory, layers) if ground else None
+
     def step(self, now: float, pose: Pose | None, local: LocalNavigator, lost: str = "") -> PlannerStatus:
         """Take one step, at seconds that never go back, with the one who drives to waypoints.
 
@@ -197,12 +219,14 @@ class PathPlanner:
             task.due = jump
         if jump and self.ground is not None:
             # what was seen from where the robot is not stands somewhere else
-            self.clutter = Clutter(self.ground, self.settings.obstacle_memory)
+            self._forget_clutter()
         task.lost_since = None
         if task.gone_since is not None:
             self._wait_for_navigator(task, now, local)
         elif task.due and self.ground is None and not task.driven:
             self._wait(task, now - task.since, "there is no map to plan on yet", Fault.NO_MAP)
+        elif task.due and (missing := self._missing) and not task.driven:
+            self._wait(task, now - task.since, f"the layer {missing} has not come yet", Fault.NO_MAP)
         elif task.due:
             if now >= task.not_before:
                 self._plan(task, now, pose, local)
@@ -248,7 +272,8 @@ class PathPlanner:
                 raise PlanError(Fault.MAP_CHANGED, f"the map was changed to {ground.name} on the way: {err}") from None
             raise
         wanted = task.wanted if task.leg.onto is None else None
-        weights = clutter.weights() if around and len(clutter.cells) else None
+        around = around and bool(len(clutter.cells))
+        weights = clutter.weights(seen=around) if around or len(clutter.fixed) else None
         return way(ground, pose, task.leg.end.pose, self.settings, wanted, weights)
 
     def _set_out(self, task: DriveTask, now: float, pose: Pose, local: LocalNavigator, found: Way) -> None:
@@ -308,7 +333,9 @@ class PathPlanner:
         if not is_straight(ground, pose, task.waypoint.pose):
             task.due = "the way is not straight any more"
             return
-        if not len(clutter.cells) or not blocked(ground, clutter.struck(), cut(self._ahead(pose), _AHEAD)):
+        if not (len(clutter.cells) or len(clutter.fixed)) or not blocked(
+            ground, clutter.struck(), cut(self._ahead(pose), _AHEAD)
+        ):
             task.closed_since = None
             return
         task.closed_since = now if task.closed_since is None else task.closed_since

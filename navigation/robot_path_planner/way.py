@@ -146,7 +146,7 @@ def way(
         cells = _found(ground, weights, here, there)
     if cells is None and weights is not None:
         _checked(ground, start, goal, ground.weights)
-        raise PlanError(Fault.BLOCKED, "what the laser sees closes the way to the goal", passing=True)
+        raise PlanError(Fault.BLOCKED, "what the laser sees, or a layer, closes the way to the goal", passing=True)
     if cells is None:
         weights = ground.weights
         cells = _checked(ground, start, goal, weights)

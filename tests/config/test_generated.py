@@ -17,6 +17,7 @@ from bridge.config.sections.base_control import BaseInput
 from bridge.config.sections.control_boards import ControlBoardSection
 from bridge.config.sections.modules import OwnModule
 from bridge.config.sections.navigation import Planner
+from bridge.config.sections.planners import ObstacleSection
 from bridge.config.sections.routing import ParameterRule, QosOverride, Rule
 from bridge.config.sections.web import OtherRobot
 from bridge.config.sections.yarp import ServicePort, TopicPort
@@ -25,7 +26,7 @@ from bridge.config.sections.zenoh import Dialect, DialectKey
 ROOT = Path(__file__).parents[2]
 ENTRIES = (
     Rule, ParameterRule, QosOverride, Dialect, DialectKey, TopicPort, ServicePort, OwnModule, BaseInput, Planner,
-    OtherRobot, ControlBoardSection,
+    OtherRobot, ControlBoardSection, ObstacleSection,
 )  # fmt: skip
 """Of lists of sections."""
 CONFIGS = sorted((ROOT / "configs").glob("*.yaml"))
@@ -51,6 +52,8 @@ def test_example_has_every_key_and_loads_to_the_defaults() -> None:
             ("modules", "base_control", "inputs"),
             ("modules", "control_boards", "boards"),
             ("modules", "map2d_server", "take"),
+            ("modules", "robot_goto", "obstacles"),
+            ("modules", "robot_path_planner", "obstacles"),
             ("navigation", "planners"),
             ("web", "robots"),
         )

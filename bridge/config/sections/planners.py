@@ -5,6 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated, Literal
 
+from pydantic import field_validator
+
 from bridge.config.sections.section import (
     PORT_OR_NONE,
     ROS2_NAME,
@@ -15,6 +17,7 @@ from bridge.config.sections.section import (
     OptionalPort,
     OptionalTopic,
     Section,
+    TopicName,
     matching,
     setting,
     subsection,
@@ -28,6 +31,20 @@ _Navigator = Annotated[
         "is neither an action on the hub (/planner/robot_goto/navigate_to_pose) nor ports of YARP (yarp:/robotGoto)",
     ),
 ]
+
+
+class ObstacleSection(Section):
+    """A source of obstacles beside the laser, as a camera that sees a table's board."""
+
+    topic: TopicName = setting(..., "Where it is said.")
+    type: Literal["cloud", "layer"] = setting(
+        "layer",
+        "`cloud`: points (`sensor_msgs/msg/PointCloud2`), heard live; `layer`: cells of the map that the robot would"
+        " touch (`nav_msgs/msg/OccupancyGrid`, from 50 on), as Mapper3D's.",
+    )
+    timeout: float | None = setting(
+        None, "Seconds without a message after which it counts as silent; empty: 0.5, of a layer 5.", gt=0, le=3600
+    )
 
 
 class DrivenSection(Section):
@@ -74,6 +91,7 @@ class RobotPathPlannerSection(ModuleSection):
         " prefix of an INavigation2D server: `yarp:/robotGoto`.",
     )
     scan: OptionalTopic = setting("/scan", 'Laser that shows new obstacles (`sensor_msgs/msg/LaserScan`); "": none.')
+    obstacles: tuple[ObstacleSection, ...] = setting((), "Layers that it plans around beside what the laser sees.")
     robot_radius: float = setting(0.3, "Metres that it keeps from walls and keep-out cells.", gt=0.0, le=10.0)
     clearance: float = setting(0.2, "Metres that it keeps beyond the radius where there is room.", ge=0.0, le=10.0)
     waypoint: WaypointSection = subsection(WaypointSection, "On the way to waypoints.")
@@ -93,6 +111,14 @@ class RobotPathPlannerSection(ModuleSection):
     period: float = setting(0.05, "Seconds between two steps.", ge=0.01, le=1.0)
     image_hz: float = setting(2.0, "Pictures per second on `map:o` while it is connected; 0: none.", ge=0.0, le=30.0)
     prefix: OptionalPort = setting("/robotPathPlanner", 'Prefix of its YARP ports; "": none.')
+
+    @field_validator("obstacles")
+    @classmethod
+    def _are_layers(cls, value: tuple[ObstacleSection, ...]) -> tuple[ObstacleSection, ...]:
+        cloud = next((one.topic for one in value if one.type == "cloud"), None)
+        if cloud is not None:
+            raise ValueError(f"{cloud} is a cloud: RobotPathPlanner plans around layers; give clouds to RobotGoto")
+        return value
 
 
 _DEGREES = "degrees per second"
@@ -118,6 +144,17 @@ class RobotGotoSection(ModuleSection):
     scan: str = setting("/scan", 'The laser (`sensor_msgs/msg/LaserScan`); "": none.')
     laser_port: str = setting("", "A laser on YARP (`/cer/laser:o`) for `laser:i`; empty: none.", pattern=PORT_OR_NONE)
     laser_pose: LaserPose = subsection(LaserPose, "Where the laser on YARP is.")
+    obstacles: tuple[ObstacleSection, ...] = setting(
+        (), "Clouds and layers that show what the laser does not see. It drives only while all of them are heard."
+    )
+    height: float = setting(1.3, "Metres: what clouds show higher above the floor it does not touch.", gt=0.0, le=3.0)
+    max_step: float = setting(0.05, "Metres up or down that its wheels take, of what clouds show.", gt=0.0, le=1.0)
+    floor: float = setting(
+        0.0,
+        "Height of the floor in `base_frame`, metres, for clouds; the R1's frame is at its axle: -0.16.",
+        ge=-3,
+        le=3,
+    )
     laser_offset: float = setting(
         0.08,
         "Metres from the robot's middle to the lasers of a scan that merges several: nearer to corners and blind"

@@ -9,13 +9,13 @@ from typing import Any
 import numpy as np
 
 from bridge.config.sections.planners import RobotGotoSection
-from bridge.config.sections.sim import LaserSection, SimSection
+from bridge.config.sections.sim import CameraSection, LaserSection, SimSection
 from navigation.constraints import Constraints
 from navigation.pose import Pose
 from navigation.robot_goto.driver import Driver
 from navigation.robot_goto.steering import DriveCommand
 from navigation.status import State
-from sim.base import Twist
+from sim.base import BasePose, Twist
 from sim.simulation import Simulation
 
 RADIUS = {"r1": 0.3, "ikart_v1": 0.4}
@@ -32,10 +32,15 @@ class Scene:
         commands: all commands, with the time.
         edit: changes a scan's ranges before the driver gets it; None where it gets none.
         known: whether the driver is told where the robot is.
+        depth: whether what a camera sees, if it has one, reaches the driver as the source ``/points``.
     """
 
-    def __init__(self, plan: str = "hall", robot: str = "r1", *, laser: str = "ideal", **settings: Any) -> None:
-        section = SimSection(plan=plan, robot=robot, laser=LaserSection(kind=laser, noise=0.01))
+    def __init__(
+        self, plan: str = "hall", robot: str = "r1", *, laser: str = "ideal", camera: bool = False, **settings: Any
+    ) -> None:
+        # a D435's picture, made four times smaller
+        eye = CameraSection(rate=5.0 if camera else 0.0, width=160, height=120, noise=0.02)
+        section = SimSection(plan=plan, robot=robot, laser=LaserSection(kind=laser, noise=0.01), camera=eye)
         self.sim = Simulation(section)
         driven = RobotGotoSection(robot_is_holonomic=robot != "r1", robot_radius=RADIUS[robot])
         self.driver = Driver(driven.model_copy(update=settings))
@@ -43,7 +48,7 @@ class Scene:
         self.states: list[tuple[State, str]] = []
         self.commands: list[tuple[float, DriveCommand]] = []
         self.edit: Callable[[np.ndarray], np.ndarray | None] = lambda ranges: ranges
-        self.known = True
+        self.known = self.depth = True
         self._scanned = -1
         self._moved = Pose(0.0, 0.0, 0.0)
         self._fault = ""
@@ -81,6 +86,11 @@ class Scene:
             if ranges is not None:
                 scan = type(sim.scan)(**{**vars(sim.scan), "ranges": ranges})
                 self.driver.scan(scan, moved)
+        if self.depth and sim.camera is not None and sim.pictured == sim.time_ns:
+            turned, place = sim.camera.placed(BasePose(*moved[:3]))
+            points = sim.camera.points(sim.depth()).reshape(-1, 3)
+            points = points[np.isfinite(points).all(axis=1)] @ turned.T + place
+            self.driver.obstacles.cloud("/points", self.now, points.astype(np.float32), place, moved)
         command = self.driver.step(self.now, pose if self.known else None, moved, "" if self.known else "nobody says")
         self.commands.append((self.now, command))
         status = self.driver.status

@@ -25,6 +25,7 @@ from navigation.planner_module import PlannerModule
 from navigation.pose import Pose
 from navigation.status import Fault, State
 from sim.laser import reference
+from tests.navigation.robot_goto.test_obstacles import surface
 from tests.navigation.served import STATUS, Program, Served
 from tests.navigation.uncompiled import uncompiled
 from tests.support.wait import until
@@ -50,10 +51,12 @@ class Robot(Program):
     def __init__(self, hub: Hub, registry: Registry) -> None:
         super().__init__(hub, registry, PLANNER)
         self.sees = self.knows = True
+        self.cloud: dict[str, Any] | None = None
         self.commands: list[tuple[float, float, float]] = []
         self._until, self._ticked, self._ticks = 0.0, 0.0, 0
         self._tf = self.node.publisher("/tf", "tf2_msgs/msg/TFMessage")
         self._scan = self.node.publisher("/scan", "sensor_msgs/msg/LaserScan")
+        self._points = self.node.publisher("/points", "sensor_msgs/msg/PointCloud2")
         latched = Qos(durability=Durability.TRANSIENT_LOCAL, depth=1)
         self._localized, self._why = (
             self.node.publisher(f"/localization/{name}", "std_msgs/msg/String", latched)
@@ -90,6 +93,8 @@ class Robot(Program):
         frames += [("odom", "base_link", self.x - 5.0, self.y, self.yaw)]
         self._tf.publish({"transforms": [_transform(stamp, *frame) for frame in frames]})
         self._ticks += 1
+        if self._ticks % 8 == 0 and self.cloud is not None:
+            self._points.publish({"header": {"stamp": stamp, "frame_id": "base_link"}, **self.cloud})
         if self._ticks % 4 == 0 and self.sees:
             angles = -math.pi + np.arange(BEAMS) * 2 * math.pi / BEAMS
             ranges = reference(WALLS, np.zeros((0, 3)), (self.x, self.y, self.yaw), angles, 20.0)
@@ -109,7 +114,7 @@ def _transform(stamp: Any, parent: str, child: str, x: float, y: float, yaw: flo
 class Goto(Served):
     """A running RobotGoto."""
 
-    def __init__(self, folder: Path) -> None:
+    def __init__(self, folder: Path, **more: Any) -> None:
         super().__init__(folder, "robot_goto")
         self.robot = Robot(self.far.hub, self.far.registry)
         section = {
@@ -124,6 +129,7 @@ class Goto(Served):
             "goal_tolerance_ang": 5.0,
             "max_waiting_time": 30.0,
             "laser_timeout": 1.5,  # a loaded machine is no silent laser
+            **more,
         }
         self.worker.start(self.config(modules={"robot_goto": section}))
 
@@ -387,3 +393,43 @@ def test_halt_ends_every_goal(place: Goto) -> None:
     assert place.far.hub.ask("halt", {}, worker="robot_goto", timeout=20.0)[0].value == {"halted": True}
     assert sent.end()[1]["error_msg"] == "halted"
     assert place.state == "idle"
+
+
+def seen(*heights: float) -> dict[str, Any]:
+    """A cloud of surfaces at heights in the base's frame, 1 to 1.4 m ahead of it wherever it is."""
+    points = np.concatenate([surface(1.2, 0.0, z, 0.4, 2.0) for z in heights]) if heights else np.zeros((0, 3), "<f4")
+    fields = [{"name": name, "offset": 4 * i, "datatype": 7, "count": 1} for i, name in enumerate("xyz")]
+    size = {"width": len(points), "height": 1, "point_step": 12, "row_step": 12 * len(points)}
+    return {**size, "fields": fields, "data": points.view(np.uint8).ravel()}
+
+
+def test_clouds_and_layers_of_the_hub(tmp_path: Path) -> None:
+    sources = [{"topic": "/points", "type": "cloud", "timeout": 1.5}, {"topic": "/layer", "timeout": 1000.0}]
+    place = Goto(tmp_path, obstacles=sources, floor=-0.2, enable_obstacles_avoidance=False)
+    try:
+        robot, driver = place.robot, place.module.driver
+        layer = place.far.advertise("/layer", "nav_msgs/OccupancyGrid", latched=True)
+        sent = robot.send(-2.0, 0.0)
+        until(lambda: "the cloud /points has not come yet" in driver.status.reason, "it waits for a cloud", 30)
+        robot.cloud = {**seen(-0.2), "fields": seen(-0.2)["fields"][:2]}
+        until(lambda: "fields: there is no z" in place.module.health().text, "it says which field is wrong", 30)
+        robot.cloud = {**seen(-0.2), "width": 100_000_000}
+        until(lambda: "width, height: 100000000" in place.module.status()["obstacles"]["/points"], "and now", 30)
+        robot.cloud = seen(-0.2)  # the floor
+        until(lambda: "the layer /layer has not come yet" in driver.status.reason, "it waits for the layer", 30)
+        assert not [command for command in robot.commands if any(command)]
+        # on the map: a cell 1.5 m behind the robot, and nothing else
+        info = {"resolution": 0.1, "width": 2, "height": 1, "origin": {"position": {"x": -1.6, "y": -0.05}}}
+        place.far.publish(layer, {"header": {"frame_id": "map"}, "info": info, "data": [100, 0]})
+        until(lambda: driver.status.fault is Fault.BLOCKED, "it stands before the layer's cell", 30)
+        assert -1.5 + 0.27 < robot.x < -0.1
+        robot.cloud = seen(0.5)  # the laser sees none of it
+        sent.cancel()
+        sent.end()
+        ahead = robot.send(robot.x + 2.5, 0.0)
+        until(lambda: driver.status.fault is Fault.BLOCKED and "obstacle" in driver.status.reason, "it stands", 30)
+        robot.cloud = None
+        until(lambda: "the cloud /points is silent" in driver.status.reason, "it says that nobody sees", 30)
+        ahead.cancel()
+    finally:
+        place.close()

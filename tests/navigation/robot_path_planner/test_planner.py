@@ -6,12 +6,14 @@ import math
 
 import numpy as np
 import pytest
+from pydantic import ValidationError
 
+from bridge.config.sections.planners import ObstacleSection, RobotPathPlannerSection
 from navigation.goals import MapPlace
 from navigation.pose import Pose
 from navigation.robot_path_planner.ground import Ground, Zone
 from navigation.status import Fault, State
-from tests.navigation.robot_path_planner.floors import ROOMS, Drive, floor, paint
+from tests.navigation.robot_path_planner.floors import ROOMS, SETTINGS, Drive, floor, paint
 from tests.navigation.robot_path_planner.test_way import LIFT, Two, area
 from yarp_compat.dev.extras import AreaBehaviour
 from yarp_compat.dev.mapflag import MapFlag
@@ -406,3 +408,81 @@ def test_random_goals_are_reached_and_keep_out_is_never_entered(seed: int) -> No
         status = drive.goto(Pose(float(x), float(y), random.uniform(-math.pi, math.pi)))
         assert status.state is State.REACHED, status
     assert room(drive, grid) > KEPT
+
+
+def cells(left: float, bottom: float, right: float, top: float) -> np.ndarray:
+    """(n, 2) the middles of a layer's cells in a rectangle, metres."""
+    xs, ys = np.meshgrid(np.arange(left + 0.025, right, 0.05), np.arange(bottom + 0.025, top, 0.05))
+    return np.stack((xs.ravel(), ys.ravel()), axis=1)
+
+
+LAYER = ObstacleSection(topic="/layer")
+TABLE = (1.5, 0.5, 2.2, 1.6)
+
+
+def apart(drive: Drive, box: tuple[float, float, float, float]) -> float:
+    """The least that the robot's middle was from a rectangle on its way, metres."""
+    track = np.array([pose[:2] for pose in drive.track])
+    beside = np.maximum(np.maximum(np.subtract(box[:2], track), track - box[2:]), 0.0)
+    return float(np.hypot(*beside.T).min())
+
+
+def test_a_layer_is_planned_around_from_the_start_and_not_waited_for() -> None:
+    drive = Drive(floor(*ROOMS), WEST)
+    drive.planner.layer("/layer", cells(*TABLE))
+    assert drive.goto(EAST).state is State.REACHED
+    assert apart(drive, TABLE) > KEPT
+    assert drive.planner.recoveries == 0
+    without = Drive(floor(*ROOMS), WEST)
+    without.goto(EAST)
+    assert apart(without, TABLE) == 0.0
+
+
+def test_a_layer_that_comes_on_the_way_leads_round_at_once() -> None:
+    drive = Drive(floor(*ROOMS), WEST)
+    drive.goto(EAST, seconds=0.5)
+    drive.planner.layer("/layer", cells(*TABLE))
+    assert drive.run(60.0).state is State.REACHED
+    assert apart(drive, TABLE) > KEPT
+    assert drive.planner.recoveries == 0
+
+
+def test_a_layer_that_closes_the_way_is_waited_for_and_opens_it() -> None:
+    drive = Drive(floor(*ROOMS), WEST)
+    drive.planner.layer("/layer", cells(2.3, 0.0, 2.5, 5.0))
+    drive.planner.goal(EAST, now=drive.now)
+    assert "a layer, closes the way" in drive.until(State.WAITING).reason
+    drive.planner.layer("/layer", np.empty((0, 2)))
+    assert drive.run(60.0).state is State.REACHED
+
+
+def test_what_a_layer_has_of_the_maps_own_walls_closes_no_door() -> None:
+    drive = Drive(floor(*ROOMS), WEST)
+    drive.planner.layer("/layer", np.concatenate([cells(2.35, 0.0, 2.65, 0.65), cells(2.35, 1.35, 2.65, 3.6)]))
+    drive.goto(EAST)
+    assert min(math.dist(pose[:2], LOW_DOOR[:2]) for pose in drive.track) < 0.3
+
+
+def test_without_its_layer_it_does_not_set_out() -> None:
+    settings = SETTINGS.model_copy(update={"obstacles": (LAYER,), "max_waiting_time": 5.0})
+    drive = Drive(floor(*ROOMS), WEST, settings)
+    drive.planner.goal(EAST, now=drive.now)
+    assert drive.until(State.PREPARING).reason == "the layer /layer has not come yet"
+    drive.planner.layer("/layer", np.array([(-3.0, 99.0)]))  # off the map
+    assert drive.run(60.0).state is State.REACHED
+    late = Drive(floor(*ROOMS), WEST, settings)
+    assert late.goto(EAST).fault is Fault.NO_MAP
+    assert not late.local.sent
+
+
+def test_a_map_that_changes_keeps_the_layers() -> None:
+    drive = Drive(floor(*ROOMS), WEST)
+    drive.planner.layer("/layer", cells(*TABLE))
+    drive.use(floor(*ROOMS))
+    assert drive.goto(EAST).state is State.REACHED
+    assert apart(drive, TABLE) > KEPT
+
+
+def test_clouds_are_not_the_planners() -> None:
+    with pytest.raises(ValidationError, match="/points is a cloud"):
+        RobotPathPlannerSection(obstacles=({"topic": "/points", "type": "cloud"},))

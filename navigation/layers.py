@@ -1,0 +1,88 @@
+"""Layers of a map (``nav_msgs/msg/OccupancyGrid``): what a robot would touch that a laser does not see."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable, Mapping
+from functools import partial
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bridge.config.sections.planners import ObstacleSection
+from bridge.hub.wire.qos import LATCHED
+from bridge.modules.host import Host
+from navigation.frames import FramesError, RobotFrames
+from navigation.maps.grid import from_grid
+from navigation.messages import GRID, Message
+from navigation.pose import Pose
+from yarp_compat.dev.mapflag import MapFlag
+
+_FINE, _PARTS = 0.05, 20  # metres, and how many of them a cell's side has at most
+
+Places = NDArray[np.float64]
+
+
+class LayerError(ValueError):
+    """A layer that cannot be used; the text says why."""
+
+
+def read_layer(message: Mapping[str, Any]) -> Places:
+    """(n, 2) the middles of a layer's cells from 50 on, metres in its own frame; raises `LayerError`.
+
+    Of cells wider than 5 cm they are those of its parts: who keeps away from a middle keeps away from all of it.
+    """
+    try:
+        grid = from_grid(message, "layer")
+    except ValueError as err:
+        raise LayerError(str(err)) from None
+    if not (grid.resolution > 0.0 and np.isfinite((grid.resolution, *grid.origin.to_ros())).all()):
+        raise LayerError(f"info: cells of {grid.resolution} m from {grid.origin.to_ros()} are nowhere")
+    rows, columns = np.nonzero(grid.flags == MapFlag.WALL)
+    middles = grid.centers_of(np.stack((columns, rows), axis=1))
+    parts = min(math.ceil(grid.resolution / _FINE - 1e-6), _PARTS)
+    steps = ((np.arange(parts) + 0.5) / parts - 0.5) * grid.resolution
+    beside = on(np.stack(np.meshgrid(steps, steps), axis=-1).reshape(-1, 2), Pose(0.0, 0.0, grid.origin.to_ros()[2]))
+    return (middles[:, None] + beside).reshape(-1, 2)
+
+
+class LayersHeard:
+    """Hears the layers among some sources, and gives each one's places on the map to ``take``, with its topic.
+
+    Attributes:
+        trouble: by topic, why what it said last cannot be used.
+    """
+
+    def __init__(
+        self,
+        host: Host,
+        sources: Iterable[ObstacleSection],
+        frames: RobotFrames,
+        take: Callable[[str, Places], object],
+        trouble: dict[str, str] | None = None,
+    ) -> None:
+        self._frames, self._take = frames, take
+        self.trouble = {} if trouble is None else trouble
+        for source in sources:
+            if source.type == "layer":
+                host.node.subscription(source.topic, GRID, partial(self._heard, source.topic), LATCHED)
+
+    def _heard(self, topic: str, message: Message) -> None:
+        frame = message["header"]["frame_id"].lstrip("/")
+        try:
+            places = read_layer(message)
+            if frame != self._frames.map_frame:
+                places = on(places, self._frames.on_map(frame))
+        except (FramesError, LayerError) as err:
+            self.trouble[topic] = str(err)
+            return
+        self.trouble.pop(topic, None)
+        self._take(topic, places)
+
+
+def on(places: Places, at: Pose) -> Places:
+    """Places (n, 2) of a frame that is at a pose in another one, in that one."""
+    c, s = np.cos(at.theta), np.sin(at.theta)
+    found: Places = places @ np.array([(c, s), (-s, c)]) + (at.x, at.y)
+    return found

@@ -1,0 +1,55 @@
+"""Layers of the hub: the places of their cells, and those that are no grids."""
+
+import math
+
+import numpy as np
+import pytest
+
+from navigation.layers import LayerError, on, read_layer
+from navigation.pose import Pose
+
+
+def layer(cells, resolution=0.05, x=1.0, y=2.0, yaw=0.0, changed=None):
+    rows = np.array(cells, np.int8)
+    turn = {"x": 0.0, "y": 0.0, "z": math.sin(yaw / 2), "w": math.cos(yaw / 2)}
+    info = {
+        "resolution": resolution, "width": rows.shape[1], "height": rows.shape[0],
+        "origin": {"position": {"x": x, "y": y, "z": 0.0}, "orientation": turn},
+    }  # fmt: skip
+    return {"info": {**info, **(changed or {})}, "data": rows.ravel()}
+
+
+def test_cells_from_50_on_are_places():
+    found = read_layer(layer([[0, 100, 49], [-1, 50, 0]]))
+    assert sorted(map(tuple, found.round(9).tolist())) == [(1.075, 2.025), (1.075, 2.075)]
+    assert read_layer(layer([[0, -1]])).shape == (0, 2)
+
+
+def test_a_turned_layer_and_one_of_another_frame():
+    (found,) = read_layer(layer([[0, 100]], yaw=math.pi / 2))
+    np.testing.assert_allclose(found, (1.0 - 0.025, 2.0 + 0.075), atol=1e-9)
+    np.testing.assert_allclose(on(np.array([found]), Pose(1.0, 0.0, math.pi)), [(1.0 - 0.975, -2.075)], atol=1e-9)
+
+
+@pytest.mark.parametrize("yaw", [0.0, 0.6])
+def test_a_wide_cell_is_its_parts(yaw):
+    found = read_layer(layer([[0, 100]], resolution=0.2, yaw=yaw))
+    assert len(found) == 16
+    back = on(found - (1.0, 2.0), Pose(0.0, 0.0, -yaw))
+    np.testing.assert_allclose(sorted(set(back[:, 0].round(6))), [0.225, 0.275, 0.325, 0.375], atol=1e-6)
+    np.testing.assert_allclose(sorted(set(back[:, 1].round(6))), [0.025, 0.075, 0.125, 0.175], atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("changed", "words"),
+    [
+        ({"width": 3}, "3 x 1 cells does not have 2"),
+        ({"width": 0}, "0 x 1 cells"),
+        ({"width": 100_000, "height": 100_000}, "100000"),
+        ({"resolution": 0.0}, "0.0"),
+        ({"resolution": math.nan}, "nan"),
+    ],
+)
+def test_what_is_no_grid_is_refused(changed, words):
+    with pytest.raises(LayerError, match=words):
+        read_layer(layer([[0, 100]], changed=changed))
