@@ -10,6 +10,7 @@ import struct
 import zlib
 from collections import Counter, defaultdict, deque
 from concurrent.futures import Future, ThreadPoolExecutor
+from itertools import chain
 from pathlib import Path
 
 from mcap.data_stream import RecordBuilder
@@ -22,7 +23,6 @@ from mcap.records import (
     Footer,
     Header,
     McapRecord,
-    MessageIndex,
     Metadata,
     MetadataIndex,
     Schema,
@@ -38,8 +38,12 @@ from bridge.bags.mcap_writer import CHUNK_BYTES, PROFILE, ChannelInfo, ros2msg
 from bridge.bags.writers import BagWriter
 
 _MESSAGE = struct.Struct("<BQHIQQ")
+_INDEX = struct.Struct("<BQHI")
 _FOOTER = struct.Struct("<BQQQ")
-_AHEAD = 2
+_PACKERS = 2
+"""Threads that pack: of each chunk one waits some milliseconds for Python's lock, while the other packs."""
+
+_AHEAD = 3
 """Chunks that may be packed, or wait for it, while others are read."""
 
 _BODY = 22
@@ -51,7 +55,7 @@ class ChunkedMcap(BagWriter):
 
     def __init__(self, path: Path, compression: str, profile: str, library: str) -> None:
         self._file = path.open("wb")
-        self._packer = ThreadPoolExecutor(1, "midspan-bag-packer")
+        self._packer = ThreadPoolExecutor(_PACKERS, "midspan-bag-packer")
         self._packing: deque[tuple[Future[tuple[bytes, int, int]], dict[int, list[tuple[int, int]]]]] = deque()
         self._schemas: dict[int, Schema] = {}
         self._metadata: list[Metadata] = []
@@ -172,12 +176,13 @@ class ChunkedMcap(BagWriter):
         ).write(builder)  # fmt: skip
         record = _bytes(builder)
         offsets: dict[int, int] = {}
+        indexes = bytearray()
         for number, places in all_places.items():
-            offsets[number] = builder.count
-            MessageIndex(number, places).write(builder)
+            offsets[number] = len(indexes)
+            entries = struct.pack(f"<{2 * len(places)}Q", *chain.from_iterable(places))
+            indexes += _INDEX.pack(Opcode.MESSAGE_INDEX, len(entries) + 6, number, len(entries)) + entries
         counts = {number: len(places) for number, places in all_places.items()}
-        indexes = _bytes(builder)
-        self._put(WholeChunk(record, indexes, offsets, counts, self._compression, len(packed), size, start, end))
+        self._put(WholeChunk(record, bytes(indexes), offsets, counts, self._compression, len(packed), size, start, end))
 
     def _statistics(self) -> Statistics:
         return Statistics(

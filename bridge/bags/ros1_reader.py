@@ -22,6 +22,9 @@ _U32, _PAIR = struct.Struct("<I"), struct.Struct("<II")
 _LARGEST_HEADER = 1 << 20
 _LARGEST_TABLE = 16 << 20
 _NS = 1_000_000_000
+_MESSAGE_HEADER = 42
+"""Bytes of a message's header of the fields ``op``, ``conn`` and ``time``, with its length."""
+_NO_HEAD = struct.Struct("<0sI0sII0sI")
 
 Fields = dict[bytes, bytes]
 
@@ -138,10 +141,21 @@ class Ros1Bag(SpanBag):
         size = _U32.unpack(fields[b"size"])[0]
         data = unpack(fields[b"compression"].decode(errors="replace"), memoryview(raw)[8 + length :], size)
         found = []
+        head, same = _NO_HEAD, None
         at, u32 = 0, _U32.unpack_from
         while at < size:
+            if at + head.size <= size:
+                begin, number, between, seconds, nanoseconds, end, count = head.unpack_from(data, at)
+                if (begin, between, end) == same:  # as the message before, but for connection and time
+                    body = at + head.size
+                    at = body + count
+                    if at > size:
+                        raise BagError(self.path, "a record is longer than its chunk", span.offset)
+                    found.append((number, seconds * _NS + nanoseconds, bytes(data[body:at])))
+                    continue
             (length,) = u32(data, at)
-            fields = parse_fields(bytes(data[at + 4 : at + 4 + length]))
+            header = bytes(data[at : at + 4 + length])
+            fields = parse_fields(header[4:])
             body = at + 8 + length
             (count,) = u32(data, body - 4)
             at = body + count
@@ -150,19 +164,20 @@ class Ros1Bag(SpanBag):
             kind = fields[b"op"][0]
             if kind == _MESSAGE:
                 found.append((_U32.unpack(fields[b"conn"])[0], _time(fields[b"time"]), bytes(data[body:at])))
+                head = _message_head(header)
+                begin, _, between, _, _, end, _ = head.unpack_from(data, body - len(header) - 4)
+                same = None if head is _NO_HEAD else (begin, between, end)
             elif kind == _CONNECTION:
                 self._take(fields, bytes(data[body:at]))
         return found
 
     def _load(self, span: FileSpan) -> list[BagMessage]:
-        topics, found = self._topic_of, []
-        for number, time, data in self._records(span):
-            topic = topics.get(number)
-            if topic is None:
-                msg = f"a message is of connection {number}, which the bag does not have"
-                raise BagError(self.path, msg, span.offset)
-            found.append(BagMessage(topic, time, time, data))
-        return found
+        topics, records = self._topic_of, self._records(span)
+        try:
+            return [BagMessage(topics[number], time, time, data) for number, time, data in records]
+        except KeyError as err:
+            msg = f"a message is of connection {err}, which the bag does not have"
+            raise BagError(self.path, msg, span.offset) from None
 
 
 def parse_fields(data: bytes) -> Fields:
@@ -179,6 +194,17 @@ def parse_fields(data: bytes) -> Fields:
         found[name] = value
         at = end
     return found
+
+
+def _message_head(header: bytes) -> struct.Struct:
+    """Where connection, time and the data's length stand in a message's head with its length, beside what is the same.
+
+    A head of other fields than a message has gets `_NO_HEAD`, and is parsed field by field.
+    """
+    conn, time = header.find(b"\x09\0\0\0conn=") + 9, header.find(b"\x0d\0\0\0time=") + 9
+    if len(header) != _MESSAGE_HEADER or not 9 <= conn < time:
+        return _NO_HEAD
+    return struct.Struct(f"<{conn}sI{time - conn - 4}sII{_MESSAGE_HEADER - time - 8}sI")
 
 
 def _time(value: bytes) -> int:

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import io
+import itertools
+import re
 import shutil
 from pathlib import Path
 
@@ -54,6 +56,19 @@ def test_a_bag_gives_what_rosbags_reads(form: str, tmp_path: Path) -> None:
     with AnyReader([path]) as other:
         expected_messages = [(c.topic, c.msgtype, time, bytes(data)) for c, time, data in other.messages()]
     assert [(name, normalize_msgtype(kind), time, data) for name, kind, time, data in found] == expected_messages
+
+
+def test_a_messages_fields_may_stand_in_any_order(tmp_path: Path) -> None:
+    path = ros1_bag(tmp_path / "a.bag", 100)
+    with open_bag(path) as bag:
+        before = [(m.topic.name, m.time_ns, m.data) for m in bag.messages()]
+    fields = re.compile(rb"(\x04\0\0\0op=\x02)(\x09\0\0\0conn=.{4})(\x0d\0\0\0time=.{8})", re.DOTALL)
+    orders = itertools.cycle([*itertools.permutations((1, 2, 3)), (2, 1, 3), (2, 1, 3)])
+    data, count = fields.subn(lambda found: b"".join(found.group(*next(orders))), path.read_bytes())
+    path.write_bytes(data)
+    with open_bag(path) as bag:
+        assert [(m.topic.name, m.time_ns, m.data) for m in bag.messages()] == before
+    assert count == 101
 
 
 @pytest.mark.parametrize("form", ["none.bag", "folder", "zstd.mcap"])
