@@ -15,6 +15,8 @@ from scripts import flaky
 
 PROGRAM = Path(flaky.__file__)
 
+pytestmark = pytest.mark.thorough
+
 MAKE = f"""#!{sys.executable}
 import json, os, re, sys
 from pathlib import Path

@@ -51,6 +51,7 @@ def test_{0}_alone(number): ...
 """
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("processes", ["2", "4"])
 def test_what_is_alone_runs_last_and_with_no_other(tmp_path: Path, processes: str) -> None:
     """And the others do run two at a time."""

@@ -7,7 +7,11 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pytest
+
 from scripts import unsteady
+
+pytestmark = pytest.mark.thorough
 
 
 def run(tmp_path: Path, *failed: str) -> subprocess.CompletedProcess[str]:

@@ -31,6 +31,7 @@ def test_starts_all_workers_and_stops_them_in_order(daemon: Daemon) -> None:
     assert [len(daemon.events(worker, "stop")) for worker in WORKERS] == [1, 1, 1]
 
 
+@pytest.mark.thorough
 def test_crashed_worker_is_restarted_with_growing_pauses(daemon: Daemon) -> None:
     daemon.order("ros1", "crash-at-start")
     process = daemon.start()

@@ -142,6 +142,7 @@ Paths:
 """
 
 
+@pytest.mark.thorough
 def test_clients_of_three_sides_send_the_robot_to_rooms(folder: Path) -> None:
     """As configs/navigation.yaml has it, to places that are near."""
     config = yaml.safe_load((CONFIGS / "navigation.yaml").read_text())

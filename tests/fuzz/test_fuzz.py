@@ -70,6 +70,7 @@ def engine(code: str) -> str:
     return done.stdout
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(("word", "signature"), [(b"m", "MemoryError"), (b"s", "slow"), (b"w", "KeyError")])
 def test_the_engine_finds_what_it_is_there_for(word: bytes, signature: str) -> None:
     code = (
@@ -80,12 +81,14 @@ def test_the_engine_finds_what_it_is_there_for(word: bytes, signature: str) -> N
     assert any(line.startswith(signature) and line.endswith(repr(word)) for line in engine(code).splitlines())
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("first", ["w", "boom"])
 def test_a_finding_is_made_short(first: str) -> None:
     code = f"print(shrunk(Subject(hungry, [b''], (ValueError,)), {first.encode()!r} + b'long' * 50)[1])\n"
     assert engine(code) == f"b'{first}'\n"
 
 
+@pytest.mark.thorough
 def test_the_same_seed_makes_the_same_inputs() -> None:
     code = (
         "import hashlib\ngiven = []\n"

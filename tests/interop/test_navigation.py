@@ -11,6 +11,8 @@ import sys
 import time
 from pathlib import Path
 
+import pytest
+
 from bridge.messages.actions import GoalState
 from tests.support.chain import Chain
 from tests.support.wait import until
@@ -39,6 +41,7 @@ def stands_and_says(chain: Chain, fault: str, word: str) -> None:
     chain.until_moving(30)
 
 
+@pytest.mark.thorough
 def test_faults_on_the_way(tmp_path: Path) -> None:
     with Chain(tmp_path) as chain:
         chain.start()

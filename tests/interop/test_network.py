@@ -163,6 +163,7 @@ def until_heard(sender: Peer, out: int, hearer: Peer, heard: int, text: str, sec
     until(once, f"{text} crosses", seconds)
 
 
+@pytest.mark.thorough
 def test_topics_cross_both_ways_latched_ones_too(pair: Pair) -> None:
     for sender, hearer, name in ((pair.ros1, pair.ros2, "to_operator"), (pair.ros2, pair.ros1, "to_robot")):
         out, heard = sender.advertise(f"/{name}", STRING), hearer.subscribe(f"/{name}", STRING)

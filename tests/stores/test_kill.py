@@ -20,6 +20,7 @@ MORE_THAN_ANY = 10**9
 """Puts that the writer would make: it is killed in the middle however late that comes."""
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("again", range(2))
 def test_kill_in_the_middle_of_writes(tmp_path: Path, again: int) -> None:
     file = tmp_path / "store.sqlite"

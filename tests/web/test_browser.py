@@ -360,6 +360,7 @@ def kept_out(robot: WebRobot) -> int:
     return found.get("keep_out", 0)
 
 
+@pytest.mark.thorough
 def test_flags_are_painted_and_taken_back(operator: Operator, watch: TestPage, robot: WebRobot) -> None:
     watch.watch("map")
     clean = watch.value("map")["flags"]
@@ -385,6 +386,7 @@ def test_flags_are_painted_and_taken_back(operator: Operator, watch: TestPage, r
     operator.button("Done").click()
 
 
+@pytest.mark.thorough
 def test_a_patrol_until_somebody_ends_it(operator: Operator, watch: TestPage) -> None:
     watch.watch("patrol")
     places = watch.value("places")["locations"]
