@@ -59,6 +59,8 @@ IMPORTED = [
     ("tf2_msgs.msg", "TFMessage"),
     ("map_msgs.msg", "OccupancyGridUpdate"),
     ("nav2_msgs.srv", "LoadMap_Request"),
+    ("octomap_msgs.msg", "OctomapWithPose"),
+    ("grid_map_msgs.msg", "GridMap"),
 ]
 
 

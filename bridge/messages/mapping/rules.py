@@ -65,11 +65,17 @@ _MOVE_BASE_FIELDS = {
     "Result": dict[str, str](),
     "Feedback": {"base_position": "current_pose"},
 }
+_GRID_MAP_FIELDS = {
+    "": {"info.header": "header"}
+    | {f"info.{name}": f"info.{name}" for name in ("resolution", "length_x", "length_y", "pose")}
+    | {name: name for name in ("layers", "basic_layers", "data", "outer_start_index", "inner_start_index")}
+}
 BUILT_IN = (
     MappingRule("std_msgs", "builtin_interfaces", "Time", "Time", "msg", _TIME_FIELDS),
     MappingRule("std_msgs", "builtin_interfaces", "Duration", "Duration", "msg", _TIME_FIELDS),
     MappingRule("tf", "tf2_msgs", "tfMessage", "TFMessage", "msg", {"": {"transforms": "transforms"}}),
     MappingRule("rosgraph_msgs", "rcl_interfaces", "Log", "Log", "msg", _LOG_FIELDS),
+    MappingRule("grid_map_msgs", "grid_map_msgs", "GridMap", "GridMap", "msg", _GRID_MAP_FIELDS),
     MappingRule("move_base_msgs", "nav2_msgs", "MoveBase", "NavigateToPose", "action", _MOVE_BASE_FIELDS),
 )
 

@@ -1,4 +1,4 @@
-"""Sensors as YARP's types: laser scans, point clouds and pictures.
+"""Sensors as YARP's types: laser scans, point clouds, octomaps and pictures.
 
 A scan is ``yarp::dev::LaserScan2D``: ``(angle_min angle_max range_min range_max (ranges) status)``, angles in degrees,
 no echo is infinity. The limits are those of the other side; YARP does not send the angle between two rays, which its
@@ -6,7 +6,9 @@ readers take to be the span divided by the number of rays (``laserFromExternalPo
 
 ``yarp::sig::PointCloud`` has points of a few fixed kinds, laid out as PCL does. A cloud with such fields is passed on
 as it is; of others the numbers that the nearest kind has are copied. The rows of ``yarp::sig::Image`` are padded to a
-multiple of 8 bytes.
+multiple of 8 bytes. Depth is floats of metres there: millimetres (``16UC1``, REP 118) become such, ``mono16`` does not.
+
+An octomap is the same in both, see `yarp_compat.octomap`.
 """
 
 from __future__ import annotations
@@ -20,6 +22,7 @@ import numpy as np
 from bridge.messages.errors import ConversionError
 from bridge.messages.yarp.codec import Message, Missing, NaturalType, header
 from yarp_compat.dev.rangefinder import LaserScan2D
+from yarp_compat.octomap import Octomap
 from yarp_compat.sig.image import QUANTUM, FlexImage
 from yarp_compat.sig.pixels import PixelCode, format_of
 from yarp_compat.sig.pointcloud import LAYOUTS, PointCloud, PointType
@@ -113,7 +116,9 @@ def _points(message: Mapping[str, Any]) -> np.ndarray:
     for field in message["fields"]:
         letters = _DATATYPES.get(field["datatype"])
         if letters is None or field["offset"] + int(letters[1]) > step:
-            raise ConversionError(f"field {field['name']} of the points lies outside of them or has no known type")
+            raise ConversionError(
+                f"fields.{field['name']}: datatype {field['datatype']} at byte {field['offset']} of a point's {step}"
+            )
         if field["name"] in _COLOURS and letters[1] == "4":
             names += "bgra" if order == "<" else "argb"
             formats += ["u1"] * 4
@@ -123,8 +128,12 @@ def _points(message: Mapping[str, Any]) -> np.ndarray:
             formats.append(order + letters)
             offsets.append(field["offset"])
     data = message["data"]
-    if not step or row < step * width or len(data) < row * height:
-        raise ConversionError(f"{height} rows of {width} points of {step} bytes do not fit {len(data)} bytes")
+    if not step or row < step * width:
+        raise ConversionError(f"row_step: {row} bytes for {width} points of {step} bytes (point_step)")
+    if len(data) < row * height:
+        raise ConversionError(f"data: {len(data)} bytes for {height} rows of {row} bytes (row_step)")
+    if not width or not height:  # whatever the steps are
+        width, step, row, offsets = 0, 32 * len(names) + 1, 0, [8 * place for place in range(len(names))]
     layout = np.dtype({"names": names, "formats": formats, "offsets": offsets, "itemsize": step})
     rows = np.asarray(data[: row * height]).reshape(height, row)[:, : step * width]
     found = np.ascontiguousarray(rows).view(layout) if width else np.zeros((height, 0), layout)
@@ -144,11 +153,12 @@ def _copied(points: np.ndarray, layout: np.dtype[Any]) -> np.ndarray:
     return made
 
 
+_DEPTH = "16UC1"
 _CODES = {
     "mono8": PixelCode.MONO,
     "8UC1": PixelCode.MONO,
     "mono16": PixelCode.MONO16,
-    "16UC1": PixelCode.MONO16,
+    _DEPTH: PixelCode.MONO16,
     "rgb8": PixelCode.RGB,
     "bgr8": PixelCode.BGR,
     "8UC3": PixelCode.BGR,
@@ -180,6 +190,8 @@ class _Picture:
         rows = _rows(message, format_of(code).size)
         if message["is_bigendian"] and format_of(code).dtype.itemsize > 1:
             rows = rows.view(format_of(code).dtype.newbyteorder(">")).astype(format_of(code).dtype).view(np.uint8)
+        if message["encoding"] == _DEPTH:
+            code, rows = PixelCode.MONO_FLOAT, (rows.view("<u2") / np.float32(1000)).astype("<f4").view(np.uint8)
         padding = -rows.shape[1] % QUANTUM
         if padding:
             rows = np.pad(rows, ((0, 0), (0, padding)))
@@ -218,8 +230,27 @@ def _rows(message: Mapping[str, Any], pixel: int) -> np.ndarray:
     return np.asarray(data[: step * height]).reshape(height, step)[:, : width * pixel]
 
 
+class _Octomap:
+    def to_yarp(self, message: Mapping[str, Any], out: ElementWriter) -> None:
+        frame = message["header"]["frame_id"]
+        data = bytes(message["data"].view(np.uint8).data)
+        Octomap(message["id"], bool(message["binary"]), message["resolution"], frame, data)._write(out)
+
+    def to_ros(self, source: ElementReader, stamp_ns: int, missing: Missing) -> Message:
+        octomap = Octomap()
+        octomap._read(source)
+        return {
+            "header": header(stamp_ns, octomap.frame or missing.frame or "map"),
+            "binary": octomap.binary,
+            "id": octomap.id,
+            "resolution": octomap.resolution,
+            "data": np.frombuffer(octomap.data, np.int8),
+        }
+
+
 SENSORS: Mapping[str, NaturalType] = {
     "sensor_msgs/msg/LaserScan": _Scan(),
     "sensor_msgs/msg/PointCloud2": _Cloud(),
     "sensor_msgs/msg/Image": _Picture(),
+    "octomap_msgs/msg/Octomap": _Octomap(),
 }

@@ -56,3 +56,24 @@ def test_octomap_from_a_folder_has_its_known_md5(registry: Registry):
     assert conversion.source.type_id == "9a45536b45c5e409cd49f04bb2d9999f"
     assert conversion.target.name == "octomap_msgs/msg/Octomap"
     assert conversion.target.type_id == registry.ros2("octomap_msgs/msg/Octomap").type_id
+
+
+@pytest.mark.parametrize(
+    ("name", "md5"),
+    [
+        ("octomap_msgs/Octomap", "9a45536b45c5e409cd49f04bb2d9999f"),
+        ("octomap_msgs/OctomapWithPose", "20b380aca6a508a657e95526cddaf618"),
+        ("grid_map_msgs/GridMap", "95681e052b1f73bf87b7eb984382b401"),
+        ("grid_map_msgs/GridMapInfo", "43ee5430e1c253682111cb6bedac0ef9"),
+    ],
+)
+def test_maps_in_three_dimensions_need_no_package(name: str, md5: str) -> None:
+    """The sums are those in the packages that Noetic's tools generated (rosjs, rosserial, rossharp)."""
+    conversion = Registry(ros1_packages=Path("/nonexistent")).ros1_to_hub(name)
+    assert conversion.source.type_id == md5
+    assert conversion.target.name == name.replace("/", "/msg/")
+
+
+def test_get_octomap_needs_no_package() -> None:
+    call = Registry(ros1_packages=Path("/nonexistent")).service_hub_to_ros1("octomap_msgs/srv/GetOctomap")
+    assert call.side.type_id == "be9d2869d24fe40d6bc21ac21f6bb2c5"

@@ -22,6 +22,8 @@ from bridge.messages.yarp.codec import Codec, Missing
 from bridge.messages.yarp.contents import KINDS, Content
 from tests.messages.samples import sample
 from yarp_compat.dev.mapgrid import MapGrid2D
+from yarp_compat.octomap import Octomap
+from yarp_compat.octree import OcTree
 from yarp_compat.sig import image, pointcloud
 from yarp_compat.wire import binary
 from yarp_compat.wire.profile import Profile
@@ -172,6 +174,70 @@ def test_clouds_that_are_none_are_refused(change: dict[str, Any]) -> None:
     assert out(CLOUD, message)
     with pytest.raises(ConversionError):
         out(CLOUD, {**message, **change})
+
+
+@pytest.mark.parametrize("kind", pointcloud.PointType)
+def test_points_of_each_type_come_back_as_they_were(kind: pointcloud.PointType) -> None:
+    layout = pointcloud.LAYOUTS[kind]
+    points = np.zeros(6, layout)
+    for place, name in enumerate(layout.names or ()):
+        points[name] = np.arange(6) + place
+    sent = pointcloud.PointCloud.of(points.reshape(2, 3)).to_bytes(Profile.YARP4)
+    message = codec(CLOUD).to_hub(sent, Profile.YARP4, STAMP)
+    assert b"".join(codec(CLOUD).to_yarp(message).payload) == sent
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"width": 100_000_000}, "row_step: 16 bytes for 100000000 points"),
+        ({"height": 100_000_000}, "data: 16 bytes for 100000000 rows"),
+        ({"point_step": 0}, "fields.x"),
+        ({"fields": [_field("x", 4_294_967_295)]}, "fields.x: datatype 7 at byte 4294967295"),
+        ({"fields": [_field("x", 0, 9)]}, "fields.x: datatype 9"),
+        ({"fields": [_field("ring", 0)]}, "of the fields ring"),
+    ],
+)
+def test_a_bad_cloud_is_refused_by_the_name_of_its_field(change: dict[str, Any], words: str) -> None:
+    message = {"height": 1, "width": 1, "point_step": 16, "row_step": 16, "data": bytes(16),
+               "fields": [_field("x", 0), _field("y", 4), _field("z", 8)]}  # fmt: skip
+    with pytest.raises(ConversionError, match=words):
+        out(CLOUD, {**message, **change})
+
+
+@pytest.mark.parametrize("step", [16, 4_294_967_295])
+def test_a_cloud_without_points(step: int) -> None:
+    fields = [_field("x", 0), _field("y", 4), _field("z", 8)]
+    message = {"height": 1, "width": 0, "point_step": step, "row_step": 0, "data": b"", "fields": fields}
+    assert pointcloud.PointCloudXYZ.from_bytes(out(CLOUD, message)).size() == 0
+
+
+def test_depth_in_millimetres_is_floats_of_metres_in_yarp() -> None:
+    data = struct.pack("<6H", 0, 1, 1000, 1500, 65535, 2)
+    message = {"height": 2, "width": 3, "encoding": "16UC1", "step": 6, "data": data}
+    depth = image.ImageFloat.from_bytes(out("sensor_msgs/msg/Image", message))
+    assert depth.getPixelCode() == image.FlexImage.from_bytes(out("sensor_msgs/msg/Image", message)).getPixelCode()
+    assert (depth.numpy() * 1000).round().astype(np.uint16).tobytes() == data
+    assert depth.numpy()[0, 2] == 1.0
+    again = back("sensor_msgs/msg/Image", out("sensor_msgs/msg/Image", message))
+    assert (again["encoding"], again["width"], again["step"]) == ("32FC1", 3, 12)
+
+
+OCTOMAP = "octomap_msgs/msg/Octomap"
+
+
+@pytest.mark.parametrize("profile", Profile)
+def test_an_octomap_both_ways_and_as_yarp_compat_reads_it(profile: Profile) -> None:
+    tree = OcTree.of([[32_768, 32_768, 32_768]], 1.5, resolution=0.5)
+    for binary_ in (True, False):
+        octomap = Octomap.of(tree, binary=binary_, frame="base")
+        message = {"header": HEADER, "id": "OcTree", "binary": binary_, "resolution": 0.5, "data": list(np.frombuffer(octomap.data, "i1").tolist())}  # fmt: skip # noqa: E501
+        payload = out(OCTOMAP, message, profile)
+        found = Octomap.from_bytes(payload)
+        assert found == octomap
+        assert found.search(0.25, 0.25, 0.25) > 0
+        cdr = from_json(REGISTRY, OCTOMAP, message)
+        assert back(OCTOMAP, payload, profile) == to_json(REGISTRY, OCTOMAP, cdr)
 
 
 ODOMETRY = "nav_msgs/msg/Odometry"
