@@ -1,7 +1,8 @@
 """What the simulator costs: the base with a laser among more and more walls, beside the bare base; the laser's scans.
 
 The peer of the real-time factor is the bare loop of `World.step` of the same base on an empty floor, driven the same;
-that of the laser is DART's own ray cast (with Bullet) on the same walls.
+those of the laser and of the depth camera are DART's own ray cast (with Bullet) on the same walls; that of the camera's
+share of a core is its picture without noise and points.
 
     python benchmarks/simulator.py [--json FILE] [--quick]
 """
@@ -22,9 +23,10 @@ if not __package__:  # run as a file
     sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from benchmarks.rows import Row, add_json_option, report
-from bridge.config.sections.sim import LaserSection, SimSection
+from bridge.config.sections.sim import CameraSection, LaserSection, SimSection
 from sim import bodies
 from sim.base import STEP_NS, Twist
+from sim.depth import DepthCamera
 from sim.environment import dartpy
 from sim.laser_kernel import cast
 from sim.plan import Box, Floor, Plan
@@ -33,6 +35,7 @@ from sim.simulation import Simulation
 BEAMS = 1600
 WALLS = (50, 500, 2000)
 _TURN = 0.4
+_RAYS = 100
 
 
 def plan(count: int) -> Plan:
@@ -104,6 +107,39 @@ def scans(count: int, seconds: float) -> tuple[float, float]:
     return ours, theirs
 
 
+def pictures(count: int, seconds: float) -> tuple[float, float]:
+    """Depth pictures without noise per second: ours and by DART's rays, of which every hundredth is cast."""
+    there = simulation(count)
+    camera = DepthCamera(CameraSection(rate=5.0, noise=0.0), 0)
+    solids, drops, at = there.world.solids(), there.world.drops, there.base.pose()
+    ours = rate(lambda: camera.picture(0, at, solids, drops), seconds)
+    dart = dartpy()
+    skeleton, nodes = bodies.fixed(there.world.pieces)
+    group = dart.collision.BulletCollisionDetector().createCollisionGroup()
+    group.addShapeFrames(nodes)
+    turned, eye = camera.placed(at)
+    some = np.ones((camera.size[1], camera.size[0]), np.float32)
+    ends = eye + 10.0 * camera.points(some).reshape(-1, 3)[::_RAYS] @ turned.T
+
+    def rays() -> None:
+        for end in ends:
+            group.raycast(eye, end, dart.collision.RaycastOption(), dart.collision.RaycastResult())
+
+    theirs = rate(rays, seconds) / _RAYS
+    assert skeleton.getNumBodyNodes() == 1
+    return ours, theirs
+
+
+def shares(name: str, seconds: float) -> list[Row]:
+    """What a picture at 5 Hz, with its noise and its points, takes of a core, beside the picture alone."""
+    there = Simulation(SimSection(plan=name))
+    solids, drops, at = there.world.solids(), there.world.drops, there.base.pose()
+    bare, whole = (DepthCamera(CameraSection(rate=5.0, noise=noise), 0) for noise in (0.0, 0.08))
+    ours = rate(lambda: whole.points(whole.picture(0, at, solids, drops)), seconds)
+    peer = rate(lambda: bare.picture(0, at, solids, drops), seconds)
+    return [Row(f"share of a core, depth with noise and points at 5 Hz, {name}", 500 / ours, 500 / peer, "%", "less")]
+
+
 def rate(do: Callable[[], Any], seconds: float) -> float:
     """How often per second something can be done."""
     do()
@@ -131,6 +167,11 @@ def main() -> None:
     for count in WALLS:
         mine, theirs = scans(count, seconds / 15)
         rows.append(Row(f"laser scans, {count} walls, {BEAMS} beams", mine, theirs, "1/s", "more"))
+    for count in WALLS:
+        mine, theirs = pictures(count, seconds / 15)
+        rows.append(Row(f"depth pictures, {count} walls, 640 x 480", mine, theirs, "1/s", "more"))
+    for name in ("apartment", "tables"):
+        rows += shares(name, seconds / 15)
     report(rows, args.json)
 
 

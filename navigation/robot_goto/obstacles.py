@@ -14,7 +14,7 @@ from navigation.pose import Pose
 from navigation.robot_goto.local_grid import RESOLUTION, SIDE
 
 LEAST = 2  # points of a cloud by which a voxel is occupied: one may be noise
-MOST, RAYS = 80_000, 20_000  # points of a cloud that are taken for obstacles, and for rays: evenly ones of more
+MOST, RAYS = 50_000, 10_000  # points of a cloud that are taken for obstacles, and for rays: evenly ones of more
 _BIN = math.radians(2.0)  # rays that are so near to one another look the same way
 _BEYOND = 0.15  # metres that rays go on behind a voxel that is free, which is more than the noise of most cameras
 _NEVER = -math.inf
@@ -44,14 +44,14 @@ class CloudWindow:
         The robot was at a pose in that frame.
         """
         self._move(math.floor(at.y / RESOLUTION) - SIDE // 2, math.floor(at.x / RESOLUTION) - SIDE // 2)
-        points = points[:: math.ceil(len(points) / MOST) or 1]
+        points = thinned(points, MOST)
         own = np.hypot(points[:, 0] - at.x, points[:, 1] - at.y) < self._radius
         z = points[:, 2]
         hit = self._counted(points[(z >= self._step) & (z < self._height) & ~own], 1) >= LEAST
         hit[0] = self._counted(_through_floor(points[(z < -self._step) & ~own], eye), 0)[0] >= LEAST
         floor = self._counted(points[np.abs(z) < self._step], 0)[0] >= LEAST
         self._seen[0][floor] = _NEVER
-        self._clear(points[:: math.ceil(len(points) / RAYS) or 1], eye, hit)
+        self._clear(thinned(points, RAYS), eye, hit)
         self._seen[hit] = now
 
     def places(self, now: float) -> Places:
@@ -93,6 +93,11 @@ class CloudWindow:
         around = np.min([np.roll(nearest, (i, j), (0, 1)) for i in (-1, 0, 1) for j in (-1, 0, 1)], axis=0)
         free = np.isfinite(nearest[tuple(ways.T)]) & (around[tuple(ways.T)] > away + _BEYOND)
         self._seen[1:][levels[free], rows[free], columns[free]] = _NEVER
+
+
+def thinned(points: Points, most: int) -> Points:
+    """So many of the points at most, evenly; by an odd step, so that a picture's rows give not the same columns all."""
+    return points[:: math.ceil(len(points) / most) | 1] if len(points) > most else points
 
 
 def _through_floor(points: Points, eye: NDArray[np.float64]) -> Points:
