@@ -418,9 +418,11 @@ def test_clouds_and_layers_of_the_hub(tmp_path: Path) -> None:
         robot.cloud = seen(-0.2)  # the floor
         until(lambda: "the layer /layer has not come yet" in driver.status.reason, "it waits for the layer", 30)
         assert not [command for command in robot.commands if any(command)]
-        # on the map: a cell 1.5 m behind the robot, and nothing else
-        info = {"resolution": 0.1, "width": 2, "height": 1, "origin": {"position": {"x": -1.6, "y": -0.05}}}
-        place.far.publish(layer, {"header": {"frame_id": "map"}, "info": info, "data": [100, 0]})
+        # in the odometry's frame, which is at x = 5: a cell 1.5 m behind the robot, and nothing else
+        info = {"resolution": 0.1, "width": 2, "height": 1, "origin": {"position": {"x": -6.6, "y": -0.05}}}
+        place.far.publish(layer, {"header": {"frame_id": "attic"}, "info": info, "data": [100, 0]})
+        until(lambda: "attic" in place.module.status()["obstacles"].get("/layer", ""), "it says which frame", 30)
+        place.far.publish(layer, {"header": {"frame_id": "odom"}, "info": info, "data": [100, 0]})
         until(lambda: driver.status.fault is Fault.BLOCKED, "it stands before the layer's cell", 30)
         assert -1.5 + 0.27 < robot.x < -0.1
         robot.cloud = seen(0.5)  # the laser sees none of it

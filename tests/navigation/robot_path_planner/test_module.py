@@ -103,7 +103,7 @@ class Robot(Program):
 class Planning(Served):
     """A running planner."""
 
-    def __init__(self, folder: Path) -> None:
+    def __init__(self, folder: Path, **more: Any) -> None:
         super().__init__(folder, "robot_path_planner")
         self.robot = Robot(self.far.hub, self.far.registry)
         section = {
@@ -112,6 +112,7 @@ class Planning(Served):
             "clearance": 0.1,
             "image_hz": 20.0,
             "goal": {"tolerance_lin": 0.05},
+            **more,
         }
         self.worker.start(self.config(modules={"robot_path_planner": section}))
         store = self.worker.store
@@ -472,3 +473,23 @@ def test_the_map_comes_by_a_topic_and_the_laser_shows_what_it_lacks(tmp_path: Pa
         finally:
             timer.close()
             robot.close()
+
+
+def test_a_layer_of_the_hub_is_waited_for_and_planned_around(tmp_path: Path) -> None:
+    place = Planning(tmp_path, obstacles=[{"topic": "/layer"}])
+    try:
+        end = place.far.advertise("/layer", "nav_msgs/OccupancyGrid", latched=True)
+        sent = place.robot.send(4.0, 1.0)
+        status = lambda: place.module.planner.status.reason  # noqa: E731
+        until(lambda: status() == "the layer /layer has not come yet", "it waits for the layer", 30)
+        info = {"resolution": 0.1, "width": 7, "height": 11, "origin": {"position": {"x": 1.5, "y": 0.5}}}
+        place.far.publish(end, {"header": {"frame_id": "map"}, "info": info, "data": [100]})
+        until(lambda: "7 x 11 cells does not have 1" in place.module.health().text, "it says what is wrong", 30)
+        assert not place.robot.asked
+        # before the low door: a table
+        place.far.publish(end, {"header": {"frame_id": "map"}, "info": info, "data": [100] * 77})
+        assert sent.end()[0] is GoalState.SUCCEEDED
+        assert max(y for _, y, _ in place.robot.asked) > 1.7
+        assert "7 x 11" not in place.module.health().text
+    finally:
+        place.close()
