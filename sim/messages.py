@@ -22,6 +22,7 @@ _DISCHARGING = 2
 _LION = 2
 _FLOAT32 = 7  # sensor_msgs/PointField
 CAMERA_FRAME, OPTICAL_FRAME = "camera_link", "camera_depth_optical_frame"
+FOOTPRINT_FRAME = "base_footprint"  # the floor below the base (REP 120): heights count from there
 DEPTH, DEPTH_INFO, DEPTH_POINTS = "/camera/depth/image_rect_raw", "/camera/depth/camera_info", "/camera/depth/points"
 """Frames and topics as realsense2_camera's driver has them."""
 _POSE_VARIANCE = np.diag([0.01, 0.01, 1e6, 1e6, 1e6, 0.03]).ravel()
@@ -82,7 +83,8 @@ def mount(time_ns: int, base: str, laser: str, height: float, camera: CameraSect
         held["transforms"][0]["transform"]["rotation"] = tilted(camera.yaw, camera.pitch)
         # z ahead, x to the right, y down (REP 103)
         optical["transforms"][0]["transform"]["rotation"] = {"x": -0.5, "y": 0.5, "z": -0.5, "w": 0.5}
-        made["transforms"] += [*held["transforms"], *optical["transforms"]]
+        below = transform(time_ns, base, FOOTPRINT_FRAME, BasePose(0.0, 0.0, 0.0), -middle)
+        made["transforms"] += [*held["transforms"], *optical["transforms"], *below["transforms"]]
     return made
 
 

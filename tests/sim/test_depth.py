@@ -96,6 +96,9 @@ def test_its_cloud_in_the_frames_that_it_tells() -> None:
     )
     at = buffer.lookup_transform("base", messages.OPTICAL_FRAME)
     assert at.translation == pytest.approx((0.2, -0.1, 1.1 - 0.16))
+    assert buffer.lookup_transform(messages.FOOTPRINT_FRAME, messages.OPTICAL_FRAME).translation[2] == pytest.approx(
+        1.1
+    )
     box = np.array([(1.3, -0.3, 1.0, 0.0, 0.2, 0.2, 0.0, 0.3)])
     cloud = messages.points(0, made.points(made.picture(0, BasePose(0.0, 0.0, 0.0), box, NONE)))
     points = placed(read_points({"is_bigendian": False, **cloud}), at)

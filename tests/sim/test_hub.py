@@ -231,6 +231,7 @@ def test_depth_pictures_their_points_and_frames_where_they_are_heard(
     said = {t["child_frame_id"]: t for t in message["transforms"]}
     assert {name: t["header"]["frame_id"] for name, t in said.items()} == {
         "laser": "base_link", "camera_link": "base_link", "camera_depth_optical_frame": "camera_link",
+        "base_footprint": "base_link",
     }  # fmt: skip
     place.step(0.5)
     assert not taken  # nobody hears
