@@ -4,7 +4,7 @@ Locations, areas, paths, objects and links are JSON: metres, and YARP's degrees,
 of JSON, then the occupancy and the flags, each a zlib stream. The line says ``{"midspan": "map", "version": 1, "name",
 "width", "height", "resolution", "origin": [x, y, theta_deg], "occupancy": <bytes>, "flags": <bytes>}`` and ends with a
 newline. Cells are a byte each, row by row from the top one: occupancy 0 to 100 or 255 for unknown, flags 0 to 5 as YARP
-numbers them.
+numbers them. A map in three dimensions is a file: OctoMap's ``.bt`` or ``.ot``, or a binary ``.pcd``.
 """
 
 from __future__ import annotations
@@ -23,7 +23,11 @@ from bridge.stores.entry import StoreError, json_object
 from yarp_compat.dev.extras import AreaBehaviour, MapLink
 from yarp_compat.dev.locations import Map2DArea, Map2DLocation, Map2DObject, Map2DPath
 from yarp_compat.dev.mapgrid import MAX_CELLS, MapFlag, MapGrid2D, too_large
+from yarp_compat.octomap import Octomap
+from yarp_compat.sig.cloudfile import read_cloud, write_pcd
+from yarp_compat.sig.pointcloud import PointCloud
 from yarp_compat.sig.vec2d import Vec2D
+from yarp_compat.wire.errors import WireError
 
 T = TypeVar("T")
 Json = Mapping[str, Any]
@@ -246,8 +250,35 @@ def _check(data: bytes, good: bytes, what: str) -> None:
         raise StoreError(f"the map's {what} has a cell of {wrong[0]}")
 
 
+Map3D = Octomap | PointCloud
+"""A map in three dimensions."""
+
+
+def read_map3d(body: bytes) -> Map3D:
+    """The octomap or the cloud of a file's bytes, read to its end; raises `StoreError`, which names what is wrong."""
+    try:
+        if not body.startswith(b"# Octomap"):
+            return read_cloud(body)
+        octomap = Octomap.from_file(body)
+        octomap.tree()
+    except WireError as err:
+        raise StoreError(str(err)) from None
+    return octomap
+
+
+def write_map3d(value: Map3D) -> bytes:
+    """The file of a map in three dimensions; raises `StoreError`."""
+    try:
+        if isinstance(value, PointCloud):
+            return write_pcd(value)
+        return value.bt() if value.binary else value.ot()
+    except WireError as err:
+        raise StoreError(str(err)) from None
+
+
 JSON = "application/json"
 GRID = "application/octet-stream;midspan-map"
+FILE = "application/octet-stream;midspan-map3d"
 
 
 @dataclass(frozen=True, slots=True)
@@ -290,6 +321,9 @@ def _json_kind(name: str, write: Callable[[T], Json], read: Callable[[Json], T])
 
 
 MAP: ValueKind[MapGrid2D] = ValueKind("map", GRID, 64 << 20, _write_map, _read_map)
+MAP3D: ValueKind[Map3D] = ValueKind(
+    "map3d", FILE, 64 << 20, lambda _, value: write_map3d(value), lambda _, body: read_map3d(body)
+)
 LOCATION = _json_kind("location", location_json, _json_location)
 AREA = _json_kind("area", area_json, _json_area)
 PATH = _json_kind("path", path_json, _json_path)
@@ -301,5 +335,5 @@ CURRENT: ValueKind[str] = _json_kind("current", lambda name: {"map": name}, lamb
 """Which one is current, of what there may be one only: under ``map`` a map's name."""
 
 KINDS: dict[str, ValueKind[Any]] = {
-    kind.name: kind for kind in (MAP, LOCATION, AREA, BEHAVIOUR, PATH, OBJECT, LINK, CURRENT)
+    kind.name: kind for kind in (MAP, MAP3D, LOCATION, AREA, BEHAVIOUR, PATH, OBJECT, LINK, CURRENT)
 }

@@ -18,7 +18,7 @@ from bridge.hub.errors import HubError
 from bridge.hub.session import Hub
 from bridge.state_file import worker_folder
 from bridge.stores.entry import StoreError, check_name
-from bridge.stores.kinds import AREA, BEHAVIOUR, CURRENT, LINK, LOCATION, MAP, OBJECT, PATH
+from bridge.stores.kinds import AREA, BEHAVIOUR, CURRENT, LINK, LOCATION, MAP, MAP3D, OBJECT, PATH, Map3D, read_map3d
 from bridge.stores.replica import Body, Key, Replica, StoreLimits
 from bridge.stores.sharing import StoreSync
 from bridge.stores.store import THE_MAP, Store, Write
@@ -27,16 +27,25 @@ from yarp_compat.dev.extras import Extras, extras_file
 from yarp_compat.dev.mapfile import MapFileError, read_text
 from yarp_compat.dev.mapgrid import MapGrid2D
 from yarp_compat.dev.places import Places, load_maps
+from yarp_compat.sig.cloudfile import MAX_FILE
 
 _log = logging.getLogger(__name__)
 
 
+FORMS_3D = (".bt", ".ot", ".pcd", ".ply")
+"""Files of maps in three dimensions: octomaps and clouds."""
+
+
 def read_files(path: Path, jail: Path | None = None) -> list[Write[Any]]:
-    """What a file holds: a map (``.map``, ROS's YAML), a collection of maps, or places; raises `StoreError`.
+    """What a file holds: a map (``.map``, ROS's YAML), a collection of maps, places, or a map in three dimensions.
+
+    Raises `StoreError`.
 
     With a ``jail`` the file names no other outside of that folder.
     """
     try:
+        if path.suffix.lower() in FORMS_3D:
+            return [Write(MAP3D, path.stem, _map3d(path))]
         if path.suffix.lower() != ".ini":
             grid = MapGrid2D.load(path, jail)
             return [Write(MAP, grid.name or path.stem, grid)]
@@ -46,6 +55,19 @@ def read_files(path: Path, jail: Path | None = None) -> list[Write[Any]]:
         return places_writes(places, Extras.load(beside, jail) if beside.exists() else Extras())
     except MapFileError as err:
         raise StoreError(str(err)) from None
+
+
+def _map3d(path: Path) -> Map3D:
+    try:
+        with path.open("rb") as file:
+            data = file.read(MAX_FILE + 1)
+        if len(data) <= MAX_FILE:
+            return read_map3d(data)
+    except OSError as err:
+        raise StoreError(f"cannot read {path}: {err.strerror}") from None
+    except StoreError as err:
+        raise StoreError(f"{path}: {err}") from None
+    raise StoreError(f"{path} has more than {MAX_FILE} bytes")
 
 
 def places_writes(places: Places, extras: Extras) -> list[Write[Any]]:
@@ -72,7 +94,7 @@ def import_at_start(store: Store, section: StoreSection) -> None:
             continue
         try:
             writes = read_files(path)
-            if key == "maps" and writes:
+            if key == "maps" and writes and writes[0].kind is MAP:
                 writes.append(Write(CURRENT, THE_MAP, writes[0].name))
             changes: dict[Key, Body | None] = {
                 (each.kind.name, check_name(each.name)): each.kind.encode(each.name, each.value)

@@ -19,6 +19,7 @@ from bridge.stores.kinds import (
     LINK,
     LOCATION,
     MAP,
+    MAP3D,
     OBJECT,
     PATH,
     ValueKind,
@@ -31,6 +32,9 @@ from tests.support.wait import until
 from yarp_compat.dev.extras import AreaBehaviour, MapLink
 from yarp_compat.dev.locations import Map2DArea, Map2DLocation, Map2DObject, Map2DPath
 from yarp_compat.dev.mapgrid import MapGrid2D
+from yarp_compat.octomap import Octomap
+from yarp_compat.octree import OcTree
+from yarp_compat.sig.pointcloud import LAYOUTS, PointCloud, PointType
 from yarp_compat.sig.vec2d import Vec2D
 
 KITCHEN = Map2DLocation("m1", 1.0, 2.5, 90.0, 'the "kitchen", große')
@@ -47,6 +51,9 @@ def grid(name: str = "m1", seed: int = 1, shape: tuple[int, int] = (30, 20)) -> 
 
 VALUES: list[tuple[ValueKind[Any], Any]] = [
     (MAP, grid()),
+    (MAP3D, Octomap.of(OcTree.of([[32_768, 7, 9]], [1.5], [14], resolution=0.05))),
+    (MAP3D, Octomap.of(OcTree.of([[32_768, 7, 9]], [1.5], [14], resolution=0.05), binary=True)),
+    (MAP3D, PointCloud.of(np.ones((2, 3), LAYOUTS[PointType.XYZ_I]))),
     (LOCATION, KITCHEN),
     (AREA, Map2DArea("m1", CORNERS, "hall")),
     (BEHAVIOUR, AreaBehaviour(max_speed=0.2, on_obstacle="wait")),
@@ -192,6 +199,10 @@ HEAD = {"midspan": "map", "version": 1, "width": 30, "height": 20, "resolution":
         (MAP, json.dumps({**HEAD, "occupancy": 10**9, "flags": 0}).encode() + b"\n"),
         (MAP, json.dumps({**HEAD, "occupancy": 1, "flags": 1}).encode() + b"\nxx"),
         (MAP, json.dumps({**HEAD, "version": 2}).encode() + b"\n"),
+        (MAP3D, b""),
+        (MAP3D, b"# Octomap OcTree binary file\nid OcTree\nsize 2\nres 0.1\ndata\n\x03\x00"),
+        (MAP3D, b"# Octomap OcTree file\nid OcTree\nsize 18\nres 0.1\ndata\n" + b"\0\0\0\0\1" * 17 + bytes(5)),
+        (MAP3D, b"ply\nformat ascii 1.0\nelement vertex 100000000\nproperty float x\nend_header\n"),
     ],
 )
 def test_a_body_that_is_none_is_refused(kind: ValueKind[Any], body: bytes) -> None:

@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 import argparse
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 from bridge.cli.arguments import add_verb
 from bridge.cli.maps.store import named_map, open_stored
 from bridge.cli.output import CliError, clean
-from bridge.stores.kinds import AREA, BEHAVIOUR, CURRENT, LINK, LOCATION, MAP, OBJECT, PATH
-from bridge.stores.service import read_files
+from bridge.stores.kinds import AREA, BEHAVIOUR, CURRENT, LINK, LOCATION, MAP, MAP3D, OBJECT, PATH
+from bridge.stores.service import FORMS_3D, read_files
 from bridge.stores.store import THE_MAP, Write
 from yarp_compat.dev.exports import to_geojson, to_waypoints
 from yarp_compat.dev.extras import Extras, extras_file
@@ -23,7 +24,8 @@ def register_map_files(verbs: Any) -> None:
     come = add_verb(
         verbs, "import", _import_maps, "bring maps and places from files into the store",
         "Reads maps of YARP (.map) and of ROS (.yaml with its image), collections (maps_collection.ini), and locations,"
-        " areas, paths and objects (locations.ini) with their extras (locations_extras.ini). Imports all or nothing.",
+        " areas, paths and objects (locations.ini) with their extras (locations_extras.ini), and maps in three"
+        " dimensions: octomaps (.bt, .ot) and clouds (.pcd, .ply). Imports all or nothing.",
         example="midspan map import house.yaml --use",
     )  # fmt: skip
     come.add_argument("files", nargs="+", type=Path, metavar="FILE", help="the files")
@@ -32,21 +34,24 @@ def register_map_files(verbs: Any) -> None:
     come.add_argument("--use", action="store_true", help="the first map is in use from now on")
     go = add_verb(
         verbs, "export", _export_maps, "write a map, or all of them, to files",
-        "Writes a map for YARP (.map, with its images) or for ROS (.yaml), or all maps as YARP's collection (.ini).",
+        "Writes a map for YARP (.map, with its images) or for ROS (.yaml), or all maps as YARP's collection (.ini); one"
+        " in three dimensions as .bt, .ot, .pcd or .ply. A cloud of an octomap is the centres of what is occupied.",
         example="midspan map export house.yaml house --image png",
     )  # fmt: skip
-    go.add_argument("file", type=Path, metavar="FILE", help="where to: .map, .yaml or .ini")
+    go.add_argument("file", type=Path, metavar="FILE", help="where to: .map, .yaml, .ini, .bt, .ot, .pcd or .ply")
     go.add_argument("name", nargs="?", help="which map (default: the one in use)")
     go.add_argument("--image", choices=("pgm", "png", "bmp"), default="pgm", help="form of the image beside a .yaml")
+    go.add_argument("--resolution", type=float, metavar="METRES", default=0.05, help="cells of an octomap of a cloud")
 
 
 def _import_maps(args: argparse.Namespace) -> int:
     writes = [write for file in args.files for write in read_files(file)]
-    maps = [write for write in writes if write.kind is MAP]
     if args.name is not None:
-        if len(maps) != 1:
-            raise CliError(f"--name names one map, and the files have {len(maps)}")
-        writes[writes.index(maps[0])] = maps[0] = Write(MAP, args.name, maps[0].value)
+        named = [place for place, write in enumerate(writes) if write.kind in (MAP, MAP3D)]
+        if len(named) != 1:
+            raise CliError(f"--name names one map, and the files have {len(named)}")
+        writes[named[0]] = replace(writes[named[0]], name=args.name)
+    maps = [write for write in writes if write.kind is MAP]
     if args.use:
         if not maps:
             raise CliError("--use needs a map, and the files have none")
@@ -66,6 +71,10 @@ def _import_maps(args: argparse.Namespace) -> int:
 
 
 def _export_maps(args: argparse.Namespace) -> int:
+    if args.file.suffix.lower() in FORMS_3D:
+        from bridge.cli.maps.map3d import export
+
+        return export(args)
     with open_stored(args) as (_, stored):
         if args.file.suffix.lower() == ".ini":
             if args.name is not None:
@@ -76,7 +85,7 @@ def _export_maps(args: argparse.Namespace) -> int:
             return 0
         grid = named_map(stored, args.name)
     if args.file.suffix.lower() not in (".map", ".yaml", ".yml"):
-        raise CliError(f"{args.file} says no form: give it .map (YARP), .yaml (ROS) or .ini (a collection)")
+        raise CliError(f"{args.file} says no form: give it .map (YARP), .yaml (ROS), .ini or one of 3D")
     _save(lambda: grid.save(args.file, **({} if args.file.suffix.lower() == ".map" else {"image": args.image})))
     print(f"{clean(grid.name)} to {args.file}")
     return 0

@@ -1,4 +1,4 @@
-"""``midspan map``: list, use, show, import, export and edit-flags of the maps in the store."""
+"""``midspan map``: list, use, show, import, export, delete and edit-flags of the maps in the store."""
 
 from __future__ import annotations
 
@@ -9,10 +9,11 @@ import numpy as np
 from rich.table import Table
 
 from bridge.cli.arguments import add_verb, add_verbs
-from bridge.cli.maps import files, flags, show
-from bridge.cli.maps.store import open_stored
-from bridge.cli.output import clean, make_console, print_json
-from bridge.stores.kinds import MAP
+from bridge.cli.maps import files, flags, map3d, show
+from bridge.cli.maps.store import missing, open_stored
+from bridge.cli.output import CliError, clean, make_console, print_json
+from bridge.stores.kinds import MAP, MAP3D
+from bridge.stores.store import Write
 from yarp_compat.dev.mapgrid import MapFlag, MapGrid2D
 
 
@@ -26,14 +27,23 @@ def register(parser: argparse.ArgumentParser) -> None:
     show.register(verbs)
     files.register_map_files(verbs)
     flags.register(verbs)
+    gone = add_verb(verbs, "delete", _delete, "delete a map", "Deletes a map from the store, on all machines.")
+    gone.add_argument("name", help="the map's name")
+    gone.add_argument("--3d", dest="three", action="store_true", help="the one in three dimensions")
 
 
 def _list(args: argparse.Namespace) -> int:
     with open_stored(args) as (_, stored):
         maps, current = stored.all(MAP), stored.current_map()
+        others = [map3d.described(name, value) for name, value in stored.all(MAP3D).items()]
     rows = [_row(name, grid, current) for name, grid in maps.items()]
     if args.json:
+        rows += others
         print_json(rows)
+        return 0
+    for other in others:
+        print(map3d.line(other))
+    if not rows and others:
         return 0
     if not rows:
         print("no map is stored; 'midspan map import FILE' brings one in")
@@ -60,6 +70,16 @@ def _use(args: argparse.Namespace) -> int:
     with open_stored(args) as (_, stored):
         stored.use_map(args.name)
     print(f"{clean(args.name)} is in use")
+    return 0
+
+
+def _delete(args: argparse.Namespace) -> int:
+    kind = MAP3D if args.three else MAP
+    with open_stored(args) as (_, stored):
+        if args.name not in stored.names(kind):
+            raise CliError(missing(kind.name, args.name, stored.names(kind)))
+        stored.write([Write(kind, args.name, None)])
+    print(f"{clean(args.name)} is deleted")
     return 0
 
 

@@ -31,6 +31,7 @@ def register(verbs: Any) -> None:
         example="midspan map show house --png house.png",
     )  # fmt: skip
     parser.add_argument("name", nargs="?", help="which map (default: the one in use)")
+    parser.add_argument("--3d", dest="three", action="store_true", help="say what the one in three dimensions is")
     add_drawing_arguments(parser)
 
 
@@ -46,6 +47,10 @@ def run(args: argparse.Namespace) -> int:
     from bridge.cli.maps.store import named_map, open_stored
     from bridge.stores.kinds import AREA, LOCATION
 
+    if args.three:
+        from bridge.cli.maps.map3d import show
+
+        return show(args)
     with open_stored(args) as (_, stored):
         grid = named_map(stored, args.name)
         locations = {name: place for name, place in stored.all(LOCATION).items() if place.map_id == grid.name}

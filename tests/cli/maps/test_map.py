@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+import subprocess
 import threading
 import time
 from collections.abc import Iterator
@@ -17,7 +18,7 @@ from PIL import Image
 from bridge.cli.maps import drawing, location
 from bridge.cli.maps.drawing import AREA_COLOUR, draw
 from bridge.messages.registry import Registry
-from bridge.stores.kinds import AREA, BEHAVIOUR, LINK, LOCATION, MAP, PATH
+from bridge.stores.kinds import AREA, BEHAVIOUR, LINK, LOCATION, MAP, MAP3D, PATH
 from bridge.stores.store import Store
 from bridge.tf.stamped import TF, TF_TYPE, Stamped, write
 from tests.cli.conftest import Midspan
@@ -25,10 +26,14 @@ from tests.cli.test_docs import examples
 from tests.cli.workers import EngineWorker
 from tests.stores.parts import Shared
 from tests.support.hub import HubNetwork
+from tests.support.missing import OCTOMAP, needs
+from tests.yarp_compat.test_octree import a_tree
 from yarp_compat.dev.extras import AreaBehaviour, MapLink
 from yarp_compat.dev.locations import Map2DArea, Map2DLocation, Map2DPath
 from yarp_compat.dev.mapgrid import MapFlag, MapGrid2D
 from yarp_compat.dev.places import Places
+from yarp_compat.octomap import Octomap
+from yarp_compat.sig.cloudfile import load_cloud
 from yarp_compat.sig.vec2d import Vec2D
 
 AREA_EXAMPLE = Map2DArea("house", [Vec2D(1.0, 1.0), Vec2D(2.0, 1.0), Vec2D(2.0, 2.0)], "zone")
@@ -97,6 +102,42 @@ def test_the_examples_work(midspan: Midspan, store: Store) -> None:
     assert set(Places.load("locations.ini").locations) == {"dock", "kitchen"}
     names = {each["properties"]["name"] for each in json.loads(Path("house.geojson").read_text())["features"]}
     assert names == {"dock", "kitchen"}
+
+
+@needs(OCTOMAP)
+def test_maps_in_three_dimensions_come_and_go(midspan: Midspan, store: Store) -> None:
+    """What OctoMap's own program wrote comes in, and it reads what goes out."""
+    Octomap.of(a_tree(2).pruned()).save("ours.ot")
+    subprocess.run(["convert_octree", "ours.ot", "house.bt"], check=True, capture_output=True, timeout=60)
+    assert midspan("map", "import", "house.bt").out == "map3d house\n"
+    assert midspan("map", "import", "house.bt").err
+    assert midspan("map", "export", "again.bt", "house").code == 0
+    assert Path("again.bt").read_bytes() == Path("house.bt").read_bytes()
+    assert midspan("map", "export", "house.ot").code == 0
+    subprocess.run(["convert_octree", "house.ot", "theirs.bt"], check=True, capture_output=True, timeout=60)
+    assert Path("theirs.bt").read_bytes() == Path("house.bt").read_bytes()
+    shown = midspan("map", "show", "--3d", "house").out
+    occupied = int(Octomap.load("house.bt").voxels().occupied.sum())
+    assert f"{occupied} occupied (free or occupied), cells of 0.1 m; -1.2" in shown
+    assert shown in midspan("map", "list").out
+    for file in ("house.ply", "house.pcd"):
+        assert midspan("map", "export", file).code == 0
+        assert load_cloud(file).size() == occupied
+    assert midspan("map", "import", "house.pcd", "--name", "cloud").code == 0
+    assert store.names(MAP3D) == ["cloud", "house"]
+    assert "which one? there are 2" in midspan("map", "export", "x.bt").err
+    assert midspan("map", "export", "cloud.ot", "cloud", "--resolution", "0.1").code == 0
+    assert midspan("map", "delete", "house", "--3d").out == "house is deleted\n"
+    assert "there is no map3d 'house'; there is cloud" in midspan("map", "delete", "house", "--3d").err
+    listed = json.loads(midspan("map", "list", "--json").out)
+    assert [(each["name"], each["form"], each["points"]) for each in listed] == [("cloud", "cloud", occupied)]
+
+
+def test_a_bad_map_in_three_dimensions_is_refused_by_name_and_field(midspan: Midspan, store: Store) -> None:
+    Path("bad.bt").write_bytes(Octomap.of(a_tree(1), binary=True).bt()[:-1])
+    told = midspan("map", "import", "bad.bt").err
+    assert "bad.bt: data: cut off after" in told
+    assert not store.names(MAP3D)
 
 
 def test_all_kinds_are_listed_and_removed(midspan: Midspan, store: Store) -> None:

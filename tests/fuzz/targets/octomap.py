@@ -1,4 +1,4 @@
-"""Octomaps: streams and files of octrees, as messages, stores and folders bring them."""
+"""Octomaps, streams and files, and clouds in files, as messages, stores and folders bring them."""
 
 from __future__ import annotations
 
@@ -44,4 +44,31 @@ def _octomap() -> Subject:
     return Subject(parse, seeds, (OctreeError,), words)
 
 
-TARGETS = (Target("octomap", 10_000, _octomap),)
+def _cloud() -> Subject:
+    """A file of a cloud: what is taken comes back from what is written of it."""
+    import numpy as np
+
+    from yarp_compat.sig.cloudfile import CloudFileError, read_cloud, write_pcd, write_ply
+    from yarp_compat.sig.pointcloud import LAYOUTS, PointCloud
+
+    def parse(data: bytes) -> None:
+        cloud = read_cloud(data)
+        written = write_pcd(cloud)
+        again = read_cloud(written)
+        assert write_pcd(again) == written
+        assert (again.size(), again.getPointType()) == (cloud.size(), cloud.getPointType())
+
+    spatial = [
+        PointCloud.of(np.zeros(3, form)) for form in LAYOUTS.values() if {"x", "y", "z"} <= set(form.names or ())
+    ]
+    seeds = [write(cloud) for cloud in spatial for write in (write_pcd, write_ply)]
+    seeds.append(write_pcd(spatial[0]).partition(b"DATA")[0] + b"DATA ascii\n1 2 3\nnan 0 1e9\n4 5 6\n")
+    words = [
+        b"FIELDS x y z _", b"SIZE 4 4 4 1", b"TYPE F F F U", b"COUNT 1 1 1 16", b"WIDTH 4294967295", b"HEIGHT 0",
+        b"property list uchar int v", b"format binary_big_endian 1.0", b"format ascii 1.0", b"element vertex 9999999",
+        b"\n", b"1e999", b"nan",
+    ]  # fmt: skip
+    return Subject(parse, seeds, (CloudFileError,), words)
+
+
+TARGETS = (Target("octomap", 10_000, _octomap), Target("cloud_file", 10_000, _cloud))
