@@ -51,6 +51,7 @@ KINDS: dict[str, str] = {
     "localization_server": "navigation.localization_server.module:LocalizationServer",
     "map2d_server": "navigation.map2d_server.module:Map2DServer",
     "mapper2d": "navigation.mapper2d.module:Mapper2D",
+    "mapper3d": "navigation.mapper3d.module:Mapper3D",
     "robot_goto": "navigation.robot_goto.module:RobotGoto",
     "robot_path_planner": "navigation.robot_path_planner.module:RobotPathPlanner",
     "transform_server": "bridge.tf.server.module:TransformServer",

@@ -15,6 +15,7 @@ from bridge.config.model import Config
 from bridge.config.problems import all_keys
 from bridge.config.sections.base_control import BaseInput
 from bridge.config.sections.control_boards import ControlBoardSection
+from bridge.config.sections.mapper3d import DepthSource
 from bridge.config.sections.modules import OwnModule
 from bridge.config.sections.navigation import Planner
 from bridge.config.sections.planners import ObstacleSection
@@ -26,7 +27,7 @@ from bridge.config.sections.zenoh import Dialect, DialectKey
 ROOT = Path(__file__).parents[2]
 ENTRIES = (
     Rule, ParameterRule, QosOverride, Dialect, DialectKey, TopicPort, ServicePort, OwnModule, BaseInput, Planner,
-    OtherRobot, ControlBoardSection, ObstacleSection,
+    OtherRobot, ControlBoardSection, ObstacleSection, DepthSource,
 )  # fmt: skip
 """Of lists of sections."""
 CONFIGS = sorted((ROOT / "configs").glob("*.yaml"))
@@ -52,6 +53,7 @@ def test_example_has_every_key_and_loads_to_the_defaults() -> None:
             ("modules", "base_control", "inputs"),
             ("modules", "control_boards", "boards"),
             ("modules", "map2d_server", "take"),
+            ("modules", "mapper3d", "depth"),
             ("modules", "robot_goto", "obstacles"),
             ("modules", "robot_path_planner", "obstacles"),
             ("navigation", "planners"),

@@ -10,6 +10,7 @@ from pydantic import Field, model_validator
 from bridge.config.sections.base_control import BaseControlSection
 from bridge.config.sections.control_boards import ControlBoardsSection
 from bridge.config.sections.localization_server import LocalizationServerSection
+from bridge.config.sections.mapper3d import Mapper3DSection
 from bridge.config.sections.maps import Map2DServerSection, Mapper2DSection
 from bridge.config.sections.planners import RobotGotoSection, RobotPathPlannerSection
 from bridge.config.sections.section import (
@@ -80,6 +81,9 @@ class ModulesSection(Section):
     )
     mapper2d: Mapper2DSection = subsection(
         Mapper2DSection, "Makes a map from a laser and a known pose; see docs/navigation/mapper2d.md."
+    )
+    mapper3d: Mapper3DSection = subsection(
+        Mapper3DSection, "Makes an octree of clouds and depth images; see docs/navigation/mapper3d.md."
     )
     robot_goto: RobotGotoSection = subsection(
         RobotGotoSection, "Drives to a goal by laser and frames alone; see docs/navigation/robot_goto.md."

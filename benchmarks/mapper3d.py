@@ -1,0 +1,131 @@
+"""Mapper3D: a depth image becomes the tree that octomap makes of the same points, several times as fast.
+
+The camera of a RealSense D435's field of view stands and turns in a room with tables, and its depth has noise. Ours is
+all that the module does with an image that has come: depth to points, points to the map, rays, odds, and what has gone
+at its rate. The peer is ``insertPointCloud`` of the same points, on the map, alone, with ``discretize``;
+that the trees are equal is tested. `make bench-peers` installs the peer.
+"""
+
+from __future__ import annotations
+
+import argparse
+import importlib
+import math
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+if not __package__:  # run as a file
+    sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+
+from benchmarks.rows import Row, add_json_option, need_peers, report
+from bridge.config.sections.mapper3d import Mapper3DSection
+from navigation.mapper3d.depth import Camera, Rays
+from navigation.mapper3d.space import OPTICAL, Seat, Space, View
+
+WIDTH, HEIGHT, RATE = 640, 480, 5.0
+FOCUS = WIDTH / 2 / math.tan(math.radians(87.0) / 2)
+CAMERA = Camera(WIDTH, HEIGHT, FOCUS, FOCUS, WIDTH / 2 - 0.5, HEIGHT / 2 - 0.5)
+MOST = 0.4
+"""Of a core, at ``RATE`` images a second."""
+
+
+def seat(turn: float) -> Seat:
+    """A camera 1 m above the floor, turned to the left by radians and 15 degrees downwards."""
+    down = math.radians(15.0)
+    pitch = np.array([[math.cos(down), 0, math.sin(down)], [0, 1, 0], [-math.sin(down), 0, math.cos(down)]])
+    yaw = np.array([[math.cos(turn), -math.sin(turn), 0], [math.sin(turn), math.cos(turn), 0], [0, 0, 1]])
+    return Seat(yaw @ pitch @ OPTICAL, (0.11, 0.07, 1.02))
+
+
+def depth(at: Seat, size: float, rng: np.random.Generator) -> NDArray[np.float32]:
+    """What the camera sees of a room of so many metres a side, 2.6 m high, with two tables."""
+    u, v = np.meshgrid(np.arange(WIDTH), np.arange(HEIGHT))
+    ways = np.stack(((u - CAMERA.cx) / CAMERA.fx, (v - CAMERA.cy) / CAMERA.fy, np.ones_like(u, float)), -1) @ at.turn.T
+    found = np.full(u.shape, np.inf)
+    origin = np.array(at.origin)
+    tables = [((1.2, -0.9), (2.0, 0.9)), ((-1.5, 0.8), (-0.8, 1.6))]
+    surfaces: list[tuple[int, float, Any]] = [(axis, way * size / 2, None) for axis in (0, 1) for way in (-1.0, 1.0)]
+    surfaces += [(2, 0.0, None), (2, 2.6, None), *((2, 0.74, table) for table in tables)]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        for axis, place, within in surfaces:
+            there = (place - origin[axis]) / ways[..., axis]
+            hit = (there > 0.0) & (there < found)
+            if within is not None:
+                spot = (origin + ways * there[..., None])[..., :2]
+                hit &= ((spot > within[0]) & (spot < within[1])).all(-1)
+            found = np.where(hit, there, found)
+    noise = rng.normal(0.0, 0.001, found.shape) * found**2
+    return np.asarray(found + noise, np.float32)
+
+
+def images(count: int, size: float) -> list[tuple[Seat, NDArray[np.float32]]]:
+    """So many images of a camera that turns."""
+    rng = np.random.default_rng(0)
+    seats = [seat(0.1 * index) for index in range(count)]
+    return [(each, depth(each, size, rng)) for each in seats]
+
+
+def placed(at: Seat, seen: NDArray[np.float32], every: int) -> NDArray[np.float64]:
+    """The points of an image on the map."""
+    points = Rays(every).points(seen, CAMERA)
+    return (points @ at.turn.T.astype(np.float32) + np.array(at.origin, np.float32)).astype(np.float64)
+
+
+def ours(taken: list[tuple[Seat, NDArray[np.float32]]], settings: Mapper3DSection) -> float:
+    """Milliseconds of processor time an image."""
+    space, rays = Space(settings), Rays(settings.pixels)
+    begin = time.process_time()
+    for index, (at, seen) in enumerate(taken):
+        space.take(rays.points(seen, CAMERA), at, View(OPTICAL, CAMERA.view), index / RATE)
+    return 1000.0 * (time.process_time() - begin) / len(taken)
+
+
+def octomaps(taken: list[tuple[Seat, NDArray[np.float32]]], settings: Mapper3DSection) -> float:
+    """The same of the peer, whose points are on the map already."""
+    tree = importlib.import_module("pyoctomap").OcTree(settings.resolution)
+    clouds = [(placed(at, seen, settings.pixels), np.array(at.origin)) for at, seen in taken]
+    begin = time.process_time()
+    for points, origin in clouds:
+        tree.insertPointCloud(points, origin, max_range=settings.farthest, discretize=True)
+    return 1000.0 * (time.process_time() - begin) / len(taken)
+
+
+def layer(taken: list[tuple[Seat, NDArray[np.float32]]], settings: Mapper3DSection) -> float:
+    """Milliseconds of a layer of all that was seen."""
+    space, rays = Space(settings), Rays(settings.pixels)
+    for at, seen in taken:
+        space.take(rays.points(seen, CAMERA), at, View(OPTICAL, CAMERA.view), 0.0)
+    begin = time.process_time()
+    for _ in range(10):
+        space.layer((0.0, 0.0, 0.0))
+    return 100.0 * (time.process_time() - begin)
+
+
+def main() -> int:
+    """Measure and report."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--images", type=int, default=30, help="of each room")
+    parser.add_argument("--rooms", type=float, nargs="+", default=[5.0, 10.0], metavar="METRES")
+    add_json_option(parser)
+    args = parser.parse_args()
+    need_peers("pyoctomap")
+    rows = []
+    for size in args.rooms:
+        taken = images(args.images, size)
+        for every in (1, 2):
+            settings = Mapper3DSection(pixels=every, forget_after=30.0)
+            case, cost = f"room of {size:g} m, {WIDTH // every} x {HEIGHT // every}", ours(taken, settings)
+            rows.append(Row(f"{case}, octomap", cost, octomaps(taken, settings), "ms"))
+            rows.append(Row(f"{case}, at {RATE:g} Hz", 0.1 * cost * RATE, 100.0 * MOST, "% core"))
+        rows.append(Row(f"room of {size:g} m, layer", layer(taken, Mapper3DSection()), 1000.0 * MOST / RATE, "ms"))
+    report(rows, args.json)
+    return 0
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

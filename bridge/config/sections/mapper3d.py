@@ -1,0 +1,96 @@
+"""The section ``modules.mapper3d``: the octree of clouds and depth images, and what of it the robot would touch."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Literal
+
+from pydantic import Field, model_validator
+
+from bridge.config.sections.section import (
+    FrameName,
+    ModuleSection,
+    OptionalTopic,
+    Section,
+    TopicName,
+    differ,
+    matching,
+    setting,
+    subsection,
+)
+
+_Prefix = Annotated[str, matching(r"(?:/[A-Za-z0-9_.-]+)+", "is not a prefix of port names: write it as /mapper3D")]
+
+
+class DepthSource(Section):
+    """A depth camera."""
+
+    image: TopicName = Field(description="Topic of its depth images (`sensor_msgs/msg/Image`, `32FC1` or `16UC1`).")
+    info: TopicName = Field(description="Topic of its `sensor_msgs/msg/CameraInfo`, of the depth images' pixels.")
+
+
+class LayerSection(Section):
+    """The layer: what decides where the robot may drive."""
+
+    topic: OptionalTopic = setting(
+        "/mapper3d/layer", 'Topic of the layer (`nav_msgs/msg/OccupancyGrid`, latched); "": none.'
+    )
+    period: float = setting(
+        0.5, "Seconds between two changes of the layer that are published, at least.", ge=0.05, le=60
+    )
+    height: float = setting(
+        1.5, "Metres of the robot above the floor: under what hangs higher it fits.", gt=0.0, le=10.0
+    )
+    width: float = setting(0.5, "Metres of the robot across: it stands on floor of this width.", gt=0.0, le=10.0)
+    step: float = setting(0.02, "Metres of the highest step that its wheels take.", ge=0.0, le=1.0)
+    margin: float = setting(0.05, "Metres that it needs free above itself.", ge=0.0, le=2.0)
+    slope: float = setting(8.0, "Degrees of the steepest ramp that it takes.", ge=0.0, le=45.0)
+    largest: float = setting(40.0, "Metres of the layer's sides at most, about the robot.", ge=1.0, le=400.0)
+    name: str = setting("layer", "Its name among the maps of the store.", min_length=1, max_length=64)
+
+
+class Mapper3DSection(ModuleSection):
+    """The mapper of space."""
+
+    mapping: bool = setting(True, "Whether it maps from the start, or only after `start`.")
+    map_name: str = setting("map", "The map's name in the store of 3D maps.", min_length=1, max_length=64)
+    clouds: tuple[TopicName, ...] = setting((), "Topics of clouds (`sensor_msgs/msg/PointCloud2`).")
+    depth: tuple[DepthSource, ...] = setting((), "Depth cameras.")
+    pixels: int = setting(
+        1, "Of depth images every so manieth pixel of each row and column is taken: 2 takes a quarter.", ge=1, le=32
+    )
+    sync: float = setting(0.1, "Seconds by which an image and its `CameraInfo` may differ.", ge=0.0, le=10.0)
+    resolution: float = setting(0.05, "Metres of a voxel.", ge=0.005, le=1.0)
+    nearest: float = setting(0.1, "Metres within which points are left out, such as those of the robot.", ge=0.0, le=10)
+    farthest: float = setting(4.0, "Metres to which rays are believed.", gt=0.0, le=100.0)
+    forget_after: float = setting(
+        0.0,
+        "Seconds after which what is in plain sight, and is not seen there any more, is forgotten; 0: never.",
+        ge=0.0,
+    )
+    memory: int = setting(256, "Megabytes (1,048,576 bytes) that the map may have.", ge=1, le=65536)
+    when_full: Literal["stop", "forget"] = setting(
+        "stop", "Then: `stop` leaves out what is new; `forget` gives up what is farthest from the sensor."
+    )
+    layer: LayerSection = subsection(LayerSection, "What the robot would touch, as a grid.")
+    map_frame: FrameName = setting("map", "The map's frame. Without a localiser, `odom` maps by odometry alone.")
+    odom_frame: FrameName = setting("odom", "The odometry's frame.")
+    base_frame: FrameName = setting("base_link", "The robot's frame, on the floor between its wheels.")
+    octomap: bool = setting(
+        True, "Whether it serves the topics and services of `octomap_server`, while others want them."
+    )
+    period: float = setting(2.0, "Seconds between two octomaps that are published, at least.", ge=0.1, le=600.0)
+    keep: bool = setting(
+        False, "Whether the map is kept in the module's state folder, and gone on with at the next start."
+    )
+    folder: Path | None = setting(
+        None, "The only folder in which clients may save and load; default `maps` in the module's state folder."
+    )
+    prefix: _Prefix = setting("/mapper3D", "Prefix of its YARP ports.")
+
+    @model_validator(mode="after")
+    def _sees(self) -> Mapper3DSection:
+        differ([*self.clouds, *(source.image for source in self.depth)], "two sources have the topic")
+        if self.nearest >= self.farthest:
+            raise ValueError(f"nearest ({self.nearest:g} m) is not nearer than farthest ({self.farthest:g} m)")
+        return self

@@ -1,0 +1,46 @@
+"""A real rclpy program publishes a cloud; a real rospy program hears the layer, and saves it."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from navigation.mapper3d.octomaps import cloud_message
+from tests.interop.deployment import Deployment
+from tests.interop.test_maps import asked
+from tests.support.wait import until
+
+
+def test_a_cloud_of_ros2_is_a_layer_on_ros1(deployment: Deployment) -> None:
+    section = {"enabled": True, "clouds": ["/camera/points"], "map_frame": "odom", "layer": {"period": 0.1}}
+    deployment.start(modules={"mapper3d": section})
+    ros2, ros1 = deployment.ros2(), deployment.ros1()
+    cloud = ros2.advertise("/camera/points", "sensor_msgs/PointCloud2")
+    static = ros2.advertise("/tf_static", "tf2_msgs/TFMessage", latched=True)
+    stands = {"translation": {"x": 0.0, "y": 0.0, "z": 0.0}, "rotation": {"x": 0.0, "y": 0.0, "z": 0.0, "w": 1.0}}
+    frame = {"header": {"frame_id": "odom"}, "child_frame_id": "base_link", "transform": stands}
+    ros2.publish(static, {"transforms": [frame]})
+    layers = ros1.subscribe("/mapper3d/layer", "nav_msgs/OccupancyGrid")
+    x, y = np.meshgrid(np.arange(0.5, 2.5, 0.04), np.arange(-0.9, 0.9, 0.04))
+    floor = np.stack((x, y, np.full(x.shape, -0.01)), -1).reshape(-1, 3)
+    top = floor[(np.abs(floor[:, 0] - 2.0) < 0.3) & (np.abs(floor[:, 1]) < 0.4)] + np.array([0.0, 0.0, 0.75])
+    points = np.concatenate([floor, top]).astype(np.float32)
+    message: dict[str, Any] = cloud_message({"frame_id": "base_link"}, points)
+    message["data"] = message["data"].tolist()
+
+    def heard() -> bool:
+        ros2.publish(cloud, message)
+        found = ros1.wait(layers, 1, 1.0, 0)
+        return bool(found) and value(found[-1], 2.0, 0.0) == 100 and value(found[-1], 1.0, 0.8) == 0
+
+    until(heard, "the table is in the layer", 60, 0.1)
+    assert asked(ros1, "/mapper3d/save", "std_srvs/Trigger")["message"] == "Layer layer saved into the store."
+
+
+def value(message: dict[str, Any], x: float, y: float) -> int:
+    """A cell of a layer; -1 beyond it."""
+    info, origin = message["info"], message["info"]["origin"]["position"]
+    column, row = int((x - origin["x"]) / info["resolution"]), int((y - origin["y"]) / info["resolution"])
+    inside = 0 <= column < info["width"] and 0 <= row < info["height"]
+    return int(message["data"][row * info["width"] + column]) if inside else -1

@@ -1,0 +1,282 @@
+"""Mapper3D on a hub: depth images and clouds in; a layer, a map and files out."""
+
+from __future__ import annotations
+
+import base64
+import time
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+import pytest
+
+from bridge.config.model import Config
+from bridge.stores.kinds import MAP
+from navigation.clouds import MOST_POINTS, read_points
+from navigation.mapper3d.octomaps import cloud_message
+from tests.modules.place import Place
+from tests.support.wait import until
+from yarp_compat.dev.mapflag import MapFlag
+from yarp_compat.naming import connections
+from yarp_compat.naming.server import NameServer
+from yarp_compat.octomap import Octomap
+from yarp_compat.octree import OcTree
+from yarp_compat.pythonic import Client
+
+OPTICAL = {"x": -0.5, "y": 0.5, "z": -0.5, "w": 0.5}  # ahead is x, from 1 m above the floor
+WIDTH, HEIGHT, FOCUS = 64, 48, 40.0
+
+
+def settings(**more: Any) -> dict[str, Any]:
+    found = {"enabled": True, "clouds": ["/cloud"], "depth": [{"image": "/depth", "info": "/info"}], "period": 0.1}
+    return {**found, "map_frame": "odom", "layer": {"period": 0.1}, "keep": True, **more}
+
+
+@pytest.fixture(scope="module")
+def place(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Place]:
+    with Place(tmp_path_factory.mktemp("place")) as made:
+        server = NameServer(port=made.port, gc_seconds=0)
+        server.open()
+        made.worker.start(made.config(modules={"mapper3d": settings()}))
+        until(lambda: connections.exists(made.names, "/mapper3D/rpc"), "the port is registered", 30)
+        yield made
+        made.worker.stop()
+        server.close()
+
+
+class Robot:
+    """A robot with a camera, that says what it sees until something is so."""
+
+    def __init__(self, place: Place) -> None:
+        far = place.far
+        self.place, self.far = place, far
+        self.frames = far.advertise("/tf", "tf2_msgs/TFMessage")
+        self.static = far.advertise("/tf_static", "tf2_msgs/TFMessage", latched=True)
+        self.cloud = far.advertise("/cloud", "sensor_msgs/PointCloud2")
+        self.depth = far.advertise("/depth", "sensor_msgs/Image")
+        self.info = far.advertise("/info", "sensor_msgs/CameraInfo")
+        far.publish(self.static, {"transforms": [self._transform("base_link", "camera", 1.0, OPTICAL, {"sec": 1})]})
+
+    @staticmethod
+    def _transform(parent: str, child: str, z: float, turn: dict[str, float], stamp: dict[str, int]) -> dict[str, Any]:
+        place = {"translation": {"z": z}, "rotation": turn}
+        return {"header": {"stamp": stamp, "frame_id": parent}, "child_frame_id": child, "transform": place}
+
+    def stamp(self) -> dict[str, int]:
+        """Say where the robot is now; the time of it."""
+        now = time.time_ns()
+        stamp = {"sec": now // 10**9, "nanosec": now % 10**9}
+        self.far.publish(self.frames, {"transforms": [self._transform("odom", "base_link", 0.0, {"w": 1.0}, stamp)]})
+        return stamp
+
+    def see_cloud(self, points: np.ndarray, **changed: Any) -> None:
+        header = {"stamp": self.stamp(), "frame_id": "base_link"}
+        self.far.publish(self.cloud, {**cloud_message(header, points.astype(np.float32)), **changed})
+
+    def see_depth(self, depth: np.ndarray, info: bool = True) -> None:
+        header = {"stamp": self.stamp(), "frame_id": "camera"}
+        k = [FOCUS, 0.0, WIDTH / 2, 0.0, FOCUS, HEIGHT / 2, 0.0, 0.0, 1.0]
+        millimetres = (depth * 1000).astype("<u2")
+        image = {"width": WIDTH, "height": HEIGHT, "encoding": "16UC1", "step": 2 * WIDTH}
+        self.far.publish(self.depth, {"header": header, **image, "data": millimetres.view(np.uint8).reshape(-1)})
+        if info:
+            self.far.publish(self.info, {"header": header, "width": WIDTH, "height": HEIGHT, "k": k})
+
+
+def asked(place: Place, *words: Any) -> Any:
+    with Client("/mapper3D/rpc", naming=place.names) as client:
+        return client.ask(list(words))
+
+
+def triggered(place: Place, word: str) -> dict[str, Any]:
+    return place.far.call(f"/mapper3d/{word}", "std_srvs/Trigger").result(20)["reply"]
+
+
+def table() -> np.ndarray:
+    """Points of a floor and of a table's top in the robot's frame."""
+    x, y = np.meshgrid(np.arange(0.5, 3.0, 0.02), np.arange(-1.0, 1.0, 0.02))
+    floor = np.stack((x, y, np.full(x.shape, -0.01)), -1).reshape(-1, 3)
+    top = floor[(np.abs(floor[:, 0] - 2.0) < 0.3) & (np.abs(floor[:, 1]) < 0.4)] + np.array([0.0, 0.0, 0.75])
+    return np.concatenate([floor, top])
+
+
+def test_a_cloud_becomes_a_layer_files_and_a_map_of_the_store(place: Place) -> None:
+    robot = Robot(place)
+    layers = place.far.subscribe("/mapper3d/layer", "nav_msgs/OccupancyGrid", latched=True, depth=1)
+    updates = place.far.subscribe("/mapper3d/layer_updates", "map_msgs/OccupancyGridUpdate", depth=10)
+    asked(place, "clear")
+
+    def value(x: float, y: float) -> int:
+        message = place.far.wait(layers, 1)[-1]
+        info, origin = message["info"], message["info"]["origin"]["position"]
+        column, row = (int((at - origin[axis]) / info["resolution"]) for at, axis in ((x, "x"), (y, "y")))
+        assert message["header"]["frame_id"] == "odom"
+        inside = 0 <= column < info["width"] and 0 <= row < info["height"]
+        return int(message["data"][row * info["width"] + column]) if inside else -1
+
+    def mapped() -> bool:
+        robot.see_cloud(table())
+        return (value(2.0, 0.0), value(1.0, 0.8), value(2.9, -0.9)) == (100, 0, 0)
+
+    until(mapped, "the table is in the layer", 30)
+    assert asked(place, "save_to_mapserver") == ["Layer layer saved into the store."]
+    grid = place.worker.store.get(MAP, "layer")
+    column, row = grid.cells_at((2.0, 0.0))
+    assert grid.flags[row, column] == MapFlag.WALL
+    assert triggered(place, "save")["success"]
+
+    for name in ("house.bt", "house.ot"):
+        assert asked(place, "save_to_file", name) == [f"Map saved as {name}."]
+        (file,) = place.folder.rglob(name)
+        assert Octomap.load(file).search(2.0, 0.0, 0.74) > 0
+    asked(place, "clear")
+    assert place.answer("mapper3d")["blocks"] == 0
+    assert asked(place, "load_from_file", "house.ot") == ["Map house.ot loaded; mapping goes on on it."]
+    until(lambda: value(2.0, 0.0) == 100, "the layer is of the file", 20)
+    higher = table()[:500] + np.array([0.0, 0.0, 0.4])
+
+    def changed() -> bool:
+        robot.see_cloud(np.concatenate([table(), higher]))
+        return bool(place.far.wait(updates, 1, 0.3))
+
+    until(changed, "what changed is said", 20)
+    update = place.far.wait(updates, 1)[-1]
+    assert len(update["data"]) == update["width"] * update["height"] > 0
+
+
+def test_depth_images_are_taken_with_the_info_of_their_time(place: Place) -> None:
+    robot = Robot(place)
+    asked(place, "clear")
+    depth = np.full((HEIGHT, WIDTH), 2.0)
+    depth[:, : WIDTH // 2] = 0.0
+
+    def mapped() -> bool:
+        robot.see_depth(depth)
+        return int(place.answer("mapper3d")["blocks"]) > 20
+
+    until(mapped, "the wall is mapped", 30)
+    assert asked(place, "save_to_file", "wall.ot") == ["Map saved as wall.ot."]
+    (file,) = place.folder.rglob("wall.ot")
+    found = Octomap.load(file)
+    assert found.search(2.01, -0.5, 1.0) > 0  # what is at the right of the picture is at the right of the robot
+    assert found.search(1.0, -0.25, 1.0) < 0
+    assert np.isnan(found.search(2.01, 0.5, 1.0))
+
+    dropped = place.answer("mapper3d")["dropped"]
+
+    def told() -> bool:
+        robot.see_depth(depth, info=False)
+        answer = place.answer("mapper3d")
+        return answer["dropped"] > dropped and "CameraInfo" in answer["trouble"]
+
+    until(told, "an image without its info is dropped", 30)
+
+
+@pytest.mark.parametrize(
+    ("changed", "words"),
+    [
+        ({"width": 100_000_000}, f"width, height: 100000000 x 1 points are declared, more than {MOST_POINTS}"),
+        ({"fields": []}, "fields: there is no x, y, z among none"),
+        ({"row_step": 4}, "row_step: 4 bytes"),
+        ({"header": {"frame_id": "nowhere"}}, "nowhere"),
+    ],
+)
+def test_a_bad_cloud_is_told_of_by_the_name_of_its_field(place: Place, changed: dict[str, Any], words: str) -> None:
+    robot = Robot(place)
+
+    def told() -> bool:
+        robot.see_cloud(table(), **changed)
+        return words in place.answer("mapper3d")["trouble"]
+
+    until(told, "the trouble is told", 30)
+
+
+def test_services_and_words(place: Place) -> None:
+    assert triggered(place, "stop")["message"] == "not mapping"
+    clouds = place.answer("mapper3d")["clouds"]
+    robot = Robot(place)
+    for _ in range(3):
+        robot.see_cloud(table())
+    assert triggered(place, "start")["success"]
+    assert place.answer("mapper3d")["clouds"] == clouds
+    for words in (["fly"], ["save_to_file"], ["save_to_file", "../out"], ["load_from_file", "none"]):
+        assert asked(place, *words)[0] == "fail"
+    assert any("save_to_mapserver" in line for line in asked(place, "help"))
+
+
+def test_the_map_is_kept_over_a_restart(tmp_path_factory: pytest.TempPathFactory) -> None:
+    with Place(tmp_path_factory.mktemp("kept")) as place:
+        config = place.config(modules={"mapper3d": settings()})
+        place.worker.start(config)
+        robot = Robot(place)
+
+        def mapped() -> bool:
+            robot.see_cloud(table())
+            return int(place.answer("mapper3d")["blocks"]) > 20
+
+        until(mapped, "it is mapped", 30)
+        place.worker.stop()
+        (file,) = place.folder.rglob("mapper3d/map.ot")
+        assert Octomap.load(file).search(2.0, 0.0, 0.74) > 0
+        place.worker = type(place.worker)()
+        place.worker.start(config)
+        assert place.answer("mapper3d")["blocks"] > 20
+        place.worker.stop()
+        file.write_bytes(b"# Octomap OcTree file\nsize 3\n")
+        place.worker = type(place.worker)()
+        place.worker.start(config)
+        assert "map.ot" in place.answer("mapper3d")["trouble"]
+
+
+def test_it_serves_what_octomap_server_serves(place: Place) -> None:
+    robot, far = Robot(place), place.far
+    asked(place, "clear")
+    asked(place, "start")
+    topics = {
+        name: far.subscribe(f"/octomap_{name}", kind, depth=1)
+        for name, kind in (
+            ("binary", "octomap_msgs/Octomap"), ("full", "octomap_msgs/Octomap"),
+            ("point_cloud_centers", "sensor_msgs/PointCloud2"),
+        )
+    }  # fmt: skip
+
+    def trees() -> bool:
+        robot.see_cloud(table())
+        return all(far.wait(topics[name], 1, 0.3) for name in topics)
+
+    until(trees, "all topics are heard", 30)
+
+    def tree(message: dict[str, Any]) -> OcTree:
+        data = np.array(message["data"], np.int8).tobytes()
+        make = OcTree.from_binary if message["binary"] else OcTree.from_full
+        assert (message["header"]["frame_id"], message["id"]) == ("odom", "OcTree")
+        return make(data, message["resolution"])
+
+    for name in ("binary", "full"):
+        assert tree(far.wait(topics[name], 1)[-1]).search(2.0, 0.0, 0.74) > 0
+        got = far.call(f"/octomap_{name}", "octomap_msgs/GetOctomap").result(20)["reply"]["map"]
+        assert got["binary"] == (name == "binary")
+        assert tree(got).search(2.0, 0.0, 0.74) > 0
+    cloud = far.wait(topics["point_cloud_centers"], 1)[-1]
+    centers = read_points({**cloud, "data": base64.b64decode(cloud["data"])})
+    assert (np.abs(centers - (2.0, 0.0, 0.74)).max(-1) < 0.06).any()
+
+    box = {"min": {"x": 1.0, "y": -2.0, "z": 0.5}, "max": {"x": 3.0, "y": 2.0, "z": 1.0}}
+    far.call("/octomap_server/clear_bbx", "octomap_msgs/BoundingBoxQuery", **box).result(20)
+    cleared = tree(far.call("/octomap_full", "octomap_msgs/GetOctomap").result(20)["reply"]["map"])
+    assert cleared.search(2.0, 0.0, 0.74) < 0
+    assert cleared.search(1.0, 0.0, -0.01) > 0
+    far.call("/octomap_server/reset", "std_srvs/Empty").result(20)
+    assert place.answer("mapper3d")["blocks"] == 0
+
+
+@pytest.mark.parametrize(
+    ("section", "words"),
+    [
+        ({"nearest": 5.0, "farthest": 4.0}, "nearest"),
+        ({"clouds": ["/a", "/a"]}, "two sources have the topic /a"),
+    ],
+)
+def test_settings_that_fit_nothing(section: dict[str, Any], words: str) -> None:
+    with pytest.raises(ValueError, match=words):
+        Config.model_validate({"modules": {"mapper3d": section}})
