@@ -67,6 +67,7 @@ FAMILIES = (
     Family("midspan_route_bytes_total", "counter", "Bytes that crossed.", _ROUTE),
     Family("midspan_route_drops_total", "counter", "Messages that were dropped.", (*_ROUTE, "reason")),
     Family("midspan_route_latency_seconds", "histogram", "From source's stamp to the side; of a whole call.", _ROUTE),
+    Family("midspan_route_carry_seconds", "histogram", "The bridge's own time with what goes to the hub.", _ROUTE),
     Family("midspan_route_calls_total", "counter", "Calls of a service by how they ended.", (*_ROUTE, "result")),
     Family("midspan_route_calls_pending", "gauge", "Calls of a service that are under way.", _ROUTE),
     Family("midspan_store_values", "gauge", "Values in the store of maps and places.", ("kind",)),

@@ -7,9 +7,13 @@ from typing import Any
 
 from bridge.metrics.families import Families
 from bridge.metrics.source import Document
-from bridge.routing.counters import DROPS, LATENCY_BOUNDS
+from bridge.routing.counters import CARRY_BOUNDS, DROPS, LATENCY_BOUNDS
 
-_BOUNDS = tuple(bound / 1e9 for bound in LATENCY_BOUNDS)
+# Of what a side publishes no stamp of the source is known, so that only the bridge's own time is told.
+_HISTOGRAMS = {
+    "latency": ("midspan_route_latency_seconds", tuple(bound / 1e9 for bound in LATENCY_BOUNDS)),
+    "carry": ("midspan_route_carry_seconds", CARRY_BOUNDS),
+}
 _RESULTS = {"reply": "replies", "error": "errors", "abandoned": "abandoned"}
 _KEY = ("direction", "kind", "hub_topic", "type")
 
@@ -50,17 +54,19 @@ def _route(families: Families, route: Document, labels: Key) -> None:
     put = families.put
     put("midspan_route_messages_total", route.get("messages"), *labels)
     put("midspan_route_bytes_total", route.get("bytes"), *labels)
-    drops, ways, latency = route.get("drops"), route.get("ways"), route.get("latency")
+    drops, ways = route.get("drops"), route.get("ways")
     if isinstance(ways, dict):
         put("midspan_route_lane_messages_total", ways.get("lane"), *labels)
     if isinstance(drops, dict):
         for reason in DROPS:
             put("midspan_route_drops_total", drops.get(reason), *labels, reason)
-    if isinstance(latency, dict):
-        counts, seconds = latency.get("buckets"), latency.get("seconds", 0.0)
-        if not isinstance(counts, list) or len(counts) != len(_BOUNDS) + 1:
-            counts = [0] * (len(_BOUNDS) + 1)
-        families.put_histogram("midspan_route_latency_seconds", _BOUNDS, counts, seconds, *labels)
+    part = "carry" if (route.get("direction"), route.get("kind")) == ("in", "topic") else "latency"
+    found, (name, bounds) = route.get(part), _HISTOGRAMS[part]
+    if isinstance(found, dict):
+        counts = found.get("buckets")
+        if not isinstance(counts, list) or len(counts) != len(bounds) + 1:
+            counts = [0] * (len(bounds) + 1)
+        families.put_histogram(name, bounds, counts, found.get("seconds", 0.0), *labels)
     if route.get("kind") == "service":
         for result, name in _RESULTS.items():
             put("midspan_route_calls_total", route.get(name), *labels, result)

@@ -20,12 +20,15 @@ LATENCY_BOUNDS = tuple(
 )
 """Upper bounds of the histogram's buckets but the last, which has none; nanoseconds."""
 
+CARRY_BOUNDS = (2e-5, 5e-5, 1e-4, 2.5e-4, 5e-4, 1e-3, 2.5e-3, 5e-3, 1e-2, 2.5e-2, 5e-2, 0.1, 0.25, 1.0)
+"""The same of the bridge's own time, which has nothing of the source; seconds."""
+
 
 class Counters:
     """One route's counters. Written by the route's threads, read by anybody; single reads may be a moment apart."""
 
     __slots__ = (
-        "_buckets", "_latencies", "_mark", "_rate", "_waited",
+        "_buckets", "_carried", "_carrying", "_latencies", "_mark", "_rate", "_waited",
         "bytes", "drops", "error", "error_at", "last", "messages",
     )  # fmt: skip
 
@@ -39,6 +42,8 @@ class Counters:
         self._latencies: deque[int] = deque(maxlen=_LATENCIES)
         self._buckets = [0] * (len(LATENCY_BOUNDS) + 1)
         self._waited = 0
+        self._carried = [0] * (len(CARRY_BOUNDS) + 1)
+        self._carrying = 0.0
         self._mark = (time.monotonic(), 0)
         self._rate = 0.0
 
@@ -47,6 +52,18 @@ class Counters:
         self.messages += 1
         self.bytes += size
         self.last = time.monotonic()
+
+    def carried(self, size: int, since: float) -> None:
+        """One message of ``size`` bytes went to the hub, which came on the monotonic clock's ``since``.
+
+        Takes 0.12 us longer than `crossed`, on top of 0.12.
+        """
+        self.messages += 1
+        self.bytes += size
+        now = self.last = time.monotonic()
+        took = now - since
+        self._carrying += took
+        self._carried[bisect_left(CARRY_BOUNDS, took)] += 1
 
     def latency(self, nanoseconds: int) -> None:
         """One message took so long from its source's time stamp to here."""
@@ -88,7 +105,7 @@ class Counters:
         """The counters as they stand in the status document.
 
         ``latency_ms`` is of the last messages. ``latency`` is of all: how many in each bucket of `LATENCY_BOUNDS`, and
-        the sum.
+        the sum; ``carry`` is the same of the bridge's own time with what goes to the hub, in those of `CARRY_BOUNDS`.
         """
         late = sorted(self._latencies.copy())
         quantiles = {}
@@ -101,6 +118,7 @@ class Counters:
             "age": round(time.monotonic() - self.last, 3) if self.last else None,
             "latency_ms": quantiles,
             "latency": {"buckets": list(self._buckets), "seconds": self._waited / 1e9} if late else {},
+            "carry": {"buckets": list(self._carried), "seconds": self._carrying} if self._carrying else {},
             "drops": dict(self.drops),
             "error": self.error,
         }

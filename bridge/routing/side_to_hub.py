@@ -47,6 +47,7 @@ class _Message(NamedTuple):
     known: _Source
     source: str
     time_ns: int | None
+    since: float
 
 
 class SideToHubRoute(TopicRoute):
@@ -167,6 +168,7 @@ class SideToHubRoute(TopicRoute):
                 self.counters.dropped("unknown")
 
     def _deliver(self, payload: bytes, source: str, time_ns: int | None) -> None:
+        since = time.monotonic()
         known = self._sources.get(source)
         counters = self.counters
         if self._lease.over:
@@ -197,18 +199,18 @@ class SideToHubRoute(TopicRoute):
         if self.too_large(len(payload)):
             return
         if len(payload) > BULK or self._large.busy:
-            self._large.put(_Message(payload, known, source, time_ns), len(payload))
+            self._large.put(_Message(payload, known, source, time_ns, since), len(payload))
         else:
-            self._carry(payload, known, time_ns)
+            self._carry(payload, known, time_ns, since)
 
     def _carry_large(self, message: _Message) -> None:
-        payload, known, source, time_ns = message
+        payload, known, source, time_ns, since = message
         if self._sources.get(source) is known:
-            self._carry(payload, known, time_ns)
+            self._carry(payload, known, time_ns, since)
         else:
             self.counters.dropped("unknown")  # gone while it waited
 
-    def _carry(self, payload: bytes, known: _Source, time_ns: int | None) -> None:
+    def _carry(self, payload: bytes, known: _Source, time_ns: int | None, since: float) -> None:
         try:
             convert = self.conversion.convert
             data = payload if convert is None else convert(payload)
@@ -222,7 +224,7 @@ class SideToHubRoute(TopicRoute):
         except (MessageError, HubError, ValueError) as err:
             self.bad(str(err))
             return
-        self.counters.crossed(len(data))
+        self.counters.carried(len(data), since)
         if self._tells_time:
             self._context.edge.clock.hear(data)
 

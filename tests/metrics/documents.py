@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from typing import Any
 
 from bridge.metrics.source import Snapshot
@@ -12,8 +13,9 @@ from bridge.routing.services.route import CallCounters
 def route(topic: str = "/scan", **more: Any) -> dict[str, Any]:
     """A topic's route with counters of the real kind: three messages, two of them measured, one drop."""
     counters = Counters()
-    for _ in range(3):
-        counters.crossed(100)
+    counters.crossed(100)
+    for before in (0.003, 2.0):
+        counters.carried(100, time.monotonic() - before)
     counters.latency(300_000)
     counters.latency(40_000_000)
     counters.dropped("queue")

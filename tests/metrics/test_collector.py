@@ -60,6 +60,13 @@ def test_a_route() -> None:
     assert scrape.value("midspan_route_bytes_total", **where) == 300
     drops = {reason: scrape.value("midspan_route_drops_total", reason=reason, **where) for reason in DROPS}
     assert drops == dict.fromkeys(DROPS, 0) | {"queue": 1}
+    assert scrape.value("midspan_route_carry_seconds_count", **where) == 2
+    assert scrape.value("midspan_route_carry_seconds_sum", **where) == pytest.approx(2.003, rel=0.1)
+    buckets = {le: scrape.value("midspan_route_carry_seconds_bucket", le=le) for le in ("0.0025", "1", "+Inf")}
+    assert buckets == {"0.0025": 0, "1": 1, "+Inf": 2}
+    assert not scrape.values("midspan_route_latency_seconds_count"), "no stamp of the source is known there"
+    scrape = Scrape(side(route(direction="out")))
+    where["direction"] = "out"
     assert scrape.value("midspan_route_latency_seconds_count", **where) == 2
     assert scrape.value("midspan_route_latency_seconds_sum", **where) == pytest.approx(0.0403)
     buckets = {le: scrape.value("midspan_route_latency_seconds_bucket", le=le) for le in ("0.00025", "0.0005", "0.05")}
