@@ -1,12 +1,14 @@
 """The command ``midspan``: finds the verb, imports its file, runs it, and turns errors into one line.
 
-Exit codes: 0 done, 1 failed, 2 wrong usage, 3 done in part (`midspan import` alone), 130 interrupted.
+Exit codes: 0 done, 1 failed, 2 wrong usage, 3 done in part (`midspan import` and
+`midspan config migrate` alone), 130 interrupted.
 """
 
 from __future__ import annotations
 
 import argparse
 import importlib
+import io
 import logging
 import os
 import sys
@@ -93,6 +95,8 @@ def _named_verb(arguments: Sequence[str]) -> list[str]:
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the command line; returns the exit code."""
+    if isinstance(sys.stdout, io.TextIOWrapper):  # Windows' consoles may lack characters: they show their numbers
+        sys.stdout.reconfigure(errors="backslashreplace")
     arguments = list(sys.argv[1:] if argv is None else argv)
     debug = "--debug" in arguments  # anywhere, also behind the verb
     arguments = [argument for argument in arguments if argument != "--debug"]

@@ -110,3 +110,16 @@ def test_version() -> None:
     done = midspan("--version")
     assert done.returncode == 0
     assert done.stdout.startswith("midspan ")
+
+
+@pytest.mark.parametrize("encoding", ["ascii", "cp1252", "cp437", "utf-8"])
+def test_a_console_that_lacks_characters_is_told_their_numbers(tmp_path: Path, encoding: str) -> None:
+    file = tmp_path / "K\u00fcche \u6771.yaml"
+    file.write_text("name: a\n")
+    code = "import sys; from bridge.cli.main import main; sys.exit(main(sys.argv[1:]))"
+    done = subprocess.run(
+        [sys.executable, "-c", code, "config", "check", str(file)],
+        env={**os.environ, "PYTHONIOENCODING": encoding}, capture_output=True, check=False,
+    )  # fmt: skip
+    assert (done.returncode, done.stderr) == (0, b"")
+    assert done.stdout == f"{file}: no problem\n".encode(encoding, "backslashreplace")

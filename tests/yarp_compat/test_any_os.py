@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+import os
+import re
 import subprocess
 import sys
 from pathlib import Path
+
+import pytest
 
 from tests.support.hidden import HIDE
 from tests.support.ports import free_port
@@ -46,6 +50,32 @@ for name in sys.argv[1:]:
 sys.exit(f"not imported: {failed}" if failed else 0)
 """
     run(code, *modules)
+
+
+QUICK = "wire", "naming", "sig", "rosmsg", "dev", "ports"
+POSIX_THEMSELVES = "dev/test_mapfiles.py", "ports/test_hostile.py::test_a_thousand_silent_connections"
+"""A test that bounds memory by `resource`, and one with more sockets than Windows' select takes (512)."""
+
+
+@pytest.mark.long
+def test_its_own_tests_pass() -> None:
+    folder = Path(__file__).parent.relative_to(ROOT)
+    plugins = [word for name in ("pytest_timeout", "xdist.plugin", "tests.support.any_os") for word in ("-p", name)]
+    done = subprocess.run(
+        [
+            sys.executable, "-m", "pytest", *plugins, "-p", "no:cacheprovider", "-q", "--fast",
+            "-m", "not thorough and not long and not alone", "-o", "timeout_method=thread",
+            *(str(folder / name) for name in QUICK), *(f"--deselect={folder / name}" for name in POSIX_THEMSELVES),
+            f"--ignore={folder / POSIX_THEMSELVES[0]}",
+        ],
+        cwd=ROOT, capture_output=True, text=True, timeout=600, check=False,
+        env={**os.environ, "PYTEST_DISABLE_PLUGIN_AUTOLOAD": "1", "HYPOTHESIS_NO_PLUGINS": "1"},
+    )  # fmt: skip
+    assert done.returncode == 0, done.stdout[-5000:] + done.stderr
+    passed = re.search(r"([0-9]+) passed", done.stdout)
+    assert passed, done.stdout[-500:]
+    assert int(passed[1]) > 1000
+    assert "skipped" not in done.stdout.splitlines()[-1]
 
 
 TALK = """

@@ -24,6 +24,11 @@ LONGEST_TEXT = 1 << 22  # a text file of more bytes is refused
 
 _NO_FILE_NAME = re.compile(r"^$|^\.|[/\\\x00-\x1f\x7f]")
 
+_NO_WINDOWS_NAME = re.compile(
+    r"""[<>:"|?*]|[. ]$|^(?:con|prn|aux|nul|(?:com|lpt)[0-9\u00b9\u00b2\u00b3]) *(?:\.|$)""", re.IGNORECASE
+)
+"""What no file on Windows is called (learn.microsoft.com, "Naming Files, Paths, and Namespaces")."""
+
 
 class MapFileError(ValueError):
     """A file that is not there, may not be read or is not what it should be; the text says which, what and why."""
@@ -83,8 +88,13 @@ class TextFile(ABC):
         write(Path(path), self.to_text())
 
 
-def file_name(name: str) -> str:
+def file_name(name: str, *, windows: bool = os.name == "nt") -> str:
     """A map's name, if it can be a part of a file's name; else raises `MapFileError`."""
+    if windows and _NO_WINDOWS_NAME.search(name):
+        raise MapFileError(
+            f"a map named {name!r:.100} cannot be saved on Windows: files are named after it, and there a file's name"
+            " has none of <>:\"|?*, ends neither with a dot nor a blank, and is no device's, such as CON or COM1"
+        )
     if _NO_FILE_NAME.search(name) or len(name.encode("utf-8", "surrogateescape")) > 200:
         raise MapFileError(
             f"a map named {name!r:.100} cannot be saved: files are named after it, so its name has up to 200 bytes, no "
