@@ -15,17 +15,18 @@ from bridge.config.sections.section import Section
 from bridge.modules.host import Host
 from bridge.modules.module import Module
 from bridge.stores.entry import StoreError
-from bridge.stores.kinds import AREA, BEHAVIOUR, CURRENT, LOCATION, MAP, OBJECT, PATH
+from bridge.stores.kinds import AREA, BEHAVIOUR, CURRENT, LOCATION, MAP, MAP3D, OBJECT, PATH
 from bridge.stores.store import Change
 from bridge.worker import Health
 from navigation.map2d_server.files import MapFiles, MapsFolder
 from navigation.map2d_server.intake import ClickedPoints, MapIntake, is_ours
+from navigation.map2d_server.maps3d import Maps3D
 from navigation.map2d_server.publishers import MAP_TOPIC, AllMaps, CurrentMap, Head, Keys, Markers, Masks
 from navigation.map2d_server.services import MapAnswers, MapCommands, MapServices
 
 _log = logging.getLogger(__name__)
 
-_SHOWN = (MAP, CURRENT, LOCATION, OBJECT, AREA, PATH, BEHAVIOUR)
+_SHOWN = (MAP, MAP3D, CURRENT, LOCATION, OBJECT, AREA, PATH, BEHAVIOUR)
 
 
 class Map2DServer(Module):
@@ -45,6 +46,7 @@ class Map2DServer(Module):
         node, head = host.node, Head(section.frame, host.clock.now_ns)
         self._current = CurrentMap(node, self._store, head, section.current)
         self._maps = AllMaps(node, self._store, head)
+        self._maps3d = Maps3D(node, self._store, head)
         self._masks = Masks(node, self._store, head)
         self._markers = Markers(node, self._store, head)
         self._intakes = [MapIntake(host, rule, self._store, self._told) for rule in section.take]
@@ -52,7 +54,8 @@ class Map2DServer(Module):
         self._closing = [self._store.watch(self._heard, *_SHOWN), node.hub.graph.watch(self._graph_changed)]
         self._graph_due = False
         self._look()
-        self._refresh({(MAP.name, name) for name in self._store.names(MAP)} | {(CURRENT.name, "map")})
+        every = {(kind.name, name) for kind in (MAP, MAP3D) for name in self._store.names(kind)}
+        self._refresh(every | {(CURRENT.name, "map")})
         MapServices(node, self._store, files, self._current, self._maps, self._told)
         if section.clicked_point:
             ClickedPoints(
@@ -76,6 +79,7 @@ class Map2DServer(Module):
         return {
             "current": self._current.name,
             "maps": self._maps.topics,
+            "maps3d": self._maps3d.topics,
             "taken": {intake.topic: intake.taken for intake in self._intakes},
             "refusals": self._refused,
             "last_refusal": self._last_refused,
@@ -101,7 +105,7 @@ class Map2DServer(Module):
         self._refresh(changed)
 
     def _refresh(self, changed: Keys) -> None:
-        for show in (self._show_current, self._maps.update):
+        for show in (self._show_current, self._maps.update, self._maps3d.update):
             try:
                 show(changed)
             except (StoreError, ValueError) as error:

@@ -285,8 +285,8 @@ class Markers:
             self._end.publish(markers_of(self._store, current.name, self._head))
 
 
-def topic_of(name: str, taken: AbstractSet[str] = frozenset()) -> str:
+def topic_of(name: str, taken: AbstractSet[str] = frozenset(), *, under: str = "/maps") -> str:
     """The topic ``/maps/<name>``, ``_`` for what none has; 8 digits of the name's SHA-256 follow where it is taken."""
     part = _FORBIDDEN.sub("_", name)[:200]
-    topic = f"/maps/{'n' if part[0].isdigit() else ''}{part}"
+    topic = f"{under}/{'n' if part[0].isdigit() else ''}{part}"
     return f"{topic}_{hashlib.sha256(name.encode()).hexdigest()[:8]}" if topic in taken else topic

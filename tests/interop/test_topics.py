@@ -6,10 +6,12 @@ import itertools
 import json
 import math
 import subprocess
+from pathlib import Path
 from typing import Any
 
 import pytest
 
+from bridge.messages.registry import Registry
 from tests.interop.deployment import Deployment
 from tests.support.lane import LANE
 from tests.support.ros1 import ROS1_PYTHON
@@ -39,6 +41,88 @@ def test_every_way_between_ros1_ros2_and_zenoh(shared: Deployment) -> None:
         if "sdk" not in (from_, to):
             shared.until_route(from_, topic, "in", way="lane" if LANE else "zenoh")
             shared.until_route(to, topic, "out", way="lane" if LANE else "zenoh")
+
+
+FIELDS = [
+    *({"name": name, "offset": 4 * place, "datatype": 7, "count": 1} for place, name in enumerate("xyz")),
+    {"name": "ring", "offset": 13, "datatype": 4, "count": 1},
+]
+CLOUD = {"height": 2, "width": 1, "fields": FIELDS, "point_step": 16, "row_step": 20, "data": list(range(40))}
+DEPTH = {"height": 1, "width": 2, "encoding": "16UC1", "step": 4, "data": [1, 0, 255, 255]}
+MARKER = {
+    "ns": "tree",
+    "id": 3,
+    "type": 6,
+    "points": [{"x": 1.0, "y": 2.0, "z": 3.0}],
+    "colors": [{"r": 1.0, "a": 0.5}],
+}
+THREE_D = [
+    ("sensor_msgs/PointCloud2", CLOUD),
+    ("sensor_msgs/Image", DEPTH),
+    ("visualization_msgs/MarkerArray", {"markers": [MARKER]}),
+]
+
+
+def within(part: Any, whole: Any) -> bool:
+    """Whether a message has these fields; bytes may come as such or as a list."""
+    if isinstance(part, dict):
+        return all(within(value, whole[key]) for key, value in part.items())
+    if isinstance(part, list) and part and not isinstance(part[0], int):
+        return len(part) == len(whole) and all(map(within, part, whole))
+    return list(part) == list(whole) if isinstance(part, list) else bool(part == whole)
+
+
+@pytest.mark.thorough
+@pytest.mark.parametrize(("kind", "message"), THREE_D, ids=[kind for kind, _ in THREE_D])
+def test_clouds_depth_and_markers_every_way(shared: Deployment, kind: str, message: dict[str, Any]) -> None:
+    programs = {"ros1": shared.ros1(), "ros2": shared.ros2(), "sdk": shared.sdk()}
+    for (from_, sender), (to, hearer) in itertools.permutations(programs.items(), 2):
+        topic = f"/{from_}_to_{to}/{kind.partition('/')[2].lower()}"
+        heard = hearer.subscribe(topic, kind)
+        out = sender.advertise(topic, kind)
+        assert within(message, cross(sender, out, hearer, heard, message)), (from_, to)
+
+
+WITHOUT_A_PACKAGE = """
+import json, sys, genpy.dynamic, genpy.message, rospy
+topic, name, text, message = json.loads(sys.argv[1])
+rospy.init_node("maps", anonymous=True)
+kind = genpy.dynamic.generate_dynamic(name, text)[name]
+made = kind()
+genpy.message.fill_message_args(made, [message])
+publisher = rospy.Publisher(topic, kind, queue_size=1)
+while not rospy.is_shutdown():
+    publisher.publish(made)
+    rospy.sleep(0.1)
+"""
+"""A ROS 1 program of a package that Debian does not have."""
+
+OCTOMAP = {"header": {"frame_id": "map"}, "binary": True, "id": "OcTree", "resolution": 0.5, "data": [-1, -1, 1, 0]}
+GRID_MAP = {"info": {"header": {"frame_id": "map"}, "resolution": 0.25, "length_x": 2.0}, "layers": ["height"]}
+GRID_MAP_2 = {"header": {"frame_id": "map"}, "info": {"resolution": 0.25, "length_x": 2.0}, "layers": ["height"]}
+
+
+@pytest.mark.thorough
+@pytest.mark.parametrize(
+    ("kind", "said", "expected"),
+    [("octomap_msgs/Octomap", OCTOMAP, OCTOMAP), ("grid_map_msgs/GridMap", GRID_MAP, GRID_MAP_2)],
+)
+def test_maps_of_packages_that_nobody_installed(
+    shared: Deployment, kind: str, said: dict[str, Any], expected: dict[str, Any]
+) -> None:
+    """A ROS 2 program has them of what Midspan built, and a zenoh program by name."""
+    topic = f"/ros1/{kind.partition('/')[2].lower()}"
+    definition = Registry(ros1_packages=Path("/nonexistent")).ros1(kind).definition
+    program = json.dumps([topic, kind, definition, said])
+    hearers: list[Any] = [shared.ros2(), shared.zenoh()]
+    heard = [hearer.subscribe(topic, kind) for hearer in hearers]
+    with subprocess.Popen([ROS1_PYTHON, "-c", WITHOUT_A_PACKAGE, program], env=shared.master.env) as talker:
+        try:
+            for hearer, number in zip(hearers, heard, strict=True):
+                got = until(lambda h=hearer, n=number: h.wait(n, 1, 0.2), "a map arrives", 30)[0]
+                assert within(expected, got)
+        finally:
+            talker.terminate()
 
 
 @pytest.mark.thorough

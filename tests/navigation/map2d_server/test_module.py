@@ -15,7 +15,7 @@ import pytest
 
 from bridge.cli.main import main
 from bridge.hub.session import Hub
-from bridge.stores.kinds import AREA, BEHAVIOUR, KINDS, LOCATION, MAP
+from bridge.stores.kinds import AREA, BEHAVIOUR, KINDS, LOCATION, MAP, MAP3D
 from bridge.stores.store import Store
 from navigation.map2d_server.publishers import topic_of
 from navigation.maps.grid import from_grid
@@ -30,7 +30,10 @@ from yarp_compat.dev.mapgrid import MapFlag, MapGrid2D
 from yarp_compat.dev.returnvalue import CallFailed
 from yarp_compat.naming import connections
 from yarp_compat.naming.server import NameServer
+from yarp_compat.octomap import Octomap
+from yarp_compat.octree import OcTree
 from yarp_compat.pythonic import Client
+from yarp_compat.sig.pointcloud import LAYOUTS, PointCloud, PointType
 from yarp_compat.sig.vec2d import Vec2D
 
 GRID, INFO, MARKERS = "nav_msgs/OccupancyGrid", "nav2_msgs/CostmapFilterInfo", "visualization_msgs/MarkerArray"
@@ -112,6 +115,23 @@ def test_a_map_of_a_yarp_client_is_everywhere_with_all_six_flags(served: Served)
     assert {**info(), "header": None} == {"header": None, "type": 0, "filter_mask_topic": "/keepout_filter_mask",
                                           "base": 0.0, "multiplier": 1.0}  # fmt: skip
     assert all_maps()["data"] == current()["data"]
+
+
+def test_a_map_in_three_dimensions_has_a_topic_of_its_form(served: Served) -> None:
+    octomap = Octomap.of(OcTree.of([[32_768, 32_768, 32_770]], 1.5, resolution=0.05), binary=True)
+    heard = served.latest("/maps3d/n1st", "octomap_msgs/Octomap")
+    served.store.put(MAP3D, "1st", octomap)
+    until(heard, "the octomap is out", 20)
+    found = heard()
+    assert (found["header"]["frame_id"], found["binary"], found["id"], found["resolution"]) == ("map", True, "OcTree", 0.05)  # fmt: skip # noqa: E501
+    assert np.array(found["data"], np.int8).tobytes() == octomap.data
+    cloud = PointCloud.of(np.ones(3, LAYOUTS[PointType.XYZ]))
+    served.store.put(MAP3D, "1st", cloud)
+    points = served.latest("/maps3d/n1st", "sensor_msgs/PointCloud2")
+    until(points, "the cloud is out", 20)
+    assert (points()["width"], points()["point_step"]) == (3, 16)
+    served.store.delete(MAP3D, "1st")
+    served.far.until_unpublished("/maps3d/n1st")
 
 
 def test_each_change_is_heard(served: Served) -> None:
