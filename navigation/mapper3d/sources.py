@@ -19,7 +19,7 @@ from bridge.tf.transform import LATEST, Quaternion, Transform
 from navigation.clouds import POINT_CLOUD, read_points
 from navigation.frames import FramesError, RobotFrames
 from navigation.mapper3d.depth import CAMERA_INFO, IMAGE, Rays, read_camera, read_depth
-from navigation.mapper3d.space import OPTICAL, Floats, Place, Seat, View, view_of
+from navigation.mapper3d.space import OPTICAL, Floats, Place, Seat, View
 from navigation.messages import stamp_ns
 
 _INFOS = 10  # of a camera, that may be of an image that comes
@@ -29,12 +29,12 @@ _DEPTH = Qos(depth=2)
 
 
 class Seen(NamedTuple):
-    """What a sensor saw: points (n, 3) in its frame, and at what it looked; ``stamp``: ns."""
+    """What a sensor saw: points (n, 3) in its frame, and at what it looked, if that is known; ``stamp``: ns."""
 
     frame: str
     stamp: int
     points: NDArray[np.float32]
-    view: View
+    view: View | None
 
 
 @dataclass
@@ -93,7 +93,7 @@ class Sources:
     def _hear_cloud(self, message: dict[str, Any]) -> None:
         def read() -> Seen:
             points = read_points(message)
-            return Seen(message["header"]["frame_id"].lstrip("/"), self.time(message), points, view_of(points))
+            return Seen(message["header"]["frame_id"].lstrip("/"), self.time(message), points, None)
 
         self.put(read)
 

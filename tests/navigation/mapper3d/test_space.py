@@ -97,6 +97,17 @@ def test_the_view_of_a_scanner_is_all_around():
     assert not view_of(np.empty((0, 3), np.float32)).has(np.array([[1.0, 0.0, 0.0]])).any()
 
 
+def test_without_a_view_what_is_within_the_cloud_is_forgotten():
+    mapped = space(forget_after=5.0)
+    mapped.take(wall(1.0, size=0.2), SEAT, None, 1.0)
+    assert len(mapped.occupied())
+    sides = np.concatenate([wall(1.0, middle=(way, 0.0), size=0.3) for way in (-0.6, 0.6)])
+    for second in (4.0, 9.0):
+        mapped.take(sides, SEAT, None, second)
+    assert mapped.forgotten > 30
+    assert (np.abs(mapped.occupied()[:, 1]) > 0.25).all()
+
+
 def test_a_full_map_stops_or_gives_up_what_is_farthest():
     stops, forgets = space(memory=1), space(memory=1, when_full="forget")
     for each in (stops, forgets):
