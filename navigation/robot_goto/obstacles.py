@@ -18,6 +18,7 @@ MOST, RAYS = 50_000, 10_000  # points of a cloud that are taken for obstacles, a
 _BIN = math.radians(2.0)  # rays that are so near to one another look the same way
 _BEYOND = 0.15  # metres that rays go on behind a voxel that is free, which is more than the noise of most cameras
 _NEVER = -math.inf
+_AGAIN = 0.2  # seconds after which it is looked what is too old, where no cloud comes
 
 
 class CloudWindow:
@@ -37,6 +38,7 @@ class CloudWindow:
         self._memory, self._height, self._step, self._radius = memory, height, step, radius
         self._seen = np.full((math.ceil(height / RESOLUTION) + 1, SIDE, SIDE), _NEVER)
         self._row0 = self._column0 = 0
+        self._looked, self._places = _NEVER, np.empty((0, 2))
 
     def take(self, now: float, points: Points, eye: NDArray[np.float64], at: Pose) -> None:
         """Take up a cloud (n, 3) of an eye (3), metres in the grid's frame with z above the floor.
@@ -47,18 +49,23 @@ class CloudWindow:
         points = thinned(points, MOST)
         own = np.hypot(points[:, 0] - at.x, points[:, 1] - at.y) < self._radius
         z = points[:, 2]
-        hit = self._counted(points[(z >= self._step) & (z < self._height) & ~own], 1) >= LEAST
-        hit[0] = self._counted(_through_floor(points[(z < -self._step) & ~own], eye), 0)[0] >= LEAST
-        floor = self._counted(points[np.abs(z) < self._step], 0)[0] >= LEAST
+        hit = np.zeros(self._seen.shape, np.bool_)
+        hit[1:] = self._counted(points[(z >= self._step) & (z < self._height) & ~own], len(hit) - 1) >= LEAST
+        hit[:1] = self._counted(_through_floor(points[(z < -self._step) & ~own], eye)) >= LEAST
+        floor = self._counted(points[np.abs(z) < self._step])[0] >= LEAST
         self._seen[0][floor] = _NEVER
         self._clear(thinned(points, RAYS), eye, hit)
         self._seen[hit] = now
+        self._looked = _NEVER
 
     def places(self, now: float) -> Places:
         """(n, 2) the middles of the columns with anything in them, metres."""
-        rows, columns = np.nonzero((self._seen > now - self._memory).any(axis=0))
+        if 0.0 <= now - self._looked < _AGAIN:
+            return self._places
+        rows, columns = np.nonzero(self._seen.max(axis=0) > now - self._memory)
         cells = np.stack((columns + self._column0, rows + self._row0), axis=1).astype(np.float64)
-        return (cells + 0.5) * RESOLUTION
+        self._looked, self._places = now, (cells + 0.5) * RESOLUTION
+        return self._places
 
     def _move(self, row0: int, column0: int) -> None:
         for axis, (new, old) in ((1, (row0, self._row0)), (2, (column0, self._column0))):
@@ -69,15 +76,14 @@ class CloudWindow:
                 self._seen[(slice(None), gone) if axis == 1 else (slice(None), slice(None), gone)] = _NEVER
         self._row0, self._column0 = row0, column0
 
-    def _counted(self, points: Points, level: int) -> NDArray[np.int64]:
-        """How many points lie in each voxel; those at the floor's height in the given level."""
-        at = np.floor(points / RESOLUTION).astype(np.int64) - (self._column0, self._row0, -level)
-        levels = len(self._seen)
-        if not level:
-            at[:, 2] = 0
-        within = ((at >= 0) & (at < (SIDE, SIDE, levels))).all(axis=1)
-        flat = np.ravel_multi_index(tuple(at[within].T[::-1]), self._seen.shape)
-        return np.bincount(flat, minlength=self._seen.size).reshape(self._seen.shape)
+    def _counted(self, points: Points, levels: int = 0) -> NDArray[np.int64]:
+        """How many points lie in each voxel of so many levels, or with none in each column, whatever their height."""
+        x, y, z = np.floor(points.T / RESOLUTION).astype(np.int64)
+        x, y, z = x - self._column0, y - self._row0, z if levels else z * 0
+        count = max(levels, 1)
+        within = (x >= 0) & (x < SIDE) & (y >= 0) & (y < SIDE) & (z >= 0) & (z < count)
+        flat = ((z * SIDE + y) * SIDE + x)[within]
+        return np.bincount(flat, minlength=count * SIDE * SIDE).reshape(count, SIDE, SIDE)
 
     def _clear(self, rays: Points, eye: NDArray[np.float64], hit: NDArray[np.bool_]) -> None:
         """Forget voxels behind which all rays of their direction go on."""
