@@ -44,7 +44,9 @@ _PACKERS = 2
 """Threads that pack: of each chunk one waits some milliseconds for Python's lock, while the other packs."""
 
 _AHEAD = 3
-"""Chunks that may be packed, or wait for it, while others are read."""
+"""Chunks that may be packed, or wait for it, while others are read; less of them where they are large."""
+
+_AHEAD_BYTES = 64 << 20
 
 _BODY = 22
 """Bytes of a message record beside its head and data."""
@@ -56,7 +58,7 @@ class ChunkedMcap(BagWriter):
     def __init__(self, path: Path, compression: str, profile: str, library: str) -> None:
         self._file = path.open("wb")
         self._packer = ThreadPoolExecutor(_PACKERS, "midspan-bag-packer")
-        self._packing: deque[tuple[Future[tuple[bytes, int, int]], dict[int, list[tuple[int, int]]]]] = deque()
+        self._packing: deque[tuple[Future[tuple[bytes, int]], dict[int, list[tuple[int, int]]], int]] = deque()
         self._schemas: dict[int, Schema] = {}
         self._metadata: list[Metadata] = []
         self._metadata_indexes: list[MetadataIndex] = []
@@ -153,10 +155,10 @@ class ChunkedMcap(BagWriter):
         """Have the chunk packed beside what goes on here; some may be under way, and are written in their order."""
         if self._parts:
             task = self._packer.submit(_pack, self._compression, b"".join(self._parts))
-            self._packing.append((task, dict(self._places)))
+            self._packing.append((task, dict(self._places), self._size))
             self._parts, self._size = [], 0
             self._places.clear()
-        while len(self._packing) > _AHEAD:
+        while len(self._packing) > _AHEAD or sum(size for _, _, size in self._packing) > _AHEAD_BYTES:
             self._write_chunk()
 
     def _write_chunks(self) -> None:
@@ -165,8 +167,8 @@ class ChunkedMcap(BagWriter):
             self._write_chunk()
 
     def _write_chunk(self) -> None:
-        task, all_places = self._packing.popleft()
-        packed, size, crc = task.result()
+        task, all_places, size = self._packing.popleft()
+        packed, crc = task.result()
         times = [time for places in all_places.values() for time, _ in places]
         start, end = min(times), max(times)
         builder = RecordBuilder()
@@ -242,8 +244,8 @@ def _bytes(builder: RecordBuilder) -> bytes:
     return bytes(builder.end())  # type: ignore[no-untyped-call]
 
 
-def _pack(compression: str, plain: bytes) -> tuple[bytes, int, int]:
-    """A chunk's data, its size before that, and its checksum."""
+def _pack(compression: str, plain: bytes) -> tuple[bytes, int]:
+    """A chunk's data, and the checksum of what it was before."""
     packed = plain
     if compression == "zstd":
         import zstandard
@@ -253,4 +255,4 @@ def _pack(compression: str, plain: bytes) -> tuple[bytes, int, int]:
         import lz4.frame  # type: ignore[import-untyped]
 
         packed = bytes(lz4.frame.compress(plain))
-    return packed, len(plain), zlib.crc32(plain)
+    return packed, zlib.crc32(plain)

@@ -88,19 +88,30 @@ def _moment(text: str) -> tuple[bool, int]:
         raise argparse.ArgumentTypeError(msg) from None
 
 
+_ended: list[int] = []
+"""Signals that came: what one raises is lost where it meets a callback of Python's own, as of an import."""
+
+
+def _end(number: int, _frame: object) -> None:
+    _ended.append(number)
+    raise KeyboardInterrupt if number == signal.SIGINT else SystemExit(128 + number)
+
+
 @contextmanager
 def _opened(path: Path) -> Iterator[Bag]:
     """The bag; its errors are the command's. SIGTERM ends it as Ctrl-C does: what is half written goes."""
     from bridge.bags.reader import BagError, open_bag
 
-    before = signal.signal(signal.SIGTERM, lambda number, _: sys.exit(128 + number))
+    _ended.clear()
+    before = {number: signal.signal(number, _end) for number in (signal.SIGINT, signal.SIGTERM)}
     try:
         with open_bag(path) as bag:
             yield bag
     except BagError as err:
         raise CliError(clean(err)) from None
     finally:
-        signal.signal(signal.SIGTERM, before)
+        for number, handler in before.items():
+            signal.signal(number, handler)
 
 
 def _choice(args: argparse.Namespace, bag: Bag) -> BagSelection:
@@ -253,6 +264,8 @@ def _progress(bag: Bag) -> Iterator[Told]:
         begun = time.monotonic()
 
         def told(messages: int, data: int) -> None:
+            if _ended:
+                _end(_ended[0], None)
             speed = f"{size(data)}, {size(data / max(time.monotonic() - begun, 1e-3))}/s"
             bar.update(task, completed=messages, speed=speed)
 
