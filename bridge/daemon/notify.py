@@ -44,6 +44,10 @@ class Notifier:
         """The end begins."""
         self._send("STOPPING=1")
 
+    def main_process(self, pid: int) -> None:
+        """Another process of the service is its main one from now on."""
+        self._send(f"MAINPID={pid}")
+
     def status(self, text: str) -> None:
         """The one line that ``systemctl status`` shows; sent only when it changed."""
         line = " ".join(text.split())[:STATUS_LENGTH]

@@ -24,6 +24,7 @@ from bridge.daemon import log, protocol
 from bridge.daemon.begin import tell_stacks_on_signal
 from bridge.daemon.control import Commands, ControlServer, DaemonPipe, Hangup
 from bridge.daemon.notify import Notifier
+from bridge.daemon.succession import Successor, succeed
 from bridge.daemon.workers import WorkerKind
 from bridge.progress import working
 from bridge.resources import LARGE_MESSAGES, raise_open_files
@@ -236,7 +237,9 @@ class Process:
             logger.info("%s is switched off by the configuration", self._kind.name)
             notifier.ready()  # ended as it should; to systemd an end before this is a failure
             return 0
-        lock = self._lock(config)
+        successor = Successor()
+        self._kind.create()  # its code, before a predecessor ends
+        lock = succeed(lambda: self._lock(config))
         server = self._open_control(config, "service", self._obey_as_service) if self._control else None
         ready = False
 
@@ -254,7 +257,10 @@ class Process:
         try:
             return self._run(config, report, load)
         finally:
-            notifier.stopping()
+            if successor.pid:
+                notifier.main_process(successor.pid)
+            else:
+                notifier.stopping()
             notifier.close()
             if server is not None:
                 server.close()

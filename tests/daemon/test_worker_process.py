@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import itertools
 import json
+import os
 import platform
 import signal
+import socket
 import subprocess
 import sys
 import time
@@ -20,7 +22,7 @@ from bridge.daemon.control import Commands
 from bridge.daemon.protocol import NewConfig, Report, Stop, encode_command
 from bridge.daemon.workers import supervised_command
 from bridge.worker import Health, Worker
-from tests.daemon.daemon import Daemon, alive
+from tests.daemon.daemon import Daemon, alive, gone
 from tests.support.wait import until
 
 pytestmark = pytest.mark.thorough
@@ -229,6 +231,43 @@ def test_router_service_survives_daemons_and_is_left_running(daemon: Daemon) -> 
     service.signal(signal.SIGTERM)
     assert service.popen.wait(40) == 0
     assert not (daemon.folder / "state" / "test.router.sock").exists()
+
+
+def test_service_hands_over_to_a_new_process_of_itself(daemon: Daemon) -> None:
+    """As systemd sees it: the main process is another, the service goes on."""
+    path = daemon.folder / "notify"
+    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as systemd:
+        systemd.bind(str(path))
+        systemd.settimeout(40)
+        arguments = ("worker", "router", "--control", "--config", str(daemon.file))
+        service = daemon.midspan(*arguments, env={"NOTIFY_SOCKET": str(path), "WATCHDOG_PID": "1"})
+        daemon.wait_started("router")
+        service.signal(signal.SIGUSR2)
+        said: list[str] = []
+        while not said or not said[-1].startswith("MAINPID="):
+            said.append(systemd.recv(4096).decode())
+        new = int(said[-1].removeprefix("MAINPID="))
+        assert "STOPPING=1" not in said
+        assert service.popen.wait(20) == 0
+        while "READY=1" not in said:
+            said.append(systemd.recv(4096).decode())
+        assert alive(new)
+        os.kill(new, signal.SIGTERM)
+        while "STOPPING=1" not in said:
+            said.append(systemd.recv(4096).decode())
+        until(gone(new), "the new one ends like the old")
+
+
+def test_a_service_that_cannot_be_started_anew_goes_on(daemon: Daemon) -> None:
+    service = daemon.midspan("worker", "router", "--control", "--config", str(daemon.file))
+    daemon.wait_started("router")
+    good = daemon.file.read_text()
+    daemon.file.write_text("hub: 5\n")
+    service.signal(signal.SIGUSR2)
+    daemon.expect_output(service, "hub: ")
+    daemon.file.write_text(good)
+    assert service.popen.poll() is None
+    assert service.stop() == 0
 
 
 def test_daemon_waits_for_a_service_that_comes_later(daemon: Daemon) -> None:
