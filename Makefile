@@ -2,7 +2,7 @@
 
 BIN := .venv/bin
 
-.PHONY: help setup demo mix bench-peers test test-fast test-all lint types check bench screenshots dist lock clean
+.PHONY: help setup demo mix bench-peers test test-fast test-all lint types check bench screenshots dist deb lock clean
 .DEFAULT_GOAL := help
 
 # a file at a time to each process; bytecode is kept, or each process would compile all tests and all programs again
@@ -59,6 +59,9 @@ bench: bench-peers ## every benchmark, one after the other
 
 dist: setup ## wheels and source distributions of midspan and yarp-compat, into dist/ (Linux)
 	@$(BIN)/python scripts/dist.py
+
+deb: dist ## Debian packages for Debian 12 and Ubuntu 24.04, into dist/ (ARGS=bookworm for one)
+	@$(BIN)/python scripts/deb.py $(ARGS)
 
 screenshots: ## the docs' pictures of the console, made anew; ARGS=FOLDER: all views, to be looked at
 	@$(MAKE) -s setup BROWSER=yes

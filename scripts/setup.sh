@@ -18,6 +18,7 @@ ros1="python3-actionlib python3-actionlib-msgs python3-diagnostic-msgs python3-g
     python3-visualization-msgs"
 if [ "${CI:-}" = true ]; then
     tools="$tools systemd procps octomap-tools" # procps: the units reload by /bin/kill
+    tools="$tools debootstrap lintian" # the Debian package is installed in a fresh system
     BROWSER=yes
 fi
 if [ -n "${BROWSER:-}" ]; then

@@ -1,0 +1,256 @@
+"""Builds the Debian package of a release, from the wheels of `make dist` and what is locked (`make deb`).
+
+The package has a private environment below /opt/midspan, laid out as a virtual environment of the release's own
+Python. What is compiled is for that Python, so each release has a package of its own; pip finds wheels for a Python
+that this machine has not. The units, the configuration and the user are those of `midspan install`.
+"""
+
+from __future__ import annotations
+
+import argparse
+import gzip
+import hashlib
+import importlib.metadata
+import os
+import re
+import shutil
+import sys
+import tomllib
+import zipfile
+from collections.abc import Sequence
+from dataclasses import dataclass
+from email.utils import formatdate
+from pathlib import Path
+from typing import Any
+
+import shtab
+from packaging.utils import canonicalize_name
+
+ROOT = Path(__file__).resolve().parents[1]
+sys.path.insert(0, str(ROOT))
+
+from bridge.cli.main import VERBS, build_parser  # noqa: E402
+from scripts import dist, lock, manual  # noqa: E402
+
+EXTRAS = ("ros2", "web", "foxglove")
+"""Not the simulator: DART is a quarter more, and wants OpenGL's libraries on the robot."""
+
+PRIVATE = Path("opt/midspan")
+CONFFILES = ("etc/midspan/midspan.yaml", "etc/midspan/environment")
+UNITS = ("midspan-router.service", "midspan.service")
+_SOURCE = ROOT / "packaging" / "debian"
+
+
+@dataclass(frozen=True)
+class Release:
+    """A release of Debian or Ubuntu.
+
+    Attributes:
+        suffix: of the package's version.
+        python: the release's own Python 3.
+        glibc: minor number of its glibc 2, which bounds the wheels that run there.
+    """
+
+    suffix: str
+    python: int
+    glibc: int
+
+
+RELEASES = {"bookworm": Release("~deb12", 11, 36), "noble": Release("~ubuntu24.04", 12, 39)}
+
+
+def libraries() -> list[str]:
+    """What Midspan needs with its extras, as locked and so as it is installed here (tests/setup/test_lock.py)."""
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    wanted = [*project["dependencies"], *(text for extra in EXTRAS for text in project["optional-dependencies"][extra])]
+    found: dict[str, dict[str, Any]] = {
+        canonicalize_name(one.name): {"name": one.name, "version": one.version, "requires_dist": one.requires or ()}
+        for one in importlib.metadata.distributions()
+    }
+    versions, missing = lock.reached(wanted, found, lock.SYSTEMS[0])
+    if missing:
+        raise RuntimeError(f"not installed here: {', '.join(missing)}; 'make setup' installs what is locked")
+    return [f"{name}=={version}" for name, version in sorted(versions.items())]
+
+
+def stage(release: Release, wheels: Sequence[Path], root: Path) -> None:
+    """Lay out all files of the package below a folder; the wheels are Midspan's and yarp-compat's."""
+    got = root.with_name(f"{root.name}-wheels")
+    site = root / PRIVATE / "lib" / f"python3.{release.python}" / "site-packages"
+    for wheel in (*_download(release, got), *wheels):
+        _unpack(wheel, site, root / PRIVATE)
+    shutil.rmtree(got)
+    foreign = [file.name for file in site.rglob("*.cpython-*.so") if f".cpython-3{release.python}-" not in file.name]
+    if foreign:
+        raise RuntimeError(f"built for another Python than 3.{release.python}: {', '.join(sorted(foreign))}")
+    _environment(release, root)
+    _system_files(root)
+
+
+def _download(release: Release, to: Path) -> list[Path]:
+    """Let pip choose wheels for the release's Python; what is published as source alone is pure, and built here."""
+    pip = [sys.executable, "-m", "pip", "-q", "--disable-pip-version-check"]
+    command = [*pip, "download", "--no-deps", "-d", str(to), "--implementation", "cp"]
+    command += ["--python-version", f"3.{release.python}"]
+    tags = ["manylinux2014", *(f"manylinux_2_{minor}" for minor in range(5, release.glibc + 1))]
+    dist.run([*command, *(word for tag in tags for word in ("--platform", f"{tag}_x86_64")), *libraries()], ROOT)
+    for source in to.glob("*.tar.gz"):
+        dist.run([*pip, "wheel", "--no-deps", "-w", str(to), str(source)], ROOT)
+    return sorted(to.glob("*.whl"))
+
+
+def _unpack(wheel: Path, site: Path, prefix: Path) -> None:
+    """What pip does with a wheel, for an environment that is not here; its programs are left out.
+
+    https://packaging.python.org/en/latest/specifications/binary-distribution-format/. Pip's own ``--target`` loses what
+    wheels have in ``data/lib``: all of ROS 2's libraries.
+    """
+    with zipfile.ZipFile(wheel) as archive:
+        for info in archive.infolist():
+            data, _, rest = info.filename.partition(".data/")
+            scheme, _, name = rest.partition("/")
+            if info.is_dir() or scheme in ("scripts", "headers") or "__pycache__" in info.filename:
+                continue
+            path = _parent((prefix if scheme == "data" else site) / (name if rest else data))
+            path.write_bytes(archive.read(info))
+            path.chmod(0o755 if info.external_attr >> 16 & 0o100 else 0o644)
+    for record in site.glob(f"{wheel.name.split('-')[0]}-*.dist-info/RECORD"):
+        text = re.sub(r"^[^/,]+\.data/(scripts|headers)/.*\n", "", record.read_text("utf-8"), flags=re.MULTILINE)
+        text = re.sub(r"^[^/,]+\.data/data/", "../../../", text, flags=re.MULTILINE)
+        record.write_text(re.sub(r"^[^/,]+\.data/\w+/", "", text, flags=re.MULTILINE), encoding="utf-8")
+
+
+def _parent(path: Path) -> Path:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    return path
+
+
+def _write(path: Path, text: str, mode: int = 0o644) -> None:
+    _parent(path).write_text(text, encoding="utf-8")
+    path.chmod(mode)
+
+
+def _environment(release: Release, root: Path) -> None:
+    """What makes the folder an environment of the system's Python, and the command."""
+    python = f"/usr/bin/python3.{release.python}"
+    _write(
+        root / PRIVATE / "pyvenv.cfg", f"home = /usr/bin\ninclude-system-site-packages = false\nexecutable = {python}\n"
+    )
+    command = "import sys\n\nfrom bridge.cli.main import main\n\nsys.exit(main())\n"
+    _write(root / PRIVATE / "bin/midspan", f"#!/{PRIVATE}/bin/python3\n{command}", 0o755)
+    (root / PRIVATE / "bin/python3").symlink_to(python)
+    (_parent(root / "usr/bin/midspan")).symlink_to(f"/{PRIVATE}/bin/midspan")
+
+
+def _system_files(root: Path) -> None:
+    """Units, user, configuration, manual and completions."""
+    for unit in UNITS:
+        text = (ROOT / "packaging" / unit).read_text(encoding="utf-8")
+        _write(root / "lib/systemd/system" / unit, text.replace("@MIDSPAN@", f"/{PRIVATE}/bin/midspan"))
+    shipped = root / PRIVATE / "share/midspan"
+    _write(root / "usr/lib/sysusers.d/midspan.conf", (shipped / "packaging/midspan.sysusers").read_text("utf-8"))
+    _write(root / CONFFILES[0], (shipped / "configs/default.yaml").read_text("utf-8"))
+    _write(root / CONFFILES[1], (shipped / "packaging/environment").read_text("utf-8"))
+    (root / "etc/midspan/midspan.schema.json").symlink_to(f"/{PRIVATE}/share/midspan/configs/midspan.schema.json")
+    parser = build_parser(VERBS)
+    for shell, place in (
+        ("bash", "bash-completion/completions/midspan"),
+        ("zsh", "zsh/vendor-completions/_midspan"),
+        ("fish", "fish/vendor_completions.d/midspan.fish"),
+    ):
+        _write(root / "usr/share" / place, shtab.complete(parser, shell=shell) + "\n")
+    _write_packed(root / "usr/share/man/man1/midspan.1.gz", manual.page(dist.version()))
+    _write(root / "usr/share/doc/midspan/copyright", (_SOURCE / "copyright").read_text("utf-8"))
+    _write(root / "usr/share/lintian/overrides/midspan", (_SOURCE / "lintian-overrides").read_text("utf-8"))
+
+
+def _write_packed(path: Path, text: str) -> None:
+    _parent(path).write_bytes(gzip.compress(text.encode(), mtime=0))
+
+
+def pack(release: Release, root: Path, to: Path, version: str | None = None, *, quick: bool = False) -> Path:
+    """Make the package of the files; returns it.
+
+    Args:
+        release: what it is for.
+        root: the files; their modes are set, and what dpkg wants to know is written beside them.
+        to: folder for the package.
+        version: without the release's suffix; default: this checkout's.
+        quick: press it less.
+    """
+    full = f"{version or dist.version()}{release.suffix}"
+    _write_packed(root / "usr/share/doc/midspan/changelog.gz", _changelog(full))
+    files = sorted(path for path in root.rglob("*") if "DEBIAN" not in path.parts and not path.is_symlink())
+    for path in (root, *files):
+        path.chmod(0o755 if path.is_dir() or _runs(path) else 0o644)
+    files = [path for path in files if path.is_file()]
+    sums = "".join(f"{hashlib.md5(f.read_bytes()).hexdigest()}  {f.relative_to(root)}\n" for f in files)  # noqa: S324
+    control = root / "DEBIAN"
+    _write(control / "md5sums", sums)
+    _write(control / "conffiles", "".join(f"/{name}\n" for name in CONFFILES))
+    for name in ("postinst", "prerm", "postrm"):
+        _write(control / name, (_SOURCE / name).read_text("utf-8"), 0o755)
+    size = sum(path.stat().st_size for path in files) // 1024
+    python = f"python3 (>= 3.{release.python}), python3 (<< 3.{release.python + 1})"
+    text = (_SOURCE / "control").read_text("utf-8")
+    for mark, value in (("VERSION", full), ("SIZE", str(size)), ("PYTHON", python), ("ROS1", ", ".join(ros1()))):
+        text = text.replace(f"@{mark}@", value)
+    _write(control / "control", text)
+    to.mkdir(parents=True, exist_ok=True)
+    package = to / f"midspan_{full}_amd64.deb"
+    command = ["dpkg-deb", "--root-owner-group", *(["-Zgzip", "-z1"] if quick else ["-Zxz"])]
+    dist.run([*command, "--build", str(root), str(package)], to)
+    return package
+
+
+def _runs(file: Path) -> bool:
+    """Whether it is a program; wheels mark libraries as such, too."""
+    return bool(file.stat().st_mode & 0o100) and ".so" not in file.suffixes and file.suffix != ".py"
+
+
+def ros1() -> list[str]:
+    """The archive's packages of ROS 1, as set-up installs them."""
+    found = re.search(r'^ros1="([^"]+)"', (ROOT / "scripts/setup.sh").read_text(encoding="utf-8"), re.MULTILINE)
+    assert found is not None
+    return found[1].split()
+
+
+def _changelog(version: str) -> str:
+    maintainer = re.search(r"^Maintainer: (.+)$", (_SOURCE / "control").read_text("utf-8"), re.MULTILINE)
+    assert maintainer is not None
+    dated = formatdate(float(os.environ.get("SOURCE_DATE_EPOCH") or (ROOT / "CHANGELOG.md").stat().st_mtime))
+    return f"midspan ({version}) stable; urgency=medium\n\n  * See CHANGELOG.md.\n\n -- {maintainer[1]}  {dated}\n"
+
+
+def own_wheels(folder: Path) -> list[Path]:
+    """Midspan's compiled wheel and yarp-compat's in a folder, of this checkout's version."""
+    version = dist.version()
+    found = [*folder.glob(f"midspan-{version}-cp311-abi3-*.whl"), *folder.glob(f"yarp_compat-{version}-*.whl")]
+    if len(found) != 2:
+        raise RuntimeError(f"no wheels of {version} in {folder}: run 'make dist'")
+    return found
+
+
+def main() -> int:
+    """Build the packages of the releases that are named."""
+    parser = argparse.ArgumentParser(description="Build the Debian packages.")
+    parser.add_argument("release", nargs="*", default=sorted(RELEASES), help="default: all")
+    parser.add_argument("--folder", type=Path, default=ROOT / "dist", help="with the wheels, and where to")
+    args = parser.parse_args()
+    work = ROOT / "build" / "deb"
+    try:
+        for name in args.release:
+            shutil.rmtree(work, ignore_errors=True)
+            dist.say(f"the package for {name} (two minutes)")
+            stage(RELEASES[name], own_wheels(args.folder), work)
+            package = pack(RELEASES[name], work, args.folder.absolute())
+            sys.stdout.write(f"{package.stat().st_size / 1e6:6.2f} MB  {package}\n")
+    except (RuntimeError, KeyError) as err:
+        sys.exit(f"deb: {err}")
+    finally:
+        shutil.rmtree(work, ignore_errors=True)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,80 @@
+"""The man page midspan(1), made of what the command line says of itself: `python scripts/manual.py`.
+
+It is in man(7)'s macros. The Debian package has it (scripts/deb.py).
+"""
+
+from __future__ import annotations
+
+import argparse
+import re
+import sys
+from collections.abc import Iterator, Mapping
+
+from bridge.cli.main import VERBS, build_parser
+
+_FILES = """.SH FILES
+.TP
+.I /etc/midspan/midspan.yaml
+The services' configuration; \\fBmidspan config example\\fR shows every key.
+.TP
+.I /etc/midspan/environment
+The services' environment, such as ROS_MASTER_URI.
+.TP
+.I /var/lib/midspan
+The services' state: maps, places, latched messages.
+.SH EXIT STATUS
+0 done, 1 failed, 2 wrong usage, 3 done in part (\\fBmidspan import\\fR alone), 130 interrupted.
+"""
+
+
+def page(version: str) -> str:
+    """The whole page."""
+    parser = build_parser(VERBS)
+    lines = [f'.TH MIDSPAN 1 "" "Midspan {roff(version)}" "User Commands"', ".SH NAME"]
+    lines += ["midspan \\- bridge daemon for mobile robots: ROS 1, ROS 2, YARP and zenoh"]
+    lines += [".SH SYNOPSIS", ".B midspan", "VERB [ARGUMENT ...]", ".SH DESCRIPTION", roff(parser.description or "")]
+    lines += [".SH OPTIONS", *_arguments(parser), ".SH VERBS"]
+    for name, verb in verbs(parser).items():
+        lines += _verb(f"midspan {name}", verb, VERBS[name].help)
+    return "\n".join([*lines, _FILES])
+
+
+def roff(text: str) -> str:
+    """A text in which nothing is a request or an escape of roff's (groff(7))."""
+    text = " ".join(text.split()).replace("\\", "\\e").replace("-", "\\-")
+    return re.sub(r"^(?=[.'])", "\\\\&", text)
+
+
+def verbs(parser: argparse.ArgumentParser) -> Mapping[str, argparse.ArgumentParser]:
+    """What a parser has below it, by name."""
+    found = [action.choices for action in parser._actions if isinstance(action, argparse._SubParsersAction)]
+    return found[0] if found else {}
+
+
+def _verb(name: str, parser: argparse.ArgumentParser, said: str) -> Iterator[str]:
+    yield f".SS {roff(name)}"
+    yield roff(parser.description or f"{said[:1].upper()}{said[1:]}.")
+    usage = parser.format_usage().removeprefix("usage: ")
+    yield from (".PP", f".B {roff(usage)}", *_arguments(parser))
+    for below, its in verbs(parser).items():
+        yield from _verb(f"{name} {below}", its, _helps(parser).get(below, ""))
+
+
+def _helps(parser: argparse.ArgumentParser) -> dict[str, str]:
+    actions = [action for action in parser._actions if isinstance(action, argparse._SubParsersAction)]
+    return {choice.dest: choice.help or "" for action in actions for choice in action._choices_actions}
+
+
+def _arguments(parser: argparse.ArgumentParser) -> Iterator[str]:
+    formatter = argparse.HelpFormatter(parser.prog)
+    for action in parser._actions:
+        if action.help == argparse.SUPPRESS or isinstance(action, argparse._SubParsersAction | argparse._HelpAction):
+            continue
+        named = formatter._format_action_invocation(action)
+        yield from (".TP", f".B {roff(named)}", roff(formatter._expand_help(action) if action.help else "") or "\\&")
+
+
+if __name__ == "__main__":
+    from bridge import __version__
+
+    sys.stdout.write(page(__version__))

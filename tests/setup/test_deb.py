@@ -1,0 +1,210 @@
+"""The Debian package, in a fresh system that its own systemd runs: installed, upgraded, purged; and lintian on it."""
+
+from __future__ import annotations
+
+import os
+import re
+import shutil
+import subprocess
+import sys
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import ExitStack
+from dataclasses import dataclass
+from pathlib import Path
+
+import pytest
+
+from scripts import deb, dist, manual
+from tests.setup.machine import ROOT
+from tests.support.debian import Tree
+from tests.support.missing import COMPILER, DEBIAN, ROS1, need
+from tests.support.process import Process
+from tests.support.ros1 import ROS1_CORE, ROS1_PYTHON, ros1_environment
+from tests.support.wait import until
+
+MASTER = "http://localhost:11311"
+NEXT = "99.0.0"
+"""The version of the upgrade."""
+
+GAP = ROOT / "tests" / "support" / "zenoh_gap.py"
+RELEASES = [
+    "bookworm",
+    pytest.param(
+        "noble", marks=pytest.mark.skipif("MIDSPAN_NOBLE" not in os.environ, reason="MIDSPAN_NOBLE=1 asks for it")
+    ),
+]
+
+
+def test_the_manual_has_every_verb_and_nothing_that_roff_takes_for_a_request() -> None:
+    page = manual.page(dist.version())
+    said = re.findall(r"^\.SS midspan (.+)$", page, re.MULTILINE)
+    assert {"run", "worker", "topic", "topic echo", "location add"} <= set(said)
+    requests = {line.split()[0] for line in page.splitlines() if line[:1] in ".'"}
+    assert requests <= {".TH", ".SH", ".SS", ".TP", ".PP", ".B", ".I"}
+    assert manual.roff(".start -x\\n") == "\\&.start \\-x\\en"
+
+
+def test_recommended_is_what_set_up_installs_of_ros1() -> None:
+    assert {"python3-rospy", "python3-roslaunch", "python3-tf2-ros"} <= set(deb.ros1())
+
+
+@dataclass
+class Place:
+    """A system with two versions of the package in its root's home, and what lintian says of the first."""
+
+    tree: Tree
+    release: deb.Release
+    lintian: Process
+    environ: dict[str, str]
+
+    def install(self, version: str) -> None:
+        """By the command that people use."""
+        self.tree.run(
+            "apt-get", "install", "-y", f"/root/midspan_{version}{self.release.suffix}_amd64.deb", seconds=900
+        )
+
+    def status(self) -> str:
+        """The line by which systemd tells of the daemon."""
+        return self.tree.run("systemctl", "show", "--property=StatusText", "--value", "midspan")
+
+    def nodes(self) -> list[str]:
+        """Those of the master; none without it."""
+        return self.tree.machine.run("sh", "-c", "rosnode list || true", env=self.environ).split()
+
+    def joined(self) -> bool:
+        """Whether the master lists the bridge; Ubuntu 24.04's archive has no rospy, so there ROS 2 alone is joined."""
+        if self.release is deb.RELEASES["noble"]:
+            return "ros2 running" in self.status()
+        return "/midspan" in self.nodes() and "ros1 running" in self.status()
+
+
+OTHERS = re.compile(
+    r"__pycache__|^/(var/(log|cache|lib)/(apt|dpkg|journal|systemd|ucf)|etc/(passwd|group|g?shadow)-$|root/)"
+)
+"""What other packages' programs, apt and systemd write; and where the test has put the packages."""
+
+
+def packages(release: deb.Release, folder: Path) -> list[Path]:
+    """This version's package, and another whose number alone differs; little compressed."""
+    for name, lay_out in (("yarp_compat", dist.lay_out_yarp_compat), ("midspan", dist.lay_out_midspan)):
+        source = folder / name / "source"
+        source.mkdir(parents=True)
+        lay_out(source)
+        dist.build_wheel(dist.build_sdist(source, folder / name), folder / name / "wheel", folder / name / "build", {})
+    wheels = [*folder.glob("*/wheel/*.whl")]
+    root = folder / "root"
+    deb.stage(release, wheels, root)
+    first = deb.pack(release, root, folder / "packages", quick=True)
+    (module,) = root.glob("opt/midspan/lib/*/site-packages/bridge/__init__.py")
+    module.write_text(dist.VERSION_LINE.sub(f'__version__ = "{NEXT}"', module.read_text()))
+    return [first, deb.pack(release, root, folder / "packages", NEXT, quick=True)]
+
+
+def fresh(suite: str, folder: Path) -> Tree:
+    """The archive is the one that debootstrap knows, or that apt here is set up for."""
+    if suite == "noble":
+        return Tree(folder, suite, components="main,universe", script="gutsy")
+    asked = ["apt-get", "indextargets", "--format", "$(SITE)", "Identifier: Packages", f"Codename: {suite}"]
+    sites = subprocess.run(asked, capture_output=True, text=True, check=False).stdout.split()
+    return Tree(folder, suite, archive=sites[0] if sites else "")
+
+
+@pytest.fixture(scope="module", params=RELEASES)
+def place(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Place]:
+    """Booted, with the packages that ours asks for at hand but not installed, and a roscore that is there already."""
+    for reason in (DEBIAN, COMPILER, ROS1):
+        need(reason)
+    release, folder = deb.RELEASES[request.param], tmp_path_factory.mktemp("deb")
+    environ = {**ros1_environment(MASTER), "ROS_HOME": str(folder / "ros"), "ROS_LOG_DIR": str(folder / "ros" / "log")}
+    with ExitStack() as stack:
+        pool = stack.enter_context(ThreadPoolExecutor())
+        made = pool.submit(packages, release, folder)
+        tree = stack.enter_context(fresh(request.param, folder / "tree"))
+        both = made.result()
+        lintian = stack.enter_context(Process(["lintian", "--allow-root", "--fail-on", "error", both[0]]))
+        for package in both:
+            shutil.copy(package, tree.folder / "root" / package.name)
+        tree.chroot("apt-get", "update")
+        tree.chroot("apt-get", "install", "-y", "--download-only", f"/root/{both[0].name}")
+        tree.boot()
+        stack.enter_context(tree.machine.start(ROS1_PYTHON, ROS1_CORE, "11311", env=environ))
+        made_place = Place(tree, release, lintian, environ)
+        until(lambda: "/rosout" in made_place.nodes(), "a master")
+        yield made_place
+
+
+@pytest.mark.long
+@pytest.mark.timeout(2400)
+def test_a_package_is_installed_runs_is_upgraded_and_purged(place: Place, tmp_path: Path) -> None:
+    """In one test, since each step stands on the one before."""
+    tree = place.tree
+    place.install(dist.version())
+    assert tree.run("systemctl", "is-active", "midspan", "midspan-router").split() == ["active", "active"]
+    until(place.joined, "the bridge has joined the master", 60)
+    assert tree.run("midspan", "--version") == f"midspan {dist.version()}\n"
+    assert tree.run("stat", "--format=%U", "/var/lib/midspan") == "midspan\n"
+    for file in ("man/man1/midspan.1.gz", "bash-completion/completions/midspan", "zsh/vendor-completions/_midspan"):
+        assert (tree.folder / "usr/share" / file).stat().st_size > 1000
+
+    installed = tree.files()
+    config = tree.folder / "etc/midspan/midspan.yaml"
+    config.write_text(config.read_text() + "\nstore: {enabled: true} # ours\n")
+    tree.run("systemctl", "reload", "midspan")
+    until(lambda: add_kitchen(place), "the store takes a location", 60)
+
+    gap = Process(tree.machine.command(sys.executable, GAP, "tcp/127.0.0.1:7447"), pipes=True)
+    with gap:
+        longest(gap)
+        place.install(NEXT)
+        until(place.joined, "the bridge has joined the master anew", 60)
+        cut = longest(gap)
+        print(f"the upgrade cut two clients of the router for {cut:.2f} s")
+        assert cut < 3
+    assert tree.run("dpkg-query", "-W", "-f", "${Version}", "midspan") == f"{NEXT}{place.release.suffix}"
+    assert "# ours" in config.read_text()
+    assert "kitchen" in tree.run("midspan", "location", "list")
+
+    tree.run("apt-get", "purge", "-y", "midspan", seconds=300)
+    assert left_behind(tree, installed) == []
+    named = tree.run(
+        "sh", "-c", "getent passwd midspan; getent group midspan; systemctl list-unit-files; systemctl --failed"
+    )
+    assert "midspan" not in named
+    tree.run("pgrep", "-f", "midspan", code=1)
+
+
+def add_kitchen(place: Place) -> bool:
+    """Once the daemon has its store, through the command line of the package."""
+    try:
+        place.tree.run("midspan", "location", "add", "kitchen", "2.5", "1", "90", "--map", "house")
+    except AssertionError:
+        return False
+    return "kitchen" in place.tree.run("midspan", "location", "list")
+
+
+def longest(gap: Process) -> float:
+    """Seconds for which the two did not hear each other since it was asked before."""
+    assert gap.popen.stdin is not None
+    assert gap.popen.stdout is not None
+    gap.popen.stdin.write("\n")
+    gap.popen.stdin.flush()
+    return float(gap.popen.stdout.readline())
+
+
+def left_behind(tree: Tree, installed: set[str]) -> list[str]:
+    """Files that are named for Midspan, came later than it, or belong to a user who is no more."""
+    files = tree.files()
+    left = {path for path in files if "midspan" in path and not OTHERS.search(path)}
+    left |= {path for path in files - installed if not OTHERS.search(path)}
+    left |= set(tree.run("find", "/", "/dev/shm", "-xdev", "-nouser").split())
+    return sorted(left)
+
+
+@pytest.mark.long
+@pytest.mark.timeout(2400)
+def test_lintian_finds_no_error(place: Place) -> None:
+    code = place.lintian.popen.wait(1200)
+    said = place.lintian.output()
+    assert code == 0, said[-4000:]
+    assert not re.search(r"^E: ", said, re.MULTILINE)

@@ -1,0 +1,160 @@
+"""A fresh Debian or Ubuntu in a folder: debootstrap makes it, and its own systemd runs in namespaces as process 1."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import shutil
+import signal
+import subprocess
+from collections.abc import Sequence
+from pathlib import Path
+from types import TracebackType
+from typing import Self
+
+from tests.support.netns import Machine
+from tests.support.process import Process
+from tests.support.wait import until
+
+CACHE = Path(__file__).resolve().parents[2] / ".cache" / "debootstrap"
+"""Packages that debootstrap got, kept between runs."""
+
+_CGROUP = r"""
+mount --make-rprivate /
+mount -t cgroup2 cgroup2 "$2"
+mkdir -p "$2/$1"
+echo $$ >"$2/$1/cgroup.procs"
+umount "$2"
+shift 2
+exec "$@"
+"""
+"""In a cgroup of its own, wherever this machine has them mounted."""
+
+_BOOT = r"""
+tree=$1
+mount --make-rprivate /
+mount --bind "$tree" "$tree"
+mount -t proc proc "$tree/proc"
+mount -t sysfs -o ro sysfs "$tree/sys"
+mount -t cgroup2 cgroup2 "$tree/sys/fs/cgroup"
+for folder in run dev dev/shm; do
+    mkdir -p "$tree/$folder"
+    mount -t tmpfs -o mode=755 tmpfs "$tree/$folder"
+done
+chmod 1777 "$tree/dev/shm"
+mkdir "$tree/dev/pts"
+mount -t devpts -o newinstance,ptmxmode=0666 devpts "$tree/dev/pts"
+ln -s pts/ptmx "$tree/dev/ptmx"
+ln -s /proc/self/fd "$tree/dev/fd"
+for device in null zero full random urandom tty; do
+    touch "$tree/dev/$device"
+    mount --bind "/dev/$device" "$tree/dev/$device"
+done
+hostname tree
+cd "$tree"
+pivot_root . .
+umount -l .
+exec env -i container=lxc PATH=/usr/sbin:/usr/bin:/sbin:/bin /sbin/init
+"""
+"""What systemd expects of who starts a container: https://systemd.io/CONTAINER_INTERFACE"""
+
+_REMOVE_CGROUP = r"""
+mount --make-rprivate /
+mount -t cgroup2 cgroup2 "$2"
+until find "$2/$1" -depth -type d -exec rmdir {} + 2>/dev/null || [ ! -e "$2/$1" ]; do
+    sleep 0.1 # what was killed is not gone yet
+done
+"""
+
+
+class Tree:
+    """A system in a folder; nothing of it is on this machine's network once it runs.
+
+    Args:
+        folder: where to make it.
+        suite: the release.
+        archive: where its packages are; by default where debootstrap knows them to be.
+        components: of the archive.
+        script: debootstrap's, where it has none of the suite's name (then the signatures are not looked at).
+    """
+
+    def __init__(
+        self, folder: Path, suite: str, *, archive: str = "", components: str = "main", script: str = ""
+    ) -> None:
+        self.folder = folder
+        self.machine = Machine(f"tree-{suite}")
+        self._init: Process | None = None
+        self._name = f"midspan-tree-{os.getpid()}"
+        (folder.parent / "mount").mkdir(exist_ok=True)
+        folder.mkdir()
+        self._call(["mount", "-t", "tmpfs", "-o", "mode=755", "tmpfs", folder], 10)  # dpkg and the end are quicker
+        CACHE.mkdir(parents=True, exist_ok=True)
+        command = ["debootstrap", "--variant=minbase", f"--components={components}", f"--cache-dir={CACHE}"]
+        command += ["--include=ca-certificates,dbus,systemd,systemd-sysv", *(["--no-check-gpg"] if script else [])]
+        scripts = [f"/usr/share/debootstrap/scripts/{script}"] if script else []
+        self._call([*command, suite, str(folder), *([archive] if archive or script else []), *scripts], 600)
+        (folder / "etc/dpkg/dpkg.cfg.d/unsafe").write_text("force-unsafe-io\n")
+        shutil.copy("/etc/resolv.conf", folder / "etc/resolv.conf")
+
+    def _call(self, command: Sequence[str | Path], seconds: float, code: int = 0) -> str:
+        environ = {"PATH": "/usr/sbin:/usr/bin:/sbin:/bin", "DEBIAN_FRONTEND": "noninteractive", "LC_ALL": "C.UTF-8"}
+        environ |= {name: value for name, value in os.environ.items() if name.lower().endswith("_proxy")}
+        done = subprocess.run(
+            command, env=environ, capture_output=True, text=True, timeout=seconds, check=False,
+            stdin=subprocess.DEVNULL,
+        )  # fmt: skip
+        assert done.returncode == code, f"{command}: {(done.stdout + done.stderr)[-4000:]}"
+        return done.stdout
+
+    def chroot(self, *words: str, seconds: float = 300) -> str:
+        """Run a program on its files, with this machine's network."""
+        return self._call(["chroot", str(self.folder), *words], seconds)
+
+    def boot(self) -> None:
+        """Start its systemd, and wait until that has started everything."""
+        mount = self.folder.parent / "mount"
+        apart = ["unshare", "--mount", "sh", "-ec", _CGROUP, "sh", self._name, mount]
+        own = ["unshare", "--mount", "--pid", "--fork", "--uts", "--ipc", "--cgroup", "--kill-child=SIGKILL"]
+        self._init = Process(self.machine.command(*apart, *own, "sh", "-ec", _BOOT, "sh", self.folder))
+        until(self._is_up, "systemd runs in the tree", 60)
+
+    def _is_up(self) -> bool:
+        assert self._init is not None
+        assert self._init.popen.poll() is None, self._init.output()
+        with contextlib.suppress(AssertionError, OSError, IndexError):
+            return self._call([*self._enter(), "systemctl", "is-system-running"], 10).strip() == "running"
+        return False
+
+    def _enter(self) -> list[str]:
+        assert self._init is not None
+        children = Path(f"/proc/{self._init.pid}/task/{self._init.pid}/children").read_text().split()
+        kinds = ["--mount", "--pid", "--uts", "--ipc", "--net", "--cgroup", "--root", "--wd"]
+        return ["nsenter", f"--target={children[0]}", *kinds]
+
+    def run(self, *words: str, seconds: float = 120, code: int = 0) -> str:
+        """Run a program in it, as root."""
+        return self._call([*self._enter(), *words], seconds, code)
+
+    def files(self) -> set[str]:
+        """All paths on its disk."""
+        return set(self._call(["find", self.folder, "-xdev", "-printf", "/%P\n"], 60).splitlines())
+
+    def close(self) -> None:
+        """End all of it, and remove it."""
+        if self._init is not None:
+            self._init.signal(signal.SIGKILL)
+            self._init.stop()
+            removal = ["unshare", "--mount", "sh", "-ec", _REMOVE_CGROUP, "sh", self._name]
+            with contextlib.suppress(AssertionError):
+                self._call([*removal, self.folder.parent / "mount"], 30)
+        self.machine.close()
+        with contextlib.suppress(AssertionError):
+            self._call(["umount", "--lazy", self.folder], 30)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, where: TracebackType | None
+    ) -> None:
+        self.close()
