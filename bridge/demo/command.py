@@ -67,13 +67,18 @@ def _rooms(args: argparse.Namespace, shutdown: Shutdown, stack: contextlib.ExitS
     from bridge.demo import rooms
     from bridge.demo.progress import DemoError
     from bridge.demo.rooms_view import RoomsView
-    from bridge.demo.sandbox import missing, too_slow
+    from bridge.demo.sandbox import missing, too_slow, without_ros1
 
     template = args.config or rooms.CONFIG
     here = _sandbox(shutdown, stack, template, rooms.laid_over(template), ports=False)
+    without = without_ros1(here.config)
+    if without:
+        here.leave_out_ros1()
     _require([*missing(here.config), *too_slow()])
     with shutdown.held():
         view = stack.enter_context(RoomsView())
+    if without:
+        view.say(f"{without}\nthe demo goes on without ROS 1: its client is left out")
     result = None
     try:
         demo = rooms.RoomsDemo(here, view.tick, shutdown)

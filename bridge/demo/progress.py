@@ -234,9 +234,10 @@ class DemoRun:
 
     def _launch_roscore_and_daemon(self) -> None:
         sandbox = self._sandbox
-        master = guarded(SYSTEM_PYTHON, roscore(sandbox.config), "-p", str(sandbox.master_port))
+        if sandbox.config.ros1.enabled:
+            master = guarded(SYSTEM_PYTHON, roscore(sandbox.config), "-p", str(sandbox.master_port))
+            self._launch("roscore", master, sandbox.ros1_environment())
         daemon = guarded(sys.executable, "-m", "bridge.cli.main", "run", "--config", sandbox.config_file)
-        self._launch("roscore", master, sandbox.ros1_environment())
         self._launch("daemon", daemon, sandbox.environment())
 
     def _look(self) -> None:

@@ -88,7 +88,8 @@ class RoomsDemo(DemoRun):
         (conf / "yarp.conf").write_text(f"127.0.0.1 {sandbox.yarp_port} yarp\n", encoding="utf-8")
         try:
             self._launch_roscore_and_daemon()
-            self._until(sandbox.master_answers, "roscore")
+            if sandbox.config.ros1.enabled:
+                self._until(sandbox.master_answers, "roscore")
             self._until(lambda: self._parts.up("router"), "the hub's router")
             with self._course() as course:
                 self._until(lambda: course.localized, "the robot and its localiser", course)
@@ -116,9 +117,14 @@ class RoomsDemo(DemoRun):
                 self._check("the hub")
 
     def run(self, course: RobotTracker, rooms: Sequence[str] = ROOMS) -> RoomsResult:
-        """Have each client send the robot to its room."""
-        result = RoomsResult(len(rooms))
-        for client, room in zip(_CLIENTS, rooms, strict=True):
+        """Have each client send the robot to its room; the ROS 1 client only where there is ROS 1."""
+        drives = [
+            (client, room)
+            for client, room in zip(_CLIENTS, rooms, strict=True)
+            if client != ROS1 or self._sandbox.config.ros1.enabled
+        ]
+        result = RoomsResult(len(drives))
+        for client, room in drives:
             result.drives.append(self._drive(client, room, course))
             if not result.drives[-1].reached:
                 break

@@ -141,8 +141,16 @@ class Sandbox:
             "yarp": {"enabled": yarp, "nameserver": "embedded", "address": f"127.0.0.1:{self.yarp_port}"},
             "web": {"listen": f"127.0.0.1:{self.web_port}"},
         }
-        self.config_file.write_text(yaml.safe_dump(_merged(base, own), sort_keys=False), encoding="utf-8")
+        return self._written(_merged(base, own))
+
+    def _written(self, document: dict[str, Any]) -> Config:
+        self.config_file.write_text(yaml.safe_dump(document, sort_keys=False), encoding="utf-8")
         return load(self.config_file)
+
+    def leave_out_ros1(self) -> None:
+        """Switch the side ROS 1 off, where this machine has none."""
+        document = yaml.safe_load(self.config_file.read_text(encoding="utf-8"))
+        self.config = self._written(_merged(document, {"ros1": {"enabled": False}}))
 
     def __enter__(self) -> Self:
         return self
@@ -217,7 +225,8 @@ _APT = (
 
 def missing(config: Config) -> list[str]:
     """What is missing, each with its cure; empty where the demo can run."""
-    return [reason for reason in (_ros1(config), _ros2(config), _zenoh()) if reason]
+    ros1_reason = without_ros1(config) if config.ros1.enabled else ""
+    return [reason for reason in (ros1_reason, _ros2(config), _zenoh()) if reason]
 
 
 def too_slow() -> list[str]:
@@ -240,7 +249,8 @@ def roscore(config: Config) -> Path:
     return Path(found)
 
 
-def _ros1(config: Config) -> str:
+def without_ros1(config: Config) -> str:
+    """What is missing of ROS 1, with its cure; "" where it is there."""
     reason = ros1.available(config)
     if reason:
         return f"ROS 1: {reason}"

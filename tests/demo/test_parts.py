@@ -17,7 +17,7 @@ import pytest
 
 from bridge.demo import leftovers, sandbox
 from bridge.demo.processes import guarded
-from bridge.demo.sandbox import Sandbox
+from bridge.demo.sandbox import Sandbox, missing
 from bridge.demo.topics_demo import messages
 from bridge.demo.topics_demo.checks import ROS1, ROS2, YARP, YARP_TEXT, ZENOH, Drive, evaluate, promises
 from bridge.demo.topics_demo.report import TopicReceived
@@ -124,6 +124,17 @@ def test_place_keeps_the_rules_of_its_template(tmp_path: Path) -> None:
         assert box.config.routing.rules[0].deny
         assert box.config.name != "mine"
         assert not box.config.hub.listen.endswith(":7447")
+
+
+def test_what_goes_on_without_ros1_needs_none(tmp_path: Path) -> None:
+    template = tmp_path / "without.yaml"
+    template.write_text(f"ros1: {{packages: {tmp_path}}}\n")
+    with Sandbox(template) as box:
+        assert any(reason.startswith("ROS 1: ") for reason in missing(box.config))
+        box.leave_out_ros1()
+        assert not any(reason.startswith("ROS 1: ") for reason in missing(box.config))
+        assert not box.config.ros1.enabled
+        assert box.config.ros2.enabled
 
 
 def test_the_shipped_configuration_is_sound() -> None:

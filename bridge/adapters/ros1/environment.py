@@ -63,7 +63,7 @@ def available(config: Config, environ: Mapping[str, str] | None = None) -> str:
         if config.ros1.packages is not None:
             return f"ros1.packages: no rospy in {config.ros1.packages}; give the folder that holds 'rospy'"
         return (
-            "no rospy on this machine: install it (Debian, Ubuntu: apt install python3-rospy) or give the folder that"
+            "no rospy on this machine: install it (Debian 12: apt install python3-rospy) or give the folder that"
             " holds it as ros1.packages"
         )
     lacking = [name for name in _NEEDED if not (folder / name).is_dir()]
