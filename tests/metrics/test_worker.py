@@ -106,7 +106,7 @@ def test_both_formats(place: Place) -> None:
     status, kind, text = place.ask("/metrics", OPENMETRICS)
     assert status == 200
     assert kind.startswith(OPENMETRICS)
-    assert "midspan_route_latency_seconds" in {family.name for family in parse_openmetrics(text)}
+    assert "midspan_route_carry_seconds" in {family.name for family in parse_openmetrics(text)}
 
 
 def test_it_answers_without_a_hub_and_joins_it_later(place: Place) -> None:
