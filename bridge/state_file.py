@@ -9,6 +9,7 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from bridge.config.model import Config
+from yarp_compat.file_names import escaped
 
 
 def state_folder(config: Config, environ: Mapping[str, str] = os.environ) -> Path:
@@ -23,7 +24,7 @@ def state_folder(config: Config, environ: Mapping[str, str] = os.environ) -> Pat
 
 def worker_folder(config: Config, environ: Mapping[str, str] = os.environ) -> Path:
     """Where the workers of this daemon keep what they must know again; several daemons may share a state folder."""
-    return state_folder(config, environ) / config.name
+    return state_folder(config, environ) / escaped(config.name)
 
 
 def lane_folder(config: Config, environ: Mapping[str, str] = os.environ) -> Path | None:
@@ -99,7 +100,7 @@ def _in_state(config: Config, name: str) -> Path:
     if config.state is None:
         msg = "the configuration's state folder is not filled in"
         raise ValueError(msg)
-    return config.state / name
+    return config.state / escaped(name)
 
 
 _log = logging.getLogger(__name__)

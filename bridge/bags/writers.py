@@ -17,6 +17,7 @@ from bridge.bags.bag import BagError, BagTopic, Kind
 from bridge.bags.conversion import TopicForm
 from bridge.bags.qos import rosbag2_time
 from bridge.hub.wire.qos import Qos
+from yarp_compat.file_names import forbidden
 
 COMPRESSIONS: dict[Kind, tuple[str, ...]] = {
     "mcap": ("zstd", "lz4", "none"), "bag": ("none", "lz4", "bz2"), "db3": ("none",),
@@ -179,6 +180,8 @@ def open_writer(path: Path, kind: Kind, compression: str) -> BagWriter:
 @contextmanager
 def written_whole(target: Path, kind: Kind) -> Iterator[Path]:
     """Where to write a bag that comes to ``target`` at the end, or not at all; raises `BagError`."""
+    if why := forbidden(target.name):
+        raise BagError(target, why)
     if target.exists():
         raise BagError(target, "is there already", None, "remove it, or take another name")
     making = target.parent / f".{target.name}.{secrets.token_hex(4)}"

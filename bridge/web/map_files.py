@@ -25,6 +25,7 @@ from bridge.stores.service import read_files
 from bridge.stores.store import THE_MAP, Write
 from bridge.web.verbs import PageVerb, VerbError, name_of, truth_of
 from yarp_compat.dev.mapfile import MapFileError
+from yarp_compat.file_names import forbidden
 
 MOST_BYTES = 64 << 20
 """Of the files of an upload, unpacked too, and of a download."""
@@ -90,6 +91,8 @@ def file_of(value: Any) -> str:
     """Check a file's name, without a folder."""
     if not isinstance(value, str) or not _NAME.fullmatch(value) or value.startswith("."):
         raise ValueError("is a file's name of letters, digits, blanks and - _ . ( )")
+    if why := forbidden(value):
+        raise ValueError(why)
     return value
 
 

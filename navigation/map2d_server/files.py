@@ -10,6 +10,7 @@ from bridge.stores.store import Store, Write
 from yarp_compat.dev.extras import Extras, extras_file
 from yarp_compat.dev.mapgrid import MapGrid2D
 from yarp_compat.dev.places import Places, load_maps, save_maps
+from yarp_compat.file_names import forbidden
 
 _LONGEST = 200
 
@@ -31,6 +32,8 @@ class MapsFolder:
             raise ValueError(
                 f"{name[:60]!r} is refused: give the plain name of a file in the maps folder, without a path"
             )
+        if why := forbidden(name):
+            raise ValueError(f"{name[:60]!r} is refused: it {why}")
         if suffixes and not name.lower().endswith(suffixes):
             if "." in name:
                 raise ValueError(f"{name[:60]!r} is refused: its name should end in {' or '.join(suffixes)}")

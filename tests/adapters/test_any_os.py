@@ -17,7 +17,7 @@ from bridge.hub.session import Hub
 from bridge.messages.registry import Registry
 from tests.contract.hubside import HubSide
 from tests.contract.side import PeerLike
-from tests.support.hidden import HIDE, LIBRARIES, NAME
+from tests.support.hidden import HIDE, LIBRARIES, NAME, is_windows_name
 from tests.support.process import Process
 from tests.support.quick_hub import QuickHub
 from tests.support.rosbags_messages import Messages
@@ -43,9 +43,13 @@ def hubs() -> Iterator[QuickHub]:
 
 @contextmanager
 def worker(side: str, hubs: QuickHub, folder: Path, **sections: Any) -> Iterator[HubSide]:
-    """The worker of a side in a process of its own, which must end well when it is told to; a program on its hub."""
+    """The worker of a side in a process of its own, which must end well when it is told to; a program on its hub.
+
+    The daemon is called as no file on Windows can be, and those in its state folder are not.
+    """
     file = folder / "midspan.yaml"
-    config = {"name": "here", "state": str(folder), "hub": {"listen": hubs.endpoint, "shared_memory": False}}
+    state = folder / "state"
+    config = {"name": "CON", "state": str(state), "hub": {"listen": hubs.endpoint, "shared_memory": False}}
     file.write_text(yaml.safe_dump({**config, **sections}))
     environ = {**os.environ, "PYTHONPATH": str(ROOT)}
     far = HubSide(Hub.open(hubs.settings("far")), Registry())
@@ -56,6 +60,9 @@ def worker(side: str, hubs: QuickHub, folder: Path, **sections: Any) -> Iterator
             assert process.popen.poll() is None, "it ended by itself"
             process.signal(signal.SIGINT)  # Ctrl-C, which there is on any OS
             assert process.popen.wait(20) == 0
+            made = [path.name for path in state.rglob("*")]
+            assert "%43ON" in made
+            assert [name for name in made if not is_windows_name(name)] == []
         except BaseException:
             print(process.output())
             raise

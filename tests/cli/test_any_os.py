@@ -73,6 +73,7 @@ def test_verbs_do_what_they_do_elsewhere(hub: QuickHub, tmp_path: Path) -> None:
             "doctor --only config --config FILE",
             "status --config FILE",
             "run --config FILE",
+            "record --all --output aux.mcap --config FILE",
             "install",
         )
     finally:
@@ -86,4 +87,6 @@ def test_verbs_do_what_they_do_elsewhere(hub: QuickHub, tmp_path: Path) -> None:
     code, text = said["run --config FILE"]
     assert code == 1
     assert "midspan worker NAME" in text
+    code, text = said["record --all --output aux.mcap --config FILE"]
+    assert (code, "aux.mcap is no file's name on Windows" in text) == (1, True), said
     assert "systemd services are Linux's" in said["install"][1]

@@ -1,6 +1,9 @@
-"""A Python in which all is hidden that Windows does not have."""
+"""A Python in which all is hidden that Windows does not have, and what files are called there."""
 
 from __future__ import annotations
+
+import warnings
+from pathlib import PureWindowsPath
 
 HIDE = """
 import asyncio, concurrent.futures, http.client, logging.handlers, multiprocessing, numpy, os, select, selectors
@@ -55,3 +58,13 @@ NAME = """
 sys.platform = "win32"
 """
 """Run after it: the system's name, by which the bridge knows what not to ask for."""
+
+
+def is_windows_name(name: str) -> bool:
+    """Whether a file in a folder can have the name there, as `pathlib` and Microsoft's rules say."""
+    path = PureWindowsPath("C:/maps") / name
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", DeprecationWarning)
+        reserved = path.is_reserved()
+    inside = path.parent == PureWindowsPath("C:/maps") and path.name == name
+    return inside and not reserved and not set(name) & set('<>:"|?*') and name == name.rstrip(". ")

@@ -18,16 +18,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from yarp_compat.dev.mapflag import MAX_CELLS, too_large
+from yarp_compat.file_names import forbidden
 from yarp_compat.wire.framing import Buffer
 
 LONGEST_TEXT = 1 << 22  # a text file of more bytes is refused
 
 _NO_FILE_NAME = re.compile(r"^$|^\.|[/\\\x00-\x1f\x7f]")
-
-_NO_WINDOWS_NAME = re.compile(
-    r"""[<>:"|?*]|[. ]$|^(?:con|prn|aux|nul|(?:com|lpt)[0-9\u00b9\u00b2\u00b3]) *(?:\.|$)""", re.IGNORECASE
-)
-"""What no file on Windows is called (learn.microsoft.com, "Naming Files, Paths, and Namespaces")."""
 
 
 class MapFileError(ValueError):
@@ -88,13 +84,10 @@ class TextFile(ABC):
         write(Path(path), self.to_text())
 
 
-def file_name(name: str, *, windows: bool = os.name == "nt") -> str:
+def file_name(name: str) -> str:
     """A map's name, if it can be a part of a file's name; else raises `MapFileError`."""
-    if windows and _NO_WINDOWS_NAME.search(name):
-        raise MapFileError(
-            f"a map named {name!r:.100} cannot be saved on Windows: files are named after it, and there a file's name"
-            " has none of <>:\"|?*, ends neither with a dot nor a blank, and is no device's, such as CON or COM1"
-        )
+    if why := forbidden(name):
+        raise MapFileError(f"a map named {name!r:.100} cannot be saved, since files are named after it: it {why}")
     if _NO_FILE_NAME.search(name) or len(name.encode("utf-8", "surrogateescape")) > 200:
         raise MapFileError(
             f"a map named {name!r:.100} cannot be saved: files are named after it, so its name has up to 200 bytes, no "
@@ -105,6 +98,8 @@ def file_name(name: str, *, windows: bool = os.name == "nt") -> str:
 
 def write(path: Path, *content: Buffer | str) -> None:
     """Write a file, which is as it was or whole at any time; raises `MapFileError` where that fails."""
+    if why := forbidden(path.name):
+        raise MapFileError(f"{path} {why}")
     fresh = path.with_name(f".{path.name}.{os.getpid()}.{threading.get_ident()}.new")
     data = [part.encode("utf-8", "surrogateescape") if isinstance(part, str) else part for part in content]
     try:

@@ -8,6 +8,7 @@ keeps six digits. Collections (``maps_collection.ini``): a line for each map, ``
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -201,6 +202,8 @@ def load_maps(path: str | Path, jail: Path | None = None) -> dict[str, MapGrid2D
 def save_maps(maps: Mapping[str, MapGrid2D], path: str | Path) -> None:
     """Write a collection, and its maps beside it; raises `MapFileError` where a map's name cannot be a file's."""
     file = Path(path)
+    if sys.platform in ("win32", "darwin") and len({name.casefold() for name in maps}) < len(maps):
+        raise MapFileError(f"{file}: two maps' names differ in capitals alone, and files' names here do not")
     for name, grid in maps.items():
         grid.save(file.with_name(f"{file_name(name)}.map"))
     write(file, "".join(f"mapfile: {name}.map\n" for name in sorted(maps)))

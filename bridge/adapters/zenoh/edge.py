@@ -28,6 +28,7 @@ from bridge.messages.registry import Registry
 from bridge.messages.transcode.conversion import SideType
 from bridge.routing.dispatcher import Dispatcher
 from bridge.routing.edge import EdgeListener, Endpoint
+from yarp_compat.file_names import escaped
 
 _log = logging.getLogger(__name__)
 
@@ -60,7 +61,7 @@ class KeyEdge(SideEdge):
         super().__init__(config, registry)
         self.dialect = dialect
         self._scope = scope
-        self._file = state / "zenoh" / f"{self.side}-{quote(scope, safe='')}"
+        self._file = state / "zenoh" / escaped(f"{self.side}-{quote(scope, safe='')}")
         self._lock = threading.Lock()
         self._endpoints: set[OwnEndpoint] = set()
         self._context: KeyContext | None = None

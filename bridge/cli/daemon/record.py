@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any
 from bridge.cli.arguments import add_exclude, add_hub_arguments, span
 from bridge.cli.client import CliClient, client_config, open_client
 from bridge.cli.output import CliError, clean, print_json, size
+from yarp_compat.file_names import forbidden
 
 if TYPE_CHECKING:
     from bridge.config.model import Config
@@ -109,6 +110,8 @@ def run(args: argparse.Namespace) -> int:
     from bridge.record.places import stamp
 
     output: Path = args.output or Path("." if args.ring else f"midspan_{stamp()}.mcap")
+    if why := forbidden(output.name):
+        raise CliError(f"{output} {why}")
     return _record(args, config, section, output)
 
 

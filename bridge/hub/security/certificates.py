@@ -23,6 +23,7 @@ from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
 
 from bridge.hub.errors import HubConfigError
 from bridge.hub.security.door import KeyFiles
+from yarp_compat.file_names import forbidden
 
 AUTHORITY = "ca"
 AUTHORITY_DAYS = 3650
@@ -109,6 +110,8 @@ class Authority:
             raise CertificateError(
                 f"{name!r} is not a machine's name: letters, digits, '_', '.' and '-', not {AUTHORITY!r}"
             )
+        if why := forbidden(f"{name}.pem"):
+            raise CertificateError(f"{name!r}: its certificate's {name}.pem {why}")
         there = [file for file in (self.folder / f"{name}{end}" for end in (".pem", ".key")) if file.exists()]
         if there and not replace:
             raise CertificateError(f"{there[0]} is there already; --replace makes a new one in its place")

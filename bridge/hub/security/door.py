@@ -25,6 +25,7 @@ from bridge.hub.errors import HubConfigError, HubError, zenoh_reason
 from bridge.hub.links import LinkLimits
 from bridge.hub.security.access import ANYBODY, access_control
 from bridge.hub.zenoh_config import MAX_PAYLOAD, connect_endpoint, make_config, router_tree
+from yarp_compat.file_names import escaped
 
 KEYS = Path("/etc/midspan/keys")
 """Where this machine's certificate, its key and the authority's certificate are by default."""
@@ -110,8 +111,8 @@ def key_files(config: Config) -> KeyFiles:
     door, folder = config.hub.open, config.hub.open.keys or KEYS
     return KeyFiles(
         door.ca or folder / "ca.pem",
-        door.certificate or folder / f"{config.name}.pem",
-        door.key or folder / f"{config.name}.key",
+        door.certificate or folder / escaped(f"{config.name}.pem"),
+        door.key or folder / escaped(f"{config.name}.key"),
     )
 
 

@@ -1,0 +1,35 @@
+"""Names of files on Windows: what its rules forbid, judged by Python's own words for them."""
+
+from __future__ import annotations
+
+import sys
+from urllib.parse import unquote
+
+import pytest
+
+from tests.support.hidden import is_windows_name
+from yarp_compat.file_names import escaped, forbidden
+
+FORBIDDEN = [
+    "CON", "con", "aux", "NUL", "prn", "COM1", "lpt9", "con.b", "CON.daemon.lock", "COM\u00b9", "CON ", "conin$",
+    "floor.", "floor ", "robot. .", "a:b", "C:", "C:x", "a?b", "a*b", 'a"b', "a<b", "a>b", "a|b",
+]  # fmt: skip
+
+
+@pytest.mark.parametrize("name", FORBIDDEN)
+def test_what_windows_forbids_is_forbidden_there_alone(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    assert (forbidden(name), escaped(name)) == ("", name)
+    monkeypatch.setattr(sys, "platform", "win32")
+    assert not is_windows_name(name)
+    assert "on Windows" in forbidden(name)
+    assert is_windows_name(escaped(name))
+    assert unquote(escaped(name)) == name, "no two have one file"
+
+
+@pytest.mark.parametrize(
+    "name", ["floor 2", "console", "COM", "COM10", "lpt", "nullable", "a.con", ".con", "1.5", "K\u00fcche"]
+)
+def test_what_windows_allows_is_allowed(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(sys, "platform", "win32")
+    assert is_windows_name(name)
+    assert (forbidden(name), escaped(name)) == ("", name)
