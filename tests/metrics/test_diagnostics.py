@@ -6,10 +6,12 @@ import os
 import signal
 import threading
 from collections.abc import Iterator
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
 import pytest
+import yaml
 
 from bridge.config.load import load
 from bridge.config.model import Config
@@ -17,7 +19,7 @@ from bridge.config.sections.metrics import MetricsSection
 from bridge.daemon.query import ask_daemon
 from bridge.hub.diagnostics import HEARD, TOPIC, TYPE, heard
 from bridge.hub.graph.tokens import Origin
-from bridge.hub.session import Hub
+from bridge.hub.session import Hub, HubSettings
 from bridge.hub.wire.qos import Qos
 from bridge.messages.registry import Registry
 from bridge.metrics import diagnostics
@@ -25,11 +27,16 @@ from bridge.metrics.diagnostics import whose_turn
 from bridge.metrics.on_demand import DiagnosticsOnDemand
 from bridge.metrics.parts import Level, PartStatus, parts
 from bridge.worker import Health, Worker
+from tests.adapters.yarp.conftest import YarpPort
 from tests.contract.hubside import HubSide
-from tests.interop.deployment import Deployment
+from tests.interop.deployment import MIDSPAN, Deployment
 from tests.metrics.documents import route, side, snapshot
+from tests.support.forks import DAEMON
+from tests.support.ports import free_port
+from tests.support.process import Process
 from tests.support.quick_hub import QuickHub
 from tests.support.wait import until
+from tests.support.yarp_programs import Names
 
 ARRAY = "diagnostic_msgs/DiagnosticArray"
 
@@ -244,3 +251,30 @@ def test_real_programs_of_both_sides_hear_of_all_parts_without_console_and_metri
         for program, heard in hearers:
             program.wait(heard, 10_000, 0.1)
             until(lambda p=program, h=heard: levels(p, h).get("worker ros1") == 0, "it is up again", 40)
+
+
+def test_a_yarp_program_that_reads_the_port_hears_of_all_parts(tmp_path: Path) -> None:
+    names, number = Names(), free_port()
+    off = {"enabled": False}
+    sections = {
+        "hub": {"listen": f"tcp/127.0.0.1:{number}"}, "ros1": off, "ros2": off,
+        "yarp": {"nameserver": "site", "address": names.endpoint, "poll": 0.1},
+    }  # fmt: skip
+    file = tmp_path / "midspan.yaml"
+    file.write_text(yaml.safe_dump({"name": "here", "state": str(tmp_path / "state"), **sections}))
+    with ExitStack() as stack:
+        stack.callback(names.stop)
+        stack.enter_context(Process([*MIDSPAN, "run", "--config", file], imports=DAEMON))
+        reader = YarpPort(names, "/reader")
+        stack.callback(reader.stop)
+        until(lambda: names.client.query("/midspan/diagnostics:o"), "the port is there", 40)
+        router = f"tcp/127.0.0.1:{number}"
+        far = Hub.open(HubSettings(router=router, node="far", daemon="far", worker="far", shared_memory=False))
+        stack.callback(far.close)
+        until(lambda: any(node.node == "midspan_yarp" for node in far.graph.nodes()), "the hub's nodes are seen", 20)
+        assert not far.graph.publishers(TOPIC), "nobody hears yet"
+        reader.listen_to("/midspan/diagnostics:o")
+        parts = ("midspan here: daemon", "midspan here: side yarp", "midspan here/yarp: worker")
+        until(lambda: all(f"'{part}'" in str(reader.bottles()) for part in parts), "all parts", 20)
+        reader.stop()
+        until(lambda: not far.graph.publishers(TOPIC), "nobody hears any more", 20)

@@ -218,6 +218,11 @@ class YarpEdge(SideEdge):
         """See `Edge`."""
         return self._endpoints.all()
 
+    def is_heard(self, topic: str) -> bool:
+        """See `Edge.is_heard`: a reader of a topic's port is no endpoint, as it needs no route."""
+        output = self._outputs.get(topic)
+        return (output is not None and output.heard) or super().is_heard(topic)
+
     # -- types ---------------------------------------------------------------------------------------------------------
 
     def to_hub(self, endpoint: Endpoint) -> Conversion:
