@@ -94,16 +94,20 @@ _ended: list[int] = []
 
 def _end(number: int, _frame: object) -> None:
     _ended.append(number)
-    raise KeyboardInterrupt if number == signal.SIGINT else SystemExit(128 + number)
+    raise SystemExit(128 + number)  # a KeyboardInterrupt in an `eval`, as of an import, would be the exit code's, too
 
 
 @contextmanager
 def _opened(path: Path) -> Iterator[Bag]:
-    """The bag; its errors are the command's. SIGTERM ends it as Ctrl-C does: what is half written goes."""
+    """The bag; its errors are the command's. SIGTERM ends it as Ctrl-C does: what is half written goes.
+
+    Signals that are ignored stay so: a shell's script in which it runs behind ``&`` is ended without it.
+    """
     from bridge.bags.reader import BagError, open_bag
 
     _ended.clear()
-    before = {number: signal.signal(number, _end) for number in (signal.SIGINT, signal.SIGTERM)}
+    taken = [n for n in (signal.SIGINT, signal.SIGTERM) if signal.getsignal(n) is not signal.SIG_IGN]
+    before = {number: signal.signal(number, _end) for number in taken}
     try:
         with open_bag(path) as bag:
             yield bag
