@@ -12,6 +12,9 @@ from typing import BinaryIO, NamedTuple
 
 from bridge.bags.bag import MAX_CHUNK, Bag, BagError, BagMessage, BagTopic, reading
 
+_MORE = 4 << 20
+"""Bytes that a chunk may be longer in the file: its header, and what packing adds to bytes that cannot be packed."""
+
 HELD = 128 << 20
 """Bytes of messages that wait for earlier ones of a later piece; beyond that the earliest go out, order or not."""
 
@@ -86,6 +89,9 @@ class SpanBag(Bag):
         self._file.close()
 
     def _read(self, offset: int, length: int) -> bytes:
+        if length > MAX_CHUNK + _MORE:
+            what = f"a record has {length} bytes, and chunks and messages of {MAX_CHUNK} at most are read"
+            raise BagError(self.path, what, offset)
         self._file.seek(offset)
         data = self._file.read(length)
         if len(data) != length:

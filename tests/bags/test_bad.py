@@ -32,17 +32,18 @@ def chunk(compression: bytes, data: bytes, size: int) -> bytes:
     return b"\x89MCAP0\r\n" + header + struct.pack("<BQ", 6, len(body)) + body
 
 
+def ros1_record(content: bytes, **fields: bytes) -> bytes:
+    """One record of a bag of ROS 1."""
+    made = [name.encode() + b"=" + value for name, value in fields.items()]
+    head = b"".join(struct.pack("<I", len(field)) + field for field in made)
+    return struct.pack("<I", len(head)) + head + struct.pack("<I", len(content)) + content
+
+
 def ros1_chunk(compression: bytes, data: bytes, size: int) -> bytes:
     """The same as a bag of ROS 1."""
-
-    def record(fields: dict[bytes, bytes], content: bytes) -> bytes:
-        made = [name + b"=" + value for name, value in fields.items()]
-        head = b"".join(struct.pack("<I", len(field)) + field for field in made)
-        return struct.pack("<I", len(head)) + head + struct.pack("<I", len(content)) + content
-
-    start = record({b"op": b"\x03", b"index_pos": bytes(8), b"conn_count": bytes(4), b"chunk_count": bytes(4)}, b"")
-    fields = {b"op": b"\x05", b"compression": compression, b"size": struct.pack("<I", size)}
-    return b"#ROSBAG V2.0\n" + start + record(fields, data)
+    start = ros1_record(b"", op=b"\x03", index_pos=bytes(8), conn_count=bytes(4), chunk_count=bytes(4))
+    chunk = ros1_record(data, op=b"\x05", compression=compression, size=struct.pack("<I", size))
+    return b"#ROSBAG V2.0\n" + start + chunk
 
 
 ZEROS = bytes(64 * MEGABYTE)
@@ -97,6 +98,78 @@ def test_a_header_of_ros_1_that_declares_4_gb_ends_what_can_be_read(tmp_path: Pa
     with open_bag(path) as bag:
         assert (bag.trouble is not None and bag.trouble.offset) == good
         assert sum(1 for _ in bag.messages()) == 21
+
+
+OP, TIME = b"\x02", struct.pack("<II", 5, 6)
+CONNECTION = ros1_record(
+    ros1_record(b"", topic=b"/a", type=b"std_msgs/String", md5sum=b"*", message_definition=b"string data\n")[4:-4],
+    op=b"\x07", conn=bytes(4), topic=b"/a",
+)  # fmt: skip
+TEXT = ros1_record(b"\1\0\0\0a", op=OP, conn=bytes(4), time=TIME)
+ENDS = {
+    "within a length": TEXT[:3],
+    "within a head": TEXT[:20],
+    "before the data's length": TEXT[:42],
+    "within the data": TEXT[:-1],
+    "data of 4 GB": TEXT[:42] + b"\xff\xff\xff\xff" + bytes(9),
+    "a head of 4 GB": b"\xff\xff\xff\xff" + TEXT[4:],
+    "a connection that is not there": ros1_record(b"", op=OP, conn=b"\x09\0\0\0", time=TIME),
+    "no connection": ros1_record(b"", op=OP, time=TIME),
+    "a short connection": ros1_record(b"", op=OP, conn=b"\0\0", time=TIME + b"\0\0"),
+    "a short time": ros1_record(b"", op=OP, conn=bytes(8), time=TIME[:4]),
+    "no kind": ros1_record(b"", conn=bytes(4), time=TIME),
+    "an empty kind": ros1_record(b"", op=b"", conn=bytes(4), time=TIME + b"\0"),
+    "a field without a name": TEXT.replace(b"time=", b"time-"),
+}
+
+
+@pytest.mark.parametrize("compression", ["none", "lz4", "bz2"])
+@pytest.mark.parametrize("end", ENDS)
+def test_a_bad_head_behind_good_ones_is_told_with_its_chunk(end: str, compression: str, tmp_path: Path) -> None:
+    plain = CONNECTION + 2 * TEXT + ENDS[end]
+    packed = {"none": bytes, "lz4": lz4.frame.compress, "bz2": bz2.compress}[compression](plain)
+    whole = ros1_chunk(b"none", CONNECTION + 2 * TEXT, len(CONNECTION + 2 * TEXT))
+    start = len(ros1_chunk(b"", b"", 0)) - len(ros1_record(b"", op=b"\x05", compression=b"", size=bytes(4)))
+    path = tmp_path / "a.bag"
+    path.write_bytes(whole + ros1_chunk(compression.encode(), packed, len(plain))[start:])
+    damage: list[BagError] = []
+    with open_bag(path) as bag:
+        with pytest.raises(BagError):
+            list(bag.messages())
+        bag.skip_damage(damage.append)
+        assert [(m.topic.name, m.time_ns, m.data) for m in bag.messages()] == 2 * [("/a", 5_000_000_006, TEXT[-5:])]
+    assert [err.offset for err in damage] == [len(whole)]
+
+
+def test_messages_without_any_connection_are_an_error(tmp_path: Path) -> None:
+    path = tmp_path / "a.bag"
+    path.write_bytes(ros1_chunk(b"none", 2 * TEXT, 2 * len(TEXT)))
+    with open_bag(path) as bag, pytest.raises(BagError, match="connection 0, which the bag does not have"):
+        list(bag.messages())
+    assert bag.topics == ()
+
+
+@pytest.mark.parametrize("form", ["bag", "mcap"])
+def test_a_chunk_that_is_too_large_is_not_read(form: str, tmp_path: Path) -> None:
+    path = tmp_path / "a"
+    size = 300 * MEGABYTE
+    if form == "bag":
+        data = ros1_chunk(b"none", b"", 10)
+        path.write_bytes(data[:-4] + struct.pack("<I", size))
+    else:
+        data = chunk(b"", b"", 10)
+        at = data.index(struct.pack("<BQ", 6, 40))
+        path.write_bytes(data[: at + 1] + struct.pack("<Q", 40 + size) + data[at + 9 : -8] + struct.pack("<Q", size))
+    with path.open("r+b") as file:
+        file.truncate(path.stat().st_size + size)  # with a hole: it takes no room
+    tracemalloc.start()
+    try:
+        with open_bag(path) as bag, pytest.raises(BagError, match=r", byte \d+: .*are read") as caught:
+            list(bag.messages())
+        assert tracemalloc.get_traced_memory()[1] < 8 * MEGABYTE
+    finally:
+        tracemalloc.stop()
+    assert caught.value.offset is not None
 
 
 @pytest.mark.parametrize("part", [0.2, 0.5, 0.9])
