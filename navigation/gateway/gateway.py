@@ -62,8 +62,8 @@ class Gateway:
         self._pause: Timer | None = None
         self._held = False
         self._said: tuple[Any, ...] = ()
-        #: how many drives of clients ended so
-        self.ended = dict.fromkeys(("reached", "failed", "canceled", "replaced"), 0)
+        #: how many drives of clients ended so; refused is what is no place to drive to
+        self.ended = dict.fromkeys(("reached", "failed", "canceled", "replaced", "refused"), 0)
         host.loop.every(_LOOK_SECONDS, self._look)
 
     @property
@@ -106,6 +106,7 @@ class Gateway:
         try:
             target = target_of(goal.goal["pose"], goal.goal["behavior_tree"])
         except TargetError as err:
+            self.ended["refused"] += 1
             goal.abort({"error_code": int(Fault.BAD_GOAL), "error_msg": str(err)})  # a rejection cannot say why
             return True
         self.begin([target], "a client of the action", goal=goal)

@@ -91,6 +91,7 @@ class GatewayModule(Module):
         try:
             self.gateway.begin([target_of(message)], f"who publishes {GOAL_POSE}")
         except TargetError as err:
+            self.gateway.ended["refused"] += 1
             self._host.log.warning("%s: refused: %s", GOAL_POSE, err)
 
     def _tell(self, status: dict[str, Any]) -> None:

@@ -1,0 +1,153 @@
+"""What really happens is counted: goals, the store's changes, elections; scraped from real daemons."""
+
+from __future__ import annotations
+
+import math
+import urllib.request
+from collections.abc import Iterator
+from contextlib import ExitStack
+from pathlib import Path
+from typing import Any
+
+import psutil
+import pytest
+import yaml
+from prometheus_client.parser import text_string_to_metric_families as parse
+
+from bridge.hub.session import HubSettings
+from bridge.stores.client import StoreClient
+from bridge.stores.kinds import LOCATION
+from bridge.stores.store import Write
+from bridge.stores.wire import prefix
+from tests.interop.deployment import MIDSPAN
+from tests.navigation.gateway.rig import Asked, Planner, Program, pose
+from tests.support.forks import DAEMON
+from tests.support.ports import free_port
+from tests.support.process import Process
+from tests.support.wait import until
+from tests.support.yarp_programs import Names
+from yarp_compat.dev.locations import Map2DLocation
+
+OFF = {"enabled": False}
+
+
+class Counted:
+    """A daemon ``name`` of YARP alone, with metrics; its hub joins that of ``join``."""
+
+    def __init__(self, folder: Path, name: str, names: Names, join: Counted | None = None, **sections: Any) -> None:
+        self._hub, self._metrics = free_port(), free_port()
+        links = {"connect": {"endpoints": [f"tcp/127.0.0.1:{join._hub}"]}} if join else {}
+        config = {
+            "name": name, "state": str(folder / name),
+            "hub": {"listen": f"tcp/127.0.0.1:{self._hub}", "router_zenoh": links},
+            "ros1": OFF, "ros2": OFF, "yarp": {"nameserver": "site", "address": names.endpoint, "poll": 0.1},
+            "metrics": {"enabled": True, "listen": f"127.0.0.1:{self._metrics}"}, **sections,
+        }  # fmt: skip
+        file = folder / f"{name}.yaml"
+        file.write_text(yaml.safe_dump(config))
+        self.process = Process([*MIDSPAN, "run", "--config", file], imports=DAEMON)
+
+    def settings(self, node: str) -> HubSettings:
+        router = f"tcp/127.0.0.1:{self._hub}"
+        return HubSettings(router=router, node=node, daemon="far", worker=node, shared_memory=False)
+
+    def values(self, family: str, label: str) -> dict[str, float]:
+        """A family's values by one of its labels; none where it is not told of, or nobody answers."""
+        try:
+            with urllib.request.urlopen(f"http://127.0.0.1:{self._metrics}/metrics", timeout=20) as answer:
+                families = parse(answer.read().decode())
+        except OSError:
+            return {}
+        samples = [sample for each in families for sample in each.samples if sample.name == family]
+        return {sample.labels.get(label, ""): sample.value for sample in samples}
+
+    def value(self, family: str) -> float:
+        """That of a family with one sample."""
+        (found,) = self.values(family, "").values()
+        return found
+
+    def until(self, family: str, label: str = "", **wanted: float) -> None:
+        """Wait until it tells these values by a label; without one of a family that has none, as ``value``."""
+        want = wanted if label else {"": wanted["value"]}
+        until(lambda: want.items() <= self.values(family, label).items(), f"{family} is {want}", 40, every=0.2)
+
+
+@pytest.fixture
+def names() -> Iterator[Names]:
+    made = Names()
+    yield made
+    made.stop()
+
+
+def test_goals_and_changes_of_the_store_are_counted(tmp_path: Path, names: Names) -> None:
+    planner = {"name": "mine", "side": "zenoh", "action": "/planner/mine/navigate_to_pose"}
+    navigation = {"planner": "mine", "planners": [planner]}
+    daemon = Counted(tmp_path, "here", names, navigation=navigation, store={"enabled": True})
+    with ExitStack() as stack:
+        stack.enter_context(daemon.process)
+        daemon.until("midspan_goals_total", "outcome", reached=0, failed=0, canceled=0, replaced=0, refused=0)
+        mine, client = Planner(daemon.settings("mine"), "mine"), Program(daemon.settings("client"))
+        stack.callback(mine.close)
+        stack.callback(client.close)
+        daemon.until("midspan_module_state", "state", running=1)
+
+        reached = Asked(client, pose(1.0))
+        goal = mine.until(1)
+        daemon.until("midspan_goal_active", value=1)
+        mine.reach(goal)
+        assert reached.end()[0] == "SUCCEEDED"
+        canceled = Asked(client, pose(2.0))
+        mine.until(2)
+        canceled.cancel()
+        assert canceled.end()[0] == "CANCELED"
+        assert Asked(client, pose(math.nan)).end()[0] == "ABORTED"
+        replaced = Asked(client, pose(4.0))
+        mine.until(3)
+        last = Asked(client, pose(5.0))
+        assert replaced.end()[0] == "CANCELED"
+        mine.give_up(mine.until(4), "no way leads there")
+        assert last.end()[0] == "ABORTED"
+        daemon.until("midspan_goals_total", "outcome", reached=1, canceled=1, refused=1, failed=1, replaced=1)
+        daemon.until("midspan_goal_active", value=0)
+
+        store = StoreClient(client.node.hub.keyspace(prefix(0)), "here")
+        daemon.until("midspan_store_replicas", value=0)
+        store.write([Write(LOCATION, name, Map2DLocation("hall", 1.0, 2.0, 0.0)) for name in ("dock", "door")])
+        daemon.until("midspan_store_values", "kind", location=2)
+        size, changed = daemon.value("midspan_store_bytes"), daemon.value("midspan_store_last_change_timestamp_seconds")
+        assert size > 0
+        store.write([Write(LOCATION, "dock", None)])
+        daemon.until("midspan_store_values", "kind", location=1)
+        daemon.until("midspan_store_deleted", value=1)
+        assert daemon.value("midspan_store_bytes") == size / 2
+        assert daemon.value("midspan_store_last_change_timestamp_seconds") > changed
+
+
+@pytest.mark.thorough
+def test_an_election_is_counted_by_who_wins_and_who_loses(tmp_path: Path, names: Names) -> None:
+    with ExitStack() as stack:
+        first = Counted(tmp_path, "first", names)
+        stack.enter_context(first.process)
+        first.until("midspan_side_lease", "side", yarp=1)
+        first.until("midspan_side_members", "side", yarp=1)
+        second = Counted(tmp_path, "second", names, first)
+        stack.enter_context(second.process)
+        for each in (first, second):
+            each.until("midspan_side_members", "side", yarp=2)
+        second.until("midspan_side_state", "state", standby=1, running=0)
+        changes = {each: each.value("midspan_side_lease_changes_total") for each in (first, second)}
+        assert (changes, second.value("midspan_side_lease")) == ({first: 1, second: 0}, 0)
+        daemon = psutil.Process(first.process.pid)
+        processes = [daemon, *daemon.children(recursive=True)]
+        for process in processes:
+            process.suspend()
+        try:
+            second.until("midspan_side_lease_changes_total", "side", yarp=1)
+            second.until("midspan_side_lease", "side", yarp=1)
+        finally:
+            for process in reversed(processes):
+                process.resume()
+        first.until("midspan_side_state", "state", standby=1)
+        first.until("midspan_side_lease_changes_total", "side", yarp=2)
+        assert first.value("midspan_side_lease") == 0
+        assert second.value("midspan_side_lease_changes_total") == 1
