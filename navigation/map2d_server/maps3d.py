@@ -1,28 +1,49 @@
-"""The store's maps in three dimensions, latched: an octomap or a cloud each."""
+"""The store's maps in three dimensions, latched: an octomap or a cloud each; octomaps are served too.
+
+Below each octomap's topic are the services of `octomap_server` by their names, so that its `octomap_saver` saves the
+map when it is started in that namespace.
+"""
 
 from __future__ import annotations
 
+from typing import Any
+
+import numpy as np
+
+from bridge.hub.endpoints.calls import CallError
 from bridge.hub.wire.qos import LATCHED
 from bridge.messages.yarp.codec import Missing
 from bridge.messages.yarp.contents import KINDS
 from bridge.modules.endpoints import ModulePublisher
 from bridge.modules.host import ModuleNode
+from bridge.modules.services import Answer, ModuleServer
 from bridge.stores.kinds import MAP3D
 from bridge.stores.store import Store
 from navigation.map2d_server.publishers import Head, Keys, topic_of
+from navigation.messages import Message
 from yarp_compat.octomap import Octomap
 from yarp_compat.wire.elements import ElementReader
 from yarp_compat.wire.profile import Profile
 
 OCTOMAP, CLOUD = "octomap_msgs/msg/Octomap", "sensor_msgs/msg/PointCloud2"
+GET = "octomap_msgs/srv/GetOctomap"
+
+
+def octomap_message(octomap: Octomap, header: Message) -> Message:
+    """``octomap_msgs/msg/Octomap``."""
+    return {
+        "header": header, "binary": octomap.binary, "id": octomap.id, "resolution": octomap.resolution,
+        "data": np.frombuffer(octomap.data, np.int8),
+    }  # fmt: skip
 
 
 class Maps3D:
-    """Every map in three dimensions on ``/maps3d/<name>``."""
+    """Every map in three dimensions on ``/maps3d/<name>``; an octomap with two services of ``GetOctomap`` below."""
 
     def __init__(self, node: ModuleNode, store: Store, head: Head) -> None:
         self._node, self._store, self._head = node, store, head
         self._ends: dict[str, tuple[str, ModulePublisher]] = {}
+        self._servers: dict[str, list[ModuleServer]] = {}
 
     def update(self, changed: Keys) -> None:
         """Publish the maps that changed; the topics of those that are gone, or are of another form now, go."""
@@ -39,11 +60,28 @@ class Maps3D:
         found = self._store.get(MAP3D, name)
         wanted = "" if found is None else OCTOMAP if isinstance(found, Octomap) else CLOUD
         if name in self._ends and self._ends[name][0] != wanted:
-            self._node.release(self._ends.pop(name)[1])
+            for end in (self._ends.pop(name)[1], *self._servers.pop(name, ())):
+                self._node.release(end)
         if found is None:
             return
         if name not in self._ends:
             topic = topic_of(name, set(self.topics.values()), under="/maps3d")
             self._ends[name] = wanted, self._node.publisher(topic, wanted, LATCHED, priority="state")
+            if wanted == OCTOMAP:
+                self._servers[name] = [self._server(name, f"{topic}/octomap_{form}") for form in ("binary", "full")]
+        if isinstance(found, Octomap):
+            self._ends[name][1].publish(octomap_message(found, self._head.header()))
+            return
         source = ElementReader(found.to_bytes(Profile.YARP3), Profile.YARP3)
         self._ends[name][1].publish(KINDS[wanted].to_ros(source, self._head.now_ns(), Missing(self._head.frame)))
+
+    def _server(self, name: str, service: str) -> ModuleServer:
+        def serve(_request: dict[str, Any], answer: Answer) -> None:
+            found, binary = self._store.get(MAP3D, name), service.endswith("binary")
+            if not isinstance(found, Octomap):
+                answer(CallError(f"{service}: the octomap {name!r} is gone"))
+                return
+            asked = found if found.binary == binary else Octomap.of(found.tree(), binary=binary)
+            answer({"map": octomap_message(asked, self._head.header())})
+
+        return self._node.server(service, GET, serve)

@@ -7,6 +7,7 @@ from typing import Any
 
 from bridge.config.sections.mapper3d import Mapper3DSection
 from bridge.config.sections.section import Section
+from bridge.hub.errors import HubError
 from bridge.modules.host import Host
 from bridge.modules.module import Module
 from bridge.modules.services import Answer
@@ -41,13 +42,15 @@ class Mapper3D(Module):
         self.space = Space(section)
         self._began = host.clock.now_ns()
         self._kept, self._kept_clouds = host.folder / "map.ot", 0
-        self._trouble = self._take_up() if section.keep else ""
+        folder = MapsFolder(section.folder or host.folder / "maps")
+        self._words = SpaceCommands(
+            self.space, self._grid, lambda: host.store, folder, section.map_name, mapping=section.mapping
+        )
+        self._trouble = self._take_up()
         self._layer_changed = self._map_changed = True
         self._seats = Seats(host, section)
         self._layer = LayerPublisher(host, section) if section.layer.topic else None
         self._octomaps = OctomapServer(host, section, self.space) if section.octomap else None
-        folder = MapsFolder(section.folder or host.folder / "maps")
-        self._words = SpaceCommands(self.space, self._grid, lambda: host.store, folder, mapping=section.mapping)
         self._sources = Sources(host, section, self._seats, self._take)
         host.yarp.respond(f"{section.prefix}/rpc", lambda values: host.loop.call(lambda: self._asked(values)))
         for word, done in (("start", "mapping"), ("stop", "not mapping")):
@@ -65,12 +68,16 @@ class Mapper3D(Module):
             self._layer_changed = self._map_changed = True
 
     def _take_up(self) -> str:
-        """Go on with the map that was kept; why not, "" where that is so or there is none."""
+        """Go on with the map that was kept, else with the store's; why not, "" where that is so or there is none."""
+        section, where = self._section, "modules.mapper3d.load"
         try:
-            if self._kept.is_file():
+            if section.keep and self._kept.is_file():
+                where = str(self._kept)
                 self.space.load(Octomap.load(self._kept).tree())
-        except (OSError, WireError, ValueError) as err:
-            trouble = f"the map that was kept is not gone on with: {self._kept}: {err}"
+            elif section.load:
+                self._words.load(section.load)
+        except (OSError, WireError, StoreError, HubError, ValueError) as err:
+            trouble = f"the map is not gone on with: {where}: {err}"
             self._host.log.warning("%s", trouble)
             return trouble
         return ""

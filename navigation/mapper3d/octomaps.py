@@ -11,9 +11,10 @@ from bridge.config.sections.mapper3d import Mapper3DSection
 from bridge.modules.host import Host
 from bridge.modules.services import Answer
 from navigation.clouds import POINT_CLOUD
+from navigation.map2d_server.maps3d import GET, OCTOMAP, octomap_message
 from navigation.mapper3d.space import Space
+from yarp_compat.octomap import Octomap
 
-OCTOMAP, GET = "octomap_msgs/msg/Octomap", "octomap_msgs/srv/GetOctomap"
 BOX, EMPTY = "octomap_msgs/srv/BoundingBoxQuery", "std_srvs/srv/Empty"
 
 _AGAIN = 5  # periods after which a map that did not change is published again, for those who came meanwhile
@@ -46,11 +47,7 @@ class OctomapServer:
 
     def message(self, binary: bool) -> dict[str, Any]:
         """The map as ``octomap_msgs/Octomap``."""
-        tree = self._space.tree()
-        data = np.frombuffer(tree.binary() if binary else tree.full(), np.int8)
-        return {
-            "header": self._header(), "binary": binary, "id": "OcTree", "resolution": tree.resolution, "data": data,
-        }  # fmt: skip
+        return octomap_message(Octomap.of(self._space.tree(), binary=binary), self._header())
 
     def _header(self) -> dict[str, Any]:
         now = self._clock.now_ns()

@@ -1,4 +1,4 @@
-"""A real rclpy program publishes a cloud; a real rospy program hears the layer, and saves it."""
+"""A real rclpy program publishes a cloud, rospy hears the layer and saves it, and rclpy gets the map of the store."""
 
 from __future__ import annotations
 
@@ -10,11 +10,12 @@ from navigation.mapper3d.octomaps import cloud_message
 from tests.interop.deployment import Deployment
 from tests.interop.test_maps import asked
 from tests.support.wait import until
+from yarp_compat.octree import OcTree
 
 
 def test_a_cloud_of_ros2_is_a_layer_on_ros1(deployment: Deployment) -> None:
     section = {"enabled": True, "clouds": ["/camera/points"], "map_frame": "odom", "layer": {"period": 0.1}}
-    deployment.start(modules={"mapper3d": section})
+    deployment.start(modules={"mapper3d": section, "map2d_server": {"enabled": True}})
     ros2, ros1 = deployment.ros2(), deployment.ros1()
     cloud = ros2.advertise("/camera/points", "sensor_msgs/PointCloud2")
     static = ros2.advertise("/tf_static", "tf2_msgs/TFMessage", latched=True)
@@ -35,7 +36,11 @@ def test_a_cloud_of_ros2_is_a_layer_on_ros1(deployment: Deployment) -> None:
         return bool(found) and value(found[-1], 2.0, 0.0) == 100 and value(found[-1], 1.0, 0.8) == 0
 
     until(heard, "the table is in the layer", 60, 0.1)
-    assert asked(ros1, "/mapper3d/save", "std_srvs/Trigger")["message"] == "Layer layer saved into the store."
+    saved = "3D map map and layer layer saved into the store."
+    assert asked(ros1, "/mapper3d/save", "std_srvs/Trigger")["message"] == saved
+    got = asked(ros2, "/maps3d/map/octomap_full", "octomap_msgs/GetOctomap", waits=False)["map"]
+    tree = OcTree.from_full(np.array(got["data"], np.int8).tobytes(), got["resolution"])
+    assert (got["header"]["frame_id"], tree.search(2.0, 0.0, 0.74) > 0) == ("map", True)
 
 
 def value(message: dict[str, Any], x: float, y: float) -> int:

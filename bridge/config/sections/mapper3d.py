@@ -53,7 +53,10 @@ class Mapper3DSection(ModuleSection):
     """The mapper of space."""
 
     mapping: bool = setting(True, "Whether it maps from the start, or only after `start`.")
-    map_name: str = setting("map", "The map's name in the store of 3D maps.", min_length=1, max_length=64)
+    map_name: str = setting("map", "The map's name among the store's 3D maps, for `save`.", min_length=1, max_length=64)
+    load: str = setting(
+        "", "Name of the store's 3D map that it begins with, where none is kept (`keep`); empty: none.", max_length=64
+    )
     clouds: tuple[TopicName, ...] = setting((), "Topics of clouds (`sensor_msgs/msg/PointCloud2`).")
     depth: tuple[DepthSource, ...] = setting((), "Depth cameras.")
     pixels: int = setting(

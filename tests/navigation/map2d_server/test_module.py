@@ -125,11 +125,17 @@ def test_a_map_in_three_dimensions_has_a_topic_of_its_form(served: Served) -> No
     found = heard()
     assert (found["header"]["frame_id"], found["binary"], found["id"], found["resolution"]) == ("map", True, "OcTree", 0.05)  # fmt: skip # noqa: E501
     assert np.array(found["data"], np.int8).tobytes() == octomap.data
+    for binary, data in ((True, octomap.data), (False, octomap.tree().full())):
+        service = f"/maps3d/n1st/octomap_{'binary' if binary else 'full'}"
+        got = served.far.call(service, "octomap_msgs/GetOctomap").result(20)["reply"]["map"]
+        assert (got["header"]["frame_id"], got["binary"], got["id"], got["resolution"]) == ("map", binary, "OcTree", 0.05)  # fmt: skip # noqa: E501
+        assert np.array(got["data"], np.int8).tobytes() == data
     cloud = PointCloud.of(np.ones(3, LAYOUTS[PointType.XYZ]))
     served.store.put(MAP3D, "1st", cloud)
     points = served.latest("/maps3d/n1st", "sensor_msgs/PointCloud2")
     until(points, "the cloud is out", 20)
     assert (points()["width"], points()["point_step"]) == (3, 16)
+    until(lambda: not served.far.hub.graph.servers("/maps3d/n1st/octomap_full"), "a cloud is no octomap", 20)
     served.store.delete(MAP3D, "1st")
     served.far.until_unpublished("/maps3d/n1st")
 

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from bridge.config.model import Config
-from bridge.stores.kinds import MAP
+from bridge.stores.kinds import MAP, MAP3D
 from navigation.clouds import MOST_POINTS, read_points
 from navigation.mapper3d.octomaps import cloud_message
 from tests.modules.place import Place
@@ -22,6 +22,7 @@ from yarp_compat.naming.server import NameServer
 from yarp_compat.octomap import Octomap
 from yarp_compat.octree import OcTree
 from yarp_compat.pythonic import Client
+from yarp_compat.sig.pointcloud import LAYOUTS, PointCloud, PointType
 
 OPTICAL = {"x": -0.5, "y": 0.5, "z": -0.5, "w": 0.5}  # ahead is x, from 1 m above the floor
 WIDTH, HEIGHT, FOCUS = 64, 48, 40.0
@@ -29,7 +30,7 @@ WIDTH, HEIGHT, FOCUS = 64, 48, 40.0
 
 def settings(**more: Any) -> dict[str, Any]:
     found = {"enabled": True, "clouds": ["/cloud"], "depth": [{"image": "/depth", "info": "/info"}], "period": 0.1}
-    return {**found, "map_frame": "odom", "layer": {"period": 0.1}, "keep": True, **more}
+    return {**found, "map_name": "house", "map_frame": "odom", "layer": {"period": 0.1}, "keep": True, **more}
 
 
 @pytest.fixture(scope="module")
@@ -119,11 +120,14 @@ def test_a_cloud_becomes_a_layer_files_and_a_map_of_the_store(place: Place) -> N
         return (value(2.0, 0.0), value(1.0, 0.8), value(2.9, -0.9)) == (100, 0, 0)
 
     until(mapped, "the table is in the layer", 30)
-    assert asked(place, "save_to_mapserver") == ["Layer layer saved into the store."]
+    assert asked(place, "save_to_mapserver") == ["3D map house and layer layer saved into the store."]
     grid = place.worker.store.get(MAP, "layer")
     column, row = grid.cells_at((2.0, 0.0))
     assert grid.flags[row, column] == MapFlag.WALL
+    place.worker.store.delete(MAP3D, "house")
     assert triggered(place, "save")["success"]
+    stored = place.worker.store.get(MAP3D, "house")
+    assert (stored.search(2.0, 0.0, 0.74) > 0, stored.binary) == (True, False)
 
     for name in ("house.bt", "house.ot"):
         assert asked(place, "save_to_file", name) == [f"Map saved as {name}."]
@@ -133,6 +137,9 @@ def test_a_cloud_becomes_a_layer_files_and_a_map_of_the_store(place: Place) -> N
     assert place.answer("mapper3d")["blocks"] == 0
     assert asked(place, "load_from_file", "house.ot") == ["Map house.ot loaded; mapping goes on on it."]
     until(lambda: value(2.0, 0.0) == 100, "the layer is of the file", 20)
+    asked(place, "clear")
+    assert asked(place, "load_from_mapserver", "house") == ["3D map house loaded; mapping goes on on it."]
+    until(lambda: place.answer("mapper3d")["blocks"] > 20, "it is the store's map", 20)
     higher = table()[:500] + np.array([0.0, 0.0, 0.4])
 
     def changed() -> bool:
@@ -226,6 +233,34 @@ def test_the_map_is_kept_over_a_restart(tmp_path_factory: pytest.TempPathFactory
         place.worker = type(place.worker)()
         place.worker.start(config)
         assert "map.ot" in place.answer("mapper3d")["trouble"]
+
+
+def test_a_map_of_the_store_is_gone_on_with(tmp_path_factory: pytest.TempPathFactory) -> None:
+    with Place(tmp_path_factory.mktemp("stored")) as place:
+        place.worker.start(place.config())
+        keys, store = [[32_768, 32_768, 32_770]], place.worker.store
+        store.put(MAP3D, "house", Octomap.of(OcTree.of(keys, 1.5, resolution=0.05)))
+        store.put(MAP3D, "coarse", Octomap.of(OcTree.of(keys, 1.5, resolution=0.1)))
+        store.put(MAP3D, "points", PointCloud.of(np.zeros(0, LAYOUTS[PointType.XYZ])))
+
+        def begun(**more: Any) -> dict[str, Any]:
+            place.worker.stop()
+            place.worker = type(place.worker)()
+            place.worker.start(place.config(modules={"mapper3d": settings(**more)}))
+            return place.answer("mapper3d")
+
+        found = begun(load="house")
+        assert (found["blocks"], found["trouble"]) == (1, "")
+        got = place.far.call("/octomap_full", "octomap_msgs/GetOctomap").result(20)["reply"]["map"]
+        assert OcTree.from_full(np.array(got["data"], np.int8).tobytes(), 0.05).search(0.01, 0.01, 0.11) == 1.5
+        for name, words in (
+            ("attic", "there is no 3D map 'attic'; 3D maps in the store: coarse, house, points"),
+            ("points", "the 3D map 'points' is a cloud"),
+            ("coarse", "voxels are of 0.1 m"),
+        ):
+            found = begun(load=name)
+            assert found["blocks"] == 0
+            assert words in found["trouble"]
 
 
 def test_it_serves_what_octomap_server_serves(place: Place) -> None:
