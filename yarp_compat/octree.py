@@ -22,6 +22,8 @@ from yarp_compat.wire.errors import WireError
 
 DEPTH = 16
 """Levels below the root."""
+MIDDLE = 1 << (DEPTH - 1)
+"""Of the keys: the cell that begins at 0 m."""
 FREE, OCCUPIED = (math.log(odds / (1 - odds)) for odds in (0.1192, 0.971))
 """Log-odds of what a binary tree holds: OctoMap's clamping thresholds (`AbstractOccupancyOcTree.cpp`)."""
 KINDS = {"OcTree": 5, "OcTreeStamped": 5, "ColorOcTree": 8}
@@ -29,7 +31,6 @@ KINDS = {"OcTree": 5, "OcTreeStamped": 5, "ColorOcTree": 8}
 MAX_NODES = 1 << 24
 """A tree of more is refused before memory is taken for its leaves."""
 
-_MIDDLE = 1 << (DEPTH - 1)
 _CODES = np.uint64
 _SPREAD = (
     (32, 0xFFFF00000000FFFF), (16, 0x00FF0000FF0000FF), (8, 0xF00F00F00F00F00F), (4, 0x30C30C30C30C30C3),
@@ -79,8 +80,8 @@ class OcTree:
         Raises `OctreeError` where leaves overlap, or numbers are none.
         """
         cells, values = np.asarray(keys), np.asarray(log_odds, np.float32)
-        if cells.ndim != 2 or cells.shape[1] != 3 or (cells.size and not 0 <= cells.min() <= cells.max() < 2 * _MIDDLE):
-            raise OctreeError(f"keys are (N, 3) whole numbers from 0 to {2 * _MIDDLE - 1}, not {cells.shape}")
+        if cells.ndim != 2 or cells.shape[1] != 3 or (cells.size and not 0 <= cells.min() <= cells.max() < 2 * MIDDLE):
+            raise OctreeError(f"keys are (N, 3) whole numbers from 0 to {2 * MIDDLE - 1}, not {cells.shape}")
         levels = np.broadcast_to(np.asarray(depths, np.int64), len(cells))
         values = np.broadcast_to(values, len(cells))
         if len(cells) and not 0 <= levels.min() <= levels.max() <= DEPTH:
@@ -128,7 +129,7 @@ class OcTree:
     def voxels(self) -> Voxels:
         """The leaves in metres."""
         edges = self.edges()
-        centers = (self.keys() - float(_MIDDLE) + edges[:, None] / 2) * self.resolution
+        centers = (self.keys() - float(MIDDLE) + edges[:, None] / 2) * self.resolution
         sizes = (edges * self.resolution).astype(np.float32)
         return Voxels(centers.astype(np.float32), sizes, self.log_odds, self.log_odds > 0, self.colors)
 
@@ -145,8 +146,8 @@ class OcTree:
         points = np.stack(np.broadcast_arrays(*(np.asarray(one, np.float64) for one in (x, y, z))), axis=-1)
         shape = points.shape[:-1]
         with np.errstate(invalid="ignore"):
-            cells = np.floor(points.reshape(-1, 3) / self.resolution) + _MIDDLE
-            inside = ((cells >= 0) & (cells < 2 * _MIDDLE)).all(axis=1)
+            cells = np.floor(points.reshape(-1, 3) / self.resolution) + MIDDLE
+            inside = ((cells >= 0) & (cells < 2 * MIDDLE)).all(axis=1)
         found = np.full(len(cells), np.nan, np.float32)
         if len(self):
             wanted = codes_of(cells[inside].astype(np.int64))

@@ -1,17 +1,20 @@
-"""Maps in three dimensions on the command line: what they are, and between octomaps and clouds."""
+"""Maps in three dimensions on the command line: what they are, their slices, and between octomaps and clouds."""
 
 from __future__ import annotations
 
 import argparse
+import math
 from typing import Any
 
 import numpy as np
 
 from bridge.cli.maps.store import missing, open_stored
 from bridge.cli.output import CliError, clean
+from bridge.stores.client import StoreClient
 from bridge.stores.kinds import MAP3D, Map3D
+from yarp_compat.dev.mapgrid import MAX_CELLS, MapFlag, MapGrid2D, too_large
 from yarp_compat.octomap import Octomap
-from yarp_compat.octree import OCCUPIED, OcTree
+from yarp_compat.octree import MIDDLE, OCCUPIED, OcTree
 from yarp_compat.sig.cloudfile import write_pcd, write_ply
 from yarp_compat.sig.pointcloud import LAYOUTS, PointCloud, PointType
 from yarp_compat.wire.errors import WireError
@@ -53,14 +56,44 @@ def line(found: dict[str, Any]) -> str:
 
 def show(args: argparse.Namespace) -> int:
     """Say what a map is."""
-    name, value = _named(args)
+    with open_stored(args) as (_, stored):
+        name, value = named_map3d(stored, args.name)
     print(line(described(name, value)))
     return 0
 
 
+def layer(name: str, value: Map3D, height: float) -> MapGrid2D:
+    """The slice of an octomap at a height (m): walls are occupied leaves; raises `CliError` where there is none."""
+    if isinstance(value, PointCloud):
+        raise CliError(f"{name!r} is a cloud, which knows no free space; export it as .bt, and import that")
+    if not math.isfinite(height):
+        raise CliError(f"--layer is a height in metres, not {height}")
+    tree, edge = value.tree(), value.resolution
+    keys, sizes = tree.keys().astype(np.int64), tree.edges()
+    low = keys[:, 2]
+    wanted = math.floor(min(max(height / edge + 1e-9, -MIDDLE - 1), MIDDLE)) + MIDDLE  # 0.3 m is 3 cells of 0.1 m
+    cut = (low <= wanted) & (wanted < low + sizes)
+    if not cut.any():
+        ends = [f"{(end - MIDDLE) * edge:g}" for end in (low.min(), (low + sizes).max())] if len(low) else ["none"]
+        raise CliError(f"nothing is known of {name!r} at {height:g} m; its heights in metres: {' to '.join(ends)}")
+    first, last = keys[cut, :2].min(axis=0), (keys[cut, :2] + sizes[cut, None]).max(axis=0)
+    width, rows = (int(n) for n in last - first)
+    if width * rows > MAX_CELLS:
+        raise CliError(f"{name!r} at {height:g} m: {too_large(width, rows)}")
+    tree = OcTree(edge, tree.codes[cut], tree.depths[cut], tree.log_odds[cut])
+    across, up = ((np.arange(first[axis], last[axis]) - MIDDLE + 0.5) * edge for axis in (0, 1))
+    flags = np.empty((rows, width), np.uint8)
+    middle = (wanted - MIDDLE + 0.5) * edge
+    for row, y in enumerate(up[::-1]):
+        found = tree.search(across, y, middle)
+        flags[row] = np.where(np.isnan(found), MapFlag.UNKNOWN, np.where(found > 0, MapFlag.WALL, MapFlag.FREE))
+    return MapGrid2D.of(flags, name=name, resolution=edge, origin=(*((first - MIDDLE) * edge).tolist(), 0.0))
+
+
 def export(args: argparse.Namespace) -> int:
     """Write a map in three dimensions by the file's ending."""
-    name, value = _named(args)
+    with open_stored(args) as (_, stored):
+        name, value = named_map3d(stored, args.name)
     form = args.file.suffix.lower()
     try:
         if form in (".pcd", ".ply"):
@@ -76,13 +109,16 @@ def export(args: argparse.Namespace) -> int:
     return 0
 
 
-def _named(args: argparse.Namespace) -> tuple[str, Map3D]:
-    with open_stored(args) as (_, stored):
-        names = stored.names(MAP3D)
-        name = args.name or (names[0] if len(names) == 1 else "")
-        value = stored.get(MAP3D, name) if name else None
+def named_map3d(stored: StoreClient, name: str | None) -> tuple[str, Map3D]:
+    """A map in three dimensions by its name, or the only one; raises `CliError`."""
+    names = stored.names(MAP3D)
+    name = name or (names[0] if len(names) == 1 else "")
+    value = stored.get(MAP3D, name) if name else None
+    if not names:
+        raise CliError("no map in 3D is stored; 'midspan map import house.bt' brings one in")
     if value is None:
-        raise CliError(missing("map3d", name, names) if name else f"which one? there are {len(names)} maps in 3D")
+        which = f"which one? there are {len(names)} maps in 3D: {', '.join(map(clean, names[:10]))}"
+        raise CliError(missing("map3d", name, names) if name else which)
     return name, value
 
 
@@ -98,7 +134,7 @@ def _voxels(cloud: PointCloud, resolution: float) -> Octomap:
     points = np.stack([cloud.numpy()[axis].astype(float) for axis in "xyz"], axis=1)
     tree = OcTree.of(np.zeros((0, 3), int), [], resolution=resolution)  # checks the resolution
     points = points[np.isfinite(points).all(axis=1)]
-    keys = np.floor(points / resolution) + 32768
+    keys = np.floor(points / resolution) + MIDDLE
     if len(keys):
         tree = OcTree.of(np.unique(np.clip(keys, -1, 65536).astype(np.int64), axis=0), OCCUPIED, resolution=resolution)
     return Octomap.of(tree.pruned())

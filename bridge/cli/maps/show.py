@@ -1,4 +1,4 @@
-"""``midspan map show``: a map with its flags, locations and areas, in the terminal or as PNG.
+"""``midspan map show``: a map with its flags, locations and areas, or a slice of one in 3D; on the terminal or as PNG.
 
 What draws takes its time to load; it is imported where it draws, since verbs that draw nothing need this file's
 arguments.
@@ -27,11 +27,13 @@ def register(verbs: Any) -> None:
     """Add the verb's parser."""
     parser = add_verb(
         verbs, "show", run, "draw a map with its flags, locations and areas",
-        "Draws a map with its flags, locations and areas: in the terminal, in letters elsewhere, or as a PNG.",
+        "Draws a map with its flags, locations and areas: in the terminal, in letters elsewhere, or as a PNG; of an"
+        " octomap the slice at a height, with what is occupied, free and unknown.",
         example="midspan map show house --png house.png",
     )  # fmt: skip
     parser.add_argument("name", nargs="?", help="which map (default: the one in use)")
-    parser.add_argument("--3d", dest="three", action="store_true", help="say what the one in three dimensions is")
+    parser.add_argument("--3d", dest="three", action="store_true", help="the one in three dimensions: say what it is")
+    parser.add_argument("--layer", type=float, metavar="METRES", help="draw the octomap's slice at this height")
     add_drawing_arguments(parser)
 
 
@@ -47,12 +49,16 @@ def run(args: argparse.Namespace) -> int:
     from bridge.cli.maps.store import named_map, open_stored
     from bridge.stores.kinds import AREA, LOCATION
 
-    if args.three:
-        from bridge.cli.maps.map3d import show
-
-        return show(args)
+    sliced = args.layer is not None
+    if args.three or sliced:
+        from bridge.cli.maps import map3d
+    if args.three and not sliced:
+        return map3d.show(args)
     with open_stored(args) as (_, stored):
-        grid = named_map(stored, args.name)
+        if sliced:
+            grid = map3d.layer(*map3d.named_map3d(stored, args.name), args.layer)
+        else:
+            grid = named_map(stored, args.name)
         locations = {name: place for name, place in stored.all(LOCATION).items() if place.map_id == grid.name}
         areas = {name: area for name, area in stored.all(AREA).items() if area.map_id == grid.name}
     draw(grid, locations, areas, args)

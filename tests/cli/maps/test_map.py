@@ -33,7 +33,9 @@ from yarp_compat.dev.locations import Map2DArea, Map2DLocation, Map2DPath
 from yarp_compat.dev.mapgrid import MapFlag, MapGrid2D
 from yarp_compat.dev.places import Places
 from yarp_compat.octomap import Octomap
+from yarp_compat.octree import OcTree
 from yarp_compat.sig.cloudfile import load_cloud
+from yarp_compat.sig.pointcloud import LAYOUTS, PointCloud, PointType
 from yarp_compat.sig.vec2d import Vec2D
 
 AREA_EXAMPLE = Map2DArea("house", [Vec2D(1.0, 1.0), Vec2D(2.0, 1.0), Vec2D(2.0, 2.0)], "zone")
@@ -125,12 +127,36 @@ def test_maps_in_three_dimensions_come_and_go(midspan: Midspan, store: Store) ->
         assert load_cloud(file).size() == occupied
     assert midspan("map", "import", "house.pcd", "--name", "cloud").code == 0
     assert store.names(MAP3D) == ["cloud", "house"]
-    assert "which one? there are 2" in midspan("map", "export", "x.bt").err
+    assert "which one? there are 2 maps in 3D: cloud, house" in midspan("map", "export", "x.bt").err
     assert midspan("map", "export", "cloud.ot", "cloud", "--resolution", "0.1").code == 0
     assert midspan("map", "delete", "house", "--3d").out == "house is deleted\n"
     assert "there is no map3d 'house'; there is cloud" in midspan("map", "delete", "house", "--3d").err
     listed = json.loads(midspan("map", "list", "--json").out)
     assert [(each["name"], each["form"], each["points"]) for each in listed] == [("cloud", "cloud", occupied)]
+
+
+def test_a_slice_of_an_octomap_is_drawn_as_a_grid(midspan: Midspan, store: Store) -> None:
+    """A wall in a pruned leaf of 2 cells, one occupied cell, a free row, and a gap of which nothing is known."""
+    assert "no map in 3D is stored; 'midspan map import" in midspan("map", "show", "--layer", "0.3").err
+    cells = [[32_768, 32_768, 32_770], [32_774, 32_769, 32_771], [32_768, 32_771, 32_771], [32_769, 32_771, 32_771]]
+    tree = OcTree.of(cells, [1.0, 1.0, -1.0, -1.0], [15, 16, 16, 16], resolution=0.1)
+    store.put(MAP3D, "room", Octomap.of(tree))
+    store.put(LOCATION, "dock", Map2DLocation("room", 0.35, 0.15, 0.0))
+    drawn = midspan("map", "show", "room", "--layer", "0.3").out.splitlines()
+    assert drawn == ["  ?????", "##?→a?#", "' ' free, '#' wall, '?' unknown", "a dock: 0.35, 0.15 m, 0 degrees"]
+    assert midspan("map", "show", "--3d", "--layer", "0.25").out.splitlines()[0] == "##"
+    assert midspan("map", "show", "room", "--layer", "0.3", "--png", "room.png", "--scale", "1").code == 0
+    with Image.open("room.png") as picture:
+        assert picture.size == (7, 4)
+    store.put(MAP3D, "points", PointCloud.of(np.ones(3, LAYOUTS[PointType.XYZ])))
+    for words, told in (
+        (["room", "--layer", "9"], "nothing is known of 'room' at 9 m; its heights in metres: 0.2 to 0.4"),
+        (["room", "--layer", "nan"], "--layer is a height in metres, not nan"),
+        (["points", "--layer", "1"], "'points' is a cloud, which knows no free space"),
+        (["attic", "--layer", "1"], "there is no map3d 'attic'; there is points, room"),
+        (["--layer", "1"], "which one? there are 2 maps in 3D: points, room"),
+    ):
+        assert told in midspan("map", "show", *words).err
 
 
 def test_a_bad_map_in_three_dimensions_is_refused_by_name_and_field(midspan: Midspan, store: Store) -> None:
