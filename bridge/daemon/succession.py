@@ -8,6 +8,7 @@ A new process that cannot load changes nothing. To systemd the old one says who 
 
 from __future__ import annotations
 
+import contextlib
 import os
 import signal
 import subprocess
@@ -18,6 +19,9 @@ from typing import TypeVar
 
 HAND_OVER: signal.Signals | None = getattr(signal, "SIGUSR2", None)
 _PREDECESSOR = "MIDSPAN_PREDECESSOR"
+_APART = "import os, sys; os.fork() or os.execv(sys.argv[1], sys.argv[1:])"
+"""systemd waits at a stop for a main process that is its own child alone, and kills any other at once (version 252)."""
+
 _SECONDS = 10.0
 _LOOK = 0.01
 T = TypeVar("T")
@@ -27,21 +31,44 @@ class Successor:
     """The new process, in the old one; there is none before the signal."""
 
     def __init__(self) -> None:
-        self._process: subprocess.Popen[bytes] | None = None
+        self._told: int | None = None
+        self._pid = 0
         if HAND_OVER is not None:
             signal.signal(HAND_OVER, lambda _number, _frame: self._start())
 
     @property
     def pid(self) -> int:
-        """Its process, 0 where there is none (any more)."""
-        process = self._process
-        return process.pid if process is not None and process.poll() is None else 0
+        """The process that is about to take over, 0 where there is none (any more)."""
+        return 0 if self._loads() or not _lives(self._pid) else self._pid
+
+    def _loads(self) -> bool:
+        """Whether one has begun, and has not said yet that it has loaded."""
+        if self._told is None:
+            return False
+        with contextlib.suppress(BlockingIOError):
+            said = os.read(self._told, 16)
+            os.close(self._told)
+            self._told, self._pid = None, int(said or b"0")
+        return self._told is not None
 
     def _start(self) -> None:
-        if not self.pid:
-            environ = {**os.environ, _PREDECESSOR: str(os.getpid())}
-            environ.pop("WATCHDOG_PID", None)  # systemd's watchdog is for the one that takes over, too
-            self._process = subprocess.Popen([sys.executable, *sys.orig_argv[1:]], env=environ)
+        if self._loads() or _lives(self._pid):
+            return
+        self._told, told = os.pipe()
+        os.set_blocking(self._told, False)
+        environ = {**os.environ, _PREDECESSOR: f"{os.getpid()}:{told}"}
+        environ.pop("WATCHDOG_PID", None)  # systemd's watchdog is for the one that takes over, too
+        command = [sys.executable, "-ISc", _APART, sys.executable, *sys.orig_argv[1:]]
+        subprocess.run(command, env=environ, pass_fds=[told], check=False)
+        os.close(told)
+
+
+def _lives(pid: int) -> bool:
+    try:
+        os.kill(pid, 0)
+    except ProcessLookupError:
+        return False
+    return pid > 0
 
 
 def succeed(take: Callable[[], T]) -> T:
@@ -49,9 +76,11 @@ def succeed(take: Callable[[], T]) -> T:
 
     ``take`` raises `RuntimeError` while another process holds it, as this does where that lasts for 10 s.
     """
-    predecessor = os.environ.pop(_PREDECESSOR, "")
-    if predecessor != str(os.getppid()):
+    predecessor, _, told = os.environ.pop(_PREDECESSOR, "").partition(":")
+    if not predecessor:
         return take()
+    os.write(int(told), b"%d" % os.getpid())
+    os.close(int(told))
     os.kill(int(predecessor), signal.SIGTERM)
     end = time.monotonic() + _SECONDS
     while True:

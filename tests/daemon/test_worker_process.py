@@ -14,6 +14,7 @@ import time
 from collections.abc import Iterator
 from typing import Any
 
+import psutil
 import pytest
 
 from bridge.config.model import Config
@@ -247,6 +248,7 @@ def test_service_hands_over_to_a_new_process_of_itself(daemon: Daemon) -> None:
         while not said or not said[-1].startswith("MAINPID="):
             said.append(systemd.recv(4096).decode())
         new = int(said[-1].removeprefix("MAINPID="))
+        assert psutil.Process(new).ppid() != service.pid, "systemd waits for the end of its own children alone"
         assert "STOPPING=1" not in said
         assert service.popen.wait(20) == 0
         while "READY=1" not in said:
