@@ -130,6 +130,16 @@ class RobotFrames:
             except FramesError:
                 raise err from None
 
+    def floor(self, told: float | None) -> float:
+        """Height of the floor in the base's frame, metres: as told, else of ``base_footprint`` (REP 120), else 0."""
+        if told is None:
+            robot, slash, _ = self.base_frame.rpartition("/")
+            try:
+                told = self._look(self.base_frame, f"{robot}{slash}base_footprint", LATEST, 0.0).translation[2]
+            except FramesError:
+                return 0.0
+        return told
+
     def _fresh(self, target: str, source: str, age: float, what: str) -> Pose:
         found = flat(self._look(target, source, LATEST, 0.0))
         late = (self._now_ns() - found.stamp_ns) / 1e9 if found.stamp_ns else 0.0

@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
+import numpy as np
+
 from bridge.config.sections.mapper3d import Mapper3DSection
 from bridge.config.sections.section import Section
 from bridge.hub.errors import HubError
@@ -13,6 +15,7 @@ from bridge.modules.module import Module
 from bridge.modules.services import Answer
 from bridge.stores.entry import StoreError
 from bridge.worker import Health
+from navigation.algorithms.voxel_layer import EDGE, FLOOR
 from navigation.frames import FramesError
 from navigation.map2d_server.files import MapsFolder
 from navigation.mapper3d.commands import SpaceCommands
@@ -28,6 +31,7 @@ TRIGGER = "std_srvs/srv/Trigger"
 _BEAT = 0.05
 _KEEP = 60.0  # seconds: who stops has a second, and a large map needs more
 _SILENT_NS = 2_000_000_000
+_DROPS = 4  # times as many columns that drop as there are with a floor: it is looked for at a wrong height
 
 
 class Mapper3D(Module):
@@ -48,6 +52,7 @@ class Mapper3D(Module):
         )
         self._trouble = self._take_up()
         self._layer_changed = self._map_changed = True
+        self._floorless = ""
         self._seats = Seats(host, section)
         self._layer = LayerPublisher(host, section) if section.layer.topic else None
         self._octomaps = OctomapServer(host, section, self.space) if section.octomap else None
@@ -88,8 +93,14 @@ class Mapper3D(Module):
             base = self._seats.base()
         except FramesError as err:
             raise ValueError(str(err)) from None
-        section = self._section
-        return grid_of(self.space.layer(base), section.layer.name, section.resolution)
+        section, found = self._section, self.space.layer(base)
+        edges, floors = (np.count_nonzero(found.kinds == kind) for kind in (EDGE, FLOOR))
+        self._floorless = (
+            f"there is no floor where {section.base_frame} has it, but drops all around: set modules.mapper3d.floor"
+            if edges > _DROPS * floors
+            else ""
+        )
+        return grid_of(found, section.layer.name, section.resolution)
 
     def _tell_layer(self) -> None:
         if self._layer is None or not self._layer_changed:
@@ -133,8 +144,9 @@ class Mapper3D(Module):
             return Health(
                 "waiting", f"nothing is heard on {', '.join(topics)}" if topics else "no clouds, no depth: set one"
             )
-        if self._sources.trouble or self._trouble:
-            return Health("waiting", self._sources.trouble or self._trouble)
+        trouble = self._sources.trouble or self._trouble or self._floorless
+        if trouble:
+            return Health("waiting", trouble)
         voxels = self.space.voxels
         full = "; it is full (memory), and takes nothing new" if voxels.full and section.when_full == "stop" else ""
         return Health("running", f"map {section.map_name}: {voxels.megabytes:.0f} MB{full}")

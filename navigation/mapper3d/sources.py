@@ -52,6 +52,7 @@ class Seats:
 
     def __init__(self, host: Host, section: Mapper3DSection) -> None:
         self._frames = RobotFrames(host, section.map_frame, section.base_frame, section.odom_frame)
+        self._floor = section.floor
 
     def at(self, frame: str, stamp: int) -> Seat:
         """Where a frame was at a time (ns): odometry then, in what localisation says of the odometry's frame now.
@@ -73,8 +74,10 @@ class Seats:
         return Seat(correction.turn @ moved.turn, (x, y, z))
 
     def base(self) -> Place:
-        """Where the robot stands now, metres; raises `FramesError`."""
-        return self.at(self._frames.base_frame, LATEST).origin
+        """Where the robot stands on the floor now, metres; raises `FramesError`."""
+        at = self.at(self._frames.base_frame, LATEST)
+        x, y, z = (at.turn @ (0.0, 0.0, self._frames.floor(self._floor)) + at.origin).tolist()
+        return x, y, z
 
 
 class Sources:

@@ -143,7 +143,7 @@ class RobotGoto(PlannerModule):
         except (FramesError, CloudError) as err:
             self.driver.obstacles.trouble[topic] = str(err)
             return
-        up = np.array((0.0, 0.0, moved.translation[2] + self._section.floor))
+        up = np.array((0.0, 0.0, moved.translation[2] + self._frames.floor(self._section.floor)))
         points = placed(points, at) - up.astype(np.float32)
         self.driver.obstacles.cloud(topic, now - age, points, np.array(at.translation) - up, flat(moved))
 

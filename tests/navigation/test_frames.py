@@ -147,3 +147,12 @@ def test_a_laser_that_hangs_upside_down_sees_what_is_on_its_left_on_the_right() 
     for pose, turn in seen:
         # the first beam is 0.2 to the laser's left, which is 0.5 - 0.2 on the base
         assert [pose.theta + turn.first, turn.step] == pytest.approx([0.3, -0.1])
+
+
+def test_the_floor_is_as_it_is_told_or_at_the_robots_footprint() -> None:
+    said = Said(base_frame="r2/base_link")
+    assert said.frames.floor(None) == 0.0
+    foot = Stamped("r2/base_link", "r2/base_footprint", said.now, (0.0, 0.0, -0.164), (0.0, 0.0, 0.0, 1.0))
+    said.heard[TF_STATIC](write([foot]))
+    assert said.frames.floor(None) == pytest.approx(-0.164)
+    assert said.frames.floor(-0.1) == -0.1

@@ -8,6 +8,7 @@ from typing import Annotated, Literal
 from pydantic import Field, model_validator
 
 from bridge.config.sections.section import (
+    FLOOR,
     FrameName,
     ModuleSection,
     OptionalTopic,
@@ -78,7 +79,8 @@ class Mapper3DSection(ModuleSection):
     layer: LayerSection = subsection(LayerSection, "What the robot would touch, as a grid.")
     map_frame: FrameName = setting("map", "The map's frame. Without a localiser, `odom` maps by odometry alone.")
     odom_frame: FrameName = setting("odom", "The odometry's frame.")
-    base_frame: FrameName = setting("base_link", "The robot's frame, on the floor between its wheels.")
+    base_frame: FrameName = setting("base_link", "The robot's frame.")
+    floor: float | None = setting(None, FLOOR, ge=-3.0, le=3.0)
     octomap: bool = setting(
         True, "Whether it serves the topics and services of `octomap_server`, while others want them."
     )

@@ -8,6 +8,7 @@ from typing import Annotated, Literal
 from pydantic import field_validator
 
 from bridge.config.sections.section import (
+    FLOOR,
     PORT_OR_NONE,
     ROS2_NAME,
     YARP_PORT,
@@ -45,6 +46,14 @@ class ObstacleSection(Section):
     timeout: float | None = setting(
         None, "Seconds without a message after which it counts as silent; empty: 0.5, of a layer 5.", gt=0, le=3600
     )
+
+    def silent(self, heard: float | None, now: float) -> str:
+        """Since when it is silent, which was heard last at seconds, or never; "" where it is not."""
+        if heard is None:
+            return f"the {self.type} {self.topic} has not come yet"
+        if now - heard <= (self.timeout or {"cloud": 0.5, "layer": 5.0}[self.type]):
+            return ""
+        return f"the {self.type} {self.topic} is silent: it said nothing for {now - heard:.1f} s"
 
 
 class DrivenSection(Section):
@@ -149,12 +158,7 @@ class RobotGotoSection(ModuleSection):
     )
     height: float = setting(1.3, "Metres: what clouds show higher above the floor it does not touch.", gt=0.0, le=3.0)
     max_step: float = setting(0.05, "Metres up or down that its wheels take, of what clouds show.", gt=0.0, le=1.0)
-    floor: float = setting(
-        0.0,
-        "Height of the floor in `base_frame`, metres, for clouds; the R1's frame is at its axle: -0.16.",
-        ge=-3,
-        le=3,
-    )
+    floor: float | None = setting(None, FLOOR, ge=-3.0, le=3.0)
     laser_offset: float = setting(
         0.08,
         "Metres from the robot's middle to the lasers of a scan that merges several: nearer to corners and blind"

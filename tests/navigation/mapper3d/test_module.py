@@ -198,6 +198,23 @@ def test_a_bad_cloud_is_told_of_by_the_name_of_its_field(place: Place, changed: 
     until(told, "the trouble is told", 30)
 
 
+def test_the_floor_is_that_of_base_footprint(tmp_path_factory: pytest.TempPathFactory) -> None:
+    """The frame of the base is at its axle, 0.2 m up."""
+    with Place(tmp_path_factory.mktemp("axle")) as place:
+        place.worker.start(place.config(modules={"mapper3d": settings(keep=False)}))
+        robot = Robot(place)
+        below = table() - np.array([0.0, 0.0, 0.2])
+
+        def told(word: str) -> bool:
+            robot.see_cloud(below)
+            return word in place.worker.health().text
+
+        until(lambda: told("set modules.mapper3d.floor"), "it says that the floor is not there", 30)
+        told_of = robot._transform("base_link", "base_footprint", -0.2, {"w": 1.0}, {"sec": 1})
+        place.far.publish(robot.static, {"transforms": [told_of]})
+        until(lambda: not told("floor"), "all is well", 30)
+
+
 def test_services_and_words(place: Place) -> None:
     assert triggered(place, "stop")["message"] == "not mapping"
     clouds = place.answer("mapper3d")["clouds"]
