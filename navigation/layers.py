@@ -62,13 +62,20 @@ class LayersHeard:
         take: Callable[[str, Places], object],
         trouble: dict[str, str] | None = None,
     ) -> None:
-        self._frames, self._take = frames, take
+        self._frames, self._take, self._now = frames, take, lambda: host.clock.now_ns() / 1e9
+        self._heard: dict[str, tuple[ObstacleSection, float]] = {}
         self.trouble = {} if trouble is None else trouble
         for source in sources:
             if source.type == "layer":
-                host.node.subscription(source.topic, GRID, partial(self._heard, source.topic), LATCHED)
+                host.node.subscription(source.topic, GRID, partial(self._hear, source), LATCHED)
 
-    def _heard(self, topic: str, message: Message) -> None:
+    def silent(self) -> str:
+        """Which layer that came says nothing any more, and since when; "" where none does."""
+        found = (source.silent(heard, self._now()) for source, heard in self._heard.values())
+        return next(filter(None, found), "")
+
+    def _hear(self, source: ObstacleSection, message: Message) -> None:
+        topic = source.topic
         frame = message["header"]["frame_id"].lstrip("/")
         try:
             places = read_layer(message)
@@ -78,6 +85,7 @@ class LayersHeard:
             self.trouble[topic] = str(err)
             return
         self.trouble.pop(topic, None)
+        self._heard[topic] = source, self._now()
         self._take(topic, places)
 
 

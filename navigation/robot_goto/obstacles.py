@@ -7,7 +7,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from bridge.config.sections.planners import ObstacleSection, RobotGotoSection
+from bridge.config.sections.planners import RobotGotoSection
 from navigation.clouds import Points
 from navigation.layers import Places, on
 from navigation.pose import Pose
@@ -175,14 +175,7 @@ class Obstacles:
     def unheard(self, now: float) -> str:
         """Which source is silent and since when; "" where none is."""
         for source in self._sources:
-            heard = self._heard.get(source.topic)
-            if heard is None or now - heard > timeout(source):
-                silent = "has not come yet" if heard is None else f"is silent: it said nothing for {now - heard:.1f} s"
+            if silent := source.silent(self._heard.get(source.topic), now):
                 why = self.trouble.get(source.topic)
-                return f"the {source.type} {source.topic} {silent}" + (f" ({why})" if why else "")
+                return silent + (f" ({why})" if why else "")
         return ""
-
-
-def timeout(source: ObstacleSection) -> float:
-    """Seconds after which a source counts as silent."""
-    return source.timeout or {"cloud": 0.5, "layer": 5.0}[source.type]

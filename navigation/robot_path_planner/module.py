@@ -277,7 +277,8 @@ class RobotPathPlanner(PlannerModule):
         if trouble:
             waits = "; goals wait for one" if self.planner.ground is None and not self.compiled.trouble else ""
             return Health("waiting", trouble + waits)
-        return Health("running", self.planner.status.words)
+        silent = self._layers.silent()
+        return Health("running", self.planner.status.words + (f"; {silent}, ways go by the last" if silent else ""))
 
     def status(self) -> dict[str, Any]:
         target = self.planner.target

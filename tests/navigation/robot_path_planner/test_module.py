@@ -476,7 +476,7 @@ def test_the_map_comes_by_a_topic_and_the_laser_shows_what_it_lacks(tmp_path: Pa
 
 
 def test_a_layer_of_the_hub_is_waited_for_and_planned_around(tmp_path: Path) -> None:
-    place = Planning(tmp_path, obstacles=[{"topic": "/layer"}])
+    place = Planning(tmp_path, obstacles=[{"topic": "/layer", "timeout": 0.5}])
     try:
         end = place.far.advertise("/layer", "nav_msgs/OccupancyGrid", latched=True)
         sent = place.robot.send(4.0, 1.0)
@@ -490,6 +490,7 @@ def test_a_layer_of_the_hub_is_waited_for_and_planned_around(tmp_path: Path) -> 
         place.far.publish(end, {"header": {"frame_id": "map"}, "info": info, "data": [100] * 77})
         assert sent.end()[0] is GoalState.SUCCEEDED
         assert max(y for _, y, _ in place.robot.asked) > 1.7
+        until(lambda: "layer /layer is silent" in place.module.health().text, "it says that the layer is silent", 30)
         assert "7 x 11" not in place.module.health().text
     finally:
         place.close()
