@@ -203,7 +203,7 @@ Begin = Callable[[Config], Fresh]
 
 
 @pytest.mark.parametrize(
-    "name", ["default.yaml", "allow_list.yaml", "demo.yaml", "zenoh_dialects.yaml", "navigation.yaml"]
+    "name", ["default.yaml", "allow_list.yaml", "demo.yaml", "zenoh_dialects.yaml", "navigation.yaml", "tables.yaml"]
 )
 def test_what_needs_no_other_program(fresh: Begin, name: str) -> None:
     fresh(of_file(name)).until_all_is_well()
