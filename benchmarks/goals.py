@@ -3,10 +3,10 @@
 Simulator, BaseControl, RobotGoto, RobotPathPlanner and the localiser (odometry drifts) in lock-step in one process.
 People walk as the plans have them. A contact is a tick (10 ms) in which the moving robot's hull touches something; a
 keep-out entry a look (50 ms) at which its hull is within such an area. The peer of the way driven is the shortest way
-on the map. In the world `tables` the robot has a depth camera: RobotGoto hears its points live, and the planner has a
-layer of what the map does not show; what comes over a drop in the floor counts as an entry. After a goal that was not
-reached there, it begins again at the start. The real time factor is simulated seconds per second of processor time,
-all of it counted.
+on the map. In the world `tables` the robot has a depth camera: RobotGoto hears its points live, and Mapper3D's code
+maps them from where the robot believes to be, from nothing on, and gives the planner the layer; what comes over a drop
+in the floor counts as an entry. After a goal that was not reached there, it begins again at the start. The real time
+factor is simulated seconds per second of processor time, all of it counted.
 
     python benchmarks/goals.py --world apartment --base r1 --goals 100 [--seed 1] [--json FILE]
     python benchmarks/goals.py --world tables --base r1 --goals 100 [--laser-alone]

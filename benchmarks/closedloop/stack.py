@@ -2,15 +2,21 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from benchmarks.closedloop.robot import Robot
-from benchmarks.closedloop.worlds import World, covered, hidden
+from benchmarks.closedloop.worlds import World
 from bridge.config.sections.localization_server import LocaliserSection
+from bridge.config.sections.mapper3d import LayerSection, Mapper3DSection
 from bridge.config.sections.planners import ObstacleSection, RobotGotoSection, RobotPathPlannerSection
 from navigation.constraints import Constraints
 from navigation.localization_server.estimate import LocalizationStatus
 from navigation.localization_server.localizer import Localizer
+from navigation.mapper3d.depth import Camera
+from navigation.mapper3d.layer import grid_of
+from navigation.mapper3d.space import OPTICAL, Seat, Space, View
 from navigation.pose import Pose
 from navigation.robot_goto.driver import Driver
 from navigation.robot_path_planner.ground import Ground
@@ -30,13 +36,15 @@ _DRIVE_EVERY, _PLAN_EVERY, _LOOK_EVERY = 2, 10, 2
 
 
 _POINTS, _LAYER = "/camera/depth/points", "/mapper3d/layer"
+MAPPING = Mapper3DSection(resolution=0.04, farthest=2.5, layer=LayerSection(height=1.3))
+"""Voxels in which a step of 10 cm is more than two, and rays to where the camera's noise is less than one of them."""
 
 
 class Ours:
     """All three, stepped as their modules would.
 
-    Where the robot has a depth camera, RobotGoto hears its points live, and the planner has a layer of what the map
-    does not show, which is that of the plan itself: whoever mapped it before had it right.
+    Where the robot has a depth camera, RobotGoto hears its points live, and the planner has the layer of Mapper3D's
+    code, which knows nothing at first, and maps while the robot drives, from where it believes to be.
 
     Args:
         robot: whom they drive.
@@ -68,9 +76,8 @@ class Ours:
         layers = () if camera is None else (ObstacleSection(topic=_LAYER),)
         self.planner = PathPlanner(RobotPathPlannerSection(robot_radius=radius + _ROOM, obstacles=layers))
         self.planner.use_map(Ground(world.map, radius + _ROOM, self.planner.settings.clearance))
-        if camera is not None:
-            self.planner.layer(_LAYER, covered(world.map, hidden(robot.simulation.world)))
-        self._pictured = -1
+        self.space = Space(MAPPING)
+        self._pictured, self._layered = -1, -math.inf
         self.localizer: Localizer | None = None
         if localized:
             self.localizer = Localizer(world.map, LocaliserSection(holonomic=holonomic), seed)
@@ -165,14 +172,24 @@ class Ours:
             self.planner.scan(robot.now, pose, scan)
 
     def _picture(self) -> None:
-        """Give RobotGoto what the camera sees, as from its place on the base by odometry."""
-        simulation, at = self._robot.simulation, self._robot.odometry
+        """Give RobotGoto what the camera sees, as from its place by odometry, and map it by the pose believed in."""
+        simulation, now, at = self._robot.simulation, self._robot.now, self._robot.odometry
         camera = simulation.camera
         assert camera is not None
-        turned, eye = camera.placed(BasePose(at.x, at.y, at.theta))
         points = camera.points(simulation.depth()).reshape(-1, 3)
-        points = points[np.isfinite(points).all(axis=1)] @ turned.T.astype(np.float32) + eye.astype(np.float32)
-        self.driver.obstacles.cloud(_POINTS, self._robot.now, points, eye, at)
+        points = points[np.isfinite(points).all(axis=1)]
+        turned, eye = camera.placed(BasePose(at.x, at.y, at.theta))
+        placed = points @ turned.T.astype(np.float32) + eye.astype(np.float32)
+        self.driver.obstacles.cloud(_POINTS, now, placed, eye, at)
+        pose, _ = self._known()
+        if pose is None:
+            return
+        turned, eye = camera.placed(BasePose(pose.x, pose.y, pose.theta))
+        self.space.take(points, Seat(turned, tuple(eye)), View(OPTICAL, Camera(*camera.size, *camera.lens).view), now)
+        if now - self._layered >= MAPPING.layer.period:
+            self._layered = now
+            grid = grid_of(self.space.layer((pose.x, pose.y, 0.0)), "layer", MAPPING.resolution)
+            self.planner.layer(_LAYER, grid.centers_of(np.argwhere(grid.occupancy == 100)[:, ::-1]))
 
     def _known(self) -> tuple[Pose | None, str]:
         """The pose that may be driven by, and why there is none."""
