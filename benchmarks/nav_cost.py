@@ -1,7 +1,9 @@
 """What the navigation of one robot costs: shares of a core of each process, idle and driving, at a laser of 10 Hz.
 
 The whole deployment, `midspan run` with simulator, base control, localiser, RobotGoto, RobotPathPlanner and gateway.
-The "peer" of a row is what is meant to be enough: 40 % of a core for all modules while they drive.
+The "peer" of a row is what is meant to be enough: 40 % of a core for all modules while they drive. With ``--tables`` it
+is that of configs/tables.yaml: a depth camera of 640 x 480 at 5 Hz whose points RobotGoto hears, without Mapper3D and
+with it; the difference is what mapping costs.
 """
 
 from __future__ import annotations
@@ -12,10 +14,12 @@ import tempfile
 import time
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
 import psutil
+import yaml
 
 from benchmarks.rows import Row, add_json_option, report
 from tests.support.chain import Chain
@@ -27,20 +31,36 @@ _ENOUGH = {"modules": 40.0, "sim": 25.0, "yarp": 10.0, "router": 5.0, "daemon": 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the benchmark."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--tables", action="store_true", help="with a depth camera, without Mapper3D and with it")
     parser.add_argument("--seconds", type=float, default=10.0, help="of each measurement (default 10)")
     add_json_option(parser)
     args = parser.parse_args(arguments)
-    rows = []
-    with tempfile.TemporaryDirectory(prefix="midspan-nav-cost-") as folder, Chain(Path(folder)) as chain:
+    if args.tables:
+        rows = _measured("sideboard", args.seconds, "no mapping, ", **_tables(mapping=False))
+        rows += _measured("sideboard", args.seconds, "mapping, ", **_tables(mapping=True))
+    else:
+        rows = _measured("kitchen", args.seconds)
+    report(rows, args.json)
+    return 0
+
+
+def _tables(*, mapping: bool) -> dict[str, Any]:
+    config: dict[str, Any] = yaml.safe_load((Path(__file__).parents[1] / "configs" / "tables.yaml").read_text())
+    modules = config["modules"]
+    if not mapping:
+        del modules["mapper3d"], modules["robot_path_planner"]["obstacles"]
+    return {"sim": config["sim"], "modules": modules}
+
+
+def _measured(place: str, seconds: float, case: str = "", **sections: Any) -> list[Row]:
+    with tempfile.TemporaryDirectory(prefix="midspan-nav-cost-") as folder, Chain(Path(folder), **sections) as chain:
         chain.start()
         chain.until(lambda: chain.truth is not None, "the robot is there")
         time.sleep(3.0)  # what is compiled and opened at the start is no cost of a rest
-        rows += _rows("idle", _shares(chain, args.seconds))
-        chain.goto("kitchen")
+        rows = _rows(f"{case}idle", _shares(chain, seconds))
+        chain.goto(place)
         chain.until_moving()
-        rows += _rows("driving", _shares(chain, args.seconds))
-    report(rows, args.json)
-    return 0
+        return rows + _rows(f"{case}driving", _shares(chain, seconds))
 
 
 def _rows(what: str, shares: dict[str, float]) -> list[Row]:
