@@ -62,7 +62,7 @@ class LayersHeard:
         take: Callable[[str, Places], object],
         trouble: dict[str, str] | None = None,
     ) -> None:
-        self._frames, self._take, self._now = frames, take, lambda: host.clock.now_ns() / 1e9
+        self._frames, self._take, self._clock = frames, take, host.clock
         self._heard: dict[str, tuple[ObstacleSection, float]] = {}
         self.trouble = {} if trouble is None else trouble
         for source in sources:
@@ -71,7 +71,7 @@ class LayersHeard:
 
     def silent(self) -> str:
         """Which layer that came says nothing any more, and since when; "" where none does."""
-        found = (source.silent(heard, self._now()) for source, heard in self._heard.values())
+        found = (source.silent(heard, self._clock.now_ns() / 1e9) for source, heard in self._heard.values())
         return next(filter(None, found), "")
 
     def _hear(self, source: ObstacleSection, message: Message) -> None:
@@ -85,7 +85,7 @@ class LayersHeard:
             self.trouble[topic] = str(err)
             return
         self.trouble.pop(topic, None)
-        self._heard[topic] = source, self._now()
+        self._heard[topic] = source, self._clock.now_ns() / 1e9
         self._take(topic, places)
 
 

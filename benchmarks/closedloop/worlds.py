@@ -2,11 +2,18 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Iterable
 from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
 
 from navigation.maps.masks import cells_of
 from sim import export
+from sim.pieces import Piece
 from sim.plan import Plan, load_plan
+from sim.world import FloorWorld
 from yarp_compat.dev.mapgrid import MapFlag, MapGrid2D
 from yarp_compat.sig.vec2d import Vec2D
 
@@ -24,6 +31,30 @@ KEEP_OUT: dict[str, tuple[Rectangle, ...]] = {
     "two_storeys/upper": ((9.4, 6.4, 10.4, 7.2),),
 }
 """Where no robot may go although the floor is free, by world."""
+
+
+LEAST, TALL = 0.05, 1.3
+"""Metres above the floor within which a thing is one for a robot."""
+
+
+def hidden(there: FloorWorld) -> list[Piece]:
+    """What stands fast in a robot's way that its map does not have: boards, steps, and drops in the floor."""
+    fast = [piece for piece in there.pieces[: there.first_leaf] if piece.above < TALL and piece.top > LEAST]
+    drops = [Piece("", *d.at, 0.0, *d.size, d.depth, above=-d.depth) for d in there.floor.drops]
+    return [piece for piece in fast if not piece.above <= export.SEEN < piece.top] + drops
+
+
+def covered(grid: MapGrid2D, pieces: Iterable[Piece]) -> NDArray[np.float64]:
+    """(n, 2) the middles of a map's cells that pieces touch, metres."""
+    rows, columns = np.indices(grid.flags.shape)
+    places = grid.centers_of(np.stack((columns, rows), -1).reshape(-1, 2))
+    found = np.zeros(len(places), np.bool_)
+    for piece in pieces:
+        dx, dy = places.T - np.array([[piece.x], [piece.y]])
+        c, s, half = math.cos(piece.yaw), math.sin(piece.yaw), grid.resolution / 2
+        along, aside = np.abs(c * dx + s * dy), np.abs(c * dy - s * dx)
+        found |= (along <= piece.length / 2 + half) & (aside <= piece.width / 2 + half)
+    return places[found]
 
 
 @dataclass(frozen=True, eq=False)
