@@ -210,7 +210,7 @@ def test_no_more_clients_than_there_is_room_for(desk: Desk, monkeypatch: pytest.
 
 
 def test_who_takes_nothing_is_cut_and_holds_nobody_up(desk: Desk, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(front, "STILL_SECONDS", 0.5)
+    monkeypatch.setattr(front, "STILL_SECONDS", 2.0)
     monkeypatch.setattr(front, "MOST_UNREAD", 1 << 20)
     publisher, _ = desk.far._publishers[desk.far.advertise("/blob", "std_msgs/String")]
     word = cdr("x" * 500_000)
@@ -218,14 +218,20 @@ def test_who_takes_nothing_is_cut_and_holds_nobody_up(desk: Desk, monkeypatch: p
         deaf.subscribe("/blob")
         app.subscribe("/blob")
         app.until(publisher.matched, "it is heard")
+        shares: list[int] = []
 
         def cut() -> bool:
-            publisher.put(word)
-            count = len(app.messages["/blob"])
-            app.received("/blob", count + 1)
+            before = len(app.messages["/blob"])
+            for _ in range(4):
+                publisher.put(word)
+                app.read(0.2)
+            shares.append(len(app.messages["/blob"]) - before)
             return len(desk.status()["clients"]) == 1
 
-        until(cut, "the deaf one is cut")
+        until(cut, "the deaf one is cut", 30)
+        assert sum(shares) >= 2 * len(shares), f"while one takes nothing the other gets {shares} of 4 each"
+        (left,) = app.messages["/blob"][-1:]
+        assert left[1] == word
 
 
 def test_a_taken_address_is_told(desk: Desk) -> None:

@@ -112,10 +112,11 @@ class Acting:
         self.goals: list[Any] = []
         self.arrived = threading.Condition()
         self.waits: dict[bytes, Any] = {}
+        self.name = params["action"]
         self.handle = ActionServer(
             node,
             self.type,
-            params["action"],
+            self.name,
             self.execute,
             **depths(profile, "goal_service", "result_service", "cancel_service", "feedback_pub"),
             goal_callback=lambda _goal: GoalResponse.REJECT if self.outcome == "reject" else GoalResponse.ACCEPT,
@@ -141,6 +142,7 @@ class Acting:
         return self.fill(self.type.Result(), self.result)
 
     def work(self, handle: Any) -> None:
+        self._matched()
         due = time.monotonic()
         for _ in range(self.times):
             for fields in self.feedback:
@@ -149,6 +151,13 @@ class Acting:
             time.sleep(max(0.0, due - time.monotonic()))
         if self.period and not self.held:
             self.end(bytes(handle.goal_id.uuid))
+
+    def _matched(self) -> None:
+        """Wait until somebody hears feedback: a goal can come before its client's subscription is known here."""
+        end = time.monotonic() + 5.0
+        feedback = self.node.resolve_topic_name(self.name) + "/_action/feedback"
+        while self.feedback and not self.node.count_subscribers(feedback) and time.monotonic() < end:
+            time.sleep(0.01)
 
     def cancelled(self, handle: Any) -> Any:
         if self.keeps:
