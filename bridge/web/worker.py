@@ -28,6 +28,7 @@ from bridge.web.hold import HOLD_SECONDS, HandDriving
 from bridge.web.hub_feeds import AskingFeed, StatusAsker, list_topics
 from bridge.web.image_feed import ImageFeed
 from bridge.web.inspection import inspection_verbs
+from bridge.web.layer_feed import LayerFeed
 from bridge.web.log_feed import LogFollower, log_feed
 from bridge.web.map_files import MapFileVerbs
 from bridge.web.map_pictures import Pictures
@@ -123,6 +124,7 @@ class Console:
                 LaserFeed(host, follower, section.laser),
                 PathFeed(host, config, driving),
                 ObstaclesFeed(host, config, follower, driving),
+                LayerFeed(host, follower, section.layer),
                 driving,
                 self._patrol.feed,
                 self._map,

@@ -49,11 +49,14 @@ class Columns(NamedTuple):
         corner: x and y of the first column's corner, metres.
         kinds: (rows, columns) uint8 of the kinds above.
         floors: (rows, columns) float32, metres to the middle of the floor's voxel, or where it would be.
+        hits: (rows, columns, 2) float32, metres above the floor of the lowest and the highest voxel that the robot
+            would touch; NaN where it touches none.
     """
 
     corner: tuple[float, float]
     kinds: NDArray[np.uint8]
     floors: NDArray[np.float32]
+    hits: NDArray[np.float32]
 
 
 def columns(
@@ -92,7 +95,8 @@ def columns(
     table[tuple((there - low).T)] = slots
     count = table.shape[0] * table.shape[1] * 64
     kinds, floors = np.zeros((table.shape[1] * 8, table.shape[0] * 8), np.uint8), np.zeros(count, np.int32)
-    made = _Columns(table, np.ascontiguousarray(values), kinds, floors.reshape(kinds.shape))
+    hits = np.zeros((*kinds.shape, 2), np.int32)
+    made = _Columns(table, np.ascontiguousarray(values), kinds, floors.reshape(kinds.shape), hits)
     corner = (low - 4096) * side
     x, y, z = ((value - edge) / resolution for value, edge in zip(base, corner.tolist(), strict=True))
     step = max(1, int(robot.step / resolution + 1e-6))
@@ -101,7 +105,9 @@ def columns(
     span = max(2, round(SPAN / resolution))
     made.find_edges(span, step + round(span * math.tan(robot.slope)))
     heights = (floors.reshape(kinds.shape) + 0.5) * resolution + corner[2]
-    return Columns((float(corner[0]), float(corner[1])), kinds, heights.astype(np.float32))
+    touched = np.full(hits.shape, np.nan, np.float32)
+    np.multiply(hits, np.float32(resolution), out=touched, where=hits > 0)
+    return Columns((float(corner[0]), float(corner[1])), kinds, heights.astype(np.float32), touched)
 
 
 @cython.final
@@ -113,6 +119,7 @@ class _Columns:
     _values: cython.const[cython.float][:, ::1]
     _kinds: cython.uchar[:, ::1]
     _floors: cython.int[:, ::1]
+    _hits: cython.int[:, :, ::1]
     _best: cython.uchar[::1]
     _settled: cython.uchar[::1]
     _queues: cython.int[:, ::1]
@@ -127,8 +134,9 @@ class _Columns:
         values: NDArray[np.float32],
         kinds: NDArray[np.uint8],
         floors: NDArray[np.int32],
+        hits: NDArray[np.int32],
     ) -> None:
-        self._table, self._values, self._kinds, self._floors = table, values, kinds, floors
+        self._table, self._values, self._kinds, self._floors, self._hits = table, values, kinds, floors, hits
         self._best, self._settled = np.full(kinds.size, _NOT_REACHED, np.uint8), np.zeros(kinds.size, np.uint8)
         self._queues, self._levels = np.empty((3, kinds.size), np.int32), np.empty((3, kinds.size), np.int32)
         self._ends = np.zeros(3, np.int64)
@@ -266,6 +274,18 @@ class _Columns:
     @cython.cfunc
     @cython.nogil
     @cython.exceptval(check=False)
+    def _measure(self, row: cython.longlong, column: cython.longlong, floor: cython.longlong) -> cython.void:
+        """Note what blocks a column: its lowest and its highest voxel, counted from the floor."""
+        level: cython.longlong
+        for level in range(self._step + 1, self._top + 1):
+            if self._state(row, column, floor + level) == 2:
+                if self._hits[row, column, 0] == 0:
+                    self._hits[row, column, 0] = cython.cast(cython.int, level)
+                self._hits[row, column, 1] = cython.cast(cython.int, level)
+
+    @cython.cfunc
+    @cython.nogil
+    @cython.exceptval(check=False)
     def _drops(self, row: cython.longlong, column: cython.longlong, floor: cython.longlong) -> cython.bint:
         """Whether what lies more than a step below a floor is known."""
         level: cython.longlong
@@ -304,6 +324,7 @@ class _Columns:
         """Say what a column is, whose floor is known (queue 0), or not (1), or which is blocked or drops (2)."""
         if self._blocked(row, column, floor):
             self._kinds[row, column] = _OBSTACLE
+            self._measure(row, column, floor)
         elif queue == 0:
             self._kinds[row, column] = _FLOOR
         elif queue == 2:

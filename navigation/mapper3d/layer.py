@@ -1,4 +1,4 @@
-"""The layer of Mapper3D on the hub: whole, latched, and what changed of it since."""
+"""The layer of Mapper3D on the hub: whole, latched, and what changed of it since; and the heights of what is hit."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from bridge.hub.wire.qos import LATCHED
 from bridge.modules.host import Host
 from navigation.algorithms.voxel_layer import EDGE, FLOOR, OBSTACLE, Columns
 from navigation.maps.grid import to_cdr
+from navigation.maps.grid_map import GRID_MAP, HEIGHTS, HIGHEST, LOWEST, to_grid_map
 from navigation.messages import GRID
 from yarp_compat.dev.mapflag import UNKNOWN, MapFlag
 from yarp_compat.dev.mapgrid import MapGrid2D
@@ -31,15 +32,19 @@ class LayerPublisher:
     """Publishes the layer where it is another than before."""
 
     def __init__(self, host: Host, section: Mapper3DSection) -> None:
-        self._frame, self._clock = section.map_frame, host.clock
+        self._frame, self._clock, self._section = section.map_frame, host.clock, section
         topic = section.layer.topic
         self._grid = host.node.publisher(topic, GRID, LATCHED, priority="state")
         self._updates = host.node.publisher(f"{topic}_updates", _UPDATE)
+        self._heights = host.node.publisher(f"{topic}{HEIGHTS}", GRID_MAP, LATCHED, priority="state")
         self._last: MapGrid2D | None = None
+        self._last_heights: bytes | None = None
         self._told = 0
 
-    def tell(self, grid: MapGrid2D) -> None:
+    def tell(self, found: Columns) -> None:
         """Publish a layer; one that is the same as before now and then, for those whom silence stops."""
+        grid = grid_of(found, self._section.layer.name, self._section.resolution)
+        self._tell_heights(found)
         last, self._last = self._last, grid
         now = self._clock.now_ns()
         if last is not None and _lie_alike(last, grid):
@@ -57,6 +62,22 @@ class LayerPublisher:
             self._updates.offer(lambda: self._updates.encoded(update))
         self._told = now
         self._grid.publish_cdr(bytes(to_cdr(grid, self._frame, now)))
+
+    def _tell_heights(self, columns: Columns) -> None:
+        """Publish how high what is hit is, where it changed, about that alone: most of a layer is free."""
+        rows, places = np.nonzero(columns.hits[..., 0] > 0)
+        low, left = (int(each.min()) if len(each) else 0 for each in (rows, places))
+        high, right = (int(each.max()) + 1 if len(each) else 1 for each in (rows, places))
+        part = columns.hits[low:high, left:right]
+        size = self._section.resolution
+        corner = (columns.corner[0] + left * size, columns.corner[1] + low * size)
+        said = np.array([*corner, *part.shape]).tobytes() + part.tobytes()
+        if said == self._last_heights:
+            return
+        self._last_heights, now = said, self._clock.now_ns()
+        header = {"stamp": {"sec": now // 10**9, "nanosec": now % 10**9}, "frame_id": self._frame}
+        layers = {LOWEST: part[..., 0], HIGHEST: part[..., 1]}
+        self._heights.publish(to_grid_map(layers, corner, size, header))
 
 
 def _lie_alike(one: MapGrid2D, other: MapGrid2D) -> bool:

@@ -15,7 +15,7 @@ from bridge.modules.module import Module
 from bridge.modules.services import Answer
 from bridge.stores.entry import StoreError
 from bridge.worker import Health
-from navigation.algorithms.voxel_layer import EDGE, FLOOR
+from navigation.algorithms.voxel_layer import EDGE, FLOOR, Columns
 from navigation.frames import FramesError
 from navigation.map2d_server.files import MapsFolder
 from navigation.mapper3d.commands import SpaceCommands
@@ -88,7 +88,11 @@ class Mapper3D(Module):
         return ""
 
     def _grid(self) -> MapGrid2D:
-        """The layer about the robot; raises `ValueError` where it is not known where that is."""
+        """The layer about the robot; raises as `_columns`."""
+        return grid_of(self._columns(), self._section.layer.name, self._section.resolution)
+
+    def _columns(self) -> Columns:
+        """The columns about the robot; raises `ValueError` where it is not known where that is."""
         try:
             base = self._seats.base()
         except FramesError as err:
@@ -100,13 +104,13 @@ class Mapper3D(Module):
             if edges > _DROPS * floors
             else ""
         )
-        return grid_of(found, section.layer.name, section.resolution)
+        return found
 
     def _tell_layer(self) -> None:
         if self._layer is None or not self._layer_changed:
             return
         try:
-            self._layer.tell(self._grid())
+            self._layer.tell(self._columns())
         except ValueError:  # it is known again as soon as clouds are taken
             return
         self._layer_changed = False

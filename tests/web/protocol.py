@@ -61,6 +61,12 @@ class Obstacles(Model):
     size: float
 
 
+class Layer(Model):
+    origin: Pose
+    size: float
+    runs: list[list[float | None]]
+
+
 State = Literal["idle", "preparing_before_move", "moving", "waiting_obstacle", "goal_reached", "aborted", "failing",
                 "paused", "thinking", "error"]  # fmt: skip
 
@@ -239,6 +245,7 @@ class Log(Model):
 
 FEEDS: dict[str, Any] = {
     "robot": Robot, "robots": list[OtherRobot], "laser": OnMap, "path": OnMap, "obstacles": Obstacles,
+    "layer": Layer,
     "driving": Driving, "map": Map, "places": Places, "patrol": Patrol, "maps": Maps, "status": Status,
     "topics": list[Topic], "frames": list[Frame], "log": Log, "services": list[Service],
 }  # fmt: skip

@@ -11,6 +11,9 @@ from typing import Any
 
 import yaml
 
+from bridge.hub.session import Hub, HubSettings
+from bridge.messages.registry import Registry
+from tests.contract.hubside import HubSide
 from tests.support.ports import free_port
 from tests.support.process import Process
 from tests.support.wait import until
@@ -29,14 +32,14 @@ class WebRobot:
     """The robot drives once `ready` has returned."""
 
     def __init__(self, folder: Path) -> None:
-        self.port, self._router, self.names = free_port(), free_port(), free_port()
+        self.port, self.router, self.names = free_port(), free_port(), free_port()
         self.file = folder / "midspan.yaml"
         config: dict[str, Any] = yaml.safe_load(CONFIG.read_text())
         store = {key: str(CONFIG.parent / file) for key, file in config["store"].items()}
         own = {
             "name": "web-test",
             "state": str(folder / "state"),
-            "hub": {"listen": f"tcp/127.0.0.1:{self._router}"},
+            "hub": {"listen": f"tcp/127.0.0.1:{self.router}"},
             "ros1": {"enabled": False},
             "ros2": {"enabled": False},
             "store": store,
@@ -69,6 +72,11 @@ class WebRobot:
                 return bool(answer.status == 200)
         except (urllib.error.URLError, OSError):
             return False
+
+    def hub_program(self) -> HubSide:
+        """A program on the robot's hub."""
+        settings = HubSettings(node="far", worker="test", daemon="test", router=f"tcp/127.0.0.1:{self.router}")
+        return HubSide(Hub.open(settings), Registry())
 
     def yarp_maps(self) -> Map2DClient:
         """A YARP client of Map2DServer."""

@@ -19,6 +19,7 @@ from selenium.webdriver.chrome.service import Service
 from selenium.webdriver.common.by import By
 from selenium.webdriver.remote.webelement import WebElement
 
+from navigation.maps.grid_map import to_grid_map
 from tests.support.missing import BROWSER, DART, need
 from tests.support.wait import until
 from tests.web.page import TestPage
@@ -38,6 +39,11 @@ const { data } = canvas.getContext("2d").getImageData(0, 0, canvas.width, canvas
 let count = 0;
 for (let i = 0; i < data.length; i += 4) count += data[i] === r && data[i + 1] === g && data[i + 2] === b;
 return count;
+"""
+MIDDLE = """
+const canvas = document.querySelector("canvas");
+const [x, y] = [canvas.width / 2, canvas.height / 2 - 10 * devicePixelRatio];
+return [...canvas.getContext("2d").getImageData(x, y, 1, 1).data];
 """
 HANGING = 8.0
 HANG = f"const end = Date.now() + {1000 * HANGING}; setTimeout(() => {{ while (Date.now() < end); }}, 0)"
@@ -114,6 +120,11 @@ class Operator:
         found: int = self.chrome.execute_script(PIXELS, colour)
         return found
 
+    def middle(self) -> list[int]:
+        """The colour a little above the middle of the map."""
+        found: list[int] = self.chrome.execute_script(MIDDLE)
+        return found
+
     def texts(self, selector: str) -> list[str]:
         """The texts of elements that may be filled anew meanwhile."""
         script = "return [...document.querySelectorAll(arguments[0])].map((each) => each.textContent)"
@@ -187,6 +198,58 @@ def test_another_robot_has_its_own_colour(operator: Operator, watch: TestPage) -
     assert porter["name"] == "porter"
     operator.map_at(porter["pose"]["x"], porter["pose"]["y"])
     until(lambda: operator.pixels("--robot-0") > 50, "it is drawn in its colour")
+
+
+def table_about(x: float, y: float) -> tuple[dict[str, Any], dict[str, Any]]:
+    """A layer in which a table stands about a place, and its heights; beside the table is a drop."""
+    rows, columns, size = 20, 30, 0.05
+    corner = (x - 0.5 * columns * size, y - 0.5 * rows * size)
+    lowest = np.full((rows, columns), np.nan, np.float32)
+    lowest[2:-2, 3:23] = 0.74
+    blocked = ~np.isnan(lowest)
+    blocked[2:-2, 25:] = True
+    origin = {"position": {"x": corner[0], "y": corner[1]}, "orientation": {"w": 1.0}}
+    info = {"resolution": size, "width": columns, "height": rows, "origin": origin}
+    header = {"frame_id": "map"}
+    heights = to_grid_map({"lowest": lowest}, corner, size, header)
+    plain = {**heights, "data": [{**each, "data": each["data"].tolist()} for each in heights["data"]]}
+    return {"header": header, "info": info, "data": (100 * blocked).reshape(-1).tolist()}, plain
+
+
+def test_the_layer_is_a_tint_with_heights(operator: Operator, robot: WebRobot) -> None:
+    far = robot.hub_program()
+    try:
+        layer, heights = table_about(*FREE)
+        above = far.advertise("/mapper3d/layer_heights", "grid_map_msgs/GridMap", latched=True, depth=1)
+        far.publish(above, heights)
+        out = far.advertise("/mapper3d/layer", "nav_msgs/OccupancyGrid", latched=True, depth=1)
+        far.publish(out, layer)
+        canvas = operator.map_at(*FREE)
+        tip = operator.chrome.find_element(By.CSS_SELECTOR, ".map .height")
+
+        def over(dx: int) -> str:
+            """What is said of a place so many pixels to the right of the middle."""
+            ActionChains(operator.chrome).move_to_element_with_offset(canvas, dx, 0).perform()
+            return tip.text
+
+        until(lambda: over(0) == "hit at 0.74 m", "the height of the table is told")
+        tinted = operator.middle()
+        assert over(28) == "a drop, or of unknown height"
+        assert over(80) == "", "nothing is in the way there"
+        assert not tip.is_displayed()
+        ActionChains(operator.chrome).move_to_element(canvas).click().perform()
+        menu = operator.chrome.find_element(By.CSS_SELECTOR, ".pointmenu p")
+        assert menu.text.endswith("hit at 0.74 m"), "fingers have it from the menu"
+        operator.button("Layers").click()
+        operator.button("3D layer").click()
+        try:
+            until(lambda: over(0) == "", "it is off")
+            until(lambda: operator.middle() != tinted, "the tint is gone")
+        finally:
+            operator.button("3D layer").click()
+        until(lambda: over(0) == "hit at 0.74 m", "it is on again")
+    finally:
+        far.hub.close()
 
 
 def test_a_drag_gives_the_heading(operator: Operator, watch: TestPage) -> None:

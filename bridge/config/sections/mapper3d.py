@@ -34,7 +34,9 @@ class LayerSection(Section):
     """The layer: what decides where the robot may drive."""
 
     topic: OptionalTopic = setting(
-        "/mapper3d/layer", 'Topic of the layer (`nav_msgs/msg/OccupancyGrid`, latched); "": none.'
+        "/mapper3d/layer",
+        "Topic of the layer (`nav_msgs/msg/OccupancyGrid`, latched); the heights of what is hit are on the topic of"
+        ' this name with `_heights` behind it. "": none.',
     )
     period: float = setting(
         0.5, "Seconds between two changes of the layer that are published, at least.", ge=0.05, le=60

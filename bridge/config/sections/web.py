@@ -59,6 +59,11 @@ class WebSection(Section):
         (), "Who may drive by a certificate of the same authority, by the name in it; with any other one may watch."
     )
     laser: OptionalTopic = setting("/scan", 'Topic of the laser that the map shows; "": none.')
+    layer: OptionalTopic = setting(
+        "/mapper3d/layer",
+        "Topic of the layer (`nav_msgs/OccupancyGrid`) that the map is tinted with; the heights of what is hit are on"
+        ' the topic of this name with `_heights` behind it (`grid_map_msgs/GridMap`). "": none.',
+    )
     path: OptionalTopic = setting("", 'Topic of the path that the map shows; "": that of the chosen planner.')
     radius: float = setting(0.3, "Metres: the disc that the map draws for the robot.", gt=0.0, le=10.0)
     footprint: tuple[tuple[float, float], ...] = setting(

@@ -31,7 +31,7 @@ export function driveView(root, socket) {
   const map = new MapBlock(socket, tools, (at, place, pixel, shape) => {
     const off = { disabled: !socket.mayDrive };
     const named = place ? { kind: "location", name: place } : shape;
-    menu.open(place ?? position(at.x, at.y), pixel, [
+    menu.open([place ?? position(at.x, at.y), map.hitAt(at.x, at.y)].filter(Boolean).join(" · "), pixel, [
       place ? [`Go to ${place}`, () => goToPlace(socket, place), off] : ["Go here", () => goTo(socket, at), off],
       ["Go here, with a heading …", () => goToTyped(socket, { ...at, theta: heading() }), off],
       ["Robot is here …", () => robotIsAt(socket, at, heading()), off],

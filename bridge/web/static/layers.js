@@ -3,8 +3,8 @@
 import { button, el, icon } from "./dom.js";
 
 const KEY = "midspan.layers";
-const LAYERS = { laser: "Laser", path: "Path", obstacles: "Obstacles", places: "Places", areas: "Areas and paths", flags: "Flags" };
-const FEEDS = { laser: "laser", path: "path", obstacles: "obstacles", places: "places", areas: "places" };
+const LAYERS = { laser: "Laser", path: "Path", obstacles: "Obstacles", layer: "3D layer", places: "Places", areas: "Areas and paths", flags: "Flags" };
+const FEEDS = { laser: "laser", path: "path", obstacles: "obstacles", layer: "layer", places: "places", areas: "places" };
 
 /** The button with its menu: {element, on(layer), feeds()}; `changed` is called after a choice. */
 export function layerMenu(changed) {

@@ -3,6 +3,7 @@
 import { button, el, icon, mark, write } from "./dom.js";
 import { degrees, position } from "./format.js";
 import { gestures } from "./gestures.js";
+import { HitLayer, heightWords } from "./hitlayer.js";
 import { Labels } from "./labels.js";
 import { layerMenu } from "./layers.js";
 import { drawRobotNames, drawRobots, seen } from "./robots.js";
@@ -45,6 +46,8 @@ export class MapBlock {
     this.dirty = false;
     this.frame = 0;
     this.shown = false;
+    this.pointer = null; // the pixel that a pointer is over
+    this.hits = new HitLayer();
     this.trail = new Trail();
     this.images = new MapImages(() => this.redraw());
     this.layers = layerMenu(() => this.layersChanged());
@@ -62,6 +65,7 @@ export class MapBlock {
     });
     this.context = this.canvas.getContext("2d", { alpha: false });
     this.hint = el("p", { class: "hint", role: "status" });
+    this.height = el("p", { class: "height", hidden: true });
     this.pose = el("p", { class: "pose", title: "Where the robot is: x, y in metres, heading" });
     this.toolButtons = Object.entries(this.tools).map(([name, tool]) =>
       el("button", { type: "button", class: tool.drives ? "drives" : "", "aria-pressed": "false", title: tool.label,
@@ -74,7 +78,7 @@ export class MapBlock {
       this.followButton,
       this.layers.element);
     this.toolRow = el("div", { class: "tools", role: "toolbar", "aria-label": "Tools of the map" }, ...this.toolButtons);
-    this.element = el("div", { class: "map" }, this.canvas, this.pose, this.hint, corner, this.toolRow);
+    this.element = el("div", { class: "map" }, this.canvas, this.height, this.pose, this.hint, corner, this.toolRow);
     gestures(this.canvas, {
       aims: () => this.tool !== null || this.editor !== null,
       press: (x, y) => this.press(x, y),
@@ -85,6 +89,8 @@ export class MapBlock {
       zoom: (factor, x, y) => this.zoom(factor, x, y),
       tap: (x, y) => this.tap(x, y),
     });
+    this.canvas.addEventListener("pointermove", (event) => this.pointed(event.pointerType === "touch" ? null : [event.offsetX, event.offsetY]));
+    this.canvas.addEventListener("pointerleave", () => this.pointed(null));
     new ResizeObserver(() => this.sized()).observe(this.element);
   }
 
@@ -110,6 +116,7 @@ export class MapBlock {
       end();
       delete this.watches[feed];
       delete this.values[feed];
+      if (feed === "layer") this.hits.take(null);
     }
     for (const feed of wanted) {
       this.watches[feed] ??= this.socket.watch(feed, (value, why) => this.take(feed, value, why));
@@ -121,6 +128,7 @@ export class MapBlock {
   take(feed, value, why) {
     this.values[feed] = value;
     this.redraw();
+    if (feed === "layer") this.hits.take(value);
     if (feed === "robot") this.robotMoved(value, why);
     if (feed === "robot") this.trail.robot(value?.pose);
     if (feed === "driving") this.trail.driving(value);
@@ -207,6 +215,30 @@ export class MapBlock {
     if (this.follows) this.view.zoom(factor);
     else this.view.zoom(factor, x, y);
     this.redraw();
+  }
+
+  /** The pointer is at a pixel, or away: the height of what is hit there is written beside it. */
+  pointed(pixel) {
+    this.pointer = pixel;
+    if (this.values.layer) this.redraw();
+  }
+
+  /** What is hit at a place, in words; "" where nothing is. */
+  hitAt(x, y) {
+    return heightWords(this.hits.at(x, y));
+  }
+
+  showHeight() {
+    const cell = this.pointer && this.hits.at(...this.view.toMap(...this.pointer));
+    this.height.hidden = !cell;
+    if (!cell) return;
+    write(this.height, heightWords(cell));
+    const [x, y] = this.pointer;
+    const { offsetWidth: width, offsetHeight: height } = this.height;
+    const left = x + 14 + width > this.view.width ? x - 14 - width : x + 14;
+    this.height.style.setProperty("left", `${Math.max(4, left)}px`);
+    this.height.style.setProperty("top", `${Math.max(4, y - 12 - height)}px`);
+    this.hits.mark(this.context, this.view, cell, this.colours);
   }
 
   // -- tools
@@ -338,6 +370,7 @@ export class MapBlock {
     context.fillStyle = colour.floor;
     context.fillRect(0, 0, this.canvas.width, this.canvas.height);
     if (values.map) this.images.draw(context, view, values.map, ratio);
+    this.hits.draw(context, view, ratio, colour.layer);
     context.setTransform(ratio, 0, 0, ratio, 0, 0);
     if (!values.map) scene.drawGrid(context, view, colour);
     const named = this.named(values);
@@ -352,6 +385,7 @@ export class MapBlock {
     drawRobots(context, view, others, colour, this.layers.on("path"), !this.socket.open);
     if (values.driving?.goal) scene.drawPose(context, view, values.driving.goal, colour.path, colour);
     if (values.robot?.pose) scene.drawRobot(context, view, values.robot, colour, !this.socket.open);
+    this.showHeight();
     this.editor?.draw(context, view, colour);
     if ((this.editor || this.tool) && document.activeElement === this.canvas) scene.drawCross(context, view, colour);
     if (this.measured.length === 1 && !this.aim) {

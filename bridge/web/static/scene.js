@@ -3,7 +3,7 @@
 /** The colours of the page's theme, by the names of style.css. */
 export function colours() {
   const style = getComputedStyle(document.documentElement);
-  const names = ["floor", "grid", "ink", "muted", "accent", "laser", "path", "area", "goal", "halo", "bad", "held",
+  const names = ["floor", "grid", "ink", "muted", "accent", "laser", "path", "layer", "area", "goal", "halo", "bad", "held",
     "robot-0", "robot-1", "robot-2", "robot-3", "robot-4", "robot-5"];
   return Object.fromEntries(names.map((name) => [name, style.getPropertyValue(`--${name}`).trim()]));
 }

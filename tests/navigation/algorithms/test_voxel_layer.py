@@ -55,6 +55,17 @@ FAR = slice(30, 40)
 ALL = slice(None)
 
 
+def test_how_high_what_is_hit_is():
+    room = Room().box(FAR, FAR, 0.7, 0.75).box(FAR, slice(50, 55), 0.1, 0.2).box(FAR, slice(50, 55), 0.9, 1.0)
+    found = room.box(slice(50, 55), FAR, 1.3, 1.35).columns()
+    hits = found.hits.transpose(1, 0, 2)
+    # from the floor's voxel to the first and the last one that is touched
+    assert hits[35, 35] == pytest.approx([0.75, 0.75])
+    assert hits[35, 52] == pytest.approx([0.15, 1.0])
+    assert np.isnan(hits[52, 35]).all(), "it fits under"
+    assert (np.isnan(found.hits[..., 0]) == (found.kinds != OBSTACLE)).all()
+
+
 def test_a_bare_floor_is_free_and_what_is_beyond_is_unknown():
     found = Room().columns()
     assert (found.kinds[:SIDE, :SIDE] == FLOOR).all()

@@ -14,6 +14,7 @@ from bridge.config.model import Config
 from bridge.stores.kinds import MAP, MAP3D
 from navigation.clouds import MOST_POINTS, read_points
 from navigation.mapper3d.octomaps import cloud_message
+from navigation.maps.grid_map import values_at
 from tests.modules.place import Place
 from tests.support.wait import until
 from yarp_compat.dev.mapflag import MapFlag
@@ -127,6 +128,13 @@ def test_a_cloud_becomes_a_layer_files_and_a_map_of_the_store(place: Place) -> N
 
     until(mapped, "the table is in the layer", 30)
     rested(place)
+    heights = place.far.subscribe("/mapper3d/layer_heights", "grid_map_msgs/GridMap", latched=True, depth=1)
+
+    def height(layer: str) -> float:
+        return float(values_at(place.far.wait(heights, 1)[-1], layer, np.array([(2.01, 0.01)]))[0])
+
+    until(lambda: height("lowest") == pytest.approx(0.75), "how high the table is", 20)
+    assert height("highest") == pytest.approx(0.75)
     assert asked(place, "save_to_mapserver") == ["3D map house and layer layer saved into the store."]
     grid = place.worker.store.get(MAP, "layer")
     column, row = grid.cells_at((2.0, 0.0))

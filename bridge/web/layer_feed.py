@@ -1,0 +1,147 @@
+"""The feed of a layer: where a robot would touch something, by Mapper3D or a program like it, and how high that is."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bridge.hub.wire.qos import LATCHED
+from bridge.modules.host import Host
+from bridge.modules.loop import Timer
+from bridge.web.frame_feeds import FrameFollower
+from bridge.web.robot import TopicsFeed, place
+from navigation.frames import FramesError
+from navigation.maps.grid import yaw_of
+from navigation.maps.grid_map import GRID_MAP, HEIGHTS, LOWEST, values_at
+from navigation.messages import GRID
+from navigation.pose import Pose
+
+SECONDS = 0.5
+MOST_CELLS = 1 << 22
+"""Of a layer; a larger one is not shown."""
+
+MOST_TINTED = 20_000
+"""Cells of a layer that a page gets; where more are blocked, four become one, and so on."""
+
+BLOCKED = 50
+"""From here on planners take a cell of a layer as blocked."""
+
+
+class LayerFeed(TopicsFeed):
+    """``layer``: the blocked cells of a layer on the map, with the heights of what is hit, at most twice a second."""
+
+    def __init__(self, host: Host, follower: FrameFollower, topic: str) -> None:
+        super().__init__(host, "layer")
+        self._follower, self._topic = follower, topic
+        self._grid: dict[str, Any] | None = None
+        self._heights: dict[str, Any] | None = None
+        self._fresh = False
+        self._at: dict[str, float] | None = None
+        self._timer: Timer | None = None
+
+    def open(self) -> None:
+        """Follow the layer, its heights and the frames."""
+        if not self._topic:
+            self.put(None, "no layer is configured (web.layer)")
+            return
+        self._follower.begin()
+        self.follow(self._topic, GRID, self._take, LATCHED)
+        self.follow(self._topic + HEIGHTS, GRID_MAP, self._take_heights, LATCHED)
+        self._timer = self._host.loop.every(SECONDS, self._look)
+
+    def close(self) -> None:
+        """Rest."""
+        super().close()
+        self._grid = self._heights = self._at = None
+        if self._timer is not None:
+            self._timer.close()
+            self._timer = None
+            self._follower.end()
+
+    def _take(self, grid: dict[str, Any]) -> None:
+        self._grid, self._fresh = grid, True
+
+    def _take_heights(self, heights: dict[str, Any]) -> None:
+        self._heights, self._fresh = heights, True
+
+    def _look(self) -> None:
+        grid = self._grid
+        if grid is None:
+            return
+        info = grid["info"]
+        if int(info["width"]) * int(info["height"]) > MOST_CELLS:
+            self.put(None, f"{self._topic} has {info['width']} x {info['height']} cells; up to {MOST_CELLS} are shown")
+            return
+        try:
+            frame = self._follower.frames.on_map(str(grid["header"]["frame_id"]).lstrip("/"))
+        except FramesError as err:
+            self.put(None, str(err))
+            return
+        if not self._fresh and place(frame) == self._at:
+            return
+        self._fresh, self._at = False, place(frame)
+        try:
+            self.put(tint(grid, self._heights, frame))
+        except ValueError as err:
+            self.put(None, f"{self._topic}: {err}")
+
+
+def tint(grid: dict[str, Any], heights: dict[str, Any] | None, frame: Pose) -> dict[str, Any]:
+    """The value of a layer; ``frame``: where its frame is on the map. Raises `ValueError` with the reason."""
+    info = grid["info"]
+    height, width, size = int(info["height"]), int(info["width"]), float(info["resolution"])
+    cells = np.asarray(grid["data"], np.int8)
+    if cells.size != width * height:
+        raise ValueError(f"data: {cells.size} cells are not {width} x {height}")
+    if not (math.isfinite(size) and size > 0.0):
+        raise ValueError(f"info.resolution: {size} m is no size of a cell")
+    blocked = cells.reshape(height, width) >= BLOCKED
+    spot, turn = info["origin"]["position"], info["origin"]["orientation"]
+    origin = Pose(float(spot["x"]), float(spot["y"]), yaw_of(turn))
+    found = _heights_of(blocked, heights, grid, origin)
+    while np.count_nonzero(blocked) > MOST_TINTED:
+        blocked = np.asarray(_halved(blocked, False).any((1, 3)))
+        found, size = _halved(found, np.inf).min((1, 3)), 2.0 * size
+    return {"origin": place(frame @ origin), "size": round(size, 4), "runs": runs_of(blocked, found)}
+
+
+def _heights_of(
+    blocked: NDArray[np.bool_], heights: dict[str, Any] | None, grid: dict[str, Any], origin: Pose
+) -> NDArray[np.float32]:
+    """How high each cell is, metres; infinite where that is not known."""
+    found = np.full(blocked.shape, np.inf, np.float32)
+    if heights is None or heights["header"]["frame_id"].lstrip("/") != grid["header"]["frame_id"].lstrip("/"):
+        return found
+    rows, columns = np.nonzero(blocked)
+    x, y = ((part + 0.5) * float(grid["info"]["resolution"]) for part in (columns, rows))
+    cos, sin = math.cos(origin.theta), math.sin(origin.theta)
+    places = np.stack([origin.x + cos * x - sin * y, origin.y + sin * x + cos * y], axis=1)
+    try:
+        values = values_at(heights, LOWEST, places)
+    except ValueError as err:
+        raise ValueError(f"of its heights, {err}") from None
+    found[rows, columns] = np.where(np.isfinite(values), values, np.inf)
+    return found
+
+
+def _halved(cells: NDArray[Any], fill: float) -> NDArray[Any]:
+    """Cells by twos: (rows, 2, columns, 2)."""
+    rows, columns = cells.shape
+    full = np.pad(cells, ((0, rows % 2), (0, columns % 2)), constant_values=fill)
+    return full.reshape(full.shape[0] // 2, 2, full.shape[1] // 2, 2)
+
+
+def runs_of(blocked: NDArray[np.bool_], heights: NDArray[np.float32]) -> list[list[float | None]]:
+    """Blocked cells beside each other: row, column of the first, the height of each (None: not known)."""
+    rows, columns = np.nonzero(blocked)
+    values = heights[rows, columns]
+    said = [None if math.isinf(value) else value for value in np.round(values.astype(np.float64), 2).tolist()]
+    begins = np.flatnonzero(np.concatenate([[True], (np.diff(rows) != 0) | (np.diff(columns) != 1)]))
+    if not len(rows):
+        return []
+    ends = [*begins[1:].tolist(), len(rows)]
+    firsts = zip(rows[begins].tolist(), columns[begins].tolist(), begins.tolist(), ends, strict=True)
+    return [[row, column, *said[begin:end]] for row, column, begin, end in firsts]
