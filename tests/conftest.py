@@ -29,9 +29,11 @@ _LAST = "test_first_run.py"
 _LEFT_BEHIND = 10
 """Exit code of such a run, which CI takes for no test that failed; see scripts/unsteady.py."""
 
+_LEFT = "LEFT BEHIND"
 _MARK = "MIDSPAN_TEST_RUN"
 _run = uuid.uuid4().hex
 _started_by: dict[object, str] = {}
+_failed: set[str] = set()
 _at_start: set[object] = set()
 _left_by_workers: list[str] = []
 
@@ -117,6 +119,12 @@ def pytest_runtest_logfinish(nodeid: str) -> None:
         _started_by.setdefault(thing, nodeid)
 
 
+def pytest_runtest_logreport(report: pytest.TestReport) -> None:
+    """Remember what failed: a failed test may not get to its clean-up, and is red already."""
+    if report.failed:
+        _failed.add(report.nodeid)
+
+
 def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
     """Print the tables that tests recorded (``record_property("table", text)``)."""
     for report in terminalreporter.getreports("passed") + terminalreporter.getreports("failed"):
@@ -139,7 +147,10 @@ def pytest_sessionfinish(session: pytest.Session) -> None:
     end = time.monotonic() + 20  # what is about to end does so late on a busy machine
     while (left := {**_processes(), **look()}) and time.monotonic() < end:
         time.sleep(0.05)
-    found = [f"{name} (first seen after {_started_by.get(thing, 'an unknown test')})" for thing, name in left.items()]
+    found = []
+    for thing, name in left.items():
+        test = _started_by.get(thing, "an unknown test")
+        found.append(f"{'left by what failed' if test in _failed else _LEFT}: {name} (first seen after {test})")
     for thing in left:
         if isinstance(thing, psutil.Process):
             with contextlib.suppress(psutil.Error):
@@ -151,6 +162,7 @@ def pytest_sessionfinish(session: pytest.Session) -> None:
     reporter = session.config.pluginmanager.get_plugin("terminalreporter")
     for line in found:
         if reporter is not None:
-            reporter.write_line(f"LEFT BEHIND: {line}")
-    if found:
+            reporter.ensure_newline()
+            reporter.write_line(line)
+    if any(line.startswith(_LEFT) for line in found):
         session.exitstatus = _LEFT_BEHIND

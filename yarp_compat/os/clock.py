@@ -68,16 +68,21 @@ class NetworkClock:
         """The time in seconds; 0 until the clock has said it."""
         return self._time or 0.0
 
-    def wait(self, seconds: float, stop: threading.Event | None = None) -> bool:
-        """Wait in the clock's time; whether ``stop`` was set. A clock that is set back does not prolong it."""
+    def wait(self, seconds: float, stop: threading.Event | None = None, since: float | None = None) -> bool:
+        """Wait in the clock's time; whether ``stop`` was set. A clock that is set back does not prolong it.
+
+        The caller counts from ``since``, or from now: the clock may have gone on since the caller looked.
+        """
         woken = stop or threading.Event()
-        if seconds <= 0 or woken.is_set():
-            return woken.is_set()
         passed = threading.Event()
         with self._condition:
+            now = self.now()
+            due = seconds + (now if since is None else min(since, now))
+            if due <= now or woken.is_set():
+                return woken.is_set()
             if self._closed:
                 return woken.wait(seconds)
-            heapq.heappush(self._waiters, (self.now() + seconds, next(self._numbers), passed))
+            heapq.heappush(self._waiters, (due, next(self._numbers), passed))
         while not passed.is_set():
             if woken.wait(0.01) if stop is not None else passed.wait(1.0):
                 break

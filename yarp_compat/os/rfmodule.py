@@ -178,9 +178,8 @@ class RFModule:
             began = clock.steady()
             if not self.updateModule():
                 return
-            passed = max(clock.steady() - began, 0.0)  # a network clock may have been set back
             # Waiting on the event, a module of a long period stops at once.
-            clock.wait(self._stop, self.getPeriod() - passed)
+            clock.wait(self._stop, self.getPeriod(), began)
 
     def _basic_respond(self, command: Bottle, reply: Bottle) -> bool:
         if command.get(0).toString().strip("[]") in _QUIT:

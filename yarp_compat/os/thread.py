@@ -134,4 +134,4 @@ class PeriodicThread(Thread):
                 self._rounds += 1
             now = clock.steady()
             due = min(max(due + self._period, now - self._period), now + self._period)
-            clock.wait(self._stopping, due - now)
+            clock.wait(self._stopping, due - now, now)

@@ -23,8 +23,8 @@ class Clock(Protocol):
     def now(self) -> float:
         """The time in seconds."""
 
-    def wait(self, seconds: float, stop: threading.Event | None = None) -> bool:
-        """Wait in the clock's time; whether ``stop`` was set."""
+    def wait(self, seconds: float, stop: threading.Event | None = None, since: float | None = None) -> bool:
+        """Wait in the clock's time, from ``since`` (now) on; whether ``stop`` was set."""
 
     def close(self) -> None:
         """Release waiting threads."""
@@ -52,10 +52,10 @@ def delay(seconds: float) -> None:
         time.sleep(seconds)
 
 
-def wait(stop: threading.Event, seconds: float) -> bool:
-    """Wait in the time of the clock in use, or until ``stop`` is set; whether it is."""
+def wait(stop: threading.Event, seconds: float, since: float) -> bool:
+    """Wait until ``seconds`` after ``since`` of `steady`, or until ``stop`` is set; whether it is."""
     clock = _InUse.clock
-    return stop.wait(max(seconds, 0.0)) if clock is None else clock.wait(seconds, stop)
+    return stop.wait(max(since + seconds - steady(), 0.0)) if clock is None else clock.wait(seconds, stop, since)
 
 
 def steady() -> float:

@@ -96,10 +96,29 @@ def test_a_periodic_thread_keeps_the_clocks_period(clock: Clock) -> None:
     follow(clock)
     counter = Counter(1.0)
     assert counter.start()
-    until(lambda: counter.getIterations() == 1, "the first round")
-    for second in range(101, 106):
-        until(lambda s=second: (clock.say(s), counter.getIterations() == s - 99)[1], "one round a second")
-    counter.stop()
+    try:
+        until(lambda: counter.getIterations() == 1, "the first round")
+        for second in range(101, 106):
+            until(lambda s=second: (clock.say(s), counter.getIterations() == s - 99)[1], "one round a second")
+    finally:
+        counter.stop()
+
+
+def test_a_wait_counts_from_when_the_caller_looked(clock: Clock) -> None:
+    """The clock may go on between a thread's look and its wait; a periodic thread then lost a round."""
+    follow(clock, 100)
+    never = threading.Event()
+    assert not yarp.os.time.wait(never, 1.0, since=99.0)
+    since = yarp.os.time.steady()
+    until(lambda: (clock.say(101), yarp.now() == 101)[1], "the clock goes on")
+    done = threading.Event()
+    thread = threading.Thread(target=lambda: (yarp.os.time.wait(never, 1.5, since), done.set()))
+    thread.start()
+    try:
+        until(lambda: (clock.say(101, 500_000_000), done.is_set())[1], "the wait is over")
+    finally:
+        yarp.Time.useSystemClock()
+        thread.join()
 
 
 def test_the_variable_names_the_clock(clock: Clock, monkeypatch: pytest.MonkeyPatch) -> None:
