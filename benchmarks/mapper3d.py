@@ -25,7 +25,7 @@ if not __package__:  # run as a file
 from benchmarks.rows import Row, add_json_option, need_peers, report
 from bridge.config.sections.mapper3d import Mapper3DSection
 from navigation.mapper3d.depth import Camera, Rays
-from navigation.mapper3d.space import OPTICAL, Seat, Space, View
+from navigation.mapper3d.space import OPTICAL, FieldOfView, Seat, Space
 
 WIDTH, HEIGHT, RATE = 640, 480, 5.0
 FOCUS = WIDTH / 2 / math.tan(math.radians(87.0) / 2)
@@ -81,7 +81,7 @@ def ours(taken: list[tuple[Seat, NDArray[np.float32]]], settings: Mapper3DSectio
     space, rays = Space(settings), Rays(settings.pixels)
     begin = time.process_time()
     for index, (at, seen) in enumerate(taken):
-        space.take(rays.points(seen, CAMERA), at, View(OPTICAL, CAMERA.view), index / RATE)
+        space.take(rays.points(seen, CAMERA), at, FieldOfView(OPTICAL, CAMERA.view), index / RATE)
     return 1000.0 * (time.process_time() - begin) / len(taken)
 
 
@@ -99,7 +99,7 @@ def layer(taken: list[tuple[Seat, NDArray[np.float32]]], settings: Mapper3DSecti
     """Milliseconds of a layer of all that was seen."""
     space, rays = Space(settings), Rays(settings.pixels)
     for at, seen in taken:
-        space.take(rays.points(seen, CAMERA), at, View(OPTICAL, CAMERA.view), 0.0)
+        space.take(rays.points(seen, CAMERA), at, FieldOfView(OPTICAL, CAMERA.view), 0.0)
     begin = time.process_time()
     for _ in range(10):
         space.layer((0.0, 0.0, 0.0))

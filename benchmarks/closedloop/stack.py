@@ -16,7 +16,7 @@ from navigation.localization_server.estimate import LocalizationStatus
 from navigation.localization_server.localizer import Localizer
 from navigation.mapper3d.depth import Camera
 from navigation.mapper3d.layer import grid_of
-from navigation.mapper3d.space import OPTICAL, Seat, Space, View
+from navigation.mapper3d.space import OPTICAL, FieldOfView, Seat, Space
 from navigation.pose import Pose
 from navigation.robot_goto.driver import Driver
 from navigation.robot_path_planner.ground import Ground
@@ -185,7 +185,9 @@ class Ours:
         if pose is None:
             return
         turned, eye = camera.placed(BasePose(pose.x, pose.y, pose.theta))
-        self.space.take(points, Seat(turned, tuple(eye)), View(OPTICAL, Camera(*camera.size, *camera.lens).view), now)
+        self.space.take(
+            points, Seat(turned, tuple(eye)), FieldOfView(OPTICAL, Camera(*camera.size, *camera.lens).view), now
+        )
         if now - self._layered >= MAPPING.layer.period:
             self._layered = now
             grid = grid_of(self.space.layer((pose.x, pose.y, 0.0)), "layer", MAPPING.resolution)

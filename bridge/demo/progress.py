@@ -113,7 +113,7 @@ _TRY = (
 
 
 @dataclass(frozen=True, slots=True)
-class Part:
+class PartState:
     """One part of a demo: what it does in the daemon's words, its process, and how often it restarted."""
 
     name: str
@@ -147,15 +147,15 @@ class Parts:
     def __init__(self, sandbox: Sandbox, children: Mapping[str, DemoChild]) -> None:
         self._config, self._children = sandbox.config, children
         self._asked = -_ASK_EVERY
-        self._workers: list[Part] = []
+        self._workers: list[PartState] = []
         self.starting: Sequence[int] = ()
 
     @property
-    def all(self) -> list[Part]:
+    def all(self) -> list[PartState]:
         """As they were at the last look."""
         answers = bool(self._workers)
         own = [
-            Part(name, "running" if name != "daemon" or answers else "not answering yet", pid=child.pid)
+            PartState(name, "running" if name != "daemon" or answers else "not answering yet", pid=child.pid)
             for name, child in self._children.items()
         ]
         return [*own, *self._workers]
@@ -169,7 +169,7 @@ class Parts:
         said = ask_daemon(self._config) if "daemon" in self._children else None
         if said is not None:
             self._workers = [
-                Part(clean(one["worker"]), one["phase"], clean(one["text"]), one["pid"], one["restarts"])
+                PartState(clean(one["worker"]), one["phase"], clean(one["text"]), one["pid"], one["restarts"])
                 for one in said["workers"]
                 if one["phase"] != Phase.OFF.value
             ]
@@ -186,11 +186,11 @@ class Parts:
         return any(part.name == name and part.phase == Phase.UP.value for part in self._workers)
 
     @property
-    def failed(self) -> Part | None:
+    def failed(self) -> PartState | None:
         """One that failed."""
         return next((part for part in self._workers if part.failed), None)
 
-    def why_failed(self, part: Part) -> str:
+    def why_failed(self, part: PartState) -> str:
         """What to say of a part that failed."""
         again = f" (started again {part.restarts} times)" if part.restarts else ""
         return "\n".join([f"{part}{again}", *self._words([part]), _TRY])
@@ -201,7 +201,7 @@ class Parts:
         still = f"nothing has moved for {STILL_SECONDS:.0f} s, and {what} is not there:"
         return "\n".join([still, *(f"  {part}" for part in blamed), *self._words(blamed), _TRY])
 
-    def _words(self, blamed: Iterable[Part]) -> list[str]:
+    def _words(self, blamed: Iterable[PartState]) -> list[str]:
         """The last lines of the daemon's log, of these parts where there are any of theirs."""
         if "daemon" not in self._children:
             return []

@@ -16,7 +16,7 @@ from bridge.cli.output import CliError
 from bridge.config.load import load
 from bridge.daemon.workers import worker_kinds
 from bridge.demo.processes import Program
-from bridge.demo.progress import STILL_SECONDS, DemoRun, Part
+from bridge.demo.progress import STILL_SECONDS, DemoRun, PartState
 from bridge.demo.sandbox import SYSTEM_PYTHON, Sandbox
 from bridge.demo.shutdown import Shutdown, end_all
 from bridge.demo.tracking import RobotTracker
@@ -37,7 +37,7 @@ ROOMS = ("kitchen", "corridor", "bathroom")
 
 _DOORS = ("/navigation2D_nws_yarp/rpc", "/map2D_nws_yarp/rpc", "/localization2D_nws_yarp/rpc")
 
-Tick = Callable[[str, RobotTracker | None, Sequence[Part]], None]
+Tick = Callable[[str, RobotTracker | None, Sequence[PartState]], None]
 """Called several times a second with what the demo is at, its robot's way once that is known, and its parts."""
 
 

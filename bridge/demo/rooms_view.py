@@ -13,7 +13,7 @@ from rich.table import Table
 from rich.text import Text
 
 from bridge.cli.output import make_console
-from bridge.demo.progress import Part, wordless
+from bridge.demo.progress import PartState, wordless
 from bridge.demo.rooms import RoomDrive, RoomsResult
 from bridge.demo.tracking import RobotTracker
 
@@ -42,7 +42,7 @@ class RoomsView:
             self._live.stop()
             self._live = None
 
-    def tick(self, doing: str, course: RobotTracker | None, parts: Sequence[Part]) -> None:
+    def tick(self, doing: str, course: RobotTracker | None, parts: Sequence[PartState]) -> None:
         """Show what the demo is at: its parts while they come up, then where the robot is."""
         now = time.monotonic()
         self._up = self._up or (course is not None and course.localized)
@@ -60,7 +60,7 @@ class RoomsView:
         else:
             self._console.print(Text(line))
 
-    def _coming_up(self, now: float, doing: str, parts: Sequence[Part]) -> None:
+    def _coming_up(self, now: float, doing: str, parts: Sequence[PartState]) -> None:
         """Each part and what it is at; elsewhere than on a terminal a line where that is something else."""
         if self._live is not None:
             if now - self._shown >= _LIVE_EVERY:

@@ -32,7 +32,7 @@ _NONE = cython.declare(cython.longlong, -(1 << 40))
 _NOT_REACHED = 3  # worse than all queues: 0 is of columns whose floor is known, 1 of unknown, 2 of blocked ones
 
 
-class Robot(NamedTuple):
+class RobotSize(NamedTuple):
     """What decides where a robot may drive: metres, and radians of the steepest ramp."""
 
     height: float
@@ -64,7 +64,7 @@ def columns(
     values: NDArray[np.float32],
     resolution: float,
     base: tuple[float, float, float],
-    robot: Robot,
+    robot: RobotSize,
     largest: float,
 ) -> Columns:
     """Follow the floor from the robot on.

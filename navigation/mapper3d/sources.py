@@ -19,7 +19,7 @@ from bridge.tf.transform import LATEST, Quaternion, Transform
 from navigation.clouds import POINT_CLOUD, read_points
 from navigation.frames import FramesError, RobotFrames
 from navigation.mapper3d.depth import CAMERA_INFO, IMAGE, Rays, read_camera, read_depth
-from navigation.mapper3d.space import OPTICAL, Floats, Place, Seat, View
+from navigation.mapper3d.space import OPTICAL, FieldOfView, Floats, Place, Seat
 from navigation.messages import stamp_ns
 
 _INFOS = 10  # of a camera, that may be of an image that comes
@@ -34,7 +34,7 @@ class Seen(NamedTuple):
     frame: str
     stamp: int
     points: NDArray[np.float32]
-    view: View | None
+    view: FieldOfView | None
 
 
 @dataclass
@@ -166,7 +166,7 @@ class _Depth:
             return None
         camera = read_camera(known[1])
         points = self._rays.points(read_depth(message), camera)
-        return Seen(message["header"]["frame_id"].lstrip("/"), stamp, points, View(OPTICAL, camera.view))
+        return Seen(message["header"]["frame_id"].lstrip("/"), stamp, points, FieldOfView(OPTICAL, camera.view))
 
 
 def _seat(transform: Transform) -> Seat:

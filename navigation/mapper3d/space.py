@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bridge.config.sections.mapper3d import Mapper3DSection
-from navigation.algorithms.voxel_layer import Columns, Robot, columns
+from navigation.algorithms.voxel_layer import Columns, RobotSize, columns
 from navigation.algorithms.voxel_leaves import leaves
 from navigation.algorithms.voxel_map import LEAST, MIDDLE, SIDE, VoxelMap, within
 from yarp_compat.octree import OcTree
@@ -32,7 +32,7 @@ class Seat(NamedTuple):
     origin: Place
 
 
-class View(NamedTuple):
+class FieldOfView(NamedTuple):
     """What a sensor looks at.
 
     Attributes:
@@ -60,25 +60,25 @@ OPTICAL = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
 """Ahead, left and up of an optical frame (REP 103)."""
 
 
-def view_of(points: NDArray[np.float32]) -> View:
+def view_of(points: NDArray[np.float32]) -> FieldOfView:
     """The view of a sensor by a cloud of it, (n, 3) in its frame: as far as its points go to each side."""
     if not len(points):
-        return View(np.eye(3), (0.0, 0.0, 0.0, 0.0))
+        return FieldOfView(np.eye(3), (0.0, 0.0, 0.0, 0.0))
     shares = np.concatenate([(points > 0.0).mean(0), (points < 0.0).mean(0)])
     axis = int(np.argmax(shares * (np.abs(points).max(0)[[0, 1, 2, 0, 1, 2]] > 0)))
     if shares[axis] < 1.0 - _ALL_AROUND or axis in (1, 4, 5):
         level = np.hypot(points[:, 0], points[:, 1])
         heights = points[:, 2] / np.maximum(level, 1e-6)
-        return View(np.eye(3), (-math.inf, math.inf, float(heights.min()), float(heights.max())))
+        return FieldOfView(np.eye(3), (-math.inf, math.inf, float(heights.min()), float(heights.max())))
     way = 1.0 if axis == 0 else -1.0
     axes = OPTICAL if axis == 2 else np.diag([way, way, 1.0])
     x, y, z = points.T
     ahead, left, up = (z, -x, -y) if axis == 2 else (np.float32(way) * x, np.float32(way) * y, z)
     front = ahead > 0.05
     if not front.any():
-        return View(np.eye(3), (0.0, 0.0, 0.0, 0.0))
+        return FieldOfView(np.eye(3), (0.0, 0.0, 0.0, 0.0))
     sides, heights = left[front] / ahead[front], up[front] / ahead[front]
-    return View(axes, (float(sides.min()), float(sides.max()), float(heights.min()), float(heights.max())))
+    return FieldOfView(axes, (float(sides.min()), float(sides.max()), float(heights.min()), float(heights.max())))
 
 
 class Space:
@@ -94,11 +94,11 @@ class Space:
         self.settings = settings
         self.voxels = VoxelMap(settings.resolution, max(64, (settings.memory << 20) // BLOCK_BYTES))
         layer = settings.layer
-        self._robot = Robot(layer.height, layer.width, layer.step, layer.margin, math.radians(layer.slope))
+        self._robot = RobotSize(layer.height, layer.width, layer.step, layer.margin, math.radians(layer.slope))
         self.clouds = self.forgotten = self.given_up = 0
         self._looked = -math.inf
 
-    def take(self, points: NDArray[np.float32], seat: Seat, view: View | None, now: float) -> None:
+    def take(self, points: NDArray[np.float32], seat: Seat, view: FieldOfView | None, now: float) -> None:
         """Take points (n, 3) in a sensor's frame, metres; ``now``: seconds of any clock. Raises `ValueError`.
 
         Without a view it is as wide as the points are.
@@ -183,7 +183,7 @@ class Space:
         self.given_up += int((distances >= last).sum())
         self.voxels.keep(distances < last)
 
-    def _forget(self, seat: Seat, view: View, before: float) -> int:
+    def _forget(self, seat: Seat, view: FieldOfView, before: float) -> int:
         """Make unknown what is occupied, in plain sight, and was not seen since then (seconds); how many voxels."""
         voxels, resolution = self.voxels, self.settings.resolution
         slots, places = np.nonzero((voxels.values > 0.0) & (voxels.seen < before))

@@ -15,7 +15,7 @@ import pytest
 from bridge.daemon.query import Phase
 from bridge.demo import progress as progress_module
 from bridge.demo.processes import DemoChild
-from bridge.demo.progress import STILL_SECONDS, DemoProgress, Part, Parts
+from bridge.demo.progress import STILL_SECONDS, DemoProgress, Parts, PartState
 from bridge.demo.sandbox import Sandbox
 
 
@@ -124,7 +124,7 @@ def test_a_worker_that_cannot_work_or_dies_again_and_again_has_failed(told: dict
     assert looked()[0].failed is not None
     told["workers"][1] = worker("ros2", Phase.FAILED, "no rclpy for this Python")
     found = looked("12:00:01 ros1 is up\n12:00:02 ros2 cannot work: no rclpy for this Python")[0]
-    assert found.failed == Part("ros2", "cannot work", "no rclpy for this Python", os.getpid())
+    assert found.failed == PartState("ros2", "cannot work", "no rclpy for this Python", os.getpid())
     words = found.why_failed(found.failed)
     assert "ros2: cannot work, no rclpy for this Python" in words
     assert "12:00:02 ros2 cannot work" in words

@@ -9,13 +9,13 @@ import numpy as np
 import pytest
 
 from navigation.algorithms import voxel_layer
-from navigation.algorithms.voxel_layer import EDGE, FLOOR, OBSTACLE, UNKNOWN, Columns, Robot
+from navigation.algorithms.voxel_layer import EDGE, FLOOR, OBSTACLE, UNKNOWN, Columns, RobotSize
 from navigation.algorithms.voxel_map import MIDDLE, VoxelMap
 from tests.support.uncompiled import uncompiled
 
 CELL = 0.05
 SIDE, TALL, GROUND = 60, 44, 8  # voxels of a room along x and y, and along z, and below its floor
-ROBOT = Robot(height=1.2, width=0.4, step=0.02, margin=0.05, slope=math.radians(10.0))
+ROBOT = RobotSize(height=1.2, width=0.4, step=0.02, margin=0.05, slope=math.radians(10.0))
 Box = tuple[slice, slice, slice]
 
 

@@ -9,12 +9,12 @@ import pytest
 from bridge.config.sections.mapper3d import Mapper3DSection
 from navigation.algorithms.voxel_layer import EDGE, FLOOR, OBSTACLE
 from navigation.mapper3d.layer import grid_of
-from navigation.mapper3d.space import OPTICAL, Seat, Space, View, view_of
+from navigation.mapper3d.space import OPTICAL, FieldOfView, Seat, Space, view_of
 from yarp_compat.dev.mapflag import MapFlag
 from yarp_compat.octree import OcTree
 
 SEAT = Seat(OPTICAL, (0.02, 0.03, 1.01))  # a camera at a height of 1 m that looks along x
-WIDE = View(OPTICAL, (-1.0, 1.0, -1.0, 1.0))
+WIDE = FieldOfView(OPTICAL, (-1.0, 1.0, -1.0, 1.0))
 
 
 def wall(at, size=0.4, middle=(0.0, 0.0), step=0.02):
