@@ -50,6 +50,9 @@ def read_layer(message: Mapping[str, Any]) -> Places:
 class LayersHeard:
     """Hears the layers among some sources, and gives each one's places on the map to ``take``, with its topic.
 
+    Args:
+        now: the time in seconds.
+
     Attributes:
         trouble: by topic, why what it said last cannot be used.
     """
@@ -60,19 +63,28 @@ class LayersHeard:
         sources: Iterable[ObstacleSection],
         frames: RobotFrames,
         take: Callable[[str, Places], object],
+        now: Callable[[], float],
         trouble: dict[str, str] | None = None,
     ) -> None:
-        self._frames, self._take, self._clock = frames, take, host.clock
-        self._heard: dict[str, tuple[ObstacleSection, float]] = {}
+        self._frames, self._take, self._now = frames, take, now
+        self._heard: dict[str, float] = {}
+        self._going_on: dict[str, ObstacleSection] = {}
         self.trouble = {} if trouble is None else trouble
         for source in sources:
             if source.type == "layer":
                 host.node.subscription(source.topic, GRID, partial(self._hear, source), LATCHED)
+        host.on_jump(lambda: self._heard.update(dict.fromkeys(self._heard, now())))
 
     def silent(self) -> str:
-        """Which layer that came says nothing any more, and since when; "" where none does."""
-        found = (source.silent(heard, self._clock.now_ns() / 1e9) for source, heard in self._heard.values())
-        return next(filter(None, found), "")
+        """Which layer says nothing any more, and since when; "" where none does.
+
+        One that never said two things within its ``timeout`` is latched: it speaks when it changes, or once.
+        """
+        for topic, source in self._going_on.items():
+            if silent := source.silent(self._heard[topic], self._now()):
+                why = self.trouble.get(topic)
+                return silent + (f" ({why})" if why else "")
+        return ""
 
     def _hear(self, source: ObstacleSection, message: Message) -> None:
         topic = source.topic
@@ -85,7 +97,10 @@ class LayersHeard:
             self.trouble[topic] = str(err)
             return
         self.trouble.pop(topic, None)
-        self._heard[topic] = source, self._clock.now_ns() / 1e9
+        now = self._now()
+        if topic in self._heard and not source.silent(self._heard[topic], now):
+            self._going_on[topic] = source
+        self._heard[topic] = now
         self._take(topic, places)
 
 

@@ -72,7 +72,7 @@ class RobotGoto(PlannerModule):
                 host.node.subscription(source.topic, POINT_CLOUD, partial(self._clouded, source.topic), Qos(depth=1))
         seen = self.driver.obstacles
         take = lambda topic, places: seen.layer(topic, self.now(), places)  # noqa: E731
-        LayersHeard(host, section.obstacles, self._frames, take, seen.trouble)
+        LayersHeard(host, section.obstacles, self._frames, take, self.now, seen.trouble)
         self._serve()
         host.answer("halt", lambda _params: host.loop.call(self.halt))
         if section.prefix:

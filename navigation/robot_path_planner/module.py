@@ -108,7 +108,7 @@ class RobotPathPlanner(PlannerModule):
         if section.scan:
             take = lambda scan: self._laser.take(self.now(), scan)  # noqa: E731
             host.node.subscription(section.scan, SCAN, take, Qos(depth=1))
-        self._layers = LayersHeard(host, section.obstacles, self._frames, self.planner.layer)
+        self._layers = LayersHeard(host, section.obstacles, self._frames, self.planner.layer, self.now)
         self._serve(self._brake)
         host.answer("picture", lambda _params: host.loop.call(self.picture))
         host.answer("halt", self._halt_asked)
@@ -249,7 +249,7 @@ class RobotPathPlanner(PlannerModule):
             pose = self.pose()
         except FramesError as err:
             lost = str(err)
-        self.planner.blind = self._laser.silent(self.now())
+        self.planner.blind, self.planner.silent = self._laser.silent(self.now()), self._layers.silent()
         self.planner.step(self.now(), pose, self._local, lost)
         self._tell()
         self._feed(pose)
@@ -278,7 +278,7 @@ class RobotPathPlanner(PlannerModule):
             waits = "; goals wait for one" if self.planner.ground is None and not self.compiled.trouble else ""
             return Health("waiting", trouble + waits)
         silent = self._layers.silent()
-        return Health("running", self.planner.status.words + (f"; {silent}, ways go by the last" if silent else ""))
+        return Health("waiting", f"{silent}; goals wait for it") if silent else Health("running", self.progress.words)
 
     def status(self) -> dict[str, Any]:
         target = self.planner.target

@@ -65,6 +65,7 @@ class PathPlanner:
         self.status = PlannerStatus()  # as it is now
         self._layers: dict[str, Places] = {}
         self.blind = ""  # why the laser says nothing, "" where it does; whoever gives scans sets it
+        self.silent = ""  # which layer says nothing any more, "" where none does; whoever gives layers sets it
 
     @property
     def active(self) -> bool:
@@ -221,8 +222,12 @@ class PathPlanner:
             # what was seen from where the robot is not stands somewhere else
             self._forget_clutter()
         task.lost_since = None
+        if not self.silent:
+            task.silent_since = None
         if task.gone_since is not None:
             self._wait_for_navigator(task, now, local)
+        elif self.silent and (task.due or task.arrived is None):
+            self._wait_for_layer(task, now, local)
         elif task.due and self.ground is None and not task.driven:
             self._wait(task, now - task.since, "there is no map to plan on yet", Fault.NO_MAP)
         elif task.due and (missing := self._missing) and not task.driven:
@@ -426,6 +431,13 @@ class PathPlanner:
             local.cancel()
             task.due, task.not_before = "it is known again where the robot is", -math.inf
         self._wait(task, lost, why, fault, told=bool(task.due))
+
+    def _wait_for_layer(self, task: DriveTask, now: float, local: LocalNavigator) -> None:
+        """Stand, as what has come into the way since is not known."""
+        if task.silent_since is None:
+            task.silent_since, task.due = now, task.due or "the layer is heard again"
+            local.cancel()
+        self._wait(task, now - task.silent_since, self.silent, Fault.NO_LASER)
 
     def _wait(self, task: DriveTask, waited: float, why: str, fault: Fault, *, told: bool = True) -> None:
         """Report what is missing, and give up the goal if it does not come in time."""

@@ -288,6 +288,7 @@ class DriveTask:
     driven: bool = False  #: whether a local navigator has taken anything
     gone_since: float | None = None  #: since when there is no local navigator
     lost_since: float | None = None  #: since when it is not known where the robot is
+    silent_since: float | None = None  #: since when a layer is silent
     blocked_since: float | None = None  #: since when what the laser sees closes every way
     closed_since: float | None = None  #: since when it lies on the way at hand
     arrived: float | None = None  #: when the robot came to the end of the leg, from where it goes on to another map

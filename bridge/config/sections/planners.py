@@ -110,7 +110,7 @@ class RobotPathPlannerSection(ModuleSection):
     recoveries: int = setting(5, "How often in a row it tries another path without coming nearer.", ge=0, le=100)
     patience: float = setting(3.0, "Seconds that an obstacle may block the path before a detour.", ge=0.0, le=600.0)
     max_waiting_time: float = setting(
-        60.0, "Seconds that it waits for a path, localisation or the local navigator.", ge=0.0, le=86400.0
+        60.0, "Seconds that it waits for a path, localisation, a layer or the local navigator.", ge=0.0, le=86400.0
     )
     max_map_waiting_time: float = setting(
         300.0, "Seconds that it waits at a link to another map for the change of maps.", ge=0.0, le=86400.0

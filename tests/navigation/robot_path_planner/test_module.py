@@ -490,7 +490,31 @@ def test_a_layer_of_the_hub_is_waited_for_and_planned_around(tmp_path: Path) -> 
         place.far.publish(end, {"header": {"frame_id": "map"}, "info": info, "data": [100] * 77})
         assert sent.end()[0] is GoalState.SUCCEEDED
         assert max(y for _, y, _ in place.robot.asked) > 1.7
-        until(lambda: "layer /layer is silent" in place.module.health().text, "it says that the layer is silent", 30)
-        assert "7 x 11" not in place.module.health().text
+        assert place.module.health().state == "running"  # latched, it says no more as nothing changes
+    finally:
+        place.close()
+
+
+def test_a_layer_that_falls_silent_stops_the_robot_until_it_is_heard(tmp_path: Path) -> None:
+    place = Planning(tmp_path, obstacles=[{"topic": "/layer", "timeout": 0.5}])
+    robot, planner = place.robot, place.module.planner
+    layers = robot.node.publisher("/layer", "nav_msgs/msg/OccupancyGrid", LATCHED, priority="state")
+    info = {"resolution": 0.1, "width": 1, "height": 1, "origin": {"position": {"x": 4.5, "y": 4.5}}}
+    say = lambda: layers.publish({"header": {"frame_id": "map"}, "info": info, "data": [0]})  # noqa: E731
+    try:
+        timer = robot.loop.every(0.05, say)
+        robot.speed = 0.02
+        sent = robot.send(4.0, 1.0)
+        until(lambda: robot.goal and robot.goal.status is GoalState.EXECUTING, "it drives", 30)
+        until(lambda: place.module._layers._going_on, "the layer is said again and again", 30)
+        robot.loop.call(timer.close)
+        until(lambda: robot.goal and robot.goal.status is GoalState.CANCELED, "who drives stops", 30)
+        until(lambda: planner.status.fault is Fault.NO_LASER, "it says why", 30)
+        assert "the layer /layer is silent: it said nothing for" in planner.status.reason
+        assert "layer /layer is silent" in place.module.health().text
+        robot.speed = 3.0
+        timer = robot.loop.every(0.05, say)
+        assert sent.end()[0] is GoalState.SUCCEEDED
+        robot.loop.call(timer.close)
     finally:
         place.close()

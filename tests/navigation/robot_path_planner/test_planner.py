@@ -475,6 +475,38 @@ def test_without_its_layer_it_does_not_set_out() -> None:
     assert not late.local.sent
 
 
+def test_a_layer_that_falls_silent_stops_it_until_it_is_heard() -> None:
+    settings = SETTINGS.model_copy(update={"max_waiting_time": 5.0})
+    drive = Drive(floor(*ROOMS), WEST, settings)
+    drive.planner.layer("/layer", np.empty((0, 2)))
+    drive.goto(EAST, seconds=0.5)
+    drive.planner.silent = "the layer /layer is silent"
+    drive.run(4.0)
+    assert drive.planner.status == (State.WAITING, "the layer /layer is silent", Fault.NO_LASER)
+    assert drive.local.state is State.IDLE
+    assert drive.local.cancelled == 1
+    drive.planner.layer("/layer", cells(*TABLE))
+    drive.planner.silent = ""
+    drive.run(0.5)
+    drive.planner.silent = "the layer /layer is silent"
+    drive.run(4.0)  # each silence is waited for by itself
+    drive.planner.silent = ""
+    assert drive.run(60.0).state is State.REACHED
+    assert apart(drive, TABLE) > KEPT
+
+
+def test_a_layer_that_stays_silent_ends_the_goal_and_stops_who_drives_to_the_one_before() -> None:
+    drive = Drive(floor(*ROOMS), WEST, SETTINGS.model_copy(update={"max_waiting_time": 5.0}))
+    drive.goto(EAST, seconds=0.5)
+    drive.planner.silent = "the layer /layer is silent"
+    drive.planner.goal(WEST, now=drive.now)
+    drive.tick()
+    assert (drive.planner.status.state, drive.local.state) == (State.PREPARING, State.IDLE)
+    status = drive.run(60.0)
+    assert (status.state, status.fault) == (State.ABORTED, Fault.NO_LASER)
+    assert status.reason.startswith("the layer /layer is silent, and has been so for 5 s: ask again")
+
+
 def test_a_map_that_changes_keeps_the_layers() -> None:
     drive = Drive(floor(*ROOMS), WEST)
     drive.planner.layer("/layer", cells(*TABLE))
