@@ -107,7 +107,7 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 
 @pytest.hookimpl(optionalhook=True)
 def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Any:
-    """Tests that must run alone do, in the same run; the other files are taken from both ends."""
+    """Tests of the marker `alone` come last, in the same run; the other files are taken from both ends."""
     from tests.support.scheduler import Scheduler
 
     return Scheduler(config, log)

@@ -1,7 +1,8 @@
-"""Which process of pytest-xdist runs which file. What must run alone comes last, when all other processes are gone."""
+"""Which process of pytest-xdist runs which file. What needs a core of its own comes last, two tests at a time."""
 
 from __future__ import annotations
 
+import os
 from typing import Any
 
 from xdist.scheduler import LoadFileScheduling
@@ -14,9 +15,12 @@ _ALONE = "@alone"
 _BY_SIDE = "tests/contract/"
 """Long files whose tests share nothing: the tests of one side are a part of their own, or all wait for the last."""
 
+TOGETHER = min(2, len(os.sched_getaffinity(0)))
+"""So many tests run at a time once only those with the marker `alone` are left: each has a core."""
+
 
 class Scheduler(LoadFileScheduling):
-    """Gives files to the processes from both ends; the last process that works goes on with the tests to run alone.
+    """Gives files to the processes from both ends; the last processes that work go on with the tests to run alone.
 
     Two processes at most take files from the front, where those are that start programs: there are two cores.
     """
@@ -31,7 +35,7 @@ class Scheduler(LoadFileScheduling):
     def _assign_work_unit(self, node: Any) -> None:
         waiting = [unit for unit in self.workqueue if not unit.endswith(_ALONE)]
         if not waiting:
-            if len(self.assigned_work) > 1:
+            if len(self.assigned_work) > TOGETHER:
                 return  # others still work; `remove_node` looks again
             waiting = list(self.workqueue)
         unit = waiting[0 if node.gateway.id in self._from_the_front() else -1]
@@ -43,10 +47,10 @@ class Scheduler(LoadFileScheduling):
 
     def _reschedule(self, node: Any) -> None:
         if self.workqueue and all(unit.endswith(_ALONE) for unit in self.workqueue) and not node.shutting_down:
-            if any(other is not node and not other.shutting_down for other in self.nodes):
+            if sum(other is not node and not other.shutting_down for other in self.nodes) >= TOGETHER:
                 node.shutdown()  # after what it has to do
                 return
-            if len(self.assigned_work) > 1:
+            if len(self.assigned_work) > TOGETHER:
                 return
         super()._reschedule(node)
 
