@@ -20,6 +20,7 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parents[1]
 
 KERNELS = (
+    "bridge.bags.split",
     "bridge.messages.transcode.vm",
     "bridge.tf.history",
     "bridge.tf.message",

@@ -8,16 +8,18 @@ from __future__ import annotations
 
 import struct
 import zlib
-from collections import Counter, defaultdict, deque
+from bisect import bisect_right
+from collections import Counter, deque
+from collections.abc import Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
-from itertools import chain
 from pathlib import Path
+from typing import Any
 
+import numpy as np
 from mcap.data_stream import RecordBuilder
 from mcap.opcode import Opcode
 from mcap.records import (
     Channel,
-    Chunk,
     ChunkIndex,
     DataEnd,
     Footer,
@@ -29,6 +31,7 @@ from mcap.records import (
     Statistics,
     SummaryOffset,
 )
+from numpy.typing import NDArray
 
 from bridge import __version__
 from bridge.bags.bag import BagTopic
@@ -37,19 +40,27 @@ from bridge.bags.mcap_reader import MAGIC, McapBag, WholeChunk
 from bridge.bags.mcap_writer import CHUNK_BYTES, PROFILE, ChannelInfo, ros2msg
 from bridge.bags.writers import BagWriter
 
-_MESSAGE = struct.Struct("<BQHIQQ")
+_HEAD = np.dtype(
+    [
+        ("opcode", "u1"), ("length", "<u8"), ("channel", "<u2"), ("sequence", "<u4"), ("time", "<u8"),
+        ("publish_time", "<u8"),
+    ]
+)  # fmt: skip
+"""A message record, but for its data."""
+
+_RECORD, _CHUNK = struct.Struct("<BQ"), struct.Struct("<QQQII")
 _INDEX = struct.Struct("<BQHI")
 _FOOTER = struct.Struct("<BQQQ")
-_PACKERS = 2
-"""Threads that pack: of each chunk one waits some milliseconds for Python's lock, while the other packs."""
+_PACKERS = 3
+"""Threads that pack: of each chunk one waits some milliseconds for Python's lock, while the others pack."""
 
-_AHEAD = 3
+_AHEAD = 8
 """Chunks that may be packed, or wait for it, while others are read; less of them where they are large."""
 
 _AHEAD_BYTES = 64 << 20
 
 _BODY = 22
-"""Bytes of a message record beside its head and data."""
+"""Bytes of a message record's body beside its data."""
 
 
 class ChunkedMcap(BagWriter):
@@ -58,7 +69,7 @@ class ChunkedMcap(BagWriter):
     def __init__(self, path: Path, compression: str, profile: str, library: str) -> None:
         self._file = path.open("wb")
         self._packer = ThreadPoolExecutor(_PACKERS, "midspan-bag-packer")
-        self._packing: deque[tuple[Future[tuple[bytes, int]], dict[int, list[tuple[int, int]]], int]] = deque()
+        self._packing: deque[tuple[Future[tuple[bytes, int]], NDArray[Any], int]] = deque()
         self._schemas: dict[int, Schema] = {}
         self._metadata: list[Metadata] = []
         self._metadata_indexes: list[MetadataIndex] = []
@@ -68,7 +79,7 @@ class ChunkedMcap(BagWriter):
         self._indexes: list[ChunkIndex] = []
         self._parts: list[bytes] = []
         self._size = 0
-        self._places: defaultdict[int, list[tuple[int, int]]] = defaultdict(list)
+        self._heads: list[NDArray[Any]] = []
         self._file.write(MAGIC)
         self._record(Header(profile=profile, library=library))
 
@@ -82,12 +93,32 @@ class ChunkedMcap(BagWriter):
             self._record(channel)
 
     def write(self, place: int, time_ns: int, publish_ns: int, data: bytes) -> None:
-        """Add a message."""
-        self._places[place].append((time_ns, self._size))
-        self._parts += (_MESSAGE.pack(Opcode.MESSAGE, _BODY + len(data), place, 0, time_ns, publish_ns), data)
-        self._size += _MESSAGE.size + len(data)
-        if self._size > CHUNK_BYTES:
-            self._close_chunk()
+        """See `BagWriter.write`."""
+        self.write_all((place,), (time_ns,), (publish_ns,), (data,))
+
+    def write_all(
+        self, places: Sequence[int], times: Sequence[int], publish_times: Sequence[int], data: Sequence[bytes]
+    ) -> None:
+        """See `BagWriter.write_all`."""
+        heads = np.zeros(len(data), _HEAD)
+        sizes = np.fromiter(map(len, data), np.uint64, len(data))
+        heads["opcode"], heads["length"], heads["channel"] = Opcode.MESSAGE, sizes + _BODY, places
+        heads["time"], heads["publish_time"] = np.array(times, np.uint64), np.array(publish_times, np.uint64)
+        packed, width = heads.tobytes(), _HEAD.itemsize
+        ends = np.cumsum(sizes + _HEAD.itemsize).tolist()
+        start = 0
+        while start < len(data):
+            before = ends[start - 1] if start else 0
+            end = min(bisect_right(ends, before + CHUNK_BYTES - self._size) + 1, len(data))
+            parts = list(data[start:end]) * 2
+            parts[::2] = [packed[at : at + width] for at in range(start * width, end * width, width)]
+            parts[1::2] = data[start:end]
+            self._parts += parts
+            self._heads.append(heads[start:end])
+            self._size += ends[end - 1] - before
+            start = end
+            if self._size > CHUNK_BYTES:
+                self._close_chunk()
 
     def take(self, chunk: WholeChunk) -> None:
         """Add a chunk of the source as it is, with its indexes."""
@@ -155,9 +186,8 @@ class ChunkedMcap(BagWriter):
         """Have the chunk packed beside what goes on here; some may be under way, and are written in their order."""
         if self._parts:
             task = self._packer.submit(_pack, self._compression, b"".join(self._parts))
-            self._packing.append((task, dict(self._places), self._size))
-            self._parts, self._size = [], 0
-            self._places.clear()
+            self._packing.append((task, np.concatenate(self._heads), self._size))
+            self._parts, self._heads, self._size = [], [], 0
         while len(self._packing) > _AHEAD or sum(size for _, _, size in self._packing) > _AHEAD_BYTES:
             self._write_chunk()
 
@@ -167,24 +197,14 @@ class ChunkedMcap(BagWriter):
             self._write_chunk()
 
     def _write_chunk(self) -> None:
-        task, all_places, size = self._packing.popleft()
+        task, heads, size = self._packing.popleft()
         packed, crc = task.result()
-        times = [time for places in all_places.values() for time, _ in places]
-        start, end = min(times), max(times)
-        builder = RecordBuilder()
-        Chunk(
-            compression=self._compression, data=packed, message_end_time=end, message_start_time=start,
-            uncompressed_crc=crc, uncompressed_size=size,
-        ).write(builder)  # fmt: skip
-        record = _bytes(builder)
-        offsets: dict[int, int] = {}
-        indexes = bytearray()
-        for number, places in all_places.items():
-            offsets[number] = len(indexes)
-            entries = struct.pack(f"<{2 * len(places)}Q", *chain.from_iterable(places))
-            indexes += _INDEX.pack(Opcode.MESSAGE_INDEX, len(entries) + 6, number, len(entries)) + entries
-        counts = {number: len(places) for number, places in all_places.items()}
-        self._put(WholeChunk(record, bytes(indexes), offsets, counts, self._compression, len(packed), size, start, end))
+        start, end = int(heads["time"].min()), int(heads["time"].max())
+        name = self._compression.encode()
+        head = _CHUNK.pack(start, end, size, crc, len(name)) + name + len(packed).to_bytes(8, "little")
+        record = b"".join((_RECORD.pack(Opcode.CHUNK, len(head) + len(packed)), head, packed))
+        indexes, offsets, counts = _message_indexes(heads)
+        self._put(WholeChunk(record, indexes, offsets, counts, self._compression, len(packed), size, start, end))
 
     def _statistics(self) -> Statistics:
         return Statistics(
@@ -237,6 +257,22 @@ class Ros2Mcap(ChunkedMcap):
         )
         self.add_channel(channel, schema)
         return number
+
+
+def _message_indexes(heads: NDArray[Any]) -> tuple[bytes, dict[int, int], dict[int, int]]:
+    """The records of a chunk's indexes, where each channel's begins, and how many messages each has."""
+    sizes = heads["length"] + (_HEAD.itemsize - _BODY)
+    entries = np.stack((heads["time"], np.cumsum(sizes) - sizes), axis=1, dtype="<u8")
+    entries = entries[np.argsort(heads["channel"], kind="stable")]
+    channels, firsts, found = np.unique(heads["channel"], return_index=True, return_counts=True)
+    ends = np.cumsum(found)
+    indexes, offsets, counts = bytearray(), dict[int, int](), dict[int, int]()
+    for place in np.argsort(firsts).tolist():
+        number, count, end = int(channels[place]), int(found[place]), int(ends[place])
+        offsets[number], counts[number] = len(indexes), count
+        own = entries[end - count : end].tobytes()
+        indexes += _INDEX.pack(Opcode.MESSAGE_INDEX, len(own) + 6, number, len(own)) + own
+    return bytes(indexes), offsets, counts
 
 
 def _bytes(builder: RecordBuilder) -> bytes:

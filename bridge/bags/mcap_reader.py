@@ -15,13 +15,16 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import BinaryIO, NamedTuple
 
+import numpy as np
 from mcap.data_stream import ReadDataStream
 from mcap.opcode import Opcode
 from mcap.records import Channel, Header, Metadata, Schema, Statistics
 
-from bridge.bags.bag import MAX_TOPICS, BagError, BagMessage, BagTopic, Kind, reading
+from bridge.bags.bag import MAX_TOPICS, BagError, BagTopic, Kind, reading
 from bridge.bags.qos import merged_qos, parse_qos
-from bridge.bags.spans import FileSpan, SpanBag, unpack
+from bridge.bags.rows import Rows
+from bridge.bags.spans import FileSpan, SpanBag, count_rows, unpack
+from bridge.bags.split import new_table, split_mcap
 from bridge.hub.wire.qos import LATCHED, Qos
 from bridge.messages.definitions.schema import World
 
@@ -71,7 +74,6 @@ class McapBag(SpanBag):
         self.profile = self.library = ""
         self.schemas: dict[int, Schema] = {}
         self.channels: dict[int, Channel] = {}
-        self.topic_of: dict[int, BagTopic] = {}
         self.records: list[Metadata] = []
         self._left_out: dict[int, str] = {}
         self._statistics: Statistics | None = None
@@ -101,13 +103,13 @@ class McapBag(SpanBag):
         """The pieces of the file, in order of their first times."""
         return sorted(self._spans, key=lambda span: span.start)
 
-    def span_rows(self, span: FileSpan) -> list[tuple[int, int, int, bytes]]:
-        """Channel, log time, publish time and data of a piece's messages, as they stand; raises `BagError`."""
+    def span_rows(self, span: FileSpan) -> Rows:
+        """The messages of a piece as they stand, of all channels; raises `BagError`."""
         with reading(self.path, span.offset):
-            rows = self._records(self._plain(span), span.offset)
-        if any(row[0] not in self.channels for row in rows):
+            rows = self._split(span)
+        if set(np.unique(rows.numbers).tolist()) - self.channels.keys():
             raise BagError(self.path, "a message is of a channel that the file does not have", span.offset)
-        return [(channel, log, publish, data) for channel, log, publish, _, data in rows]
+        return rows
 
     def whole_chunk(self, span: FileSpan) -> WholeChunk | None:
         """A chunk with its indexes, None for what is no chunk or has none; raises `BagError` where it is damaged."""
@@ -222,13 +224,7 @@ class McapBag(SpanBag):
         for number, span in enumerate(self._spans):
             try:
                 with reading(self.path, span.offset):
-                    data = self._plain(span)
-                    times = []
-                    for channel, time, _, _, _ in self._records(data, span.offset):
-                        counts[channel] += 1
-                        times.append(time)
-                    if times:
-                        self._spans[number] = span._replace(start=min(times), end=max(times))
+                    self._spans[number] = count_rows(self._split(span), counts, span)
             except BagError as err:
                 self.trouble = self.trouble or err
         return counts
@@ -260,13 +256,13 @@ class McapBag(SpanBag):
             offered,
         )
 
-    def _plain(self, span: FileSpan) -> bytes | memoryview:
+    def _plain(self, span: FileSpan) -> bytes:
         """A span's records."""
         if not span.chunk:
             return self._read(span.offset, span.length)
         return self._unpacked(span, memoryview(self._read(span.offset + _HEAD.size, span.length)))[0]
 
-    def _unpacked(self, span: FileSpan, body: memoryview) -> tuple[bytes | memoryview, str]:
+    def _unpacked(self, span: FileSpan, body: memoryview) -> tuple[bytes, str]:
         """A chunk's records, and what they were compressed by."""
         _, _, size, crc, name = _CHUNK.unpack_from(body)
         compression = bytes(body[_CHUNK.size : _CHUNK.size + name]).decode(errors="replace")
@@ -279,33 +275,27 @@ class McapBag(SpanBag):
             raise BagError(self.path, "a chunk's checksum is wrong: its bytes were changed", span.offset)
         return plain, compression
 
-    def _records(self, data: bytes | memoryview, offset: int) -> list[tuple[int, int, int, int, bytes]]:
-        """Channel, log time, publish time, sequence and data of each message."""
-        found = []
-        at, size = 0, len(data)
-        head, message = _HEAD.unpack_from, _MESSAGE.unpack_from
-        while at < size:
-            opcode, length = head(data, at)
-            body, at = at + 9, at + 9 + length
+    def _split(self, span: FileSpan) -> Rows:
+        """All messages of a piece, of all channels, and what it says of the channels."""
+        data = self._plain(span)
+        table, at, filled, size = new_table(len(data)), 0, 0, len(data)
+        while True:
+            at, filled = split_mcap(data, table, at, filled)
+            if at >= size:
+                return Rows(data, table[:filled])
+            opcode, length = _HEAD.unpack_from(data, at)
+            body, at = at + _HEAD.size, at + _HEAD.size + length
             if at > size:
-                raise BagError(self.path, "a record is longer than its chunk", offset)
-            if opcode == 5:
-                if length < 22:
-                    raise BagError(self.path, f"a message record has only {length} bytes", offset)
-                channel, sequence, log, publish = message(data, body)
-                found.append((channel, log, publish, sequence, bytes(data[body + 22 : at])))
-            elif opcode in (3, 4):
-                self._take(opcode, bytes(data[body:at]))
-        return found
+                raise BagError(self.path, "a record is longer than its chunk", span.offset)
+            if opcode == Opcode.MESSAGE:
+                raise BagError(self.path, f"a message record has only {length} bytes", span.offset)
+            if opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
+                self._take(opcode, data[body:at])
 
-    def _load(self, span: FileSpan) -> list[BagMessage]:
-        topics = self.topic_of
-        found = []
-        for channel, log, publish, _, data in self._records(self._plain(span), span.offset):
-            topic = topics.get(channel)
-            if topic is not None:
-                found.append(BagMessage(topic, log, publish, data))
-            elif channel not in self._left_out:
-                what = f"a message is of channel {channel}, which the file does not have"
+    def _load(self, span: FileSpan) -> Rows:
+        rows = self._split(span)
+        for number in np.unique(rows.numbers).tolist():
+            if number not in self.topic_of and number not in self._left_out:
+                what = f"a message is of channel {number}, which the file does not have"
                 raise BagError(self.path, what, span.offset)
-        return found
+        return rows

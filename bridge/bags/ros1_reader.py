@@ -11,8 +11,12 @@ from collections import Counter
 from pathlib import Path
 from typing import BinaryIO
 
-from bridge.bags.bag import MAX_TOPICS, BagError, BagMessage, BagTopic, Kind, reading
-from bridge.bags.spans import FileSpan, SpanBag, unpack
+import numpy as np
+
+from bridge.bags.bag import MAX_TOPICS, BagError, BagTopic, Kind, reading
+from bridge.bags.rows import Rows
+from bridge.bags.spans import FileSpan, SpanBag, count_rows, unpack
+from bridge.bags.split import new_table, split_ros1
 from bridge.hub.wire.qos import LATCHED, Qos
 from bridge.messages.definitions.schema import World
 
@@ -22,9 +26,6 @@ _U32, _PAIR = struct.Struct("<I"), struct.Struct("<II")
 _LARGEST_HEADER = 1 << 20
 _LARGEST_TABLE = 16 << 20
 _NS = 1_000_000_000
-_MESSAGE_HEADER = 42
-"""Bytes of a message's header of the fields ``op``, ``conn`` and ``time``, with its length."""
-_NO_HEAD = struct.Struct("<0sI0sII0sI")
 
 Fields = dict[bytes, bytes]
 
@@ -37,7 +38,6 @@ class Ros1Bag(SpanBag):
     def __init__(self, path: Path, file: BinaryIO) -> None:
         super().__init__(path, file)
         self._connections: dict[int, tuple[Fields, Fields]] = {}
-        self._topic_of: dict[int, BagTopic] = {}
         self._infos: dict[int, tuple[int, int, Counter[int]]] = {}
         self._compressions: set[str] = set()
         self._fixed = self._encrypted = False
@@ -49,8 +49,8 @@ class Ros1Bag(SpanBag):
         self._fixed = True
         with reading(path):
             for number, (record, header) in self._connections.items():
-                self._topic_of[number] = _topic(record, header, counts[number])
-        self.topics = tuple(self._topic_of.values())
+                self.topic_of[number] = _topic(record, header, counts[number])
+        self.topics = tuple(self.topic_of.values())
         self.compression = ",".join(sorted(self._compressions)) or "none"
         self._set_times()
 
@@ -124,60 +124,48 @@ class Ros1Bag(SpanBag):
                 continue
             try:
                 with reading(self.path, span.offset):
-                    records = self._records(span)
-                    counts.update(number for number, _, _ in records)
-                    times = [time for _, time, _ in records]
-                    if times:
-                        self._spans[place] = span._replace(start=min(times), end=max(times))
+                    self._spans[place] = count_rows(self._split(span), counts, span)
             except BagError as err:
                 self.trouble = self.trouble or err
         return counts
 
-    def _records(self, span: FileSpan) -> list[tuple[int, int, bytes]]:
-        """Connection, time and data of each message of a chunk."""
-        raw = self._read(span.offset, span.length)
-        length = _U32.unpack_from(raw)[0]
-        fields = parse_fields(raw[4 : 4 + length])
-        size = _U32.unpack(fields[b"size"])[0]
-        data = unpack(fields[b"compression"].decode(errors="replace"), memoryview(raw)[8 + length :], size)
-        found = []
-        head, same = _NO_HEAD, None
-        at, u32 = 0, _U32.unpack_from
-        while at < size:
-            if at + head.size <= size:
-                begin, number, between, seconds, nanoseconds, end, count = head.unpack_from(data, at)
-                if (begin, between, end) == same:  # as the message before, but for connection and time
-                    body = at + head.size
-                    at = body + count
-                    if at > size:
-                        raise BagError(self.path, "a record is longer than its chunk", span.offset)
-                    found.append((number, seconds * _NS + nanoseconds, bytes(data[body:at])))
-                    continue
-            (length,) = u32(data, at)
-            header = bytes(data[at : at + 4 + length])
-            fields = parse_fields(header[4:])
+    def _load(self, span: FileSpan) -> Rows:
+        rows = self._split(span)
+        for number in np.unique(rows.numbers).tolist():
+            if number not in self.topic_of:
+                msg = f"a message is of connection {number}, which the bag does not have"
+                raise BagError(self.path, msg, span.offset)
+        return rows
+
+    def _split(self, span: FileSpan) -> Rows:
+        data = self._plain(span)
+        table, at, filled, size = new_table(len(data)), 0, 0, len(data)
+        while True:
+            at, filled = split_ros1(data, table, at, filled)
+            if at >= size:
+                return Rows(data, table[:filled])
+            (length,) = _U32.unpack_from(data, at)
+            fields = parse_fields(data[at + 4 : at + 4 + length])
             body = at + 8 + length
-            (count,) = u32(data, body - 4)
+            (count,) = _U32.unpack_from(data, body - 4)
             at = body + count
             if at > size:
                 raise BagError(self.path, "a record is longer than its chunk", span.offset)
             kind = fields[b"op"][0]
             if kind == _MESSAGE:
-                found.append((_U32.unpack(fields[b"conn"])[0], _time(fields[b"time"]), bytes(data[body:at])))
-                head = _message_head(header)
-                begin, _, between, _, _, end, _ = head.unpack_from(data, body - len(header) - 4)
-                same = None if head is _NO_HEAD else (begin, between, end)
+                time = _time(fields[b"time"])
+                table[filled] = _U32.unpack(fields[b"conn"])[0], time, time, body, count
+                filled += 1
             elif kind == _CONNECTION:
-                self._take(fields, bytes(data[body:at]))
-        return found
+                self._take(fields, data[body:at])
 
-    def _load(self, span: FileSpan) -> list[BagMessage]:
-        topics, records = self._topic_of, self._records(span)
-        try:
-            return [BagMessage(topics[number], time, time, data) for number, time, data in records]
-        except KeyError as err:
-            msg = f"a message is of connection {err}, which the bag does not have"
-            raise BagError(self.path, msg, span.offset) from None
+    def _plain(self, span: FileSpan) -> bytes:
+        """A chunk's records."""
+        (length,) = _U32.unpack(self._read(span.offset, 4))
+        fields = parse_fields(self._read(span.offset + 4, length))
+        packed = self._read(span.offset + 8 + length, span.length - 8 - length)
+        compression, (size,) = fields[b"compression"].decode(errors="replace"), _U32.unpack(fields[b"size"])
+        return unpack(compression, packed, size)
 
 
 def parse_fields(data: bytes) -> Fields:
@@ -194,17 +182,6 @@ def parse_fields(data: bytes) -> Fields:
         found[name] = value
         at = end
     return found
-
-
-def _message_head(header: bytes) -> struct.Struct:
-    """Where connection, time and the data's length stand in a message's head with its length, beside what is the same.
-
-    A head of other fields than a message has gets `_NO_HEAD`, and is parsed field by field.
-    """
-    conn, time = header.find(b"\x09\0\0\0conn=") + 9, header.find(b"\x0d\0\0\0time=") + 9
-    if len(header) != _MESSAGE_HEADER or not 9 <= conn < time:
-        return _NO_HEAD
-    return struct.Struct(f"<{conn}sI{time - conn - 4}sII{_MESSAGE_HEADER - time - 8}sI")
 
 
 def _time(value: bytes) -> int:

@@ -2,23 +2,24 @@
 
 from __future__ import annotations
 
-import heapq
 from abc import abstractmethod
-from bisect import bisect_left, bisect_right
+from collections import Counter
 from collections.abc import Callable, Collection, Iterator
-from operator import attrgetter
 from pathlib import Path
 from typing import BinaryIO, NamedTuple
 
-from bridge.bags.bag import MAX_CHUNK, Bag, BagError, BagMessage, BagTopic, reading
+import numpy as np
+
+from bridge.bags.bag import MAX_CHUNK, Bag, BagError, BagMessage, BagTopic, Columns, reading
+from bridge.bags.rows import Rows
+from bridge.bags.split import new_table
 
 _MORE = 4 << 20
 """Bytes that a chunk may be longer in the file: its header, and what packing adds to bytes that cannot be packed."""
 
 HELD = 128 << 20
-"""Bytes of messages that wait for earlier ones of a later piece; beyond that the earliest go out, order or not."""
-
-_time = attrgetter("time_ns")
+"""Bytes of messages and their rows that wait for earlier ones of a later piece; beyond that the earliest go out, order
+or not."""
 
 
 class FileSpan(NamedTuple):
@@ -41,36 +42,44 @@ class SpanBag(Bag):
         self._file = file
         self.size = file.seek(0, 2)
         self._spans: list[FileSpan] = []
+        self.topic_of: dict[int, BagTopic] = {}
 
     @abstractmethod
-    def _load(self, span: FileSpan) -> list[BagMessage]:
+    def _load(self, span: FileSpan) -> Rows:
         """The messages of a span as they stand; raises anything for bad bytes."""
 
-    def messages(
+    def columns(
         self, topics: Collection[BagTopic] | None = None, start_ns: int | None = None, end_ns: int | None = None
-    ) -> Iterator[BagMessage]:
-        """See `Bag.messages`; what lies in several pieces at once is put into order up to `HELD`."""
+    ) -> Iterator[Columns]:
+        """See `Bag.columns`; what lies in several pieces at once is put into order up to `HELD`."""
         wanted = None if topics is None else set(topics)
+        numbers = {number for number, topic in self.topic_of.items() if wanted is None or topic in wanted}
         spans = [
             span
             for span in sorted(self._spans, key=lambda span: span.start)
             if (start_ns is None or span.end >= start_ns) and (end_ns is None or span.start < end_ns)
         ]
-        waiting: list[BagMessage] = []
-        for number, span in enumerate(spans):
-            rows = self._read_span(span)
-            if wanted is not None:
-                rows = [row for row in rows if row.topic in wanted]
-            rows = _within(_ordered(rows), start_ns, end_ns)
-            if waiting:
-                rows = list(heapq.merge(waiting, rows, key=_time))
-            due = len(rows)
-            if number + 1 < len(spans):
-                due = _due(rows, spans[number + 1].start)
-            yield from rows[:due]
-            waiting = rows[due:]
+        waiting: Rows | None = None
+        for place, span in enumerate(spans):
+            rows = self._read_span(span).of(numbers).within(start_ns, end_ns)
+            if waiting is not None:
+                rows = rows.behind(waiting)
+            rows = rows.ordered()
+            due = len(rows.table)
+            if place + 1 < len(spans):
+                due = _due(rows, spans[place + 1].start)
+            for block in rows.take(slice(due)).blocks():
+                yield block.columns(self.topic_of)
+            waiting = rows.take(slice(due, None)).compact() if due < len(rows.table) else None
 
-    def _read_span(self, span: FileSpan) -> list[BagMessage]:
+    def messages(
+        self, topics: Collection[BagTopic] | None = None, start_ns: int | None = None, end_ns: int | None = None
+    ) -> Iterator[BagMessage]:
+        """See `Bag.messages` and `columns`."""
+        for columns in self.columns(topics, start_ns, end_ns):
+            yield from map(BagMessage, *columns)
+
+    def _read_span(self, span: FileSpan) -> Rows:
         try:
             with reading(self.path, span.offset):
                 return self._load(span)
@@ -78,7 +87,7 @@ class SpanBag(Bag):
             if self._on_damage is None:
                 raise
             self._on_damage(err)
-            return []
+            return Rows(b"", new_table(0)[:0])
 
     def skip_damage(self, told: Callable[[BagError], None]) -> None:
         """See `Bag.skip_damage`: a piece is left out."""
@@ -104,35 +113,30 @@ class SpanBag(Bag):
             self.end_ns = max(span.end for span in self._spans)
 
 
-def _ordered(rows: list[BagMessage]) -> list[BagMessage]:
-    rows.sort(key=_time)  # next to nothing where they are in order already
-    return rows
-
-
-def _within(rows: list[BagMessage], start_ns: int | None, end_ns: int | None) -> list[BagMessage]:
-    first = 0 if start_ns is None else bisect_left(rows, start_ns, key=_time)
-    last = len(rows) if end_ns is None else bisect_left(rows, end_ns, key=_time)
-    return rows[first:last] if first or last < len(rows) else rows
-
-
-def _due(rows: list[BagMessage], next_start: int) -> int:
+def _due(rows: Rows, next_start: int) -> int:
     """How many go out now: those that no later piece can come before, and more where too much would wait."""
-    due = bisect_right(rows, next_start, key=_time)
-    held = sum(len(row.data) for row in rows[due:])
-    while held > HELD:
-        held -= len(rows[due].data)
-        due += 1
-    return due
+    due = int(np.searchsorted(rows.times, np.uint64(next_start), "right"))
+    weights = rows.weights()
+    excess = int(weights[-1]) - HELD if due < len(weights) else 0
+    return max(due, int(np.searchsorted(weights, np.uint64(excess))) + 1) if excess > 0 else due
 
 
-def unpack(compression: str, data: memoryview, size: int) -> bytes | memoryview:
+def count_rows(rows: Rows, counts: Counter[int], span: FileSpan) -> FileSpan:
+    """Add how many messages of each channel there are, and give the piece the times of its messages."""
+    numbers, found = np.unique(rows.numbers, return_counts=True)
+    counts.update(dict(zip(numbers.tolist(), found.tolist(), strict=True)))
+    times = rows.times
+    return span._replace(start=int(times.min()), end=int(times.max())) if len(times) else span
+
+
+def unpack(compression: str, data: bytes | memoryview, size: int) -> bytes:
     """A chunk's bytes, which must be ``size`` as declared; never makes more than that. Raises what the library does."""
     if size > MAX_CHUNK:
         msg = f"a chunk declares {size} bytes, which is more than the {MAX_CHUNK} that are read"
         raise ValueError(msg)
     match compression:
         case "" | "none":
-            plain: bytes | memoryview = data
+            plain = bytes(data)
         case "zstd":
             plain = _unpack_zstd(data, size)
         case "lz4":
@@ -152,7 +156,7 @@ def unpack(compression: str, data: memoryview, size: int) -> bytes | memoryview:
     return plain
 
 
-def _unpack_zstd(data: memoryview, size: int) -> bytes:
+def _unpack_zstd(data: bytes | memoryview, size: int) -> bytes:
     import zstandard
 
     if not size:

@@ -8,7 +8,7 @@ from __future__ import annotations
 import secrets
 import shutil
 from abc import ABC, abstractmethod
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -41,6 +41,13 @@ class BagWriter(ABC):
     @abstractmethod
     def write(self, place: Any, time_ns: int, publish_ns: int, data: bytes) -> None:
         """Add a message, in the form of its topic."""
+
+    def write_all(
+        self, places: Sequence[Any], times: Sequence[int], publish_times: Sequence[int], data: Sequence[bytes]
+    ) -> None:
+        """Add messages, one after the other."""
+        for place, time_ns, publish_ns, message in zip(places, times, publish_times, data, strict=True):
+            self.write(place, time_ns, publish_ns, message)
 
     @abstractmethod
     def finish(self) -> None:
