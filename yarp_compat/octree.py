@@ -28,8 +28,9 @@ FREE, OCCUPIED = (math.log(odds / (1 - odds)) for odds in (0.1192, 0.971))
 """Log-odds of what a binary tree holds: OctoMap's clamping thresholds (`AbstractOccupancyOcTree.cpp`)."""
 KINDS = {"OcTree": 5, "OcTreeStamped": 5, "ColorOcTree": 8}
 """OctoMap's classes whose full streams are read, and their bytes a node (stamps are not written)."""
-MAX_NODES = 1 << 24
-"""A tree of more is refused before memory is taken for its leaves."""
+MAX_NODES = 1 << 23
+"""A tree of more is refused before memory is taken for its leaves: to read one of so many takes 450 MB, to write it as
+binary 650 MB. A map of Mapper3D's default memory (256 MB) has 3.5 to 5.5 million: 61 to 97 a block of 8 x 8 x 8."""
 
 _CODES = np.uint64
 _SPREAD = (
@@ -37,6 +38,7 @@ _SPREAD = (
     (2, 0x9249249249249249),
 )  # fmt: skip
 _EIGHT = np.arange(8)
+_AT_ONCE = 1 << 18  # nodes whose children are looked for at once
 
 
 class OctreeError(WireError):
@@ -333,42 +335,48 @@ def _whole(children: NDArray[np.int8], size: int) -> int:
     """How many of the nodes that follow make one tree; raises `OctreeError` where it is cut off or too large."""
     if not size:
         return 0
-    open_nodes = np.cumsum(children.astype(np.int32) - 1, dtype=np.int64)
-    ends = np.flatnonzero(open_nodes == -1)
-    if not len(ends):
+    open_nodes = np.cumsum(children[:MAX_NODES] - np.int8(1), dtype=np.int32)
+    end = int(np.argmax(open_nodes == -1)) if len(open_nodes) else 0
+    if not len(open_nodes) or open_nodes[end] != -1:
+        if len(children) > MAX_NODES:
+            raise OctreeError(f"data: more than {MAX_NODES} nodes")
         more = int(open_nodes[-1]) + 1 if len(children) else 1
         raise OctreeError(f"data: cut off after {size} bytes: {more} more nodes are named")
-    if ends[0] >= MAX_NODES:
-        raise OctreeError(f"data: more than {MAX_NODES} nodes")
-    return int(ends[0]) + 1
+    return end + 1
 
 
-def _places(inner: NDArray[np.bool_], deepest: int) -> tuple[NDArray[np.uint64], NDArray[np.int64]]:
+def _places(inner: NDArray[np.bool_], deepest: int) -> tuple[NDArray[np.uint64], NDArray[np.uint8]]:
     """Code and depth of each node that a stream has, by which of its children (N, 8) follow in the stream.
 
     Let S be how many more nodes than have come are named before a node. A child that m siblings precede is the
     first after its parent p whose S is S(p) + children(p) - 1 - m: all children of a level are found by one search.
     """
-    many = inner.sum(axis=1, dtype=np.int64)
+    many = inner.sum(axis=1, dtype=np.uint8)
     size = len(inner)
-    sums = np.concatenate([np.zeros(min(1, size), np.int64), np.cumsum(many - 1)[:-1]])
+    sums = np.cumsum(many, dtype=np.int32)
+    sums -= np.arange(1, size + 1, dtype=np.int32)
     if size and sums.max() > 7 * DEPTH:
         raise OctreeError(f"data: the tree is deeper than {DEPTH} levels")
-    order = np.argsort(sums.astype(np.uint8), kind="stable")
-    wanted = sums[order] * size + order
-    codes, depths = np.zeros(size, _CODES), np.zeros(size, np.int64)
+    sums = np.concatenate([np.zeros(min(1, size), np.uint8), sums[:-1].astype(np.uint8)])
+    order = np.argsort(sums, kind="stable")
+    wanted = sums[order] * np.int64(size)
+    wanted += order
+    codes, depths = np.zeros(size, _CODES), np.zeros(size, np.uint8)
     level = np.zeros(min(1, size), np.int64)
-    for depth in range(1, deepest + 2):
-        rows, children = np.nonzero(inner[level])
-        if not len(rows):
-            return codes, depths
-        if depth > deepest:
-            break
-        parents = level[rows]
-        before = np.arange(len(rows)) - np.searchsorted(rows, rows)
-        target = sums[parents] + many[parents] - 1 - before
-        level = order[np.searchsorted(wanted, target * size + parents + 1)]
-        codes[level] = codes[parents] + (children.astype(_CODES) << _shift(depth))
-        depths[level] = depth
-        level = np.sort(level)
-    raise OctreeError(f"data: the tree is deeper than {DEPTH} levels")
+    for depth in range(1, deepest + 1):
+        found = [np.zeros(0, np.int64)]
+        for begin in range(0, len(level), _AT_ONCE):
+            above = level[begin : begin + _AT_ONCE]
+            rows, children = np.nonzero(inner[above])
+            parents = above[rows]
+            before = np.arange(len(rows)) - np.searchsorted(rows, rows)
+            target = sums[parents].astype(np.int64) + many[parents] - 1 - before
+            below = order[np.searchsorted(wanted, target * size + parents + 1)]
+            codes[below] = codes[parents] + (children.astype(_CODES) << _shift(depth))
+            depths[below] = depth
+            found.append(below)
+        level = np.concatenate(found)
+        level.sort()
+    if inner[level].any():
+        raise OctreeError(f"data: the tree is deeper than {DEPTH} levels")
+    return codes, depths

@@ -177,6 +177,6 @@ class Mapper3D(Module):
             try:
                 Octomap.of(self.space.tree()).save(part)
                 part.replace(self._kept)
-            except OSError as err:
+            except (OSError, WireError) as err:
                 self._trouble = f"the map is not kept: {err}"
                 self._host.log.warning("%s", self._trouble)

@@ -7,6 +7,7 @@ import struct
 import numpy as np
 import pytest
 
+from yarp_compat import octree
 from yarp_compat.octree import FREE, OCCUPIED, OcTree, OctreeError, codes_of, count_nodes, keys_of
 
 MIDDLE = 32_768
@@ -124,6 +125,20 @@ def test_bad_binary_streams(data: bytes, words: str) -> None:
 def test_bad_full_streams(data: bytes, kind: str, words: str) -> None:
     with pytest.raises(OctreeError, match=words):
         OcTree.from_full(data, 0.1, kind)
+
+
+def test_a_tree_of_too_many_nodes(monkeypatch: pytest.MonkeyPatch) -> None:
+    keys = [[32768, 32768, 32768 + step] for step in range(3)]
+    tree = OcTree.of(keys, [1.0, -1.0, 1.0], resolution=0.1)
+    nodes = len(tree.full()) // 5
+    monkeypatch.setattr(octree, "MAX_NODES", nodes)
+    monkeypatch.setattr(octree, "_AT_ONCE", 2)
+    assert OcTree.from_full(tree.full(), 0.1).codes.tolist() == tree.codes.tolist()
+    assert OcTree.from_binary(tree.binary(), 0.1).codes.tolist() == tree.codes.tolist()
+    monkeypatch.setattr(octree, "MAX_NODES", nodes - 2)
+    for read, data in ((OcTree.from_full, tree.full()), (OcTree.from_binary, tree.binary())):
+        with pytest.raises(OctreeError, match=f"data: more than {nodes - 2} nodes"):
+            read(data, 0.1)
 
 
 def test_a_chain_of_sixteen_is_the_deepest() -> None:

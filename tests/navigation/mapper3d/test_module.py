@@ -17,6 +17,7 @@ from navigation.mapper3d.octomaps import cloud_message
 from navigation.maps.grid_map import values_at
 from tests.modules.place import Place
 from tests.support.wait import until
+from yarp_compat import octree
 from yarp_compat.dev.mapflag import MapFlag
 from yarp_compat.naming import connections
 from yarp_compat.naming.server import NameServer
@@ -250,7 +251,9 @@ def test_services_and_words(place: Place) -> None:
     assert any("save_to_mapserver" in line for line in asked(place, "help"))
 
 
-def test_the_map_is_kept_over_a_restart(tmp_path_factory: pytest.TempPathFactory) -> None:
+def test_the_map_is_kept_over_a_restart(
+    tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.MonkeyPatch
+) -> None:
     with Place(tmp_path_factory.mktemp("kept")) as place:
         config = place.config(modules={"mapper3d": settings()})
         place.worker.start(config)
@@ -272,6 +275,11 @@ def test_the_map_is_kept_over_a_restart(tmp_path_factory: pytest.TempPathFactory
         place.worker = type(place.worker)()
         place.worker.start(config)
         assert "map.ot" in place.answer("mapper3d")["trouble"]
+        until(mapped, "it is mapped again", 30)
+        running: Any = place.worker.running("mapper3d")
+        monkeypatch.setattr(octree, "MAX_NODES", 8)
+        running.host.loop.call(running.module._keep)
+        assert "the map is not kept: data: more than 8 nodes" in place.answer("mapper3d")["trouble"]
 
 
 def test_a_map_of_the_store_is_gone_on_with(tmp_path_factory: pytest.TempPathFactory) -> None:
