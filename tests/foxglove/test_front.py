@@ -212,25 +212,25 @@ def test_no_more_clients_than_there_is_room_for(desk: Desk, monkeypatch: pytest.
 def test_who_takes_nothing_is_cut_and_holds_nobody_up(desk: Desk, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(front, "STILL_SECONDS", 2.0)
     monkeypatch.setattr(front, "MOST_UNREAD", 1 << 20)
-    publisher, _ = desk.far._publishers[desk.far.advertise("/blob", "std_msgs/String")]
+    publisher, _ = desk.far._publishers[desk.far.advertise("/flood", "std_msgs/String")]
     word = cdr("x" * 500_000)
     with desk.app() as app, desk.app(max_queue=1, close_timeout=0.1) as deaf:
-        deaf.subscribe("/blob")
-        app.subscribe("/blob")
+        deaf.subscribe("/flood")
+        app.subscribe("/flood")
         app.until(publisher.matched, "it is heard")
         shares: list[int] = []
 
         def cut() -> bool:
-            before = len(app.messages["/blob"])
+            before = len(app.messages["/flood"])
             for _ in range(4):
                 publisher.put(word)
                 app.read(0.2)
-            shares.append(len(app.messages["/blob"]) - before)
+            shares.append(len(app.messages["/flood"]) - before)
             return len(desk.status()["clients"]) == 1
 
         until(cut, "the deaf one is cut", 30)
         assert sum(shares) >= 2 * len(shares), f"while one takes nothing the other gets {shares} of 4 each"
-        (left,) = app.messages["/blob"][-1:]
+        (left,) = app.messages["/flood"][-1:]
         assert left[1] == word
 
 
