@@ -206,4 +206,7 @@ def written_whole(target: Path, kind: Kind) -> Iterator[Path]:
     except Exception as err:  # libraries raise what they like: sqlite3.Error for a full disk
         raise BagError(target, f"cannot be written: {type(err).__name__}: {err}") from err
     finally:
-        shutil.rmtree(making, ignore_errors=True)
+        try:
+            shutil.rmtree(making, ignore_errors=True)
+        finally:  # a signal may have come meanwhile, and raised what ends the program
+            shutil.rmtree(making, ignore_errors=True)

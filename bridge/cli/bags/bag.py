@@ -94,7 +94,10 @@ _ended: list[int] = []
 
 def _end(number: int, _frame: object) -> None:
     _ended.append(number)
-    raise SystemExit(128 + number)  # a KeyboardInterrupt in an `eval`, as of an import, would be the exit code's, too
+    if len(_ended) == 1:  # what a second one raised would break off what the first one has cleaned up
+        raise SystemExit(
+            128 + number
+        )  # a KeyboardInterrupt in an `eval`, as of an import, would be the exit code's, too
 
 
 @contextmanager
@@ -269,7 +272,7 @@ def _progress(bag: Bag) -> Iterator[Told]:
 
         def told(messages: int, data: int) -> None:
             if _ended:
-                _end(_ended[0], None)
+                raise SystemExit(128 + _ended[0])
             speed = f"{size(data)}, {size(data / max(time.monotonic() - begun, 1e-3))}/s"
             bar.update(task, completed=messages, speed=speed)
 

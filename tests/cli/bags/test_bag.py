@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -130,6 +131,23 @@ def test_who_ends_it_finds_nothing_left(verb: str, number: int, code: int, here:
     process.communicate(timeout=20)
     assert process.returncode == code
     assert sorted(path.name for path in here.iterdir()) == ["a.bag", "a.mcap"]
+
+
+def test_signals_that_come_while_it_cleans_up_leave_nothing_either(here: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    nobody_knows(Path("a.mcap"))
+    remove, removed = shutil.rmtree, list[Path]()
+
+    def interrupted(folder: Path, **more: Any) -> None:
+        signal.raise_signal(signal.SIGINT)
+        remove(folder, **more)
+        removed.append(folder)
+
+    monkeypatch.setattr(shutil, "rmtree", interrupted)
+    with pytest.raises(SystemExit) as ended:
+        main(["bag", "convert", "a.mcap", "b.db3"])
+    assert ended.value.code == 130
+    assert len(removed) == 1
+    assert sorted(path.name for path in here.iterdir()) == ["a.mcap", "b.db3"]
 
 
 def test_a_signal_that_a_script_has_it_ignore_does_not_end_it(here: Path) -> None:
