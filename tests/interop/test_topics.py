@@ -83,46 +83,63 @@ def test_clouds_depth_and_markers_every_way(shared: Deployment, kind: str, messa
         assert within(message, cross(sender, out, hearer, heard, message)), (from_, to)
 
 
-WITHOUT_A_PACKAGE = """
-import json, sys, genpy.dynamic, genpy.message, rospy
-topic, name, text, message = json.loads(sys.argv[1])
-rospy.init_node("maps", anonymous=True)
-kind = genpy.dynamic.generate_dynamic(name, text)[name]
-made = kind()
-genpy.message.fill_message_args(made, [message])
-publisher = rospy.Publisher(topic, kind, queue_size=1)
-while not rospy.is_shutdown():
-    publisher.publish(made)
-    rospy.sleep(0.1)
-"""
-"""A ROS 1 program of a package that Debian does not have."""
-
+POSE = {"position": {"x": 1.0, "y": 2.0, "z": 3.0}, "orientation": {"x": 0.0, "y": 0.0, "z": 0.0, "w": 1.0}}
 OCTOMAP = {"header": {"frame_id": "map"}, "binary": True, "id": "OcTree", "resolution": 0.5, "data": [-1, -1, 1, 0]}
-GRID_MAP = {"info": {"header": {"frame_id": "map"}, "resolution": 0.25, "length_x": 2.0}, "layers": ["height"]}
-GRID_MAP_2 = {"header": {"frame_id": "map"}, "info": {"resolution": 0.25, "length_x": 2.0}, "layers": ["height"]}
+SHAPE = [{"label": label, "size": 2, "stride": stride} for label, stride in (("column_index", 4), ("row_index", 2))]
+HEIGHTS = {"layout": {"dim": SHAPE, "data_offset": 0}, "data": [0.5, 1.5, 2.5, 3.5]}
+GRID = {"layers": ["height"], "basic_layers": ["height"], "data": [HEIGHTS], "outer_start_index": 1}
+SIZES = {"resolution": 0.25, "length_x": 0.5, "length_y": 0.5, "pose": POSE}
+NOT_INSTALLED = {
+    "octomap_msgs/Octomap": (OCTOMAP, OCTOMAP),
+    "octomap_msgs/OctomapWithPose": ({"origin": POSE, "octomap": OCTOMAP}, {"origin": POSE, "octomap": OCTOMAP}),
+    "grid_map_msgs/GridMap": (
+        {**GRID, "info": {**SIZES, "header": {"frame_id": "map"}}},
+        {**GRID, "info": SIZES, "header": {"frame_id": "map"}},
+    ),
+}
+"""Messages of packages that Debian does not have: as ROS 1 has them, and as ROS 2 and the hub do."""
+GET = "octomap_msgs/GetOctomap"
 
 
 @pytest.mark.thorough
-@pytest.mark.parametrize(
-    ("kind", "said", "expected"),
-    [("octomap_msgs/Octomap", OCTOMAP, OCTOMAP), ("grid_map_msgs/GridMap", GRID_MAP, GRID_MAP_2)],
-)
-def test_maps_of_packages_that_nobody_installed(
-    shared: Deployment, kind: str, said: dict[str, Any], expected: dict[str, Any]
-) -> None:
-    """A ROS 2 program has them of what Midspan built, and a zenoh program by name."""
-    topic = f"/ros1/{kind.partition('/')[2].lower()}"
-    definition = Registry(ros1_packages=Path("/nonexistent")).ros1(kind).definition
-    program = json.dumps([topic, kind, definition, said])
-    hearers: list[Any] = [shared.ros2(), shared.zenoh()]
-    heard = [hearer.subscribe(topic, kind) for hearer in hearers]
-    with subprocess.Popen([ROS1_PYTHON, "-c", WITHOUT_A_PACKAGE, program], env=shared.master.env) as talker:
-        try:
-            for hearer, number in zip(hearers, heard, strict=True):
-                got = until(lambda h=hearer, n=number: h.wait(n, 1, 0.2), "a map arrives", 30)[0]
-                assert within(expected, got)
-        finally:
-            talker.terminate()
+def test_types_of_packages_that_nobody_installed_every_way(shared: Deployment) -> None:
+    """A ROS 1 program has them by their definitions, a ROS 2 program of what Midspan built, a zenoh program by name."""
+    registry = Registry(ros1_packages=Path("/nonexistent"))
+    programs: dict[str, Any] = {"ros1": shared.ros1(), "ros2": shared.ros2(), "zenoh": shared.zenoh()}
+    for kind in NOT_INSTALLED:
+        programs["ros1"].ask("define", type=kind, definition=registry.ros1(kind).definition)
+    asked = registry.service_hub_to_ros1("octomap_msgs/srv/GetOctomap").side
+    assert programs["ros1"].ask("define", type=GET, definition=asked.definition)["md5"] == asked.type_id
+    pairs = list(itertools.permutations(programs, 2))
+    ends = {}
+    for kind, (from_, to) in itertools.product(NOT_INSTALLED, pairs):
+        topic = f"/{from_}_to_{to}/{kind.partition('/')[2].lower()}"
+        ends[kind, from_, to] = programs[to].subscribe(topic, kind), programs[from_].advertise(topic, kind)
+    for (kind, from_, to), (heard, out) in ends.items():
+        said, expected = (NOT_INSTALLED[kind][side != "ros1"] for side in (from_, to))
+        assert within(expected, cross(programs[from_], out, programs[to], heard, said)), (kind, from_, to)
+    for from_, to in pairs:
+        program, service = programs[to], f"/maps_of_{to}_for_{from_}"
+        reply = {"map": OCTOMAP}
+        if to == "zenoh":
+            program.serve(service, GET, reply=reply)
+        else:
+            program.ask("serve", service=service, type=GET, reply=reply)
+        assert within(reply, called(from_, programs[from_], service)), (from_, to)
+
+
+def called(side: str, program: Any, service: str) -> dict[str, Any]:
+    """The answer of a GetOctomap, once its server is there."""
+    if side == "zenoh":
+        found: dict[str, Any] = program.call(service, GET).result(30.0)
+    else:
+        if side == "ros1":
+            program.ask("await_service", service=service, seconds=30.0)
+        call = program.ask("call", service=service, type=GET, request={}, seconds=30.0)["id"]
+        found = program.ask("result", id=call, seconds=30.0)
+    assert found["reply"] is not None, found
+    reply: dict[str, Any] = found["reply"]
+    return reply
 
 
 @pytest.mark.thorough

@@ -1,7 +1,8 @@
 """The peer program of `tests.support.peer` for ROS 1: a real rospy node on the system's Python with dist-packages only.
 
 Beyond the common commands: ``define`` type, definition (full text: own fields, then each nested type's after a line of
-``=`` and ``MSG: name``) makes a type known that is not installed; ``advertise`` and ``subscribe`` take ``queue``
+``=`` and ``MSG: name``; a service's request and response with a line ``---`` between) makes a type known that is not
+installed; ``advertise`` and ``subscribe`` take ``queue``
 (rospy's queue_size); ``header`` id -> headers of the last message of each publisher; ``parameters`` -> names;
 ``now`` -> seconds: the node's time, 0 where it waits for /clock;
 ``log`` text: to /rosout; ``await_service`` service, seconds: rospy's wait_for_service; ``count``, ``counted`` and
@@ -21,13 +22,13 @@ import threading
 import time
 
 import genpy
-import genpy.dynamic
 import genpy.message
 import rosgraph
 import roslib.message
 import rospy
 from ros1_actions import Actions
 from ros1_leave import leave
+from ros1_types import message_classes, service_class
 
 
 def to_plain(value):
@@ -83,6 +84,11 @@ def message_class(name):
     if cls is None:
         raise ValueError(f"no type {name}: install its package, or define it")
     return cls
+
+
+def service_type(name):
+    """A service's class: a defined one, else an installed one."""
+    return DEFINED.get(name) or roslib.message.get_service_class(name)
 
 
 class Subscriber:
@@ -194,7 +200,8 @@ class Peer:
         return {"id": self.next_id}
 
     def do_define(self, type, definition, **_):
-        DEFINED.update(genpy.dynamic.generate_dynamic(type, definition))
+        made = {type: service_class(type, definition)} if "\n---\n" in definition else message_classes(type, definition)
+        DEFINED.update(made)
         return {"md5": DEFINED[type]._md5sum}
 
     def do_advertise(self, topic, type, latched=False, queue=100, **_):
@@ -235,7 +242,7 @@ class Peer:
         return {"headers": self.endpoints[id].headers}
 
     def do_serve(self, service, type, reply=None, error="", held=False, **_):
-        return self.add(Serving(service, roslib.message.get_service_class(type), reply or {}, error, held))
+        return self.add(Serving(service, service_type(type), reply or {}, error, held))
 
     def do_release(self, id, **_):
         self.endpoints[id].release()
@@ -245,7 +252,7 @@ class Peer:
         return {"requests": self.endpoints[id].wait(count, seconds)}
 
     def do_call(self, service, type, request=None, persistent=False, **_):
-        cls = roslib.message.get_service_class(type)
+        cls = service_type(type)
         proxy = self.proxies.get(service) if persistent else None
         if proxy is None:
             proxy = rospy.ServiceProxy(service, cls, persistent=persistent)

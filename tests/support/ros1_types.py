@@ -1,0 +1,40 @@
+"""Classes of ROS 1 types that are not installed, for real rospy programs: genpy makes them from definitions."""
+
+import atexit
+import hashlib
+import shutil
+import tempfile
+from unittest import mock
+
+import genmsg
+import genpy.dynamic
+from genmsg.gentools import compute_md5_text
+
+
+def message_classes(name, definition):
+    """Of a message and all that it nests, by name; of a full text as connection headers have it.
+
+    The folder of what genpy writes is gone at once, not only where the program ends by itself.
+    """
+    with tempfile.TemporaryDirectory() as folder, mock.patch.object(tempfile, "tempdir", folder):
+        made = genpy.dynamic.generate_dynamic(name, definition)
+    atexit.unregister(shutil.rmtree)
+    return made
+
+
+def service_class(name, definition):
+    """Of a service: the full texts of request and response with a line ``---`` between them."""
+    kinds, texts = [], []
+    for part, text in zip(("Request", "Response"), definition.split("\n---\n"), strict=True):
+        classes = message_classes(name + part, text)
+        kinds.append(classes[name + part])
+        context = genmsg.MsgContext.create_default()
+        for one, cls in classes.items():
+            context.register(one, cls._spec)
+        texts.append(compute_md5_text(context, kinds[-1]._spec))
+    md5 = hashlib.md5("".join(texts).encode()).hexdigest()
+    request, response = kinds
+    words = {"_type": name, "_md5sum": md5, "_request_class": request, "_response_class": response}
+    for kind in kinds:
+        kind._md5sum = md5
+    return type(name.rpartition("/")[2], (), words)
