@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from navigation.clouds import MOST_POINTS, CloudError
+from navigation.clouds import FARTHEST, MOST_POINTS, CloudError
 
 IMAGE, CAMERA_INFO = "sensor_msgs/msg/Image", "sensor_msgs/msg/CameraInfo"
 _TYPES = {"32FC1": ("f4", 1.0), "16UC1": ("u2", 0.001), "mono16": ("u2", 0.001)}
@@ -88,7 +88,7 @@ class Rays:
             self._across = ((np.arange(camera.width)[::every] - camera.cx) / camera.fx).astype(np.float32)
             self._down = ((np.arange(camera.height)[::every] - camera.cy) / camera.fy).astype(np.float32)
         ahead = depth[::every, ::every]
-        seen = np.isfinite(ahead) & (ahead > 0.0)
+        seen = (ahead > 0.0) & (ahead < FARTHEST)
         rows, columns = np.nonzero(seen)
         found = np.empty((len(rows), 3), np.float32)
         z = ahead[seen]

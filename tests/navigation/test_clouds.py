@@ -38,7 +38,15 @@ def test_points_that_are_not_finite_are_left_out_whatever_is_dense_says():
     points = np.array([[1.0, 2.0, 3.0], [np.nan, 0.0, 0.0], [0.0, np.inf, 0.0], [0.0, 0.0, 1e300], [4.0, 5.0, 6.0]])
     found = read_points({**cloud(points, "<f8", 8), "is_dense": True})
     np.testing.assert_array_equal(found, [[1.0, 2.0, 3.0], [4.0, 5.0, 6.0]])
+    far = np.array([[3.4e38, 0.0, 0.0], [1.0, 2.0, 3.0], [0.0, 0.0, -1e9]])
+    np.testing.assert_array_equal(read_points(cloud(far)), [[1.0, 2.0, 3.0]])
     assert read_points({**cloud(), "width": 0, "data": b""}).shape == (0, 3)
+
+
+def test_of_several_fields_of_a_name_the_first_counts():
+    message = cloud()
+    message["fields"].append({"name": "x", "offset": 4, "datatype": 7, "count": 1})
+    np.testing.assert_array_equal(read_points(message), POINTS)
 
 
 def field(name, changed):
@@ -61,6 +69,7 @@ def field(name, changed):
         (field("x", {"count": 2}), "fields.x.count"),
         (field("z", {"offset": 4_294_967_295}), "fields.z.offset"),
         ({"data": b""}, "data: 0 bytes"),
+        ({"width": 1, "point_step": 2**32 - 1, "row_step": 2**32 - 1}, "data: 48 bytes"),
     ],
 )
 def test_a_bad_cloud_is_refused_by_the_name_of_its_field(change, words):

@@ -56,6 +56,7 @@ class _Scan:
 _DATATYPES = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f8"}
 _UINT32, _FLOAT32 = 6, 7
 _COLOURS = ("rgba", "rgb")
+_NUMBERS = {name for layout in LAYOUTS.values() for name in layout.names or ()}
 _CHOICE = (
     (PointType.XYZ_NORMAL_RGBA, {"x", "y", "z", "normal_x", "color"}),
     (PointType.XYZ_NORMAL, {"x", "y", "z", "normal_x"}),
@@ -75,7 +76,8 @@ class _Cloud:
         names = set(points.dtype.names or ()) | ({"color"} if "b" in (points.dtype.names or ()) else set())
         kind = next((kind for kind, wanted in _CHOICE if wanted <= names), None)
         if kind is None:
-            raise ConversionError(f"YARP has no points of the fields {', '.join(sorted(names)) or 'none'}")
+            have = sorted({field["name"] for field in message["fields"]})
+            raise ConversionError(f"YARP has no points of the fields {', '.join(have) or 'none'}")
         layout = LAYOUTS[kind]
         if points.dtype.itemsize == layout.itemsize and _same_places(points.dtype, layout):
             points = np.ascontiguousarray(points).view(layout)
@@ -107,37 +109,43 @@ class _Cloud:
 
 
 def _points(message: Mapping[str, Any]) -> np.ndarray:
-    """The points as an array of records (height, width), or of one row; a colour's four bytes are ``b g r a``."""
+    """The points as an array of records (height, width), or of one row; a colour's four bytes are ``b g r a``.
+
+    Of several fields of a name it is the first, and a colour in four bytes rather than in fields of their own.
+    """
     height, width, step, row = (message[name] for name in ("height", "width", "point_step", "row_step"))
+    empty = not width or not height  # whatever the steps are
     names: list[str] = []
     formats: list[str] = []
     offsets: list[int] = []
     order = ">" if message["is_bigendian"] else "<"
-    for field in message["fields"]:
+    for field in sorted(message["fields"], key=lambda field: field["name"] not in _COLOURS):
+        name, offset = field["name"], field["offset"]
         letters = _DATATYPES.get(field["datatype"])
-        if letters is None or field["offset"] + int(letters[1]) > step:
-            raise ConversionError(
-                f"fields.{field['name']}: datatype {field['datatype']} at byte {field['offset']} of a point's {step}"
-            )
-        if field["name"] in _COLOURS and letters[1] == "4":
+        colour = name in _COLOURS and letters in ("u4", "i4", "f4")
+        if name in names or (colour and "b" in names) or not (colour or name in _NUMBERS):
+            continue
+        if letters is None or (not empty and offset + int(letters[1]) > step):
+            raise ConversionError(f"fields.{name}: datatype {field['datatype']} at byte {offset} of a point's {step}")
+        if field["count"] > 1:
+            raise ConversionError(f"fields.{name}.count: a point has one {name}, not {field['count']}")
+        if not colour:
+            names.append(name)
+            formats.append(order + letters)
+            offsets.append(offset)
+        else:
             names += "bgra" if order == "<" else "argb"
             formats += ["u1"] * 4
-            offsets += [field["offset"] + n for n in range(4)]
-        elif field["name"] not in names:
-            names.append(field["name"])
-            formats.append(order + letters)
-            offsets.append(field["offset"])
-    data = message["data"]
+            offsets += [offset + n for n in range(4)]
+    if empty:
+        return np.zeros(0, np.dtype({"names": names, "formats": formats}))
     if not step or row < step * width:
         raise ConversionError(f"row_step: {row} bytes for {width} points of {step} bytes (point_step)")
-    if len(data) < row * height:
-        raise ConversionError(f"data: {len(data)} bytes for {height} rows of {row} bytes (row_step)")
-    if not width or not height:  # whatever the steps are
-        width, step, row, offsets = 0, 32 * len(names) + 1, 0, [8 * place for place in range(len(names))]
+    if len(message["data"]) < (height - 1) * row + width * step:
+        raise ConversionError(f"data: {len(message['data'])} bytes for {height} rows of {row} bytes (row_step)")
     layout = np.dtype({"names": names, "formats": formats, "offsets": offsets, "itemsize": step})
-    rows = np.asarray(data[: row * height]).reshape(height, row)[:, : step * width]
-    found = np.ascontiguousarray(rows).view(layout) if width else np.zeros((height, 0), layout)
-    return found if height != 1 else found.reshape(-1)
+    shape, strides = ((height, width), (row, step)) if height != 1 else ((width,), (step,))
+    return np.ndarray(shape, layout, np.frombuffer(message["data"], np.uint8), strides=strides)
 
 
 def _same_places(found: np.dtype[Any], layout: np.dtype[Any]) -> bool:
@@ -148,8 +156,9 @@ def _same_places(found: np.dtype[Any], layout: np.dtype[Any]) -> bool:
 
 def _copied(points: np.ndarray, layout: np.dtype[Any]) -> np.ndarray:
     made = np.zeros(points.shape, layout)
-    for name in set(layout.names or ()) & set(points.dtype.names or ()):
-        made[name] = points[name]
+    with np.errstate(over="ignore", invalid="ignore"):  # what no float32 holds is infinite
+        for name in set(layout.names or ()) & set(points.dtype.names or ()):
+            made[name] = points[name]
     return made
 
 

@@ -196,6 +196,8 @@ def test_points_of_each_type_come_back_as_they_were(kind: pointcloud.PointType) 
         ({"fields": [_field("x", 4_294_967_295)]}, "fields.x: datatype 7 at byte 4294967295"),
         ({"fields": [_field("x", 0, 9)]}, "fields.x: datatype 9"),
         ({"fields": [_field("ring", 0)]}, "of the fields ring"),
+        ({"fields": [{**_field("x", 0), "count": 2}]}, "fields.x.count: a point has one x, not 2"),
+        ({"width": 0, "row_step": 0, "fields": []}, "of the fields none"),
     ],
 )
 def test_a_bad_cloud_is_refused_by_the_name_of_its_field(change: dict[str, Any], words: str) -> None:
@@ -203,6 +205,33 @@ def test_a_bad_cloud_is_refused_by_the_name_of_its_field(change: dict[str, Any],
                "fields": [_field("x", 0), _field("y", 4), _field("z", 8)]}  # fmt: skip
     with pytest.raises(ConversionError, match=words):
         out(CLOUD, {**message, **change})
+
+
+@pytest.mark.parametrize(
+    "more",
+    [
+        [_field("rgb", 12), _field("rgba", 16, 6)],
+        [_field("b", 16, 2), _field("rgb", 12)],
+        [_field("rgb", 12), _field("rgb", 100)],
+        [_field("rgb", 12), _field("x", 100)],
+        [_field("rgb", 12), _field("kind", 16, 0), {**_field("signature", 16), "count": 33}],
+    ],
+)
+def test_fields_that_are_there_twice_or_that_yarp_has_none_for(more: list[dict[str, Any]]) -> None:
+    data = struct.pack("<3f4B4B", 1.0, 2.0, 3.0, 10, 20, 30, 40, 9, 9, 9, 9)
+    message = {"height": 1, "width": 1, "point_step": 20, "row_step": 20, "data": data,
+               "fields": [_field("x", 0), _field("y", 4), _field("z", 8), *more]}  # fmt: skip
+    (point,) = pointcloud.PointCloudXYZRGBA.from_bytes(out(CLOUD, message)).numpy().tolist()
+    assert point == (1.0, 2.0, 3.0, 10, 20, 30, 40)
+
+
+def test_rows_that_are_padded_but_for_the_last_and_numbers_that_no_float_holds() -> None:
+    rows = [struct.pack("<6d", *numbers) for numbers in ((1, 2, 3, 4, 5, 1e300), (7, 8, 9, 10, 11, 12))]
+    message = {"height": 2, "width": 2, "point_step": 24, "row_step": 56, "data": rows[0] + bytes(8) + rows[1],
+               "fields": [_field(axis, 8 * place, 8) for place, axis in enumerate("xyz")]}  # fmt: skip
+    cloud = pointcloud.PointCloudXYZ.from_bytes(out(CLOUD, message))
+    assert (cloud.width(), cloud.height()) == (2, 2)
+    assert cloud.numpy().tolist() == [(1, 2, 3), (4, 5, float("inf")), (7, 8, 9), (10, 11, 12)]
 
 
 @pytest.mark.parametrize("step", [16, 4_294_967_295])

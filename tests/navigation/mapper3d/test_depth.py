@@ -42,6 +42,7 @@ def test_every_so_manieth_pixel_and_another_camera():
     assert rays.points(read_depth(image()), CAMERA)[:, 2].tolist() == [1.0, 7.0]
     wide = CAMERA._replace(cx=0.0)
     assert rays.points(read_depth(image()), wide)[:, 0].tolist() == [0.0, 7.0]
+    assert not len(rays.points(np.full((3, 4), 3.4e38, np.float32), wide))
 
 
 def test_a_camera_by_its_info():
