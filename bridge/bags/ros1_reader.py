@@ -8,14 +8,16 @@ from __future__ import annotations
 
 import struct
 from collections import Counter
+from collections.abc import Callable
 from pathlib import Path
 from typing import BinaryIO
 
 import numpy as np
+from numpy.typing import NDArray
 
 from bridge.bags.bag import MAX_TOPICS, BagError, BagTopic, Kind, reading
 from bridge.bags.rows import Rows
-from bridge.bags.spans import FileSpan, SpanBag, count_rows, unpack
+from bridge.bags.spans import FileSpan, SpanBag, count_rows, unpack, unpack_part
 from bridge.bags.split import new_table, split_ros1
 from bridge.hub.wire.qos import LATCHED, Qos
 from bridge.messages.definitions.schema import World
@@ -26,6 +28,13 @@ _U32, _PAIR = struct.Struct("<I"), struct.Struct("<II")
 _LARGEST_HEADER = 1 << 20
 _LARGEST_TABLE = 16 << 20
 _NS = 1_000_000_000
+_RUN = 1 << 20
+"""Bytes of messages outside of chunks that are read at once."""
+
+_MESSAGE_FIELD = b"\x04\0\0\0op=\x02"
+_FIELDS_BEFORE = (0, 13, 17, 30)
+"""Bytes of the fields of a message's head that may stand before that one: ``conn``, ``time``, or both."""
+
 
 Fields = dict[bytes, bytes]
 
@@ -41,6 +50,7 @@ class Ros1Bag(SpanBag):
         self._infos: dict[int, tuple[int, int, Counter[int]]] = {}
         self._compressions: set[str] = set()
         self._fixed = self._encrypted = False
+        self._cut: int | None = None  # where the record stands within which the file ends
         with reading(path, 0):
             self._walk()
         if self._encrypted:
@@ -67,7 +77,8 @@ class Ros1Bag(SpanBag):
             body = at + 8 + length
             size = _U32.unpack(self._read(body - 4, 4))[0]
             if body + size > self.size:
-                return self._end(at)
+                self._end(at)
+                size, self._cut = self.size - body, at
             try:
                 with reading(self.path, at):
                     self._walk_record(parse_fields(self._read(at + 4, length)), at, body, size)
@@ -78,13 +89,19 @@ class Ros1Bag(SpanBag):
 
     def _walk_record(self, fields: Fields, at: int, body: int, size: int) -> None:
         kind = fields[b"op"][0]
-        if kind == _BAG:
+        if kind == _CHUNK:
+            if not size and not any(fields[b"size"]):  # it was never closed: its records come behind it
+                return
+            self._compressions.add(fields[b"compression"].decode(errors="replace")[:20])
+            self._spans.append(FileSpan(at, body + size - at, 0, 0, chunk=True))
+        elif self._cut is not None:
+            return
+        elif kind == _MESSAGE:
+            self._walk_message(at, body + size - at)
+        elif kind == _BAG:
             self._encrypted = bool(fields.get(b"encryptor"))
             if not any(fields[b"index_pos"]):
                 self._end(self.size, "the bag has no index: its writer never closed it")
-        elif kind == _CHUNK:
-            self._compressions.add(fields[b"compression"].decode(errors="replace")[:20])
-            self._spans.append(FileSpan(at, body + size - at, 0, 0, chunk=True))
         elif kind in (_CONNECTION, _CHUNK_INFO):
             if size > _LARGEST_TABLE:
                 raise BagError(self.path, f"a record of the index declares {size} bytes", at)
@@ -97,6 +114,13 @@ class Ros1Bag(SpanBag):
                     _time(fields[b"end_time"]),
                     Counter(dict(_PAIR.iter_unpack(data))),
                 )
+
+    def _walk_message(self, at: int, length: int) -> None:
+        last = self._spans[-1] if self._spans else None
+        if last is not None and not last.chunk and last.offset + last.length == at and last.length + length <= _RUN:
+            self._spans[-1] = last._replace(length=last.length + length)
+        else:
+            self._spans.append(FileSpan(at, length, 0, 0, chunk=False))
 
     def _end(self, offset: int, what: str = "the file ends within a record, or a length is wrong") -> None:
         self.unfinished = True
@@ -124,48 +148,92 @@ class Ros1Bag(SpanBag):
                 continue
             try:
                 with reading(self.path, span.offset):
-                    self._spans[place] = count_rows(self._split(span), counts, span)
+                    self._spans[place] = count_rows(self._split(span, self._note), counts, span)
             except BagError as err:
-                self.trouble = self.trouble or err
+                self._note(err)
         return counts
 
+    def _note(self, err: BagError) -> None:
+        self.trouble = self.trouble or err
+
     def _load(self, span: FileSpan) -> Rows:
-        rows = self._split(span)
-        for number in np.unique(rows.numbers).tolist():
-            if number not in self.topic_of:
-                msg = f"a message is of connection {number}, which the bag does not have"
-                raise BagError(self.path, msg, span.offset)
+        told = self._note if span.offset == self._cut else self._on_damage or _raise
+        rows = self._split(span, told)
+        if unknown := set(np.unique(rows.numbers).tolist()) - self.topic_of.keys():
+            msg = f"a message is of connection {min(unknown)}, which the bag does not have"
+            told(BagError(self.path, msg, span.offset))
         return rows
 
-    def _split(self, span: FileSpan) -> Rows:
-        data = self._plain(span)
-        table, at, filled, size = new_table(len(data)), 0, 0, len(data)
+    def _split(self, span: FileSpan, told: Callable[[BagError], None]) -> Rows:
+        """The messages of a piece; unless ``told`` raises what is damaged, those before and behind that."""
+        data = self._plain(span, told)
+        table, at, filled, sound = new_table(len(data)), 0, 0, True
         while True:
             at, filled = split_ros1(data, table, at, filled)
-            if at >= size:
+            if at >= len(data):
                 return Rows(data, table[:filled])
-            (length,) = _U32.unpack_from(data, at)
-            fields = parse_fields(data[at + 4 : at + 4 + length])
-            body = at + 8 + length
-            (count,) = _U32.unpack_from(data, body - 4)
-            at = body + count
-            if at > size:
-                raise BagError(self.path, "a record is longer than its chunk", span.offset)
-            kind = fields[b"op"][0]
-            if kind == _MESSAGE:
-                time = _time(fields[b"time"])
-                table[filled] = _U32.unpack(fields[b"conn"])[0], time, time, body, count
-                filled += 1
-            elif kind == _CONNECTION:
-                self._take(fields, data[body:at])
+            try:
+                with reading(self.path, span.offset):
+                    at, filled = self._split_other(span, data, table, at, filled)
+            except BagError as err:
+                if sound:
+                    told(err)
+                sound = False
+                at, filled = self._find_again(data, table, at, filled)
 
-    def _plain(self, span: FileSpan) -> bytes:
-        """A chunk's records."""
+    def _split_other(
+        self, span: FileSpan, data: bytes, table: NDArray[np.uint64], at: int, filled: int
+    ) -> tuple[int, int]:
+        """As the kernel, for one record of any kind and with any fields."""
+        (length,) = _U32.unpack_from(data, at)
+        fields = parse_fields(data[at + 4 : at + 4 + length])
+        body = at + 8 + length
+        (count,) = _U32.unpack_from(data, body - 4)
+        if body + count > len(data):
+            raise BagError(self.path, "a record is longer than its chunk", span.offset)
+        kind = fields[b"op"][0]
+        if kind == _MESSAGE:
+            time = _time(fields[b"time"])
+            table[filled] = _U32.unpack(fields[b"conn"])[0], time, time, body, count
+            filled += 1
+        elif kind == _CONNECTION:
+            self._take(fields, data[body : body + count])
+        return body + count, filled
+
+    def _find_again(self, data: bytes, table: NDArray[np.uint64], at: int, filled: int) -> tuple[int, int]:
+        """The next message behind damage at ``at``, of a connection that is known.
+
+        It is looked for within the message before, too: where one stands there, that message's length is wrong.
+        """
+        start = int(table[filled - 1, 3]) if filled else at + 1
+        row = new_table(0)
+        place = data.find(_MESSAGE_FIELD, start)
+        while place >= 0:
+            for before in _FIELDS_BEFORE:
+                head = place - 4 - before
+                if head >= start and split_ros1(data, row, head, 0)[1] and int(row[0, 0]) in self._connections:
+                    return head, filled - (head < at)
+            place = data.find(_MESSAGE_FIELD, place + 1)
+        return len(data), filled
+
+    def _plain(self, span: FileSpan, told: Callable[[BagError], None]) -> bytes:
+        """A piece's records, or what can be unpacked of them."""
+        if not span.chunk:
+            return self._read(span.offset, span.length)
         (length,) = _U32.unpack(self._read(span.offset, 4))
         fields = parse_fields(self._read(span.offset + 4, length))
         packed = self._read(span.offset + 8 + length, span.length - 8 - length)
         compression, (size,) = fields[b"compression"].decode(errors="replace"), _U32.unpack(fields[b"size"])
-        return unpack(compression, packed, size)
+        try:
+            with reading(self.path, span.offset):
+                return unpack(compression, packed, size)
+        except BagError as err:
+            told(err)
+            return unpack_part(compression, packed, size)
+
+
+def _raise(err: BagError) -> None:
+    raise err
 
 
 def parse_fields(data: bytes) -> Fields:

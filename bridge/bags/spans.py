@@ -5,8 +5,9 @@ from __future__ import annotations
 from abc import abstractmethod
 from collections import Counter
 from collections.abc import Callable, Collection, Iterator
+from contextlib import suppress
 from pathlib import Path
-from typing import BinaryIO, NamedTuple
+from typing import Any, BinaryIO, NamedTuple
 
 import numpy as np
 
@@ -16,6 +17,9 @@ from bridge.bags.split import new_table
 
 _MORE = 4 << 20
 """Bytes that a chunk may be longer in the file: its header, and what packing adds to bytes that cannot be packed."""
+
+_PIECE = 1 << 12
+"""Packed bytes that are unpacked at once of what is damaged."""
 
 HELD = 128 << 20
 """Bytes of messages and their rows that wait for earlier ones of a later piece; beyond that the earliest go out, order
@@ -154,6 +158,35 @@ def unpack(compression: str, data: bytes | memoryview, size: int) -> bytes:
         msg = f"a chunk of {size} bytes unpacks to {'more' if len(plain) > size else len(plain)}"
         raise ValueError(msg)
     return plain
+
+
+def unpack_part(compression: str, data: bytes, size: int) -> bytes:
+    """What can be unpacked of a chunk of ROS 1 that cannot be unpacked whole: that before the damage.
+
+    There is nothing where it is unpacked to its end, and its size or checksum is wrong: nobody knows where.
+    """
+    if size > MAX_CHUNK:
+        return b""
+    if compression == "none":
+        return data[:size]
+    unpacker: Any
+    if compression == "lz4":
+        import lz4.frame
+
+        unpacker = lz4.frame.LZ4FrameDecompressor()
+    elif compression == "bz2":
+        import bz2
+
+        unpacker = bz2.BZ2Decompressor()
+    else:
+        return b""
+    plain = bytearray()
+    with suppress(Exception):  # libraries raise what they like
+        for at in range(0, len(data), _PIECE):
+            plain += unpacker.decompress(data[at : at + _PIECE], max_length=size + 1 - len(plain))
+            if unpacker.eof or len(plain) > size:
+                return b""
+    return bytes(plain)
 
 
 def _unpack_zstd(data: bytes | memoryview, size: int) -> bytes:

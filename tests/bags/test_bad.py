@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import bz2
 import io
+import random
 import sqlite3
 import struct
 import tracemalloc
@@ -100,6 +101,9 @@ def test_a_header_of_ros_1_that_declares_4_gb_ends_what_can_be_read(tmp_path: Pa
         assert sum(1 for _ in bag.messages()) == 21
 
 
+START_BYTES = len(ros1_chunk(b"", b"", 0)) - len(ros1_record(b"", op=b"\x05", compression=b"", size=bytes(4)))
+"""Bytes before the first chunk."""
+
 OP, TIME = b"\x02", struct.pack("<II", 5, 6)
 CONNECTION = ros1_record(
     ros1_record(b"", topic=b"/a", type=b"std_msgs/String", md5sum=b"*", message_definition=b"string data\n")[4:-4],
@@ -129,16 +133,101 @@ def test_a_bad_head_behind_good_ones_is_told_with_its_chunk(end: str, compressio
     plain = CONNECTION + 2 * TEXT + ENDS[end]
     packed = {"none": bytes, "lz4": lz4.frame.compress, "bz2": bz2.compress}[compression](plain)
     whole = ros1_chunk(b"none", CONNECTION + 2 * TEXT, len(CONNECTION + 2 * TEXT))
-    start = len(ros1_chunk(b"", b"", 0)) - len(ros1_record(b"", op=b"\x05", compression=b"", size=bytes(4)))
     path = tmp_path / "a.bag"
-    path.write_bytes(whole + ros1_chunk(compression.encode(), packed, len(plain))[start:])
+    path.write_bytes(whole + ros1_chunk(compression.encode(), packed, len(plain))[START_BYTES:])
     damage: list[BagError] = []
     with open_bag(path) as bag:
         with pytest.raises(BagError):
             list(bag.messages())
         bag.skip_damage(damage.append)
-        assert [(m.topic.name, m.time_ns, m.data) for m in bag.messages()] == 2 * [("/a", 5_000_000_006, TEXT[-5:])]
+        assert [(m.topic.name, m.time_ns, m.data) for m in bag.messages()] == 4 * [("/a", 5_000_000_006, TEXT[-5:])]
     assert [err.offset for err in damage] == [len(whole)]
+
+
+def text(number: int, size: int = 9) -> bytes:
+    """A message whose time in seconds is its number."""
+    data = struct.pack("<I", size) + random.Random(number).randbytes(size // 2).hex().encode().ljust(size)
+    return ros1_record(data, op=OP, conn=bytes(4), time=struct.pack("<II", number, 0))
+
+
+def saved(path: Path, content: bytes) -> tuple[list[int], list[int | None]]:
+    """Times in seconds of the messages that are saved of a bag of ROS 1 without an index, and where it is damaged."""
+    path.write_bytes(content)
+    with open_bag(path) as bag:
+        done = cut(bag, path.with_name("mended.bag"), mend=True)
+    with open_bag(path.with_name("mended.bag")) as bag:
+        messages = [(m.time_ns // 1_000_000_000, m.data) for m in bag.messages()]
+    assert all(text(number, len(data) - 4).endswith(data) for number, data in messages)
+    return [number for number, _ in messages], [err.offset for err in done.damage]
+
+
+TEXTS = [text(number) for number in range(5)]
+BROKEN = {
+    "a head": (TEXTS[2].replace(b"conn=", b"c0nn="), [0, 1, 3, 4]),
+    "a head's length": (b"\x36" + TEXTS[2][1:], [0, 1, 3, 4]),
+    "a length beyond the chunk": (TEXTS[2][:44] + b"\x7f" + TEXTS[2][45:], [0, 1, 3, 4]),
+    "a length that reaches into the next": (TEXTS[2][:42] + b"\x1f" + TEXTS[2][43:], [0, 1, 3, 4]),
+    "all of it": (bytes(len(TEXTS[2])), [0, 1, 3, 4]),
+    "a connection": (TEXTS[2].replace(b"conn=\0", b"conn=\7"), [0, 1, 3, 4]),
+}
+
+
+@pytest.mark.parametrize("what", BROKEN)
+def test_of_a_damaged_chunk_of_ros_1_the_other_messages_are_saved(what: str, tmp_path: Path) -> None:
+    record, expected = BROKEN[what]
+    plain = b"".join([CONNECTION, *TEXTS[:2], record, *TEXTS[3:]])
+    start = ros1_chunk(b"none", b"", 0)
+    found = saved(tmp_path / "a.bag", start + ros1_chunk(b"none", plain, len(plain))[START_BYTES:])
+    assert found == (expected, [found[1][0], len(start)])  # that there is no index comes first
+
+
+def broken_bz2(plain: bytes) -> bytes:
+    """Damaged within one of its blocks of 100 kB."""
+    packed = bytearray(bz2.compress(plain, 1))
+    packed[len(packed) * 3 // 4] ^= 0xFF
+    return bytes(packed)
+
+
+def broken_lz4(plain: bytes) -> bytes:
+    """With a block of a length that cannot be."""
+    packed, at = bytearray(lz4.frame.compress(plain)), 15
+    while at < len(packed) * 3 // 5:
+        at += 4 + int.from_bytes(packed[at : at + 4], "little")
+    packed[at : at + 4] = b"\xff\xff\xff\x7f"
+    return bytes(packed)
+
+
+@pytest.mark.parametrize(("compression", "broken"), [("bz2", broken_bz2), ("lz4", broken_lz4)])
+def test_of_a_packed_chunk_of_ros_1_what_is_before_the_damage_is_saved(
+    compression: str, broken: Callable[[bytes], bytes], tmp_path: Path
+) -> None:
+    plain = CONNECTION + b"".join(text(number, 2500) for number in range(80))
+    numbers, damage = saved(tmp_path / "a.bag", ros1_chunk(compression.encode(), broken(plain), len(plain)))
+    assert numbers == list(range(len(numbers)))
+    assert 20 < len(numbers) < 65
+    assert START_BYTES in damage
+
+
+def test_a_chunk_that_was_never_closed_is_read_to_the_files_end(tmp_path: Path) -> None:
+    closed = ros1_chunk(b"none", CONNECTION + TEXTS[0], len(CONNECTION + TEXTS[0]))
+    whole = closed + ros1_chunk(b"none", b"", 0)[START_BYTES:] + b"".join(TEXTS[1:])
+    assert saved(tmp_path / "a.bag", whole[:-3]) == ([0, 1, 2, 3], [len(whole) - len(TEXTS[4])])
+
+
+@pytest.mark.parametrize(("compression", "pack"), [("none", bytes), ("lz4", lz4.frame.compress)])
+def test_a_chunk_within_which_the_file_ends_is_read_up_to_there(
+    compression: str, pack: Callable[[bytes], bytes], tmp_path: Path
+) -> None:
+    plain = CONNECTION + b"".join(text(number, 20_000) for number in range(20))
+    whole = ros1_chunk(compression.encode(), pack(plain), len(plain))
+    path = tmp_path / "a.bag"
+    numbers, damage = saved(path, whole[: len(whole) * 3 // 4])
+    assert numbers == list(range(len(numbers)))
+    assert 9 < len(numbers) < 16
+    assert damage == [START_BYTES]
+    with open_bag(path) as bag:
+        assert bag.unfinished
+        assert sum(1 for _ in bag.messages()) == bag.topics[0].count == len(numbers)
 
 
 def test_messages_without_any_connection_are_an_error(tmp_path: Path) -> None:
