@@ -15,7 +15,7 @@ from yarp_compat.dev.mapflag import UNKNOWN, MapFlag
 from yarp_compat.dev.mapgrid import MapGrid2D
 
 _ALIVE_NS = 1_000_000_000
-_UPDATE = "map_msgs/msg/OccupancyGridUpdate"
+UPDATE = "map_msgs/msg/OccupancyGridUpdate"
 _FLAGS = np.full(4, MapFlag.UNKNOWN, np.uint8)
 _FLAGS[[FLOOR, OBSTACLE, EDGE]] = MapFlag.FREE, MapFlag.WALL, MapFlag.KEEP_OUT
 _VALUES = np.full(4, UNKNOWN, np.uint8)
@@ -35,7 +35,7 @@ class LayerPublisher:
         self._frame, self._clock, self._section = section.map_frame, host.clock, section
         topic = section.layer.topic
         self._grid = host.node.publisher(topic, GRID, LATCHED, priority="state")
-        self._updates = host.node.publisher(f"{topic}_updates", _UPDATE)
+        self._updates = host.node.publisher(f"{topic}_updates", UPDATE)
         self._heights = host.node.publisher(f"{topic}{HEIGHTS}", GRID_MAP, LATCHED, priority="state")
         self._last: MapGrid2D | None = None
         self._last_heights: bytes | None = None
