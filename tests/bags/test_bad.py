@@ -261,6 +261,29 @@ def test_a_chunk_that_is_too_large_is_not_read(form: str, tmp_path: Path) -> Non
     assert caught.value.offset is not None
 
 
+@pytest.mark.parametrize("form", ["bag", "mcap"])
+def test_a_chunk_of_tiny_messages_takes_little_more_than_their_rows(form: str, tmp_path: Path) -> None:
+    size = 8 * MEGABYTE
+    if form == "bag":
+        plain = CONNECTION + TEXT * (size // len(TEXT))
+        content = ros1_chunk(b"none", plain, len(plain))
+    else:
+        message = struct.pack("<BQHIQQ", 5, 22, 1, 0, 5, 5)
+        channel = struct.pack("<BQHHI2sI3sI", 4, 21, 1, 0, 2, b"/a", 3, b"cdr", 0)
+        plain = channel + message * (size // len(message))
+        content = chunk(b"zstd", zstandard.compress(plain), len(plain))
+    path = tmp_path / f"a.{form}"
+    path.write_bytes(content)
+    del plain, content
+    tracemalloc.start()
+    try:
+        with open_bag(path) as bag:
+            assert sum(len(some.data) for some in bag.columns()) == bag.topics[0].count > 150_000
+        assert tracemalloc.get_traced_memory()[1] < 3 * size + 8 * MEGABYTE
+    finally:
+        tracemalloc.stop()
+
+
 @pytest.mark.parametrize("part", [0.2, 0.5, 0.9])
 def test_a_file_of_sqlite_that_was_cut_is_an_error(part: float, tmp_path: Path) -> None:
     file = db3_folder(tmp_path / "a", 2000) / "a.db3"
