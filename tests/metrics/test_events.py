@@ -108,6 +108,17 @@ def test_goals_and_changes_of_the_store_are_counted(tmp_path: Path, names: Names
         mine.give_up(mine.until(4), "no way leads there")
         assert last.end()[0] == "ABORTED"
         daemon.until("midspan_goals_total", "outcome", reached=1, canceled=1, refused=1, failed=1, replaced=1)
+
+        clicked = client.on(lambda: client.node.publisher("/goal_pose", "geometry_msgs/msg/PoseStamped"))
+        until(lambda: client.node.hub.graph.subscriptions("/goal_pose"), "the gateway hears it")
+        clicked.publish(pose(math.nan))
+        daemon.until("midspan_goals_total", "outcome", refused=2)
+        mine.rejects = 1
+        clicked.publish(pose(6.0))
+        daemon.until("midspan_goals_total", "outcome", failed=2)
+        clicked.publish(pose(7.0))
+        mine.reach(mine.until(5))
+        daemon.until("midspan_goals_total", "outcome", reached=2, canceled=1, refused=2, failed=2, replaced=1)
         daemon.until("midspan_goal_active", value=0)
 
         store = StoreClient(client.node.hub.keyspace(prefix(0)), "here")
