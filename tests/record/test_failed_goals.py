@@ -1,0 +1,50 @@
+"""The ring is written when a goal fails, as the real gateway tells of it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from bridge.record import triggers
+from bridge.record.places import PREFIX
+from bridge.record.worker import RecordWorker
+from navigation.status import State
+from tests.navigation.gateway.rig import Asked, Rig, pose
+from tests.record.robot import config, read
+from tests.support.wait import until
+
+
+def test_each_goal_that_the_planner_rejects_or_gives_up_writes_the_ring(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(triggers, "QUIET_SECONDS", 0.0)
+    worker = RecordWorker()
+    with Rig(tmp_path / "gateway") as rig:
+        hears = len(rig.client.node.hub.graph.subscriptions("/navigation/status"))
+        worker.start(config(rig.hubs, tmp_path, enabled=True, ring={"seconds": 30.0}))
+        try:
+            graph = rig.client.node.hub.graph
+            until(lambda: len(graph.subscriptions("/navigation/status")) > hears, "the gateway is followed")
+
+            def kept() -> list[str]:
+                folders = sorted((tmp_path / "robot1" / "recordings").glob(f"{PREFIX}*/metadata.yaml"))
+                return [read(max(each.parent.glob("*.mcap"))).metadata["midspan.end"]["trigger"] for each in folders]
+
+            rig.gateway.link.lost_at = 0.0  # it has been there for a while: a rejection is believed
+            for count in (1, 2):
+                rig.planner.rejects = 1
+                status, why = Asked(rig.client, pose(1.0)).end()
+                assert (status, why) == ("ABORTED", "robot_goto rejected the goal")
+                until(lambda n=count: len(kept()) == n, "it is written")  # type: ignore[misc]
+            given = Asked(rig.client, pose(2.0))
+            rig.planner.give_up(rig.planner.until(1), "no way leads there")
+            assert given.end()[0] == "ABORTED"
+            until(lambda: len(kept()) == 3, "it is written")
+            reached = Asked(rig.client, pose(3.0))
+            rig.planner.reach(rig.planner.until(2))
+            assert reached.end()[0] == "SUCCEEDED"
+            rig.state(State.REACHED)
+            assert kept() == [f"a goal failed: {why}", f"a goal failed: {why}", "a goal failed: no way leads there"]
+        finally:
+            worker.stop()
