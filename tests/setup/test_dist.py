@@ -127,7 +127,7 @@ def test_what_the_distributions_say_of_themselves(files: Sequence[Path]) -> None
             assert needed == ["numpy"]
         else:
             assert f"yarp-compat=={dist.version()}" in needed
-            assert {"ros2", "sim", "web", "foxglove"} <= set(said.get_all("Provides-Extra", []))
+            assert {"ros2", "sim", "web", "foxglove", "record", "3d"} <= set(said.get_all("Provides-Extra", []))
 
 
 @pytest.mark.long

@@ -74,6 +74,15 @@ def test_what_the_locked_need_is_locked(system: str) -> None:
     assert [f"{n} needs {r}" for n in met for r in lacking(importlib.metadata.requires(n) or (), locked, system)] == []
 
 
+def test_the_docs_table_names_the_extras_of_users() -> None:
+    """All but those of developers."""
+    page = (ROOT / "docs/start/pip.md").read_text(encoding="utf-8")
+    table = page.partition("\n## Extras\n")[2].partition("\n## ")[0]
+    named = re.findall(r"^\| `(\w+)` \|", table, re.MULTILINE)
+    assert {"ros2", "sim", "web", "record", "3d"} <= set(named)
+    assert sorted([*named, "bench", "dev", "dist"]) == sorted(project()["optional-dependencies"])
+
+
 def installed(name: str) -> str:
     try:
         return importlib.metadata.version(name)
