@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import os
+import shlex
 import subprocess
 import sys
 from pathlib import Path
@@ -97,7 +98,7 @@ def test_interrupt(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def test_reader_that_goes_away_is_no_error() -> None:
     done = subprocess.run(
-        ["sh", "-c", f"{sys.executable} -m bridge.cli.main config schema | head -n 1"],
+        ["sh", "-c", f"{shlex.quote(sys.executable)} -m bridge.cli.main config schema | head -n 1"],
         capture_output=True,
         text=True,
         check=False,

@@ -1,4 +1,4 @@
-"""A stranger's first run: a bare clone, nothing cached, a busy machine; the demo reaches all rooms."""
+"""A stranger's first run: a bare clone in a folder with a space, nothing cached, a busy machine; the demo drives."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ _CI = ROOT / ".cache" / "first-run"
 def clone(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
     """What a clone of this tree has: its files without what is ignored, so nothing that was built."""
     parent = _CI if "CI" in os.environ else tmp_path_factory.mktemp("first")
-    folder = parent / "midspan"
+    folder = parent / "my robots" / "midspan"
     if not folder.exists():
         _copy(folder)
     yield folder
