@@ -80,6 +80,7 @@ class BuildKernels(build_ext):
             shared_utility_qualified_name=kernels.SHARED,
         )
         for one in self.extensions:  # cythonize makes new ones
+            one.optional = True
             one._needs_stub = False
 
     def build_extension(self, ext: Extension) -> None:

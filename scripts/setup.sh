@@ -137,7 +137,8 @@ system_packages() {
     known=""
     unknown=""
     for package in $missing; do
-        if apt-cache show "$package" >/dev/null 2>&1; then
+        # of a name that others alone speak of apt-cache says nothing, and is content
+        if [ -n "$(apt-cache show "$package" 2>/dev/null)" ]; then
             known="$known $package"
         else
             unknown="$unknown $package"

@@ -4,10 +4,13 @@ from __future__ import annotations
 
 import importlib.util
 import json
+import runpy
 import shutil
+import sys
 from pathlib import Path
 
 import pytest
+from setuptools import Distribution, Extension  # type: ignore[import-untyped]
 
 from bridge import kernels
 from bridge.doctor.check import Result
@@ -28,6 +31,19 @@ def test_every_kernel_is_imported_compiled() -> None:
         assert found is not None
         assert found.origin == str(kernels.built(module))
         assert kernels.source(module).is_file(), "a wheel has the source too, for machines that cannot compile"
+
+
+def test_a_kernel_that_cannot_be_compiled_is_left_out(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Cython makes each anew, and does not keep that the build goes on without it."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setitem(sys.modules, "kernels", kernels)
+    monkeypatch.setattr("setuptools.setup", lambda **_: None)
+    monkeypatch.setattr("Cython.Build.cythonize", lambda made, **_: [Extension(one.name, one.sources) for one in made])
+    script = runpy.run_path(str(kernels.ROOT / "setup.py"))
+    build = script["BuildKernels"](Distribution())
+    build.extensions = [script["_extension"](kernels.KERNELS[0])]
+    build._generate()
+    assert [one.optional for one in build.extensions] == [True]
 
 
 @pytest.fixture

@@ -40,6 +40,8 @@ done
 """
 _APT_CACHE = """#!/bin/sh
 case " $NOT_IN_ARCHIVE " in *" $2 "*) exit 100 ;; esac
+case " $ONLY_NAMED " in *" $2 "*) exit ;; esac
+echo "Package: $2"
 """
 _APT_GET = """#!/bin/sh
 echo "apt-get $*" >>"$LOG"

@@ -112,6 +112,12 @@ LACKING: list[tuple[str, dict[str, bool | int], dict[str, str], str]] = [
         {"NOT_INSTALLED": "python3-rospy", "NOT_IN_ARCHIVE": "python3-rospy"},
         "archive: python3-rospy",
     ),
+    (
+        "other packages alone name it",
+        {},
+        {"NOT_INSTALLED": "g++ python3-rospy", "ONLY_NAMED": "python3-rospy"},
+        "archive: python3-rospy",
+    ),
     ("no wheels", {}, {"NO_WHEELS": "1"}, "ROS 2 (DDS) is left out"),
 ]
 
