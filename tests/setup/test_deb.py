@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 import re
 import shutil
-import subprocess
 import sys
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
@@ -101,15 +100,6 @@ def packages(release: deb.Release, folder: Path) -> list[Path]:
     return [first, deb.pack(release, root, folder / "packages", NEXT, quick=True)]
 
 
-def fresh(suite: str, folder: Path) -> Tree:
-    """The archive is the one that debootstrap knows, or that apt here is set up for."""
-    if suite == "noble":
-        return Tree(folder, suite, components="main,universe", script="gutsy")
-    asked = ["apt-get", "indextargets", "--format", "$(SITE)", "Identifier: Packages", f"Codename: {suite}"]
-    sites = subprocess.run(asked, capture_output=True, text=True, check=False).stdout.split()
-    return Tree(folder, suite, archive=sites[0] if sites else "")
-
-
 @pytest.fixture(scope="module", params=RELEASES)
 def place(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Place]:
     """Booted, with the packages that ours asks for at hand but not installed, and a roscore that is there already."""
@@ -120,12 +110,11 @@ def place(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFacto
     with ExitStack() as stack:
         pool = stack.enter_context(ThreadPoolExecutor())
         made = pool.submit(packages, release, folder)
-        tree = stack.enter_context(fresh(request.param, folder / "tree"))
+        tree = stack.enter_context(Tree(folder / "tree", request.param))
         both = made.result()
         lintian = stack.enter_context(Process(["lintian", "--allow-root", "--fail-on", "error", both[0]]))
         for package in both:
             shutil.copy(package, tree.folder / "root" / package.name)
-        tree.chroot("apt-get", "update")
         tree.chroot("apt-get", "install", "-y", "--download-only", f"/root/{both[0].name}")
         tree.boot()
         stack.enter_context(tree.machine.start(ROS1_PYTHON, ROS1_CORE, "11311", env=environ))

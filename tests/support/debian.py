@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import contextlib
+import fcntl
 import os
 import shutil
 import signal
 import subprocess
+import time
 from collections.abc import Sequence
 from pathlib import Path
 from types import TracebackType
@@ -17,7 +19,9 @@ from tests.support.process import Process
 from tests.support.wait import until
 
 CACHE = Path(__file__).resolve().parents[2] / ".cache" / "debootstrap"
-"""Packages that debootstrap got, kept between runs."""
+"""Packages that debootstrap got, kept between runs; and what it makes, for a day: more than one test begins with it."""
+
+DAY = 24 * 3600  # seconds
 
 _CGROUP = r"""
 mount --make-rprivate /
@@ -67,38 +71,43 @@ done
 """
 
 
-class Tree:
-    """A system in a folder; nothing of it is on this machine's network once it runs.
+class Root:
+    """The files of a fresh system in a folder: what debootstrap takes for the smallest one, and certificates.
 
     Args:
         folder: where to make it.
-        suite: the release.
-        archive: where its packages are; by default where debootstrap knows them to be.
-        components: of the archive.
-        script: debootstrap's, where it has none of the suite's name (then the signatures are not looked at).
+        suite: the release; Ubuntu's signatures are not looked at.
     """
 
-    def __init__(
-        self, folder: Path, suite: str, *, archive: str = "", components: str = "main", script: str = ""
-    ) -> None:
+    def __init__(self, folder: Path, suite: str) -> None:
         self.folder = folder
-        self.machine = Machine(f"tree-{suite}")
-        self._init: Process | None = None
-        self._name = f"midspan-tree-{os.getpid()}"
-        (folder.parent / "mount").mkdir(exist_ok=True)
         folder.mkdir()
         self._call(["mount", "-t", "tmpfs", "-o", "mode=755", "tmpfs", folder], 10)  # dpkg and the end are quicker
         CACHE.mkdir(parents=True, exist_ok=True)
-        command = ["debootstrap", "--variant=minbase", f"--components={components}", f"--cache-dir={CACHE}"]
-        command += ["--include=ca-certificates,dbus,systemd,systemd-sysv", *(["--no-check-gpg"] if script else [])]
-        scripts = [f"/usr/share/debootstrap/scripts/{script}"] if script else []
-        self._call([*command, suite, str(folder), *([archive] if archive or script else []), *scripts], 600)
-        (folder / "etc/dpkg/dpkg.cfg.d/unsafe").write_text("force-unsafe-io\n")
-        shutil.copy("/etc/resolv.conf", folder / "etc/resolv.conf")
+        packed = CACHE / f"{suite}.tar"
+        with (CACHE / f"{suite}.lock").open("w") as lock:
+            fcntl.flock(lock, fcntl.LOCK_EX)
+            if packed.exists() and packed.stat().st_mtime > time.time() - DAY:
+                self._call(["tar", "-C", folder, "-xpf", packed], 60)
+                return
+            self._debootstrap(suite)
+            (folder / "etc/dpkg/dpkg.cfg.d/unsafe").write_text("force-unsafe-io\n")
+            shutil.copy("/etc/resolv.conf", folder / "etc/resolv.conf")
+            self._call(["tar", "-C", folder, "-cf", packed.with_suffix(".new"), "."], 60)
+            packed.with_suffix(".new").rename(packed)
+
+    def _debootstrap(self, suite: str) -> None:
+        command = ["debootstrap", "--variant=minbase", f"--cache-dir={CACHE}", "--include=ca-certificates"]
+        if suite == "noble":  # Debian's debootstrap may know neither the name nor the keys
+            command += ["--components=main,universe", "--no-check-gpg"]
+            last = ["http://archive.ubuntu.com/ubuntu", "/usr/share/debootstrap/scripts/gutsy"]
+        else:
+            last = _archive(suite)
+        self._call([*command, suite, self.folder, *last], 600)
 
     def _call(self, command: Sequence[str | Path], seconds: float, code: int = 0) -> str:
         environ = {"PATH": "/usr/sbin:/usr/bin:/sbin:/bin", "DEBIAN_FRONTEND": "noninteractive", "LC_ALL": "C.UTF-8"}
-        environ |= {name: value for name, value in os.environ.items() if name.lower().endswith("_proxy")}
+        environ |= proxies()
         done = subprocess.run(
             command, env=environ, capture_output=True, text=True, timeout=seconds, check=False,
             stdin=subprocess.DEVNULL,
@@ -109,6 +118,53 @@ class Tree:
     def chroot(self, *words: str, seconds: float = 300) -> str:
         """Run a program on its files, with this machine's network."""
         return self._call(["chroot", str(self.folder), *words], seconds)
+
+    def files(self) -> set[str]:
+        """All paths on its disk."""
+        return set(self._call(["find", self.folder, "-xdev", "-printf", "/%P\n"], 60).splitlines())
+
+    def close(self) -> None:
+        """Remove it."""
+        with contextlib.suppress(AssertionError):
+            self._call(["umount", "--lazy", self.folder], 30)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, where: TracebackType | None
+    ) -> None:
+        self.close()
+
+
+def proxies() -> dict[str, str]:
+    """This machine's variables of that kind."""
+    return {name: value for name, value in os.environ.items() if name.lower().endswith("_proxy")}
+
+
+def _archive(suite: str) -> list[str]:
+    """Where apt here is set up for the release; else debootstrap knows one."""
+    asked = ["apt-get", "indextargets", "--format", "$(SITE)", "Identifier: Packages", f"Codename: {suite}"]
+    return subprocess.run(asked, capture_output=True, text=True, check=False).stdout.split()[:1]
+
+
+def inner(process: Process) -> str:
+    """The process id of what ``unshare --fork`` starts."""
+    children = Path(f"/proc/{process.pid}/task/{process.pid}/children")
+    return until(lambda: children.read_text().split(), "it has started")[0]
+
+
+class Tree(Root):
+    """A system that runs by itself; nothing of it is on this machine's network then."""
+
+    def __init__(self, folder: Path, suite: str) -> None:
+        super().__init__(folder, suite)
+        self.machine = Machine(f"tree-{suite}")
+        self._init: Process | None = None
+        self._name = f"midspan-tree-{os.getpid()}"
+        (folder.parent / "mount").mkdir(exist_ok=True)
+        self.chroot("apt-get", "update")
+        self.chroot("apt-get", "install", "-y", "--no-install-recommends", "dbus", "systemd", "systemd-sysv")
 
     def boot(self) -> None:
         """Start its systemd, and wait until that has started everything."""
@@ -127,17 +183,12 @@ class Tree:
 
     def _enter(self) -> list[str]:
         assert self._init is not None
-        children = Path(f"/proc/{self._init.pid}/task/{self._init.pid}/children").read_text().split()
         kinds = ["--mount", "--pid", "--uts", "--ipc", "--net", "--cgroup", "--root", "--wd"]
-        return ["nsenter", f"--target={children[0]}", *kinds]
+        return ["nsenter", f"--target={inner(self._init)}", *kinds]
 
     def run(self, *words: str, seconds: float = 120, code: int = 0) -> str:
         """Run a program in it, as root."""
         return self._call([*self._enter(), *words], seconds, code)
-
-    def files(self) -> set[str]:
-        """All paths on its disk."""
-        return set(self._call(["find", self.folder, "-xdev", "-printf", "/%P\n"], 60).splitlines())
 
     def close(self) -> None:
         """End all of it, and remove it."""
@@ -148,13 +199,4 @@ class Tree:
             with contextlib.suppress(AssertionError):
                 self._call([*removal, self.folder.parent / "mount"], 30)
         self.machine.close()
-        with contextlib.suppress(AssertionError):
-            self._call(["umount", "--lazy", self.folder], 30)
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, where: TracebackType | None
-    ) -> None:
-        self.close()
+        super().close()
