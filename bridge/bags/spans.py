@@ -112,9 +112,10 @@ class SpanBag(Bag):
         return data
 
     def _set_times(self) -> None:
-        if self._spans:
-            self.start_ns = min(span.start for span in self._spans)
-            self.end_ns = max(span.end for span in self._spans)
+        timed = [span for span in self._spans if span.end]  # others have no message, or none that can be read
+        if timed:
+            self.start_ns = min(span.start for span in timed)
+            self.end_ns = max(span.end for span in timed)
 
 
 def _due(rows: Rows, next_start: int) -> int:

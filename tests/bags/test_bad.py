@@ -21,7 +21,7 @@ from bridge.bags.bag import BagError
 from bridge.bags.copy import BagSelection, convert, cut
 from bridge.bags.reader import open_bag
 from bridge.messages.registry import Registry
-from tests.bags.written import START, db3_folder, mcap_bytes, mcap_file, ros1_bag
+from tests.bags.written import SECOND, START, db3_folder, mcap_bytes, mcap_file, ros1_bag
 
 MEGABYTE = 1 << 20
 
@@ -228,6 +228,17 @@ def test_a_chunk_within_which_the_file_ends_is_read_up_to_there(
     with open_bag(path) as bag:
         assert bag.unfinished
         assert sum(1 for _ in bag.messages()) == bag.topics[0].count == len(numbers)
+
+
+def test_a_chunk_that_cannot_be_read_or_has_no_message_does_not_begin_the_bag_in_1970(tmp_path: Path) -> None:
+    plain = CONNECTION + TEXTS[3]
+    chunks = [ros1_chunk(b"none", plain, len(plain)), ros1_chunk(b"lz4", b"no lz4", 99)[START_BYTES:]]
+    (tmp_path / "a.bag").write_bytes(b"".join(chunks))
+    mcap = mcap_bytes(3, finished=False)
+    (tmp_path / "b.mcap").write_bytes(mcap + chunk(b"", b"", 0)[-40 - 9 :].replace(struct.pack("<Q", 9), bytes(8), 1))
+    for name, start, end in (("a.bag", 3 * SECOND, 3 * SECOND), ("b.mcap", START, START + 2 * SECOND // 10)):
+        with open_bag(tmp_path / name) as bag:
+            assert (bag.start_ns, bag.end_ns) == (start, end)
 
 
 def test_messages_without_any_connection_are_an_error(tmp_path: Path) -> None:
