@@ -116,7 +116,8 @@ class Timeline:
                     self._followed(now, now - deadline)
                     return Due.MESSAGE
                 ends = [end for end in (deadline, self._clock_due if self._period else None) if end is not None]
-                self._wait(self._changed, min(ends) - now if ends else None)
+                # a thread can wait for 292 years at once, and a bag's times span 584, more at a low rate
+                self._wait(self._changed, min(min(ends) - now, threading.TIMEOUT_MAX) if ends else None)
 
     def _other(self, now: float) -> Due | None:
         """What comes before the message."""

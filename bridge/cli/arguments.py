@@ -11,6 +11,9 @@ from typing import Any
 Run = Callable[[argparse.Namespace], int]
 
 _SPAN = re.compile(r"(\d+(?:\.\d+)?)\s*(ms|s|min|m|h|)", re.IGNORECASE)
+_LONGEST = 9e9
+"""Seconds: a thread can wait for hardly more; as a time of the clock it is the year 2255."""
+
 _SECONDS = {"": 1.0, "s": 1.0, "ms": 0.001, "m": 60.0, "min": 60.0, "h": 3600.0}
 
 
@@ -75,7 +78,10 @@ def span(text: str) -> float:
     found = _SPAN.fullmatch(text.strip())
     if found is None:
         raise argparse.ArgumentTypeError(f"{text!r} is no time: write it as 30s, 10m or 1h")
-    return float(found[1]) * _SECONDS[found[2].lower()]
+    seconds = float(found[1]) * _SECONDS[found[2].lower()]
+    if seconds > _LONGEST:
+        raise argparse.ArgumentTypeError(f"{text[:40]} is too long: {_LONGEST:g} seconds at most")
+    return seconds
 
 
 def number_in(least: float, most: float) -> Callable[[str], float]:

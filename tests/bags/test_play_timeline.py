@@ -46,6 +46,13 @@ def test_messages_are_due_by_the_rate_and_waits_that_are_too_long_do_not_add_up(
     assert played.behind == 0.0
 
 
+def test_the_last_time_that_a_bag_can_hold_is_waited_for() -> None:
+    clock = Clock()
+    played = timeline(clock, 0.01)
+    assert played.next((1 << 64) - 1) is Due.MESSAGE
+    assert max(seconds for seconds in clock.waits if seconds) <= threading.TIMEOUT_MAX
+
+
 def test_the_bags_time_never_passes_a_message_that_has_not_been_played() -> None:
     clock = Clock()
     played = timeline(clock)

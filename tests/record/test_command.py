@@ -82,7 +82,7 @@ def test_mistakes_are_told(words: list[str], told: str, file: Path, capsys: pyte
     ("word", "told"),
     [
         ("--duration=-1s", "is no time"), ("--duration=ten", "is no time"), ("--ring=5 parsecs", "is no time"),
-        ("-x(/camera", "'(/camera' is no regular expression"),
+        (f"--duration={10**400}h", "is too long"), ("-x(/camera", "'(/camera' is no regular expression"),
     ],
 )  # fmt: skip
 def test_what_cannot_be_read_is_refused(word: str, told: str, capsys: pytest.CaptureFixture[str]) -> None:
