@@ -10,7 +10,7 @@
 set -eu
 cd "$(dirname "$0")/.."
 
-tools="g++ git make python3-dev python3-venv"
+tools="g++ git libgl1 make python3-dev python3-venv" # libgl1: DART's wheel is linked with OpenGL
 ros1="python3-actionlib python3-actionlib-msgs python3-diagnostic-msgs python3-geometry-msgs python3-map-msgs
     python3-move-base-msgs python3-nav-msgs python3-rosgraph-msgs python3-roslaunch python3-rosnode python3-rosparam
     python3-rospy python3-rosservice python3-rostopic python3-sensor-msgs python3-shape-msgs python3-std-msgs

@@ -40,7 +40,8 @@ def dartpy() -> Any:
     try:
         return importlib.import_module(_PACKAGE)
     except ImportError as err:
-        raise SimError(f"dartpy cannot be loaded: {err}") from None
+        cure = ": apt install libgl1" if "libGL" in str(err) else ""
+        raise SimError(f"dartpy cannot be loaded: {err}{cure}") from None
 
 
 def available(config: Config) -> str:  # noqa: ARG001 - as all workers are asked

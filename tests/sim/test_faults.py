@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from sim import environment
 from sim.environment import SimError
 from tests.sim.floors import simulation, turn_wheels
 
@@ -54,3 +55,13 @@ def test_an_unknown_fault_is_refused_and_a_reset_mends_all() -> None:
     assert list(simulated.faults) == ["laser_silent"]
     simulated.begin()
     assert not list(simulated.faults)
+
+
+def test_a_system_without_opengl_is_told_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
+    def refuse(_name: str) -> None:
+        raise ImportError("libGL.so.1: cannot open shared object file")
+
+    monkeypatch.setattr("sim.environment.missing", str)
+    monkeypatch.setattr("importlib.import_module", refuse)
+    with pytest.raises(SimError, match="apt install libgl1"):
+        environment.dartpy.__wrapped__()

@@ -151,7 +151,12 @@ def _archive(suite: str) -> list[str]:
 def inner(process: Process) -> str:
     """The process id of what ``unshare --fork`` starts."""
     children = Path(f"/proc/{process.pid}/task/{process.pid}/children")
-    return until(lambda: children.read_text().split(), "it has started")[0]
+
+    def started() -> list[str]:
+        assert process.popen.poll() is None, process.output()
+        return children.read_text().split()
+
+    return until(started, "it has started")[0]
 
 
 class Tree(Root):
