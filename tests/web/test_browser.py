@@ -8,6 +8,7 @@ import math
 import shutil
 import time
 from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -20,8 +21,8 @@ from selenium.webdriver.common.by import By
 from selenium.webdriver.remote.webelement import WebElement
 
 from navigation.maps.grid_map import to_grid_map
+from tests.support import wait
 from tests.support.missing import BROWSER, DART, need
-from tests.support.wait import until
 from tests.web.page import TestPage
 from tests.web.robot import WebRobot
 from yarp_compat.dev.mapgrid import MapFlag
@@ -45,6 +46,9 @@ const canvas = document.querySelector("canvas");
 const [x, y] = [canvas.width / 2, canvas.height / 2 - 10 * devicePixelRatio];
 return [...canvas.getContext("2d").getImageData(x, y, 1, 1).data];
 """
+until = partial(wait.until, every=0.2)
+"""Each look at the page is a request to the browser, and one at its pixels costs as much as drawing them."""
+
 HANGING = 8.0
 HANG = f"const end = Date.now() + {1000 * HANGING}; setTimeout(() => {{ while (Date.now() < end); }}, 0)"
 """So many seconds no script of the page runs."""
