@@ -72,7 +72,12 @@ class Triggers:
         now = time.monotonic()
         if now >= self._quiet_until:
             self._quiet_until = now + QUIET_SECONDS
-            self._keep(why)
+            self._keep(why).add_done_callback(self._kept)
+
+    def _kept(self, future: Future[Path | None]) -> None:
+        """Where nothing was written, the next trigger counts."""
+        if future.exception() is not None or future.result() is None:
+            self._quiet_until = 0.0
 
     def _serve(self, _request: dict[str, Any], answer: Answer) -> None:
         self._keep(f"a call of {SERVICE}").add_done_callback(lambda future: answer(_said(future)))
