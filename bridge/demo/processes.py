@@ -99,8 +99,11 @@ class DemoChild(DemoProcess):
             super().__init__(command, env, folder, log)
 
     def last_words(self) -> str:
-        """The end of what it wrote to its error output, and its exit code where it ended."""
-        words = self._log.read_text(errors="replace").strip()[-_LAST_WORDS:] if self._log.exists() else ""
+        """The last whole lines of what it wrote to its error output, and its exit code where it ended."""
+        words = self._log.read_text(errors="replace").strip() if self._log.exists() else ""
+        if len(words) > _LAST_WORDS:
+            words = words[-_LAST_WORDS:]
+            words = words.partition("\n")[2] or words  # a line that is cut elsewhere each time would be news
         code = self._popen.poll()
         return words if code is None else f"{words}\n(exit code {code})".strip()
 

@@ -174,3 +174,12 @@ def test_the_last_words_of_a_folder_that_is_gone_are_none(tmp_path: Path) -> Non
     child.finish_stop(20.0)
     shutil.rmtree(folder)
     assert child.last_words() == "(exit code 0)"
+
+
+def test_the_last_words_are_whole_lines(tmp_path: Path) -> None:
+    line = "tried again in 3 s: " + "x" * 400
+    code = f"import sys; print('\\n'.join([{line!r}] * 20), file=sys.stderr)"
+    child = DemoChild("wordy", [sys.executable, "-c", code], dict(os.environ), tmp_path)
+    child.begin_stop()
+    child.finish_stop(20.0)
+    assert child.last_words().splitlines() == [line, line, line, "(exit code 0)"]
