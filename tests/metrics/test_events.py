@@ -69,7 +69,17 @@ class Counted:
     def until(self, family: str, label: str = "", **wanted: float) -> None:
         """Wait until it tells these values by a label; without one of a family that has none, as ``value``."""
         want = wanted if label else {"": wanted["value"]}
-        until(lambda: want.items() <= self.values(family, label).items(), f"{family} is {want}", 40, every=0.2)
+        found: dict[str, float] = {}
+
+        def right() -> bool:
+            found.clear()
+            found.update(self.values(family, label))
+            return want.items() <= found.items()
+
+        try:
+            until(right, f"{family} is {want}", 40, every=0.2)
+        except AssertionError as err:
+            raise AssertionError(f"{err}: {found}; the daemon: {self.process.output()[-3000:]}") from None
 
 
 @pytest.fixture
@@ -113,9 +123,10 @@ def test_goals_and_changes_of_the_store_are_counted(tmp_path: Path, names: Names
         until(lambda: client.node.hub.graph.subscriptions("/goal_pose"), "the gateway hears it")
         clicked.publish(pose(math.nan))
         daemon.until("midspan_goals_total", "outcome", refused=2)
-        mine.rejects = 1
+        mine.rejects = 1000  # who came so lately is asked again
         clicked.publish(pose(6.0))
         daemon.until("midspan_goals_total", "outcome", failed=2)
+        mine.rejects = 0
         clicked.publish(pose(7.0))
         mine.reach(mine.until(5))
         daemon.until("midspan_goals_total", "outcome", reached=2, canceled=1, refused=2, failed=2, replaced=1)
