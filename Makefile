@@ -37,7 +37,7 @@ test-fast: setup ## what needs no middleware, for the edit loop
 
 test-all: setup ## all there is; the last part is a first run in a bare clone, beside fuzzing
 	@$(pytest) -n 6 -m 'not long$(if $(CI),, and not beside)' $(ARGS) || $(go_on); \
-	$(pytest) -n 2 -m '$(if $(CI),long,long or beside)' $(or $(ARGS),$(call marked,long)) || $(go_on); \
+	$(pytest) -n 3 -m '$(if $(CI),long,long or beside)' $(or $(ARGS),$(call marked,long)) || $(go_on); \
 	[ -z "$$red" ] || $(BIN)/python scripts/unsteady.py
 
 lint: setup ## ruff (rules and format), import circles and sizes
