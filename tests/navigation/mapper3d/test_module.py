@@ -112,7 +112,6 @@ def test_a_cloud_becomes_a_layer_files_and_a_map_of_the_store(place: Place) -> N
     robot = Robot(place)
     layers = place.far.subscribe("/mapper3d/layer", "nav_msgs/OccupancyGrid", latched=True, depth=1)
     updates = place.far.subscribe("/mapper3d/layer_updates", "map_msgs/OccupancyGridUpdate", depth=10)
-    asked(place, "clear")
     asked(place, "start")
 
     def value(x: float, y: float) -> int:
@@ -123,10 +122,16 @@ def test_a_cloud_becomes_a_layer_files_and_a_map_of_the_store(place: Place) -> N
         inside = 0 <= column < info["width"] and 0 <= row < info["height"]
         return int(message["data"][row * info["width"] + column]) if inside else -1
 
+    def cleared() -> bool:  # of what tests before have mapped
+        robot.stamp()
+        asked(place, "clear")
+        return value(2.0, 0.0) == -1
+
     def mapped() -> bool:
         robot.see_cloud(table())
         return (value(2.0, 0.0), value(1.0, 0.8), value(2.9, -0.9)) == (100, 0, 0)
 
+    until(cleared, "the layer is empty", 30)
     until(mapped, "the table is in the layer", 30)
     rested(place)
     heights = place.far.subscribe("/mapper3d/layer_heights", "grid_map_msgs/GridMap", latched=True, depth=1)
