@@ -95,9 +95,8 @@ _ended: list[int] = []
 def _end(number: int, _frame: object) -> None:
     _ended.append(number)
     if len(_ended) == 1:  # what a second one raised would break off what the first one has cleaned up
-        raise SystemExit(
-            128 + number
-        )  # a KeyboardInterrupt in an `eval`, as of an import, would be the exit code's, too
+        # a KeyboardInterrupt in an `eval`, as of an import, would be the exit code's, too
+        raise SystemExit(128 + number)
 
 
 @contextmanager
