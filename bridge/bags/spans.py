@@ -144,14 +144,8 @@ def unpack(compression: str, data: bytes | memoryview, size: int) -> bytes:
             plain = bytes(data)
         case "zstd":
             plain = _unpack_zstd(data, size)
-        case "lz4":
-            import lz4.frame  # type: ignore[import-untyped]
-
-            plain = lz4.frame.LZ4FrameDecompressor().decompress(data, max_length=size + 1)
-        case "bz2":
-            import bz2
-
-            plain = bz2.BZ2Decompressor().decompress(data, max_length=size + 1)
+        case "lz4" | "bz2":
+            plain = _unpacker(compression).decompress(data, max_length=size + 1)
         case _:
             msg = f"compression {compression[:20]!r} is not known: use zstd, lz4, bz2 or none"
             raise ValueError(msg)
@@ -170,24 +164,26 @@ def unpack_part(compression: str, data: bytes, size: int) -> bytes:
         return b""
     if compression == "none":
         return data[:size]
-    unpacker: Any
-    if compression == "lz4":
-        import lz4.frame
-
-        unpacker = lz4.frame.LZ4FrameDecompressor()
-    elif compression == "bz2":
-        import bz2
-
-        unpacker = bz2.BZ2Decompressor()
-    else:
+    if compression not in ("lz4", "bz2"):
         return b""
-    plain = bytearray()
+    unpacker, plain = _unpacker(compression), bytearray()
     with suppress(Exception):  # libraries raise what they like
         for at in range(0, len(data), _PIECE):
             plain += unpacker.decompress(data[at : at + _PIECE], max_length=size + 1 - len(plain))
             if unpacker.eof or len(plain) > size:
                 return b""
     return bytes(plain)
+
+
+def _unpacker(compression: str) -> Any:
+    """What unpacks such bytes piece by piece."""
+    if compression == "bz2":
+        import bz2
+
+        return bz2.BZ2Decompressor()
+    import lz4.frame  # type: ignore[import-untyped]
+
+    return lz4.frame.LZ4FrameDecompressor()
 
 
 def _unpack_zstd(data: bytes | memoryview, size: int) -> bytes:
