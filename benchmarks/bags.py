@@ -86,8 +86,8 @@ def write_source(path: Path, megabytes: int) -> None:
     writer = open_writer(path, "bag", compression) if kind == "bag" else Ros2Mcap(path, compression)
     place = writer.add(BagTopic("/data", form.type_name, world), form)
     for number in range(megabytes * MB // len(made[0])):
-        at = 1_700_000_000_000_000_000 + number * 10_000_000
-        writer.write(place, at, at, made[number % len(made)])
+        at = [1_700_000_000_000_000_000 + number * 10_000_000]
+        writer.write([place], at, at, [made[number % len(made)]])
     writer.finish()
 
 

@@ -172,7 +172,7 @@ def _copy_chunks(
                 done.data += chunk.size
             else:
                 for block in bag.span_rows(span).within(start, end).blocks():
-                    copier.write_all(*block.lists())
+                    copier.write(*block.lists())
                     done.messages += len(block.table)
                     done.data += int(block.table[:, 4].sum())
             told(done.messages, done.data)
@@ -218,9 +218,8 @@ def _copy(
             try:
                 made = _converted(some, changes)
             except ConversionError:
-                some = _sound(bag, some, changes, done, skip_bad=skip_bad)
-                made = _converted(some, changes)
-            writer.write_all([places[topic] for topic in some.topics], some.times, some.publish_times, made)
+                some, made = _sound(bag, some, changes, done, skip_bad=skip_bad)
+            writer.write([places[topic] for topic in some.topics], some.times, some.publish_times, made)
             done.messages += len(made)
             done.data += sum(map(len, some.data))
             told(done.messages, done.data)
@@ -238,19 +237,17 @@ def _converted(some: Columns, changes: Mapping[BagTopic, Convert | None]) -> lis
 
 def _sound(
     bag: Bag, some: Columns, changes: Mapping[BagTopic, Convert | None], done: Copied, *, skip_bad: bool
-) -> Columns:
-    """Those messages that are what their types say; raises `BagError` for others, unless they are left out."""
-    sound = []
+) -> tuple[Columns, list[bytes]]:
+    """What fits its types, and their data in the forms of their topics; others are left out, or raise."""
+    sound, made = list[BagMessage](), list[bytes]()
     for message in map(BagMessage, *some):
         topic, change = message.topic, changes[message.topic]
         try:
-            if change is not None:
-                change(message.data)
+            made.append(message.data if change is None else change(message.data))
+            sound.append(message)
         except ConversionError as err:
             if not skip_bad:
                 what = f"a message of {topic.name} at {message.time_ns} ns is bad: {err}"
                 raise BagError(bag.path, what, None, "--skip-bad leaves it out") from None
             done.refused[topic.name] = done.refused.get(topic.name, 0) + 1
-        else:
-            sound.append(message)
-    return Columns(*zip(*sound, strict=True)) if sound else Columns((), (), (), ())
+    return Columns(*zip(*sound, strict=True)) if sound else Columns((), (), (), ()), made

@@ -92,14 +92,10 @@ class ChunkedMcap(BagWriter):
             self._channels[channel.id] = channel
             self._record(channel)
 
-    def write(self, place: int, time_ns: int, publish_ns: int, data: bytes) -> None:
-        """See `BagWriter.write`."""
-        self.write_all((place,), (time_ns,), (publish_ns,), (data,))
-
-    def write_all(
+    def write(
         self, places: Sequence[int], times: Sequence[int], publish_times: Sequence[int], data: Sequence[bytes]
     ) -> None:
-        """See `BagWriter.write_all`."""
+        """See `BagWriter.write`."""
         heads = np.zeros(len(data), _HEAD)
         sizes = np.fromiter(map(len, data), np.uint64, len(data))
         heads["opcode"], heads["length"], heads["channel"] = Opcode.MESSAGE, sizes + _BODY, places

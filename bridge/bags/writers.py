@@ -39,15 +39,10 @@ class BagWriter(ABC):
         """Add a topic as ``form`` says; what comes back is for `write`."""
 
     @abstractmethod
-    def write(self, place: Any, time_ns: int, publish_ns: int, data: bytes) -> None:
-        """Add a message, in the form of its topic."""
-
-    def write_all(
+    def write(
         self, places: Sequence[Any], times: Sequence[int], publish_times: Sequence[int], data: Sequence[bytes]
     ) -> None:
-        """Add messages, one after the other."""
-        for place, time_ns, publish_ns, message in zip(places, times, publish_times, data, strict=True):
-            self.write(place, time_ns, publish_ns, message)
+        """Add messages, in the forms of their topics."""
 
     @abstractmethod
     def finish(self) -> None:
@@ -90,11 +85,15 @@ class Ros1(BagWriter):
             )  # fmt: skip
         return self._known[key]
 
-    def write(self, place: Any, time_ns: int, _publish_ns: int, data: bytes) -> None:
+    def write(
+        self, places: Sequence[Any], times: Sequence[int], _publish_times: Sequence[int], data: Sequence[bytes]
+    ) -> None:
         """See `BagWriter.write`."""
-        if not 0 <= time_ns < _MAX_SECONDS * _NS:
-            raise BagError(self._path, f"a message of {place.topic} has time {time_ns} ns, which no ROS 1 bag can hold")
-        self._writer.write(place, time_ns, data)
+        for place, time_ns, message in zip(places, times, data, strict=True):
+            if not 0 <= time_ns < _MAX_SECONDS * _NS:
+                what = f"a message of {place.topic} has time {time_ns} ns, which no ROS 1 bag can hold"
+                raise BagError(self._path, what)
+            self._writer.write(place, time_ns, message)
 
     def finish(self) -> None:
         """See `BagWriter.finish`."""
@@ -122,11 +121,14 @@ class Db3(BagWriter):
         self._topics.setdefault(key, (form, {}))[1].update(dict.fromkeys(topic.profiles))
         return key
 
-    def write(self, place: Any, time_ns: int, _publish_ns: int, data: bytes) -> None:
+    def write(
+        self, places: Sequence[Any], times: Sequence[int], _publish_times: Sequence[int], data: Sequence[bytes]
+    ) -> None:
         """See `BagWriter.write`."""
         if not self._connections:
             self._connect()
-        self._writer.write(self._connections[place], time_ns, data)
+        for place, time_ns, message in zip(places, times, data, strict=True):
+            self._writer.write(self._connections[place], time_ns, message)
 
     def _connect(self) -> None:
         for (name, type_name), (form, offered) in self._topics.items():
