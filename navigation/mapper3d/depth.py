@@ -13,7 +13,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from navigation.clouds import FARTHEST, MOST_POINTS, CloudError
+from bridge.messages.point_cloud import CloudError
+from navigation.clouds import FARTHEST, MOST_POINTS
 
 IMAGE, CAMERA_INFO = "sensor_msgs/msg/Image", "sensor_msgs/msg/CameraInfo"
 _TYPES = {"32FC1": ("f4", 1.0), "16UC1": ("u2", 0.001), "mono16": ("u2", 0.001)}

@@ -17,13 +17,14 @@ import numpy as np
 from bridge.config.sections.planners import RobotGotoSection
 from bridge.config.sections.section import Section
 from bridge.hub.wire.qos import Qos
+from bridge.messages.point_cloud import CloudError
 from bridge.messages.scan import Turn
 from bridge.modules.action_server import Goal
 from bridge.modules.host import Host
 from bridge.modules.loop import Newest
 from bridge.stores.entry import StoreError
 from bridge.worker import Health
-from navigation.clouds import POINT_CLOUD, CloudError, placed, read_points
+from navigation.clouds import POINT_CLOUD, placed, read_points
 from navigation.constraints import Constraints
 from navigation.frames import FramesError, RobotFrames, flat, laser_pose, moved_at
 from navigation.goals import MapPlace

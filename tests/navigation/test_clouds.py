@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from navigation.clouds import MOST_POINTS, CloudError, read_points
+from bridge.messages.point_cloud import CloudError
+from navigation.clouds import MOST_POINTS, read_points
 
 POINTS = np.array([[1.0, -2.0, 0.5], [3.0, 4.0, -5.0], [6.0, 7.0, 8.0], [-9.0, 1.0, 2.0]])
 

@@ -20,6 +20,7 @@ from typing import Any
 import numpy as np
 
 from bridge.messages.errors import ConversionError
+from bridge.messages.point_cloud import FORMATS, number_format, records
 from bridge.messages.yarp.codec import Message, Missing, NaturalType, header
 from yarp_compat.dev.rangefinder import LaserScan2D
 from yarp_compat.octomap import Octomap
@@ -53,7 +54,6 @@ class _Scan:
         }
 
 
-_DATATYPES = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f8"}
 _UINT32, _FLOAT32 = 6, 7
 _COLOURS = ("rgba", "rgb")
 _NUMBERS = {name for layout in LAYOUTS.values() for name in layout.names or ()}
@@ -113,39 +113,25 @@ def _points(message: Mapping[str, Any]) -> np.ndarray:
 
     Of several fields of a name it is the first, and a colour in four bytes rather than in fields of their own.
     """
-    height, width, step, row = (message[name] for name in ("height", "width", "point_step", "row_step"))
-    empty = not width or not height  # whatever the steps are
     names: list[str] = []
     formats: list[str] = []
     offsets: list[int] = []
-    order = ">" if message["is_bigendian"] else "<"
     for field in sorted(message["fields"], key=lambda field: field["name"] not in _COLOURS):
         name, offset = field["name"], field["offset"]
-        letters = _DATATYPES.get(field["datatype"])
-        colour = name in _COLOURS and letters in ("u4", "i4", "f4")
+        colour = name in _COLOURS and FORMATS.get(field["datatype"]) in ("u4", "i4", "f4")
         if name in names or (colour and "b" in names) or not (colour or name in _NUMBERS):
             continue
-        if letters is None or (not empty and offset + int(letters[1]) > step):
-            raise ConversionError(f"fields.{name}: datatype {field['datatype']} at byte {offset} of a point's {step}")
-        if field["count"] > 1:
-            raise ConversionError(f"fields.{name}.count: a point has one {name}, not {field['count']}")
+        letters = number_format(message, field)
         if not colour:
             names.append(name)
-            formats.append(order + letters)
+            formats.append(letters)
             offsets.append(offset)
         else:
-            names += "bgra" if order == "<" else "argb"
+            names += "argb" if message["is_bigendian"] else "bgra"
             formats += ["u1"] * 4
             offsets += [offset + n for n in range(4)]
-    if empty:
-        return np.zeros(0, np.dtype({"names": names, "formats": formats}))
-    if not step or row < step * width:
-        raise ConversionError(f"row_step: {row} bytes for {width} points of {step} bytes (point_step)")
-    if len(message["data"]) < (height - 1) * row + width * step:
-        raise ConversionError(f"data: {len(message['data'])} bytes for {height} rows of {row} bytes (row_step)")
-    layout = np.dtype({"names": names, "formats": formats, "offsets": offsets, "itemsize": step})
-    shape, strides = ((height, width), (row, step)) if height != 1 else ((width,), (step,))
-    return np.ndarray(shape, layout, np.frombuffer(message["data"], np.uint8), strides=strides)
+    found = records(message, names, formats, offsets)
+    return found if len(found) > 1 else found.reshape(-1)
 
 
 def _same_places(found: np.dtype[Any], layout: np.dtype[Any]) -> bool:

@@ -190,11 +190,11 @@ def test_points_of_each_type_come_back_as_they_were(kind: pointcloud.PointType) 
 @pytest.mark.parametrize(
     ("change", "words"),
     [
-        ({"width": 100_000_000}, "row_step: 16 bytes for 100000000 points"),
-        ({"height": 100_000_000}, "data: 16 bytes for 100000000 rows"),
+        ({"width": 100_000_000}, "row_step: 16 bytes hold no 100000000 points"),
+        ({"height": 100_000_000}, "data: 16 bytes, where 100000000 rows"),
         ({"point_step": 0}, "fields.x"),
-        ({"fields": [_field("x", 4_294_967_295)]}, "fields.x: datatype 7 at byte 4294967295"),
-        ({"fields": [_field("x", 0, 9)]}, "fields.x: datatype 9"),
+        ({"fields": [_field("x", 4_294_967_295)]}, "fields.x.offset: byte 4294967295"),
+        ({"fields": [_field("x", 0, 9)]}, "fields.x.datatype: 9"),
         ({"fields": [_field("ring", 0)]}, "of the fields ring"),
         ({"fields": [{**_field("x", 0), "count": 2}]}, "fields.x.count: a point has one x, not 2"),
         ({"width": 0, "row_step": 0, "fields": []}, "of the fields none"),

@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from navigation.clouds import CloudError
+from bridge.messages.point_cloud import CloudError
 from navigation.mapper3d.depth import Camera, Rays, read_camera, read_depth
 
 CAMERA = Camera(4, 3, 2.0, 2.0, 1.5, 1.0)
