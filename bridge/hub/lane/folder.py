@@ -33,9 +33,11 @@ def listen(folder: Path, zid: str) -> socket.socket:
     sock = _socket()
     try:
         with _short(folder, zid) as path:
-            sock.bind(path)
-            Path(path).chmod(0o600)
-        sock.listen(_BACKLOG)
+            unready = Path(f"{path}.new")  # under its name a socket takes readers: `clean` removes one that does not
+            sock.bind(str(unready))
+            unready.chmod(0o600)
+            sock.listen(_BACKLOG)
+            unready.rename(path)
     except BaseException:
         sock.close()
         raise

@@ -63,13 +63,12 @@ class Lane:
         self._barrier_key = f"@midspan/{domain}/lane/"
         self.writer: LaneWriter | None = None
         self.why = ""
+        folder.clean(path)  # before this one listens: who is asked whether it lives counts a reader
         try:
             self.writer = LaneWriter(path, zid)
         except OSError as err:
             self.why = f"{path}: {err.strerror or err}"
             _log.warning("no lane from this worker, its messages go over zenoh: %s", self.why)
-        else:
-            folder.clean(path)
         self.calls = DelayedCalls("hub-lane-calls")
         self._answering = answer(session, self._barrier_key + zid, _reply)
         self._thread = Thread(target=self._run, name="hub-lane", daemon=True)
