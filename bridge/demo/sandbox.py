@@ -55,7 +55,7 @@ class Sandbox:
         self._hold: socket.socket | None = None
         self.folder = Path(tempfile.mkdtemp(prefix="midspan-demo-", dir=_base()))
         try:
-            self._hold, self.domain = _hold_domain()
+            self._hold, self.domain = hold_domain()
             self.master_port, self.router_port, self.yarp_port, self.web_port = _free_ports(4, self.domain)
             # a package alone on a path of its own: what else lies beside it must not reach the system's Python
             self.system_path = self.folder / "system"
@@ -182,7 +182,7 @@ def _free_ports(count: int, domain: int) -> list[int]:
     return ports
 
 
-def _hold_domain() -> tuple[socket.socket, int]:
+def hold_domain() -> tuple[socket.socket, int]:
     """A ROS domain that nobody uses, held by a socket on the last of its ports, which participants do not reach."""
     domains = list(_DOMAINS)
     random.shuffle(domains)

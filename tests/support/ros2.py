@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import fcntl
 import functools
 import os
+import socket
 import sys
 import tempfile
 from collections.abc import Mapping
@@ -12,6 +12,7 @@ from pathlib import Path
 
 from bridge.adapters.ros2.environment import worker_environment
 from bridge.config.model import Config
+from bridge.demo.sandbox import hold_domain
 from tests.support.missing import ROS2, need
 
 ROS2_PEER = Path(__file__).with_name("ros2_peer.py")
@@ -20,10 +21,7 @@ ROS2_PEER = Path(__file__).with_name("ros2_peer.py")
 SHORT_LEASE = {"FASTRTPS_DEFAULT_PROFILES_FILE": str(Path(__file__).with_name("short_lease.xml"))}
 """Environment of a program whose death is noticed after 2 s; Fast DDS's default is 20."""
 
-_DOMAINS = range(10, 100)
-"""Above 101 a domain's ports reach into Linux's ephemeral ones."""
-
-_held: list[int] = []
+_held: list[socket.socket] = []
 
 
 @functools.cache
@@ -33,19 +31,10 @@ def ros2_domain() -> int:
 
 
 def new_domain() -> int:
-    """A ROS domain that no other test process uses, held until this process ends."""
-    for domain in _DOMAINS:
-        path = Path(tempfile.gettempdir()) / f"midspan-test-ros2-domain-{domain}.lock"
-        descriptor = os.open(path, os.O_CREAT | os.O_RDWR | os.O_CLOEXEC, 0o666)
-        try:
-            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
-            os.close(descriptor)
-        else:
-            _held.append(descriptor)
-            return domain
-    msg = f"all ROS domains from {_DOMAINS.start} to {_DOMAINS.stop - 1} are held by test processes"
-    raise RuntimeError(msg)
+    """A ROS domain that no other test process and no demo uses, held until this process ends."""
+    hold, domain = hold_domain()
+    _held.append(hold)
+    return domain
 
 
 def ros2_environment(**extra: str) -> dict[str, str]:
