@@ -101,6 +101,8 @@ def _yielding() -> Iterator[None]:
     for thread in _threads() - before:
         with suppress(OSError):  # it has just ended
             os.setpriority(os.PRIO_PROCESS, thread, os.getpriority(os.PRIO_PROCESS, thread) + _NICE)
+            # a message for the recorder does not take the processor from whom it is for
+            os.sched_setscheduler(thread, os.SCHED_BATCH, os.sched_param(0))
 
 
 def _threads() -> set[int]:

@@ -125,6 +125,7 @@ def test_its_threads_let_others_go_first(hubs: QuickHub, tmp_path: Path) -> None
     with recording(hubs, tmp_path, Files(tmp_path / "one", split=False)):
         writers = [each.native_id for each in threading.enumerate() if each.name == "midspan-record-write"]
         assert [os.getpriority(os.PRIO_PROCESS, each or 0) for each in writers] == [min(mine + 5, 19)]
+        assert [os.sched_getscheduler(each or 0) for each in writers] == [os.SCHED_BATCH]
     assert os.getpriority(os.PRIO_PROCESS, 0) == mine
 
 
