@@ -67,6 +67,7 @@ class LayersHeard:
         trouble: dict[str, str] | None = None,
     ) -> None:
         self._frames, self._take, self._now = frames, take, now
+        self._graph = host.node.hub.graph
         self._heard: dict[str, float] = {}
         self._going_on: dict[str, ObstacleSection] = {}
         self.trouble = {} if trouble is None else trouble
@@ -78,10 +79,16 @@ class LayersHeard:
     def silent(self) -> str:
         """Which layer says nothing any more, and since when; "" where none does.
 
-        One that never said two things within its ``timeout`` is latched: it speaks when it changes, or once.
+        One that never said two things within its ``timeout`` is latched: it speaks when it changes, or once, and is
+        silent once nobody publishes it any more.
         """
-        for topic, source in self._going_on.items():
-            if silent := source.silent(self._heard[topic], self._now()):
+        for topic, heard in self._heard.items():
+            source, silent = self._going_on.get(topic), ""
+            if source is not None:
+                silent = source.silent(heard, self._now())
+            elif not self._graph.publishers(topic):
+                silent = f"the layer {topic} is silent: nobody publishes it any more"
+            if silent:
                 why = self.trouble.get(topic)
                 return silent + (f" ({why})" if why else "")
         return ""

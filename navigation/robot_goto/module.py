@@ -72,8 +72,7 @@ class RobotGoto(PlannerModule):
             if source.type == "cloud":
                 host.node.subscription(source.topic, POINT_CLOUD, partial(self._clouded, source.topic), Qos(depth=1))
         seen = self.driver.obstacles
-        take = lambda topic, places: seen.layer(topic, self.now(), places)  # noqa: E731
-        LayersHeard(host, section.obstacles, self._frames, take, self.now, seen.trouble)
+        self._layers = LayersHeard(host, section.obstacles, self._frames, seen.layer, self.now, seen.trouble)
         self._serve()
         host.answer("halt", lambda _params: host.loop.call(self.halt))
         if section.prefix:
@@ -217,6 +216,7 @@ class RobotGoto(PlannerModule):
     def _drive(self) -> None:
         pose = self._pose_now()
         moved = self._moved(pose)
+        self.driver.obstacles.silent = self._layers.silent()
         command = self.driver.step(self.now(), pose, None if moved is pose else moved, self._lost)
         self._topics.command(command, silent=self.driver.silent)
         self._tell(pose)
@@ -257,6 +257,7 @@ class RobotGoto(PlannerModule):
         scanned = self.driver.grid.scanned
         if scanned is None or self.now() - scanned > self.driver.settings.laser_timeout:
             return Health("waiting", self._laser_trouble or "no scan of the laser comes; goals wait for one")
+        self.driver.obstacles.silent = self._layers.silent()
         unheard = self.driver.obstacles.unheard(self.now())
         if unheard or self._lost:
             return Health("waiting", unheard or self._lost)

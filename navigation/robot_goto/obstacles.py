@@ -124,25 +124,31 @@ def _polar(ways: NDArray[np.floating]) -> tuple[NDArray[np.floating], NDArray[np
 
 
 class Obstacles:
-    """All that was said by the sources of a configuration; how old it may be is theirs. On one thread."""
+    """All that was said by the sources of a configuration; how old a cloud may be is theirs. On one thread.
+
+    Attributes:
+        trouble: by topic, why what it says cannot be used.
+        silent: which layer says nothing any more, "" where none does; whoever gives layers sets it.
+    """
 
     def __init__(self, settings: RobotGotoSection) -> None:
         self._settings, self._sources = settings, settings.obstacles
-        self.trouble: dict[str, str] = {}  # by topic, why what it says cannot be used
+        self._layers: dict[str, Places] = {}
+        self.trouble: dict[str, str] = {}
+        self.silent = ""
         self.clear()
 
     def clear(self) -> None:
-        """Forget all."""
+        """Forget what clouds showed; layers stand on the map, and a latched one is not said again."""
         settings = self._settings
         self._heard: dict[str, float] = {}
-        self._layers: dict[str, Places] = {}
         self._window = CloudWindow(settings.memory, settings.height, settings.max_step, 0.7 * settings.robot_radius)
 
     def forget_places(self) -> None:
         """The odometry has jumped: what clouds showed stands somewhere else."""
-        heard, layers = self._heard, self._layers
+        heard = self._heard
         self.clear()
-        self._heard, self._layers = heard, layers
+        self._heard = heard
 
     def cloud(self, topic: str, now: float, points: Points, eye: NDArray[np.float64], at: Pose) -> None:
         """Take up a cloud that was made at seconds; see `CloudWindow.take`. One without points says nothing."""
@@ -153,10 +159,8 @@ class Obstacles:
         else:
             self.trouble[topic] = "none of its points says anything"
 
-    def layer(self, topic: str, now: float, places: Places) -> None:
+    def layer(self, topic: str, places: Places) -> None:
         """Take up a layer's occupied places, (n, 2) on the map."""
-        self._heard[topic] = now
-        self.trouble.pop(topic, None)
         self._layers[topic] = places
 
     def places(self, now: float, pose: Pose | None, moved: Pose) -> Places:
@@ -175,7 +179,11 @@ class Obstacles:
     def unheard(self, now: float) -> str:
         """Which source is silent and since when; "" where none is."""
         for source in self._sources:
-            if silent := source.silent(self._heard.get(source.topic), now):
+            if source.type == "layer":
+                silent = "" if source.topic in self._layers else source.silent(None, now)
+            else:
+                silent = source.silent(self._heard.get(source.topic), now)
+            if silent:
                 why = self.trouble.get(source.topic)
                 return silent + (f" ({why})" if why else "")
-        return ""
+        return self.silent

@@ -69,7 +69,7 @@ def test_calls_that_cannot_be(driven: Desk, codec: CallCodec, monkeypatch: pytes
         for _ in range(services.MOST_CALLS):
             assert driven.live._services._room.acquire(blocking=False)
         assert "16 calls are under way" in failure(app, app.call("/light", codec.request({"data": True})))
-        assert serving.abandoned == 1, "its server is told that nobody waits any more"
+        until(lambda: serving.abandoned == 1, "its server is told that nobody waits any more")
 
 
 def test_who_may_only_look_calls_nothing(desk: Desk) -> None:

@@ -404,7 +404,7 @@ def seen(*heights: float) -> dict[str, Any]:
 
 
 def test_clouds_and_layers_of_the_hub(tmp_path: Path) -> None:
-    sources = [{"topic": "/points", "type": "cloud", "timeout": 1.5}, {"topic": "/layer", "timeout": 1000.0}]
+    sources = [{"topic": "/points", "type": "cloud", "timeout": 1.5}, {"topic": "/layer", "timeout": 0.5}]
     place = Goto(tmp_path, obstacles=sources, floor=-0.2, enable_obstacles_avoidance=False)
     try:
         robot, driver = place.robot, place.module.driver
@@ -432,6 +432,11 @@ def test_clouds_and_layers_of_the_hub(tmp_path: Path) -> None:
         until(lambda: driver.status.fault is Fault.BLOCKED and "obstacle" in driver.status.reason, "it stands", 30)
         robot.cloud = None
         until(lambda: "the cloud /points is silent" in driver.status.reason, "it says that nobody sees", 30)
+        robot.cloud = seen(-0.2)
+        until(lambda: place.module.health().state == "running", "latched, the layer was said once", 30)
+        place.far.drop(layer)
+        until(lambda: "nobody publishes" in place.module.health().text, "the layer's publisher is gone", 30)
+        until(lambda: "the layer /layer is silent" in driver.status.reason, "nor does it drive", 30)
         ahead.cancel()
     finally:
         place.close()
