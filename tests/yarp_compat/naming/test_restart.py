@@ -84,6 +84,11 @@ class Pair:
         assert not self.losses
 
 
+def announced(server: NameServer) -> set[str]:
+    """The ports that said to a name server that they listen: a first word of that has them connected anew."""
+    return {entry.contact.name for entry in server.registry.entries() if entry.announced}
+
+
 def where(names: NameClient, *ports: PortCore) -> Callable[[], bool]:
     """Whether the name server knows ports where they are."""
 
@@ -112,6 +117,7 @@ def test_without_memory_ports_register_again() -> None:
                 "what was set is set again",
             )
             until(lambda: "fast_tcp" in names.get_property("/writer", "offers"), "and what a port says of itself")
+            until(lambda: {"/reader", "/writer"} <= announced(second), "and that both listen")
             names.command(["subscribe", "/writer", "/reader"])
             pair.check()
             assert names.register("/other").port not in (pair.reader.contact.port, pair.writer.contact.port)
