@@ -21,7 +21,7 @@ from tests.support.rosbags_messages import Messages
 from tests.support.wait import until
 from tests.support.zenoh_programs import Ros1Bridge, Ros2ddsBridge, Router, service_texts
 
-PERIOD = 0.4
+PERIOD = 0.25
 """Seconds between beacons of the ros1 dialect, for all: the plugin's second makes the suite slow."""
 
 

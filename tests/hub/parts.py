@@ -38,7 +38,7 @@ class Heard:
     def expect(self, *texts: str, seconds: float = 40.0) -> None:
         """Wait until exactly these have come, in any order."""
         until(lambda: len(self.samples) >= len(texts), f"{texts} heard", seconds)
-        assert sorted(self.texts()) == sorted(texts)
+        assert sorted(self.texts()) == sorted(texts), f"{self.texts()} came, not {texts}"
 
 
 def talk(hub: Hub, topic: str, qos: Qos = STREAM, *texts: str, **more: Any) -> HubPublisher:

@@ -20,7 +20,7 @@ def session(endpoint: str) -> zenoh.Session:
     config = zenoh.Config()
     config.insert_json5("mode", '"client"')
     config.insert_json5("connect/endpoints", f'["{endpoint}"]')
-    config.insert_json5("scouting/multicast/enabled", "false")
+    config.insert_json5("scouting", '{"delay": 0, "multicast": {"enabled": false}}')
     return zenoh.open(config)
 
 

@@ -36,7 +36,7 @@ def open_session(endpoint: str, mode: str = "peer", **more: Any) -> zenoh.Sessio
     """A session that joins the router at an endpoint; the plugins' bridges always time-stamp."""
     tree = {
         "mode": mode,
-        "scouting": {"multicast": {"enabled": False}},
+        "scouting": {"delay": 0, "multicast": {"enabled": False}},
         "timestamping": {"enabled": True},
         "listen": {"endpoints": ["tcp/127.0.0.1:0"]} if mode == "peer" else {},
         "connect": {"endpoints": [endpoint]},
@@ -56,7 +56,7 @@ class Router:
     def start(self) -> None:
         tree = {
             "mode": "router",
-            "scouting": {"multicast": {"enabled": False}},
+            "scouting": {"delay": 0, "multicast": {"enabled": False}},
             "listen": {"endpoints": [self.endpoint]},
         }
         self._session = zenoh.open(zenoh.Config.from_json5(json.dumps(tree)))
