@@ -41,8 +41,8 @@ def hubs() -> Iterator[HubNetwork]:
         yield network
 
 
-DEAR = ("ros1", "ros2", "own")
-"""Sides whose programs and workers are processes: `make test` tries each test on one of them, in turn."""
+IN_TURN = (("ros1", "ros2", "own"), ("zenoh_ros2dds", "zenoh_ros1"))
+"""Sides whose programs and workers are processes, and dialects of one: `make test` tries each test on one of each."""
 
 BASIC = {
     "test_side_to_hub", "test_hub_to_side", "test_latched_before_the_bridge_started",
@@ -60,9 +60,10 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
             and isinstance(item, pytest.Function)
             and hasattr(item, "callspec")
         ):
-            side, turn = item.callspec.params.get("side"), zlib.crc32(item.originalname.encode()) % len(DEAR)
-            if side in DEAR and side != DEAR[turn] and item.originalname not in BASIC:
-                item.add_marker(pytest.mark.thorough)
+            side, turn = item.callspec.params.get("side"), zlib.crc32(item.originalname.encode())
+            for sides in IN_TURN:
+                if side in sides and side != sides[turn % len(sides)] and item.originalname not in BASIC:
+                    item.add_marker(pytest.mark.thorough)
 
 
 @pytest.fixture(params=list(SIDES))

@@ -100,6 +100,7 @@ def test_one_address_does_not_take_all_pages(desk: Desk) -> None:
     until(lambda: not desk.console.server.pages, "their places are free again")
 
 
+@pytest.mark.thorough
 def test_answers_that_nobody_reads_are_not_kept(desk: Desk) -> None:
     with connect(desk.port) as sock:
         sock.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)

@@ -195,6 +195,7 @@ def test_a_press_on_the_map_sends_the_robot(operator: Operator, watch: TestPage)
     until(lambda: "arriv" in operator.chrome.find_element(By.ID, "driving").text.lower(), "the page says so")
 
 
+@pytest.mark.thorough
 def test_another_robot_has_its_own_colour(operator: Operator, watch: TestPage) -> None:
     watch.watch("robots")
     watch.call("goto_place", name="corridor")
@@ -220,6 +221,7 @@ def table_about(x: float, y: float) -> tuple[dict[str, Any], dict[str, Any]]:
     return {"header": header, "info": info, "data": (100 * blocked).reshape(-1).tolist()}, plain
 
 
+@pytest.mark.thorough
 def test_the_layer_is_a_tint_with_heights(operator: Operator, robot: WebRobot) -> None:
     far = robot.hub_program()
     try:
@@ -332,6 +334,7 @@ def test_by_hand_when_the_page_fails(operator: Operator, watch: TestPage, how: s
         ActionChains(operator.chrome).release().perform()
 
 
+@pytest.mark.thorough
 def test_a_place_is_kept_for_all(operator: Operator, watch: TestPage, robot: WebRobot) -> None:
     canvas = operator.map_at(*FREE)
     operator.button("Keep place").click()
@@ -497,8 +500,13 @@ def test_two_tabs_agree(operator: Operator, watch: TestPage) -> None:
         operator.chrome.switch_to.window(first)
 
 
+_LESS = ("places", "topics", "frames", "system")
+
+
 @pytest.mark.parametrize("width", [360, pytest.param(2560, marks=pytest.mark.thorough)])
-@pytest.mark.parametrize("view", ["drive", "places", "status", "topics", "frames", "system"])
+@pytest.mark.parametrize(
+    "view", ["drive", "status", *(pytest.param(view, marks=pytest.mark.thorough) for view in _LESS)]
+)
 def test_every_view_fits(operator: Operator, view: str, width: int) -> None:
     chrome = operator.chrome
     chrome.execute_cdp_cmd(
@@ -553,6 +561,7 @@ def test_a_feed_that_ends_as_another_is_drawn_holds_up_none(operator: Operator) 
         operator.chrome.refresh()  # that socket would go on
 
 
+@pytest.mark.thorough
 def test_the_system(operator: Operator, robot: WebRobot) -> None:
     chrome = operator.chrome
     operator.open("system")
@@ -568,6 +577,7 @@ def test_the_system(operator: Operator, robot: WebRobot) -> None:
     until(lambda: chrome.find_elements(By.CSS_SELECTOR, ".findings li"), "the doctor's findings", 60)
 
 
+@pytest.mark.thorough
 def test_a_message_and_a_call_from_a_form(operator: Operator, watch: TestPage) -> None:
     chrome = operator.chrome
     operator.open("topics/%2Fbattery_state")

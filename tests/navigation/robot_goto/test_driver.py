@@ -21,7 +21,7 @@ def box(x, y, length=0.4, width=0.4, degrees=0.0):
 # goals
 
 
-@pytest.mark.parametrize("robot", ["r1", "ikart_v1"])
+@pytest.mark.parametrize("robot", ["r1", pytest.param("ikart_v1", marks=pytest.mark.thorough)])
 @pytest.mark.parametrize(
     ("plan", "x", "y"), [("lab", 2.57, 1.19), ("lab", 3.35, 3.17), ("apartment", 4.4, 8.2)], ids=str
 )
@@ -94,7 +94,7 @@ def test_it_goes_round_a_box_and_out_of_a_dead_end():
     assert not scene.touched
 
 
-@pytest.mark.parametrize("robot", ["r1", "ikart_v1"])
+@pytest.mark.parametrize("robot", ["r1", pytest.param("ikart_v1", marks=pytest.mark.thorough)])
 def test_somebody_who_crosses_is_waited_for_or_gone_round(robot):
     scene = Scene(robot=robot)
     scene.sim.world.spawn(Person(name="eve", at=(1.6, -3.4), path=((1.6, 6.0),), speed=0.8, loop=False), "eve")

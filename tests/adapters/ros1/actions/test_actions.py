@@ -286,6 +286,7 @@ def test_goals_in_frames_that_are_not_there_are_rejected(master, edge, servers):
 
 
 @pytest.mark.thorough
+@pytest.mark.thorough
 def test_a_thousand_goals_at_once_end_as_their_server_says(master, edge, servers):
     """Refused, ended at once, and all others held until every one of them has been accepted."""
     count = 1000
