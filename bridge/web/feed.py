@@ -113,23 +113,26 @@ class Feeds:
         fixed: the feeds that are there always.
         made: makes the feed of a topic by its name, for each beginning of such a name; raises `LookupError` where the
             rest of the name is none.
+
+    Attributes:
+        fixed: the feeds that are there always, by name.
     """
 
     MOST_TOPICS = 100
     """Topics that all pages together may watch."""
 
     def __init__(self, fixed: list[Feed], made: Mapping[str, Make]) -> None:
-        self._fixed = {feed.name: feed for feed in fixed}
+        self.fixed = {feed.name: feed for feed in fixed}
         self._made = made
         self._topics: dict[str, Feed] = {}
 
     def find(self, name: str) -> Feed:
         """The feed with a name; raises `LookupError` with the reason where there is none."""
-        if name in self._fixed:
-            return self._fixed[name]
+        if name in self.fixed:
+            return self.fixed[name]
         make = next((make for begin, make in self._made.items() if name.startswith(begin)), None)
         if make is None:
-            known = ", ".join((*self._fixed, *(f"{begin}NAME" for begin in self._made)))
+            known = ", ".join((*self.fixed, *(f"{begin}NAME" for begin in self._made)))
             raise LookupError(f"there is no feed {name[:80]!r}; there are {known}")
         if name not in self._topics:
             self._topics = {each: feed for each, feed in self._topics.items() if feed.watched}
@@ -140,6 +143,6 @@ class Feeds:
 
     def close(self) -> None:
         """Follow nothing more."""
-        for feed in (*self._fixed.values(), *self._topics.values()):
+        for feed in (*self.fixed.values(), *self._topics.values()):
             if feed.watched:
                 feed.close()

@@ -41,7 +41,8 @@ ANSWER_SECONDS, STOP_SECONDS = 5.0, 12.0
 GOAL_SECONDS = 5.0
 BEGIN_SECONDS = 3.0
 """A call that had to wait for so long for others is not done."""
-_THREADS = 4
+THREADS = 4
+"""Calls that run at a time, besides slow ones and stops."""
 _STOP_THREADS = 2
 _SLOW_THREADS = 3
 _COVARIANCE = {0: 0.25, 7: 0.25, 35: 0.07}
@@ -97,6 +98,9 @@ class Verbs:
         before: what happens on the module's thread as a verb of a name begins.
         between: pauses or resumes what is between two goals; what it has done, "" where that is for the gateway.
         more: verbs of other files.
+
+    Attributes:
+        known: the verbs that pages may call, by name.
     """
 
     def __init__(
@@ -114,7 +118,7 @@ class Verbs:
     ) -> None:
         self._host, self._config, self._client, self._types, self._store = host, config, client, types, store
         self._chose, self._before, self._between = chose, before, between
-        self._pool = WorkerPool(_THREADS, "midspan-web-call")
+        self._pool = WorkerPool(THREADS, "midspan-web-call")
         self._slow = WorkerPool(_SLOW_THREADS, "midspan-web-slow")
         self._lock = threading.Lock()
         self._clients: dict[str, ModuleClient] = {}
@@ -122,7 +126,7 @@ class Verbs:
         self._starts: ModulePublisher | None = None
         xy, pose = dict.fromkeys(("x", "y"), number_of), dict.fromkeys(("x", "y", "theta"), number_of)
         named = {"name": name_of}
-        self._verbs = {
+        self.known = {
             "goto": PageVerb(self._goto, xy, {"theta": number_of}),
             "goto_place": PageVerb(partial(self._named, "go_to"), named, {}),
             "stop": PageVerb(self._stop, {}, {}, stops=True),
@@ -136,23 +140,23 @@ class Verbs:
             "explain": PageVerb(lambda name: explain(client, name), named, {}, commands=False),
             **more,
         }
-        stops = [name for name, verb in self._verbs.items() if verb.stops]
+        stops = [name for name, verb in self.known.items() if verb.stops]
         self._stops = {name: WorkerPool(_STOP_THREADS, f"midspan-web-{name}") for name in stops}
         self._newest: dict[str, Future[Any]] = {}
 
     def is_stop(self, verb: str) -> bool:
         """Whether a verb makes robots stand; such a call is never refused for want of room."""
-        return verb in self._verbs and self._verbs[verb].stops
+        return verb in self.known and self.known[verb].stops
 
     def is_command(self, verb: str) -> bool:
         """Whether a verb does more than look, so that the role ``drive`` is needed."""
-        return verb in self._verbs and self._verbs[verb].commands
+        return verb in self.known and self.known[verb].commands
 
     def begin(self, verb: str, args: Mapping[str, Any], who: str) -> Future[Any]:
         """Do it on a thread that may wait; the result, or `VerbError`, is the future's. Raises `VerbError`."""
-        found = self._verbs.get(verb)
+        found = self.known.get(verb)
         if found is None:
-            raise VerbError(f"there is no verb {verb[:80]!r}; there are {', '.join(self._verbs)}")
+            raise VerbError(f"there is no verb {verb[:80]!r}; there are {', '.join(self.known)}")
         checked = _checked(verb, found, args)
         if found.commands and found.logged:
             said = " ".join(f"{key}={value!r}"[:100] for key, value in args.items())

@@ -91,7 +91,12 @@ class WebWorker(Worker):
 
 
 class Console:
-    """The parts of the console, put together."""
+    """The parts of the console, put together.
+
+    Attributes:
+        feeds: what pages may watch.
+        verbs: what pages may call.
+    """
 
     def __init__(self, config: Config) -> None:
         section = config.web
@@ -117,7 +122,7 @@ class Console:
         self._patrol = Patrol(host, driving)
         self._map = MapFeed(host, config, self._store, pictures)
         log = LogFollower(config)
-        self._feeds = Feeds(
+        self.feeds = Feeds(
             [
                 RobotFeed(host, follower, section.footprint or disc(section.radius)),
                 RobotsFeed(host, follower, section.robots),
@@ -146,7 +151,7 @@ class Console:
         self._hold = HandDriving(host, config.navigation.velocity, most, lambda: driving.busy or self._patrol.busy)
         self._driving, self._sending = driving, Sending(host, config, client, known)
         written = (self._store.client, lambda: host.loop.post(self._store.look))
-        self._verbs = Verbs(
+        self.verbs = Verbs(
             host, config, client, known, self._store.client, chose=driving.chose, between=self._patrol.between,
             before={
                 **dict.fromkeys(("stop", "halt"), self._stand),
@@ -177,7 +182,7 @@ class Console:
             self._tls.look()
 
     async def _serve(self, socket: WebSocket, grant: Grant) -> None:
-        await Page(socket, grant, self._hello, self._feeds, self._verbs, self._hold, self.host.loop.post).serve()
+        await Page(socket, grant, self._hello, self.feeds, self.verbs, self._hold, self.host.loop.post).serve()
 
     def _ask_workers(self) -> list[WorkerAnswer]:
         """The status of this daemon's workers, on a thread of the server's that may wait."""
@@ -196,8 +201,8 @@ class Console:
         """Stop the robot where a page drives it, then leave."""
         self.server.close()
         self.host.loop.call(self._stand)
-        self.host.loop.call(self._feeds.close)
-        self._verbs.close()
+        self.host.loop.call(self.feeds.close)
+        self.verbs.close()
         self._sending.close()
         for executor in (self._asking, self._decoding):
             executor.close()

@@ -161,7 +161,7 @@ def test_a_watcher_commands_nothing(guarded: GuardedDesk) -> None:
     with guarded.page(WATCH[0]) as page:
         page.watch("topics", "topic:/cmd_vel")
         page.value("topics", lambda topics: topics is not None)
-        commands = {verb for verb, found in guarded.console._verbs._verbs.items() if found.commands}
+        commands = {verb for verb, found in guarded.console.verbs.known.items() if found.commands}
         assert {"goto", "patrol", "halt", "paint_flags"} < commands
         for verb in commands:
             assert page.call(verb)["error"] == f"this page has the role 'watch': {verb} is not done"

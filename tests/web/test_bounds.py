@@ -13,13 +13,14 @@ from typing import Any
 import pytest
 from websockets.exceptions import InvalidStatus
 
+from bridge.concurrency import SerialExecutor
 from bridge.web import connections, verbs
 from bridge.web.connections import MOST_CONNECTIONS, MOST_OF_ADDRESS
 from bridge.web.feed import Feed
 from bridge.web.hub_feeds import AskingFeed
 from bridge.web.scarce_log import ScarceLog
 from bridge.web.server import MOST_PAGES_OF_ADDRESS
-from bridge.web.verbs import VerbError
+from bridge.web.verbs import PageVerb, VerbError
 from tests.support.wait import until
 from tests.web.conftest import Desk
 from tests.web.hostile import client_frame, opening
@@ -135,30 +136,36 @@ def test_a_call_that_waited_for_long_is_not_done(desk: Desk, monkeypatch: pytest
         assert "is not done" not in page.call("stop").get("error", ""), "a stop is never too late"
 
 
-def test_calls_of_a_page_that_left_are_not_begun(desk: Desk) -> None:
-    known = desk.console._verbs
-    may_end, begun = threading.Event(), []
+def test_calls_of_a_page_that_left_are_not_begun(desk: Desk, monkeypatch: pytest.MonkeyPatch) -> None:
+    known, kept = desk.console.verbs, desk.console.verbs.begin
+    may_end, begun, calls = threading.Event(), list[int](), list[Future[Any]]()
+
+    def run(n: int) -> None:
+        begun.append(n)
+        may_end.wait(30)
 
     def begin(verb: str, args: Any, who: str) -> Future[Any]:
-        return known._pool.submit(lambda: begun.append(args["n"]) or may_end.wait(30))
+        calls.append(kept(verb, args, who))
+        return calls[-1]
 
-    def waiting() -> int:
-        return len(known._pool._jobs)
+    def waiting() -> list[Future[Any]]:
+        return [call for call in calls if not call.running() and not call.done()]
 
-    known.begin, kept = begin, known.begin  # type: ignore[method-assign]
+    monkeypatch.setitem(known.known, "goto", PageVerb(run, {"n": int}, {}))
+    monkeypatch.setattr(known, "begin", begin)
     try:
         with TestPage(desk.port) as page:
             for number in range(10):
                 page.send(op="call", id=number, verb="goto", args={"n": number})
-            until(lambda: len(begun) + waiting() == 10 and len(begun) == verbs._THREADS, "some run, the others wait")
-            ends = [future for future, _ in known._pool._jobs]
-        until(lambda: all(end.cancelled() for end in ends), "those that wait are cancelled")
+            until(lambda: len(calls) == 10 and len(begun) == verbs.THREADS, "some run, the others wait")
+            waited = waiting()
+            assert len(waited) == 10 - verbs.THREADS
+        until(lambda: all(call.cancelled() for call in waited), "those that wait are cancelled")
     finally:
         may_end.set()
-        known.begin = kept  # type: ignore[method-assign]
     with TestPage(desk.port) as page:
         assert page.call("ping")["ok"]
-    assert len(begun) == verbs._THREADS
+    assert len(begun) == verbs.THREADS
 
 
 GOOD = {"names": ["house"], "current": "house"}
@@ -184,7 +191,7 @@ class Broken(Feed):
 
 
 def test_a_feed_that_fails_is_said_and_can_be_asked_for_again(desk: Desk) -> None:
-    desk.console._feeds._fixed["maps"] = Broken()
+    desk.console.feeds.fixed["maps"] = Broken()
     with TestPage(desk.port) as page, TestPage(desk.port) as other:
         for asked in range(1, Broken.TIMES + 1):
             page.watch("maps")
@@ -197,7 +204,7 @@ def test_a_feed_that_fails_is_said_and_can_be_asked_for_again(desk: Desk) -> Non
 
 
 def test_a_feed_goes_on_after_an_error(desk: Desk) -> None:
-    console, asked = desk.console, []
+    console, asked, asking = desk.console, list[int](), SerialExecutor("asking")
 
     def answer() -> dict[str, Any]:
         asked.append(1)
@@ -205,8 +212,8 @@ def test_a_feed_goes_on_after_an_error(desk: Desk) -> None:
             raise KeyError("gone")
         return GOOD
 
-    console._feeds._fixed["maps"] = AskingFeed(console.host, "maps", console._asking, answer)
-    with TestPage(desk.port) as page:
+    console.feeds.fixed["maps"] = AskingFeed(console.host, "maps", asking, answer)
+    with contextlib.closing(asking), TestPage(desk.port) as page:
         page.watch("maps")
         page.until(lambda: page.values.get("maps", {}).get("why") == "KeyError: 'gone'", "it says why there is none")
         assert page.value("maps") == GOOD
@@ -226,6 +233,7 @@ def test_what_strangers_cause_does_not_fill_the_log(
     assert caplog.messages[20:] == ["80 more such warnings before", "bad again"]
 
 
-def test_verb_error_is_what_a_late_call_gets() -> None:
+def test_verb_error_is_what_a_late_call_gets(desk: Desk, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(verbs, "BEGIN_SECONDS", -1.0)
     with pytest.raises(VerbError, match="is not done"):
-        verbs._run(lambda: None, {}, time.monotonic() - 1.0)
+        desk.console.verbs.begin("ping", {}, "a page").result(20)

@@ -31,13 +31,13 @@ def test_each_reference_leads_somewhere() -> None:
 
 
 def test_it_has_the_consoles_verbs_and_feeds(desk: Desk) -> None:
-    verbs = desk.console._verbs._verbs
+    verbs = desk.console.verbs.known
     assert set(protocol.VERBS) == set(verbs)
     for name, verb in verbs.items():
         args = protocol.VERBS[name][0]
         assert {key for key, kind in args.items() if isinstance(kind, tuple)} == set(verb.may), name
         assert set(args) == {*verb.needs, *verb.may}, name
-    assert set(protocol.FEEDS) == set(desk.console._feeds._fixed)
+    assert set(protocol.FEEDS) == set(desk.console.feeds.fixed)
 
 
 def table(title: str) -> str:
@@ -47,7 +47,7 @@ def table(title: str) -> str:
 def test_the_page_has_the_same(desk: Desk) -> None:
     rows = [line.split("|") for line in table("Verbs").splitlines() if line.startswith("| `")]
     roles = {name: row[3].strip() for row in rows for name in re.findall(r"`(\w+)`", row[1])}
-    verbs = desk.console._verbs._verbs
+    verbs = desk.console.verbs.known
     assert roles == {name: "drive" if verb.commands else "watch" for name, verb in verbs.items()}
     feeds = re.findall(r"^\| `(\w+)` \|", table("Feeds"), re.MULTILINE)
     assert set(feeds) == set(protocol.FEEDS)
