@@ -145,6 +145,7 @@ class Front:
 
     Attributes:
         address: what to open in the app.
+        inner: where the SDK's server listens.
         port: it listens on.
     """
 
@@ -152,7 +153,7 @@ class Front:
         self, section: FoxgloveSection, inner: tuple[str, int], visitors: Visitors, *, announces: bool,
         tls: ServerTls | None,
     ) -> None:  # fmt: skip
-        self._inner, self._visitors, self._announces, self._tls = inner, visitors, announces, tls
+        self.inner, self._visitors, self._announces, self._tls = inner, visitors, announces, tls
         self._door = Door(section)
         self._refused = ScarceLog("midspan.foxglove")
         host, port = split(section.listen)
@@ -241,7 +242,7 @@ class Front:
         inner: asyncio.StreamWriter | None = None
         try:
             async with asyncio.timeout(HEAD_SECONDS):
-                answers, inner = await asyncio.open_connection(*self._inner, limit=_STEP)
+                answers, inner = await asyncio.open_connection(*self.inner, limit=_STEP)
                 inner.write(request.forwarded())
                 head = await answers.readuntil(b"\r\n\r\n")
             writer.write(head)

@@ -81,20 +81,24 @@ class FoxgloveWorker(Worker):
 
 
 class Live:
-    """The parts of the server, put together."""
+    """The parts of the server, put together.
+
+    Attributes:
+        visitors: who is here, and as what.
+    """
 
     def __init__(self, config: Config) -> None:
         section = config.foxglove
         registry = Registry.of(config.types)
         self._tls = _tls(config) if section.guarded else None
-        self._visitors = Visitors()
+        self.visitors = Visitors()
         self.host = host = Host("foxglove", config, registry)
-        self._events = events = Events(self._visitors, lambda: host.loop.post(self._look))
+        self._events = events = Events(self.visitors, lambda: host.loop.post(self._look))
         with contextlib.ExitStack() as made:
             made.callback(host.close)
             self._server = server = FoxgloveServer(config.name, events, _capabilities(section))
             made.callback(server.close)
-            self.front = Front(section, server.inner, self._visitors, announces=section.commanded, tls=self._tls)
+            self.front = Front(section, server.inner, self.visitors, announces=section.commanded, tls=self._tls)
             made.pop_all()
         self._graph = Gathered(host, self._follow)
         self._topics = HubTopics(host.node.hub, registry, self._graph.changed)
@@ -104,9 +108,9 @@ class Live:
         most = config.web.speed, config.web.turn
         busy = partial(getattr, self._gateway, "busy", "")
         driving = HandDriving(host, config.navigation.velocity, most, busy)
-        self._publishing = Publishing(host, server, events, self._visitors, self._topics.definitions, driving)
-        self._services = Services(host, server, self._visitors)
-        self._parameters = events.parameters = Parameters(host, server, self._visitors)
+        self._publishing = Publishing(host, server, events, self.visitors, self._topics.definitions, driving)
+        self._services = Services(host, server, self.visitors)
+        self._parameters = events.parameters = Parameters(host, server, self.visitors)
         if config.metrics.diagnostics:
             announce(host.node.hub, registry)
         self._process = psutil.Process(os.getpid())
@@ -135,7 +139,7 @@ class Live:
 
     def text(self) -> str:
         """Where it is, and what it shows."""
-        clients = len(self._visitors.all())
+        clients = len(self.visitors.all())
         shown = f"{self._channels.count} topics, {self._channels.watched} watched"
         return f"{self.front.address}, {clients} client{'' if clients == 1 else 's'}, {shown}"
 
@@ -175,7 +179,7 @@ class Live:
                     "who": each.who, "role": each.grant.role, "bytes": each.sent,
                     "since": round(time.monotonic() - each.since, 1),
                 }
-                for each in self._visitors.all()
+                for each in self.visitors.all()
             ],
             "services": self._services.count,
             "dropped": self._events.dropped,

@@ -55,7 +55,7 @@ class HubToSideRoute(TopicRoute):
     Latched hub publishers each stay a source of their own on the side; samples of publishers that the engine did not
     name (they come from this very network, or are not yet known) do not pass. ``origin`` is where the topic's first
     publisher comes from, None for a native program of the hub. A quick stream that nobody on the side listens to stays
-    on the hub.
+    on the hub. ``pending``: what waits until its publisher is known.
     """
 
     direction = "out"
@@ -78,7 +78,7 @@ class HubToSideRoute(TopicRoute):
         self._queued_bytes = 0
         self._lock = threading.Lock()
         self._publishing = threading.Lock()
-        self._pending = Backlog[HubSample](MAX_PENDING, QUEUE_BYTES, self.crowded_out)
+        self.pending = Backlog[HubSample](MAX_PENDING, QUEUE_BYTES, self.crowded_out)
         self._latched: EdgePublisher | None = None
         self._volatile: EdgePublisher | None = None
         self._subscription: HubSubscription | None = None
@@ -182,14 +182,14 @@ class HubToSideRoute(TopicRoute):
         self._since_ns = time.time_ns()
         source = self.conversion.source
         self._subscription = self._context.hub.subscription(
-            self.hub_topic, source.name, self.key.type_id, qos, self._received, self._refused_by_hub
+            self.hub_topic, source.name, self.key.type_id, qos, self.received, self._refused_by_hub
         )
 
     def _refused_by_hub(self, reason: str, why: str) -> None:
         """A sample without a fitting attachment, or too large; runs on zenoh's receiving thread."""
         self.bad(why, reason)
 
-    def _received(self, sample: HubSample) -> None:
+    def received(self, sample: HubSample) -> None:
         """Publish a small message, append a large one and wake; runs on zenoh's receiving thread.
 
         Messages stay in order: nothing is published here while one is queued or being published elsewhere.
@@ -208,7 +208,7 @@ class HubToSideRoute(TopicRoute):
             dispatcher.submit(self._priority, self._next)
             return
         try:
-            dispatcher.here(self._handle, sample)
+            dispatcher.here(self.handle, sample)
         finally:
             self._publishing.release()
 
@@ -228,7 +228,7 @@ class HubToSideRoute(TopicRoute):
                     return
                 sample = self._queue.popleft()
                 self._queued_bytes -= len(sample.payload)
-            self._handle(sample)
+            self.handle(sample)
 
     def _source_of(self, sample: HubSample) -> _Source | None:
         known = self._sources.get(sample.gid)
@@ -236,7 +236,8 @@ class HubToSideRoute(TopicRoute):
             return known
         return self._natives.get(sample.zid) if sample.zid else next(iter(self._natives.values()), None)
 
-    def _handle(self, sample: HubSample) -> None:
+    def handle(self, sample: HubSample) -> None:
+        """Publish a message whose turn it is on the side, or have it wait until its publisher is known."""
         source = self._sources.get(sample.gid) or self._source_of(sample)
         if source is not None:
             self._publish(sample, source)
@@ -249,7 +250,7 @@ class HubToSideRoute(TopicRoute):
             if self._priority is Priority.COMMAND:  # never kept for later
                 self.counters.dropped("unknown")
             else:
-                self._pending.add(sample.gid, sample, len(sample.payload))
+                self.pending.add(sample.gid, sample, len(sample.payload))
             self._context.wake()
 
     def _keep(self, sample: HubSample, endpoint: HubEndpoint) -> None:
@@ -267,7 +268,7 @@ class HubToSideRoute(TopicRoute):
 
     def _retry_pending(self) -> None:
         before = time.monotonic() - PENDING_SECONDS
-        for pending in self._pending.take(lambda _: True):
+        for pending in self.pending.take(lambda _: True):
             sample = pending.message
             source = self._source_of(sample)
             endpoint = self._waiting.get(sample.gid)
@@ -279,7 +280,7 @@ class HubToSideRoute(TopicRoute):
                 if self.latches(endpoint.qos):
                     self._keep(sample, endpoint)
             elif sample.gid not in self._refused and pending.since > before:
-                self._pending.put_back(pending)
+                self.pending.put_back(pending)
             elif sample.gid not in self._refused:
                 self.counters.dropped("unknown")
 

@@ -117,7 +117,7 @@ class PeerWatch:
         self._step.begin()
         while not self._stopping.is_set():
             try:
-                self._turn()
+                self.turn()
             except HubError:
                 return
             except Exception:
@@ -128,7 +128,8 @@ class PeerWatch:
                 self._wake.clear()
                 self._stopping.wait(_PAUSE)
 
-    def _turn(self) -> None:
+    def turn(self) -> None:
+        """Look once who is there, tell the others, and decide; raises `HubError` where the hub is closed."""
         now = time.monotonic()
         if self._election.outcome.active and self.lease.over:
             still = now - self._turned

@@ -55,7 +55,7 @@ class SideToHubRoute(TopicRoute):
 
     Each latched publisher of the side has a hub publisher of its own, so that its last message goes when it goes; the
     others share one. Static transforms are merged and kept by one publisher for the life of the route; transforms that
-    are not latched pass beside them as they are.
+    are not latched pass beside them as they are. ``pending``: what waits for its publisher, or for the lease.
     """
 
     direction = "in"
@@ -72,7 +72,7 @@ class SideToHubRoute(TopicRoute):
         self._static_lock = threading.Lock()
         self._by_lane_before = 0
         self._followed: Sequence[Endpoint] | None = None
-        self._pending = Backlog[tuple[bytes, int | None]](MAX_PENDING, QUEUE_BYTES, self.crowded_out)
+        self.pending = Backlog[tuple[bytes, int | None]](MAX_PENDING, QUEUE_BYTES, self.crowded_out)
         self._subscription: EdgeSubscription | None = None
         self._hold, self._lease = context.hold, context.lease
         depth = policy.depth or QUEUE_DEPTH[self._priority]
@@ -130,7 +130,7 @@ class SideToHubRoute(TopicRoute):
 
     def _remove(self, source: str) -> None:
         known = self._sources.pop(source)
-        self._pending.take(lambda waiting: waiting.source == source)
+        self.pending.take(lambda waiting: waiting.source == source)
         if known.publisher is self._static_publisher:
             return
         if known.publisher is not self._shared:
@@ -154,27 +154,28 @@ class SideToHubRoute(TopicRoute):
             depth=1 if command else stream_depth(self.conversion.target.definition),
         )
         wish = self.policy.override(wish)
-        self._subscription = self._context.edge.subscribe(self.key.topic, self.conversion.source, wish, self._deliver)
+        self._subscription = self._context.edge.subscribe(self.key.topic, self.conversion.source, wish, self.deliver)
 
     def _flush_pending(self) -> None:
         if self._lease.over:
             return
         before = time.monotonic() - PENDING_SECONDS
-        for waiting in self._pending.take(lambda w: w.source in self._sources or w.since < before):
+        for waiting in self.pending.take(lambda w: w.source in self._sources or w.since < before):
             if waiting.source in self._sources:
                 payload, time_ns = waiting.message
-                self._deliver(payload, str(waiting.source), time_ns)
+                self.deliver(payload, str(waiting.source), time_ns)
             else:
                 self.counters.dropped("unknown")
 
-    def _deliver(self, payload: bytes, source: str, time_ns: int | None) -> None:
+    def deliver(self, payload: bytes, source: str, time_ns: int | None) -> None:
+        """Take a message of one of the side's publishers; the edge calls it, on any thread."""
         since = time.monotonic()
         known = self._sources.get(source)
         counters = self.counters
         if self._lease.over:
             if known is not None and known.latched:  # it comes only once, and the route may go on
                 depth = min(max(known.endpoint.qos.depth, 1), MAX_PENDING)
-                counters.dropped("standby", self._pending.keep(source, (payload, time_ns), len(payload), depth))
+                counters.dropped("standby", self.pending.keep(source, (payload, time_ns), len(payload), depth))
             else:
                 counters.dropped("standby")
             return
@@ -186,13 +187,13 @@ class SideToHubRoute(TopicRoute):
             if self._priority is Priority.COMMAND:
                 counters.dropped("unknown")  # a command is never kept for later
             else:
-                counters.dropped("unknown", self._pending.keep(source, (payload, time_ns), len(payload), depth=1))
+                counters.dropped("unknown", self.pending.keep(source, (payload, time_ns), len(payload), depth=1))
             self._context.wake()
             return
         if self._priority is Priority.COMMAND and self._stale(known, time_ns):
             counters.dropped("stale")
             return
-        if known.latched and len(self._pending):
+        if known.latched and len(self.pending):
             self._flush_pending()  # what it said before goes first
         if self._limit is not None and self.over_rate(latched=known.latched):
             return

@@ -10,9 +10,11 @@ import pytest
 
 from bridge.config.model import Config
 from bridge.foxglove.worker import Live
+from bridge.hub.endpoints.publisher import HubPublisher
 from bridge.hub.session import Hub
+from bridge.hub.wire.qos import Durability, Qos, Reliability
 from bridge.messages.registry import Registry
-from tests.contract.hubside import HubSide
+from tests.contract.hubside import HubSide, ros2_name
 from tests.foxglove.app import App
 from tests.support.quick_hub import QuickHub
 
@@ -42,6 +44,12 @@ class Desk:
         """The server once more, with sections of the configuration."""
         self.live.close()
         self.live = self.open(**sections)
+
+    def publisher(self, topic: str, type_: str) -> HubPublisher:
+        """A publisher of the program's, for payloads as they are."""
+        name = ros2_name(type_)
+        qos = Qos(Reliability.RELIABLE, Durability.VOLATILE, depth=10)
+        return self.far.hub.publisher(topic, name, self.far.registry.ros2(name).type_id, qos)
 
     def app(self, **options: Any) -> App:
         return App(self.live.front.port, **options)

@@ -32,8 +32,7 @@ def test_topics_come_with_their_definition_and_go(desk: Desk) -> None:
 
 
 def test_bytes_arrive_as_they_were_sent_with_their_time(desk: Desk) -> None:
-    end = desk.far.advertise("/said", "std_msgs/String")
-    publisher, _ = desk.far._publishers[end]
+    publisher = desk.publisher("/said", "std_msgs/String")
     with desk.app() as app:
         app.subscribe("/said")
         app.until(publisher.matched, "the hub is subscribed to")
@@ -44,7 +43,7 @@ def test_bytes_arrive_as_they_were_sent_with_their_time(desk: Desk) -> None:
 
 
 def test_nothing_is_heard_that_nobody_watches(desk: Desk) -> None:
-    publisher, _ = desk.far._publishers[desk.far.advertise("/said", "std_msgs/String")]
+    publisher = desk.publisher("/said", "std_msgs/String")
     with desk.app() as app, desk.app() as other:
         app.channel("/said")
         assert not publisher.matched()
@@ -94,7 +93,7 @@ def test_of_two_types_of_one_name_the_first_is_shown_and_the_other_told(desk: De
 
 
 def test_a_client_that_never_reads_holds_nobody_up_and_costs_a_bounded_backlog(desk: Desk) -> None:
-    publisher, _ = desk.far._publishers[desk.far.advertise("/blob", "std_msgs/String")]
+    publisher = desk.publisher("/blob", "std_msgs/String")
     with desk.app() as app, desk.app(max_queue=1, close_timeout=0.1) as deaf:
         app.subscribe("/blob")
         app.until(publisher.matched, "it is heard")
@@ -117,7 +116,7 @@ FRAMES: tuple[str | bytes, ...] = (
 
 
 def test_bad_frames_of_a_client_harm_nobody(desk: Desk) -> None:
-    publisher, _ = desk.far._publishers[desk.far.advertise("/said", "std_msgs/String")]
+    publisher = desk.publisher("/said", "std_msgs/String")
     with desk.app() as app, desk.app() as bad:
         app.subscribe("/said")
         app.until(publisher.matched, "it is heard")

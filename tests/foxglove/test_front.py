@@ -133,7 +133,7 @@ def test_who_has_no_token_stays_out(guarded: GuardedDesk, monkeypatch: pytest.Mo
 
 def test_who_comes_past_the_front_may_not_publish(desk: Desk) -> None:
     desk.open_with(**DRIVE)
-    host, port = desk.live.front._inner
+    host, port = desk.live.front.inner
     assert not host.startswith("127.0.0.")
     with contextlib.closing(App(port, host=host)) as app:
         app.send(op="advertise", channels=[{"id": MARK, "topic": "a" * 32, "encoding": "json", "schemaName": ""}])
@@ -142,15 +142,22 @@ def test_who_comes_past_the_front_may_not_publish(desk: Desk) -> None:
         assert not desk.far.publishers("/said")
 
 
-def test_a_word_is_good_once(desk: Desk) -> None:
+def test_a_word_is_good_once(desk: Desk, monkeypatch: pytest.MonkeyPatch) -> None:
     desk.open_with(**DRIVE)
-    visitors = desk.live._visitors
+    visitors, said = desk.live.visitors, list[tuple[int, str]]()
+    came = visitors.came
+
+    def coming(client: int, word: str) -> None:
+        came(client, word)
+        said.append((client, word))
+
+    monkeypatch.setattr(visitors, "came", coming)
     with desk.app() as app:
         app.until(lambda: app.said, "it is let in")
-        (word,) = visitors._open.values()
-        until(lambda: word not in visitors._words, "it was said")
-        visitors.came(99, word)
+        ((client, word),) = until(lambda: said, "it was said")
+        came(99, word)
         assert visitors.of(99) is None
+        assert visitors.all() == [visitors.of(client)]
 
 
 @pytest.mark.parametrize(
@@ -204,7 +211,7 @@ def test_no_more_clients_than_there_is_room_for(desk: Desk, monkeypatch: pytest.
     with desk.app(), desk.app() as app:
         assert status_of(desk) == 503
         app.until(lambda: app.said, "the others are served")
-    until(lambda: not desk.live.front._open, "they are gone")
+    until(lambda: not desk.status()["clients"], "they are gone")
     with desk.app() as app:
         app.until(lambda: app.said, "there is room again")
 
@@ -212,7 +219,7 @@ def test_no_more_clients_than_there_is_room_for(desk: Desk, monkeypatch: pytest.
 def test_who_takes_nothing_is_cut_and_holds_nobody_up(desk: Desk, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(front, "STILL_SECONDS", 2.0)
     monkeypatch.setattr(front, "MOST_UNREAD", 1 << 20)
-    publisher, _ = desk.far._publishers[desk.far.advertise("/flood", "std_msgs/String")]
+    publisher = desk.publisher("/flood", "std_msgs/String")
     word = cdr("x" * 500_000)
     with desk.app() as app, desk.app(max_queue=1, close_timeout=0.1) as deaf:
         deaf.subscribe("/flood")

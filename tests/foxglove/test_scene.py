@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import struct
+import time
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -11,11 +12,14 @@ import numpy as np
 import pytest
 
 from bridge.foxglove.scene import KEEP_OUT, SCENE
+from bridge.stores.client import StoreClient
 from bridge.stores.kinds import AREA, CURRENT, LOCATION, MAP
 from bridge.stores.store import THE_MAP, Store, Write
+from bridge.web import maps
 from tests.foxglove.app import App
 from tests.foxglove.conftest import Desk
 from tests.stores.parts import Shared
+from tests.support.wait import until
 from yarp_compat.dev.locations import Map2DArea, Map2DLocation
 from yarp_compat.dev.mapgrid import MapFlag, MapGrid2D
 from yarp_compat.sig.vec2d import Vec2D
@@ -140,13 +144,30 @@ def test_keep_out_cells_lie_as_on_the_map(desk: Desk, store: Store) -> None:
         assert np.asarray(found.data).tolist() == [100] + [0] * 23
 
 
-def test_the_store_is_asked_while_somebody_watches_alone(desk: Desk, store: Store) -> None:
+def test_the_store_is_asked_while_somebody_watches_alone(
+    desk: Desk, store: Store, monkeypatch: pytest.MonkeyPatch
+) -> None:
     assert store is not None
-    live = desk.live
+    digest, asked = StoreClient.digest, list[StoreClient]()
+
+    def asking(client: StoreClient) -> Any:
+        asked.append(client)
+        return digest(client)
+
+    monkeypatch.setattr(StoreClient, "digest", asking)
+    monkeypatch.setattr(maps, "LOOK_SECONDS", 0.1)
+
+    def rests() -> bool:
+        before = len(asked)
+        time.sleep(1.0)
+        return len(asked) == before
+
     with desk.app() as app:
         app.channel(SCENE)
-        assert live._scene._store is None
+        assert rests()
+        assert not asked, "nobody watches yet"
         number = app.subscribe(SCENE)
         app.until(lambda: app.messages[SCENE], "a scene")
+        app.until(lambda: len(asked) > 3, "it is asked again and again")
         app.unsubscribe(number)
-        app.until(lambda: live._scene._view is None and not live._scene._store._feeds, "it rests")  # type: ignore[union-attr]
+        until(rests, "it rests")

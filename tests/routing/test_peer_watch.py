@@ -57,7 +57,7 @@ class World:
         """Turn by turn."""
         for _ in range(round(seconds / 0.1)):
             self.now += 0.1
-            self.watch._turn()
+            self.watch.turn()
 
 
 def test_who_stood_still_waits_for_its_hub_before_it_takes_another_for_a_strangers(
@@ -80,7 +80,7 @@ def test_after_a_short_standstill_the_hub_is_known(monkeypatch: pytest.MonkeyPat
     world.run(2.0)
     assert world.watch.outcome.active
     world.now += 2.0
-    world.watch._turn()
+    world.watch.turn()
     assert not world.watch.outcome.active
     world.run(0.3)
     assert world.watch.outcome.active

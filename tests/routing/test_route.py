@@ -295,7 +295,7 @@ def test_what_comes_before_its_publisher_may_pass(latched: bool, standby: bool) 
         )
         route.update(*([native, endpoint], []) if standby else ([native], [], [endpoint]))
         for number, text in enumerate(("old", "new"), 1):
-            route._handle(HubSample(zenoh.ZBytes(line(text)), number, number, GID, "z"))
+            route.handle(HubSample(zenoh.ZBytes(line(text)), number, number, GID, "z"))
         assert route.counters.messages == 0
         lease.extend(math.inf)
         route.update([native, endpoint], [])
@@ -323,7 +323,7 @@ def test_state_that_the_side_tells_without_a_lease_crosses_with_the_next(latched
         route.update(publishers)
         lease.end()
         for text in ("old", "new"):
-            route._deliver(line(text), "known", None)
+            route.deliver(line(text), "known", None)
         route.update(publishers)
         assert route.counters.messages == 0
         lease.extend(math.inf)
@@ -357,7 +357,7 @@ def test_a_quick_stream_is_left_ten_seconds_after_its_last_listener(
         def state_after(seconds: float) -> object:
             now[0] += seconds
             for number in range(count):
-                route._handle(HubSample(zenoh.ZBytes(line("x")), number + 1, 1, GID, "z"))
+                route.handle(HubSample(zenoh.ZBytes(line("x")), number + 1, 1, GID, "z"))
             route.update([publisher], [])
             return route.status()["state"]
 
@@ -389,13 +389,13 @@ def test_only_what_is_no_command_waits_for_its_source(topic: str, kept: int) -> 
         )
         to_hub = SideToHubRoute(key, topic, conversion, policy, context)
         to_hub.update([Endpoint("known", Kind.PUBLISHER, topic, TWIST, Qos(), MadeBy.NATIVE)])
-        to_hub._deliver(b"payload", "unknown", None)
-        assert (len(to_hub._pending), to_hub.counters.drops["unknown"]) == (kept, 1 - kept)
+        to_hub.deliver(b"payload", "unknown", None)
+        assert (len(to_hub.pending), to_hub.counters.drops["unknown"]) == (kept, 1 - kept)
         to_hub.close()
         to_side = HubToSideRoute(key, topic, None, conversion, policy, context)
         to_side.update([], [])
-        to_side._handle(HubSample(zenoh.ZBytes(b"payload"), 1, 1, b"g" * 16, "nobody"))
-        assert (len(to_side._pending), to_side.counters.drops["unknown"]) == (kept, 1 - kept)
+        to_side.handle(HubSample(zenoh.ZBytes(b"payload"), 1, 1, b"g" * 16, "nobody"))
+        assert (len(to_side.pending), to_side.counters.drops["unknown"]) == (kept, 1 - kept)
         to_side.close()
 
 
@@ -423,7 +423,7 @@ def test_a_rate_means_the_same_in_both_directions(priority: str, latched: bool, 
             for name, offered in (("this", qos), ("other", other))
         ])  # fmt: skip
         for _ in range(3):
-            to_hub._deliver(line("here"), "this", None)
+            to_hub.deliver(line("here"), "this", None)
         to_hub.close()
         to_side = HubToSideRoute(key, topic, None, conversion, policy, context)
         this = HubEndpoint(
@@ -442,7 +442,7 @@ def test_a_rate_means_the_same_in_both_directions(priority: str, latched: bool, 
         )
         to_side.update([this, replace(this, gid=b"o" * 16, qos=other)], [])
         for number in range(3):
-            to_side._received(HubSample(zenoh.ZBytes(line("here")), number, number, GID, "z"))
+            to_side.received(HubSample(zenoh.ZBytes(line("here")), number, number, GID, "z"))
         to_side.close()
     for made in (to_hub, to_side):
         assert (made.counters.messages, made.counters.drops["rate"]) == ((1, 2) if thinned else (3, 0))
