@@ -141,6 +141,13 @@ class App:
         self.socket.send(head + encoding.encode() + request)
         return self._numbers
 
+    def until_taken(self) -> None:
+        """Wait until the server has done what was asked so far: it answers in the order of what comes."""
+        self._numbers += 1
+        asked = f"taken {self._numbers}"
+        self.send(op="getParameters", parameterNames=["nothing"], id=asked)
+        self.until(lambda: any(said.get("id") == asked for said in self.said), "the answer to what was asked last")
+
     def received(self, topic: str, count: int = 1) -> list[tuple[int, bytes]]:
         """Wait for so many messages of a topic."""
         return self.until(

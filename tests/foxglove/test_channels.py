@@ -49,6 +49,8 @@ def test_nothing_is_heard_that_nobody_watches(desk: Desk) -> None:
         assert not publisher.matched()
         assert desk.status()["topics"] == []
         first, second = app.subscribe("/said"), other.subscribe("/said")
+        for each in (app, other):
+            each.until_taken()
         app.until(publisher.matched, "it is heard")
         publisher.put(cdr("x"))
         app.received("/said")

@@ -42,7 +42,9 @@ def open_session(endpoint: str, mode: str = "peer", **more: Any) -> zenoh.Sessio
         "connect": {"endpoints": [endpoint]},
         **more,
     }
-    return zenoh.open(zenoh.Config.from_json5(json.dumps(tree)))
+    session = zenoh.open(zenoh.Config.from_json5(json.dumps(tree)))
+    until(session.info.routers_zid, "the session is linked to the router")
+    return session
 
 
 class Router:

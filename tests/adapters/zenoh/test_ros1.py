@@ -174,6 +174,7 @@ def test_what_is_latched_is_put_again_for_the_first_subscriber_and_for_another_b
     first.deafen()
     list(first.session.liveliness().get("nothing"))  # once this is answered, the network knows it
     second = place.ros1()
+    until(lambda: len(second.session.info.peers_zid()) == 2, "it is linked to us and to the first")
     remote = zenoh.Locality.REMOTE
     probe = second.session.declare_publisher(second.discovery("sub", "/other", STRING), allowed_destination=remote)
     until(lambda: probe.matching_status.matching, "its beacons will be heard")  # type: ignore[attr-defined]
