@@ -87,7 +87,7 @@ class Server:
         decision = self.generations.of(peer, profile, link)
         likely = profile or decision.generation.profile
         try:
-            words, call, arguments, found = self._taken(payload, likely)
+            words, call, arguments, found = self.taken(payload, likely)
         except WireError as error:
             said = self._commanded(payload, profile, likely)
             if said is not None:
@@ -140,7 +140,7 @@ class Server:
             self._log("a command", exc_info=True)
             return _fail()
 
-    def _taken(self, payload: Buffer, likely: Profile) -> tuple[str, Call | None, list[Any], Profile]:
+    def taken(self, payload: Buffer, likely: Profile) -> tuple[str, Call | None, list[Any], Profile]:
         """A request's name, call, arguments (too many do no harm) and dialect, in which all bytes mean something."""
         other = Profile.YARP3 if likely is Profile.YARP4 else Profile.YARP4
         first: WireError | None = None

@@ -344,9 +344,9 @@ class Keeper:
                 if self._thread is not me:
                     return
                 kept = [(names, contact) for names, ports in self._kept.items() for contact in ports.values()]
-            self._ask(kept)
+            self.ask(kept)
 
-    def _ask(self, kept: list[_Kept]) -> None:
+    def ask(self, kept: list[_Kept]) -> None:
         """Ask each name server for some of its ports: all clients' together, since each question is a connection."""
         self._turn += 1
         servers: dict[Hashable, list[_Kept]] = {}

@@ -112,6 +112,7 @@ class NameServer(Openable):
         contact: its own port.
         registry: what is registered.
         changes: how often its ports, their properties or wished connections changed since it was opened.
+        port: at which it is asked, and which tells of what happens.
     """
 
     def __init__(
@@ -140,7 +141,7 @@ class NameServer(Openable):
         self._thread: threading.Thread | None = None
         self._naming = _Own(self)
         self._connector = Connector(self._naming)
-        self._port = PortCore(
+        self.port = PortCore(
             namespace,
             on_message=self._bottle,
             on_line=self._line,
@@ -155,7 +156,7 @@ class NameServer(Openable):
         """Remember what the last one knew, and serve; raises `NamingError` where it cannot listen at its address."""
         self._recall()
         try:
-            self._port.open()
+            self.port.open()
         except OSError as err:
             a = self.address
             raise NamingError(
@@ -171,7 +172,7 @@ class NameServer(Openable):
     def close(self) -> None:
         """Serve no more; ports and their connections are not touched, and what is known stays in the file."""
         self._connector.close()
-        self._port.close()
+        self.port.close()
         self._stop.set()
         self._wake.set()
         if self._thread is not None:
@@ -214,7 +215,7 @@ class NameServer(Openable):
     def _tell(self, answer: Command) -> None:
         """Tell listeners what changed; with the lock held, as that waits for nobody, so that all hear it in order."""
         for event in answer.events:
-            self._port.write(encode(event, self._profile), strict=True)
+            self.port.write(encode(event, self._profile), strict=True)
 
     def _follow(self, answer: Command) -> None:
         for wish in answer.wishes:

@@ -30,6 +30,10 @@ class Output:
 
     At any time at most one thread talks on the connection, its driver: a thread that writes, or the shared thread while
     messages wait. The driver alone touches ``_current`` and what is on the wire.
+
+    Attributes:
+        speaker: the socket's side.
+        waiters: how many threads wait until it is free, or for a message of theirs.
     """
 
     group = None  # only datagrams are sent to a group
@@ -55,16 +59,16 @@ class Output:
         self._limit = limit
         self._lock = threading.Lock()
         self._changed = threading.Condition(self._lock)
-        self._waiters = 0
+        self.waiters = 0
         self._pending = SendQueue(room, self.counters.drop)
         self._driven = False
         self._current: Item | None = None
-        self._speaker = OutputSocket(sock, route, carrier, limit)
+        self.speaker = OutputSocket(sock, route, carrier, limit)
 
     @property
     def sock(self) -> socket.socket:
         """The socket, for its options alone."""
-        return self._speaker.sock
+        return self.speaker.sock
 
     def begin(self, buffers: list[Buffer], strict: bool, wait: bool) -> Item | None:
         """Send a message as far as that goes at once; the rest follows. None where the peer is gone.
@@ -80,9 +84,9 @@ class Output:
                 return item
             self._driven = True
         try:
-            if not self._speaker.due or self._speaker.take_ack():
+            if not self.speaker.due or self.speaker.take_ack():
                 self._current = item
-                if self._send(item) and not (wait and self._speaker.due):
+                if self._send(item) and not (wait and self.speaker.due):
                     self._settle(item)
                     return item
             elif wait:
@@ -136,22 +140,22 @@ class Output:
 
     def _acknowledged(self) -> bool:
         """Wait for a step for the acknowledgement that is due; whether none is any more."""
-        return not self._speaker.due or self._speaker.take_ack(patient=True)
+        return not self.speaker.due or self.speaker.take_ack(patient=True)
 
     def _send(self, item: Item, *, patient: bool = False) -> bool:
         """Send what the socket takes of a message; whether that was all."""
-        done = self._speaker.send(item, patient=patient)
+        done = self.speaker.send(item, patient=patient)
         self.counters.sent += done
         return done
 
     def _wait_for(self, condition: Callable[[], bool], deadline: float | None) -> bool:
         """Wait for a condition, with the lock held; whether it came true."""
-        self._waiters += 1
+        self.waiters += 1
         try:
             left = None if deadline is None else max(0.0, deadline - time.monotonic())
             return self._changed.wait_for(condition, left)
         finally:
-            self._waiters -= 1
+            self.waiters -= 1
 
     def _settle(self, item: Item) -> None:
         """A message is done; go on with those that wait, or be free."""
@@ -160,7 +164,7 @@ class Output:
         with self._lock:
             if not self._pending and not self.closed:
                 self._driven = False
-                if self._waiters:
+                if self.waiters:
                     self._changed.notify_all()
                 return
         if self.closed:
@@ -173,7 +177,7 @@ class Output:
         item.own()
         item.ours = False
         self._pending.put(item, strict)
-        if self._waiters:
+        if self.waiters:
             self._changed.notify_all()  # one that somebody waits for may have made room
 
     def _hand_over(self) -> None:
@@ -187,26 +191,26 @@ class Output:
         try:
             events = self._step()
         except OSError:
-            self._loop.ignore(self._speaker.sock)
+            self._loop.ignore(self.speaker.sock)
             self._fail()
             return
         if events is None:
             return
         if events and not self.closed:
-            self._loop.watch(self._speaker.sock, events, self._drive)
+            self._loop.watch(self.speaker.sock, events, self._drive)
             return
-        self._loop.ignore(self._speaker.sock)
+        self._loop.ignore(self.speaker.sock)
         self._dispose()
 
     def _step(self) -> int | None:
         """The events to wait for; 0 where the connection is closed; None where another thread may drive."""
         while not self.closed:
             item = self._current
-            if self._speaker.due and not self._speaker.take_ack():
+            if self.speaker.due and not self.speaker.take_ack():
                 return selectors.EVENT_READ
             if item is not None and item.buffers and not self._send(item):
                 return selectors.EVENT_WRITE
-            if self._speaker.due:
+            if self.speaker.due:
                 continue
             with self._lock:
                 if item is not None:
@@ -214,7 +218,7 @@ class Output:
                 self._current = self._pending.next()
                 free = self._current is None and not self.closed
                 if free:
-                    self._loop.ignore(self._speaker.sock)
+                    self._loop.ignore(self.speaker.sock)
                     self._driven = False
                 self._changed.notify_all()
                 if free:
@@ -224,16 +228,16 @@ class Output:
     @property
     def busy(self) -> bool:
         """Whether a message is still on its way out, or not acknowledged."""
-        if self._speaker.due and not self._driven:
+        if self.speaker.due and not self._driven:
             self.check()  # the acknowledgement may have come: between two messages nobody reads
-        return self._driven or self._speaker.due
+        return self._driven or self.speaker.due
 
     def wait_idle(self, deadline: float | None) -> bool:
         """Wait until nothing is on its way, acknowledgements included; False where something is by the deadline."""
         with self._lock:
             if not self._wait_for(lambda: not self._driven or self.closed, deadline):
                 return False
-            if self.closed or not self._speaker.due:
+            if self.closed or not self.speaker.due:
                 return True
             self._driven = True
         self._current = Item([], ours=True)
@@ -250,7 +254,7 @@ class Output:
             if self._driven:
                 self._wait_for(lambda: not self._driven or self.closed, deadline)
             if self.closed:
-                raise ConnectionResetError(self._speaker.gone())
+                raise ConnectionResetError(self.speaker.gone())
             if self._driven:
                 raise TimeoutError(f"{self.route.target} is still busy with another message")
             self._driven = True
@@ -259,7 +263,7 @@ class Output:
             while not self._push(item):
                 self._check_time(deadline)
             watch = ReplyWatch(parse, self.carrier, self.profile, self._limit)
-            reply = self._speaker.reply(watch, lambda: self._check_time(deadline))
+            reply = self.speaker.reply(watch, lambda: self._check_time(deadline))
             if reply is not None:
                 self.profile = watch.profile
             while not self._acknowledged():
@@ -275,7 +279,7 @@ class Output:
 
     def _check_time(self, deadline: float | None) -> None:
         if self.closed:
-            raise ConnectionAbortedError(self._speaker.gone())
+            raise ConnectionAbortedError(self.speaker.gone())
         if deadline is not None and time.monotonic() > deadline:
             raise TimeoutError(f"no reply from {self.route.target} in time")
 
@@ -285,7 +289,7 @@ class Output:
             if self._driven or self.closed:
                 return
             with contextlib.suppress(OSError):  # it is not in order
-                if self._speaker.look():
+                if self.speaker.look():
                     return
             self._driven = True
         self._fail()
@@ -301,11 +305,11 @@ class Output:
             self._changed.notify_all()
         if free:
             with contextlib.suppress(OSError):
-                self._speaker.say_goodbye(patient=not self._loop.is_own_thread)
+                self.speaker.say_goodbye(patient=not self._loop.is_own_thread)
             self._dispose()
             return
         with contextlib.suppress(OSError):
-            self._speaker.shutdown()  # its driver wakes up, and closes it
+            self.speaker.shutdown()  # its driver wakes up, and closes it
 
     def abandon(self) -> None:
         """In a child process of fork: let go of the socket, and say nothing."""
@@ -319,7 +323,7 @@ class Output:
         with self._lock:
             self.counters.drop("lost", self._pending.clear())
             self._changed.notify_all()
-        self._speaker.close()
+        self.speaker.close()
         if lost := self.counters.dropped["lost"]:
             _log.info("%s -> %s ended with %d messages that were not sent", self.route.source, self.route.target, lost)
 

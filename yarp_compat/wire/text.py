@@ -81,12 +81,12 @@ def from_text(text: str) -> list[Any]:
     else:
         if not outer and not text[at:].strip(_SEPARATORS):
             return values
-    return _TextReader(text).values(text, 0)
+    return TextReader(text).values(text, 0)
 
 
 def is_complete(text: str) -> bool:
     """Whether brackets and quotes are closed: else a text carrier's text goes on in the next line."""
-    return _split(text)[1]
+    return split_words(text)[1]
 
 
 def to_text(values: Iterable[Any]) -> str:
@@ -119,7 +119,7 @@ def dict_of(entries: list[Any]) -> dict[str, Any]:
     return found
 
 
-class _TextReader:
+class TextReader:
     """Reads any text as YARP does: each list's text is what stands between its word's first and last character.
 
     It looks at a text once more for each level of nesting, so well formed texts are read without it.
@@ -133,7 +133,7 @@ class _TextReader:
         self._left -= len(text)
         if depth > MAX_DEPTH or self._left < 0:
             raise WireError(f"lists in a text are nested deeper than {MAX_DEPTH}, or too deep for its length")
-        return [self._value(word, depth + 1) for word in _split(text)[0]]
+        return [self._value(word, depth + 1) for word in split_words(text)[0]]
 
     def _value(self, word: str, depth: int) -> Any:
         if word[0] == "(":
@@ -169,7 +169,7 @@ def _blob(text: str) -> bytes:
     return bytes([_low_byte(value) for value in from_text(text)])
 
 
-def _split(text: str) -> tuple[list[str], bool]:
+def split_words(text: str) -> tuple[list[str], bool]:
     """The words of a text at its outermost level, and whether all that was opened in it is closed."""
     words: list[str] = []
     begun = -1

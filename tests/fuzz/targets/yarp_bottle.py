@@ -77,12 +77,12 @@ def _reply() -> Subject:
 def _text() -> Subject:
     """A Bottle's text; what it says is printed, and as bytes it is the same again."""
     from yarp_compat.wire.binary import decode, encode
-    from yarp_compat.wire.text import _TextReader, from_text, is_complete, to_text
+    from yarp_compat.wire.text import TextReader, from_text, is_complete, to_text
 
     def parse(data: bytes) -> None:
         line = data.decode(errors="surrogateescape")
         values = from_text(line)
-        assert len(line) > 1000 or to_text(values) == to_text(_TextReader(line).values(line, 0))
+        assert len(line) > 1000 or to_text(values) == to_text(TextReader(line).values(line, 0))
         is_complete(line)
         wire = encode(values, Profile.YARP4)
         # as bytes: escapes may stand between the bytes of one character

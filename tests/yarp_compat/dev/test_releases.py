@@ -93,7 +93,7 @@ class Client:
         """Make a call; whether it is told that it succeeded."""
         call = All.calls()[name]
         self.send(call.request(arguments, self._release.profile))
-        return self._read(call)
+        return self.read(call)
 
     def send(self, payload: bytes) -> None:
         self._sock.sendall(framing.prefix(len(payload), "d") + payload)
@@ -109,7 +109,7 @@ class Client:
         self.send(encode([INTRODUCTION], Profile.YARP4))
         self.receive(VERSION.size + 8)
 
-    def _read(self, call: Call) -> bool:
+    def read(self, call: Call) -> bool:
         while True:
             try:
                 ok, end = self._release.read(call, self._came, acked=self._acked)
@@ -298,7 +298,7 @@ def test_transcripts_of_four_releases_where_nobody_said_who_is_who(connect: Call
                 assert client.receive(len(reply) + 8) == reply + framing.ACK
                 continue
             succeeded = bool(call.read_reply(reply, generation).results[0])
-            told = client._read(call)
+            told = client.read(call)
             assert client.in_step
             if release in ("3.12", "4.0") or call.alone:
                 assert told is succeeded, (release, call.name)

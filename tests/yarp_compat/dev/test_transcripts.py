@@ -44,7 +44,7 @@ def streamed(name: str) -> Iterator[bytes]:
 
 
 def taken(payload: bytes, profile: Profile) -> tuple[str, Call | None, list[Any]]:
-    name, call, arguments, found = Server(All())._taken(payload, profile)
+    name, call, arguments, found = Server(All()).taken(payload, profile)
     assert found is profile
     return name, call, arguments
 

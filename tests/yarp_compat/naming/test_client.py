@@ -122,16 +122,21 @@ def test_closed_early(answer: bytes) -> None:
 
 
 def test_a_connection_that_breaks_at_once_is_closed(monkeypatch: pytest.MonkeyPatch) -> None:
-    broken: list[socket.socket] = []
+    broken: list[LineSocket] = []  # kept: else it would be closed as it is forgotten
 
     def send(peer: LineSocket, _data: bytes) -> None:
-        broken.append(peer._socket)
+        broken.append(peer)
         raise BrokenPipeError
 
     monkeypatch.setattr(LineSocket, "send", send)
-    with socket.create_server(("127.0.0.1", 0)) as server, pytest.raises(NoNameServerError):
-        client(server.getsockname()[1]).query("/a")
-    assert broken[0].fileno() == -1
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        with pytest.raises(NoNameServerError):
+            client(server.getsockname()[1]).query("/a")
+        assert len(broken) == 1
+        there, _ = server.accept()
+        with there:
+            there.settimeout(20)
+            assert there.recv(1) == b""
 
 
 def test_silence_has_an_end() -> None:

@@ -210,7 +210,7 @@ CONTACTS = [PortContact(f"/p{i}", "127.0.0.1", 10002 + i) for i in range(30)]
 def test_where_one_is_missing_all_are_asked_for() -> None:
     """Not only those few whose turn it is, and those of other clients too."""
     clients = Asked({}), Asked({})
-    client_module.Keeper()._ask([(clients[i % 2], contact) for i, contact in enumerate(CONTACTS)])
+    client_module.Keeper().ask([(clients[i % 2], contact) for i, contact in enumerate(CONTACTS)])
     for i, client in enumerate(clients):
         assert sorted(client.restored) == sorted(contact.name for contact in CONTACTS[i::2])
 
@@ -221,7 +221,7 @@ def test_the_clients_of_one_name_server_take_turns() -> None:
     clients = [Asked(known) for _ in CONTACTS]
     keeper, kept = client_module.Keeper(), list(zip(clients, CONTACTS, strict=True))
     for turn in range(1, 7):
-        keeper._ask(kept)
+        keeper.ask(kept)
         assert sum(len(client.asked) for client in clients) == turn * client_module.AT_ONCE
     assert all(client.asked == [contact.name] for client, contact in kept)
     assert not any(client.restored for client in clients)

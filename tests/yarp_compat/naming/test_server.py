@@ -224,7 +224,7 @@ def test_events_come_in_the_order_of_what_happened(
 ) -> None:
     open_port("/watch")
     connections.connect(names, "/root", "/watch")
-    write, second = server._port.write, threading.Thread(target=server.apply, args=(["register", "/second"], "1.2.3.4"))
+    write, second = server.port.write, threading.Thread(target=server.apply, args=(["register", "/second"], "1.2.3.4"))
 
     def slowly(event: bytes, **options: Any) -> int:
         if decode(event) == ["add", "/first"]:
@@ -232,7 +232,7 @@ def test_events_come_in_the_order_of_what_happened(
             second.join(0.3)  # it waits
         return write(event, **options)
 
-    monkeypatch.setattr(server._port, "write", slowly)
+    monkeypatch.setattr(server.port, "write", slowly)
     names.register("/first")
     second.join(20)
     events = [["add", "/first"], ["add", "/second"]]

@@ -122,7 +122,7 @@ def test_who_is_looked_at_is_not_busy(make_port: MakePort, monkeypatch: pytest.M
     writer = make_port("/w")
     writer.add_output("fast_tcp://r")
     (output,) = writer.connections.outputs
-    look, asked = output._speaker.look, threading.Event()
+    look, asked = output.speaker.look, threading.Event()
 
     def idle(output: AnyOutput) -> bool:
         found = not output.busy
@@ -136,7 +136,7 @@ def test_who_is_looked_at_is_not_busy(make_port: MakePort, monkeypatch: pytest.M
         assert asked.wait(20)
         return look()
 
-    monkeypatch.setattr(output._speaker, "look", looking)
+    monkeypatch.setattr(output.speaker, "look", looking)
     output.check()
     command.join(20)
     until(lambda: got == [b"go"], "the command")
@@ -153,7 +153,7 @@ def test_a_writer_whose_message_makes_room_goes(make_port: MakePort, slow: Slow,
     reached: list[int] = []
     waiting = threading.Thread(target=lambda: reached.append(writer.write(b"b", wait=True, timeout=20)))
     waiting.start()
-    until(lambda: output._waiters, "it waits")
+    until(lambda: output.waiters, "it waits")
     began = time.monotonic()
     for _ in range(3):
         writer.write(bytes(BIG), strict=strict)
@@ -285,14 +285,14 @@ def test_a_writer_behind_another_message_goes_when_the_peer_is_out_of_the_list(
 ) -> None:
     writer = make_port("/w")
     writer.add_output("tcp://slow")
-    output, listed = writer.connections.outputs[0], list[int]()
-    dispose = output._dispose  # which lets the writer go
-    monkeypatch.setattr(output, "_dispose", lambda: (listed.append(len(writer.outputs())), dispose()))
+    (output,), listed = writer.connections.outputs, list[int]()
+    close = output.speaker.close  # once the writer is let go
+    monkeypatch.setattr(output.speaker, "close", lambda: (listed.append(len(writer.outputs())), close()))
     assert writer.write(b"a") == 1
     assert writer.write(b"waits") == 1, "the shared thread waits for the acknowledgement before"
     threading.Timer(0.2, lambda: slow.sock and slow.sock.close()).start()
     assert writer.write(b"b", wait=True, timeout=20) == 0
-    assert listed[0] == 0
+    assert until(lambda: listed, "its socket is closed")[0] == 0
 
 
 @pytest.mark.parametrize("carrier", ["tcp", "udp"])
@@ -300,19 +300,22 @@ def test_what_is_closed_is_out_of_the_list(make_port: MakePort, monkeypatch: pyt
     """Who finds that the peer takes nothing finds it connected no more."""
     make_port("/r")
     writer = make_port("/w")
+    remove, closed = writer.connections.remove_output, list[bool]()
+
+    def removing(output: AnyOutput) -> bool:
+        closed.append(output.closed)
+        return remove(output)
+
+    monkeypatch.setattr(writer.connections, "remove_output", removing)
     writer.add_output(f"{carrier}://r")
     (output,) = writer.connections.outputs
-    lost, closed = output._lost, list[bool]()
-
-    def losing(output: AnyOutput) -> None:
-        closed.append(output.closed)
-        lost(output)
-
-    monkeypatch.setattr(output, "_lost", losing)
     if isinstance(output, DatagramOutput):
-        output._fail(ConnectionRefusedError())
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as nobody:
+            nobody.bind(("127.0.0.1", 0))
+            output.sock.connect(nobody.getsockname())
+        output.sock.send(b"refused")
     else:
-        output._speaker.shutdown()
+        output.speaker.shutdown()
     output.check()
     until(lambda: output.closed, "it is noticed")
     assert closed == [False]

@@ -9,9 +9,9 @@ import pytest
 from tests.support.wait import until
 from tests.yarp_compat.ports.conftest import MakePort
 from tests.yarp_compat.ports.test_port import HELLO
+from yarp_compat.ports import loop
 from yarp_compat.ports.message import PortMessage
 from yarp_compat.ports.naming import LocalNaming
-from yarp_compat.ports.outgoing import Item, framed
 from yarp_compat.ports.port import PortCore
 
 
@@ -99,33 +99,43 @@ def test_a_connection_that_is_closed_as_its_queue_is_empty_says_goodbye(
     make_port: MakePort, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The thread that sent the queue leaves the socket to the one that closes it."""
-    make_port("/r")
+    taken, go_on = list[PortMessage](), threading.Event()
+
+    def take(message: PortMessage) -> None:
+        taken.append(message)
+        assert go_on.wait(20)
+
+    make_port("/r", take)
     writer = make_port("/w")
     writer.add_output("tcp://r")
     (output,) = writer.connections.outputs
-    step, say = output._step, output._speaker.say_goodbye
+    step, say = output._step, output.speaker.say_goodbye
     emptied, said = threading.Event(), list[bool]()
 
     def stepping() -> int | None:
         events = step()
-        if not output._driven:
+        if events is None:
             closer.start()
             assert emptied.wait(20)
         return events
 
     def saying(*, patient: bool) -> None:
         emptied.set()
-        output._loop.run(lambda: None)  # the shared thread is done with the queue
-        said.append(output._speaker.sock.fileno() >= 0)
+        shared.run(lambda: None)  # the shared thread is done with the queue
+        said.append(output.sock.fileno() >= 0)
         say(patient=patient)
 
     closer = threading.Thread(target=output.close)
     monkeypatch.setattr(output, "_step", stepping)
-    monkeypatch.setattr(output._speaker, "say_goodbye", saying)
-    with output._lock:
-        output._driven = True
-        output._queue(Item([b"".join(framed(HELLO, "", "D"))], ours=False), strict=True)
-    output._hand_over()
-    until(lambda: said, "the goodbye")
-    closer.join(20)
+    monkeypatch.setattr(output.speaker, "say_goodbye", saying)
+    shared = loop.acquire()
+    try:
+        for _ in range(2):  # the second waits for the acknowledgement of the first
+            assert writer.write(HELLO, strict=True) == 1
+        until(lambda: taken, "the first message")
+        go_on.set()
+        until(lambda: said, "the goodbye")
+        closer.join(20)
+    finally:
+        loop.release(shared)
     assert said == [True]

@@ -167,7 +167,9 @@ def test_a_group_that_cannot_be_announced_leaves_no_socket(
 
     monkeypatch.setattr(writer.naming, "announce", refused)
     assert not writer.add_output("mcast://r")[0]
-    assert [group._sock.fileno() for group in made] == [-1]
+    (group,) = made
+    with pytest.raises(OSError, match="Bad file descriptor"):
+        group.socket()
     assert "mcast" not in [contact[2] for contact in server.ports.values()]
 
 

@@ -124,9 +124,9 @@ def test_values_come_back_as_text_says_them(values: list[Any]) -> None:
 @example(line="a\\ b")
 def test_any_text_is_taken_apart_character_by_character(line: str) -> None:
     """Against the same rules applied to one character after the other."""
-    assert text._split(line)[0] == _slowly_split(line)
+    assert text.split_words(line)[0] == _slowly_split(line)
     values = from_text(line)
-    assert typed(values) == typed(text._TextReader(line).values(line, 0))
+    assert typed(values) == typed(text.TextReader(line).values(line, 0))
     assert isinstance(to_text(values), str)
 
 

@@ -75,7 +75,7 @@ def results(method: str, said: Sequence[Any]) -> tuple[Any, ...]:
     first = pattern.reply.index("*")
     if len(said) < first + len(fields) + 1:
         raise WireError(f"{method} returns {len(fields)} values, and the reply is {list(said)}")
-    return OK, *(_read(field, value) for field, value in zip(fields, said[first:], strict=False))
+    return OK, *(read_value(field, value) for field, value in zip(fields, said[first:], strict=False))
 
 
 def respond(board: JointBoard, asked: Sequence[Any], stamp: tuple[int, float]) -> list[Any]:
@@ -107,7 +107,7 @@ def _answer(board: JointBoard, asked: Sequence[Any], stamp: tuple[int, float]) -
         if isinstance(field, Nested):
             given.append(Bottle(arguments[place:]))
         else:
-            given.append(_read(field, arguments[place]))
+            given.append(read_value(field, arguments[place]))
     returned = answer(board, call.name, given)
     outcome, *values = returned if isinstance(returned, tuple) else (returned,)
     if not outcome:
@@ -162,14 +162,14 @@ def _written(field: FieldCodec, value: Any) -> Any:
     return str(value)
 
 
-def _read(field: FieldCodec, value: Any) -> Any:
+def read_value(field: FieldCodec, value: Any) -> Any:
     """A value out of a Bottle; raises `WireError` where it is of another kind."""
     try:
         if isinstance(field, ListOf):
             value = list(value) if isinstance(value, list) else [None]  # which no element is
             if isinstance(field.element, Nested):
                 return [Bottle(value)]
-            return [_read(field.element, element) for element in value]
+            return [read_value(field.element, element) for element in value]
         if isinstance(field, Nested):
             return Bottle(value if isinstance(value, list) else [value])
         if field is MODE:

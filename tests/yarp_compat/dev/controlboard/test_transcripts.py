@@ -75,7 +75,7 @@ def test_each_exchange_with_a_board_of_3_12() -> None:
             continue
         call, pattern = words.known().get(tuple(map(str, asked[:3]))) or words.known()[tuple(map(str, asked[:2]))]
         arguments = asked[len(pattern.request) + ("Group" in call.name) :]
-        given = [words._read(field, value) for (_, field), value in zip(call.arguments, arguments, strict=False)]
+        given = [words.read_value(field, value) for (_, field), value in zip(call.arguments, arguments, strict=False)]
         if "setRemoteVariable" not in call.name:  # whose value goes on to the end
             assert encode(words.request(call.name, given), Profile.YARP3) == request
         outcome, *found = words.results(call.name, said)
@@ -92,7 +92,7 @@ def test_each_exchange_with_a_board_of_3_12() -> None:
 def test_each_exchange_with_a_board_of_4_0() -> None:
     seen = set()
     for request, reply in exchanges(Profile.YARP4):
-        name, call, arguments, found = Server(BoardAnswers(JointBoard(3)).service)._taken(request, Profile.YARP4)
+        name, call, arguments, found = Server(BoardAnswers(JointBoard(3)).service).taken(request, Profile.YARP4)
         if name == INTRODUCTION:
             continue
         assert call is not None
