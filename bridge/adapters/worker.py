@@ -47,17 +47,22 @@ def make_edges(name: str, config: Config, registry: Registry, folder: Path) -> d
 
 
 class BridgeWorker(Worker):
-    """Joins one side to the hub."""
+    """Joins one side to the hub.
+
+    Attributes:
+        config: what it runs by, None before it starts.
+        crossings: one for each network of its side.
+    """
 
     def __init__(self, side: str) -> None:
         self.side = all_networks()[side]
-        self._config: Config | None = None
-        self._crossings: list[Crossing] = []
+        self.config: Config | None = None
+        self.crossings: list[Crossing] = []
         self._failure = ""
 
     def start(self, config: Config) -> None:
         """Open the hub sessions and begin to join the side's networks."""
-        self._config = config
+        self.config = config
         # A status document or diagnostics of many routes must not hold up a message for Python's usual 5 ms.
         sys.setswitchinterval(SWITCH_INTERVAL)
         keep_memory()
@@ -67,23 +72,23 @@ class BridgeWorker(Worker):
         for name, edge in make_edges(self.side.name, config, registry, worker_folder(config)).items():
             working.at("opening the hub")
             told = not self.side.networks  # on foreign keys nobody expects our diagnostics
-            self._crossings.append(Crossing(name, edge, config, registry, self._failed, diagnostics=told))
+            self.crossings.append(Crossing(name, edge, config, registry, self._failed, diagnostics=told))
         keep_objects()
 
     def reload(self, config: Config) -> bool:
         """Apply new rules; other changes need a restart."""
-        old = self._config
-        if old is None or not self._crossings:
+        old = self.config
+        if old is None or not self.crossings:
             return False
         if any(getattr(config, part) != getattr(old, part) for part in ("name", "state", "hub", "types", "limits")):
             return False
         section: SideSection = getattr(config, self.side.name)
         if not section.joins_as(getattr(old, self.side.name)):
             return False
-        self._config = config
+        self.config = config
         logging.getLogger().setLevel(config.log.level.upper())
         if config.rules != old.rules:
-            for crossing in self._crossings:
+            for crossing in self.crossings:
                 crossing.reload(config)
         return True
 
@@ -91,7 +96,7 @@ class BridgeWorker(Worker):
         """The engines' health; of several, that of the first that runs."""
         if self._failure:
             raise RuntimeError(self._failure)
-        found = {crossing.name: crossing.health() for crossing in self._crossings}
+        found = {crossing.name: crossing.health() for crossing in self.crossings}
         if not found:
             return Health("waiting", "starting")
         if len(found) == 1:
@@ -101,11 +106,11 @@ class BridgeWorker(Worker):
 
     def hears_diagnostics(self) -> bool:
         """See `Worker`; each of several crossings sees the same hub."""
-        return bool(self._crossings) and self._crossings[0].hears_diagnostics()
+        return bool(self.crossings) and self.crossings[0].hears_diagnostics()
 
     def stop(self) -> None:
         """Give back every endpoint and close the sessions."""
-        crossings, self._crossings = self._crossings, []
+        crossings, self.crossings = self.crossings, []
         for crossing in crossings:
             crossing.stop()
 

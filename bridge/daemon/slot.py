@@ -60,7 +60,7 @@ class Slot:
     """One worker's place.
 
     A ``standing`` worker is run by a service of its own: the daemon adopts it, and never starts it. ``first`` says
-    which workers must come up before this one may start, "" if none.
+    which workers must come up before this one may start, "" if none. ``link`` leads to its process.
     """
 
     def __init__(
@@ -79,7 +79,7 @@ class Slot:
         self._standing = standing
         self._first = first
         self._backoff = Backoff()
-        self._link: WorkerLink | None = None
+        self.link: WorkerLink | None = None
         self._config: Config | None = None
         self._env: dict[str, str] = {}
         self._failure = ""
@@ -105,12 +105,12 @@ class Slot:
     @property
     def pid(self) -> int:
         """Process id, 0 where there is none."""
-        return self._link.pid if self._link is not None else 0
+        return self.link.pid if self.link is not None else 0
 
     @property
     def idle(self) -> bool:
         """Whether no process is attached."""
-        return self._link is None
+        return self.link is None
 
     @property
     def still(self) -> float:
@@ -130,7 +130,7 @@ class Slot:
     @property
     def is_service(self) -> bool:
         """Whether a service of its own runs the worker."""
-        return self._standing or (self._link is not None and self._link.owner == "service")
+        return self._standing or (self.link is not None and self.link.owner == "service")
 
     # -- configuration -------------------------------------------------------------------------------------------------
 
@@ -140,21 +140,21 @@ class Slot:
         enabled = self.kind.enabled(config)
         missing = self.kind.missing(config) if enabled == "auto" else ""
         if enabled is False or missing:
-            if self._link is not None:
+            if self.link is not None:
                 self.stop(missing or "switched off")
             else:
                 self._rest()
             return
         if self.phase is Phase.STOPPING:
             self._then_start = True
-        elif self._link is None:
+        elif self.link is None:
             self._backoff.reset()
             self._launch()
         elif old is None or self.kind.config_part(old) != self.kind.config_part(config):
             self._tell(config)
 
     def _tell(self, config: Config) -> None:
-        assert self._link is not None
+        assert self.link is not None
         try:
             same = not self._env or self.kind.child_environment(config) == self._env
         except RuntimeError:
@@ -163,7 +163,7 @@ class Slot:
             self._restart("its environment changes")
             return
         self.reloading = True
-        self._link.send(protocol.NewConfig(config))
+        self.link.send(protocol.NewConfig(config))
 
     def _rest(self) -> None:
         """No process, and none wanted: say why."""
@@ -207,7 +207,7 @@ class Slot:
         link = OutlivingLink(self._loop, self, self.kind, config)
         if not link.adopt():
             return False
-        self._link, self._env = link, {}
+        self.link, self._env = link, {}
         self._enter(Phase.STARTING)
         link.send(protocol.NewConfig(config))
         return True
@@ -217,13 +217,13 @@ class Slot:
         if self.kind.outlives:
             outliving = OutlivingLink(self._loop, self, self.kind, config)
             outliving.spawn(self.kind, config, self._env, lock)
-            self._link = outliving
+            self.link = outliving
         else:
-            self._link = PipeLink(self._loop, self, self.kind, self._env, lock)
-            self._link.send(protocol.NewConfig(config))
+            self.link = PipeLink(self._loop, self, self.kind, self._env, lock)
+            self.link.send(protocol.NewConfig(config))
         self._enter(Phase.STARTING)
         self._spawned = True
-        logger.info("%s started as process %d", self.name, self._link.pid)
+        logger.info("%s started as process %d", self.name, self.link.pid)
 
     def _wait_for(self, lock: Lock) -> None:
         """An earlier daemon's worker still runs: give it the time to stop by itself, then end it."""
@@ -293,7 +293,7 @@ class Slot:
     def on_gone(self, ended: Exit) -> None:
         """The worker's process has ended."""
         self._standing = self.is_service
-        self._link = None
+        self.link = None
         self.reloading = False
         now = time.monotonic()
         if self.phase is Phase.STOPPING:
@@ -315,8 +315,8 @@ class Slot:
 
     def tick(self) -> None:
         """What is due; called several times a second."""
-        if self._link is not None:
-            self._link.poll()
+        if self.link is not None:
+            self.link.poll()
         now = time.monotonic()
         match self.phase:
             case Phase.STARTING | Phase.UP:
@@ -347,8 +347,8 @@ class Slot:
         elif still > limit and not self._asked:
             self._asked = True
             listens = self.phase is Phase.UP or self.text  # before its first word the signal would end it
-            if listens and self._link is not None and self._link.pid and TELL_STACKS is not None:
-                self._link.kill(TELL_STACKS)
+            if listens and self.link is not None and self.link.pid and TELL_STACKS is not None:
+                self.link.kill(TELL_STACKS)
 
     def _silence(self, limit: float) -> str:
         if self.phase is Phase.UP:
@@ -369,28 +369,28 @@ class Slot:
         self._movement.moved += seconds
 
     def _kill(self, why: str) -> None:
-        if self._killed or self._link is None:
+        if self._killed or self.link is None:
             return
         self._killed = True
         self._failure = why
-        logger.error("%s %s: process %d is killed", self.name, why, self._link.pid)
+        logger.error("%s %s: process %d is killed", self.name, why, self.link.pid)
         self.kill()
 
     def kill(self) -> None:
         """SIGKILL, at once."""
-        if self._link is None:
+        if self.link is None:
             return
-        if self._link.pid:
-            self._link.kill(signal.SIGKILL)
+        if self.link.pid:
+            self.link.kill(signal.SIGKILL)
         else:
             # adopted, but it never told who it is: its lock does, once this connection is given up
-            self._link.detach()
+            self.link.detach()
             self.on_gone(Exit(None))
 
     # -- stopping ------------------------------------------------------------------------------------------------------
 
     def _restart(self, why: str) -> None:
-        if self.is_service and self._link is not None:  # it does so by itself, and is then found again
+        if self.is_service and self.link is not None:  # it does so by itself, and is then found again
             logger.info("%s starts again: %s", self.name, why)
             self._enter(Phase.STOPPING, why)
             self._due = time.monotonic() + self._timing.stop
@@ -401,22 +401,22 @@ class Slot:
     def stop(self, why: str, seconds: float | None = None) -> None:
         """Tell the worker to stop; SIGKILL after ``seconds`` (by default the limit), from `tick`."""
         self._then_start = False
-        if self._link is None:
+        if self.link is None:
             self._enter(Phase.OFF)
             return
         if self.phase is not Phase.STOPPING:
             logger.info("%s is stopped: %s", self.name, why)
             self._killed = False
             self._enter(Phase.STOPPING, why)
-            self._link.send(protocol.Stop())
-            self._link.kill(signal.SIGTERM)
+            self.link.send(protocol.Stop())
+            self.link.kill(signal.SIGTERM)
         self._due = time.monotonic() + (self._timing.stop if seconds is None else seconds)
 
     def let_go(self) -> None:
         """Close the line to a worker that goes on without this daemon."""
-        if self._link is not None:
-            self._link.detach()
-            self._link = None
+        if self.link is not None:
+            self.link.detach()
+            self.link = None
         self._enter(Phase.OFF)
 
 

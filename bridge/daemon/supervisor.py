@@ -47,6 +47,9 @@ class Supervisor:
 
     Without a file it looks for one at each load. It adopts the ``standing`` workers, which services of their own run.
     At most ``cores`` workers come up at once, by default as many as this process may use.
+
+    Attributes:
+        loop: what that thread waits on.
     """
 
     def __init__(
@@ -56,12 +59,12 @@ class Supervisor:
         self._file = file
         self._environ = environ
         self._config = state_file.with_state(load(file), environ)
-        self._loop = SelectorLoop()
+        self.loop = SelectorLoop()
         self._notify = Notifier(environ)
         self._cores = cores or usable_cores()
         timing = timing or Timing()
         self.slots = [
-            Slot(self._loop, kind, timing, standing=kind.name in standing, first=self._first)
+            Slot(self.loop, kind, timing, standing=kind.name in standing, first=self._first)
             for kind in worker_kinds(environ).values()
         ]
         self._stops = 0
@@ -82,12 +85,12 @@ class Supervisor:
     def request_stop(self) -> None:
         """Stop; a second time: at once."""
         self._stops += 1
-        self._loop.wake()
+        self.loop.wake()
 
     def request_reload(self) -> None:
         """Load the configuration again."""
         self._reload_wanted = True
-        self._loop.wake()
+        self.loop.wake()
 
     # -- the loop ------------------------------------------------------------------------------------------------------
 
@@ -95,8 +98,8 @@ class Supervisor:
         """Run until asked to stop; raises `RuntimeError` where the state folder is another daemon's, or unusable."""
         socket, log_socket = state_file.daemon_socket(self._config), state_file.log_socket(self._config)
         lock = self._only_one()
-        query, kept = QueryServer(self._loop, socket, self.document), KeptLines()
-        log_query = LogServer(self._loop, log_socket, kept)
+        query, kept = QueryServer(self.loop, socket, self.document), KeptLines()
+        log_query = LogServer(self.loop, log_socket, kept)
         logging.getLogger().addHandler(kept)
         self._begun = self._stepped = time.monotonic()
         try:
@@ -114,7 +117,7 @@ class Supervisor:
             query.close()
             lock.close()
             self._notify.close()
-            self._loop.close()
+            self.loop.close()
 
     def _only_one(self) -> Lock:
         lock = Lock(state_file.daemon_lock(self._config))
@@ -145,7 +148,7 @@ class Supervisor:
     def _step(self) -> None:
         interval = self._notify.watchdog_interval
         due = min(slot.due for slot in self.slots) - time.monotonic()
-        self._loop.step(max(0.0, min(STEP, due, interval / 2 if interval else STEP)))
+        self.loop.step(max(0.0, min(STEP, due, interval / 2 if interval else STEP)))
         now = time.monotonic()
         stood_still = now - self._stepped
         self._stepped = now
@@ -274,7 +277,7 @@ class Supervisor:
             self._look_after([slot for slot in self.slots if not slot.idle])
 
     def _look_after(self, slots: list[Slot]) -> None:
-        self._loop.step(0.05)
+        self.loop.step(0.05)
         for slot in slots:
             slot.tick()
         self._notify.feed_watchdog()

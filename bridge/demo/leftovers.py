@@ -35,7 +35,7 @@ def erase(folder: Path, ports: range) -> list[str]:
             with contextlib.suppress(psutil.Error):
                 stopped.append(psutil.Process(pid))
                 stopped[-1].suspend()
-    used = {file for process in stopped for file in _used_by(process.pid)}
+    used = {file for process in stopped for file in used_by(process.pid)}
     memory = {file for file in used if is_own(file.name, ports)} | _of_ports(ports)
     shared = _shared_ports(used - memory)
     names = []
@@ -55,7 +55,7 @@ def erase(folder: Path, ports: range) -> list[str]:
 
 def shared_memory(folder: Path, ports: range) -> tuple[set[Path], set[Path]]:
     """A run's files in shared memory now, on Linux: its own, by its domain's ports, and Fast DDS's common ports."""
-    used = {file for pid in marked(folder) for file in _used_by(pid)}
+    used = {file for pid in marked(folder) for file in used_by(pid)}
     own = {file for file in used if is_own(file.name, ports)}
     return own, _shared_ports(used - own)
 
@@ -68,7 +68,7 @@ def remove_unused(files: set[Path]) -> list[Path]:
     """Remove those files that are still there and that no process uses; returns them."""
     there = {file for file in files if file.exists()}
     if there:
-        there -= {file for pid in psutil.pids() for file in _used_by(pid)}
+        there -= {file for pid in psutil.pids() for file in used_by(pid)}
     for file in there:
         file.unlink(missing_ok=True)
     return sorted(there)
@@ -111,7 +111,8 @@ def remove_unread(ports: set[Path]) -> None:
                 (_MEMORY / name).unlink(missing_ok=True)
 
 
-def _used_by(pid: int) -> set[Path]:
+def used_by(pid: int) -> set[Path]:
+    """The files in shared memory that a process uses."""
     used: set[Path] = set()
     with contextlib.suppress(OSError):
         used.update(map(Path, _MAPPED.findall(Path(f"/proc/{pid}/maps").read_text())))

@@ -56,7 +56,7 @@ class Sandbox:
         self.folder = Path(tempfile.mkdtemp(prefix="midspan-demo-", dir=_base()))
         try:
             self._hold, self.domain = hold_domain()
-            self.master_port, self.router_port, self.yarp_port, self.web_port = _free_ports(4, self.domain)
+            self.master_port, self.router_port, self.yarp_port, self.web_port = free_ports(4, self.domain)
             # a package alone on a path of its own: what else lies beside it must not reach the system's Python
             self.system_path = self.folder / "system"
             self.system_path.mkdir()
@@ -173,7 +173,7 @@ def _merged(base: Mapping[str, Any], over: Mapping[str, Any]) -> dict[str, Any]:
     return merged
 
 
-def _free_ports(count: int, domain: int) -> list[int]:
+def free_ports(count: int, domain: int) -> list[int]:
     """TCP ports that nobody uses; those of a domain that is held are no other demo's."""
     first = _TCP_BASE + _TCP_EACH * domain
     ports = [port for port in range(first, first + _TCP_EACH) if _is_free(port, socket.SOCK_STREAM)][:count]

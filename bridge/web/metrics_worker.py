@@ -28,11 +28,15 @@ _log = logging.getLogger("midspan.metrics")
 
 
 class MetricsWorker(Worker):
-    """Answers Prometheus at an address of its own, under the console's rules where other machines reach it."""
+    """Answers Prometheus at an address of its own, under the console's rules where other machines reach it.
+
+    Attributes:
+        server: while it runs.
+    """
 
     def __init__(self) -> None:
         self._config: Config | None = None
-        self._server: HttpServer | None = None
+        self.server: HttpServer | None = None
         self._link: HubLink | None = None
         self._tls: ServerTls | None = None
         self._hub: Hub | None = None
@@ -52,12 +56,12 @@ class MetricsWorker(Worker):
         # nobody logs in here, so no cookie fits
         access = Access(config.web if section.reached else WebSection(), secrets.token_bytes(32))
         routes = MetricsRoutes(config, Source(config, self._link.ask)).routes
-        self._server = HttpServer(
+        self.server = HttpServer(
             section.listen, routes, access, self._tls, what="the worker metrics", key="metrics.listen"
         )
-        self._server.start()
+        self.server.start()
         self._process.cpu_percent()
-        _log.info("metrics are at %smetrics", self._server.address)
+        _log.info("metrics are at %smetrics", self.server.address)
 
     def reload(self, config: Config) -> bool:
         """A scrape that is missed costs nothing, so a new start is all that is needed."""
@@ -65,18 +69,18 @@ class MetricsWorker(Worker):
 
     def health(self) -> Health:
         """Where it is; joins the hub where it has not yet."""
-        assert self._server is not None
+        assert self.server is not None
         assert self._link is not None
         assert self._config is not None
         if self._tls is not None:
             self._tls.look()
-        if self._server.trouble:
-            raise RuntimeError(self._server.trouble)
+        if self.server.trouble:
+            raise RuntimeError(self.server.trouble)
         hub = self._link.join()
         if hub is not None and self._hub is None and self._config.metrics.diagnostics:
             announce(hub, Registry())
             self._hub = hub
-        return Health("running", "; ".join(filter(None, (f"{self._server.address}metrics", self._link.trouble))))
+        return Health("running", "; ".join(filter(None, (f"{self.server.address}metrics", self._link.trouble))))
 
     def hears_diagnostics(self) -> bool:
         """See `Worker`."""
@@ -84,7 +88,7 @@ class MetricsWorker(Worker):
 
     def stop(self) -> None:
         """Close the server and the session."""
-        server, self._server = self._server, None
+        server, self.server = self.server, None
         if server is not None:
             server.close()
         self._hub = None
@@ -92,7 +96,7 @@ class MetricsWorker(Worker):
             self._link.close()
 
     def _status(self) -> dict[str, Any]:
-        server = self._server
+        server = self.server
         return {
             "side": "metrics", "state": "running", "text": "" if server is None else f"{server.address}metrics",
             "pid": os.getpid(), **costs(self._process),

@@ -12,7 +12,7 @@ import pytest
 
 from bridge.bags.bag import BagError, BagTopic
 from bridge.bags.play_source import Played, PlayPart, PlaySource
-from bridge.bags.play_timeline import Timeline
+from bridge.bags.play_timeline import Timeline, Wait
 from bridge.bags.play_topics import CommandTopics, LeftOut, PlayChoice, PlayTopic, choose
 from bridge.bags.player import LEAST_SECONDS, Player
 from bridge.bags.reader import open_bag
@@ -89,8 +89,10 @@ class Stage:
         self.clock = Clock()
         self.ears = Ears(self.clock)
         self.said: list[str] = []
-        self.timeline = Timeline(paused=paused, now=self.clock.now, wait=self.clock.wait)
-        self.player = Player(Tape(*messages), self.ears, self.timeline, tell=self.said.append, **more)
+        self.wait: Wait = self.clock.wait
+        self.timeline = Timeline(paused=paused, now=self.clock.now, wait=lambda *given: self.wait(*given))
+        self.tape = Tape(*messages)
+        self.player = Player(self.tape, self.ears, self.timeline, tell=self.said.append, **more)
 
 
 def test_each_message_is_played_at_its_time_and_a_velocity_ends_with_zero() -> None:
@@ -147,7 +149,7 @@ def test_a_pause_ends_a_velocity_and_no_old_command_comes_after_it() -> None:
         else:
             stage.clock.wait(condition, seconds)
 
-    stage.timeline._wait = wait
+    stage.wait = wait
     stage.player.run()
     assert stage.ears.of("/cmd_vel") == [
         (0.0, "0.0"), (0.1, "0.1"), (1.1, "zero"), (65.0, "5.0"), (65.0, "zero"),
@@ -157,7 +159,7 @@ def test_a_pause_ends_a_velocity_and_no_old_command_comes_after_it() -> None:
 def test_a_step_passes_commands_over_and_tells_the_time() -> None:
     stage = Stage((0.0, DRIVE), (0.1, DRIVE), (0.2, SCAN), (0.3, SCAN), paused=True)
     stage.timeline.step()
-    stage.timeline._wait = lambda *_: stage.timeline.stop()
+    stage.wait = lambda *_: stage.timeline.stop()
     stage.player.run()
     assert [(name, data) for _, name, data in stage.ears.heard] == [("/scan", "0.2")]
     assert stage.player.dropped == {("/cmd_vel", "stepped"): 2}
@@ -174,13 +176,13 @@ def test_a_stop_in_the_middle_ends_the_velocity() -> None:
 
 def test_the_velocity_ends_where_the_bag_is_damaged(tmp_path: Path) -> None:
     stage = Stage((0.0, DRIVE), (1.0, DRIVE))
-    messages = stage.player._source.messages
+    messages = stage.tape.messages
 
     def damaged() -> Iterator[Played]:
         yield from messages()
         raise BagError(tmp_path, "is damaged", 17)
 
-    stage.player._source.messages = damaged  # type: ignore[method-assign]
+    stage.tape.messages = damaged  # type: ignore[method-assign]
     with pytest.raises(BagError, match="byte 17"):
         stage.player.run()
     assert [data for _, _, data in stage.ears.heard] == ["0.0", "1.0", "zero"]

@@ -19,7 +19,7 @@ from bridge.daemon.supervisor import Supervisor
 def main() -> None:
     supervisor = Supervisor(Path(sys.argv[1]))
     reader, writer = os.pipe()
-    supervisor._loop.on_readable(reader, lambda: (Path(sys.argv[3]).touch(), time.sleep(1000)))
+    supervisor.loop.on_readable(reader, lambda: (Path(sys.argv[3]).touch(), time.sleep(1000)))
     signal.signal(signal.SIGUSR1, lambda *_: os.write(writer, b"x"))
     threading.Thread(target=_tick, args=(Path(sys.argv[2]),), daemon=True).start()
     supervisor.run()

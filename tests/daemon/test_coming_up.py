@@ -84,7 +84,7 @@ class _Line:
 def test_a_loop_without_an_end_is_ended(seconds: float, phase: Phase, caplog: pytest.LogCaptureFixture) -> None:
     loop = SelectorLoop()
     slot = Slot(loop, worker_kinds({})["ros1"], Timing(heartbeat=50.0))
-    slot._link, slot.phase = _Line(), Phase.UP  # type: ignore[assignment]
+    slot.link, slot.phase = _Line(), Phase.UP  # type: ignore[assignment]
     for used in (0.0, seconds):
         slot.on_report(Busy("telling how it is", used, 0))
         slot.tick()
@@ -180,7 +180,7 @@ def test_one_that_ended_late_is_not_said_to_survive_its_kill(
     supervisor = Supervisor(daemon.file, environ=daemon.env)
     monkeypatch.setattr("bridge.daemon.supervisor.time", type("Time", (), {"monotonic": lambda: clock[0]}))
     monkeypatch.setattr(supervisor, "slots", [_Slow(clock)])
-    monkeypatch.setattr(supervisor._loop, "step", step)
+    monkeypatch.setattr(supervisor.loop, "step", step)
     supervisor._end()
     assert "even when killed" not in caplog.text
-    supervisor._loop.close()
+    supervisor.loop.close()

@@ -43,7 +43,7 @@ def runs(folder: Path, *parts: str) -> bool:
 def memory(folder: Path) -> set[Path]:
     """Files in shared memory that processes of the demo use, but those of LTTng, which are the user's for ever."""
     runs_in = [found for found in folder.iterdir() if found.name.startswith("midspan-demo-")]
-    used = {file for run in runs_in for pid in left.marked(run) for file in left._used_by(pid)}
+    used = {file for run in runs_in for pid in left.marked(run) for file in left.used_by(pid)}
     return {file for file in used if not file.name.startswith("lttng-")}
 
 

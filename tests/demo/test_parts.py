@@ -193,7 +193,7 @@ def test_ports_of_a_place_are_none_that_connections_going_out_take() -> None:
     with Sandbox(None) as first, socket.socket() as taken:
         low, domain = first.master_port, first.domain
         taken.bind(("127.0.0.1", first.router_port))
-        free = sandbox._free_ports(3, domain)
+        free = sandbox.free_ports(3, domain)
         assert first.router_port not in free
         assert max(*free, first.yarp_port) < 32_768  # net.ipv4.ip_local_port_range, as Linux has it
         assert low == free[0]

@@ -115,7 +115,7 @@ def test_publishers_that_come_and_go_leave_nothing_in_a_subscription(qos: Qos):
             publisher = talk(a, "/busy", qos, str(number))
             until(lambda n=number: len(heard.samples) > n, "heard")
             publisher.close()
-        assert len(heard.subscription._sources) < 200
+        assert len(heard.subscription.sources) < 200
         stays.put(b"still")
         until(lambda: heard.texts()[-1] == "still", "the one that stays is heard")
         assert heard.subscription.lost == 0

@@ -35,11 +35,11 @@ class Counted:
     """A daemon ``name`` of YARP alone, with metrics; its hub joins that of ``join``."""
 
     def __init__(self, folder: Path, name: str, names: Names, join: Counted | None = None, **sections: Any) -> None:
-        self._hub, self._metrics = free_port(), free_port()
-        links = {"connect": {"endpoints": [f"tcp/127.0.0.1:{join._hub}"]}} if join else {}
+        self.hub, self._metrics = free_port(), free_port()
+        links = {"connect": {"endpoints": [f"tcp/127.0.0.1:{join.hub}"]}} if join else {}
         config = {
             "name": name, "state": str(folder / name),
-            "hub": {"listen": f"tcp/127.0.0.1:{self._hub}", "router_zenoh": links},
+            "hub": {"listen": f"tcp/127.0.0.1:{self.hub}", "router_zenoh": links},
             "ros1": OFF, "ros2": OFF, "yarp": {"nameserver": "site", "address": names.endpoint, "poll": 0.1},
             "metrics": {"enabled": True, "listen": f"127.0.0.1:{self._metrics}"}, **sections,
         }  # fmt: skip
@@ -48,7 +48,7 @@ class Counted:
         self.process = Process([*MIDSPAN, "run", "--config", file], imports=DAEMON)
 
     def settings(self, node: str) -> HubSettings:
-        router = f"tcp/127.0.0.1:{self._hub}"
+        router = f"tcp/127.0.0.1:{self.hub}"
         return HubSettings(router=router, node=node, daemon="far", worker=node, shared_memory=False)
 
     def values(self, family: str, label: str) -> dict[str, float]:

@@ -59,8 +59,8 @@ class Place:
     def ask(self, path: str, accept: str = "", tls: ssl.SSLContext | None = None, token: str = "") -> Any:
         """Status, type and text of an answer."""
         assert self.worker is not None
-        assert self.worker._server is not None
-        port = self.worker._server.port
+        assert self.worker.server is not None
+        port = self.worker.server.port
         connection = (
             http.client.HTTPConnection("127.0.0.1", port, timeout=20)
             if tls is None
@@ -178,9 +178,9 @@ def test_an_address_that_others_reach_without_protection_is_refused(place: Place
 
 def test_an_address_that_is_taken_is_told(place: Place) -> None:
     worker = place.start()
-    assert worker._server is not None
+    assert worker.server is not None
     again = MetricsWorker()
-    listen = f"127.0.0.1:{worker._server.port}"
+    listen = f"127.0.0.1:{worker.server.port}"
     with pytest.raises(RuntimeError, match=f"the worker metrics cannot listen on {listen}: .*; set metrics.listen"):
         again.start(Config.model_validate({"state": place.folder, "metrics": {"enabled": True, "listen": listen}}))
     again.stop()

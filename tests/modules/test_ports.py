@@ -44,18 +44,23 @@ class Held(threading.Event):
         super().clear()
 
 
+def threads() -> set[threading.Thread]:
+    """Those of all modules' ports in this process."""
+    return {thread for thread in threading.enumerate() if thread.name == "midspan-ports"}
+
+
 def test_ports_that_are_closed_as_their_thread_wakes_up_end_it(config: Config, monkeypatch: pytest.MonkeyPatch) -> None:
-    ports, wake = Ports(config, "test"), Held()
+    ports, wake, others = Ports(config, "test"), Held(), threads()
     monkeypatch.setattr(ports, "_wake", wake)
     monkeypatch.setattr(ports, "_open", lambda port: setattr(port, "trouble", ""))
     ports.output("/said:o")
     until(lambda: not ports.trouble(), "the port is open")
+    (thread,) = threads() - others
     wake.armed = True
     wake.set()
     assert wake.clearing.wait(40)
     ports.close()
-    assert ports._thread is not None
-    assert not ports._thread.is_alive()
+    assert not thread.is_alive()
 
 
 def test_who_asks_a_module_whose_thread_has_ended_is_told(config: Config) -> None:

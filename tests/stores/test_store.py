@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import sqlite3
 from pathlib import Path
@@ -292,9 +293,11 @@ def test_a_closed_store_says_so(store: Store) -> None:
 
 
 def test_what_is_acknowledged_is_synced_to_the_disk(tmp_path: Path) -> None:
-    table = EntryTable(tmp_path / "s.sqlite")
+    file = tmp_path / "s.sqlite"
+    table = EntryTable(file)
     try:
         assert table._base.execute("PRAGMA synchronous").fetchone() == (2,)  # FULL
-        assert table._base.execute("PRAGMA journal_mode").fetchone() == ("wal",)
     finally:
         table.close()
+    with contextlib.closing(sqlite3.connect(file)) as base:
+        assert base.execute("PRAGMA journal_mode").fetchone() == ("wal",)

@@ -70,12 +70,12 @@ class YarpEdge(SideEdge):
             registry, naming, _owner(state / "yarp_owner"), config.name, self._names, self._contents, self._graph,
             self._refuse, self._wake_up, config.limits.message_bytes, section.ip,
         )  # fmt: skip
-        self._ports = OwnPorts(context, self._awake, Callers(naming, callers_file(state, "worker yarp")))
+        self.ports = OwnPorts(context, self._awake, Callers(naming, callers_file(state, "worker yarp")))
         self._presence: WorkerPresence = WorkerPresence(context, self._presence_changed)
         self._services = YarpServices(context)
         self._lock = threading.Lock()
         self._outputs: dict[str, TopicOutput] = {}
-        self._endpoints = PortEndpoints(context, self._ports, self._services, self._outputs)
+        self._endpoints = PortEndpoints(context, self.ports, self._services, self._outputs)
         self._subscriptions: dict[tuple[str, str], _Subscription] = {}
         self._last_seen: tuple[object, ...] = ()
         self._away = True
@@ -101,7 +101,7 @@ class YarpEdge(SideEdge):
         self._network.naming.hurry(_LAST_WORDS)
         if self._clerk.is_alive():
             self._clerk.join(2 * _LAST_WORDS)
-        self._ports.stop()
+        self.ports.stop()
         self._presence.close()
         self._ros1.close()
         self._network.close()
@@ -120,22 +120,22 @@ class YarpEdge(SideEdge):
                 self._stopping.wait(_SETTLE)
 
     def _turn(self) -> None:
-        started, peers = time.monotonic(), self._ports.peers()  # before the list, which then has them all
+        started, peers = time.monotonic(), self.ports.peers()  # before the list, which then has them all
         contacts = self._network.look()
         if contacts is None:
             self._away = True
             return
         found = {contact.name: contact for contact in contacts}
         if not self._presence.is_open:
-            self._ports.bury(found)
+            self.ports.bury(found)
             self._presence.open()
-        self._ports.leave_taken(found)
+        self.ports.leave_taken(found)
         returned = self._away or started < self._mark_until
         if self._away:
             self._away, self._mark_until = False, started + _MARK_AGAIN
         if returned:
             self._presence.mark()
-        self._ports.mark_again(found, returned=returned)
+        self.ports.mark_again(found, returned=returned)
         ros1 = frozenset[str]() if self._network.is_own else self._ros1.among(found)
         self._graph.update(self._network.naming, contacts, peers, ros1)
         self._presence.look(self._graph.contacts, started)
@@ -156,11 +156,11 @@ class YarpEdge(SideEdge):
             self._names,
             self._graph,
         )
-        self._ports.follow(plan | self._services.plan(served), outputs, served)
-        self._ports.look_for_callers()
-        for input_port in self._ports.input_ports():
+        self.ports.follow(plan | self._services.plan(served), outputs, served)
+        self.ports.look_for_callers()
+        for input_port in self.ports.input_ports():
             self._connect_subscription(input_port)
-        self._ports.connect()
+        self.ports.connect()
 
     def _connect_subscription(self, input_port: InputPort) -> None:
         """Connect an input port with its topic's subscription; several threads may do so at once."""
@@ -206,11 +206,11 @@ class YarpEdge(SideEdge):
             f"{node.port} does not announce its type; give one: yarp.topics, topic {node.topic}"
             for node in self._endpoints.untyped()
         ]
-        return [*away, *self._ports.warnings(), *sorted(self._graph.trouble.values()), *untyped]
+        return [*away, *self.ports.warnings(), *sorted(self._graph.trouble.values()), *untyped]
 
     def details(self) -> dict[str, Any]:
         """The ports: what they carry, and who is connected."""
-        return {"ports": self._ports.shown()}
+        return {"ports": self.ports.shown()}
 
     # -- the graph -----------------------------------------------------------------------------------------------------
 
@@ -283,7 +283,7 @@ class YarpEdge(SideEdge):
         self._connect_subscriptions(*key)
 
     def _connect_subscriptions(self, topic: str, type_name: str) -> None:
-        for input_port in self._ports.input_ports():
+        for input_port in self.ports.input_ports():
             if (input_port.topic, input_port.type) == (topic, type_name):
                 self._connect_subscription(input_port)
         self._wake.set()

@@ -180,7 +180,9 @@ class NodePort:
 
 
 @dataclass(slots=True)
-class _Known:
+class KnownPort:
+    """What was learnt of a port that is registered, and since when."""
+
     contact: PortContact
     since: float
     made_by: MadeBy = MadeBy.UNKNOWN
@@ -219,11 +221,15 @@ class YarpContext:
 
 
 class YarpGraph:
-    """Follows the name server's list; one thread calls `update`, the others read what it left."""
+    """Follows the name server's list; one thread calls `update`, the others read what it left.
+
+    Attributes:
+        known: the ports that were looked at, by name.
+    """
 
     def __init__(self, registry: Registry) -> None:
         self._registry = registry
-        self._known: dict[str, _Known] = {}
+        self.known: dict[str, KnownPort] = {}
         self._dead: dict[str, tuple[PortContact, float]] = {}
         self._strangers: frozenset[str] = frozenset()
         self.contacts: Mapping[str, PortContact] = {}
@@ -240,9 +246,9 @@ class YarpGraph:
         self.ros1 = ros1
         peers = frozenset(peers)
         self._strangers = peers - self.contacts.keys()
-        for name, known in list(self._known.items()):  # in place: connections' threads take out of it, too
+        for name, known in list(self.known.items()):  # in place: connections' threads take out of it, too
             if self.contacts.get(name) != known.contact:
-                self._known.pop(name, None)
+                self.known.pop(name, None)
         self._revive()
         nodes, trouble = [], dict[str, str]()
         for name in [*self.contacts, *peers]:
@@ -257,7 +263,7 @@ class YarpGraph:
 
     def forget(self, name: str) -> None:
         """Forget a port whose connection ended: under the same name another program may come."""
-        self._known.pop(name, None)
+        self.known.pop(name, None)
 
     # -- who made a port -----------------------------------------------------------------------------------------------
 
@@ -267,7 +273,7 @@ class YarpGraph:
             return MadeBy.MIDSPAN
         if name not in self.contacts:
             return MadeBy.NATIVE if name in self._strangers or not name.startswith("/") else MadeBy.UNKNOWN
-        known = self._known.get(name)
+        known = self.known.get(name)
         return MadeBy.UNKNOWN if known is None else known.made_by
 
     def is_there(self, name: str) -> bool:
@@ -291,10 +297,10 @@ class YarpGraph:
                 else:
                     self._dead[name] = contact, time.monotonic() + _AGAIN
 
-    def _look_at(self, naming: NameClient, name: str) -> _Known:
-        known = self._known.get(name)
+    def _look_at(self, naming: NameClient, name: str) -> KnownPort:
+        known = self.known.get(name)
         if known is None:
-            known = self._known[name] = _Known(self.contacts[name], time.monotonic())
+            known = self.known[name] = KnownPort(self.contacts[name], time.monotonic())
         if known.made_by is MadeBy.UNKNOWN:
             known.made_by = MadeBy.MIDSPAN if naming.get_property(name, OWNER) else MadeBy.NATIVE
         young = time.monotonic() - known.since < _TELLING
@@ -305,7 +311,7 @@ class YarpGraph:
             known.latched = known.says_latched or _is_true(naming.get_property(name, LATCHED))
         return known
 
-    def _ask(self, name: str, known: _Known) -> None:
+    def _ask(self, name: str, known: KnownPort) -> None:
         """Ask a publisher itself whether it is latched, once.
 
         A port knows that before it listens. At the name server it stands only some time after, as no name server keeps
@@ -324,7 +330,7 @@ class YarpGraph:
 
     # -- topics --------------------------------------------------------------------------------------------------------
 
-    def _node(self, name: str, nested: NestedName, known: _Known, trouble: dict[str, str]) -> NodePort:
+    def _node(self, name: str, nested: NestedName, known: KnownPort, trouble: dict[str, str]) -> NodePort:
         named, type_name = known.type, ""
         try:
             type_name = self._ros2(named) if named else ""

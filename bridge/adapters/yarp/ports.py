@@ -62,37 +62,41 @@ class OwnPorts:
     Args:
         awake: tells whether another worker of Midspan's is there and not standing still.
         callers: remembers who calls the RPC ports.
+
+    Attributes:
+        own: the ports that are open, by name.
+        trouble: what is wrong, and when it is tried again, by a port's name or by those of a connection's two ends.
     """
 
     def __init__(self, context: YarpContext, awake: Callable[[str], bool], callers: Callers) -> None:
         self._context, self._awake, self._callers = context, awake, callers
         self._naming, self._owner, self._graph = context.naming, context.owner, context.graph
         self._asking: Future[bool] | None = None
-        self._own: dict[str, OwnPort] = {}
+        self.own: dict[str, OwnPort] = {}
         self._services: Mapping[str, OfferedService] = {}
         self._taken: frozenset[str] = frozenset()
         self._stopped = False
-        self._trouble: dict[str, tuple[float, str]] = {}
+        self.trouble: dict[str, tuple[float, str]] = {}
         self._links, self._ends = WorkerPool(_THREADS, "midspan-yarp-links"), WorkerPool(_THREADS, "midspan-yarp-ends")
 
     # -- what there is -------------------------------------------------------------------------------------------------
 
     def input_ports(self) -> list[InputPort]:
         """The input ports."""
-        return [own.input_port for own in list(self._own.values()) if own.input_port is not None]
+        return [own.input_port for own in list(self.own.values()) if own.input_port is not None]
 
     def inputs(self) -> list[tuple[PortPlan, list[str]]]:
         """The topics' own input ports, each with the ports that are connected to it."""
         return [
             (own.plan, sorted({route.source for route in own.core.inputs()} | own.input_port.waiting()))
-            for own in list(self._own.values())
+            for own in list(self.own.values())
             if own.input_port is not None and own.plan.own
         ]
 
     def peers(self) -> set[str]:
         """All ports that send to ours, and those whose message is held."""
         found = set[str]()
-        for own in list(self._own.values()):
+        for own in list(self.own.values()):
             if own.input_port is not None:
                 found |= own.input_port.waiting()
                 found.update(route.source for route in own.core.inputs())
@@ -104,16 +108,16 @@ class OwnPorts:
 
     def warnings(self) -> list[str]:
         """The ports that cannot be opened or connected, with the reasons."""
-        return sorted(text for _, text in list(self._trouble.values()))
+        return sorted(text for _, text in list(self.trouble.values()))
 
     def shown(self) -> list[dict[str, Any]]:
         """All ports, for people."""
-        owns = sorted(self._own.values(), key=lambda own: own.core.name)
+        owns = sorted(self.own.values(), key=lambda own: own.core.name)
         return [shown(own.plan, own.core) for own in owns]
 
     def look_for_callers(self) -> None:
         """Abandon the calls of callers that left."""
-        for own in self._own.values():
+        for own in self.own.values():
             if own.served is not None:
                 own.served.look()
 
@@ -124,19 +128,19 @@ class OwnPorts:
     ) -> None:
         """Make the ports those of the plan."""
         self._services = services
-        owned = self._own
+        owned = self.own
         gone = [name for name, own in owned.items() if plan.get(name) != own.plan or self._stale(own, outputs)]
         self._close([owned.pop(name) for name in gone])
         now = time.monotonic()
-        for key in list(self._trouble):  # in place: the threads that connect write to it, too
+        for key in list(self.trouble):  # in place: the threads that connect write to it, too
             if key.partition(" ")[0] not in plan:
-                self._trouble.pop(key, None)
+                self.trouble.pop(key, None)
         for name, port in plan.items():
-            own = self._own.get(name)
+            own = self.own.get(name)
             if own is not None:
                 self._leave_to_ros1(own, port.links)
                 own.links = port.links
-            elif now >= self._trouble.get(name, (0.0, ""))[0]:
+            elif now >= self.trouble.get(name, (0.0, ""))[0]:
                 self._open(port, outputs.get(port.topic))
 
     def _leave_to_ros1(self, own: OwnPort, links: Mapping[str, PlannedLink]) -> None:
@@ -155,7 +159,7 @@ class OwnPorts:
             return
         try:
             own = self._made(port, self._free_name(port.name), output)
-            self._own[port.name] = own
+            self.own[port.name] = own
             self._taken |= {own.core.name}
             if output is not None and port.writes:  # before it opens: who connects at once gets what is kept
                 output.add(OutputPort(own.core, port.content))
@@ -168,12 +172,12 @@ class OwnPorts:
             if port.rpc:
                 self._callers.watch(own.core)
         except (OSError, MessageTypeError) as err:
-            self._trouble[port.name] = time.monotonic() + _AGAIN, f"{port.name}: {err}"
-            failed = self._own.pop(port.name, None)
+            self.trouble[port.name] = time.monotonic() + _AGAIN, f"{port.name}: {err}"
+            failed = self.own.pop(port.name, None)
             if failed is not None:
                 self._close([failed])
             return
-        self._trouble.pop(port.name, None)
+        self.trouble.pop(port.name, None)
 
     def _free_name(self, name: str) -> str:
         """The name for a port; a name is taken over from a dead or stopped worker of ours alone."""
@@ -201,7 +205,7 @@ class OwnPorts:
 
     def _linked(self, name: str) -> Callable[[str], bool]:
         def is_linked(peer: str) -> bool:
-            own = self._own.get(name)
+            own = self.own.get(name)
             return own is not None and peer in own.links
 
         return is_linked
@@ -227,7 +231,7 @@ class OwnPorts:
         return core
 
     def _on_event(self, name: str, core: PortCore, event: ConnectionEvent) -> None:
-        own, peer = self._own.get(name), event.route.source if event.incoming else event.route.target
+        own, peer = self.own.get(name), event.route.source if event.incoming else event.route.target
         if not event.up:
             self._graph.forget(peer)
         elif own is not None:
@@ -242,7 +246,7 @@ class OwnPorts:
 
     def leave_taken(self, contacts: Mapping[str, PortContact]) -> None:
         """Close the ports whose names others have taken: of two that opened at once, the first is forgotten."""
-        owned = self._own
+        owned = self.own
         taken = [
             key
             for key, own in owned.items()
@@ -253,7 +257,7 @@ class OwnPorts:
 
     def mark_again(self, contacts: Mapping[str, PortContact], *, returned: bool) -> None:
         """Register and mark the ports that a name server forgot; mark all where it has just returned."""
-        for own in self._own.values():
+        for own in self.own.values():
             forgotten = own.core.name not in contacts
             if forgotten:
                 self._naming.restore(own.core.name)
@@ -275,9 +279,9 @@ class OwnPorts:
     def connect(self) -> None:
         """Make the connections that are missing; those that take long are made meanwhile."""
         now = time.monotonic()
-        if (self._asking is None or self._asking.done()) and any(own.served for own in self._own.values()):
+        if (self._asking is None or self._asking.done()) and any(own.served for own in self.own.values()):
             self._asking = self._links.submit(self._callers.turn)
-        for name, own in self._own.items():
+        for name, own in self.own.items():
             if not own.links:
                 continue
             linked = (
@@ -286,9 +290,9 @@ class OwnPorts:
             for peer, link in own.links.items():
                 key = f"{name} {peer}"
                 if peer in linked:
-                    self._trouble.pop(key, None)
+                    self.trouble.pop(key, None)
                 elif peer not in self._graph.contacts:
-                    self._trouble[key] = 0.0, f"{peer} is not there; it is connected to {name} when it comes"
+                    self.trouble[key] = 0.0, f"{peer} is not there; it is connected to {name} when it comes"
                 elif peer not in own.making and now >= own.due.get(peer, 0.0):
                     own.due[peer] = now + _LINK_AGAIN
                     own.making[peer] = self._links.submit(partial(self._link, own, peer, link))
@@ -313,9 +317,9 @@ class OwnPorts:
             problem = str(err)
             self._graph.died(peer)
         if problem:
-            self._trouble[key] = 0.0, problem
+            self.trouble[key] = 0.0, problem
         else:
-            self._trouble.pop(key, None)
+            self.trouble.pop(key, None)
         self._context.changed()
         return not problem
 
@@ -355,7 +359,7 @@ class OwnPorts:
     def stop(self) -> None:
         """Close everything, and open nothing any more."""
         self._stopped = True
-        owned, self._own = self._own, {}  # another thread may go through it
+        owned, self.own = self.own, {}  # another thread may go through it
         self._close(list(owned.values()))
         for pool in (self._links, self._ends):
             pool.close(_LEAVE_SECONDS)

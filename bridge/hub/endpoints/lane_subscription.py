@@ -105,7 +105,7 @@ class LaneSubscription(HubSubscription):
 
     def _make_room(self) -> None:
         super()._make_room()
-        self._early = {gid: since for gid, since in self._early.items() if gid in self._sources}
+        self._early = {gid: since for gid, since in self._early.items() if gid in self.sources}
 
     def _on_sample(self, sample: zenoh.Sample) -> None:
         message = self._read(sample)
@@ -113,7 +113,7 @@ class LaneSubscription(HubSubscription):
             return
         with self._delivery:
             with self._lock:
-                source = self._sources.get(message.gid)
+                source = self.sources.get(message.gid)
                 if source is None or not source.zid:
                     source = self._source(message, sample)
                 message.zid = source.zid
@@ -136,7 +136,7 @@ class LaneSubscription(HubSubscription):
         message = HubSample(zenoh.ZBytes(payload), sequence, time_ns, gid, inlet.zid)
         with self._delivery:
             with self._lock:
-                source = self._sources.get(gid)
+                source = self.sources.get(gid)
                 if source is None:
                     source = self._new_source(gid)
                     source.zid = inlet.zid
@@ -214,7 +214,7 @@ class LaneSubscription(HubSubscription):
                 return
             with self._lock:
                 for gid in [gid for gid, since in self._early.items() if since <= before]:
-                    source = self._sources[gid]
+                    source = self.sources[gid]
                     ready += self._up_to(source, gid, max(source.held))
             for each in ready:
                 self._callback(each)
@@ -227,7 +227,7 @@ class LaneSubscription(HubSubscription):
             joined = self._joined.get(gid)
             if joined is None or joined.inlet is not inlet:
                 self._joined[gid] = _Joined(inlet, sequence, time.monotonic())
-            source = self._sources.get(gid)
+            source = self.sources.get(gid)
             if source is None:
                 source = self._new_source(gid)
                 source.zid = inlet.zid
@@ -344,7 +344,7 @@ class LaneSubscription(HubSubscription):
         joined = self._joined.get(gid)
         if joined is None:
             return False
-        last = self._sources[gid].sequence if gid in self._sources else None
+        last = self.sources[gid].sequence if gid in self.sources else None
         joined.caught = joined.caught or (last or 0) >= joined.mark or now - joined.since > _CAUGHT_SECONDS
         return joined.caught
 

@@ -25,10 +25,11 @@ _MAX_GAP = 1_000_000
 _MAX_HELD = 1000
 """Samples of one publisher that are held back at most, beyond its history."""
 
-_MAX_HELD_BYTES = 256 << 20
-"""Bytes that one subscription holds back at most, with `_OVERHEAD` for each sample."""
+MAX_HELD_BYTES = 256 << 20
+"""Bytes that one subscription holds back at most, with `OVERHEAD` for each sample."""
 
-_OVERHEAD = 256
+OVERHEAD = 256
+"""Bytes that a sample that is held back costs besides its payload."""
 
 _CURE = (
     "limit the topic's rate by a rule, or where the messages are large raise, in hub.zenoh of the sender's machine,"
@@ -103,6 +104,7 @@ class HubSubscription:
         way: ``lane`` or ``zenoh``.
         why: why it is not the lane; "" where it is.
         by_lane: samples that came by the lane.
+        sources: the publishers that it heard, by GID; of those that left the newest.
     """
 
     def __init__(
@@ -125,7 +127,7 @@ class HubSubscription:
         self._recovers = qos.latched and qos.reliability is Reliability.RELIABLE
         self._callback, self._on_refused = callback, on_refused
         self._lost_from: Counter[tuple[bytes, str]] = Counter()
-        self._sources: dict[bytes, PublisherState] = {}
+        self.sources: dict[bytes, PublisherState] = {}
         self._room = 2 * _SPARED
         self._asked: Counter[str] = Counter()
         self._held = 0
@@ -164,7 +166,7 @@ class HubSubscription:
             return
         # zenoh may call from several threads at once, one per link
         with self._lock:
-            source = self._sources.get(message.gid)
+            source = self.sources.get(message.gid)
             if source is None or not source.zid:
                 source = self._source(message, sample)
             message.zid = source.zid
@@ -215,7 +217,7 @@ class HubSubscription:
             if source.gap(message) is None:
                 return
             if not self._hold(source, message):
-                self._refuse("large", f"more than {_MAX_HELD_BYTES} bytes are kept for late joiners")
+                self._refuse("large", f"more than {MAX_HELD_BYTES} bytes are kept for late joiners")
 
     def done(self, zid: str) -> None:
         """All that was asked of a session has come; see `LatchedHistory`."""
@@ -224,14 +226,14 @@ class HubSubscription:
             if self._asked[zid] > 0:
                 return
             del self._asked[zid]
-            for source in self._sources.values():
+            for source in self.sources.values():
                 if source.held and not self._asked[source.zid]:
                     self._release(source)
 
     def _hold(self, source: PublisherState, message: HubSample) -> bool:
         """Hold a sample back; False where too much is held already."""
         size = self._weight(message)
-        if self._held + size > _MAX_HELD_BYTES or message.sequence in source.held:
+        if self._held + size > MAX_HELD_BYTES or message.sequence in source.held:
             return message.sequence in source.held
         source.held[message.sequence] = message
         self._held += size
@@ -244,7 +246,7 @@ class HubSubscription:
 
     @staticmethod
     def _weight(message: HubSample) -> int:
-        return len(message.payload) + _OVERHEAD
+        return len(message.payload) + OVERHEAD
 
     def _release(self, source: PublisherState) -> None:
         held = self._take_held(source)
@@ -307,7 +309,7 @@ class HubSubscription:
         return f"lost on the hub's links, which were busy for too long: {told}; {_CURE}"
 
     def _source(self, message: HubSample, sample: zenoh.Sample) -> PublisherState:
-        source = self._sources.get(message.gid)
+        source = self.sources.get(message.gid)
         if source is None:
             source = self._new_source(message.gid)
         if not source.zid:
@@ -317,19 +319,19 @@ class HubSubscription:
         return source
 
     def _new_source(self, gid: bytes) -> PublisherState:
-        if len(self._sources) >= self._room:
+        if len(self.sources) >= self._room:
             self._make_room()
-        source = self._sources[gid] = PublisherState("")
+        source = self.sources[gid] = PublisherState("")
         return source
 
     def _make_room(self) -> None:
         """Forget publishers that are gone; some participants (zenoh-ros2-sdk) have never been on the graph."""
-        gone = [gid for gid, source in self._sources.items() if not source.held and not self._graph.zid_of(gid)]
+        gone = [gid for gid, source in self.sources.items() if not source.held and not self._graph.zid_of(gid)]
         for gid in gone[:-_SPARED]:
-            del self._sources[gid]
-        while len(self._sources) >= _MAX_SOURCES:
-            self._take_held(self._sources.pop(next(iter(self._sources))))
-        self._room = min(2 * (len(self._sources) + _SPARED), _MAX_SOURCES)
+            del self.sources[gid]
+        while len(self.sources) >= _MAX_SOURCES:
+            self._take_held(self.sources.pop(next(iter(self.sources))))
+        self._room = min(2 * (len(self.sources) + _SPARED), _MAX_SOURCES)
 
     def _refuse(self, reason: str, why: str) -> None:
         level = logging.DEBUG if self.refused or self._on_refused is not None else logging.WARNING

@@ -119,7 +119,7 @@ def test_a_late_turn_cuts_no_connection_of_the_port_that_has_the_name_by_now(
     connect, port, others = OwnPorts.connect, "/midspan/talk:o", list[YarpPort]()
 
     def late(ports: OwnPorts) -> None:
-        own = ports._own.get(port)
+        own = ports.own.get(port)
         if own is None or reader.name not in own.links or others:
             connect(ports)
             return
@@ -193,9 +193,9 @@ class Failing(dict[str, PortPlan]):
 
 
 def test_a_connection_that_fails_as_ports_are_planned_is_told(edge: YarpEdge) -> None:
-    ports = edge._ports
-    ports._trouble = {"/gone /peer": (0.0, "it is not there")}
-    ports.follow(Failing(ports._trouble), {}, {})
+    ports = edge.ports
+    ports.trouble = {"/gone /peer": (0.0, "it is not there")}
+    ports.follow(Failing(ports.trouble), {}, {})
     assert ports.warnings() == ["it is gone"]
 
 

@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from bridge.adapters.yarp.graph import NodePort, YarpGraph, _Known
+from bridge.adapters.yarp.graph import KnownPort, NodePort, YarpGraph
 from bridge.messages.registry import Registry
 from tests.support.wait import until
 from tests.support.yarp_programs import Names
@@ -93,8 +93,8 @@ class Forgetting:
 def test_a_port_whose_connection_ends_as_the_list_is_taken_up_is_forgotten(names: Names) -> None:
     graph = YarpGraph(Registry())
     for name in ("/a", "/b", "/c"):
-        graph._known[name] = _Known(PortContact(name, "127.0.0.1", 10002), 0.0)
-    graph._known["/a"].contact = Forgetting(graph, "/a")  # type: ignore[assignment]
-    graph._known["/b"].contact = Forgetting(graph, "/c")  # type: ignore[assignment]
+        graph.known[name] = KnownPort(PortContact(name, "127.0.0.1", 10002), 0.0)
+    graph.known["/a"].contact = Forgetting(graph, "/a")  # type: ignore[assignment]
+    graph.known["/b"].contact = Forgetting(graph, "/c")  # type: ignore[assignment]
     graph.update(names.client, [PortContact(name, "127.0.0.1", 10002) for name in ("/a", "/b", "/c")], ())
-    assert graph._known.keys() == {"/b"}
+    assert graph.known.keys() == {"/b"}

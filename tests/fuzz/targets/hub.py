@@ -183,7 +183,7 @@ def _samples() -> Subject:
             return "0"
 
     put = zenoh.SampleKind.PUT
-    module._MAX_HELD_BYTES = 1000  # three samples
+    module.MAX_HELD_BYTES = 1000  # three samples
 
     def parse(data: bytes) -> None:
         heard: list[Any] = []
@@ -208,8 +208,8 @@ def _samples() -> Subject:
             else:
                 hear(sample)  # type: ignore[arg-type]
         assert len(heard) <= count
-        kept = [message for source in subscription._sources.values() for message in source.held.values()]
-        assert subscription._held == len(kept) * (1 + module._OVERHEAD) <= module._MAX_HELD_BYTES
+        kept = [message for source in subscription.sources.values() for message in source.held.values()]
+        assert subscription._held == len(kept) * (1 + module.OVERHEAD) <= module.MAX_HELD_BYTES
         assert 0 <= subscription.lost <= 1_000_000 * count
 
     def one(sequence: int, time_ns: int, how: bytes = b".") -> bytes:

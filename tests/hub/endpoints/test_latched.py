@@ -208,7 +208,7 @@ def test_a_gap_is_filled_from_the_cache(network: HubNetwork):
         heard = Heard(b, "/map", replace(LATCHED, depth=10))
         publisher = talk(a, "/map", replace(LATCHED, depth=10), "one")
         heard.expect("one")
-        source = heard.subscription._sources[publisher.gid]
+        source = heard.subscription.sources[publisher.gid]
         heard.samples.clear()
         # as if the first had never come
         with heard.subscription._lock:
