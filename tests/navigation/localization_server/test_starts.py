@@ -5,22 +5,21 @@ from __future__ import annotations
 import logging
 from pathlib import Path
 from types import SimpleNamespace
-from typing import Any
+from typing import Any, cast
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
 
 from bridge.config.sections.localization_server import LocalizationServerSection
+from bridge.modules.host import Host
 from navigation.localization_server.estimate import plane_of, pose_of
 from navigation.localization_server.module import LocalizationServer
-from navigation.localization_server.own import OwnLocalizer
-from navigation.localization_server.sources import AmclSource, Start
+from navigation.localization_server.sources import Start
 from navigation.pose import Pose
-from tests.navigation.test_frames import Said
 from yarp_compat.dev.mapgrid import MapFlag, MapGrid2D
 
 THERE = Start(Pose(0.5, 0.25, 1.0), np.diag([0.0004, 0.0009, 0.0001]))
-SECTION = LocalizationServerSection()
 
 
 def grid(name: str) -> MapGrid2D:
@@ -41,10 +40,15 @@ class Outside:
         self.node = SimpleNamespace(
             hub=SimpleNamespace(graph=graph),
             subscription=lambda *_: None,
-            publisher=lambda topic, *_: SimpleNamespace(publish=lambda message: self.said.append((topic, message))),
+            subscription_cdr=lambda *_, **_more: None,
+            publisher=lambda topic, *_, **_more: SimpleNamespace(
+                publish=lambda message: self.said.append((topic, message))
+            ),
             client=lambda name, *_: SimpleNamespace(ready=True, call=lambda said, _: self.said.append((name, said))),
         )
-        self.clock = SimpleNamespace(now_ns=lambda: 0, stamp=lambda: {"sec": 0, "nanosec": 0})
+        self.clock = SimpleNamespace(now_ns=lambda: 0, stamp=lambda: {"sec": 0, "nanosec": 0}, on_jump=lambda _: None)
+        self.yarp, self.loop = Mock(), Mock()
+        self.on_jump = self.every = lambda *_: None
         self.store = SimpleNamespace(
             use_map=lambda name: setattr(self, "current", name),
             current_map=lambda: self.current,
@@ -52,13 +56,10 @@ class Outside:
             watch=lambda *_: lambda: None,
         )
 
-    def module(self, kind: Any, section: LocalizationServerSection = SECTION) -> LocalizationServer:
+    def module(self, **section: Any) -> LocalizationServer:
         """The module, on the first map."""
-        made: Any = LocalizationServer()
-        made._host, made._section, made.source = self, section, kind(self, section, Said().frames)
-        made._grid = made._start = None
-        made._resting = False
-        made._follow_maps()
+        made, host = LocalizationServer(), cast("Host", self)
+        made.start(host, LocalizationServerSection(**section))
         return made
 
 
@@ -68,7 +69,7 @@ def outside(tmp_path: Path) -> Outside:
 
 
 def test_our_own_localiser_is_as_sure_as_it_was_told(outside: Outside) -> None:
-    module: Any = outside.module(OwnLocalizer)
+    module: Any = outside.module()
     module.begin(*THERE, "cellar")
     found = module.estimate()
     assert module.map_name == "cellar"
@@ -83,7 +84,7 @@ def test_our_own_localiser_is_as_sure_as_it_was_told(outside: Outside) -> None:
 )
 def test_amcl_is_told(outside: Outside, set_map: str, before: str, told: str) -> None:
     outside.current = before
-    module = outside.module(AmclSource, SECTION.model_copy(update={"set_map": set_map}))
+    module = outside.module(source="amcl", set_map=set_map)
     module.begin(*THERE, "cellar")
     ((name, message),) = outside.said
     assert name == told
@@ -94,6 +95,6 @@ def test_amcl_is_told(outside: Outside, set_map: str, before: str, told: str) ->
 
 def test_nobody_hears_it(outside: Outside) -> None:
     outside.hearers = []
-    module = outside.module(AmclSource, SECTION.model_copy(update={"set_map": ""}))
+    module = outside.module(source="amcl", set_map="")
     with pytest.raises(RuntimeError, match="nobody hears /initialpose"):
         module.begin(*THERE, "cellar")

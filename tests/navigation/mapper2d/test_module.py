@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import struct
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -11,8 +12,6 @@ from typing import Any
 import pytest
 
 from bridge.stores.kinds import MAP
-from navigation.mapper2d.module import _Scan
-from navigation.scan import of_yarp
 from tests.modules.place import Place
 from tests.support.wait import until
 from yarp_compat.dev.basecontrol import OdometryData
@@ -26,6 +25,7 @@ from yarp_compat.sig.vector import Vector
 
 BEAMS = 360
 RADIUS = 2.02
+S = 1_000_000_000
 
 
 @pytest.fixture(scope="module")
@@ -224,24 +224,46 @@ def transform(parent: str, child: str, x: float, stamp: dict[str, int]) -> dict[
 
 def test_a_clock_that_is_set_back_makes_no_old_scan_new(place: Place, monkeypatch: pytest.MonkeyPatch) -> None:
     assert asked(place, "start") == ["Mapping."]
-    module: Any = place.worker.running("mapper2d").module
-    host, now = module._host, [time.time_ns()]
+    running = place.worker.running("mapper2d")
+    host, now = running.host, [time.time_ns() + 10 * S]
     monkeypatch.setattr(host.clock, "now_ns", lambda: now[0])
-    turn = of_yarp(LaserScan2D(0.0, 360.0, 0.1, 20.0, Vector([RADIUS] * BEAMS), 1), now[0] + 1_000_000_000)
 
-    def take() -> int:
-        module._take(_Scan(now[0], "", turn))
-        return len(module._waiting)
+    def heard() -> bool:
+        assert running.module is not None
+        return "no scan is heard" not in running.module.health().text
 
-    assert host.loop.call(take), "no pose is known of its time"
-    assert "no scan is heard" not in module.health().text
-    now[0] -= 10_000_000_000
-    host.loop.call(module._work)
-    assert not module._waiting, "it waits no longer than another"
-    assert "no scan is heard" in module.health().text
-    assert host.loop.call(take)
-    for jumped in tuple(host.clock._jumped):
-        jumped()
-    host.loop.call(lambda: None)
-    assert not module._waiting
-    assert "no scan is heard" in module.health().text
+    def counts() -> list[int]:
+        host.loop.call(lambda: None)
+        found = place.answer("mapper2d")
+        return [found["scans"], found["dropped"]]
+
+    def set_back() -> None:
+        with monkeypatch.context() as simulated:
+            simulated.setattr(host.clock, "simulated", True)  # else it hears of no time
+            for seconds in (20, 10):
+                host.clock.hear(struct.pack("<4xiI", seconds, 0))
+        host.loop.call(lambda: None)
+
+    with Writer(naming=place.names) as writer:
+        writer.connect("/mapper2D/laser:i")
+
+        def scan() -> None:
+            """One of whose time no pose is known."""
+            turn = LaserScan2D(0.0, 360.0, 0.1, 20.0, Vector([RADIUS] * BEAMS), 1)
+            assert writer.write(turn, envelope=f"1 {now[0] / S + 1.0:.9f}", strict=True) == 1
+            until(heard, "it is heard")
+
+        assert not heard()
+        scans, dropped = counts()
+        scan()
+        assert counts() == [scans, dropped], "it waits"
+        now[0] -= 20 * S
+        until(lambda: counts() == [scans, dropped + 1], "it waits no longer than another")
+        assert not heard()
+        scan()
+        set_back()
+        assert not heard()
+        now[0] += 5 * S
+        scan()
+        assert counts() == [scans, dropped + 1], "the one before was forgotten"
+        set_back()

@@ -58,10 +58,10 @@ class Robot:
         self.cloud = far.advertise("/cloud", "sensor_msgs/PointCloud2")
         self.depth = far.advertise("/depth", "sensor_msgs/Image")
         self.info = far.advertise("/info", "sensor_msgs/CameraInfo")
-        far.publish(self.static, {"transforms": [self._transform("base_link", "camera", 1.0, OPTICAL, {"sec": 1})]})
+        far.publish(self.static, {"transforms": [self.transform("base_link", "camera", 1.0, OPTICAL, {"sec": 1})]})
 
     @staticmethod
-    def _transform(parent: str, child: str, z: float, turn: dict[str, float], stamp: dict[str, int]) -> dict[str, Any]:
+    def transform(parent: str, child: str, z: float, turn: dict[str, float], stamp: dict[str, int]) -> dict[str, Any]:
         place = {"translation": {"z": z}, "rotation": turn}
         return {"header": {"stamp": stamp, "frame_id": parent}, "child_frame_id": child, "transform": place}
 
@@ -69,7 +69,7 @@ class Robot:
         """Say where the robot is now; the time of it."""
         now = time.time_ns()
         stamp = {"sec": now // 10**9, "nanosec": now % 10**9}
-        self.far.publish(self.frames, {"transforms": [self._transform("odom", "base_link", 0.0, {"w": 1.0}, stamp)]})
+        self.far.publish(self.frames, {"transforms": [self.transform("odom", "base_link", 0.0, {"w": 1.0}, stamp)]})
         return stamp
 
     def see_cloud(self, points: np.ndarray, **changed: Any) -> None:
@@ -233,7 +233,7 @@ def test_the_floor_is_that_of_base_footprint(tmp_path_factory: pytest.TempPathFa
             return word in place.worker.health().text
 
         until(lambda: told("set modules.mapper3d.floor"), "it says that the floor is not there", 30)
-        told_of = robot._transform("base_link", "base_footprint", -0.2, {"w": 1.0}, {"sec": 1})
+        told_of = robot.transform("base_link", "base_footprint", -0.2, {"w": 1.0}, {"sec": 1})
         place.far.publish(robot.static, {"transforms": [told_of]})
         until(lambda: not told("floor"), "all is well", 30)
 
