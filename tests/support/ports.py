@@ -7,7 +7,7 @@ import os
 import random
 import socket
 
-_FIRST, _EACH, _SHARES = 14_000, 4_000, 4
+_FIRST, _EACH, _SHARES = 14_000, 2_000, 8
 """Below what Linux gives to connections going out (from 32768 on): one of those would take it before it is opened."""
 
 _share = int(os.environ.get("PYTEST_XDIST_WORKER", "gw0").removeprefix("gw")) % _SHARES
@@ -15,15 +15,26 @@ _begin = random.SystemRandom().randrange(_EACH)  # other processes of the same t
 _numbers = itertools.count(_begin)
 
 
-def free_port() -> int:
-    """A TCP port on 127.0.0.1 that nothing listens on now, and that this process was not given lately."""
+def free_port(room: int = 0) -> int:
+    """A TCP port on 127.0.0.1 that nothing listens on now, and that this process was not given lately.
+
+    ``room``: so many ports above it are free as well, and given to nobody else: a YARP name server hands them out.
+    """
     for _ in range(_EACH):
-        port = _FIRST + _share * _EACH + next(_numbers) % _EACH
-        with socket.socket() as sock:
-            try:
-                sock.bind(("127.0.0.1", port))
-            except OSError:
-                continue
+        number = next(_numbers) % _EACH
+        port = _FIRST + _share * _EACH + number
+        if number + room < _EACH and all(_is_free(port + above) for above in range(room + 1)):
+            for _ in range(room):
+                next(_numbers)
             return port
     msg = f"all {_EACH} ports of this worker of pytest are taken"
     raise RuntimeError(msg)
+
+
+def _is_free(port: int) -> bool:
+    with socket.socket() as sock:
+        try:
+            sock.bind(("127.0.0.1", port))
+        except OSError:
+            return False
+        return True

@@ -30,7 +30,7 @@ class Names:
     """A name server of a test's own."""
 
     def __init__(self) -> None:
-        self.address = Address("127.0.0.1", free_port())
+        self.address = Address("127.0.0.1", free_port(room=20))
         self.client = NameClient(self.address)
         self._server: NameServer | None = None
         self.start()

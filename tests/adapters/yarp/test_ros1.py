@@ -14,7 +14,6 @@ from tests.support.ports import free_port
 from tests.support.ros1 import RosMaster, needs_ros1
 from tests.support.wait import until
 from tests.support.yarp_name_server import RealNameServer
-from tests.yarp_compat.naming.test_server import low_port
 from yarp_compat.naming import connections
 from yarp_compat.naming.client import NameClient
 from yarp_compat.ports.message import PortMessage
@@ -86,7 +85,7 @@ class NativeNode:
 @pytest.fixture(name="site")
 def fixture_site(tmp_path: Path, master: RosMaster) -> Iterator[Place]:
     """A place whose YARP name server is on the ROS 1 master."""
-    with RealNameServer(low_port(), master.uri) as server:
+    with RealNameServer(free_port(room=20), master.uri) as server:
         made = Place(tmp_path)
         made.names.stop()
         made.names = Network(server)  # type: ignore[assignment]

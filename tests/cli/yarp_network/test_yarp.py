@@ -28,19 +28,12 @@ from yarp_compat.wire.profile import Profile
 Yarp = Callable[..., Outcome]
 
 
-def low_port() -> int:
-    """A free port that leaves room for ports above it."""
-    while (port := free_port()) > 60000:
-        pass
-    return port
-
-
 @pytest.fixture(name="server")
 def fixture_server(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[NameServer]:
     """A name server that yarp.conf names."""
     monkeypatch.setenv("YARP_CONFIG_HOME", str(tmp_path))
     monkeypatch.delenv("YARP_NAMESPACE", raising=False)
-    with NameServer(port=low_port(), gc_seconds=0) as server:
+    with NameServer(port=free_port(room=20), gc_seconds=0) as server:
         (tmp_path / "yarp.conf").write_text(f"127.0.0.1 {server.address.port} yarp\n")
         yield server
 
@@ -264,7 +257,7 @@ def test_a_server_of_its_own(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) ->
     """It writes yarp.conf, serves, ends at SIGTERM, and remembers."""
     monkeypatch.setenv("YARP_CONFIG_HOME", str(tmp_path))
     monkeypatch.delenv("YARP_NAMESPACE", raising=False)
-    port = low_port()
+    port = free_port(room=20)
     args = [sys.executable, "-m", "bridge.cli.main", "yarp", "server", "--write", "--port", str(port)]
     names = NameClient()
     for turn in range(2):

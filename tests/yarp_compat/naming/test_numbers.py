@@ -7,10 +7,10 @@ from collections.abc import Iterator
 
 import pytest
 
+from tests.support.ports import free_port
 from tests.support.wait import until
 from tests.support.yarp_name_server import RealNameServer
 from tests.yarp_compat.naming.test_restart import where
-from tests.yarp_compat.naming.test_server import low_port
 from yarp_compat.naming import client as client_module
 from yarp_compat.naming.allocation import LAST_OFFSET, beside
 from yarp_compat.naming.client import NameClient
@@ -19,7 +19,7 @@ from yarp_compat.ports.port import PortCore
 
 @pytest.fixture(name="server")
 def fixture_server() -> Iterator[RealNameServer]:
-    with RealNameServer(low_port()) as server:
+    with RealNameServer(free_port(room=20)) as server:
         yield server
 
 

@@ -14,9 +14,9 @@ from typing import Self
 
 import pytest
 
+from tests.support.ports import free_port
 from tests.support.process import Process
 from tests.support.wait import until
-from tests.yarp_compat.naming.test_server import low_port
 from yarp_compat.naming import client as client_module
 from yarp_compat.naming import connections
 from yarp_compat.naming.client import NameClient
@@ -103,7 +103,7 @@ def where(names: NameClient, *ports: PortCore) -> Callable[[], bool]:
 
 def test_without_memory_ports_register_again() -> None:
     """With the same numbers, what was set at them, and an announcement; the data connection notices nothing."""
-    port = low_port()
+    port = free_port(room=20)
     first = NameServer(port=port, gc_seconds=0).open()
     with Pair(first.address) as pair:
         pair.names.set_property("/reader", "type", "std_msgs/String", "two words")
@@ -128,7 +128,7 @@ def test_without_memory_ports_register_again() -> None:
 @pytest.mark.parametrize("remembers", [True, False])
 def test_killed(tmp_path: Path, remembers: bool) -> None:
     """``midspan yarp server`` killed with -9, and started again: nothing is lost, and it knows the ports."""
-    address = Address("127.0.0.1", low_port())
+    address = Address("127.0.0.1", free_port(room=20))
     args = [sys.executable, "-m", "bridge.cli.main", "yarp", "server", "--port", str(address.port), "--gc", "0"]
     args += ["--state", str(tmp_path / "names.json")] if remembers else ["--forget"]
     env = {**os.environ, "YARP_CONFIG_HOME": str(tmp_path), "YARP_NAMESPACE": "/root"}
@@ -170,7 +170,7 @@ def _answers(names: NameClient) -> bool:
 @pytest.fixture(name="server")
 def fixture_server() -> Iterator[NameServer]:
     """A name server."""
-    with NameServer(port=low_port(), gc_seconds=0) as server:
+    with NameServer(port=free_port(room=20), gc_seconds=0) as server:
         yield server
 
 

@@ -31,17 +31,10 @@ from yarp_compat.wire.profile import Profile
 from yarp_compat.wire.text import from_text
 
 
-def low_port() -> int:
-    """A free port that leaves room for ports above it."""
-    while (port := free_port()) > 60000:
-        pass
-    return port
-
-
 @pytest.fixture(name="server")
 def fixture_server() -> Iterator[NameServer]:
     """A name server that remembers nothing."""
-    with NameServer(port=low_port(), gc_seconds=0) as server:
+    with NameServer(port=free_port(room=20), gc_seconds=0) as server:
         yield server
 
 
@@ -133,7 +126,7 @@ def test_a_browser(server: NameServer, names: NameClient) -> None:
 
 def test_another_network() -> None:
     """Its name server's port has its name; a client is told of it, or finds it in the environment."""
-    with NameServer(port=low_port(), namespace="/lab", gc_seconds=0) as server:
+    with NameServer(port=free_port(room=20), namespace="/lab", gc_seconds=0) as server:
         names = NameClient(server.address, namespace="/lab")
         assert names.contact == server.contact == names.query("/lab")
         assert [c.name for c in names.list()] == ["/lab"]
@@ -291,7 +284,7 @@ def test_young_ports_are_not_looked_for(server: NameServer, names: NameClient) -
 def test_it_looks_by_itself(monkeypatch: pytest.MonkeyPatch) -> None:
     """Now and then."""
     monkeypatch.setattr(server_module, "YOUNG", -1.0)
-    with NameServer(port=low_port(), gc_seconds=0.05) as server:
+    with NameServer(port=free_port(room=20), gc_seconds=0.05) as server:
         names = NameClient(server.address)
         names.register("/dead", "127.0.0.1", free_port())
         until(lambda: names.query("/dead") is None, "it was forgotten")
@@ -299,7 +292,7 @@ def test_it_looks_by_itself(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def test_memory(tmp_path: Path) -> None:
     """Ports, properties, numbers and persistent connections outlive the server."""
-    port, state = low_port(), tmp_path / "deep" / "names.json"
+    port, state = free_port(room=20), tmp_path / "deep" / "names.json"
     with NameServer(port=port, state=state) as server:
         names = NameClient(server.address)
         first = names.register("/p")
@@ -322,7 +315,7 @@ def test_spoilt_memory(tmp_path: Path, spoilt: bytes, caplog: pytest.LogCaptureF
     """A file that is no state is kept aside, and the server begins empty."""
     state = tmp_path / "names.json"
     state.write_bytes(spoilt)
-    with NameServer(port=low_port(), state=state) as server:
+    with NameServer(port=free_port(room=20), state=state) as server:
         assert NameClient(server.address).list() == [server.contact]
     assert (tmp_path / "names.json.spoilt").read_bytes() == spoilt
     assert "begins empty" in caplog.text
@@ -331,6 +324,6 @@ def test_spoilt_memory(tmp_path: Path, spoilt: bytes, caplog: pytest.LogCaptureF
 def test_memory_that_cannot_be_written(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     """The server serves without it, and says so."""
     (tmp_path / "plain").write_text("")
-    with NameServer(port=low_port(), state=tmp_path / "plain" / "names.json") as server:
+    with NameServer(port=free_port(room=20), state=tmp_path / "plain" / "names.json") as server:
         assert NameClient(server.address).register("/p") == PortContact("/p", "127.0.0.1", server.address.port + 2)
     assert "cannot be written" in caplog.text

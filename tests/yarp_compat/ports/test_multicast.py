@@ -13,7 +13,6 @@ import pytest
 from tests.support.ports import free_port
 from tests.support.wait import until
 from tests.support.yarp_name_server import RealNameServer
-from tests.yarp_compat.naming.test_server import low_port
 from yarp_compat.naming import connections
 from yarp_compat.naming.client import NameClient
 from yarp_compat.ports.datagrams import SendingGroup
@@ -70,7 +69,7 @@ def speaker(port: int, source: str = "127.0.0.1") -> socket.socket:
 
 @pytest.fixture(name="server")
 def fixture_server() -> Iterator[RealNameServer]:
-    with RealNameServer(low_port()) as server:
+    with RealNameServer(free_port(room=20)) as server:
         yield server
 
 
