@@ -42,7 +42,7 @@ from bridge.hub.session import Hub, HubSettings
 from bridge.hub.wire.qos import Qos
 from bridge.messages.json import from_json
 from bridge.messages.registry import Registry
-from bridge.web.map_pictures import TILE
+from bridge.web.feeds.map_pictures import TILE
 
 FIRST_VIEW, MAP_SEEN, AGE_MS, BACK, TEN_PERCENT = 1.0, 2.0, 100.0, 3.0, 15.0
 """Aims: seconds to the first view and to the large map; ms from hub to pixels, p95; seconds until the page goes on once

@@ -25,11 +25,11 @@ from urllib.parse import parse_qs
 from bridge.config.sections.foxglove import FoxgloveSection
 from bridge.config.sections.web import WebSection, split
 from bridge.foxglove.visitors import Visitor, Visitors
-from bridge.web.access import Access, Grant, TooManyError
-from bridge.web.scarce_log import ScarceLog
+from bridge.web.serving.access import Access, Grant, TooManyError
+from bridge.web.serving.scarce_log import ScarceLog
 
 if TYPE_CHECKING:
-    from bridge.web.tls import ServerTls
+    from bridge.web.serving.tls import ServerTls
 
 _log = logging.getLogger("midspan.foxglove")
 

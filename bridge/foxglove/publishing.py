@@ -1,7 +1,8 @@
 """What clients publish, on the hub: each channel that one advertises is a publisher for as long as it does.
 
-Velocities go the way of the console's driving by hand (`bridge.web.hold`): on the base's own topic alone, one client at
-a time, not faster than there, for 0.3 s after each message, and then zero once; so they also end with their client.
+Velocities go the way of the console's driving by hand (`bridge.web.verbs.hold`): on the base's own topic alone, one
+client at a time, not faster than there, for 0.3 s after each message, and then zero once; so they also end with their
+client.
 """
 
 from __future__ import annotations
@@ -28,7 +29,7 @@ from bridge.modules.hub_topics import Definitions
 from bridge.routing.counters import Counters
 from bridge.routing.limits import COMMAND_TYPES
 from bridge.routing.rules import RuleSet
-from bridge.web.hold import HandDriving
+from bridge.web.verbs.hold import HandDriving
 from navigation.messages import TWIST
 
 _log = logging.getLogger("midspan.foxglove")
@@ -157,7 +158,7 @@ class ClientTopic(PublishedChannel):
 
 
 class ClientVelocity(PublishedChannel):
-    """The base's velocity; a `bridge.web.hold.HandDriver`."""
+    """The base's velocity; a `bridge.web.verbs.hold.HandDriver`."""
 
     def __init__(self, driving: HandDriving, channel: Advertised, visitor: Visitor, coder: Coder) -> None:
         super().__init__(channel, visitor)

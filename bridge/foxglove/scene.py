@@ -33,10 +33,10 @@ from bridge.foxglove.server import FoxgloveServer
 from bridge.messages.definitions.text import full_text
 from bridge.messages.values import MessageWriter
 from bridge.modules.host import Host
-from bridge.web.feed import Feed
+from bridge.web.feeds.feed import Feed
 
 if TYPE_CHECKING:
-    from bridge.web.maps import StoreFollower, StoreView
+    from bridge.web.feeds.maps import StoreFollower, StoreView
 
 SCENE, KEEP_OUT = "/midspan/scene", "/midspan/keep_out"
 GRID = "nav_msgs/msg/OccupancyGrid"
@@ -83,7 +83,7 @@ class Scene(Feed):
 
     def open(self) -> None:
         """Follow the store."""
-        from bridge.web.maps import StoreFollower  # it makes pictures, too: who needs no scene does without
+        from bridge.web.feeds.maps import StoreFollower  # it makes pictures, too: who needs no scene does without
 
         self._store = self._store or StoreFollower(self._host, self._config)
         self._store.begin(self, self._take)
@@ -114,7 +114,7 @@ class Scene(Feed):
 
     def _update(self, now: int) -> SceneUpdate:
         """All there is, in place of all that was."""
-        from bridge.web.robot import disc  # it follows the gateway, too: who needs no scene does without
+        from bridge.web.feeds.robot import disc  # it follows the gateway, too: who needs no scene does without
 
         at = Timestamp(*divmod(now, 1_000_000_000))
         every = SceneEntityDeletion(timestamp=at, type=SceneEntityDeletionType.All)

@@ -12,7 +12,7 @@ import time
 from dataclasses import dataclass, field
 from threading import Lock
 
-from bridge.web.access import Grant
+from bridge.web.serving.access import Grant
 
 MARK = 0xFFFF_FFFF
 """The number of the channel that the front advertises; a client that uses it itself is a stranger from then on."""

@@ -29,13 +29,13 @@ from bridge.hub.diagnostics import announce, heard
 from bridge.messages.registry import Registry
 from bridge.modules.host import Host
 from bridge.modules.hub_topics import HubTopics
-from bridge.web.hold import HandDriving
-from bridge.web.scarce_log import ScarceLog
+from bridge.web.serving.scarce_log import ScarceLog
+from bridge.web.verbs.hold import HandDriving
 from bridge.worker import Health, Worker, costs
 
 if TYPE_CHECKING:
-    from bridge.web.robot import DrivingFeed
-    from bridge.web.tls import ServerTls
+    from bridge.web.feeds.robot import DrivingFeed
+    from bridge.web.serving.tls import ServerTls
 
 _log = logging.getLogger("midspan.foxglove")
 
@@ -203,13 +203,13 @@ class Live:
 
 
 def _gateway(host: Host, config: Config) -> DrivingFeed:
-    from bridge.web.robot import DrivingFeed  # who only looks does without
+    from bridge.web.feeds.robot import DrivingFeed  # who only looks does without
 
     return DrivingFeed(host, config)
 
 
 def _tls(config: Config) -> ServerTls:
-    from bridge.web.tls import ServerTls
+    from bridge.web.serving.tls import ServerTls
 
     return ServerTls(config, "the Foxglove server")
 

@@ -17,12 +17,12 @@ from bridge.messages.registry import Registry
 from bridge.metrics.endpoint import MetricsRoutes
 from bridge.metrics.link import HubLink
 from bridge.metrics.source import Source
-from bridge.web.access import Access
-from bridge.web.serving import HttpServer
+from bridge.web.serving.access import Access
+from bridge.web.serving.server import HttpServer
 from bridge.worker import Health, Worker, costs
 
 if TYPE_CHECKING:
-    from bridge.web.tls import ServerTls
+    from bridge.web.serving.tls import ServerTls
 
 _log = logging.getLogger("midspan.metrics")
 
@@ -50,7 +50,7 @@ class MetricsWorker(Worker):
             raise RuntimeError(f"metrics.listen: {unguarded}")
         self._link = HubLink(config, "metrics", self._status)
         if section.reached:
-            from bridge.web.tls import ServerTls  # what it needs is memory that nobody needs on loopback
+            from bridge.web.serving.tls import ServerTls  # what it needs is memory that nobody needs on loopback
 
             self._tls = ServerTls(config)
         # nobody logs in here, so no cookie fits

@@ -13,11 +13,11 @@ from typing import Any
 
 from starlette.websockets import WebSocket, WebSocketDisconnect, WebSocketState
 
-from bridge.web.access import Grant
-from bridge.web.feed import Feed, Feeds
-from bridge.web.hold import HandDriving
-from bridge.web.login import who
-from bridge.web.verbs import VerbError, Verbs
+from bridge.web.feeds.feed import Feed, Feeds
+from bridge.web.serving.access import Grant
+from bridge.web.serving.login import who
+from bridge.web.verbs.hold import HandDriving
+from bridge.web.verbs.verbs import VerbError, Verbs
 
 _log = logging.getLogger("midspan.web")
 

@@ -21,30 +21,30 @@ from bridge.metrics.endpoint import MetricsRoutes
 from bridge.metrics.source import ASK_SECONDS, Source
 from bridge.modules.host import Host
 from bridge.state_file import worker_folder
-from bridge.web.access import Access, Grant, kept_secret
-from bridge.web.feed import Feeds
-from bridge.web.frame_feeds import FrameFollower, FramePoseFeed, FramesFeed
-from bridge.web.hold import HOLD_SECONDS, HandDriving
-from bridge.web.hub_feeds import AskingFeed, StatusAsker, list_topics
-from bridge.web.image_feed import ImageFeed
-from bridge.web.inspection import inspection_verbs
-from bridge.web.layer_feed import LayerFeed
-from bridge.web.log_feed import LogFollower, log_feed
-from bridge.web.map_files import MapFileVerbs
-from bridge.web.map_pictures import Pictures
-from bridge.web.maps import MapFeed, StoreFeed, StoreFollower
-from bridge.web.obstacles import ObstaclesFeed
+from bridge.web.feeds.feed import Feeds
+from bridge.web.feeds.frames import FrameFollower, FramePoseFeed, FramesFeed
+from bridge.web.feeds.hub import AskingFeed, StatusAsker, list_topics
+from bridge.web.feeds.images import ImageFeed
+from bridge.web.feeds.layers import LayerFeed
+from bridge.web.feeds.log import LogFollower, log_feed
+from bridge.web.feeds.map_pictures import Pictures
+from bridge.web.feeds.maps import MapFeed, StoreFeed, StoreFollower
+from bridge.web.feeds.obstacles import ObstaclesFeed
+from bridge.web.feeds.robot import DrivingFeed, LaserFeed, PathFeed, RobotFeed, disc
+from bridge.web.feeds.robots import RobotsFeed
+from bridge.web.feeds.topics import MessageFeed
 from bridge.web.page import Page
-from bridge.web.paint import Painter
-from bridge.web.patrol import ANOTHER, STOPPED, Patrol
-from bridge.web.place_verbs import PlaceVerbs
-from bridge.web.robot import DrivingFeed, LaserFeed, PathFeed, RobotFeed, disc
-from bridge.web.robots import RobotsFeed
-from bridge.web.sending import Sending, list_services, sending_verbs
-from bridge.web.server import WebServer, hello
-from bridge.web.tls import ServerTls
-from bridge.web.topic_feeds import MessageFeed
-from bridge.web.verbs import Verbs
+from bridge.web.serving.access import Access, Grant, kept_secret
+from bridge.web.serving.console import WebServer, hello
+from bridge.web.serving.tls import ServerTls
+from bridge.web.verbs.hold import HOLD_SECONDS, HandDriving
+from bridge.web.verbs.inspection import inspection_verbs
+from bridge.web.verbs.map_files import MapFileVerbs
+from bridge.web.verbs.paint import Painter
+from bridge.web.verbs.patrol import ANOTHER, STOPPED, Patrol
+from bridge.web.verbs.places import PlaceVerbs
+from bridge.web.verbs.sending import Sending, list_services, sending_verbs
+from bridge.web.verbs.verbs import Verbs
 from bridge.worker import Health, Worker, costs
 
 _log = logging.getLogger("midspan.web")

@@ -17,7 +17,7 @@ from typing import Any
 import pytest
 import yaml
 
-from bridge.bags.play_services import PAUSE, STEP
+from bridge.bags.play.services import PAUSE, STEP
 from bridge.cli.main import main
 from bridge.hub.control import RECORDED
 from bridge.hub.endpoints.subscription import HubSample
@@ -102,8 +102,8 @@ def file(hubs: QuickHub, tmp_path: Path) -> Path:
 Play = Callable[..., int]
 Player = Callable[..., Process]
 IMPORTS = (
-    "bridge.bags.play_output",
-    "bridge.bags.player",
+    "bridge.bags.play.output",
+    "bridge.bags.play.player",
     "bridge.bags.reader",
     "bridge.cli.bags.play",
     "bridge.cli.main",

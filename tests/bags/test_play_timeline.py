@@ -6,7 +6,7 @@ import threading
 
 import pytest
 
-from bridge.bags.play_timeline import LATE, Due, Timeline
+from bridge.bags.play.timeline import LATE, Due, Timeline
 
 NS = 1_000_000_000
 START = 1_700_000_000 * NS

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from bridge.bags.play_topics import CommandTopics
+from bridge.bags.play.topics import CommandTopics
 from bridge.config.load import load
 
 JOINTS, TWIST = "sensor_msgs/msg/JointState", "geometry_msgs/msg/Twist"

@@ -11,10 +11,10 @@ from typing import Any
 import pytest
 
 from bridge.bags.bag import BagError, BagTopic
-from bridge.bags.play_source import Played, PlayPart, PlaySource
-from bridge.bags.play_timeline import Timeline, Wait
-from bridge.bags.play_topics import CommandTopics, LeftOut, PlayChoice, PlayTopic, choose
-from bridge.bags.player import LEAST_SECONDS, Player
+from bridge.bags.play.player import LEAST_SECONDS, Player
+from bridge.bags.play.source import Played, PlayPart, PlaySource
+from bridge.bags.play.timeline import Timeline, Wait
+from bridge.bags.play.topics import CommandTopics, LeftOut, PlayChoice, PlayTopic, choose
 from bridge.bags.reader import open_bag
 from bridge.config.model import Config
 from bridge.hub.errors import HubClosedError, HubError

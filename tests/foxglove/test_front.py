@@ -123,10 +123,10 @@ def test_tokens_say_who_comes_and_as_what(guarded: GuardedDesk) -> None:
 
 
 def test_who_has_no_token_stays_out(guarded: GuardedDesk, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("bridge.web.access.FIRST_WAIT", 0.0)
+    monkeypatch.setattr("bridge.web.serving.access.FIRST_WAIT", 0.0)
     assert status_of(guarded) == 401
     assert status_of(guarded, query="?token=wrong") == 401
-    monkeypatch.setattr("bridge.web.access.FIRST_WAIT", 60.0)
+    monkeypatch.setattr("bridge.web.serving.access.FIRST_WAIT", 60.0)
     assert status_of(guarded, query=f"?token={HALL[1]}") == 401, "the hash is no token"
     assert status_of(guarded, query=f"?token={HALL[0]}") == 429, "who guesses waits"
 

@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 
 from bridge.messages.json import from_json
-from bridge.web import hold
+from bridge.web.verbs import hold
 from navigation.status import State
 from tests.foxglove.app import App
 from tests.foxglove.conftest import Desk

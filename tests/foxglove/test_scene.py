@@ -15,7 +15,7 @@ from bridge.foxglove.scene import KEEP_OUT, SCENE
 from bridge.stores.client import StoreClient
 from bridge.stores.kinds import AREA, CURRENT, LOCATION, MAP
 from bridge.stores.store import THE_MAP, Store, Write
-from bridge.web import maps
+from bridge.web.feeds import maps
 from tests.foxglove.app import App
 from tests.foxglove.conftest import Desk
 from tests.stores.parts import Shared

@@ -10,7 +10,7 @@ from typing import Any
 
 import pytest
 
-from bridge.bags.play_services import PAUSE, STEP
+from bridge.bags.play.services import PAUSE, STEP
 from tests.bags.playing import NS, START, Said, stamp, transform, write_bag
 from tests.contract.side import CUSTOM_FOLDER
 from tests.interop.deployment import MIDSPAN, Deployment
@@ -20,7 +20,7 @@ from tests.support.yarp_programs import Definitions, Names, YarpProgram
 
 SCAN, TF, TWIST, GRID = "sensor_msgs/LaserScan", "tf2_msgs/TFMessage", "geometry_msgs/Twist", "nav_msgs/OccupancyGrid"
 SECONDS = 4.0
-IMPORTS = ("bridge.bags.play_output", "bridge.bags.player", "bridge.cli.bags.play", "bridge.cli.main")
+IMPORTS = ("bridge.bags.play.output", "bridge.bags.play.player", "bridge.cli.bags.play", "bridge.cli.main")
 
 
 def drive() -> Iterator[Said]:

@@ -19,9 +19,9 @@ from websockets.exceptions import InvalidStatus, WebSocketException
 from bridge.config.sections.web import TokenSection, WebSection
 from bridge.hub.security.certificates import Authority
 from bridge.hub.security.tokens import new_token
-from bridge.web import access
-from bridge.web.access import COOKIE, Access, Grant, Slowness, TooManyError, kept_secret
-from bridge.web.serving import hosts
+from bridge.web.serving import access
+from bridge.web.serving.access import COOKIE, Access, Grant, Slowness, TooManyError, kept_secret
+from bridge.web.serving.server import hosts
 from tests.support.wait import until
 from tests.web.conftest import Desk
 from tests.web.page import TestPage

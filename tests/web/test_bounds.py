@@ -14,13 +14,14 @@ import pytest
 from websockets.exceptions import InvalidStatus
 
 from bridge.concurrency import SerialExecutor
-from bridge.web import connections, verbs
-from bridge.web.connections import MOST_CONNECTIONS, MOST_OF_ADDRESS
-from bridge.web.feed import Feed
-from bridge.web.hub_feeds import AskingFeed
-from bridge.web.scarce_log import ScarceLog
-from bridge.web.server import MOST_PAGES_OF_ADDRESS
-from bridge.web.verbs import PageVerb, VerbError
+from bridge.web.feeds.feed import Feed
+from bridge.web.feeds.hub import AskingFeed
+from bridge.web.serving import connections
+from bridge.web.serving.connections import MOST_CONNECTIONS, MOST_OF_ADDRESS
+from bridge.web.serving.console import MOST_PAGES_OF_ADDRESS
+from bridge.web.serving.scarce_log import ScarceLog
+from bridge.web.verbs import verbs
+from bridge.web.verbs.verbs import PageVerb, VerbError
 from tests.support.wait import until
 from tests.web.conftest import Desk
 from tests.web.hostile import client_frame, opening

@@ -15,8 +15,8 @@ from bridge.config.sections.navigation import ACTION
 from bridge.hub.wire.qos import Qos
 from bridge.messages.json import from_json
 from bridge.modules.action_server import Goal
-from bridge.web import verbs
-from bridge.web.hold import HOLD_SECONDS
+from bridge.web.verbs import verbs
+from bridge.web.verbs.hold import HOLD_SECONDS
 from navigation.messages import NAVIGATE
 from tests.navigation.gateway.rig import Program
 from tests.support.wait import until

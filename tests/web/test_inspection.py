@@ -13,8 +13,8 @@ import pytest
 from bridge.daemon.log_query import KeptLines, LogServer
 from bridge.daemon.loop import SelectorLoop
 from bridge.daemon.query import QueryServer
-from bridge.web import inspection
-from bridge.web.config_text import HIDDEN, secrets_of, without_secrets
+from bridge.web.verbs import inspection
+from bridge.web.verbs.config_text import HIDDEN, secrets_of, without_secrets
 from tests.support.wait import until
 from tests.web.conftest import Desk
 from tests.web.page import TestPage

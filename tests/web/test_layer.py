@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from bridge.web.layer_feed import MOST_TINTED, tint
+from bridge.web.feeds.layers import MOST_TINTED, tint
 from navigation.maps.grid_map import to_grid_map
 from navigation.pose import Pose
 from tests.web.conftest import Desk

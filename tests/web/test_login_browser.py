@@ -49,7 +49,7 @@ def log_in(chrome: Chrome, token: str) -> None:
 
 
 def test_log_in_and_watch(guarded: GuardedDesk, chrome: Chrome, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("bridge.web.access.FIRST_WAIT", 0.01)
+    monkeypatch.setattr("bridge.web.serving.access.FIRST_WAIT", 0.01)
     address = f"https://127.0.0.1:{guarded.port}/"
     chrome.get(address)
     assert chrome.current_url == f"{address}login"

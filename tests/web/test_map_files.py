@@ -14,9 +14,9 @@ import pytest
 
 from bridge.stores.kinds import LOCATION, MAP
 from bridge.stores.store import Store, Write
-from bridge.web import map_files
-from bridge.web.map_files import Parcels, heads, unpacked
-from bridge.web.verbs import VerbError
+from bridge.web.verbs import map_files
+from bridge.web.verbs.map_files import Parcels, heads, unpacked
+from bridge.web.verbs.verbs import VerbError
 from tests.web.conftest import Desk
 from tests.web.page import TestPage
 from yarp_compat.dev.locations import Map2DLocation

@@ -10,8 +10,8 @@ from typing import Any, cast
 from starlette.websockets import WebSocketState
 
 from bridge.web import page
-from bridge.web.access import EVERYBODY
-from bridge.web.verbs import VerbError
+from bridge.web.serving.access import EVERYBODY
+from bridge.web.verbs.verbs import VerbError
 
 
 class StuckSocket:

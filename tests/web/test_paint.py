@@ -11,9 +11,9 @@ from PIL import Image
 
 from bridge.stores.kinds import LOCATION, MAP
 from bridge.stores.store import Store, Write
-from bridge.web.map_pictures import CLEAR, TILE, Pictures, flags_picture, occupancy_picture
-from bridge.web.paint import MOST_CELLS, MOST_PIECES, MOST_RUNS, Run, paint, runs_of
-from bridge.web.verbs import VerbError
+from bridge.web.feeds.map_pictures import CLEAR, TILE, Pictures, flags_picture, occupancy_picture
+from bridge.web.verbs.paint import MOST_CELLS, MOST_PIECES, MOST_RUNS, Run, paint, runs_of
+from bridge.web.verbs.verbs import VerbError
 from tests.web.conftest import Desk
 from tests.web.page import TestPage
 from yarp_compat.dev.locations import Map2DLocation

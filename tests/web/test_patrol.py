@@ -11,7 +11,7 @@ from bridge.config.sections.navigation import ACTION
 from bridge.hub.wire.qos import LATCHED
 from bridge.modules.action_server import Goal
 from bridge.modules.services import Answer
-from bridge.web import patrol
+from bridge.web.verbs import patrol
 from navigation.messages import NAVIGATE
 from navigation.status import NO_GOAL, STATUS, PlannerStatus, State, status_message
 from tests.navigation.gateway.rig import Program, pose

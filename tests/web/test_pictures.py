@@ -12,8 +12,8 @@ import pytest
 from PIL import Image
 
 from bridge.messages.errors import ConversionError
-from bridge.web import pictures
-from bridge.web.pictures import decode
+from bridge.web.feeds import pictures
+from bridge.web.feeds.pictures import decode
 from tests.support.wait import until
 from tests.web.conftest import Desk
 from tests.web.page import TestPage

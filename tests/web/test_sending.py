@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 
 from bridge.hub.wire.qos import Durability
-from bridge.web import sending
+from bridge.web.verbs import sending
 from tests.support.wait import until
 from tests.web.conftest import Desk
 from tests.web.page import TestPage

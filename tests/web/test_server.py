@@ -9,8 +9,8 @@ import socket
 import pytest
 from websockets.exceptions import InvalidStatus
 
-from bridge.web.server import WebServer
-from bridge.web.serving import refusal
+from bridge.web.serving.console import WebServer
+from bridge.web.serving.server import refusal
 from tests.web.conftest import Desk
 from tests.web.page import TestPage
 

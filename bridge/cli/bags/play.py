@@ -18,9 +18,9 @@ from bridge.cli.output import CliError, clean, plural, print_json
 
 if TYPE_CHECKING:
     from bridge.bags.bag import Bag
-    from bridge.bags.play_source import PlaySource
-    from bridge.bags.play_topics import LeftOut, PlayTopic
-    from bridge.bags.player import Player
+    from bridge.bags.play.player import Player
+    from bridge.bags.play.source import PlaySource
+    from bridge.bags.play.topics import LeftOut, PlayTopic
 
 CLOCK_HZ = 40.0
 MATCH_SECONDS = 1.0
@@ -126,12 +126,12 @@ def _signals() -> Iterator[threading.Event]:
 
 
 def _play(args: argparse.Namespace, client: CliClient, bags: list[Bag], ended: threading.Event) -> int:
-    from bridge.bags.play_output import HubOutput
-    from bridge.bags.play_services import PlayServices
-    from bridge.bags.play_source import PlayPart, PlaySource
-    from bridge.bags.play_timeline import Timeline
-    from bridge.bags.play_topics import PlayChoice, choose
-    from bridge.bags.player import Player
+    from bridge.bags.play.output import HubOutput
+    from bridge.bags.play.player import Player
+    from bridge.bags.play.services import PlayServices
+    from bridge.bags.play.source import PlayPart, PlaySource
+    from bridge.bags.play.timeline import Timeline
+    from bridge.bags.play.topics import PlayChoice, choose
     from bridge.routing.rules import NameFilter
 
     registry = client.registry()
@@ -170,7 +170,7 @@ def _play(args: argparse.Namespace, client: CliClient, bags: list[Bag], ended: t
 
 
 def _tell_choice(topics: list[PlayTopic], left: list[LeftOut], rate: float) -> None:
-    from bridge.bags.play_topics import twice
+    from bridge.bags.play.topics import twice
 
     for each in left:
         _say(f"{each.name} ({each.type_name}) is left out: {each.why}")

@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Self
 from bridge.cli.keyboard import GONE, pressed, raw
 
 if TYPE_CHECKING:
-    from bridge.bags.play_source import PlaySource
-    from bridge.bags.player import Player
+    from bridge.bags.play.player import Player
+    from bridge.bags.play.source import PlaySource
 
 _CLEAR = "\r\x1b[K"
 

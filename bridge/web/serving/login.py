@@ -14,11 +14,11 @@ from starlette.routing import Route
 from starlette.types import ASGIApp, Receive, Scope, Send
 from starlette.websockets import WebSocket
 
-from bridge.web.access import COOKIE, LOGIN_SECONDS, Access, Grant, TooManyError
+from bridge.web.serving.access import COOKIE, LOGIN_SECONDS, Access, Grant, TooManyError
 
 _log = logging.getLogger("midspan.web")
 
-STATIC = Path(__file__).parent / "static"
+STATIC = Path(__file__).parents[1] / "static"
 OPEN = frozenset({"/login", "/login.js", "/login.css", "/style.css", "/icon.svg", "/healthz", "/readyz"})
 """What who is not known yet may have."""
 MOST_BODY = 1024

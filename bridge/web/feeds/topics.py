@@ -16,7 +16,7 @@ from bridge.hub.errors import HubError
 from bridge.messages.errors import ConversionError
 from bridge.modules.host import Host
 from bridge.routing.limits import combined_qos
-from bridge.web.feed import Feed
+from bridge.web.feeds.feed import Feed
 
 TOPIC_SECONDS = 0.2
 RATE_SECONDS = 1.0

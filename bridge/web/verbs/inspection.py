@@ -10,9 +10,9 @@ import yaml
 
 from bridge.cli.client import CliClient
 from bridge.config.document import ConfigError, text_of
-from bridge.web.config_text import Secrets, config_file, secrets_of, show_config
-from bridge.web.log_feed import LogFollower, log_verb
-from bridge.web.verbs import PageVerb, VerbError
+from bridge.web.feeds.log import LogFollower, log_verb
+from bridge.web.verbs.config_text import Secrets, config_file, secrets_of, show_config
+from bridge.web.verbs.verbs import PageVerb, VerbError
 
 
 class Doctor:

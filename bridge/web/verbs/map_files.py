@@ -23,7 +23,7 @@ from bridge.stores.entry import StoreError
 from bridge.stores.kinds import CURRENT, MAP
 from bridge.stores.service import read_files
 from bridge.stores.store import THE_MAP, Write
-from bridge.web.verbs import PageVerb, VerbError, name_of, truth_of
+from bridge.web.verbs.verbs import PageVerb, VerbError, name_of, truth_of
 from yarp_compat.dev.mapfile import MapFileError
 from yarp_compat.file_names import forbidden
 

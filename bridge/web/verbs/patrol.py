@@ -16,9 +16,9 @@ from bridge.messages.actions import GoalState
 from bridge.modules.clients import ActionClient, ModuleClient, SentGoal
 from bridge.modules.host import Host
 from bridge.modules.loop import Timer
-from bridge.web.feed import Feed
-from bridge.web.robot import DrivingFeed
-from bridge.web.verbs import PageVerb, VerbError, name_of, number_of
+from bridge.web.feeds.feed import Feed
+from bridge.web.feeds.robot import DrivingFeed
+from bridge.web.verbs.verbs import PageVerb, VerbError, name_of, number_of
 from navigation.gateway.services import GET_LOCATION
 from navigation.messages import NAVIGATE
 

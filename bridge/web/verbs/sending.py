@@ -23,9 +23,9 @@ from bridge.messages.json import from_json
 from bridge.modules.host import Host
 from bridge.routing.limits import COMMAND_TYPES, RateLimit
 from bridge.routing.rules import RuleSet
-from bridge.web.definitions import KINDS, definition
-from bridge.web.topic_feeds import cut
-from bridge.web.verbs import PageVerb, VerbError
+from bridge.web.feeds.definitions import KINDS, definition
+from bridge.web.feeds.topics import cut
+from bridge.web.verbs.verbs import PageVerb, VerbError
 
 MOST_RATE = 5.0
 """Messages a second of all pages together."""

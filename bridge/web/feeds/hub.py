@@ -19,7 +19,7 @@ from bridge.hub.errors import HubError
 from bridge.hub.graph.tokens import TAPS
 from bridge.modules.host import Host
 from bridge.sides import all_sides, label
-from bridge.web.feed import Feed
+from bridge.web.feeds.feed import Feed
 
 _log = logging.getLogger("midspan.web")
 

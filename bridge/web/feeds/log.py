@@ -11,8 +11,8 @@ from bridge.concurrency import SerialExecutor
 from bridge.config.model import Config
 from bridge.daemon.log_query import ask_log
 from bridge.modules.host import Host
-from bridge.web.hub_feeds import AskingFeed
-from bridge.web.verbs import PageVerb
+from bridge.web.feeds.hub import AskingFeed
+from bridge.web.verbs.verbs import PageVerb
 
 LEVELS = ("debug", "info", "warning", "error")
 MOST_LINES = 2000

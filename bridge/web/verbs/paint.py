@@ -17,7 +17,7 @@ import numpy as np
 from bridge.stores.client import StoreClient
 from bridge.stores.kinds import MAP
 from bridge.stores.store import Write
-from bridge.web.verbs import PageVerb, VerbError, name_of
+from bridge.web.verbs.verbs import PageVerb, VerbError, name_of
 from yarp_compat.dev.mapflag import MAX_CELLS, MapFlag, flags_of
 from yarp_compat.dev.mapgrid import MapGrid2D
 

@@ -10,7 +10,7 @@ from bridge.stores.client import StoreClient
 from bridge.stores.entry import check_name
 from bridge.stores.kinds import AREA, LOCATION, PATH, ValueKind
 from bridge.stores.store import Write
-from bridge.web.verbs import PageVerb, VerbError, name_of, number_of, truth_of
+from bridge.web.verbs.verbs import PageVerb, VerbError, name_of, number_of, truth_of
 from yarp_compat.dev.locations import Map2DArea, Map2DLocation
 from yarp_compat.sig.vec2d import Vec2D
 

@@ -18,8 +18,8 @@ from uvicorn.protocols.websockets.websockets_sansio_impl import WebSocketsSansIO
 from websockets.exceptions import InvalidState
 from websockets.frames import Frame
 
-from bridge.web.access import common_name
-from bridge.web.scarce_log import ScarceLog
+from bridge.web.serving.access import common_name
+from bridge.web.serving.scarce_log import ScarceLog
 
 MOST_CONNECTIONS, MOST_OF_ADDRESS = 300, 100
 REQUEST_SECONDS = 20.0

@@ -11,9 +11,9 @@ from collections import Counter
 from collections.abc import Callable, Iterator
 from typing import Protocol
 
-from bridge.bags.play_source import Played
-from bridge.bags.play_timeline import Due, Timeline
-from bridge.bags.play_topics import PlayTopic
+from bridge.bags.play.source import Played
+from bridge.bags.play.timeline import Due, Timeline
+from bridge.bags.play.topics import PlayTopic
 from bridge.hub.errors import HubClosedError, HubError
 from bridge.messages.errors import ConversionError
 
@@ -27,7 +27,7 @@ _NS = 1_000_000_000
 
 
 class Messages(Protocol):
-    """What is played: `bridge.bags.play_source.PlaySource`."""
+    """What is played: `bridge.bags.play.source.PlaySource`."""
 
     begin_ns: int
     end_ns: int
@@ -44,7 +44,7 @@ class Messages(Protocol):
 
 
 class PlayOutput(Protocol):
-    """Where it is played: `bridge.bags.play_output.HubOutput`."""
+    """Where it is played: `bridge.bags.play.output.HubOutput`."""
 
     def put(self, topic: PlayTopic, data: bytes) -> None:
         """Publish CDR."""

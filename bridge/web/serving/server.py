@@ -22,8 +22,8 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 from starlette.websockets import WebSocket
 
 from bridge.config.sections.web import split
-from bridge.web.access import Access
-from bridge.web.connections import (
+from bridge.web.serving.access import Access
+from bridge.web.serving.connections import (
     MOST_CONNECTIONS,
     BoundedListener,
     BoundedWebSocket,
@@ -31,11 +31,11 @@ from bridge.web.connections import (
     TimedHttp,
     quiet_server_log,
 )
-from bridge.web.login import LoginGuard
-from bridge.web.scarce_log import ScarceLog
+from bridge.web.serving.login import LoginGuard
+from bridge.web.serving.scarce_log import ScarceLog
 
 if TYPE_CHECKING:
-    from bridge.web.tls import ServerTls
+    from bridge.web.serving.tls import ServerTls
 
 _log = logging.getLogger("midspan.web")
 

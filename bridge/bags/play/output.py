@@ -11,7 +11,7 @@ from contextlib import suppress
 from dataclasses import replace
 from typing import Any
 
-from bridge.bags.play_topics import PlayTopic
+from bridge.bags.play.topics import PlayTopic
 from bridge.clock import CLOCK_TOPIC, CLOCK_TYPE
 from bridge.hub.definitions import VERB
 from bridge.hub.endpoints.publisher import HubPublisher

@@ -14,12 +14,12 @@ from starlette.routing import BaseRoute, Mount, Route, WebSocketRoute
 from starlette.staticfiles import StaticFiles
 from starlette.websockets import WebSocket
 
-from bridge.web.access import Access, Grant
-from bridge.web.login import STATIC, Login, address_of
-from bridge.web.map_pictures import Pictures
+from bridge.web.feeds.map_pictures import Pictures
 from bridge.web.page import MOST_BYTES
-from bridge.web.serving import HttpServer
-from bridge.web.tls import ServerTls
+from bridge.web.serving.access import Access, Grant
+from bridge.web.serving.login import STATIC, Login, address_of
+from bridge.web.serving.server import HttpServer
+from bridge.web.serving.tls import ServerTls
 
 PROTOCOL = "midspan.console.1"
 MOST_PAGES, MOST_PAGES_OF_ADDRESS = 50, 25

@@ -7,7 +7,7 @@ from bridge.config.model import Config
 from bridge.modules.host import Host
 from bridge.modules.loop import Timer
 from bridge.tf.errors import TransformError
-from bridge.web.feed import Feed
+from bridge.web.feeds.feed import Feed
 from navigation.frames import FramesError, RobotFrames
 
 PREFIX = "pose:"

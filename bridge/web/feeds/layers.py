@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from bridge.hub.wire.qos import LATCHED
 from bridge.modules.host import Host
 from bridge.modules.loop import Timer
-from bridge.web.frame_feeds import FrameFollower
-from bridge.web.robot import TopicsFeed, place
+from bridge.web.feeds.frames import FrameFollower
+from bridge.web.feeds.robot import TopicsFeed, place
 from navigation.frames import FramesError
 from navigation.maps.grid import yaw_of
 from navigation.maps.grid_map import GRID_MAP, HEIGHTS, LOWEST, values_at

@@ -20,9 +20,9 @@ from bridge.stores.client import StoreClient
 from bridge.stores.entry import StoreError
 from bridge.stores.kinds import AREA, LOCATION, MAP, PATH
 from bridge.stores.wire import prefix
-from bridge.web.feed import Feed
-from bridge.web.map_pictures import Pictures, flags_picture, occupancy_picture
-from bridge.web.robot import TopicsFeed, place
+from bridge.web.feeds.feed import Feed
+from bridge.web.feeds.map_pictures import Pictures, flags_picture, occupancy_picture
+from bridge.web.feeds.robot import TopicsFeed, place
 from navigation.maps.grid import from_grid
 from navigation.messages import GRID
 from navigation.pose import Pose

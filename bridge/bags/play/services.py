@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from bridge.bags.play_timeline import Timeline
+from bridge.bags.play.timeline import Timeline
 from bridge.clock import SYSTEM
 from bridge.hub.control import RECORDED
 from bridge.hub.session import Hub

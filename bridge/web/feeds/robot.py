@@ -16,8 +16,8 @@ from bridge.messages.actions import names, types
 from bridge.modules.endpoints import Subscription
 from bridge.modules.host import Host
 from bridge.modules.loop import Timer
-from bridge.web.feed import Feed
-from bridge.web.frame_feeds import FrameFeed, FrameFollower
+from bridge.web.feeds.feed import Feed
+from bridge.web.feeds.frames import FrameFeed, FrameFollower
 from navigation.frames import LATE, FramesError, RobotFrames, laser_pose
 from navigation.gateway.planner_link import PATH
 from navigation.maps.grid import yaw_of

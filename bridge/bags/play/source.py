@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 from bridge.bags.bag import Bag, BagError, BagTopic
-from bridge.bags.play_topics import PlayTopic
+from bridge.bags.play.topics import PlayTopic
 from bridge.messages.errors import ConversionError
 from bridge.routing.rewrites import StaticTransforms
 

@@ -11,8 +11,8 @@ from bridge.config.model import Config
 from bridge.hub.wire.qos import LATCHED
 from bridge.modules.host import Host
 from bridge.modules.loop import Timer
-from bridge.web.frame_feeds import FrameFollower
-from bridge.web.robot import MOST_POINTS, DrivingFeed, TopicsFeed
+from bridge.web.feeds.frames import FrameFollower
+from bridge.web.feeds.robot import MOST_POINTS, DrivingFeed, TopicsFeed
 from navigation.frames import FramesError
 from navigation.gateway.planner_link import local_map_topic
 from navigation.maps.grid import yaw_of

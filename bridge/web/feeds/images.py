@@ -14,8 +14,8 @@ from bridge.concurrency import SerialExecutor
 from bridge.messages.errors import ConversionError
 from bridge.messages.values import MessageReader
 from bridge.modules.host import Host
-from bridge.web.pictures import decode
-from bridge.web.topic_feeds import NewestFeed
+from bridge.web.feeds.pictures import decode
+from bridge.web.feeds.topics import NewestFeed
 
 PREFIX = "image:"
 WIDTHS = (160, 320, 640, 1280)

@@ -27,7 +27,7 @@ from bridge.modules.endpoints import ModulePublisher
 from bridge.modules.host import Host
 from bridge.stores.client import StoreClient
 from bridge.stores.entry import StoreError
-from bridge.web.hub_feeds import explain
+from bridge.web.feeds.hub import explain
 from navigation.constraints import Constraints
 from navigation.messages import NAVIGATE, pose_message
 from navigation.pose import Pose

@@ -10,8 +10,8 @@ from bridge.hub.wire.qos import LATCHED
 from bridge.modules.endpoints import Subscription
 from bridge.modules.host import Host
 from bridge.tf.transform import LATEST
-from bridge.web.frame_feeds import FrameFeed, FrameFollower
-from bridge.web.robot import ROBOT_SECONDS, disc, place, points_of_path
+from bridge.web.feeds.frames import FrameFeed, FrameFollower
+from bridge.web.feeds.robot import ROBOT_SECONDS, disc, place, points_of_path
 from navigation.frames import FramesError
 from navigation.gateway.planner_link import PATH
 

@@ -1,0 +1,1 @@
+"""What pages of the console watch, each thing a feed."""

@@ -1,0 +1,1 @@
+"""The console's HTTP server: connections, logins, certificates, and what it serves."""
