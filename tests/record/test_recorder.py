@@ -268,8 +268,8 @@ def test_a_full_disk_stops_recording_until_there_is_room(
         told = until(lambda: (now := made.recorder.status())["error"] and now, "it stops")
         assert told["state"] == "blocked"
         assert "1 MB of room are left" in told["error"]
-        closed = read(tmp_path / "one.mcap")
-        assert (closed.texts("/said"), closed.whole) == (["before", "last"], True)
+        until(lambda: read(tmp_path / "one.mcap").whole, "the file is closed")
+        assert read(tmp_path / "one.mcap").texts("/said") == ["before", "last"]
         said.put(robot.text("lost"))
         until(lambda: made.recorder.status()["dropped"].get("disk") == 1, "it is counted")
         free[0] = 100 << 20

@@ -340,7 +340,12 @@ class CallServer:
         self._lock = Lock()
         self._waiting: dict[PendingRequest, None] = {}
         self._closed = False
-        self._declared: list[Any] = [answer(session, key, self._asked, complete=complete, origin=reach)]
+        self._declared: list[Any] = self._heard_beside(session, reach)
+        self._declared.append(answer(session, key, self._asked, complete=complete, origin=reach))
+
+    def _heard_beside(self, session: zenoh.Session, reach: zenoh.Locality) -> list[Any]:  # noqa: ARG002
+        """What is heard besides requests, declared before them: who knows of the server knows of this, too."""
+        return []
 
     def _takes(self, query: zenoh.Query) -> bool:  # noqa: ARG002
         """Whether a query is a call at all; it ends without an answer where it is none."""

@@ -16,6 +16,7 @@ import logging
 import time
 from collections.abc import Callable
 from functools import partial
+from typing import Any
 
 import zenoh
 
@@ -60,8 +61,10 @@ class HubServer(CallServer):
         super().__init__(
             context.session, key, name, context.limit, call, context.closed, complete=True, reach=context.reach
         )
-        self._declared.append(subscribe(context.session, abandon_key(key), self._heard_leaving, context.reach))
         self._withdraw = context.graph.announce(token)
+
+    def _heard_beside(self, session: zenoh.Session, reach: zenoh.Locality) -> list[Any]:
+        return [subscribe(session, abandon_key(self._key), self._heard_leaving, reach)]
 
     def _takes(self, query: zenoh.Query) -> bool:
         """Calls of the node itself are no calls."""
