@@ -42,7 +42,7 @@ class RobotSize(NamedTuple):
     slope: float
 
 
-class Columns(NamedTuple):
+class LayerColumns(NamedTuple):
     """Columns of voxels: rows along y, the first one at the corner; what each is, and the height of its floor.
 
     Attributes:
@@ -66,7 +66,7 @@ def columns(
     base: tuple[float, float, float],
     robot: RobotSize,
     largest: float,
-) -> Columns:
+) -> LayerColumns:
     """Follow the floor from the robot on.
 
     Args:
@@ -107,7 +107,7 @@ def columns(
     heights = (floors.reshape(kinds.shape) + 0.5) * resolution + corner[2]
     touched = np.full(hits.shape, np.nan, np.float32)
     np.multiply(hits, np.float32(resolution), out=touched, where=hits > 0)
-    return Columns((float(corner[0]), float(corner[1])), kinds, heights.astype(np.float32), touched)
+    return LayerColumns((float(corner[0]), float(corner[1])), kinds, heights.astype(np.float32), touched)
 
 
 @cython.final

@@ -7,7 +7,7 @@ import numpy as np
 from bridge.config.sections.mapper3d import Mapper3DSection
 from bridge.hub.wire.qos import LATCHED
 from bridge.modules.host import Host
-from navigation.algorithms.voxel_layer import EDGE, FLOOR, OBSTACLE, Columns
+from navigation.algorithms.voxel_layer import EDGE, FLOOR, OBSTACLE, LayerColumns
 from navigation.maps.grid import to_cdr
 from navigation.maps.grid_map import GRID_MAP, HEIGHTS, HIGHEST, LOWEST, to_grid_map
 from navigation.messages import GRID
@@ -22,7 +22,7 @@ _VALUES = np.full(4, UNKNOWN, np.uint8)
 _VALUES[[FLOOR, OBSTACLE, EDGE]] = 0, 100, 100
 
 
-def grid_of(columns: Columns, name: str, resolution: float) -> MapGrid2D:
+def grid_of(columns: LayerColumns, name: str, resolution: float) -> MapGrid2D:
     """The map of a layer: what is blocked is a wall, what is at a drop or a step is keep-out; both are occupied."""
     kinds = columns.kinds[::-1]
     return MapGrid2D.of(_FLAGS[kinds], _VALUES[kinds], name=name, resolution=resolution, origin=(*columns.corner, 0.0))
@@ -41,7 +41,7 @@ class LayerPublisher:
         self._last_heights: bytes | None = None
         self._told = 0
 
-    def tell(self, found: Columns) -> None:
+    def tell(self, found: LayerColumns) -> None:
         """Publish a layer; one that is the same as before now and then, for those whom silence stops."""
         grid = grid_of(found, self._section.layer.name, self._section.resolution)
         self._tell_heights(found)
@@ -63,7 +63,7 @@ class LayerPublisher:
         self._told = now
         self._grid.publish_cdr(bytes(to_cdr(grid, self._frame, now)))
 
-    def _tell_heights(self, columns: Columns) -> None:
+    def _tell_heights(self, columns: LayerColumns) -> None:
         """Publish how high what is hit is, where it changed, about that alone: most of a layer is free."""
         rows, places = np.nonzero(columns.hits[..., 0] > 0)
         low, left = (int(each.min()) if len(each) else 0 for each in (rows, places))

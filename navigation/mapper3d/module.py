@@ -15,7 +15,7 @@ from bridge.modules.module import Module
 from bridge.modules.services import Answer
 from bridge.stores.entry import StoreError
 from bridge.worker import Health
-from navigation.algorithms.voxel_layer import EDGE, FLOOR, Columns
+from navigation.algorithms.voxel_layer import EDGE, FLOOR, LayerColumns
 from navigation.frames import FramesError
 from navigation.map2d_server.files import MapsFolder
 from navigation.mapper3d.commands import SpaceCommands
@@ -91,7 +91,7 @@ class Mapper3D(Module):
         """The layer about the robot; raises as `_columns`."""
         return grid_of(self._columns(), self._section.layer.name, self._section.resolution)
 
-    def _columns(self) -> Columns:
+    def _columns(self) -> LayerColumns:
         """The columns about the robot; raises `ValueError` where it is not known where that is."""
         try:
             base = self._seats.base()

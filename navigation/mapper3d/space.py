@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bridge.config.sections.mapper3d import Mapper3DSection
-from navigation.algorithms.voxel_layer import Columns, RobotSize, columns
+from navigation.algorithms.voxel_layer import LayerColumns, RobotSize, columns
 from navigation.algorithms.voxel_leaves import leaves
 from navigation.algorithms.voxel_map import LEAST, MIDDLE, SIDE, VoxelMap, within
 from yarp_compat.octree import OcTree
@@ -141,7 +141,7 @@ class Space:
             values = self.voxels.values[slot]
             values[((middles >= low) & (middles <= high)).all(-1) & ~np.isnan(values)] = LEAST
 
-    def layer(self, base: Place) -> Columns:
+    def layer(self, base: Place) -> LayerColumns:
         """What the robot would touch, followed from its base on the floor (metres); raises `ValueError`."""
         voxels = self.voxels
         return columns(

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from navigation.algorithms import voxel_layer
-from navigation.algorithms.voxel_layer import EDGE, FLOOR, OBSTACLE, UNKNOWN, Columns, RobotSize
+from navigation.algorithms.voxel_layer import EDGE, FLOOR, OBSTACLE, UNKNOWN, LayerColumns, RobotSize
 from navigation.algorithms.voxel_map import MIDDLE, VoxelMap
 from tests.support.uncompiled import uncompiled
 
@@ -40,7 +40,7 @@ class Room:
         )
         return found
 
-    def columns(self, module=voxel_layer, base=(0.5, 0.5, 0.0), robot=ROBOT, largest=20.0) -> Columns:
+    def columns(self, module=voxel_layer, base=(0.5, 0.5, 0.0), robot=ROBOT, largest=20.0) -> LayerColumns:
         voxels = self.voxels()
         return module.columns(voxels.blocks, voxels.values, CELL, base, robot, largest)
 
