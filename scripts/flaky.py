@@ -26,8 +26,8 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
 
-_FAILED = re.compile(r"^(?:FAILED|ERROR) (.+?)(?: - .*)?$|^(LEFT BEHIND: .*)$", re.MULTILINE)
-"""Lines of pytest's summary (``-ra``), and one of tests/conftest.py."""
+_FAILED = re.compile(r"^(?:FAILED|ERROR) (?! )(.+?)(?: - .*)?$|^(LEFT BEHIND: .*)$", re.MULTILINE)
+"""Lines of pytest's summary (``-ra``), and one of tests/conftest.py; a log's line has more blanks behind its level."""
 
 _COMPUTE = "import os\nparent = os.getppid()\nwhile os.getppid() == parent: sum(range(100_000))"
 """A process that computes until its parent is gone, however that ended."""

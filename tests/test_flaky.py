@@ -32,6 +32,7 @@ print("....", "x" * seed)
 if seed >= 3:
     print("FAILED tests/a.py::test_often[Image 1 MB] - assert 1 == 2")
 if seed == 4:
+    print("ERROR    midspan.web:worker.py:12 a line of a log")
     print("ERROR tests/b.py::test_once")
     print("FAILED tests/a.py::test_often[Image 1 MB] - assert 1 == 2")
     print("LEFT BEHIND: process 12")

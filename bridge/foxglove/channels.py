@@ -17,6 +17,8 @@ MOST_KEPT = 64 << 20
 """Bytes of one topic's latched messages that are kept while it is watched."""
 MOST_PUBLISHERS = 256
 """Latched publishers of one topic of which the newest message is kept."""
+MOST_EARLY = 4
+"""Publishers of one topic that the graph does not tell of yet, of which the same is kept."""
 
 
 class TopicChannel:
@@ -31,24 +33,35 @@ class TopicChannel:
         self.counters = Counters()
         self.heard = False
         self._lock = Lock()
-        self._latched = frozenset[bytes]()
+        self._latched = self._plain = frozenset[bytes]()
         self._kept: dict[bytes, tuple[bytes, int]] = {}
+        self._early: dict[bytes, tuple[bytes, int]] = {}
         self._size = 0
 
     def follow(self, topic: HubTopic) -> None:
         """Take up who publishes it now."""
         self.topic = topic
-        self._latched = frozenset(each.gid for each in topic.publishers if each.qos.latched)
+        latched = frozenset(each.gid for each in topic.publishers if each.qos.latched)
         with self._lock:
-            for gid in self._kept.keys() - self._latched:
+            self._latched = latched
+            self._plain = frozenset(each.gid for each in topic.publishers) - latched
+            for gid in self._kept.keys() - latched:
                 self._forget(gid)
+            for gid in [gid for gid in self._early if gid in latched or gid in self._plain]:
+                data, at = self._early.pop(gid)
+                if gid in latched:
+                    self._keep(gid, data, at)
 
     def take(self, sample: HubSample) -> None:
         """Hand a message to the SDK, which copies it and does not wait."""
         data, at = sample.data(), sample.source_time_ns
         self.counters.crossed(len(data))
-        if sample.gid in self._latched:
-            self._keep(sample.gid, data, at)
+        if sample.gid not in self._plain:
+            with self._lock:
+                if sample.gid in self._latched:
+                    self._keep(sample.gid, data, at)
+                elif sample.gid not in self._plain:
+                    self._keep_early(sample.gid, data, at)
         self.channel.log(data, at or None)
 
     def again(self) -> None:
@@ -62,14 +75,21 @@ class TopicChannel:
         """Keep nothing: nobody watches."""
         with self._lock:
             self._kept.clear()
+            self._early.clear()
             self._size = 0
 
     def _keep(self, gid: bytes, data: bytes, at: int) -> None:
-        with self._lock:
-            self._forget(gid)
-            if len(self._kept) < MOST_PUBLISHERS and self._size + len(data) <= MOST_KEPT:
-                self._kept[gid] = data, at
-                self._size += len(data)
+        self._forget(gid)
+        if len(self._kept) < MOST_PUBLISHERS and self._size + len(data) <= MOST_KEPT:
+            self._kept[gid] = data, at
+            self._size += len(data)
+
+    def _keep_early(self, gid: bytes, data: bytes, at: int) -> None:
+        """Until the graph tells of its publisher, which it may do after the message: a latched one says no other."""
+        self._early.pop(gid, None)
+        self._early[gid] = data, at
+        if len(self._early) > MOST_EARLY:
+            del self._early[next(iter(self._early))]
 
     def _forget(self, gid: bytes) -> None:
         self._size -= len(self._kept.pop(gid, (b"", 0))[0])

@@ -12,6 +12,8 @@ from bridge.record.arrivals import RecordedMessage
 
 MAX_BYTES = 128 << 20
 """Bytes that are kept at most; the oldest go first."""
+MOST_UNKNOWN = 256
+"""Publishers that the graph does not tell of yet, of which a message is kept."""
 
 
 class LatchedState:
@@ -21,6 +23,7 @@ class LatchedState:
         self._graph = graph
         self._kept: dict[tuple[TopicKey, bytes], deque[RecordedMessage]] = {}
         self._plain: set[bytes] = set()
+        self._unknown: set[tuple[TopicKey, bytes]] = set()
         self._bytes = 0
 
     def saw(self, arrival: RecordedMessage) -> None:
@@ -28,15 +31,15 @@ class LatchedState:
         gid = arrival.gid
         if gid in self._plain:
             return
-        kept = self._kept.get((arrival.counts.key, gid))
-        if kept is None:
-            endpoint = self._graph.endpoint(gid)
-            if endpoint is None:
-                return  # asked again with its next message
-            if not endpoint.qos.latched:
-                self._plain.add(gid)
+        key = arrival.counts.key, gid
+        if key not in self._kept:
+            if len(self._unknown) >= MOST_UNKNOWN:
                 return
-            kept = self._kept[arrival.counts.key, gid] = deque(maxlen=cache_depth(endpoint.qos))
+            self._kept[key] = deque(maxlen=1)
+            self._unknown.add(key)
+        if key in self._unknown and not self._look_up(key):
+            return
+        kept = self._kept[key]
         if len(kept) == kept.maxlen:
             self._bytes -= len(kept[0].data)
         kept.append(arrival)
@@ -44,16 +47,35 @@ class LatchedState:
         while self._bytes > MAX_BYTES:
             self._forget_oldest()
 
+    def _look_up(self, key: tuple[TopicKey, bytes]) -> bool:
+        """Whether to keep what a publisher says: it is latched, or not known yet, as its message may come first."""
+        endpoint = self._graph.endpoint(key[1])
+        if endpoint is None:
+            return True
+        self._unknown.discard(key)
+        if endpoint.qos.latched:
+            self._kept[key] = deque(self._kept[key], cache_depth(endpoint.qos))
+            return True
+        self._plain.add(key[1])
+        self._drop(key)
+        return False
+
+    def _drop(self, key: tuple[TopicKey, bytes]) -> None:
+        self._unknown.discard(key)
+        self._bytes -= sum(len(arrival.data) for arrival in self._kept.pop(key))
+
     def _forget_oldest(self) -> None:
         key, kept = min(self._kept.items(), key=lambda item: item[1][0].log_time)
         self._bytes -= len(kept.popleft().data)
         if not kept:
-            del self._kept[key]
+            self._drop(key)
 
     def all(self) -> Iterator[RecordedMessage]:
         """All of it in the order in which it came; what publishers that are gone kept is forgotten."""
         here = {endpoint.gid for endpoint in self._graph.publishers()}
         self._plain &= here
         for key in [key for key in self._kept if key[1] not in here]:
-            self._bytes -= sum(len(arrival.data) for arrival in self._kept.pop(key))
+            self._drop(key)
+        for key in list(self._unknown):
+            self._look_up(key)
         yield from sorted((a for kept in self._kept.values() for a in kept), key=lambda arrival: arrival.log_time)

@@ -6,8 +6,13 @@ import contextlib
 
 import pytest
 import websockets
+import zenoh
 
+from bridge.foxglove.channels import MOST_EARLY, TopicChannel
+from bridge.hub.endpoints.subscription import HubSample
+from bridge.modules.hub_topics import HubTopic, TopicKey
 from tests.foxglove.conftest import Desk
+from tests.hub.parts import LATCHED, STREAM, endpoint
 from tests.support.wait import until
 
 
@@ -82,6 +87,35 @@ def test_who_comes_late_gets_what_is_latched(desk: Desk) -> None:
         with desk.app() as late:
             late.subscribe("/map_name")
             assert late.received("/map_name")[0][1] == cdr("hall")
+
+
+class Said:
+    """A channel of the SDK that notes what it is given."""
+
+    def __init__(self) -> None:
+        self.logged: list[bytes] = []
+
+    def log(self, data: bytes, _at: int | None) -> None:
+        self.logged.append(data)
+
+
+def sample(gid: bytes, data: bytes) -> HubSample:
+    return HubSample(zenoh.ZBytes(data), 1, 1, gid, "1")
+
+
+def test_a_latched_message_may_come_before_the_graph_tells_of_its_publisher() -> None:
+    key, said = TopicKey("/map", "nav_msgs/msg/OccupancyGrid", "*"), Said()
+    gids = [bytes([number]) * 16 for number in range(MOST_EARLY + 2)]
+    ends = [endpoint("/map", gid, LATCHED if gid != gids[-2] else STREAM) for gid in gids]
+    channel = TopicChannel(HubTopic(key, (ends[0],)), said)
+    channel.follow(HubTopic(key, (ends[0],)))
+    for gid in gids[1:]:
+        channel.take(sample(gid, gid[:1]))
+    said.logged.clear()
+    channel.follow(HubTopic(key, tuple(ends)))
+    channel.again()
+    # the first of them has made room, and the last but one keeps nothing
+    assert said.logged == [gid[:1] for gid in gids[2:] if gid != gids[-2]]
 
 
 def test_of_two_types_of_one_name_the_first_is_shown_and_the_other_told(desk: Desk) -> None:

@@ -236,7 +236,8 @@ def test_who_takes_nothing_is_cut_and_holds_nobody_up(desk: Desk, monkeypatch: p
             return len(desk.status()["clients"]) == 1
 
         until(cut, "the deaf one is cut", 30)
-        assert sum(shares) >= 2 * len(shares), f"while one takes nothing the other gets {shares} of 4 each"
+        told = desk.status()
+        assert sum(shares) >= 2 * len(shares), f"while one takes nothing the other gets {shares} of 4 each: {told}"
         (left,) = app.messages["/flood"][-1:]
         assert left[1] == word
 

@@ -7,6 +7,8 @@ from typing import Any
 
 from bridge.hub.endpoints.publisher import HubPublisher
 from bridge.hub.endpoints.subscription import HubSample, HubSubscription
+from bridge.hub.graph import HubEndpoint
+from bridge.hub.graph.tokens import EndpointKind
 from bridge.hub.session import Hub
 from bridge.hub.wire.qos import Durability, Qos, Reliability
 from tests.support.wait import until
@@ -16,6 +18,11 @@ HASH = "RIHS01_" + "5e" * 32
 STREAM = Qos(depth=10)
 LATCHED = Qos(durability=Durability.TRANSIENT_LOCAL, depth=1)
 BEST_EFFORT_LATCHED = Qos(Reliability.BEST_EFFORT, Durability.TRANSIENT_LOCAL, depth=1)
+
+
+def endpoint(topic: str, gid: bytes, qos: Qos = STREAM) -> HubEndpoint:
+    """A publisher as the graph tells of it."""
+    return HubEndpoint("1", "node", "/", EndpointKind.PUBLISHER, topic, TYPE, HASH, qos, gid, None, False, False)
 
 
 class Heard:
