@@ -53,9 +53,19 @@ ROOT = Path(__file__).parents[1]
 RECORDERS = ("nobody", "midspan", "bare")
 
 
-def settings(endpoint: str, node: str) -> HubSettings:
+def settings(endpoint: str, node: str, domain: int = 0) -> HubSettings:
     """Of each participant: the hub's defaults, without a lane."""
-    return HubSettings(router=endpoint, node=node, worker=node)
+    return HubSettings(router=endpoint, node=node, worker=node, domain=domain)
+
+
+def until_subscribed(hub: Hub, topics: Sequence[str], count: int) -> None:
+    """Wait until each topic has so many subscribers; raises `RuntimeError` after 20 s."""
+    end = time.monotonic() + 20.0
+    while any(len(hub.graph.subscriptions(topic)) != count for topic in topics):
+        if time.monotonic() > end:
+            found = {topic: [each.node for each in hub.graph.subscriptions(topic)] for topic in topics}
+            raise RuntimeError(f"there are not {count} subscribers of each topic: {found}")
+        time.sleep(0.05)
 
 
 def picture() -> bytes:
@@ -74,12 +84,12 @@ def picture() -> bytes:
 # -- the processes -----------------------------------------------------------------------------------------------------
 
 
-def send(endpoint: str, flow: float) -> None:
+def send(endpoint: str, domain: int, flow: float) -> None:
     """Publish for so many seconds whenever a line says how many; tells how many of each were sent."""
     registry = Registry()
     image, small = picture(), bytes(100)
     image_rate = flow / len(image)
-    with Hub.open(settings(endpoint, "sender")) as hub:
+    with Hub.open(settings(endpoint, "sender", domain)) as hub:
         big = hub.publisher(IMAGE, IMAGE_TYPE, registry.ros2(IMAGE_TYPE).type_id, Qos(depth=100))
         few = [hub.publisher(t, SMALL_TYPE, registry.ros2(SMALL_TYPE).type_id, Qos(depth=1000)) for t in SMALL]
         tell({"ready": True, "image": len(image)})
@@ -99,12 +109,12 @@ def send(endpoint: str, flow: float) -> None:
             tell({"images": images, "small": smalls * len(few), "seconds": time.monotonic() - begin})
 
 
-def listen(endpoint: str) -> None:
+def listen(endpoint: str, domain: int) -> None:
     """Hear everything; at each line tell how late the small messages came (ms), and forget them."""
     registry = Registry()
     ages: list[int] = []
     images = [0]
-    with Hub.open(settings(endpoint, "listener")) as hub:
+    with Hub.open(settings(endpoint, "listener", domain)) as hub:
         kind = registry.ros2(SMALL_TYPE).type_id
         for topic in SMALL:
             hub.subscription(
@@ -280,7 +290,7 @@ class Bench:
             program = None
             if recorder != "nobody":
                 program = stack.enter_context(running(*self._command(recorder, file)))
-            self._await_subscribers(2 if recorder == "midspan" else 1)
+            until_subscribed(self.watch, [IMAGE, *SMALL], 2 if recorder == "midspan" else 1)
             if recorder == "bare":
                 assert program is not None
                 program.hear()
@@ -306,14 +316,6 @@ class Bench:
             "-m", "bridge.cli.main", "record", IMAGE, "/small_*", "-o", file, "--compression", how, "--queue", "512MB",
             "--config", self.config,
         ]  # fmt: skip
-
-    def _await_subscribers(self, count: int) -> None:
-        end = time.monotonic() + 20.0
-        topics = [IMAGE, *SMALL]
-        while any(len(self.watch.graph.subscriptions(topic)) != count for topic in topics):
-            if time.monotonic() > end:
-                raise RuntimeError(f"there are not {count} subscribers of each topic")
-            time.sleep(0.05)
 
     def _flow(self, seconds: float) -> dict[str, Any]:
         """Have the sender send, and wait until all has arrived and is written."""
@@ -384,6 +386,7 @@ def main(argv: Sequence[str] | None = None) -> None:
     inner = parser.add_argument_group("for its own processes")
     inner.add_argument("--role", choices=["send", "listen", "bare"])
     inner.add_argument("--endpoint")
+    inner.add_argument("--domain", type=int, default=0)
     inner.add_argument("--file", type=Path)
     args = parser.parse_args(argv)
     if args.role is None:
@@ -392,9 +395,9 @@ def main(argv: Sequence[str] | None = None) -> None:
     # Ctrl-C ends the benchmark, which ends its processes in its own order
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     if args.role == "send":
-        send(args.endpoint, args.flow)
+        send(args.endpoint, args.domain, args.flow)
     elif args.role == "listen":
-        listen(args.endpoint)
+        listen(args.endpoint, args.domain)
     else:
         bare(args.endpoint, args.file, args.compression)
 

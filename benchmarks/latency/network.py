@@ -23,13 +23,23 @@ class Network(Stage):
         busy: bridged topics on which 20 messages a second are sent, half of them from each side.
         shared_memory: the hub's setting, for the daemon and the zenoh ends alike.
         lane: the hub's setting.
+        apart: topics that are not bridged, besides the floor's.
     """
 
-    def __init__(self, cases: Sequence[Case], *, idle: int, busy: int, shared_memory: bool, lane: bool = True) -> None:
+    def __init__(
+        self,
+        cases: Sequence[Case],
+        *,
+        idle: int,
+        busy: int,
+        shared_memory: bool,
+        lane: bool = True,
+        apart: Sequence[str] = (),
+    ) -> None:
         super().__init__({
             "hub": {"shared_memory": shared_memory, "lane": lane},
             "ros2": {"transport": "shared_memory"},  # as the ends; "auto" looks who else is on the machine
-            "routing": {"rules": [{"topic": f"/{FLOOR}/**", "deny": True}]},
+            "routing": {"rules": [{"topic": topic, "deny": True} for topic in (f"/{FLOOR}/**", *apart)]},
             "log": {"level": "warning"},
         })  # fmt: skip
         try:
