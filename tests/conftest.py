@@ -12,6 +12,7 @@ import uuid
 from pathlib import Path
 from typing import Any
 
+import hypothesis
 import psutil
 import pytest
 
@@ -61,6 +62,9 @@ def _threads() -> dict[object, str]:
 def pytest_configure(config: pytest.Config) -> None:
     # as a plugin: pytest asks this file's hooks nothing of a folder whose own conftest cannot be imported
     config.pluginmanager.register(missing)
+    # an example has no limit in seconds: the machine may be busy
+    hypothesis.settings.register_profile("midspan", deadline=None)
+    hypothesis.settings.load_profile("midspan")
 
 
 @pytest.hookimpl(tryfirst=True)

@@ -89,7 +89,7 @@ def test_examples(topic: str, type_name: str, may: bool) -> None:
 WORD = st.from_regex(r"[A-Za-z][A-Za-z0-9_]{0,20}", fullmatch=True)
 
 
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=200)
 @given(WORD, WORD, WORD)
 def test_every_other_type_is_allowed(topic: str, package: str, name: str) -> None:
     type_name = f"{package}/msg/{name}"

@@ -30,7 +30,7 @@ TYPES = [
     "std_msgs/msg/Float64MultiArray",
     "rcl_interfaces/msg/ParameterEvent",
 ]
-FUZZ = settings(max_examples=60, deadline=None)
+FUZZ = settings(max_examples=60)
 
 
 def converters(name: str) -> dict[str, tuple[Callable[[bytes], bytes], bytes]]:

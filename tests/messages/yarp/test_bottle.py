@@ -94,7 +94,7 @@ def _has_empty_list(values: list[Any]) -> bool:
     return any(isinstance(v, list) and (not v or _has_empty_list(v)) for v in values)
 
 
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=100)
 @given(
     st.sampled_from(list(Profile)),
     st.lists(st.tuples(st.text(st.characters(exclude_characters="\0", codec="utf-8")), st.floats(width=64))),

@@ -419,7 +419,7 @@ def _near(one: Any, other: Any) -> bool:
     return one == (pytest.approx(other, rel=1e-6, abs=1e-6) if isinstance(other, float) else other)
 
 
-@settings(max_examples=300, deadline=None)
+@settings(max_examples=300)
 @given(st.sampled_from(list(KINDS)), st.binary(max_size=120), st.sampled_from([None, *Profile]))
 def test_any_bytes_are_refused_or_are_a_message(name: str, junk: bytes, profile: Profile | None) -> None:
     try:
@@ -429,7 +429,7 @@ def test_any_bytes_are_refused_or_are_a_message(name: str, junk: bytes, profile:
     assert REGISTRY.hub_check(name)(cdr) == cdr
 
 
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=200)
 @given(st.data())
 def test_bytes_changed_in_a_message_harm_nothing(data: st.DataObject) -> None:
     name = data.draw(st.sampled_from(ANY))
@@ -442,7 +442,7 @@ def test_bytes_changed_in_a_message_harm_nothing(data: st.DataObject) -> None:
     assert REGISTRY.hub_check(name)(cdr) == cdr
 
 
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=100)
 @given(
     st.sampled_from(list(Profile)),
     st.lists(st.floats(0, 30, width=32) | st.just(math.inf), max_size=50),

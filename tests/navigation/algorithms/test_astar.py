@@ -61,7 +61,7 @@ def grids(draw: st.DrawFn) -> Grid:
     return np.where(random.random((rows, columns)) < chance, 0, weights).astype(np.uint8)
 
 
-@settings(max_examples=300, deadline=None)
+@settings(max_examples=300)
 @given(weights=grids(), data=st.data())
 def test_ways_are_the_cheapest_and_cut_no_corner(weights: Grid, data: st.DataObject) -> None:
     rows, columns = weights.shape

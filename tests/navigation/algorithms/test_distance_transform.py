@@ -11,7 +11,7 @@ from navigation.algorithms.distance_transform import distance_transform
 from tests.support.uncompiled import uncompiled
 
 
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=200)
 @given(rows=st.integers(1, 20), columns=st.integers(1, 20), chance=st.floats(0.0, 1.0), seed=st.integers(0, 2**32))
 def test_distances_are_exact(rows: int, columns: int, chance: float, seed: int) -> None:
     obstacles = np.random.default_rng(seed).random((rows, columns)) < chance**3

@@ -53,7 +53,7 @@ COMMANDS = st.lists(st.tuples(VELOCITIES, PERIODS), min_size=1, max_size=5)
 
 
 @pytest.mark.parametrize("kind", BASES)
-@settings(max_examples=300, deadline=None)
+@settings(max_examples=300)
 @given(limits=LIMITS, commands=COMMANDS)
 def test_wheel_commands_stay_within_all_limits(
     kind: str, limits: BaseLimits, commands: list[tuple[Velocity, int]]
@@ -63,7 +63,7 @@ def test_wheel_commands_stay_within_all_limits(
 
 @pytest.mark.thorough
 @pytest.mark.parametrize("kind", BASES)
-@settings(max_examples=2000, deadline=None)
+@settings(max_examples=2000)
 @given(limits=LIMITS, commands=COMMANDS)
 def test_wheel_commands_stay_within_all_limits_of_many(
     kind: str, limits: BaseLimits, commands: list[tuple[Velocity, int]]

@@ -35,7 +35,7 @@ from yarp_compat.sig.vec2d import Vec2D
 
 
 @given(grid=maps())
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 def test_yarp_to_ros_to_mask_and_back_is_the_same_cell_by_cell(grid: MapGrid2D) -> None:
     mask = from_rows(data_of(keepout_mask(grid)), grid)
     again = from_grid(to_grid(grid), grid.name)
@@ -55,7 +55,7 @@ def schema() -> Schema:
 
 
 @given(grid=maps(), frame=st.text(st.characters(codec="ascii", exclude_characters="\0"), max_size=9), data=st.data())
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 def test_a_map_as_cdr_is_what_the_writer_makes_of_its_message(
     schema: Schema, grid: MapGrid2D, frame: str, data: st.DataObject
 ) -> None:
@@ -178,7 +178,7 @@ def test_areas_to_be_kept_out_of_are_in_the_mask() -> None:
     corners=st.lists(st.tuples(st.floats(-4, 6), st.floats(-4, 6)), min_size=3, max_size=6),
     theta=st.sampled_from([0.0, 30.0, -135.0]),
 )
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 def test_the_cells_of_a_polygon(corners: list[tuple[float, float]], theta: float) -> None:
     grid = empty(theta=theta)
     area = Map2DArea("m", [Vec2D(x, y) for x, y in corners])
@@ -238,7 +238,7 @@ def test_a_speed_mask() -> None:
 
 
 @given(limits=st.lists(st.floats(1e-3, 1e3), min_size=1, max_size=6))
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 def test_a_limit_is_never_passed_and_never_none(limits: list[float]) -> None:
     for limit in limits:
         mask = speed_mask(empty(2, 2), [(square(-9, 9), limit), *((square(90, 99), other) for other in limits)])

@@ -41,7 +41,7 @@ def cells(path: Path, **jail: Any) -> list[list[int]]:
 
 
 @given(grid=maps())
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 def test_a_map_of_yarp_comes_back(grid: MapGrid2D) -> None:
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder, "x.map")
@@ -56,7 +56,7 @@ def test_a_map_of_yarp_comes_back(grid: MapGrid2D) -> None:
 
 
 @given(grid=maps(), kind=st.sampled_from(["pgm", "png", "bmp", "scale", "negated scale"]))
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 def test_the_occupancy_of_a_map_of_ros_comes_back(grid: MapGrid2D, kind: str) -> None:
     how: dict[str, Any] = {"image": kind}
     if "scale" in kind:

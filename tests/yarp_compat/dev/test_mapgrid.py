@@ -49,7 +49,7 @@ def test_cells_and_places_are_those_of_a_real_yarp(line: str) -> None:
 
 
 @given(grid=maps(), spot=st.tuples(st.integers(0, 11), st.integers(0, 11)))
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=50)
 def test_a_cells_middle_is_in_the_cell(grid: MapGrid2D, spot: tuple[int, int]) -> None:
     grid.setResolution(max(grid.resolution, 0.01))
     cell = spot[0] % grid.width(), spot[1] % grid.height()
@@ -59,7 +59,7 @@ def test_a_cells_middle_is_in_the_cell(grid: MapGrid2D, spot: tuple[int, int]) -
 
 
 @given(x=METRES, y=METRES, theta=st.floats(-180, 180), d=st.tuples(METRES, METRES))
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=50)
 def test_the_origins_of_yarp_and_ros_put_a_map_in_one_place(x: float, y: float, theta: float, d: Any) -> None:
     info = MapGrid2DInfo("m", 1, 1, 1.0, (x, y, theta))
     corner_x, corner_y, yaw = info.origin.to_ros()
@@ -192,7 +192,7 @@ def test_what_flags_and_occupancy_say_of_each_other() -> None:
     shape=st.sampled_from([(0, 0), (1, 1), (3, 5), (1100, 1000)]),
     turned=st.booleans(),
 )
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 def test_cells_are_looked_up_in_tables_of_any_steps(
     edges: list[int], values: list[int], shape: tuple[int, int], turned: bool
 ) -> None:
@@ -203,7 +203,7 @@ def test_cells_are_looked_up_in_tables_of_any_steps(
 
 
 @given(grid=maps(), profile=st.sampled_from(Profile), zipped=st.booleans())
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=50)
 def test_maps_cross_ports(grid: MapGrid2D, profile: Profile, zipped: bool) -> None:
     grid.enable_map_compression_over_network(zipped)
     again = MapGrid2D.from_bytes(grid.to_bytes(profile), profile)

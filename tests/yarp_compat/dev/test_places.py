@@ -66,7 +66,7 @@ def named(values: Any) -> Any:
 
 
 @given(places=st.builds(Places, named(LOCATIONS), named(OBJECTS), named(AREAS), named(PATHS)))
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 def test_any_places_come_back(places: Places) -> None:
     assert Places.from_text(places.to_text()) == places
 

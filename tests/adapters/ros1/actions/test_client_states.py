@@ -76,7 +76,7 @@ def test_many_goals_do_not_flood_the_status_topic(world):
 ENDS = [Ros1State.SUCCEEDED, Ros1State.ABORTED, Ros1State.PREEMPTED, Ros1State.REJECTED, Ros1State.RECALLED]
 
 
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=150)
 @given(st.integers(0, 1 << 64), st.integers(1, 12), st.floats(0, 1))
 def test_every_goal_ends_in_the_state_that_its_server_gave(seed: int, count: int, loss: float):
     """The server goes through its states; status lists, feedback and results come late, each in its own order."""

@@ -356,7 +356,7 @@ def test_many_goals_do_not_flood_the_status_topic(world):
 ORDER = {Ros1State.PENDING: 0, Ros1State.ACTIVE: 1, Ros1State.RECALLING: 1, Ros1State.PREEMPTING: 2}
 
 
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=150)
 @given(st.integers(0, 1 << 64), st.integers(1, 10))
 def test_every_goal_ends_once_in_the_state_that_its_server_gave(seed: int, count: int):
     rng, world = random.Random(seed), World()
