@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from typing import Any
 
 import pytest
 import zenoh
@@ -178,8 +179,15 @@ def test_what_is_latched_is_put_again_for_the_first_subscriber_and_for_another_b
     remote = zenoh.Locality.REMOTE
     probe = second.session.declare_publisher(second.discovery("sub", "/other", STRING), allowed_destination=remote)
     until(lambda: probe.matching_status.matching, "its beacons will be heard")  # type: ignore[attr-defined]
-    heard_too = second.subscribe("/state", STRING)
-    assert second.wait(heard_too, 1, 20)[0] == {"data": "kept"}
+
+    def said_again() -> list[Any]:
+        number = second.subscribe("/state", STRING)
+        found: list[Any] = second.wait(number, 1, 5)
+        if not found:  # on a busy machine its one beacon may still be lost
+            second.drop(number)
+        return found
+
+    assert until(said_again, "it is put again")[0] == {"data": "kept"}
 
 
 def test_what_is_latched_answers_a_get(place: Place) -> None:
