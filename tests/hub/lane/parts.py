@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
+from itertools import pairwise
 
 from bridge.hub.endpoints.lane_subscription import LaneSubscription
 from tests.hub.parts import Heard
@@ -34,4 +35,5 @@ def whole(texts: list[str]) -> None:
     numbers = [int(text) for text in texts]
     missing = sorted(set(range(numbers[0], numbers[-1] + 1)) - set(numbers))
     twice = sorted(number for number, count in Counter(numbers).items() if count > 1)
-    assert (missing, twice, numbers == sorted(numbers)) == ([], [], True)
+    back = [each for before, each in pairwise(numbers) if each < before]
+    assert (missing, twice, back) == ([], [], []), f"of {len(numbers)} missing {missing}, twice {twice}, behind {back}"
