@@ -33,7 +33,7 @@ class LatchedState:
             return
         key = arrival.counts.key, gid
         if key not in self._kept:
-            if len(self._unknown) >= MOST_UNKNOWN:
+            if len(self._unknown) >= MOST_UNKNOWN and self._graph.endpoint(gid) is None:
                 return
             self._kept[key] = deque(maxlen=1)
             self._unknown.add(key)
