@@ -110,7 +110,7 @@ def test_a_velocity_holds_for_a_moment_and_zero_follows_once(driven: Desk) -> No
         until(lambda: driven.far.wait(heard, 1)[-1]["linear"]["x"] == 0.0, "zero after the silence")
         count = len(driven.far.wait(heard, 1))
         assert [each["linear"]["x"] for each in driven.far.wait(heard, 1)].count(0.0) == 1
-        (end,) = driven.far.publishers("/cmd_vel")
+        (end,) = until(lambda: driven.far.publishers("/cmd_vel"), "the graph tells of its publisher")
         assert not end.qos.latched
         late = driven.far.subscribe("/cmd_vel", "geometry_msgs/Twist")
         drive_until_heard(driven, app, number, late)

@@ -102,7 +102,7 @@ def test_a_message_is_published_once_and_not_kept(desk: Desk) -> None:
         reply = page.call("publish", topic="/said", type="std_msgs/String", message={"data": "hello"})
         assert reply["value"] == "published on /said"
         assert desk.far.wait(heard, 1)[0] == {"data": "hello"}
-        (end,) = desk.far.hub.graph.publishers("/said")
+        (end,) = until(lambda: desk.far.hub.graph.publishers("/said"), "the graph tells of its publisher")
         assert end.qos.durability is Durability.VOLATILE
         second = page.call("publish", topic="/said", type="std_msgs/String", message={"data": "again"})
         while not second["ok"]:

@@ -244,9 +244,9 @@ class Program:
             "descriptors": len(list(Path("/proc/self/fd").iterdir())),
         }
 
-    def do_look_no_more(self) -> dict[str, Any]:
-        """Look at the master only for a reason."""
-        self.edge._master._period = 3600.0
+    def do_look(self, every: float) -> dict[str, Any]:
+        """Look at the master now, and then so often without a reason; in seconds."""
+        self.edge._master._period = every
         self.edge._master.wake()
         return {}
 

@@ -31,7 +31,8 @@ def test_nodes_and_endpoints_come_and_go(network: HubNetwork):
             with Hub.open(network.settings("late")) as late:
                 for hub in (early, late, a):
                     until(lambda hub=hub: len(hub.graph.endpoints()) == 2, "both endpoints seen")
-                    (node,) = (n for n in hub.graph.nodes() if n.node == "a")
+                    named_a = lambda hub=hub: [n for n in hub.graph.nodes() if n.node == "a"]  # noqa: E731
+                    (node,) = until(named_a, "the node seen")
                     assert (node.zid, node.namespace, node.own) == (a.zid, "/robot/arm", hub is a)
                     (seen,) = hub.graph.publishers("/map")
                     assert (seen.zid, seen.node, seen.namespace, seen.kind) == (

@@ -206,7 +206,7 @@ def test_a_planner_that_speaks_before_the_graph_tells_of_it_is_believed(
 ) -> None:
     """Its list of goals may come ahead of its token, while a predecessor's publisher is still on the graph."""
     topic = names(f"/planner/{PLANNER}/navigate_to_pose").status
-    (before,) = rig.client.node.hub.graph.publishers(topic)
+    (before,) = until(lambda: rig.client.node.hub.graph.publishers(topic), "the client knows of the planner's list")
     one = {"goal_info": {"goal_id": {"uuid": list(bytes(range(16)))}}, "status": GoalState.EXECUTING.value}
     payload = MessageWriter(REGISTRY.schema(STATUSES)).message({"status_list": [one]})
     attached = pack_attachment(1, time.time_ns(), bytes(range(16)))

@@ -207,10 +207,11 @@ def test_a_server_that_comes_back_is_found_by_what_it_does(tmp_path):
         parts = {"topic": "/returns/_action/send_goal", "made_by": "native"}
         until(lambda: not edge.endpoints(**parts), "its death is known", SECONDS)
         hub.close()
-        edge.ask("look_no_more")
+        edge.ask("look", every=3600.0)
         with peer_on(master, "returns") as peer:
             peer.ask("server", name="/returns")
             until(lambda: edge.endpoints(**parts), "it is found", SECONDS)
+            edge.ask("look", every=0.1)  # a connection that is not made at once is tried again at a look
             again = HubClient(edge, "/returns")
             goal, sent = again.send(10)
             assert again.accepted(sent)
