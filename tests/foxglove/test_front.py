@@ -223,8 +223,9 @@ def test_who_takes_nothing_is_cut_and_holds_nobody_up(desk: Desk, monkeypatch: p
     word = cdr("x" * 500_000)
     with desk.app() as app, desk.app(max_queue=1, close_timeout=0.1) as deaf:
         deaf.subscribe("/flood")
+        deaf.until(publisher.matched, "it is heard")  # who reads no more asks no second time either
         app.subscribe("/flood")
-        app.until(publisher.matched, "it is heard")
+        app.until_taken()
         shares: list[int] = []
 
         def cut() -> bool:

@@ -170,6 +170,7 @@ def test_a_start_without_a_covariance_reaches_a_localiser_with_one(shared: Deplo
 FIRST = """
 import io, json, sys, genpy, roslib.message, rospy
 from rospy.msg import serialize_message
+from rospy.topics import _PublisherImpl
 topic, kind, first, later = json.loads(sys.argv[1])
 rospy.init_node("first", anonymous=True)
 kind = roslib.message.get_message_class(kind)
@@ -177,17 +178,19 @@ old, new, written = kind(), kind(), io.BytesIO()
 genpy.message.fill_message_args(old, [first])
 genpy.message.fill_message_args(new, [later])
 serialize_message(written, 0, old)
-publisher = rospy.Publisher(topic, kind, queue_size=10)
-add = publisher.impl.add_connection
+add = _PublisherImpl.add_connection
 
-def to_the_first(connection):
-    publisher.impl.add_connection = add
-    added = add(connection)
+def to_the_first(publication, connection):
+    if publication.resolved_name != topic:
+        return add(publication, connection)
+    _PublisherImpl.add_connection = add
+    added = add(publication, connection)
     connection.write_data(written.getvalue())
     return added
 
-publisher.impl.add_connection = to_the_first
-while publisher.impl.add_connection is to_the_first:
+_PublisherImpl.add_connection = to_the_first
+publisher = rospy.Publisher(topic, kind, queue_size=10)
+while _PublisherImpl.add_connection is to_the_first:
     rospy.sleep(0.005)
 rospy.sleep(3.0)
 for _ in range(20):
