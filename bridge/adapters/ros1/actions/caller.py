@@ -106,8 +106,7 @@ class ActionCaller(ActionTopics):
     # -- ROS 1 ---------------------------------------------------------------------------------------------------------
 
     def _connect(self) -> None:
-        if self._server is not None:
-            self._client.found()
+        self._client.found()  # who opens a part has seen a server, which `_choose` may not have yet
         if not self._open or self._subscriptions:
             return
         self._advertise(discovery.GOAL, self._types.goal, _QUEUE)

@@ -197,6 +197,17 @@ def test_a_server_that_goes_ends_its_goals(master, edge, how):
         hub.close()
 
 
+def test_who_opens_an_action_again_is_not_turned_away(edge, servers):
+    """What is remembered of earlier goals keeps it; that nobody follows it is over at once."""
+    servers.ask("server", name="/again")
+    for number in range(10):
+        hub = HubClient(edge, "/again")
+        goal, sent = hub.send(10)
+        assert hub.accepted(sent), f"{number}: {edge.output()[-3000:]}"
+        assert hub.result(hub.ask(goal)) == (GoalState.SUCCEEDED, 10), f"{number}: {edge.output()[-3000:]}"
+        hub.close()
+
+
 def test_a_server_that_comes_back_is_found_by_what_it_does(tmp_path):
     """Nothing but its connecting to us tells that it is there: no look at the master comes by itself."""
     with RosMaster() as master, edge_on(master, tmp_path) as edge:
@@ -214,7 +225,7 @@ def test_a_server_that_comes_back_is_found_by_what_it_does(tmp_path):
             edge.ask("look", every=0.1)  # a connection that is not made at once is tried again at a look
             again = HubClient(edge, "/returns")
             goal, sent = again.send(10)
-            assert again.accepted(sent)
+            assert again.accepted(sent), edge.output()[-3000:]
             assert again.result(again.ask(goal)) == (GoalState.SUCCEEDED, 10)
             again.close()
 
