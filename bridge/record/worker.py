@@ -50,7 +50,7 @@ class Recording:
         registry = Registry.of(config.types)
         self._changed = Event()
         about = {"daemon": config.name, "version": __version__}
-        with _yielding():
+        with yielding():
             self.host = Host(name, config, registry)
             self.recorder = Recorder(self.host.node.hub, registry, section, place, about, self._changed.set)
         self._taps = Taps(self.host.node.hub, self.recorder.selection)
@@ -94,13 +94,16 @@ class Recording:
 
 
 @contextmanager
-def _yielding() -> Iterator[None]:
-    """Threads that begin within let others go first (Linux): who is recorded is not to wait for who records."""
+def yielding() -> Iterator[None]:
+    """Threads that begin within let others go first (Linux): who is recorded is not to wait for who records.
+
+    What zenoh's threads begin later has their priority, also for whatever else the process does.
+    """
     before = _threads()
     yield
     for thread in _threads() - before:
         with suppress(OSError):  # it has just ended
-            os.setpriority(os.PRIO_PROCESS, thread, os.getpriority(os.PRIO_PROCESS, thread) + _NICE)
+            os.setpriority(os.PRIO_PROCESS, thread, os.getpriority(os.PRIO_PROCESS, os.getpid()) + _NICE)
             # a message for the recorder does not take the processor from whom it is for
             os.sched_setscheduler(thread, os.SCHED_BATCH, os.sched_param(0))
 

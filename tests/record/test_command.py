@@ -9,6 +9,7 @@ import signal
 import subprocess
 import sys
 from collections.abc import Iterator
+from contextlib import suppress
 from pathlib import Path
 
 import pytest
@@ -129,6 +130,26 @@ def test_a_recording_ends_with_ctrl_c_and_tells_what_it_wrote(robot: Robot, file
     assert found.texts("/said") == [*map(str, range(10)), "last"]
     assert (told["messages"], told["dropped"]) == (12, {})
     assert yaml.safe_load((tmp_path / "run" / "metadata.yaml").read_text())
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="only Linux has a thread's priority")
+def test_who_is_recorded_goes_first(robot: Robot, file: Path, tmp_path: Path) -> None:
+    """Its threads yield, once each; the main one, which tells how it is, does not."""
+    said = robot.publisher("/said")
+    program = recorder(file, "/said", "-o", str(tmp_path / "run.mcap"))
+    until(lambda: said.matched() or program.poll() is not None, "it is heard")
+    of_all = {}
+    for task in Path(f"/proc/{program.pid}/task").iterdir():
+        with suppress(OSError):  # it has just ended
+            thread = int(task.name)
+            of_all[thread] = os.getpriority(os.PRIO_PROCESS, thread), os.sched_getscheduler(thread)
+    program.send_signal(signal.SIGINT)
+    program.communicate(timeout=30)
+    usual, policy = of_all.pop(program.pid)
+    assert policy == os.SCHED_OTHER
+    yields = [each for each in of_all.values() if each != (usual, policy)]
+    assert (usual + 5, os.SCHED_BATCH) in yields
+    assert all(nice <= usual + 5 for nice, _ in yields)
 
 
 def robot_hears(robot: Robot, topic: str) -> bool:
