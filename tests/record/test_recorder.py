@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import os
-import sys
-import threading
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -117,16 +114,6 @@ def test_the_metadata_of_a_folder_have_the_qos_of_all_publishers(hubs: QuickHub,
     offered = topic["topic_metadata"]["offered_qos_profiles"]
     assert topic["message_count"] == 2
     assert sorted(qos["durability"] for qos in offered) == ["transient_local", "volatile"]
-
-
-@pytest.mark.skipif(sys.platform != "linux", reason="threads have priorities of their own on Linux")
-def test_its_threads_let_others_go_first(hubs: QuickHub, tmp_path: Path) -> None:
-    mine = os.getpriority(os.PRIO_PROCESS, 0)
-    with recording(hubs, tmp_path, Files(tmp_path / "one", split=False)):
-        writers = [each.native_id for each in threading.enumerate() if each.name == "midspan-record-write"]
-        assert [os.getpriority(os.PRIO_PROCESS, each or 0) for each in writers] == [min(mine + 5, 19)]
-        assert [os.sched_getscheduler(each or 0) for each in writers] == [os.SCHED_BATCH]
-    assert os.getpriority(os.PRIO_PROCESS, 0) == mine
 
 
 def gone_key(made: Any) -> Any:
