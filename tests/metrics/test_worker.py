@@ -98,6 +98,7 @@ def place(tmp_path: Path) -> Iterator[Place]:
 def test_both_formats(place: Place) -> None:
     worker = place.start()
     worker.health()
+    until(lambda: "midspan_route_messages" in place.families(), "the router knows who is to be asked", 20)
     status, kind, text = place.ask("/metrics")
     assert (status, kind) == (200, "text/plain; version=0.0.4; charset=utf-8")
     assert [s.value for f in parse(text) if f.name == "midspan_route_messages" for s in f.samples] == [3], (
