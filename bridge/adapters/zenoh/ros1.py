@@ -183,8 +183,8 @@ def _or_failed(convert: Callable[[bytes], bytes] | None) -> Callable[[bytes], by
 AGAIN = 3.0
 """Seconds between two times that what is kept is put again for further bridges."""
 
-_SETTLE = 0.5
-"""Seconds that a bridge which tells that it subscribes is given to do so."""
+SETTLE = 0.5
+"""Seconds that a bridge which tells that it subscribes is given to do so, or that subscribes to tell."""
 
 
 class Ros1KeyPublisher(KeyPublisher):
@@ -200,19 +200,21 @@ class Ros1KeyPublisher(KeyPublisher):
         super().__init__(context, key, qos, announcement)
         self.topic = topic
         self._due: float | None = None
-        self._last = -AGAIN
+        self._last = self._since = -AGAIN
         if qos.latched:
             self.watch(self._matched)
 
     def _matched(self) -> None:
-        self._due = time.monotonic()
+        self._due = self._since = time.monotonic()
 
     def newcomer(self, *, first: bool) -> None:
         """A bridge begins to announce a subscription, the topic's first one or another."""
         now = time.monotonic()
-        if not self._qos.latched or self._due is not None or (first and now - self._last < AGAIN):
-            return  # the first one has had it as the key's first subscriber
-        self._due = max(now + _SETTLE, self._last + AGAIN)
+        if not self._qos.latched or self._due is not None:
+            return
+        if first and now - self._since < SETTLE:
+            return  # it is the key's first subscriber and has had it; one that tells later may be another
+        self._due = max(now + SETTLE, self._last + AGAIN)
 
     def tick(self, now: float) -> None:
         """Put the latched messages again when they are due."""
