@@ -138,12 +138,11 @@ class Mesh:
             self._lost[zid] = now
 
     def _mend(self) -> None:
-        """Introduce those that are missing; at a router that does not answer nobody is missed."""
+        """Introduce those that are missing; who is at a router that does not answer (yet) is not known."""
         if not self._session.info.routers_zid():  # its return has all speak of each other
             return
         members = self._members()
         if members is None:
-            self._lost.clear()
             return
         for zid in self._here() & self._lost.keys():
             del self._lost[zid]

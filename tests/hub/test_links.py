@@ -48,6 +48,15 @@ def test_a_link_that_alone_was_cut_is_made_again(hubs: QuickHub) -> None:
         until(lambda: one.ask("say", {"word": "again"}, worker="two") and heard, "they hear each other")
 
 
+def test_a_router_that_does_not_answer_for_a_moment_is_asked_again(hubs: QuickHub) -> None:
+    with Hub.open(hubs.settings("one")) as one, Hub.open(hubs.settings("two", "two")) as two:
+        until(lambda: two.zid in one.neighbours() and one.zid in two.neighbours(), "they are linked")
+        hubs.unanswered = 4
+        cut(int(hubs.endpoint.rpartition(":")[2]))
+        until(lambda: one.mesh.mended + two.mesh.mended, "the link is there again")
+        assert not hubs.unanswered
+
+
 def test_who_left_is_not_missed(hubs: QuickHub, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(links, "_REMEMBERED_SECONDS", 1.0)
     with Hub.open(hubs.settings("one")) as one:
