@@ -76,10 +76,11 @@ def test_foreign_publishers_are_heard_again(network: HubNetwork, reader: Hub, wr
 def test_others_hear_what_goes_by_the_lane(network: HubNetwork, reader: Hub, writer: Hub) -> None:
     ours = talk(writer, "/t")
     heard, every = Heard(reader, "/t"), Heard(reader, "/t", type_hash="*")
+    goes_by(heard, "lane")
+    goes_by(every, "lane")
+    until(lambda: ours.way() == ("lane", ""), "the publisher knows, and takes nobody's zenoh for the other's")
     with Hub.open(network.settings("foreign")) as far:
         strange = Heard(far, "/t")
-        goes_by(heard, "lane")
-        goes_by(every, "lane")
         until(lambda: ours.way()[0] == "both", "both listen")
         ours.put(b"x")
         for each in (heard, every, strange):
