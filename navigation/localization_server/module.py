@@ -109,7 +109,7 @@ class LocalizationServer(Module):
             case "server":
                 return OtherServer(*given, lambda: self.map_name)
             case _:
-                return OwnLocalizer(*given)
+                return OwnLocalizer(*given, self._tell)
 
     # what is asked
 

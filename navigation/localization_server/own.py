@@ -8,6 +8,7 @@ import json
 import math
 import os
 import time
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -28,13 +29,19 @@ from yarp_compat.dev.mapgrid import MapGrid2D
 
 
 class OwnLocalizer(PoseSource):
-    """The localiser, with the laser and the odometry of the hub."""
+    """The localiser, with the laser and the odometry of the hub.
+
+    ``changed`` is called after a scan by which it came to be localised, or not to be: who is found at once somewhere
+    else is lost for a single scan, between two times that the pose is told.
+    """
 
     hears_starts = True
     corrects = True
 
-    def __init__(self, host: Host, section: LocalizationServerSection, frames: RobotFrames) -> None:
-        self._now_ns, self._frames, self._section = host.clock.now_ns, frames, section
+    def __init__(
+        self, host: Host, section: LocalizationServerSection, frames: RobotFrames, changed: Callable[[], None]
+    ) -> None:
+        self._now_ns, self._frames, self._section, self._changed = host.clock.now_ns, frames, section, changed
         self._localizer: Localizer | None = None
         self._trouble = "no map is there yet"
         self._start: Pose | None = None
@@ -145,7 +152,10 @@ class OwnLocalizer(PoseSource):
             self._laser = str(err)
             return
         self._scans, self._laser = self._scans + 1, ""
+        before = localizer.estimate().status
         localizer.scan(stamp, points, odometry)
+        if localizer.estimate().status is not before:
+            self._changed()
 
     def _points(self, message: dict[str, Any], stamp: int) -> Floats:
         """A scan's points in the base's frame."""

@@ -148,6 +148,17 @@ def test_our_own_localiser_for_all_sides(place: Place, robot: Robot) -> None:
     until(lambda: place.far.wait(statuses, 1)[-1] == {"data": "not_yet_localized"}, "its end is told", 20)
 
 
+def test_a_carried_robot_is_told_to_be_lost_however_seldom_the_pose_is_told(place: Place, robot: Robot) -> None:
+    statuses = place.far.subscribe("/localization/status", "std_msgs/String", latched=True)
+    true = robot.pose
+    started(place, robot, period=5.0, initial_pose=[*true[:2], math.degrees(true.theta)])
+    until(lambda: {"data": OK} in place.far.wait(statuses, 1), "it is localised")
+    told = len(place.far.wait(statuses, 1))
+    robot.carry(6.6, 0.8, 1.5)
+    until(lambda: {"data": "error"} in place.far.wait(statuses, 1)[told:], "it is lost")
+    until(lambda: place.far.wait(statuses, 1)[-1] == {"data": OK}, "and found again")
+
+
 def test_it_goes_on_where_it_was(place: Place, robot: Robot) -> None:
     true = robot.pose
     wrong = {"initial_pose": [3.0, 3.0, 0.0]}
