@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
 import struct
 import time
@@ -28,9 +29,9 @@ RADIUS = 2.02
 S = 1_000_000_000
 
 
-@pytest.fixture(scope="module")
-def place(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Place]:
-    with Place(tmp_path_factory.mktemp("place")) as made:
+@contextlib.contextmanager
+def mapping(folder: Path) -> Iterator[Place]:
+    with Place(folder) as made:
         server = NameServer(port=made.port, gc_seconds=0)
         server.open()
         section = {"enabled": True, "pose": "port", "laser": [0.5, 0.0, 90.0], "period": 0.1, "width": 8, "height": 8}
@@ -41,6 +42,19 @@ def place(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Place]:
         yield made
         made.worker.stop()
         server.close()
+
+
+@pytest.fixture(scope="module")
+def place(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Place]:
+    with mapping(tmp_path_factory.mktemp("place")) as made:
+        yield made
+
+
+@pytest.fixture
+def untouched(tmp_path: Path) -> Iterator[Place]:
+    """One to which no other test's scans are still on their way."""
+    with mapping(tmp_path) as made:
+        yield made
 
 
 def asked(place: Place, *words: Any) -> Any:
@@ -222,7 +236,8 @@ def transform(parent: str, child: str, x: float, stamp: dict[str, int]) -> dict[
     return {"header": {"stamp": stamp, "frame_id": parent}, "child_frame_id": child, "transform": place}
 
 
-def test_a_clock_that_is_set_back_makes_no_old_scan_new(place: Place, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_clock_that_is_set_back_makes_no_old_scan_new(untouched: Place, monkeypatch: pytest.MonkeyPatch) -> None:
+    place = untouched
     assert asked(place, "start") == ["Mapping."]
     running = place.worker.running("mapper2d")
     host, now = running.host, [time.time_ns() + 10 * S]
