@@ -180,7 +180,9 @@ def test_an_error_of_an_actions_service_is_the_reply_that_says_no(
     if part == "cancel_goal":
         place.serve("/go/_action/send_goal", f"{GO}_SendGoal")
     client = place.client(f"/go/_action/{part}", type_name)
-    reply = Calling(REGISTRY, type_name, {}, client.call).result()["reply"]
+    ended = Calling(REGISTRY, type_name, {}, client.call).result()
+    assert ended["reply"], ended
+    reply = ended["reply"]
     assert {name: reply[name] for name in said} == said
     row = place.row(f"/go/_action/{part}")
     assert (row["action"], row["errors"], row["error"]) == ("/go", 1, "the planner fell over")
