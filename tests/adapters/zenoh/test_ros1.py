@@ -163,11 +163,16 @@ def test_an_md5_that_is_not_known_here_is_reported(place: Place) -> None:
     assert "nowhere_msgs" in line["why"]
 
 
-def test_what_is_latched_is_put_again_for_the_first_subscriber_and_for_another_bridge(place: Place) -> None:
+def keep_one(place: Place) -> None:
+    """Have a bridge that keeps one latched message."""
     place.bridge({"dialect": "ros1"})
     out = place.far.advertise("/state", STRING, latched=True, depth=1)
     place.far.publish(out, {"data": "kept"})
     until(lambda: (place.route(SIDE, "/state", "out") or {}).get("messages"), "it crossed", every=0.1)
+
+
+def test_what_is_latched_is_put_again_for_the_first_subscriber_and_for_another_bridge(place: Place) -> None:
+    keep_one(place)
     first = place.ros1()
     heard = first.subscribe("/state", STRING)
     assert first.wait(heard, 1) == [{"data": "kept"}]
@@ -190,10 +195,7 @@ def test_what_is_latched_is_put_again_for_the_first_subscriber_and_for_another_b
 
 
 def test_who_tells_nobody_that_it_subscribes_takes_no_latched_message_from_another(place: Place) -> None:
-    place.bridge({"dialect": "ros1"})
-    out = place.far.advertise("/state", STRING, latched=True, depth=1)
-    place.far.publish(out, {"data": "kept"})
-    until(lambda: (place.route(SIDE, "/state", "out") or {}).get("messages"), "it crossed", every=0.1)
+    keep_one(place)
     mute = place.ros1()
     heard = threading.Event()
     mute.session.declare_subscriber(mute.key("/state", STRING), zenoh.handlers.Callback(lambda _sample: heard.set()))
