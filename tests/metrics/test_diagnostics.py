@@ -6,7 +6,7 @@ import os
 import signal
 import threading
 from collections.abc import Iterator
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +16,7 @@ import yaml
 from bridge.config.load import load
 from bridge.config.model import Config
 from bridge.config.sections.metrics import MetricsSection
-from bridge.daemon.query import ask_daemon
+from bridge.daemon.query import Phase, ask_daemon
 from bridge.hub.diagnostics import HEARD, TOPIC, TYPE, heard
 from bridge.hub.graph.tokens import Origin
 from bridge.hub.session import Hub, HubSettings
@@ -239,15 +239,18 @@ def test_real_programs_of_both_sides_hear_of_all_parts_without_console_and_metri
                 "side ros1": 0, "worker ros2": 0, "module store": 0,
             }  # fmt: skip
             assert found["module gateway"] == 1, "it waits for its planner"
-        said = ask_daemon(load(made.file))
-        assert said is not None
-        assert whose_turn(said) == "ros1"
-        os.kill(next(one["pid"] for one in said["workers"] if one["worker"] == "ros1"), signal.SIGKILL)
+        assert whose_turn(ask_daemon(load(made.file)) or {}) == "ros1"
         program, heard = hearers[1]
-        until(
-            lambda: levels(program, heard).get("worker ros1", 0) != 0, "the other side tells that it starts anew", 20,
-            every=0.05,
-        )  # fmt: skip
+
+        def is_told() -> bool:
+            """Whether the other side tells that the one that told is down; it may be up again before that."""
+            for one in (ask_daemon(load(made.file)) or {}).get("workers", ()):
+                if one["worker"] == "ros1" and one["phase"] == Phase.UP.value:
+                    with suppress(ProcessLookupError):
+                        os.kill(one["pid"], signal.SIGKILL)
+            return levels(program, heard).get("worker ros1", 0) != 0
+
+        until(is_told, "the other side tells that it starts anew", 20, every=0.05)
         for program, heard in hearers:
             program.wait(heard, 10_000, 0.1)
             until(lambda p=program, h=heard: levels(p, h).get("worker ros1") == 0, "it is up again", 40)
