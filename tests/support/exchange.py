@@ -26,9 +26,14 @@ def exchange(program: Any, out: int, heard: int, far: Sequence[HubSide]) -> list
             end.publish(sender, {"data": f"far {which} {number}"})
     from_program = [f"program {n}" for n in range(20)]
     from_hubs = [f"far {which} {n}" for which in range(len(far)) for n in range(20)]
-    until(lambda: set(from_hubs) <= _texts(program, heard), "the program heard everything")
-    for end, subscription in zip(far, at_far, strict=True):
-        until(lambda e=end, s=subscription: set(from_program) <= _texts(e, s), "a hub heard everything")
+    try:
+        until(lambda: set(from_hubs) <= _texts(program, heard), "the program heard everything")
+        for end, subscription in zip(far, at_far, strict=True):
+            until(lambda e=end, s=subscription: set(from_program) <= _texts(e, s), "a hub heard everything")
+    except AssertionError as error:
+        for end, subscription in zip(far, at_far, strict=True):
+            error.add_note(f"at a hub: {sorted(_texts(end, subscription))}; its bridges: {_routes(end)}")
+        raise
     got = sorted(m["data"] for m in program.wait(heard, 10_000, 0.5) if "probe" not in m["data"])
     # the programs of one network hear each other, themselves among them
     assert got == sorted(from_hubs + from_program)
@@ -40,6 +45,12 @@ def exchange(program: Any, out: int, heard: int, far: Sequence[HubSide]) -> list
 
 def _texts(end: Any, heard: int) -> set[str]:
     return {m["data"] for m in end.wait(heard, 1, 0.1)}
+
+
+def _routes(end: HubSide) -> list[Any]:
+    """What the bridges of a hub say of their routes, and of what they dropped."""
+    said = [answer.value for answer in end.hub.ask("status", {}) if isinstance(answer.value, dict)]
+    return [{key: one.get(key) for key in ("worker", "state", "lease", "routes")} for one in said]
 
 
 def until_all_hear(program: Any, out: int, heard: int, far: list[tuple[HubSide, int, int]]) -> None:
