@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 from tests.contract.hubside import HubSide
@@ -11,14 +11,20 @@ from tests.support.wait import until
 STRING = "std_msgs/String"
 
 
-def exchange(program: Any, out: int, heard: int, far: Sequence[HubSide]) -> list[int]:
+def exchange(
+    program: Any, out: int, heard: int, far: Sequence[HubSide], settled: Callable[[], bool] = lambda: True
+) -> list[int]:
     """Have all say twenty things on ``/both``; everybody hears each once, and nothing of his own comes back.
+
+    ``settled`` tells whether the daemons keep the ports that they have now.
 
     Returns:
         the hubs' publishers.
     """
     at_far = [end.subscribe("/both", STRING) for end in far]
     from_far = [end.advertise("/both", STRING) for end in far]
+    until_all_hear(program, out, heard, list(zip(far, from_far, at_far, strict=True)))
+    until(settled, "all have the ports that they keep")
     until_all_hear(program, out, heard, list(zip(far, from_far, at_far, strict=True)))
     for number in range(20):
         program.publish(out, {"data": f"program {number}"})
@@ -31,6 +37,7 @@ def exchange(program: Any, out: int, heard: int, far: Sequence[HubSide]) -> list
         for end, subscription in zip(far, at_far, strict=True):
             until(lambda e=end, s=subscription: set(from_program) <= _texts(e, s), "a hub heard everything")
     except AssertionError as error:
+        error.add_note(f"at the program: {sorted(m['data'] for m in program.wait(heard, 1, 0.1))}")
         for end, subscription in zip(far, at_far, strict=True):
             error.add_note(f"at a hub: {sorted(_texts(end, subscription))}; its bridges: {_routes(end)}")
         raise
