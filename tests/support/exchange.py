@@ -23,28 +23,29 @@ def exchange(
     """
     at_far = [end.subscribe("/both", STRING) for end in far]
     from_far = [end.advertise("/both", STRING) for end in far]
-    until_all_hear(program, out, heard, list(zip(far, from_far, at_far, strict=True)))
+    ends = list(zip(far, from_far, at_far, strict=True))
+    until_all_hear(program, out, heard, ends)
     until(settled, "all have the ports that they keep")
-    until_all_hear(program, out, heard, list(zip(far, from_far, at_far, strict=True)))
+    until_all_hear(program, out, heard, ends)
     for number in range(20):
         program.publish(out, {"data": f"program {number}"})
-        for which, (end, sender) in enumerate(zip(far, from_far, strict=True)):
+        for which, (end, sender, _) in enumerate(ends):
             end.publish(sender, {"data": f"far {which} {number}"})
     from_program = [f"program {n}" for n in range(20)]
     from_hubs = [f"far {which} {n}" for which in range(len(far)) for n in range(20)]
     try:
         until(lambda: set(from_hubs) <= _texts(program, heard), "the program heard everything")
-        for end, subscription in zip(far, at_far, strict=True):
+        for end, _, subscription in ends:
             until(lambda e=end, s=subscription: set(from_program) <= _texts(e, s), "a hub heard everything")
     except AssertionError as error:
         error.add_note(f"at the program: {sorted(m['data'] for m in program.wait(heard, 1, 0.1))}")
-        for end, subscription in zip(far, at_far, strict=True):
+        for end, _, subscription in ends:
             error.add_note(f"at a hub: {sorted(_texts(end, subscription))}; its bridges: {_routes(end)}")
         raise
     got = sorted(m["data"] for m in program.wait(heard, 10_000, 0.5) if "probe" not in m["data"])
     # the programs of one network hear each other, themselves among them
     assert got == sorted(from_hubs + from_program)
-    for end, subscription in zip(far, at_far, strict=True):
+    for end, _, subscription in ends:
         got = sorted(m["data"] for m in end.wait(subscription, 10_000, 0.2) if m["data"].startswith("program"))
         assert got == sorted(from_program)
     return from_far
