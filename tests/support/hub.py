@@ -19,6 +19,7 @@ from tests.support.peer import Peer
 from tests.support.ports import free_port
 from tests.support.process import Process
 from tests.support.wait import until
+from tests.support.zenoh_rmw import rmw_session
 
 ROUTER_PROGRAM = Path(__file__).with_name("hub_router.py")
 PEER_PROGRAM = Path(__file__).with_name("hub_peer.py")
@@ -100,6 +101,12 @@ class HubNetwork:
         """A session of a plain zenoh program, which knows nothing of the hub."""
         tree = session_tree(self.endpoint, shared_memory=False, max_payload=1 << 20)
         with zenoh.open(make_config(tree, {"mode": "client"})) as session:
+            yield session
+
+    @contextmanager
+    def rmw_session(self) -> Iterator[zenoh.Session]:
+        """A session as an rmw_zenoh node opens it; see `tests.support.zenoh_rmw`."""
+        with rmw_session(self.endpoint) as session:
             yield session
 
     def hub_peer(self, node: str, **more: Any) -> Peer:

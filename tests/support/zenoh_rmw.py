@@ -1,0 +1,140 @@
+"""Publishers and subscriptions declared on zenoh exactly as rmw_zenoh declares them, without rmw_zenoh.
+
+Since 0.2.2 rmw_zenoh_cpp declares every subscription as zenoh-ext's advanced subscriber and every publisher as its
+advanced publisher. The options depend on the QoS: `rmw_subscription_data.cpp` and `rmw_publisher_data.cpp` of
+rmw_zenoh_cpp, branch jazzy. An advanced subscriber drops a sample whose source number is not above the last one of its
+source; a plain subscriber delivers it.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import time
+from collections.abc import Callable
+from typing import Any
+
+import zenoh
+from zenoh import ext
+
+from bridge.hub.wire.keys import pack_attachment
+from bridge.hub.wire.qos import History, Qos, Reliability
+from tests.support.wait import until
+
+HEARTBEAT = 0.5
+"""Seconds, `SAMPLE_MISS_DETECTION_HEARTBEAT_PERIOD` of rmw_zenoh_cpp."""
+
+CONFIG: dict[str, Any] = {
+    "mode": "peer",
+    "listen": {"endpoints": ["tcp/127.0.0.1:0"]},
+    "scouting": {
+        "multicast": {"enabled": False},
+        "gossip": {
+            "enabled": True,
+            "target": {"router": ["router", "peer"], "peer": ["router"]},
+            "autoconnect": {"router": [], "peer": ["router", "peer"]},
+            "autoconnect_strategy": {"peer": {"to_router": "always", "to_peer": "greater-zid"}},
+        },
+    },
+    "timestamping": {"enabled": {"router": True, "peer": True, "client": True}, "drop_future_timestamp": False},
+    "queries_default_timeout": 600_000,
+    "transport": {"link": {"tx": {"lease": 60_000, "keep_alive": 2}}, "shared_memory": {"enabled": False}},
+}
+"""What a node needs of rmw_zenoh_cpp's `DEFAULT_RMW_ZENOH_SESSION_CONFIG.json5`, with loopback for localhost."""
+
+
+def rmw_session(router: str) -> zenoh.Session:
+    """Open the zenoh session of an rmw_zenoh context, which connects to a router and directly to other peers."""
+    return zenoh.open(zenoh.Config.from_json5(json.dumps(CONFIG | {"connect": {"endpoints": [router]}})))
+
+
+def subscribe(session: zenoh.Session, key: str, callback: Callable[[zenoh.Sample], None], qos: Qos) -> Any:
+    """Declare a subscription with the options of `SubscriptionData::init`.
+
+    One option is missing in zenoh's Python wheel: rmw_zenoh's queries for cached samples never expire, these after the
+    session's 10 minutes.
+    """
+    handler = zenoh.handlers.Callback(callback, indirect=False)
+    if not qos.latched:
+        return ext.declare_advanced_subscriber(session, key, handler)
+    reliable = qos.reliability is Reliability.RELIABLE
+    return ext.declare_advanced_subscriber(
+        session,
+        key,
+        handler,
+        history=ext.HistoryConfig(detect_late_publishers=True, max_samples=qos.depth),
+        recovery=ext.RecoveryConfig(periodic_queries=None, heartbeat=True) if reliable else None,
+        subscriber_detection=True,
+    )
+
+
+def declare_publisher(session: zenoh.Session, key: str, qos: Qos) -> Any:
+    """Declare a publisher with the options of `PublisherData::make`."""
+    reliable = qos.reliability is Reliability.RELIABLE
+    blocks = reliable and qos.history is History.KEEP_ALL
+    latched: dict[str, Any] = {}
+    if qos.latched:
+        latched["publisher_detection"] = True
+        latched["cache"] = ext.CacheConfig(max_samples=qos.depth)
+        if reliable:
+            latched["sample_miss_detection"] = ext.MissDetectionConfig(heartbeat=None, sporadic_heartbeat=HEARTBEAT)
+    return ext.declare_advanced_publisher(
+        session,
+        key,
+        congestion_control=zenoh.CongestionControl.BLOCK if blocks else zenoh.CongestionControl.DROP,
+        reliability=zenoh.Reliability.RELIABLE if reliable else zenoh.Reliability.BEST_EFFORT,
+        **latched,
+    )
+
+
+class RmwSubscription:
+    """Collects the payloads that one subscription of rmw_zenoh would deliver.
+
+    Attributes:
+        missed: messages that zenoh counts as lost, from gaps between source numbers.
+    """
+
+    def __init__(self, session: zenoh.Session, key: str, qos: Qos) -> None:
+        self.payloads: list[bytes] = []
+        self.missed = 0
+        self._end = subscribe(session, key, self._add, qos)
+        self._misses = self._end.sample_miss_listener(self._miss)
+
+    def _miss(self, miss: ext.Miss) -> None:
+        self.missed += miss.nb
+
+    def _add(self, sample: zenoh.Sample) -> None:
+        if sample.attachment is not None:  # rmw_zenoh drops samples without one
+            self.payloads.append(sample.payload.to_bytes())
+
+    def texts(self) -> list[str]:
+        """The payloads so far, decoded."""
+        return [payload.decode() for payload in self.payloads]
+
+    def expect(self, *texts: str, seconds: float = 40.0) -> None:
+        """Wait until exactly these arrived, in this order."""
+        with contextlib.suppress(AssertionError):
+            until(lambda: len(self.payloads) >= len(texts), "all arrive", seconds)
+        assert self.texts() == list(texts)
+
+    def close(self) -> None:
+        """Withdraw the subscription."""
+        self._misses.undeclare()
+        self._end.undeclare()
+
+
+class RmwPublisher:
+    """Publishes with an attachment as rmw_zenoh does: sequence numbers from 1, the time, the GID."""
+
+    def __init__(self, session: zenoh.Session, key: str, qos: Qos, gid: bytes) -> None:
+        self._end = declare_publisher(session, key, qos)
+        self._gid, self._sequence = gid, 0
+
+    def put(self, payload: bytes) -> None:
+        """Publish one message."""
+        self._sequence += 1
+        self._end.put(payload, attachment=pack_attachment(self._sequence, time.time_ns(), self._gid))
+
+    def close(self) -> None:
+        """Withdraw the publisher with the samples it caches."""
+        self._end.undeclare()
