@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import argparse
 import re
-from collections.abc import Callable
+import sys
+from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +15,44 @@ _SPAN = re.compile(r"(\d+(?:\.\d+)?)\s*(ms|s|min|m|h|)", re.IGNORECASE)
 _LONGEST = 9e9
 """Seconds: a thread can wait for hardly more; as a time of the clock it is the year 2255."""
 
+_NEGATIVE = re.compile(r"-\.?(\d|inf\b|nan\b)", re.IGNORECASE)
 _SECONDS = {"": 1.0, "s": 1.0, "ms": 0.001, "m": 60.0, "min": 60.0, "h": 3600.0}
+
+
+class VerbParser(argparse.ArgumentParser):
+    """A parser that reads every word that starts like a negative number as a value: ``-1.6,0.9``, ``-2e-3``, ``-inf``.
+
+    Before Python 3.14 argparse does so for plain numbers such as ``-1.6`` only, and reports other words as unknown
+    options. An option with several values also accepts the first one after ``=``: ``--points=-1.6,0.9 2,1 2,3``.
+    """
+
+    def __init__(self, *args: Any, **kwargs: Any) -> None:
+        super().__init__(*args, **kwargs)
+        self._negative_number_matcher = _NEGATIVE
+
+    def parse_known_args(self, args: Iterable[str] | None = None, namespace: Any = None) -> tuple[Any, list[str]]:
+        """Parse as argparse does, with each ``--option=VALUE`` of several values as two words."""
+        return super().parse_known_args(list(self._split(sys.argv[1:] if args is None else args)), namespace)
+
+    def _split(self, words: Iterable[str]) -> Iterator[str]:
+        options = True
+        for word in words:
+            options = options and word != "--"
+            option, equals, value = word.partition("=")
+            if options and equals and option.startswith("--") and self._takes_several(option):
+                yield from (option, value)
+            else:
+                yield word
+
+    def _takes_several(self, option: str) -> bool:
+        """Whether an option, or the one that it abbreviates, takes several values."""
+        actions = {
+            id(action): action
+            for name, action in self._option_string_actions.items()
+            if name == option or (name.startswith(option) and option not in self._option_string_actions)
+        }
+        nargs = next(iter(actions.values())).nargs if len(actions) == 1 else None
+        return nargs in ("+", "*") or (isinstance(nargs, int) and nargs > 1)
 
 
 def add_verb(

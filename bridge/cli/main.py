@@ -15,6 +15,8 @@ import sys
 from collections.abc import Iterable, Sequence
 from typing import NamedTuple
 
+from bridge.cli.arguments import VerbParser
+
 FAILED = 1
 INTERRUPTED = 130
 
@@ -72,7 +74,7 @@ VERBS: dict[str, Verb] = {
 
 def build_parser(loaded: Iterable[str]) -> argparse.ArgumentParser:
     """The parser with all verbs; only those in ``loaded`` are imported and know their own arguments."""
-    parser = argparse.ArgumentParser(
+    parser = VerbParser(
         prog="midspan",
         description="A bridge daemon for mobile robots: it joins ROS 1, ROS 2, YARP and zenoh.",
         epilog="'midspan VERB --help' tells more about each.",

@@ -1,0 +1,76 @@
+"""Arguments that start with a minus sign: numbers and points are values, wherever a verb accepts them."""
+
+from __future__ import annotations
+
+import argparse
+from typing import Any
+
+import pytest
+
+from bridge.cli.main import VERBS, build_parser
+from tests.cli.test_main import leaves, verbs_of
+
+NEGATIVE = ("-1.6", "-1.6,0.9", "-.5", "-2e-3", "-1.6,0.9,-0.5", "-inf")
+
+
+def values(*words: str) -> Any:
+    """What a verb's parser reads from these words."""
+    return build_parser([words[0]]).parse_args(list(words))
+
+
+def test_points_of_a_polygon_with_and_without_equals() -> None:
+    corners = [[-1.6, 0.9], [2.0, -1.0], [-0.5, -3.0]]
+    for points in (["--points", "-1.6,0.9", "2,-1", "-.5,-3"], ["--points=-1.6,0.9", "2,-1", "-.5,-3"]):
+        for words in (["house", *points], [*points, "--flag=keep-out"], ["--flag", "keep-out", "house", *points]):
+            assert values("map", "edit-flags", *words).points == corners
+
+
+def test_points_that_are_abbreviated_or_single() -> None:
+    assert values("map", "edit-flags", "--poi=-1.6,0.9", "-2,1").points == [[-1.6, 0.9], [-2.0, 1.0]]
+    for words in (["--circle", "-1.6,0.9,0.5"], ["--circle=-1.6,0.9,0.5"]):
+        assert values("map", "edit-flags", *words).circle == [-1.6, 0.9, 0.5]
+
+
+def test_poses() -> None:
+    assert values("goto", "-1.6e0", "-.9", "-90").where == ["-1.6e0", "-.9", "-90"]
+    assert values("goto", "--frame", "odom", "-1.6", "2").where == ["-1.6", "2"]
+    assert values("location", "add", "dock", "-1.5", "-2e-1", "-90").pose == [-1.5, -0.2, -90.0]
+    assert values("topic", "pub", "/height", "std_msgs/Float32", "-1.5").message == "-1.5"
+    assert values("map", "show", "--layer", "-1e-1").layer == -0.1
+
+
+def test_unknown_options_are_errors_still(capsys: pytest.CaptureFixture[str]) -> None:
+    for words in (["goto", "kitchen", "-z"], ["goto", "kitchen", "--1"], ["map", "edit-flags", "--pints=1,1"]):
+        with pytest.raises(SystemExit) as ended:
+            values(*words)
+        assert ended.value.code == 2
+        assert "unrecognized arguments" in capsys.readouterr().err
+
+
+def test_after_two_dashes_nothing_is_an_option() -> None:
+    assert values("record", "--", "--topics=/scan").topics == ["--topics=/scan"]
+
+
+def of_verb(verb: str) -> list[argparse.ArgumentParser]:
+    """The parsers of a verb and its verbs."""
+    return leaves(verbs_of(build_parser([verb]))[0].choices[verb])
+
+
+@pytest.mark.parametrize("verb", VERBS)
+def test_each_option_with_a_value_accepts_what_starts_like_a_negative_number(
+    verb: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The option may refuse the value, with a message of its own; it must not be reported as missing or unknown."""
+    for parser in of_verb(verb):
+        for action in parser._actions:
+            if not action.option_strings or action.nargs == 0:
+                continue
+            option, more = action.option_strings[-1], int(action.nargs or 1) - 1 if str(action.nargs).isdigit() else 0
+            for value in NEGATIVE:
+                for words in ([option, value, *[value] * more], [f"{option}={value}", *[value] * more]):
+                    try:
+                        parser.parse_known_args(words)
+                    except SystemExit:
+                        error = capsys.readouterr().err.splitlines()[-1]
+                        assert "expected" not in error, (parser.prog, words, error)
+                        assert "unrecognized" not in error, (parser.prog, words, error)
