@@ -1,7 +1,7 @@
 """The command ``midspan``: finds the verb, imports its file, runs it, and turns errors into one line.
 
 Exit codes: 0 done, 1 failed, 2 wrong usage, 3 done in part (`midspan import` and
-`midspan config migrate` alone), 130 interrupted.
+`midspan config migrate` only), 130 interrupted by Ctrl-C, 143 ended by SIGTERM, 129 by SIGHUP.
 """
 
 from __future__ import annotations
@@ -112,8 +112,8 @@ def main(argv: Sequence[str] | None = None) -> int:
             parser.print_help(sys.stderr)
             return 2
         return _run(args)
-    except KeyboardInterrupt:
-        return INTERRUPTED
+    except KeyboardInterrupt as err:
+        return getattr(err, "code", INTERRUPTED)  # `bridge.cli.graph.goal.Interrupted` knows the signal
     except BrokenPipeError:
         # the reader of our output went away, as `| head` does
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())

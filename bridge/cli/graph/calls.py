@@ -52,7 +52,8 @@ def register_action(parser: argparse.ArgumentParser) -> None:
     goal = add_verb(
         verbs, "send", _send, "send a goal",
         "Sends a goal, shows its feedback, and waits for its result. Ctrl-C cancels the goal and waits for its end; a"
-        " second one does not wait. Exit code 0 where the goal succeeded, 1 where it did not.",
+        " second one does not wait. SIGTERM and SIGHUP cancel it too. Exit code 0 if the goal succeeded, 130, 143 or"
+        " 129 after these signals, else 1.",
         example="midspan action send /move_base"
         " '{pose: {header: {frame_id: map}, pose: {position: {x: 1.0}, orientation: {w: 1.0}}}}'",
     )  # fmt: skip
@@ -69,14 +70,14 @@ def _send(args: argparse.Namespace) -> int:
     goal = yaml_fields(values)
     with open_client(args) as client, Interrupt() as interrupt:
         sent = FollowedGoal(client, absolute(args.name), ros2_spelling(type_name, "action"), interrupt)
-        end, _ = sent.run(goal, args.timeout, lambda feedback: _show_feedback(feedback, args))
-    state = STATES.get(end["status"], f"state {end['status']}")
+        end = sent.run(goal, args.timeout, lambda feedback: _show_feedback(feedback, args))
+    state = STATES.get(end.status, "unknown")
     if args.json:
-        print_json({"status": state, "result": end["result"]}, lines=True)
+        print_json({"status": state, "result": end.result}, lines=True)
     else:
-        result = message_text(end["result"], full=args.full) if end["result"] else ""
+        result = message_text(end.result, full=args.full) if end.result else ""
         print(f"{state}\n{result}", end="")
-    return 0 if end["status"] == SUCCEEDED else 1
+    return end.code or (0 if end.status == SUCCEEDED else 1)
 
 
 def _show_feedback(feedback: dict[str, Any], args: argparse.Namespace) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import base64
+import contextlib
 import signal
 import sys
 import threading
@@ -24,7 +25,13 @@ from bridge.messages.errors import ConversionError
 
 SUCCEEDED = GoalState.SUCCEEDED
 STATES = {int(state): state.name.lower() for state in GoalState if state.ended}
-_LONGEST = 3600.0
+CONFIRM_SECONDS = 5.0
+"""Seconds that a terminated verb waits for the goal's end; container runtimes kill after 10 s, systemd after 90 s."""
+
+_UNKNOWN_GOAL = 2
+"""``ERROR_UNKNOWN_GOAL_ID`` of action_msgs/srv/CancelGoal: the request may have overtaken the goal."""
+
+_FOREVER = 3600.0 * 24 * 365
 
 
 class _Feedback(NamedTuple):
@@ -35,36 +42,67 @@ class _End(NamedTuple):
     reply: dict[str, Any] | CallError
 
 
+class Interrupted(KeyboardInterrupt):
+    """A signal asked the verb to end; ``code`` is the exit code."""
+
+    def __init__(self, number: int) -> None:
+        super().__init__(signal.Signals(number).name)
+        self.number, self.code = signal.Signals(number), 128 + number
+
+
 class Interrupt:
-    """Keeps the first Ctrl-C until `check` raises it, since foreign code might swallow it; raises a second at once."""
+    """Holds the first SIGINT, SIGTERM or SIGHUP until `check` raises it, since foreign code might swallow an exception.
+
+    After Ctrl-C, the next signal raises at once. SIGTERM and SIGHUP often come together; what follows them is ignored,
+    as their handling is bounded. A SIGHUP that the caller ignores (``nohup``) stays ignored.
+    """
 
     def __init__(self) -> None:
-        self._came = self._told = False
-        self._before: Any = None
+        self._first: int = 0
+        self._raised = False
+        self._before: dict[int, Any] = {}
 
     def __enter__(self) -> Self:
         if threading.current_thread() is threading.main_thread():
-            self._before = signal.signal(signal.SIGINT, self._take)
+            for number in _ENDING:
+                if number == signal.SIGINT or signal.getsignal(number) != signal.SIG_IGN:
+                    self._before[number] = signal.signal(number, self._on_signal)
         return self
 
     def __exit__(self, *_: object) -> None:
-        if self._before is not None:
-            signal.signal(signal.SIGINT, self._before)
+        for number, handler in self._before.items():
+            signal.signal(number, handler)
 
-    def _take(self, _number: int, _frame: object) -> None:
-        if self._came:
-            raise KeyboardInterrupt
-        self._came = True
+    def _on_signal(self, number: int, _frame: object) -> None:
+        if self._first == signal.SIGINT:
+            raise Interrupted(number)
+        self._first = self._first or number
 
     def check(self) -> None:
-        """Raise `KeyboardInterrupt`, once, where it has come."""
-        if self._came and not self._told:
-            self._told = True
-            raise KeyboardInterrupt
+        """Raise `Interrupted`, once, if a signal has arrived."""
+        if self._first and not self._raised:
+            self._raised = True
+            raise Interrupted(self._first)
+
+
+_ENDING = [getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)]
+
+
+class GoalEnd(NamedTuple):
+    """How a goal ended.
+
+    Attributes:
+        status: the state of `action_msgs/GoalStatus`, 0 (unknown) if the server did not confirm its cancellation.
+        code: the exit code for the signal that canceled the goal, 0 without one.
+    """
+
+    status: int
+    result: dict[str, Any]
+    code: int = 0
 
 
 class FollowedGoal:
-    """An action goal with its id of 16 bytes; raises `CliError` where the action or its type is unknown."""
+    """An action goal with its id of 16 bytes; raises `CliError` if the action or its type is unknown."""
 
     def __init__(self, client: CliClient, name: str, type_name: str, interrupt: Interrupt) -> None:
         types = Types(client)
@@ -80,10 +118,12 @@ class FollowedGoal:
         self._news: SimpleQueue[_Feedback | _End] = SimpleQueue()
         self._feedback_type = f"{self.type_name}_FeedbackMessage"
         self._feedback_hash = types.hash_of(self._feedback_type)
-        client.hub.subscription(parts.feedback, self._feedback_type, self._feedback_hash, Qos(depth=100), self._heard)
+        client.hub.subscription(
+            parts.feedback, self._feedback_type, self._feedback_hash, Qos(depth=100), self._on_feedback
+        )
 
     def begin(self, goal: dict[str, Any]) -> None:
-        """Send it and wait for its acceptance; raises `CliError` where it is rejected."""
+        """Send the goal and wait for its acceptance; raises `CliError` if the server rejects it."""
         reply = self._send.ask({"goal_id": self._uuid, "goal": goal}, check=self._interrupt.check)
         if not reply["accepted"]:
             raise CliError(f"{self.name} rejected the goal")
@@ -93,7 +133,7 @@ class FollowedGoal:
         self, timeout: float | None, show: Callable[[dict[str, Any]], None], each: Callable[[], None] = lambda: None
     ) -> dict[str, Any] | CallError:
         """Show feedback until the goal ends, calling ``each`` at least five times a second; raises `TimeoutError`."""
-        end = time.monotonic() + (_LONGEST * 24 * 365 if timeout is None else timeout)
+        end = time.monotonic() + (_FOREVER if timeout is None else timeout)
         while True:
             self._interrupt.check()
             if self._cancel_failed:
@@ -110,36 +150,62 @@ class FollowedGoal:
             self._read(news.cdr, show)
 
     def cancel(self) -> None:
-        """Ask for its cancellation, also where it is not accepted yet; `follow` asks again where the call fails."""
+        """Request the goal's cancellation, also before its acceptance; `follow` repeats a request that failed."""
         self._ask_result()
         self._ask_cancel()
 
     def run(
         self, goal: dict[str, Any], timeout: float | None, show: Callable[[dict[str, Any]], None],
         each: Callable[[], None] = lambda: None, before_cancel: Callable[[], None] = lambda: None,
-    ) -> tuple[dict[str, Any], bool]:  # fmt: skip
-        """Send the goal and follow it to its end; cancel it at Ctrl-C or after ``timeout`` seconds.
+    ) -> GoalEnd:  # fmt: skip
+        """Send the goal and follow it to its end. Cancel it on a signal, after ``timeout`` seconds, and on any error.
 
-        Returns the result, and whether Ctrl-C came. Raises `CliError` where the goal is rejected or lost.
+        After Ctrl-C and the timeout this waits for the end of the goal, after SIGTERM and SIGHUP for `CONFIRM_SECONDS`.
+        Raises `CliError` if the goal is rejected or lost.
         """
-        interrupted = False
+        self._interrupt.check()  # nothing to cancel yet
         try:
             self.begin(goal)
-            end = self.follow(timeout, show, each)
-        except (KeyboardInterrupt, TimeoutError) as err:
-            interrupted = isinstance(err, KeyboardInterrupt)
-            why = "Ctrl-C" if interrupted else f"{timeout:g} s are over"
-            before_cancel()
-            print(f"{why}: the goal is being cancelled; Ctrl-C again does not wait", file=sys.stderr)
-            self.cancel()
-            end = self.follow(None, show, each)
+            return self._ended(self.follow(timeout, show, each))
+        except Interrupted as err:
+            if err.number != signal.SIGINT:
+                return self._give_up(err.number.name)._replace(code=err.code)
+            why, code = "Ctrl-C", err.code
+        except TimeoutError:
+            why, code = f"{timeout:g} s are over", 0
+        except CliError:
+            raise
+        except BaseException as err:  # without its client a robot would drive on, here for example after `| head`
+            self._give_up("the output was closed" if isinstance(err, OSError) else type(err).__name__)
+            raise
+        self.cancel()
+        before_cancel()
+        print(f"{why}: the goal is being canceled; Ctrl-C again does not wait", file=sys.stderr)
+        return self._ended(self.follow(None, show, each), code)
+
+    def _give_up(self, why: str) -> GoalEnd:
+        """Cancel the goal, wait for its end at most `CONFIRM_SECONDS`, and report it in one line."""
+        self.cancel()
+        try:
+            end = self._ended(self.follow(CONFIRM_SECONDS, lambda _feedback: None))
+            text = f"the goal was {STATES.get(end.status, 'ended')}"
+        except TimeoutError:
+            end = GoalEnd(GoalState.UNKNOWN, {})
+            text = f"the goal has not ended within {CONFIRM_SECONDS:g} s after its cancellation; it may still be active"
+        except CliError as err:
+            end, text = GoalEnd(GoalState.UNKNOWN, {}), str(err)
+        with contextlib.suppress(OSError):  # the terminal is closed
+            print(f"midspan: {why}: {text}", file=sys.stderr, flush=True)
+        return end
+
+    def _ended(self, end: dict[str, Any] | CallError, code: int = 0) -> GoalEnd:
         if isinstance(end, CallError):
             raise CliError(f"the goal was lost: {clean(end)}")
-        return end, interrupted
+        return GoalEnd(end["status"], end["result"], code)
 
     def _ask_cancel(self) -> None:
         def answered(reply: dict[str, Any] | CallError) -> None:
-            self._cancel_failed = isinstance(reply, CallError)
+            self._cancel_failed = isinstance(reply, CallError) or reply["return_code"] == _UNKNOWN_GOAL
 
         self._cancel_failed = False
         self._cancel.call({"goal_info": {"goal_id": self._uuid}}, answered)
@@ -149,7 +215,7 @@ class FollowedGoal:
             self._result.call({"goal_id": self._uuid}, lambda result: self._news.put(_End(result)))
             self._asked = True
 
-    def _heard(self, sample: HubSample) -> None:
+    def _on_feedback(self, sample: HubSample) -> None:
         data = sample.data()
         if data[4:20] == self.id:
             self._news.put(_Feedback(data))

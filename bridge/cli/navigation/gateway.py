@@ -16,6 +16,7 @@ from bridge.doctor.hub_problems import Note, absence
 from bridge.hub.endpoints.subscription import HubSample
 from bridge.hub.wire.qos import LATCHED
 from bridge.messages.errors import ConversionError
+from navigation import nav2_errors
 
 STATUS_TOPIC, STATUS = "/navigation/status", "midspan_msgs/msg/NavigationStatus"
 PATIENCE = 5.0
@@ -145,6 +146,17 @@ def place_text(stamped: dict[str, Any], *, heading: bool = True) -> str:
 
 
 def state_text(status: dict[str, Any]) -> str:
-    """A ``NavigationStatus`` in words: its state, and why."""
-    state, reason = str(status["state"]).replace("_", " "), status["reason"]
-    return f"{state}: {reason}" if reason else state
+    """Return a ``NavigationStatus`` as text: the state and the reason."""
+    state, reason = str(status["state"]).replace("_", " "), str(status["reason"])
+    text = reason_text(reason, int(status.get("error_code", 0)))
+    return f"{state}: {text}" if text else state
+
+
+def reason_text(reason: str, code: int) -> str:
+    """Return a reason with the meaning of Nav2's error code, if the code is one of Nav2's and the reason lacks it."""
+    meaning = nav2_errors.reason(code)
+    if not meaning or f"Nav2 {code}" in reason:
+        return reason
+    if meaning in reason:
+        return f"{reason} (Nav2 {code})"
+    return f"{meaning} (Nav2 {code})" + (f": {reason}" if reason else "")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import base64
+import contextlib
 import math
 import sys
 import time
@@ -21,37 +22,40 @@ from bridge.cli.navigation.gateway import (
     gateway_caller,
     no_answer,
     place_text,
+    reason_text,
     state_text,
 )
 from bridge.cli.output import CliError, clean, print_json
 from navigation.constraints import Constraints
 
 ACTION = "/navigate_to_pose"
-INTERRUPTED = 130
 _PERIOD, _PERIOD_SCREEN = 5.0, 0.5
 _ASK_SECONDS = 10.0
 _MOST_NEWS = 100
+_TERMINATED = (129, 143)
+"""Exit codes for SIGHUP and SIGTERM."""
 
 
 def register(parser: argparse.ArgumentParser) -> None:
     """Describe the verb and its arguments."""
     parser.description = (
-        "Drives to a location or an area of the store, or to a pose on the map, by the chosen planner, and shows the"
-        " progress. Ctrl-C cancels the goal. Exit code 0: arrived, 1: not, 130: cancelled by Ctrl-C."
+        "Drives to a location or an area of the store, or to a pose on the map, with the chosen planner, and shows the"
+        " progress. Ctrl-C, SIGTERM and SIGHUP cancel the goal. Exit code 0: arrived, 1: not arrived, 130, 143 and 129:"
+        " canceled by these signals."
     )
     parser.epilog = "Examples: midspan goto kitchen; midspan goto 1.0 -2.0 90; midspan goto -1.5 2"
     parser.add_argument(
-        "where", nargs="+", metavar="PLACE | X Y [DEGREES]", help="a name, or metres and degrees; without: any heading"
+        "where", nargs="+", metavar="PLACE | X Y [DEGREES]", help="a name, or meters and degrees; default: any heading"
     )
     parser.add_argument("--frame", default="", help="frame of the pose (default: that of maps)")
-    parser.add_argument("--timeout", type=float, metavar="SECONDS", help="cancel the goal when it takes longer")
+    parser.add_argument("--timeout", type=float, metavar="SECONDS", help="cancel the goal if it takes longer")
     parser.add_argument("--json", action="store_true", help="print each change, and the end, as one line of JSON")
     add_hub_arguments(parser)
     parser.set_defaults(run=run)
 
 
 def run(args: argparse.Namespace) -> int:
-    """Drive there; the exit code."""
+    """Drive there; returns the exit code."""
     numbers = _numbers(args.where)
     with open_client(args) as client, Interrupt() as interrupt:
         types = Types(client)
@@ -69,16 +73,16 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _numbers(words: list[str]) -> list[float] | None:
-    """The numbers of a pose; None where it is the name of a place. Raises `CliError`."""
+    """Return the numbers of a pose, None for the name of a place; raises `CliError`."""
     if len(words) == 1:
         return None
     try:
-        found = [float(word) for word in words]
+        numbers = [float(word) for word in words]
     except ValueError:
-        found = []
-    if len(found) not in (2, 3) or not all(map(math.isfinite, found)):
-        raise CliError(f"give a place's name (quoted, where it has blanks) or X Y [DEGREES], not {' '.join(words)!r}")
-    return found
+        numbers = []
+    if len(numbers) not in (2, 3) or not all(map(math.isfinite, numbers)):
+        raise CliError(f"give a place's name (quoted if it has blanks) or X Y [DEGREES], not {' '.join(words)!r}")
+    return numbers
 
 
 def _of_place(client: CliClient, types: Types, name: str) -> dict[str, Any]:
@@ -100,7 +104,7 @@ def _of_pose(client: CliClient, numbers: list[float], frame: str) -> dict[str, A
 
 
 class GoalProgress:
-    """Prints each change of the goal's state, and now and then the distance, where asked as JSON."""
+    """Prints each change of the goal's state, and the distance every few seconds; as JSON lines if asked to."""
 
     def __init__(self, goal_id: bytes, *, as_json: bool) -> None:
         self.as_json = as_json
@@ -112,30 +116,34 @@ class GoalProgress:
         self._due = 0.0
 
     def take(self, status: dict[str, Any]) -> None:
-        """Take a status of the gateway, on a thread of zenoh."""
+        """Store a ``NavigationStatus`` for `refresh`; called on a thread of zenoh."""
         if status["goal_id"] == self._goal:
             self._news.append(status)
 
     def feedback(self, feedback: dict[str, Any]) -> None:
-        """Take the planner's feedback."""
-        left = feedback.get("distance_remaining")
-        self._left = float(left) if isinstance(left, int | float) and math.isfinite(left) else None
+        """Update the distance from the planner's feedback.
 
-    def look(self) -> None:
-        """Tell what is new."""
+        Before its first path, Nav2 and RobotPathPlanner send 0.0, and `move_base` has none: then it is unknown.
+        """
+        left = feedback.get("distance_remaining")
+        known = isinstance(left, int | float) and math.isfinite(left) and left > 0.0
+        self._left = float(left) if known else None  # type: ignore[arg-type]
+
+    def refresh(self) -> None:
+        """Print what has changed, and the distance when it is due."""
         while self._news:
             status, before = self._news.popleft(), self._status
             self._status = status
             if before is None or (status["state"], status["reason"]) != (before["state"], before["reason"]):
-                self._tell(status, changed=True)
+                self._print(status, changed=True)
         if self._status is not None and self._left is not None and time.monotonic() >= self._due:
-            self._tell(self._status, changed=False)
+            self._print(self._status, changed=False)
 
-    def _tell(self, status: dict[str, Any], *, changed: bool) -> None:
+    def _print(self, status: dict[str, Any], *, changed: bool) -> None:
         self._due = time.monotonic() + (_PERIOD_SCREEN if self._screen else _PERIOD)
         if self.as_json:
-            told = {"state": status["state"], "reason": status["reason"], "distance": self._left}
-            print_json(told, lines=True)
+            row = {"state": status["state"], "reason": status["reason"], "distance": self._left}
+            print_json(row, lines=True)
             return
         line = clean(state_text(status)) + ("" if self._left is None else f", {self._left:.1f} m to go")
         if self._screen:
@@ -144,7 +152,7 @@ class GoalProgress:
             print(line, flush=True)
 
     def end(self) -> None:
-        """Leave the line of the progress."""
+        """Leave the progress line."""
         if self._screen:
             print()
 
@@ -154,17 +162,23 @@ def _drive(sent: FollowedGoal, goal: dict[str, Any], progress: GoalProgress, tim
         anyhow = ", in any heading" if "behavior_tree" in goal else ""
         print(f"to {clean(place_text(goal['pose'], heading=not anyhow))}{anyhow}", flush=True)
     try:
-        end, interrupted = sent.run(goal, timeout, progress.feedback, progress.look, progress.end)
-    finally:
-        progress.look()
+        end = sent.run(goal, timeout, progress.feedback, progress.refresh, progress.end)
+    except CliError:
         progress.end()
-    state, why = STATES.get(end["status"], f"state {end['status']}"), str(end["result"].get("error_msg", ""))
+        raise
+    state, code = STATES.get(end.status, "unknown"), int(end.result.get("error_code", 0))
+    why = reason_text(str(end.result.get("error_msg", "")), code)
+    if end.code in _TERMINATED:  # `FollowedGoal` has reported the end
+        with contextlib.suppress(OSError):  # the terminal may be closed
+            if progress.as_json:
+                print_json({"status": state, "reason": why, "code": code}, lines=True)
+        return end.code
+    progress.refresh()
+    progress.end()
     if progress.as_json:
-        print_json({"status": state, "reason": why, "code": end["result"].get("error_code", 0)}, lines=True)
-    elif end["status"] == SUCCEEDED:
+        print_json({"status": state, "reason": why, "code": code}, lines=True)
+    elif end.status == SUCCEEDED:
         print("arrived")
     else:
         print(f"midspan: {state}" + (f": {clean(why)}" if why else ""), file=sys.stderr)
-    if interrupted:
-        return INTERRUPTED
-    return 0 if end["status"] == SUCCEEDED else 1
+    return end.code or (0 if end.status == SUCCEEDED else 1)

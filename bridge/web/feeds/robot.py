@@ -226,7 +226,8 @@ class DrivingFeed(TopicsFeed):
 
     def _progress(self, message: dict[str, Any]) -> None:
         left = float(message["feedback"]["distance_remaining"])
-        self._distance = round(left, 1) if math.isfinite(left) else None
+        # before its first path Nav2 sends 0.0
+        self._distance = round(left, 1) if math.isfinite(left) and left > 0.0 else None
         self._say()
 
     def _tell(self) -> None:

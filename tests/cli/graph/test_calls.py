@@ -16,7 +16,7 @@ from bridge.messages.registry import Registry
 from bridge.modules.action_server import Goal
 from bridge.modules.host import ModuleNode
 from bridge.modules.loop import EventLoop
-from tests.cli.conftest import Midspan
+from tests.cli.conftest import Midspan, Outcome
 from tests.cli.workers import FakeWorker
 from tests.support.hub import HubNetwork
 from tests.support.wait import until
@@ -31,6 +31,7 @@ class Robot:
         self.loop = EventLoop("robot")
         self.node = ModuleNode(Hub.open(network.settings("robot")), registry, self.loop, SYSTEM)
         self.goals: list[Goal] = []
+        self.obeys = True
         self.loop.start()
         self.node.server("/lamp", BOOL, self.switch)
         self.node.action_server("/lookup", LOOKUP, self.take, self.cancel)
@@ -48,7 +49,8 @@ class Robot:
         return bool(goal.goal["target_frame"] != "no")
 
     def cancel(self, goal: Goal) -> bool:
-        self.loop.post(goal.canceled)
+        if self.obeys:
+            self.loop.post(goal.canceled)
         return True
 
     def close(self) -> None:
@@ -153,7 +155,56 @@ def test_a_goal_is_cancelled_after_its_time_and_by_ctrl_c(midspan: Midspan, robo
     thread.start()
     outcome = midspan("action", "send", "/lookup", "{target_frame: slow}")
     thread.join()
-    assert (outcome.code, outcome.out.split()[0]) == (1, "canceled")
+    assert (outcome.code, outcome.out.split()[0]) == (130, "canceled")
+
+
+@pytest.mark.parametrize(("number", "code"), [(signal.SIGTERM, 143), (signal.SIGHUP, 129)])
+def test_a_signal_cancels_the_goal(midspan: Midspan, robot: Robot, number: signal.Signals, code: int) -> None:
+    outcome = signaled(midspan, robot, number)
+    assert (outcome.code, outcome.out.split()[0]) == (code, "canceled")
+    assert outcome.err == f"midspan: {number.name}: the goal was canceled\n"
+
+
+def test_a_goal_that_does_not_end_after_a_signal(
+    midspan: Midspan, robot: Robot, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("bridge.cli.graph.goal.CONFIRM_SECONDS", 0.5)
+    robot.obeys = False
+    outcome = signaled(midspan, robot, signal.SIGTERM)
+    assert (outcome.code, outcome.out.split()[0]) == (143, "unknown")
+    assert outcome.err.startswith("midspan: SIGTERM: the goal has not ended within 0.5 s after its cancellation")
+
+
+def test_a_second_signal_does_not_break_off_the_cancellation(midspan: Midspan, robot: Robot) -> None:
+    """As systemd and shells send SIGTERM and SIGHUP together."""
+    outcome = signaled(midspan, robot, signal.SIGTERM, signal.SIGHUP, signal.SIGTERM)
+    assert outcome.code in (143, 129)  # Python handles signals that wait together by their numbers
+    assert outcome.err.endswith(": the goal was canceled\n")
+    assert len(outcome.err.splitlines()) == 1
+
+
+def test_an_ignored_hangup_stays_ignored(midspan: Midspan, robot: Robot) -> None:
+    before = signal.signal(signal.SIGHUP, signal.SIG_IGN)
+    try:
+        outcome = signaled(midspan, robot, signal.SIGHUP, signal.SIGTERM)
+    finally:
+        signal.signal(signal.SIGHUP, before)
+    assert outcome.code == 143
+
+
+def signaled(midspan: Midspan, robot: Robot, *numbers: signal.Signals) -> Outcome:
+    """Send a goal, and these signals to this process once the server has it."""
+
+    def send() -> None:
+        until(lambda: robot.goals, "the goal is there")
+        for number in numbers:
+            os.kill(os.getpid(), number)
+
+    thread = threading.Thread(target=send)
+    thread.start()
+    outcome = midspan("action", "send", "/lookup", "{target_frame: slow}")
+    thread.join()
+    return outcome
 
 
 def test_a_server_that_leaves_ends_the_goal(midspan: Midspan, robot: Robot) -> None:

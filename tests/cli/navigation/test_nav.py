@@ -7,6 +7,8 @@ import json
 import math
 import os
 import signal
+import subprocess
+import sys
 import threading
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -17,7 +19,14 @@ import pytest
 from PIL import Image
 
 from bridge.cli.client import connect
-from bridge.cli.navigation.gateway import STATUS, STATUS_TOPIC, gateway_status, no_answer
+from bridge.cli.navigation.gateway import (
+    STATUS,
+    STATUS_TOPIC,
+    gateway_status,
+    no_answer,
+    reason_text,
+    state_text,
+)
 from bridge.cli.navigation.goto import GoalProgress
 from bridge.config.model import Config
 from bridge.hub.wire.qos import Durability, Qos
@@ -88,7 +97,7 @@ def where(goal: Any) -> tuple[float, float, float]:
 def test_progress_tells_each_change_with_its_reason(capsys: pytest.CaptureFixture[str]) -> None:
     mine, other = (base64.b64encode(bytes([number] * 16)).decode() for number in (1, 2))
     progress = GoalProgress(bytes([1] * 16), as_json=False)
-    progress.look()
+    progress.refresh()
     for goal, state, reason in (
         (mine, "moving", ""),
         (other, "aborted", "not ours"),
@@ -98,10 +107,67 @@ def test_progress_tells_each_change_with_its_reason(capsys: pytest.CaptureFixtur
     ):
         progress.take({"goal_id": goal, "state": state, "reason": reason})
     progress.feedback({"distance_remaining": 3.25})
-    progress.look()
-    progress.look()
+    progress.refresh()
+    progress.refresh()
     told = ["moving, 3.2 m to go", "waiting obstacle: a chair stands in the way, 3.2 m to go", "moving, 3.2 m to go"]
     assert capsys.readouterr().out.splitlines() == told
+
+
+@pytest.mark.parametrize(
+    "feedback",
+    [
+        pytest.param({"distance_remaining": 0.0}, id="nav2-before-its-path"),
+        pytest.param({"distance_remaining": math.nan}, id="move_base-without-a-pose"),
+        pytest.param({"distance_remaining": None}, id="none"),
+        pytest.param({"distance_remaining": -1.0}, id="negative"),
+        pytest.param({}, id="absent"),
+    ],
+)
+@pytest.mark.parametrize("as_json", [False, True])
+def test_no_distance_is_printed_before_it_is_known(
+    capsys: pytest.CaptureFixture[str], feedback: dict[str, Any], *, as_json: bool
+) -> None:
+    progress = GoalProgress(bytes([1] * 16), as_json=as_json)
+    goal = base64.b64encode(bytes([1] * 16)).decode()
+
+    def printed(state: str, **distance: Any) -> str:
+        progress.feedback(distance)
+        progress.take({"goal_id": goal, "state": state, "reason": ""})
+        progress.refresh()
+        return capsys.readouterr().out
+
+    unknown = '{"state": "moving", "reason": "", "distance": null}' if as_json else "moving"
+    known = '{"state": "thinking", "reason": "", "distance": 3.25}' if as_json else "thinking, 3.2 m to go"
+    assert printed("moving", **feedback) == f"{unknown}\n"
+    assert printed("thinking", distance_remaining=3.25) == f"{known}\n"
+    assert printed("moving", **feedback) == f"{unknown}\n"  # from a planner that was replaced
+
+
+@pytest.mark.parametrize(
+    ("code", "message", "text"),
+    [
+        (208, "", "no path to the goal (Nav2 208)"),
+        (204, "nav2 gave it up", "the goal is outside the map (Nav2 204): nav2 gave it up"),
+        (208, "no path to the goal", "no path to the goal (Nav2 208)"),
+        (208, "no path to the goal (Nav2 208)", "no path to the goal (Nav2 208)"),
+        (9006, "no way leads there", "no way leads there"),
+        (0, "", ""),
+        (77, "", ""),
+    ],
+)
+def test_codes_of_nav2_have_words(code: int, message: str, text: str) -> None:
+    assert reason_text(message, code) == text
+    status = {"state": "aborted", "reason": message, "error_code": code}
+    assert state_text(status) == (f"aborted: {text}" if text else "aborted")
+
+
+def test_an_end_with_a_code_of_nav2(rig: Rig, midspan: Midspan) -> None:
+    outcome = beside(midspan, ["1", "2", "0"], lambda: rig.planner.give_up(rig.planner.until(1), "", 208))
+    assert outcome.code == 1
+    assert "midspan: aborted: no path to the goal (Nav2 208)" in outcome.err
+    outcome = beside(midspan, ["--json", "1", "2", "0"], lambda: rig.planner.give_up(rig.planner.until(2), "", 102))
+    assert outcome.lines()[-1]["code"] == 102
+    assert outcome.lines()[-1]["reason"].startswith("a transform is missing or too old (Nav2 102)")
 
 
 def test_to_a_place_with_progress(rig: Rig, midspan: Midspan) -> None:
@@ -146,11 +212,56 @@ def test_ctrl_c_cancels_and_so_does_the_time_out(rig: Rig, midspan: Midspan) -> 
 
     outcome = beside(midspan, ["the hall"], interrupt)
     assert outcome.code == 130
-    assert "Ctrl-C: the goal is being cancelled" in outcome.err
+    assert "Ctrl-C: the goal is being canceled" in outcome.err
     outcome = beside(midspan, ["--timeout", "0.5", "kitchen"], lambda: None)
     assert outcome.code == 1
     assert "0.5 s are over" in outcome.err
     until(lambda: not rig.gateway.driving, "nothing drives")
+
+
+@pytest.mark.parametrize(("number", "code"), [(signal.SIGTERM, 143), (signal.SIGHUP, 129)])
+def test_a_signal_cancels_the_goal(rig: Rig, midspan: Midspan, number: signal.Signals, code: int) -> None:
+    """The process reports in one line that the goal was canceled, and no client is reported as cut off."""
+    goto = process(midspan, "kitchen")
+    goal = rig.planner.until(1)
+    rig.state(State.MOVING)
+    goto.send_signal(number)
+    out, err = goto.communicate(timeout=20)
+    assert (goto.returncode, err) == (code, f"midspan: {number.name}: the goal was canceled\n")
+    assert out.splitlines()[0] == "to 2.50, 1.00 m, 90 degrees in map"
+    assert not goal.active
+    until(lambda: not rig.gateway.driving, "nothing drives")
+    assert not [status for status in rig.statuses if "machine" in status["reason"]]
+
+
+def test_a_closed_output_cancels_the_goal(rig: Rig, midspan: Midspan) -> None:
+    """As in ``midspan goto kitchen | head -1``."""
+    goto = process(midspan, "kitchen")
+    assert goto.stdout is not None
+    goal = rig.planner.until(1)
+    goto.stdout.close()
+    rig.planner.tell(goal, State.WAITING, "a chair stands in the way")
+    assert goto.wait(20) == 0
+    assert goto.stderr is not None
+    assert goto.stderr.read() == "midspan: the output was closed: the goal was canceled\n"
+    goto.stderr.close()
+    until(lambda: not rig.gateway.driving, "nothing drives")
+
+
+def test_a_killed_client_is_not_said_to_be_on_another_machine(rig: Rig, midspan: Midspan) -> None:
+    goto = process(midspan, "kitchen")
+    rig.planner.until(1)
+    rig.state(State.MOVING)
+    goto.kill()
+    goto.communicate(timeout=20)
+    reason = rig.state(State.ABORTED)["reason"]
+    assert "the client that gave the goal is gone: the program has ended" in reason
+
+
+def process(midspan: Midspan, *words: str) -> subprocess.Popen[str]:
+    """``midspan goto`` as a process of its own."""
+    command = [sys.executable, "-m", "bridge.cli.main", "goto", *words, "--config", str(midspan.config)]
+    return subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
 
 
 @pytest.mark.parametrize(
