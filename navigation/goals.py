@@ -1,4 +1,4 @@
-"""Goals of the hub: the places that they name, the goal at hand, and whether its client is still there."""
+"""Goals of the hub: the places that they name, the current goal, and the presence of its client."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from navigation.maps.grid import yaw_of
 from navigation.pose import Pose
 from navigation.status import NO_GOAL, Fault, PlanError, PlannerStatus, State
 
-_FARTHEST = 1e6  # metres; no map is as large, and sums of far greater numbers say nothing any more
+_FARTHEST = 1e6  # meters; no map is as large, and sums of far larger numbers lose their precision
 
 
 @dataclass(frozen=True)
@@ -31,10 +31,10 @@ class MapPlace:
 def goal_of(
     goal: Mapping[str, Any], frames: RobotFrames, maps: Callable[[], Collection[str]]
 ) -> tuple[MapPlace, Constraints]:
-    """What a ``NavigateToPose`` goal asks for; raises `PlanError` if it says none; the text says why.
+    """Return the place and the constraints of a ``NavigateToPose`` goal; raises `PlanError` with the reason.
 
-    Its frame is the map's, any that is on `/tf`, or the name of a map that ``maps`` lists; where that is no name of a
-    topic's, the goal's text says it: ``midspan: map=NAME``.
+    The goal's frame is that of maps, any frame on `/tf`, or the name of a map that ``maps`` lists. A map whose name is
+    not a valid frame is named in the goal's text: ``midspan: map=NAME``.
     """
     try:
         wanted = Constraints.from_text(goal["behavior_tree"])
@@ -44,9 +44,9 @@ def goal_of(
     place, turn = stamped["pose"]["position"], stamped["pose"]["orientation"]
     theta = yaw_of(turn)
     if not all(map(math.isfinite, (place["x"], place["y"], theta))):
-        raise PlanError(Fault.BAD_GOAL, f"a goal is a place: x, y and heading are numbers, not {place} and {turn}")
+        raise PlanError(Fault.BAD_GOAL, f"the goal's x, y and heading must be finite, not {place} and {turn}")
     if max(abs(place["x"]), abs(place["y"])) > _FARTHEST:
-        raise PlanError(Fault.BAD_GOAL, f"a goal is within {_FARTHEST:g} m, not at {place['x']:g}, {place['y']:g}")
+        raise PlanError(Fault.BAD_GOAL, f"the goal is farther than {_FARTHEST:g} m: {place['x']:g}, {place['y']:g}")
     pose, frame = Pose(place["x"], place["y"], theta), stamped["header"]["frame_id"].lstrip("/")
     if frame in ("", frames.map_frame):
         return MapPlace(wanted.map, pose), wanted
@@ -60,33 +60,33 @@ def goal_of(
 
 
 class CurrentGoal:
-    """The goal of the hub's action at hand; ``stop`` is called with why, once it is cancelled, and ends it."""
+    """The current goal of the hub's action; its cancellation calls ``stop`` with the reason, which ends the goal."""
 
     def __init__(self, loop: EventLoop, stop: Callable[[str], Any]) -> None:
         self._loop, self._stop = loop, stop
-        self.goal: Goal | None = None  # none where there is none
+        self.goal: Goal | None = None
 
     @property
     def id(self) -> bytes:
-        """Its 16 bytes; zeros for none."""
+        """The goal's 16 bytes, zeros without a goal."""
         return self.goal.id if self.goal else NO_GOAL
 
     def replace(self, goal: Goal | None) -> None:
-        """Another takes its place."""
+        """End the goal and execute another one."""
         self.end(PlannerStatus(State.IDLE, "another goal took its place", Fault.OTHER))
         self.goal = goal
         if goal is not None:
             goal.execute()
 
     def cancel(self, goal: Goal) -> bool:
-        """A client cancels a goal; whether it is this one."""
+        """Handle a client's cancellation of a goal; return whether it is this one."""
         if goal is not self.goal:
             return False
         self._loop.post(lambda: self._stop("cancelled") if goal is self.goal else None)
         return True
 
     def end(self, status: PlannerStatus) -> None:
-        """End the goal with this status; `State.IDLE` if it was stopped."""
+        """End the goal with this status; `State.IDLE` means canceled."""
         goal, self.goal = self.goal, None
         if goal is None:
             return
@@ -100,38 +100,38 @@ def result(fault: int, reason: str) -> dict[str, Any]:
 
 
 _EVERY = 0.25
-_LOOKS = 3  # so often in a row no client is seen before that counts: a link may be made again
+_MISSES = 3  # checks in a row without a client before it counts as gone: a link may be reopened
 
-GONE = "who gave the goal is gone, and nobody is left who could cancel it"
-CUT_OFF = "who gave the goal is on another machine, and is not seen any more: the link is cut, or the program has ended"
+GONE = "the client that gave the goal is gone, and no other client could cancel it"
+CUT_OFF = "the client that gave the goal is gone: the program has ended, or the link to its machine is cut"
 
 
 class Clients:
-    """Watches the clients of an action while it has a goal: where all have gone, their link was cut.
+    """Watches the clients of an action while it has a goal.
 
-    ``gone`` is called once all have gone that were there, while a goal is under way.
+    If all of them disappear, the link to them is cut: ``gone`` is called once.
     """
 
     def __init__(self, host: Host, server: ActionServer, gone: Callable[[], None]) -> None:
         self._server, self._gone = server, gone
         self._seen, self._missed = False, 0
-        host.loop.every(_EVERY, self._look)
+        host.loop.every(_EVERY, self._check)
 
-    def _look(self) -> None:
+    def _check(self) -> None:
         if not self._server.active:
             self._seen, self._missed = False, 0
         elif self._server.clients:
             self._seen, self._missed = True, 0
         elif self._seen:
             self._missed += 1
-            if self._missed >= _LOOKS:
+            if self._missed >= _MISSES:
                 self._seen = False
                 self._gone()
 
 
 @dataclass
 class _Far:
-    """A goal's client: whether it is on this machine, was ever seen, and how often it was missed in a row."""
+    """A goal's client: whether it is linked directly, was ever seen, and was missing in how many checks in a row."""
 
     near: bool = False
     seen: bool = False
@@ -139,26 +139,26 @@ class _Far:
 
 
 class FarClients:
-    """Watches the clients of goals on other machines: one that is cut off can stop no robot.
+    """Watches the clients that reach this session through a router: a client that is cut off cannot stop the robot.
 
-    A client of this machine may end, and its goal goes on: its session tells it from others, which is this one or has a
-    direct link. ``gone`` is called with a goal once its client is not there any more.
+    They are the clients on other machines, and short-lived programs of this machine such as ``midspan goto``. The goal
+    of a client with a direct link goes on when the client ends. ``gone`` is called with the goal of a missing client.
     """
 
     def __init__(self, host: Host, server: ActionServer, gone: Callable[[Goal], None]) -> None:
         self._hub, self._server, self._gone = host.node.hub, server, gone
         self._known: dict[bytes, _Far] = {}
         server.met = self._meet
-        host.loop.every(_EVERY, self._look)
+        host.loop.every(_EVERY, self._check)
 
     def _meet(self, goal: Goal) -> None:
-        """As it comes: whoever sent it may be cut off before the next look."""
+        """Note the client when the goal arrives: the link may be cut before the next check."""
         if goal.client:
             self._known[goal.id] = far = _Far()
             self._see(far, goal, self._near())
 
     def _near(self) -> set[str]:
-        """The sessions of this machine; another module's node has the same one."""
+        """Return the sessions with a direct link, and this one, which the nodes of all modules share."""
         return self._hub.neighbours() | {self._hub.zid}
 
     def _see(self, far: _Far, goal: Goal, near: Collection[str]) -> None:
@@ -167,7 +167,7 @@ class FarClients:
         far.seen = far.seen or bool(session)
         far.missed = 0 if session else far.missed + 1
 
-    def _look(self) -> None:
+    def _check(self) -> None:
         goals = [goal for goal in self._server.active if goal.client]
         self._known = {goal.id: self._known.get(goal.id) or _Far() for goal in goals}
         if not goals:
@@ -176,5 +176,5 @@ class FarClients:
         for goal in goals:
             far = self._known[goal.id]
             self._see(far, goal, near)
-            if far.seen and not far.near and far.missed >= _LOOKS:
+            if far.seen and not far.near and far.missed >= _MISSES:
                 self._gone(goal)
