@@ -13,14 +13,14 @@ _Policy = TypeVar("_Policy", bound=IntEnum)
 
 
 def parse_qos(text: str) -> tuple[Qos, ...]:
-    """The profiles that a topic's publishers offered, each once; none where the text says nothing readable."""
+    """Return the different profiles that a topic's publishers offered; none if the text is unreadable."""
     return tuple(dict.fromkeys(map(_qos, _profiles(text))))
 
 
 def merged_qos(offered: tuple[Qos, ...]) -> Qos:
-    """One profile for all publishers of a topic; the usual one where there is none.
+    """Return one profile for all publishers of a topic; without publishers, the default one.
 
-    It is transient local where any of them is, best effort where all are, and as deep as the deepest.
+    It is transient local if any publisher is, best effort if all are, and as deep as the deepest.
     """
     if not offered:
         return Qos()
@@ -36,7 +36,7 @@ def merged_qos(offered: tuple[Qos, ...]) -> Qos:
 
 
 def qos_yaml(offered: tuple[Qos, ...]) -> str:
-    """QoS profiles as rosbag2 writes them since version 9 of its metadata: YAML with the policies' names."""
+    """Return QoS profiles as rosbag2 writes them from version 9 of its metadata: YAML with the names of policies."""
     return "\n".join(_profile(qos) for qos in offered)
 
 
@@ -61,12 +61,12 @@ def _yaml_time(nanoseconds: int | None) -> str:
 
 
 def rosbag2_time(nanoseconds: int | None) -> tuple[int, int]:
-    """Seconds and nanoseconds of a QoS profile; None is for ever."""
+    """Return a duration as seconds and nanoseconds; None means infinite."""
     return (9_223_372_036, 854_775_807) if nanoseconds is None else divmod(nanoseconds, 1_000_000_000)
 
 
 def load_yaml(text: str) -> Any:
-    """A YAML document of plain values; raises `yaml.YAMLError`. By libyaml, which is quicker, where it is there."""
+    """Parse a YAML document of plain values, with libyaml if it is installed; raises `yaml.YAMLError`."""
     import yaml
 
     return yaml.load(text, getattr(yaml, "CSafeLoader", yaml.SafeLoader))  # noqa: S506 - both are safe
@@ -78,10 +78,10 @@ def _profiles(text: str) -> list[dict[str, Any]]:
     if not text or len(text) > _LONGEST:
         return []
     try:
-        found = load_yaml(text)
+        profiles = load_yaml(text)
     except (yaml.YAMLError, ValueError, RecursionError):
         return []
-    return [each for each in found if isinstance(each, dict)] if isinstance(found, list) else []
+    return [profile for profile in profiles if isinstance(profile, dict)] if isinstance(profiles, list) else []
 
 
 def _qos(profile: dict[str, Any]) -> Qos:
@@ -97,7 +97,7 @@ def _qos(profile: dict[str, Any]) -> Qos:
 
 
 def _nanoseconds(value: Any) -> int | None:
-    """None for what is not limited: rmw's infinite time, and 0 (rmw/types.h)."""
+    """Return a finite duration; None for infinite and unspecified (0) ones (rmw/types.h)."""
     if not isinstance(value, dict):
         return None
     sec, nsec = value.get("sec"), value.get("nsec")

@@ -50,7 +50,7 @@ class HubEndpoint:
     Attributes:
         type_name: as ROS 2 spells it, ``std_msgs/msg/String``.
         gid: the 16 bytes that rmw_zenoh derives from the token; a publisher's samples carry them.
-        origin: the foreign network that the session speaks for, None where it is native or not known yet.
+        origin: the foreign network of the session, None if the endpoint is native or the origin is not known yet.
         pending: a bridge made it, and its origin is not known (yet): nothing of it may cross.
     """
 
@@ -77,8 +77,8 @@ class HubGraph:
     """Nodes, endpoints and origins. Safe to use from any thread.
 
     Attributes:
-        refused: how many tokens were left out because they are malformed or too many.
-        trouble: what was wrong with the last of them.
+        refused: number of tokens left out because they are malformed or too many.
+        trouble: the reason for the last of them.
     """
 
     def __init__(self, session: zenoh.Session, domain: int, max_tokens: int) -> None:
@@ -113,7 +113,7 @@ class HubGraph:
             return list(self._endpoints.values())
 
     def endpoint(self, gid: bytes) -> HubEndpoint | None:
-        """The endpoint with this GID, None where it is not known; not for each sample."""
+        """Return the endpoint with this GID, None if it is unknown; too slow to call for each sample."""
         return next((endpoint for endpoint in self.endpoints() if endpoint.gid == gid), None)
 
     def publishers(self, topic: str | None = None) -> list[HubEndpoint]:
@@ -151,21 +151,21 @@ class HubGraph:
             return {zid: frozenset(members) for zid, members in self._members.items()}
 
     def announce_member(self, member: str) -> Callable[[], None]:
-        """Tell that another session's worker is on our foreign network, until the returned function is called."""
+        """Announce that another session's worker is on our foreign network, until the returned function is called."""
         return self.announce(member_key(self._domain, self._zid, member))
 
     def origin_of(self, zid: str) -> Origin | None:
-        """A session's origin. Quick enough to be asked for each sample."""
+        """Return a session's origin. Fast enough to call for each sample."""
         return self._origins.get(zid)
 
     def zid_of(self, gid: bytes) -> str:
-        """The session of the endpoint with this GID, "" where it is not known."""
+        """Return the session of the endpoint with this GID, "" if it is unknown."""
         return self._zids.get(gid, "")
 
     def watch(self, callback: Callable[[], None]) -> Callable[[], None]:
         """Call ``callback`` after each change, until the returned function is called.
 
-        It runs on a thread of zenoh: it only sets a flag and wakes a thread.
+        It runs on zenoh's thread, so it must only set a flag and wake another thread.
         """
         watch = object()
         self._watches[watch] = callback
@@ -176,10 +176,10 @@ class HubGraph:
         return close
 
     def catch_up(self, seconds: float) -> None:
-        """Wait, in a zenoh client, until the router has sent all that it knew when this was called.
+        """Wait, in a zenoh client, until the router has sent all tokens that it had at the time of the call.
 
-        It answers in order; what it is asked for is nothing that there is, nor that this session watches, as zenoh
-        would answer that by itself.
+        The router answers in order. The key asked for does not exist, and this session does not watch it, because
+        zenoh would answer for a watched one itself.
         """
         for _ in self._liveliness.get(f"{MIDSPAN_SPACE}/{self._domain}/told/{self._zid}", timeout=seconds):
             pass
@@ -198,7 +198,7 @@ class HubGraph:
     def announce(self, key: str) -> Callable[[], None]:
         """Declare a token of this session's own, until the returned function is called."""
         self._own[key] = self._liveliness.declare_token(key)
-        # own tokens are not taken from zenoh, which forgets a client's when it loses its router
+        # not read back from zenoh, which drops a client's tokens when it loses its router
         with self._lock:
             changed = self._put_token(key)
         self._tell(changed)
@@ -237,7 +237,7 @@ class HubGraph:
             self._refuse(key, f"more than {self._max_tokens} origins")
             return False
         tokens = self._origin_tokens.setdefault(token.zid, {})
-        # the newest of a session's origins holds; the one that it replaces goes right after
+        # the newest of a session's origins is valid; the token that it replaces is removed right after
         tokens.pop(key, None)
         tokens[key] = token.origin
         self._settle(token.zid, token.origin)
@@ -281,7 +281,7 @@ class HubGraph:
         return True
 
     def _put_wire(self, key: str, zid: str, version: str, release: str) -> bool:
-        """What a session of a version that cannot be understood carries between networks stays of unknown origin."""
+        """Endpoints of a session with an incompatible version stay of unknown origin."""
         why = refusal(version)
         if not why or zid in self._strangers:
             return False

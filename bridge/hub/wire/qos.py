@@ -7,9 +7,10 @@ a field equal to rmw_zenoh's default profile is left empty.
 
 from __future__ import annotations
 
+from collections.abc import Container
 from dataclasses import dataclass
 from enum import IntEnum
-from typing import TypeVar
+from typing import NamedTuple, TypeVar
 
 from bridge.hub.errors import HubWireError
 
@@ -18,6 +19,12 @@ DEFAULT_DEPTH = 42
 
 _NS = 1_000_000_000
 _INFINITE = (9_223_372_036, 854_775_807)
+BEST_AVAILABLE_NS = _INFINITE[0] * _NS + _INFINITE[1] - 1
+"""The deadline that stands for BEST_AVAILABLE (rmw/types.h, ``RMW_QOS_DEADLINE_BEST_AVAILABLE``)."""
+
+_LIVELINESS = frozenset({1, 2, 3, 5})
+"""rmw's liveliness policies: automatic, manual by node, manual by topic, best available."""
+
 _MAX_DEPTH = 2**31 - 1
 _Policy = TypeVar("_Policy", bound=IntEnum)
 
@@ -27,6 +34,8 @@ class Reliability(IntEnum):
 
     RELIABLE = 1
     BEST_EFFORT = 2
+    BEST_AVAILABLE = 4
+    """Only in what an endpoint announces; the graph resolves it (`bridge.hub.graph.best_available`)."""
 
 
 class Durability(IntEnum):
@@ -34,6 +43,8 @@ class Durability(IntEnum):
 
     TRANSIENT_LOCAL = 1
     VOLATILE = 2
+    BEST_AVAILABLE = 4
+    """Only in what an endpoint announces, as `Reliability.BEST_AVAILABLE`."""
 
 
 class History(IntEnum):
@@ -59,13 +70,22 @@ class Qos:
         """Whether late joiners get past samples (ROS 1 calls it latching)."""
         return self.durability is Durability.TRANSIENT_LOCAL
 
+    @property
+    def best_available(self) -> bool:
+        """Whether a policy is open, to be resolved against the endpoints that match."""
+        return (
+            self.reliability is Reliability.BEST_AVAILABLE
+            or self.durability is Durability.BEST_AVAILABLE
+            or self.deadline_ns == BEST_AVAILABLE_NS
+        )
+
 
 LATCHED = Qos(durability=Durability.TRANSIENT_LOCAL, depth=1)
 """What ROS 1 calls latched: late joiners get the last sample."""
 
 
 def encode_qos(qos: Qos) -> str:
-    """The text of a quality of service in a liveliness token."""
+    """Return the text of a quality of service in a liveliness token."""
     reliability = "" if qos.reliability is Reliability.RELIABLE else str(int(qos.reliability))
     durability = "" if qos.durability is Durability.VOLATILE else str(int(qos.durability))
     history = "" if qos.history is History.KEEP_LAST else str(int(qos.history))
@@ -75,29 +95,61 @@ def encode_qos(qos: Qos) -> str:
 
 
 def decode_qos(text: str) -> Qos:
-    """Read the text of a token; raises `HubWireError`.
+    """Read the text of a token; raises `HubWireError` if it is malformed.
 
-    Where rmw would ask the middleware (``0``, system default) rmw_zenoh's default is taken. A deadline or lifespan of
-    zero is rmw's word for unspecified, thus infinite. The liveliness policy is checked and not kept: a token's own
-    life shows it.
+    A policy that rmw leaves to the middleware (0, system default) or does not define (`unknown_policies`) becomes
+    rmw_zenoh's default. A deadline or lifespan of zero is unspecified in rmw, thus infinite. The liveliness policy is
+    not stored: the token's own life shows it.
     """
+    fields = _fields(text)
+    depth = fields.history[1]
+    if depth is not None and depth > _MAX_DEPTH:
+        raise HubWireError(f"history depth {depth} is out of range")
+    deadline = _decode_time(*fields.deadline)
+    lifespan = _decode_time(*fields.lifespan)
+    return Qos(
+        _policy(Reliability, fields.reliability, Reliability.RELIABLE),
+        _policy(Durability, fields.durability, Durability.VOLATILE),
+        _policy(History, fields.history[0], History.KEEP_LAST),
+        DEFAULT_DEPTH if depth is None else depth,
+        deadline,
+        None if lifespan == BEST_AVAILABLE_NS else lifespan,
+    )
+
+
+def unknown_policies(text: str) -> list[str]:
+    """Describe the policies in the text of a token that rmw does not define; raises `HubWireError` if malformed."""
+    fields = _fields(text)
+    policies: tuple[tuple[str, int | None, Container[int], str], ...] = (
+        ("reliability", fields.reliability, set(Reliability), "reliable"),
+        ("durability", fields.durability, set(Durability), "volatile"),
+        ("history", fields.history[0], set(History), "keep last"),
+        ("liveliness", fields.liveliness[0], _LIVELINESS, "automatic"),
+    )
+    return [
+        f"{name} policy {value} is unknown, so rmw's default ({default}) is used"
+        for name, value, known, default in policies
+        if value and value not in known
+    ]
+
+
+class _Fields(NamedTuple):
+    """The numbers in the text of a token; None for an empty one."""
+
+    reliability: int | None
+    durability: int | None
+    history: list[int | None]
+    deadline: list[int | None]
+    lifespan: list[int | None]
+    liveliness: list[int | None]
+
+
+def _fields(text: str) -> _Fields:
     fields = text.split(":")
     if len(fields) != 6:
         raise HubWireError(f"quality of service {text[:80]!r} has {len(fields)} fields instead of 6")
-    history, depth = _numbers(fields[2], 2)
-    deadline = _numbers(fields[3], 2)
-    lifespan = _numbers(fields[4], 2)
-    _numbers(fields[5], 3)
-    if depth is not None and depth > _MAX_DEPTH:
-        raise HubWireError(f"history depth {depth} is out of range")
-    return Qos(
-        _policy(Reliability, _numbers(fields[0], 1)[0], Reliability.RELIABLE),
-        _policy(Durability, _numbers(fields[1], 1)[0], Durability.VOLATILE),
-        _policy(History, history, History.KEEP_LAST),
-        DEFAULT_DEPTH if depth is None else depth,
-        _decode_time(*deadline),
-        _decode_time(*lifespan),
-    )
+    reliability, durability, *others = (_numbers(*each) for each in zip(fields, (1, 1, 2, 2, 2, 3), strict=True))
+    return _Fields(reliability[0], durability[0], *others)
 
 
 def _encode_time(time_ns: int | None) -> str:
@@ -110,24 +162,17 @@ def _encode_time(time_ns: int | None) -> str:
 def _decode_time(seconds: int | None, nanoseconds: int | None) -> int | None:
     pair = (_INFINITE[0] if seconds is None else seconds, _INFINITE[1] if nanoseconds is None else nanoseconds)
     time_ns = pair[0] * _NS + pair[1]
-    return time_ns if 0 < time_ns < _INFINITE[0] * _NS else None
+    return time_ns if 0 < time_ns < _INFINITE[0] * _NS or time_ns == BEST_AVAILABLE_NS else None
 
 
 def _numbers(field: str, count: int) -> list[int | None]:
     parts = field.split(",")
     if len(parts) != count or any(
-        part and not (part.isascii() and part.isdigit() and len(part) < 20) for part in parts
+        part and not (part.isascii() and part.isdigit() and len(part) <= 20) for part in parts
     ):
         raise HubWireError(f"quality of service has {field[:80]!r} where {count} numbers belong")
     return [int(part) if part else None for part in parts]
 
 
 def _policy(kind: type[_Policy], value: int | None, default: _Policy) -> _Policy:
-    if not value:
-        return default
-    try:
-        return kind(value)
-    except ValueError:
-        raise HubWireError(
-            f"quality of service names {kind.__name__.lower()} policy {value}, which is unknown"
-        ) from None
+    return kind(value) if value in set(kind) else default

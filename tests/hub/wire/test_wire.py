@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from bridge.hub.errors import HubWireError
 from bridge.hub.wire import keys
 from bridge.hub.wire.keys import pack_attachment, unpack_attachment
-from bridge.hub.wire.qos import Durability, History, Qos, Reliability, decode_qos, encode_qos
+from bridge.hub.wire.qos import BEST_AVAILABLE_NS, Durability, History, Qos, Reliability, decode_qos, encode_qos
 
 STRING_HASH = "RIHS01_df668c740482bbd48fb39d76a70dfd4bd59db1288021743503259e948f6b1a18"
 GID = bytes(range(16))
@@ -30,6 +30,15 @@ QOS_READ = [
     ("1:2:1,10:,:,:,,", Qos(depth=10)),
     ("0:0:0,0:0,0:0,0:0,0,0", Qos(depth=0)),
     ("::,:9223372036,854775807:,:1,9223372036,854775807", Qos(depth=42)),
+    ("::,:18446744073709551615,0:0,18446744073709551615:,,", Qos(depth=42)),
+    # rmw's BEST_AVAILABLE; a lifespan cannot be that
+    ("4::,10:,:,:,,", Qos(Reliability.BEST_AVAILABLE)),
+    (":4:,10:,:,:5,,854775806", Qos(durability=Durability.BEST_AVAILABLE)),
+    ("::,10:,854775806:,854775806:,,", Qos(deadline_ns=BEST_AVAILABLE_NS)),
+    # policies that rmw does not define, and its UNKNOWN
+    ("3:3:3,10:,:,:4,,", Qos()),
+    ("9:5:7,10:,:,:77,,", Qos()),
+    ("18446744073709551615::,10:,:,:,,", Qos()),
 ]
 
 BAD_QOS = [
@@ -37,8 +46,10 @@ BAD_QOS = [
     ":::::",
     "::,10:,:,:",
     "::,10:,:,:,,:",
-    "3::,1:,:,:,,",
-    ":9:,1:,:,:,,",
+    "-1::,1:,:,:,,",
+    ":x:,1:,:,:,,",
+    "4.0::,1:,:,:,,",
+    "111111111111111111111::,1:,:,:,,",
     "::,x:,:,:,,",
     "::,-1:,:,:,,",
     "::,٣:,:,:,,",
@@ -61,6 +72,10 @@ def test_qos_text_that_others_write(text: str, qos: Qos):
 def test_bad_qos_text(text: str):
     with pytest.raises(HubWireError):
         decode_qos(text)
+
+
+def test_a_deadline_of_best_available_is_written_as_rmw_does():
+    assert encode_qos(Qos(deadline_ns=BEST_AVAILABLE_NS)) == "::,10:,854775806:,:,,"
 
 
 TIMES = st.none() | st.integers(1, 9_223_372_035 * 10**9)
