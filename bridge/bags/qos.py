@@ -2,18 +2,32 @@
 
 from __future__ import annotations
 
+import logging
 from enum import IntEnum
 from typing import Any, TypeVar
 
 from bridge.hub.wire.qos import Durability, History, Qos, Reliability
 
+_log = logging.getLogger(__name__)
+
 _LONGEST = 1 << 16
 _DEPTH = 1_000_000
+_UNSET = frozenset({0, 3, "system_default", "unknown"})
+"""Values that leave a policy to the middleware, and rmw's UNKNOWN, which Fast DDS reports for each history."""
+
+_MAX_UNKNOWN = 100
+_unknown: set[tuple[str, str]] = set()
+"""Unknown values that this process has reported, by policy; `_MAX_UNKNOWN` at most."""
+
 _Policy = TypeVar("_Policy", bound=IntEnum)
 
 
 def parse_qos(text: str) -> tuple[Qos, ...]:
-    """Return the different profiles that a topic's publishers offered; none if the text is unreadable."""
+    """Return the different profiles that a topic's publishers offered; none if the text is unreadable.
+
+    A policy of BEST_AVAILABLE, which rosbag2 records on rmw_zenoh, is resolved as rmw does for a publisher. A value
+    that rmw does not define becomes the default, with one warning for each value.
+    """
     return tuple(dict.fromkeys(map(_qos, _profiles(text))))
 
 
@@ -86,9 +100,11 @@ def _profiles(text: str) -> list[dict[str, Any]]:
 
 def _qos(profile: dict[str, Any]) -> Qos:
     depth = profile.get("depth")
+    reliability = _policy(profile, "reliability", Reliability.RELIABLE)
+    durability = _policy(profile, "durability", Durability.VOLATILE)
     return Qos(
-        _policy(profile, "reliability", Reliability.RELIABLE),
-        _policy(profile, "durability", Durability.VOLATILE),
+        Reliability.RELIABLE if reliability is Reliability.BEST_AVAILABLE else reliability,
+        Durability.TRANSIENT_LOCAL if durability is Durability.BEST_AVAILABLE else durability,
         _policy(profile, "history", History.KEEP_LAST),
         depth if isinstance(depth, int) and 0 < depth <= _DEPTH else 10,
         _nanoseconds(profile.get("deadline")),
@@ -97,18 +113,32 @@ def _qos(profile: dict[str, Any]) -> Qos:
 
 
 def _nanoseconds(value: Any) -> int | None:
-    """Return a finite duration; None for infinite and unspecified (0) ones (rmw/types.h)."""
+    """Return a finite duration; None for infinite, unspecified (0) and BEST_AVAILABLE (rmw/types.h)."""
     if not isinstance(value, dict):
         return None
     sec, nsec = value.get("sec"), value.get("nsec")
-    if not isinstance(sec, int) or not isinstance(nsec, int) or not (0, 0) < (sec, nsec) < rosbag2_time(None):
+    if not isinstance(sec, int) or not isinstance(nsec, int) or not (0, 0) < (sec, nsec) < (rosbag2_time(None)[0], 0):
         return None
     return sec * 1_000_000_000 + nsec
 
 
-def _policy(profile: dict[str, Any], name: str, usual: _Policy) -> _Policy:
+def _policy(profile: dict[str, Any], name: str, default: _Policy) -> _Policy:
     value = profile.get(name)
-    kind = type(usual)
+    kind = type(default)
     if isinstance(value, str) and value.upper() in kind.__members__:
         return kind[value.upper()]
-    return kind(value) if isinstance(value, int) and value in set(kind) else usual
+    if isinstance(value, int) and value in set(kind):
+        return kind(value)
+    if value is not None and not (isinstance(value, int | str) and value in _UNSET):
+        # a list in YAML may contain itself a million times over
+        text = repr(value)[:40] if isinstance(value, int | float | str) else f"of type {type(value).__name__}"
+        _warn_of_unknown(name, text, default.name.lower())
+    return default
+
+
+def _warn_of_unknown(name: str, value: str, default: str) -> None:
+    if (name, value) not in _unknown and len(_unknown) < _MAX_UNKNOWN:
+        _unknown.add((name, value))
+        _log.warning(
+            "QoS of a recorded topic: %s policy %s is unknown, so rmw's default (%s) is used", name, value, default
+        )

@@ -10,6 +10,7 @@ from threading import Lock
 import zenoh
 
 from bridge.hub.errors import HubWireError
+from bridge.hub.graph.best_available import BestAvailable
 from bridge.hub.graph.tokens import (
     ADMIN_SPACE,
     BRIDGE_ENCLAVE,
@@ -25,11 +26,14 @@ from bridge.hub.graph.tokens import (
     parse_token,
     parse_wire,
 )
-from bridge.hub.wire.qos import Qos
+from bridge.hub.wire.qos import Qos, unknown_policies
 from bridge.hub.wire.version import refusal
 from bridge.hub.zenoh_compat import follow_tokens, undeclare
 
 _log = logging.getLogger(__name__)
+
+_MAX_UNKNOWN = 100
+"""Unknown QoS policies that one graph reports, each once."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,6 +53,7 @@ class HubEndpoint:
 
     Attributes:
         type_name: as ROS 2 spells it, ``std_msgs/msg/String``.
+        qos: with open policies (BEST_AVAILABLE) resolved against the topic's endpoints; it changes with these.
         gid: the 16 bytes that rmw_zenoh derives from the token; a publisher's samples carry them.
         origin: the foreign network of the session, None if the endpoint is native or the origin is not known yet.
         pending: a bridge made it, and its origin is not known (yet): nothing of it may cross.
@@ -91,6 +96,8 @@ class HubGraph:
         self._endpoints: dict[str, HubEndpoint] = {}
         self._marked: set[str] = set()
         self._topics: dict[str, dict[str, HubEndpoint]] = {}
+        self._best_available = BestAvailable()
+        self._unknown: set[str] = set()
         self._sessions: dict[str, dict[str, None]] = {}
         self._origin_tokens: dict[str, dict[str, Origin]] = {}
         self._origins: dict[str, Origin] = {}
@@ -110,6 +117,7 @@ class HubGraph:
     def endpoints(self) -> list[HubEndpoint]:
         """All endpoints, this session's own among them."""
         with self._lock:
+            self._resolve()
             return list(self._endpoints.values())
 
     def endpoint(self, gid: bytes) -> HubEndpoint | None:
@@ -192,6 +200,7 @@ class HubGraph:
 
     def _of_kind(self, kind: EndpointKind, topic: str | None) -> list[HubEndpoint]:
         with self._lock:
+            self._resolve()
             known = self._endpoints if topic is None else self._topics.get(topic, {})
             return [endpoint for endpoint in known.values() if endpoint.kind is kind]
 
@@ -330,6 +339,8 @@ class HubGraph:
         place = owner.zid, owner.node, owner.namespace, token.kind
         own = owner.zid == self._zid
         endpoint = HubEndpoint(*place, *name, token.qos, gid, origin=None, pending=False, own=own)
+        self._warn_of_unknown(key, endpoint)
+        self._best_available.added(key, token.topic, token.qos)
         self._place(key, endpoint)
         return True
 
@@ -338,6 +349,17 @@ class HubGraph:
         endpoint = replace(endpoint, origin=origin, pending=origin is None and key in self._marked)
         self._endpoints[key] = endpoint
         self._topics.setdefault(endpoint.topic, {})[key] = endpoint
+
+    def _resolve(self) -> None:
+        for name, key, qos in self._best_available.resolved(self._topics):
+            self._endpoints[key] = self._topics[name][key] = replace(self._endpoints[key], qos=qos)
+
+    def _warn_of_unknown(self, key: str, endpoint: HubEndpoint) -> None:
+        """Report each unknown policy once, however many endpoints have it."""
+        for policy in unknown_policies(key.rpartition("/")[2]):
+            if policy not in self._unknown and len(self._unknown) < _MAX_UNKNOWN:
+                self._unknown.add(policy)
+                _log.warning("%.200s, %s of node %.100s: %s", endpoint.topic, endpoint.kind, endpoint.node, policy)
 
     def _forget(self, key: str) -> bool:
         endpoint = self._endpoints.pop(key, None)
@@ -351,6 +373,7 @@ class HubGraph:
             del topic[key]
             if not topic:
                 del self._topics[endpoint.topic]
+            self._best_available.removed(key, endpoint.topic, last=not topic)
         keys = self._sessions[known.zid]
         del keys[key]
         if not keys:

@@ -1,0 +1,211 @@
+"""QoS policies that rmw_zenoh leaves open in its tokens (BEST_AVAILABLE), and policies that rmw does not define."""
+
+from __future__ import annotations
+
+import itertools
+import logging
+from collections.abc import Iterator
+
+import pytest
+import zenoh
+from hypothesis import given
+from hypothesis import strategies as st
+
+from bridge.hub.graph.best_available import resolve
+from bridge.hub.graph.tokens import EndpointKind
+from bridge.hub.graph.view import HubGraph
+from bridge.hub.session import Hub
+from bridge.hub.wire.qos import BEST_AVAILABLE_NS, Durability, Qos, Reliability
+from tests.hub.parts import HASH
+from tests.support.hub import HubNetwork
+from tests.support.wait import until
+
+RELIABLE, BEST_EFFORT = Reliability.RELIABLE, Reliability.BEST_EFFORT
+VOLATILE, LATCHED = Durability.VOLATILE, Durability.TRANSIENT_LOCAL
+OPEN = Qos(Reliability.BEST_AVAILABLE, Durability.BEST_AVAILABLE, deadline_ns=BEST_AVAILABLE_NS)
+TOKEN = "4:4:,10:,854775806:,:5,,854775806"
+"""``rmw_qos_profile_best_available`` as rmw_zenoh_cpp 0.2.10 writes it."""
+
+PUBLISHER, SUBSCRIPTION = EndpointKind.PUBLISHER, EndpointKind.SUBSCRIPTION
+
+
+@pytest.mark.parametrize(
+    ("publishers", "expected"),
+    [
+        ([], Qos(RELIABLE, LATCHED)),
+        ([Qos()], Qos(RELIABLE, VOLATILE)),
+        ([Qos(RELIABLE, LATCHED)], Qos(RELIABLE, LATCHED)),
+        ([Qos(RELIABLE, LATCHED), Qos()], Qos(RELIABLE, VOLATILE)),
+        ([Qos(BEST_EFFORT, LATCHED), Qos(RELIABLE, LATCHED)], Qos(BEST_EFFORT, LATCHED)),
+        ([Qos(BEST_EFFORT)], Qos(BEST_EFFORT, VOLATILE)),
+        ([OPEN], Qos(RELIABLE, LATCHED)),
+        ([OPEN, Qos(BEST_EFFORT)], Qos(BEST_EFFORT, VOLATILE)),
+        ([Qos(deadline_ns=5), Qos(deadline_ns=9)], Qos(deadline_ns=9)),
+        ([Qos(deadline_ns=5), Qos()], Qos()),
+    ],
+)
+def test_a_subscription_requests_the_strongest_policy_that_all_publishers_offer(
+    publishers: list[Qos], expected: Qos
+) -> None:
+    announced = {str(number): (PUBLISHER, qos) for number, qos in enumerate(publishers)}
+    assert resolve({**announced, "s": (SUBSCRIPTION, OPEN)})["s"] == expected
+
+
+@pytest.mark.parametrize(
+    ("subscriptions", "deadline_ns"),
+    [
+        ([], None),
+        ([Qos(BEST_EFFORT)], None),
+        ([OPEN, Qos(RELIABLE, LATCHED)], None),
+        ([Qos(deadline_ns=5), Qos(deadline_ns=9), Qos()], 5),
+    ],
+)
+def test_a_publisher_offers_what_every_subscription_accepts(subscriptions: list[Qos], deadline_ns: int | None) -> None:
+    announced = {str(number): (SUBSCRIPTION, qos) for number, qos in enumerate(subscriptions)}
+    resolved = resolve({**announced, "p": (PUBLISHER, OPEN)})
+    assert resolved["p"] == Qos(RELIABLE, LATCHED, deadline_ns=deadline_ns)
+
+
+@pytest.mark.parametrize("kind", [EndpointKind.SERVER, EndpointKind.CLIENT])
+def test_services_have_the_default_profile(kind: EndpointKind) -> None:
+    assert resolve({"s": (kind, OPEN)}) == {"s": Qos()}
+
+
+def test_only_the_open_policies_change() -> None:
+    one_open = Qos(Reliability.BEST_AVAILABLE, VOLATILE, depth=3, deadline_ns=7, lifespan_ns=8)
+    resolved = resolve({"p": (PUBLISHER, Qos(BEST_EFFORT, LATCHED)), "s": (SUBSCRIPTION, one_open)})
+    assert resolved["s"] == Qos(BEST_EFFORT, VOLATILE, depth=3, deadline_ns=7, lifespan_ns=8)
+    assert resolved["p"] == Qos(BEST_EFFORT, LATCHED)
+
+
+DEADLINES = st.sampled_from([None, 5, 9, BEST_AVAILABLE_NS])
+PROFILES = st.builds(Qos, st.sampled_from(Reliability), st.sampled_from(Durability), deadline_ns=DEADLINES)
+
+
+@given(st.lists(st.tuples(st.sampled_from(EndpointKind), PROFILES), max_size=6))
+def test_nothing_stays_open_and_closed_policies_stay(endpoints: list[tuple[EndpointKind, Qos]]) -> None:
+    announced = {str(number): endpoint for number, endpoint in enumerate(endpoints)}
+    resolved = resolve(announced)
+    assert resolved.keys() == announced.keys()
+    for key, (_, qos) in announced.items():
+        assert not resolved[key].best_available
+        if not qos.best_available:
+            assert resolved[key] == qos
+
+
+class RmwNode:
+    """A participant that declares tokens as rmw_zenoh does, with a QoS text of the test's choice."""
+
+    def __init__(self, session: zenoh.Session, domain: int) -> None:
+        self._liveliness, self._numbers = session.liveliness(), itertools.count(1)
+        self._head = f"@ros2_lv/{domain}/{session.zid()}/0"
+
+    def declare(self, letters: str, topic: str, qos: str, type_name: str = "String") -> zenoh.LivelinessToken:
+        """Announce an endpoint: ``MP`` publisher, ``MS`` subscription, ``SS`` server, ``SC`` client."""
+        key = f"{self._head}/{next(self._numbers)}/{letters}/%/%/node/%{topic}"
+        return self._liveliness.declare_token(f"{key}/std_msgs::msg::dds_::{type_name}_/{HASH}/{qos}")
+
+
+@pytest.fixture
+def graph(network: HubNetwork) -> Iterator[HubGraph]:
+    with Hub.open(network.settings("reader")) as hub:
+        yield hub.graph
+
+
+@pytest.fixture
+def node(network: HubNetwork) -> Iterator[RmwNode]:
+    with network.program() as session:
+        yield RmwNode(session, network.domain)
+
+
+def until_subscription(graph: HubGraph, reliability: Reliability, durability: Durability) -> None:
+    expected = Qos(reliability, durability)
+    until(lambda: [s.qos for s in graph.subscriptions("/t")] == [expected], f"the subscription resolves to {expected}")
+
+
+def test_a_subscription_of_rmw_zenoh_follows_the_publishers(graph: HubGraph, node: RmwNode) -> None:
+    subscription = node.declare("MS", "t", TOKEN)
+    until_subscription(graph, RELIABLE, LATCHED)
+    latched = node.declare("MP", "t", ":1:,1:,:,:,,")
+    until(lambda: graph.publishers("/t"), "the latched publisher")
+    until_subscription(graph, RELIABLE, LATCHED)
+    volatile = node.declare("MP", "t", "::,7:,:,:,,")
+    until_subscription(graph, RELIABLE, VOLATILE)
+    best_effort = node.declare("MP", "t", "2::,7:,:,:,,")
+    until_subscription(graph, BEST_EFFORT, VOLATILE)
+    best_effort.undeclare()
+    until_subscription(graph, RELIABLE, VOLATILE)
+    volatile.undeclare()
+    until_subscription(graph, RELIABLE, LATCHED)
+    latched.undeclare()
+    subscription.undeclare()
+    until(lambda: not graph.endpoints(), "all are gone")
+    assert graph.refused == 0
+
+
+def test_publishers_of_another_topic_or_type_do_not_match(graph: HubGraph, node: RmwNode) -> None:
+    tokens = [
+        node.declare("MP", "other", "2::,7:,:,:,,"),
+        node.declare("MP", "t", "2::,7:,:,:,,", "Int32"),
+        node.declare("MS", "t", TOKEN),
+    ]
+    until(lambda: len(graph.endpoints()) == len(tokens), "all endpoints")
+    until_subscription(graph, RELIABLE, LATCHED)
+
+
+@pytest.mark.parametrize(
+    ("letters", "expected"),
+    [("MP", Qos(RELIABLE, LATCHED)), ("MS", Qos(RELIABLE, LATCHED)), ("SS", Qos()), ("SC", Qos())],
+)
+def test_each_kind_of_endpoint_is_on_the_graph(graph: HubGraph, node: RmwNode, letters: str, expected: Qos) -> None:
+    token = node.declare(letters, "t", TOKEN)
+    until(lambda: [e.qos for e in graph.endpoints()] == [expected], f"an endpoint {letters} with {expected}")
+    assert graph.refused == 0
+    token.undeclare()
+    until(lambda: not graph.endpoints(), "it is gone")
+
+
+@pytest.mark.parametrize(
+    ("qos", "warning"),
+    [
+        ("7::,10:,:,:,,", "reliability policy 7"),
+        ("3::,10:,:,:,,", "reliability policy 3"),
+        (":99:,10:,:,:,,", "durability policy 99"),
+        ("::4,10:,:,:,,", "history policy 4"),
+        ("::,10:,:,:4,,", "liveliness policy 4"),
+        ("::,10:,:,:6,,", "liveliness policy 6"),
+        ("18446744073709551615::,10:,:,:,,", "reliability policy 18446744073709551615"),
+    ],
+)
+def test_an_unknown_policy_takes_the_default_with_one_warning(
+    graph: HubGraph, node: RmwNode, caplog: pytest.LogCaptureFixture, qos: str, warning: str
+) -> None:
+    with caplog.at_level(logging.WARNING):
+        tokens = [node.declare("MP", topic, qos) for topic in ("t", "t", "u")]
+        until(lambda: len(graph.publishers()) == len(tokens), "all publishers")
+    assert [p.qos for p in graph.publishers()] == [Qos()] * 3
+    warnings = [record.getMessage() for record in caplog.records if record.name.startswith("bridge.hub.graph")]
+    assert len(warnings) == 1
+    assert warning in warnings[0]
+    assert "node" in warnings[0]
+    assert graph.refused == 0
+
+
+def test_two_unknown_policies_are_two_warnings(
+    graph: HubGraph, node: RmwNode, caplog: pytest.LogCaptureFixture
+) -> None:
+    with caplog.at_level(logging.WARNING):
+        token = node.declare("MP", "t", "7:8:9,10:,:,:10,,")
+        until(lambda: graph.publishers("/t"), "the publisher")
+    assert sum(record.name.startswith("bridge.hub.graph") for record in caplog.records) == 4
+    assert [p.qos for p in graph.publishers("/t")] == [Qos()]
+    token.undeclare()
+
+
+def test_many_unknown_policies_do_not_flood_the_log(
+    graph: HubGraph, node: RmwNode, caplog: pytest.LogCaptureFixture
+) -> None:
+    with caplog.at_level(logging.WARNING):
+        tokens = [node.declare("MP", "t", f"{number}::,10:,:,:,,") for number in range(100, 400)]
+        until(lambda: len(graph.publishers("/t")) == len(tokens), "all publishers")
+    assert sum(record.name.startswith("bridge.hub.graph") for record in caplog.records) <= 100
