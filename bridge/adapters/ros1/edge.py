@@ -7,6 +7,7 @@ import os
 import threading
 import time
 from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar
 
@@ -72,7 +73,8 @@ class Ros1Edge(SideEdge):
         self._services = Ros1Services(context, self._wake_master, self._doubt_service)
         check = config.ros1.goal_frames == "check"
         self._actions = Ros1Actions(ActionNetwork(
-            self._caller, self._topics.prober.facts, registry, lambda: self.clock, self._topics.subscribe,
+            self._caller, self._topics.prober.facts, registry, lambda: self.clock,
+            partial(self._topics.subscribe, settle=False),
             self._topics.advertise, self._refuse, check,
         ))  # fmt: skip
         self._settled = float("-inf")

@@ -240,6 +240,7 @@ class Program:
             "warnings": self.edge.warnings(),
             "failures": self.listener.failures,
             "changes": self.listener.changes,
+            "held_cancels": sum(len(s._order._held) for s in self.edge._actions._served.values() if s._order),
             "threads": threading.active_count(),
             "descriptors": len(list(Path("/proc/self/fd").iterdir())),
         }
@@ -248,6 +249,11 @@ class Program:
         """Look at the master now, and then so often without a reason; in seconds."""
         self.edge._master._period = every
         self.edge._master.wake()
+        return {}
+
+    def do_stop_timer(self) -> dict[str, Any]:
+        """Run no delayed call from now on."""
+        self.edge._timer.after = lambda *_: None  # type: ignore[method-assign]
         return {}
 
     def do_stop(self) -> dict[str, Any]:

@@ -33,6 +33,9 @@ class TopicSubscription(EdgeSubscription, Protocol):
     def connected(self) -> frozenset[Registration]:
         """The publishers that are connected now."""
 
+    def unread(self, node: str, uri: str, *, listed: bool) -> bool:
+        """See `bridge.adapters.ros1.topics.subscription.Ros1Subscription.unread`."""
+
 
 class TopicPublisher(EdgePublisher, Protocol):
     """A publication of a ROS 1 topic."""

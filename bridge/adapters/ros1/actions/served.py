@@ -8,9 +8,11 @@ import time
 from collections.abc import Callable
 
 from bridge.adapters.ros1.actions import discovery, wire
+from bridge.adapters.ros1.actions.cancel_order import CancelOrder, Client
 from bridge.adapters.ros1.actions.frames import empty, frames_in, names_frames, without_slashes
 from bridge.adapters.ros1.actions.network import ActionMessages, ActionNetwork, ActionTopics, OpenPart
 from bridge.adapters.ros1.actions.server import ActionlibServer
+from bridge.adapters.ros1.graph.state import node_of
 from bridge.hub.endpoints.calls import Abandon, Call, CallError, Done, nothing
 from bridge.hub.wire.qos import LATCHED, Qos
 from bridge.messages import actions as ros2_action
@@ -36,6 +38,7 @@ class ServedAction(ActionTopics):
         self._under_way: dict[object, Abandon] = {}
         self._types: ActionMessages | None = None
         self._server: ActionlibServer | None = None
+        self._order: CancelOrder | None = None
         self._hopeless = False
 
     @property
@@ -103,7 +106,8 @@ class ServedAction(ActionTopics):
         if rival:
             self._shut(f"{rival} serves {self.name} itself")
         self._open()
-        if self._server is not None:
+        if self._server is not None and self._order is not None:
+            self._order.release()
             self._server.tick()
 
     def _open(self) -> None:
@@ -126,6 +130,7 @@ class ServedAction(ActionTopics):
             lambda: wire.RosTime.of(self._network.clock().now_ns()),
             empty(types.result_body),
         )
+        self._order = CancelOrder(self._server, self._unread, time.monotonic)
         self._server.open()
         if self._states:
             self._heard(ros2_action.STATUS, self._states)
@@ -133,7 +138,7 @@ class ServedAction(ActionTopics):
         self._subscribe(discovery.CANCEL, types.cancel, self._on_cancel)
 
     def _shut(self, reason: str) -> None:
-        server, self._server = self._server, None
+        server, self._server, self._order = self._server, None, None
         if server is None:
             return
         server.close(reason)
@@ -142,25 +147,31 @@ class ServedAction(ActionTopics):
             abandon()
         self._close_topics()
 
-    def _on_goal(self, payload: bytes, _source: str, _time: int | None) -> None:
-        self._executor.submit(lambda: self._read(discovery.GOAL, lambda: self._goal(payload)))
+    def _unread(self, client: Client, *, listed: bool) -> bool:
+        goals = self._subscriptions.get(discovery.GOAL)
+        return goals is not None and goals.unread(*client, listed=listed)
 
-    def _goal(self, payload: bytes) -> None:
+    def _on_goal(self, payload: bytes, source: str, _time: int | None) -> None:
+        self._executor.submit(lambda: self._read(discovery.GOAL, lambda: self._goal(payload, node_of(source))))
+
+    def _goal(self, payload: bytes, client: Client) -> None:
         assert self._types is not None
         goal, body = wire.read_action_goal(payload)
         schema = self._types.goal_body
         if self._network.check_frames and names_frames(schema):
             with contextlib.suppress(ConversionError):  # the call will say so, and end the goal
                 body = without_slashes(body, frames_in(schema, body))
-        if self._server is not None:
-            self._server.goal(goal, body)
+        if self._order is not None:
+            self._order.goal(goal, body, client)
 
-    def _on_cancel(self, payload: bytes, _source: str, _time: int | None) -> None:
-        self._executor.submit(lambda: self._read(discovery.CANCEL, lambda: self._cancel(payload)))
+    def _on_cancel(self, payload: bytes, source: str, _time: int | None) -> None:
+        client = node_of(source)
+        unread = self._unread(client, listed=False)  # before the turn: what was read by now has its turn earlier
+        self._executor.submit(lambda: self._read(discovery.CANCEL, lambda: self._cancel(payload, client, unread)))
 
-    def _cancel(self, payload: bytes) -> None:
-        if self._server is not None:
-            self._server.cancel(wire.read_goal_id(payload))
+    def _cancel(self, payload: bytes, client: Client, unread: bool) -> None:
+        if self._order is not None:
+            self._order.cancel(wire.read_goal_id(payload), client, unread=unread)
 
     def _heard(self, part: str, payload: bytes) -> None:
         if part == ros2_action.STATUS:

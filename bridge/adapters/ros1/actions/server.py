@@ -112,10 +112,11 @@ class ActionlibServer:
 
     # -- what ROS 1 clients say ----------------------------------------------------------------------------------------
 
-    def goal(self, goal: GoalId, body: bytes) -> None:
-        """A goal."""
+    def goal(self, goal: GoalId, body: bytes) -> str:
+        """Accept a client's goal; returns the id under which it is listed, "" if it is not."""
         if self._closed:
-            return
+            return ""
+        listed = goal.id
         known = self._entries.get(goal.id) if goal.id else None
         if known is not None:
             self._again(known)
@@ -123,9 +124,11 @@ class ActionlibServer:
             _log.warning("%s: a goal is rejected: there are %d already", self.name, MAX_GOALS)
             refused = _ListedGoal(goal.id, goal.stamp, Ros1State.REJECTED, None, ours=True, text="too many goals")
             self._publish_result(refused, self._empty)
+            listed = ""
         else:
-            self._take(goal, body)
+            listed = self._take(goal, body)
         self._flush()
+        return listed
 
     def _again(self, entry: _ListedGoal) -> None:
         """A goal whose id the list has already: ignored, unless a cancel request came before it."""
@@ -134,15 +137,20 @@ class ActionlibServer:
         elif entry.gone is not None:
             entry.gone = self._clock()
 
-    def _take(self, goal: GoalId, body: bytes) -> None:
+    def knows(self, goal: str) -> bool:
+        """Whether a goal of this id is listed."""
+        return goal in self._entries
+
+    def _take(self, goal: GoalId, body: bytes) -> str:
         id_, stamp = goal.id or self._new_id(), goal.stamp if goal.stamp != ZERO else self._now()
         entry = _ListedGoal(id_, stamp, Ros1State.PENDING, uuid4().bytes, ours=True)
         self._add(entry)
         if goal.stamp != ZERO and goal.stamp <= self._last_cancel:
             self._end(entry, Ros1State.RECALLED, self._empty, _CANCELED_EARLIER)
-            return
+            return id_
         assert entry.uuid is not None
         self._output.call(SEND_GOAL, entry.uuid + body, lambda reply: self._answered(entry, reply))
+        return id_
 
     def cancel(self, request: GoalId) -> None:
         """A cancel request: empty is all goals, an id that one, a stamp all goals up to then."""

@@ -188,6 +188,11 @@ class Prober:
         with self._lock:
             return {link: a.trouble for link, a in self._open.items() if a.trouble}
 
+    def is_waiting(self, link: Registration) -> bool:
+        """Whether one is listed that has not been asked yet, or has not answered."""
+        with self._lock:
+            return link in self._open
+
     def is_gone(self, link: Registration) -> bool:
         """Whether the last attempt was refused: nobody listens there."""
         with self._lock:

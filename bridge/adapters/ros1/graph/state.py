@@ -37,6 +37,12 @@ def publisher_id(link: Registration, *, latching: bool) -> str:
     return f"publisher {link.topic} {link.node} {link.uri}{' latched' if latching else ''}"
 
 
+def node_of(publisher: str) -> tuple[str, str]:
+    """Node name and XML-RPC address in an id that `publisher_id` made."""
+    node, uri = publisher.removesuffix(" latched").split(" ")[2:4]
+    return node, uri
+
+
 @dataclass(frozen=True)
 class MasterState:
     """A master's state at one look.

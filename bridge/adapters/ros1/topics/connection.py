@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import itertools
 import logging
+import select
 import socket
 import struct
 import threading
@@ -53,7 +54,7 @@ class PublisherConnection(PolledConnection):
         super().__init__(sock)  # its lock says who closes the socket: nobody reads it before it is started, nor after
         self._deliver, self._ended, self._refused, self._limit = deliver, ended, refused, limit
         self._loop, self._taken = loop, b""
-        self._started = False
+        self._started = self._midway = False
         self._thread = threading.Thread(target=self._run, name=f"midspan-ros1-in{topic}", daemon=True)
 
     def start(self) -> None:
@@ -71,6 +72,14 @@ class PublisherConnection(PolledConnection):
             except OSError as err:
                 _log.warning("%s is read on its own: %s", self._thread.name, err)
         self._go_on_alone()
+
+    @property
+    def unread(self) -> bool:
+        """Whether a message may have arrived, in full or in part, that has not been delivered yet."""
+        with self._lock:  # the socket is not closed meanwhile
+            if self.done:
+                return False
+            return not self._started or self._midway or bool(self._taken) or _is_readable(self._sock)
 
     def close(self) -> None:
         """Stop reading; nothing is delivered from now on."""
@@ -115,7 +124,8 @@ class PublisherConnection(PolledConnection):
     def _run(self) -> None:
         trouble = _CLOSED
         try:
-            self._read(self._taken)
+            taken, self._taken = self._taken, b""
+            self._read(taken)
         except OSError as err:
             trouble = str(err)
         except Ros1ProtocolError as err:
@@ -138,16 +148,19 @@ class PublisherConnection(PolledConnection):
         more = self._sock.recv(_CHUNK, socket.MSG_DONTWAIT)
         if not more:
             raise ConnectionResetError(_CLOSED)
+        self._midway = True
         buffer, at, small = self._taken + more, 0, min(self._limit, MAX_MESSAGE, _LARGE)
         end = len(buffer)
         while end - at >= 4:
             (size,) = _LENGTH.unpack_from(buffer, at)
             if size > small or end - at - 4 < size:
                 self._taken = buffer[at:]
-                return bool(size > small)
+                self._midway = bool(size > small)
+                return self._midway
             self._hand_over(buffer[at + 4 : at + 4 + size])
             at += 4 + size
         self._taken = buffer[at:]
+        self._midway = False
         return False
 
     def _hand_over(self, payload: bytes) -> None:
@@ -162,9 +175,11 @@ class PublisherConnection(PolledConnection):
         while not self.done:
             left = len(buffer) - at
             if left < 4:
+                self._midway = left > 0
                 more = self._sock.recv(4 - left if size > _LARGE else _CHUNK)
                 if not more:
                     return
+                self._midway = True
                 buffer, at = buffer[at:] + more, 0
                 continue
             (size,) = _LENGTH.unpack_from(buffer, at)
@@ -210,3 +225,9 @@ class PublisherConnection(PolledConnection):
             data = self._sock.recv(count, socket.MSG_WAITALL)
             parts.append(data)
         return b"".join(parts) if data else None
+
+
+def _is_readable(sock: socket.socket) -> bool:
+    poll = select.poll()
+    poll.register(sock, select.POLLIN)
+    return bool(poll.poll(0))

@@ -29,7 +29,7 @@ _log = logging.getLogger(__name__)
 
 _FIRST_WAIT = 0.2
 _LONGEST_WAIT = 5.0
-_SETTLE_SECONDS = 0.5
+SETTLE_SECONDS = 0.5
 """How long a publisher that is new is left unread. The other sides are about to make their ends of the topic, and what
 came through before these know each other was lost; so it waits in the connection. Fast DDS often needs over 0.2 s."""
 
@@ -64,10 +64,11 @@ def _acquire(topic: str) -> _SubscribedTopic:
 
 @dataclass(slots=True)
 class _PublisherState:
-    """One publisher that the subscription wants to hear."""
+    """One publisher that the subscription connects to; ``fresh`` until a connection to it has failed or ended."""
 
     reader: PublisherConnection | None = None
     connecting: bool = False
+    fresh: bool = True
     due: float = 0.0
     wait: float = _FIRST_WAIT
 
@@ -75,6 +76,7 @@ class _PublisherState:
         return self.reader is None and not self.connecting and self.due <= now
 
     def postpone(self) -> None:
+        self.fresh = False
         self.due, self.wait = time.monotonic() + self.wait, min(2 * self.wait, _LONGEST_WAIT)
 
 
@@ -86,7 +88,7 @@ class Ros1Subscription:
     def __init__(
         self, context: Ros1Context, prober: Prober, topic: str, md5: str, deliver: Deliver, suffix: str,
         take: Callable[[Registration], ProbedConnection | None], refused: Refused,
-        closed: Callable[[Ros1Subscription], None],
+        closed: Callable[[Ros1Subscription], None], *, settle: float = SETTLE_SECONDS,
     ) -> None:  # fmt: skip
         self.name = self.topic = topic
         self._context, self._prober, self._suffix, self._take = context, prober, suffix, take
@@ -94,6 +96,7 @@ class Ros1Subscription:
         self._lock = threading.Lock()
         self._publishers: dict[Registration, _PublisherState] = {}
         self._closed = False
+        self._settle = settle
         self._entry = _acquire(topic)
 
     @property
@@ -106,6 +109,19 @@ class Ros1Subscription:
         """The publishers that are heard now."""
         sources = list(self._publishers.items())
         return frozenset(link for link, source in sources if source.reader is not None and not source.reader.done)
+
+    def unread(self, node: str, uri: str, *, listed: bool) -> bool:
+        """Whether a node may have published a message that has not been delivered yet.
+
+        It may have if its connection is not read yet, or has bytes waiting. ``listed``: also if no connection to the
+        node has been made yet, although the master lists it as a publisher of the topic.
+        """
+        link = Registration(node, self.topic, uri)
+        with self._lock:
+            source = self._publishers.get(link)
+        if source is None:
+            return listed and self._prober.is_waiting(link)
+        return (source.fresh or listed) if source.reader is None else source.reader.unread
 
     def follow(self, publishers: Mapping[Registration, Facts]) -> None:
         """Take up the topic's publishers as they are known now."""
@@ -172,8 +188,8 @@ class Ros1Subscription:
             return
         with self._entry.c_lock:
             self._entry.connections = [*self._entry.connections, reader]
-        if taken:
-            self._context.timer.after(_SETTLE_SECONDS, lambda: self._start(reader))
+        if taken and self._settle:
+            self._context.timer.after(self._settle, lambda: self._start(reader))
         else:
             self._start(reader)
 

@@ -43,19 +43,22 @@ class Ros1Topics(Follower["Ros1Subscription"]):
             yield f"{link.topic}: its publisher {link.node} does not announce its type: {trouble}"
 
     def subscribe(
-        self, topic: str, side_type: SideType, deliver: Deliver, suffix: str = "", *, fresh: bool = False
-    ) -> Ros1Subscription:
+        self, topic: str, side_type: SideType, deliver: Deliver, suffix: str = "", *, fresh: bool = False,
+        settle: bool = True,
+    ) -> Ros1Subscription:  # fmt: skip
         """Subscribe to the native publishers of a topic that have this type, as our node's name with a suffix.
 
-        ``fresh``: nothing is heard that was published before the subscription was there, as befits commands.
+        ``fresh``: nothing is delivered that was published before the subscription was made, as befits commands.
+        ``settle``: leave a new publisher unread until the other sides have made their ends of the topic.
         """
-        from bridge.adapters.ros1.topics.subscription import Ros1Subscription
+        from bridge.adapters.ros1.topics.subscription import SETTLE_SECONDS, Ros1Subscription
 
         own = not suffix  # the prober's connections bear our node's own name
         take = self.prober.take if own and not fresh else self.prober.discard if own else lambda _: None
         refused = partial(self._refused, topic)
         return self._add(Ros1Subscription(
-            self._context, self.prober, topic, side_type.type_id, deliver, suffix, take, refused, self._remove
+            self._context, self.prober, topic, side_type.type_id, deliver, suffix, take, refused, self._remove,
+            settle=SETTLE_SECONDS if settle else 0.0,
         ))  # fmt: skip
 
     def advertise(self, topic: str, side_type: SideType, qos: Qos) -> Ros1Publisher:

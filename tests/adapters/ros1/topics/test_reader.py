@@ -158,3 +158,32 @@ def test_nothing_is_told_after_close(connection):
     connection.until_closed()
     assert not connection.over.is_set()
     assert connection.messages == []
+
+
+def test_a_message_that_has_not_been_delivered_is_unread(connection):
+    """The order of two connections of one publisher depends on it."""
+    reader, publisher = connection.reader, connection.publisher
+    assert not reader.unread
+    publisher.sendall(frame(b"one"))
+    until(lambda: connection.messages == [b"one"], "it is delivered", 40)
+    until(lambda: not reader.unread, "nothing is left", 40)
+    publisher.sendall(frame(b"two")[:5])
+    until(lambda: reader.unread and not module._is_readable(reader._sock), "half a message has been read", 40)
+    publisher.sendall(frame(b"two")[5:] + frame(b"x" * 100_000)[:50_000])
+    until(lambda: not module._is_readable(reader._sock), "half of a large one has been read", 40)
+    until(lambda: connection.messages == [b"one", b"two"], "the other half came", 40)
+    assert reader.unread
+    publisher.sendall(frame(b"x" * 100_000)[50_000:])
+    until(lambda: len(connection.messages) == 3, "it is delivered", 40)
+    until(lambda: not reader.unread, "nothing is left", 40)
+    reader.close()
+    assert not reader.unread
+
+
+def test_a_reader_that_has_not_been_started_has_unread_messages():
+    with socket.create_server(("127.0.0.1", 0)) as listener:
+        ours = socket.create_connection(listener.getsockname())
+        sock = DeadlineSocket(fileno=ours.detach())
+        reader = PublisherConnection(sock, "/t", "http://x/", bytes, str, lambda *_: None)
+        assert reader.unread
+        reader.close()

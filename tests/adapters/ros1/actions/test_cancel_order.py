@@ -1,0 +1,135 @@
+"""The order of one client's goals and cancel requests: pure, with a clock of the test's."""
+
+import pytest
+
+from bridge.adapters.ros1.actions import cancel_order
+from bridge.adapters.ros1.actions.cancel_order import CROSSING_SECONDS, LONGEST_SECONDS, CancelOrder
+from bridge.adapters.ros1.actions.wire import ZERO, GoalId, RosTime
+
+ME, OTHER = ("/me", "http://a:1/"), ("/other", "http://a:2/")
+ALL = GoalId(ZERO, "")
+
+
+class World:
+    """What reaches the server, in its order, and which clients have unread goals."""
+
+    def __init__(self) -> None:
+        self.now, self.passed, self.known = 100.0, [], set()
+        self.unread, self.listed = set(), set()
+        self.order = CancelOrder(self, self.is_unread, lambda: self.now)
+
+    def is_unread(self, client, *, listed):
+        return client in self.unread or (listed and client in self.listed)
+
+    def goal(self, goal, _body):
+        listed = goal.id or "made up"
+        self.passed.append(f"goal {listed}")
+        self.known.add(listed)
+        return listed
+
+    def cancel(self, request):
+        self.passed.append(f"cancel {request.id}" if request.stamp == ZERO else f"before {request.stamp.secs}")
+
+    def knows(self, goal):
+        return goal in self.known
+
+    def send(self, goal, client=ME):
+        self.order.goal(GoalId(ZERO, goal), b"", client)
+
+    def stop(self, request, client=ME):
+        self.order.cancel(request, client, unread=client in self.unread)
+
+    def passes(self, seconds):
+        self.now += seconds
+        self.order.release()
+
+
+@pytest.fixture
+def world():
+    return World()
+
+
+def test_goals_and_cancel_requests_that_come_in_order_are_passed_on_at_once(world):
+    world.send("a")
+    world.stop(GoalId(ZERO, "a"))
+    world.stop(ALL)
+    world.stop(GoalId(RosTime(5, 0), ""))
+    assert world.passed == ["goal a", "cancel a", "cancel ", "before 5"]
+
+
+def test_a_cancel_request_that_comes_first_follows_its_goal(world):
+    world.stop(GoalId(ZERO, "a"))
+    world.passes(CROSSING_SECONDS / 2)
+    assert world.passed == []
+    world.send("b")
+    world.send("a")
+    assert world.passed == ["goal b", "goal a", "cancel a"]
+    world.passes(LONGEST_SECONDS)
+    assert world.passed == ["goal b", "goal a", "cancel a"], "it is passed on once"
+
+
+def test_one_whose_goal_never_comes_is_remembered_by_the_server(world):
+    world.stop(GoalId(ZERO, "a"))
+    world.passes(CROSSING_SECONDS)
+    assert world.passed == ["cancel a"]
+    world.send("a")
+    assert world.passed == ["cancel a", "goal a"], "what the server makes of it is its own matter"
+
+
+@pytest.mark.parametrize("why", ["unread", "listed"])
+def test_it_waits_as_long_as_its_clients_goals_are_not_read(world, why):
+    getattr(world, why).add(ME)
+    world.stop(GoalId(ZERO, "a"))
+    for _ in range(10):
+        world.passes(CROSSING_SECONDS)
+    assert world.passed == []
+    getattr(world, why).clear()
+    world.passes(CROSSING_SECONDS / 2)
+    assert world.passed == []
+    world.send("a")
+    assert world.passed == ["goal a", "cancel a"]
+
+
+def test_it_does_not_wait_for_ever_for_a_client_that_does_not_answer(world):
+    world.listed.add(ME)
+    world.stop(GoalId(ZERO, "a"))
+    world.passes(LONGEST_SECONDS - 0.1)
+    assert world.passed == []
+    world.passes(CROSSING_SECONDS)
+    assert world.passed == ["cancel a"]
+
+
+def test_cancel_all_is_never_late_and_is_repeated_for_goals_that_it_overtook(world):
+    world.unread.add(ME)
+    world.stop(ALL)
+    assert world.passed == ["cancel "]
+    world.send("late")
+    world.send("of another", OTHER)
+    world.send("")
+    assert world.passed[1:] == ["goal late", "cancel late", "goal of another", "goal made up", "cancel made up"]
+    world.unread.clear()
+    world.passes(0.1)
+    world.send("later")
+    assert world.passed[-1] == "goal later"
+
+
+def test_a_goal_after_cancel_all_runs_once_all_before_it_was_read(world):
+    """A client that clears the server and then gives its first goal."""
+    world.listed.add(ME)
+    world.stop(ALL)
+    world.send("first")
+    assert world.passed == ["cancel ", "goal first"]
+
+
+def test_a_stamp_beside_an_id_is_passed_on_at_once(world):
+    world.stop(GoalId(RosTime(7, 0), "a"))
+    assert world.passed == ["before 7"]
+    world.send("a")
+    assert world.passed == ["before 7", "goal a", "cancel a"]
+
+
+def test_so_many_wait_and_the_oldest_go_first(world, monkeypatch):
+    monkeypatch.setattr(cancel_order, "MAX_HELD", 2)
+    for goal in "abc":
+        world.stop(GoalId(ZERO, goal))
+    assert world.passed == ["cancel a"]
