@@ -44,11 +44,11 @@ def rename_glob(match: re.Match[str], new: str) -> str:
 
 
 class NameFilter:
-    """Chooses topics by name: those that a glob fits, less those in which an expression is found.
+    """Chooses topics by name: those that match a glob and none of the excluding expressions.
 
     Args:
-        globs: as rules have them; one without its slash at the start gets it, as does each name that is asked about.
-        exclude: regular expressions.
+        globs: as in rules; a missing slash at the start is added, as it is to each name.
+        exclude: regular expressions, searched anywhere in the name.
     """
 
     def __init__(self, globs: Iterable[str] = ("/**",), exclude: Iterable[str] = ()) -> None:
@@ -56,14 +56,14 @@ class NameFilter:
         self._exclude = [re.compile(expression) for expression in exclude]
 
     def wants(self, name: str) -> bool:
-        """Whether a topic of this name is chosen."""
+        """Return whether a topic of this name is chosen."""
         name = _slashed(name)
         return any(glob.fullmatch(name) for glob in self._globs.values()) and not any(
             expression.search(name) for expression in self._exclude
         )
 
     def idle(self, names: Iterable[str]) -> list[str]:
-        """The globs that fit none of these names."""
+        """Return the globs that match none of these names."""
         known = list(map(_slashed, names))
         return [glob for glob, regex in self._globs.items() if not any(map(regex.fullmatch, known))]
 
@@ -74,13 +74,13 @@ def _slashed(name: str) -> str:
 
 @functools.cache
 def _patterns(side: str, kind: str) -> tuple[tuple[re.Pattern[str], str], ...]:
-    found = all_networks().get(side)
-    private = () if found is None else found.private_services if kind == "service" else found.private_topics
+    network = all_networks().get(side)
+    private = () if network is None else network.private_services if kind == "service" else network.private_topics
     return tuple((re.compile(pattern), why) for pattern, why in private)
 
 
 def why_private(side: str, name: str, type_name: str, kind: str = "topic") -> str:
-    """Why a topic or a service is private to its side, "" where it is not; ``type_name`` is the type's ROS 2 name."""
+    """Return why a topic or a service is private to its side, "" if it is not; ``type_name``: its ROS 2 type."""
     if kind == "action":
         return ""
     word = type_name if kind == "service" else name
@@ -88,12 +88,12 @@ def why_private(side: str, name: str, type_name: str, kind: str = "topic") -> st
 
 
 ENTRY = "zenoh"
-"""The hub as a destination: rules with ``to: zenoh`` hold where a topic enters the hub."""
+"""The hub as a destination: rules with ``to: zenoh`` apply when a topic enters the hub."""
 
 Kind = Literal["topic", "service", "action"]
 
 _MOST_DECIDED = 20_000
-"""Decisions that are kept at most."""
+"""Largest number of decisions to cache."""
 
 _PARAMETERS, _EVENT = "rcl_interfaces/srv/", "rcl_interfaces/msg/ParameterEvent"
 
@@ -102,9 +102,15 @@ _PARAMETERS, _EVENT = "rcl_interfaces/srv/", "rcl_interfaces/msg/ParameterEvent"
 class RoutePolicy:
     """The policy of the rules for one topic, service or action at one gate.
 
-    ``why`` is the rule or default that decided; ``private``: kept back as private to its side; ``settled``: no rule
-    could change it; ``name`` is that beyond the gate; ``rate`` is messages a second, None without a limit; ``priority``
-    and ``depth`` are forced by the rule, else "" and None; ``timeout`` is seconds after which a command is too old.
+    Attributes:
+        why: the rule or default that decided.
+        name: the name beyond the gate.
+        private: withheld as private to its side.
+        settled: no rule could change the decision.
+        rate: messages per second, None without a limit.
+        priority: forced by the rule, else "".
+        depth: forced by the rule, else None.
+        timeout: age in seconds beyond which a command is dropped.
     """
 
     allowed: bool
@@ -119,7 +125,7 @@ class RoutePolicy:
     qos: QosOverride = field(default_factory=QosOverride)
 
     def override(self, qos: Qos) -> Qos:
-        """The QoS with what the rule forces."""
+        """Return the QoS with the policies that the rule forces."""
         reliability, durability = qos.reliability, qos.durability
         if self.qos.reliability is not None:
             reliability = Reliability[self.qos.reliability.upper()]
@@ -140,16 +146,16 @@ class RuleSet:
         self._decided: dict[tuple[str, ...], RoutePolicy] = {}
 
     def enter(self, side: str, topic: str, type_name: str, kind: Kind = "topic") -> RoutePolicy:
-        """May a topic, service or action of ``side`` enter the hub? ``type_name`` is the type's ROS 2 name."""
+        """Decide whether a topic, service or action of ``side`` may enter the hub; ``type_name``: its ROS 2 type."""
         return self._once((side, topic, type_name, kind), lambda: self._enter(side, topic, type_name, kind))
 
     def naming(self, name: str) -> Iterator[tuple[str, Rule, bool]]:
-        """Each rule with its name for people, and whether its pattern fits a name, whatever its kind, side and type."""
+        """Yield each rule with its readable name, and whether its pattern matches, ignoring kind, side and type."""
         for of, rule, pattern in zip(self._names, self.section.rules, self._patterns, strict=True):
             yield of, rule, pattern is not None and pattern.fullmatch(name) is not None
 
     def _once(self, question: tuple[str, ...], decide: Callable[[], RoutePolicy]) -> RoutePolicy:
-        """Decide once; each look at a graph asks the same question about everything on it."""
+        """Return the cached decision, or decide: each pass over a graph asks the same questions."""
         policy = self._decided.get(question)
         if policy is None:
             if len(self._decided) >= _MOST_DECIDED:
@@ -171,11 +177,11 @@ class RuleSet:
     def leave(
         self, origin: str, side: str, topic: str, type_name: str, kind: Kind = "topic", *, elsewhere: bool = False
     ) -> RoutePolicy:
-        """May what came from the side ``origin`` leave the hub to ``side``?
+        """Decide whether a topic, service or action from the side ``origin`` may leave the hub to ``side``.
 
-        A native hub topic (origin ``zenoh``) has passed no gate yet, so that rules without ``to`` hold for it whole;
-        for others such rules were applied at their entry, and only deny, class and QoS hold here too. ``elsewhere``:
-        another daemon let it in, whose rules are not these.
+        A native hub topic (origin ``zenoh``) has passed no gate yet, so rules without ``to`` apply to it in full, and
+        private topics and services are withheld here. For others such rules were applied at their entry, and only
+        deny, class and QoS apply here again. ``elsewhere``: another daemon, with other rules, let it in.
         """
         question = (origin, side, topic, type_name, kind, "elsewhere" if elsewhere else "")
         return self._once(question, lambda: self._leave(origin, side, topic, type_name, kind, elsewhere=elsewhere))
@@ -218,7 +224,7 @@ class RuleSet:
         return None
 
     def _shares(self, name: str, type_name: str, kind: Kind) -> bool:
-        """Whether it is a parameter service of a node whose parameters are shared."""
+        """Return whether this is a parameter service of a node whose parameters are shared."""
         return kind == "service" and type_name.startswith(_PARAMETERS) and name.rpartition("/")[0] in self._nodes
 
     def _private(self, side: str, topic: str, type_name: str, kind: Kind) -> RoutePolicy | None:
@@ -251,7 +257,7 @@ def _allowed(matches: list[_Match], topic: str) -> RoutePolicy | None:
 
 
 def _names(rules: Iterable[Rule]) -> Iterator[str]:
-    """The name of each rule for people: its number in the file, or the section that made it."""
+    """Yield the readable name of each rule: its number in the file, or the section that made it."""
     number = 0
     for rule in rules:
         number += not isinstance(rule, MadeRule)
