@@ -32,7 +32,7 @@ def test_parameters_are_shared_both_ways(deployment: Deployment) -> None:
     parameters = {one["ros1"]: one["shared"] for one in deployment.worker("ros1")["parameters"]}
     assert parameters["/robot"] == 5
     assert parameters["/nav/controller"] >= 4
-    # nobody on ROS 1 is bothered with the services that carry them
+    # the services that carry them do not reach ROS 1
     assert not [name for name in deployment.master.state()["services"] if "get_parameters" in name]
     _a_reload_takes_up_other_rules(deployment, ros1, ros2)
     assert deployment.stop_daemon() == 0
@@ -41,7 +41,7 @@ def test_parameters_are_shared_both_ways(deployment: Deployment) -> None:
 
 
 def _ros1s_are_a_nodes(ros1: Peer, ros2: Peer) -> None:
-    """ROS 1 owns them: a ROS 2 program finds a node, reads, sets and hears of changes."""
+    """ROS 1 owns them: a ROS 2 program discovers a node, reads, sets and receives events."""
     node = "/ns/robot_parameters"
     names = ["speed", "name", "limits.turn", "ranges"]
     assert ros2.ask("get_of", node=node, names=names)["values"] == [1.5, "r1", 2, [1.0, 2.5]]
@@ -52,15 +52,15 @@ def _ros1s_are_a_nodes(ros1: Peer, ros2: Peer) -> None:
         "/robot/limits is a namespace in ROS 1",
     ]
     assert ros1.ask("get_param", name="/robot/speed")["value"] == 2.5
-    heard = ros2.subscribe("/parameter_events", EVENT, depth=1000)
+    received = ros2.subscribe("/parameter_events", EVENT, depth=1000)
 
-    def told() -> bool:
+    def changes() -> bool:
         value = ros1.ask("get_param", name="/robot/limits/turn")["value"] + 1
         ros1.ask("set_param", name="/robot/limits/turn", value=value)
-        events = ros2.wait(heard, 1, 0.5)
+        events = ros2.wait(received, 1, 0.5)
         return any(_changed(event, node, "limits.turn") for event in events)
 
-    until(told, "a change is an event", 30)
+    until(changes, "a change is an event", 30)
     ros1.ask("set_param", name="/robot/extra", value="new")
     assert ros2.ask("get_of", node=node, names=["extra"])["values"] == ["new"]
 
@@ -81,7 +81,7 @@ def _a_nodes_are_in_ros1(ros1: Peer, ros2: Peer) -> None:
     until(lambda: ros2.ask("own", name="FollowPath.speed")["value"] == 2.0, "the node has ROS 1's value", 30)
     ros2.ask("refuse", names=["mode"])
     ros1.ask("set_param", name="/nav/controller/mode", value="fast")
-    until(lambda: in_ros1("mode") == "slow", "what the node refuses is put back", 30)
+    until(lambda: in_ros1("mode") == "slow", "the refused value is reset", 30)
     ros2.ask("refuse", names=[])
     assert ros2.ask("change", name="tries", value=9)["successful"]
     until(lambda: in_ros1("tries") == 9, "the node's own change is in ROS 1", 30)
