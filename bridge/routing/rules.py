@@ -95,7 +95,17 @@ Kind = Literal["topic", "service", "action"]
 _MOST_DECIDED = 20_000
 """Largest number of decisions to cache."""
 
-_PARAMETERS, _EVENT = "rcl_interfaces/srv/", "rcl_interfaces/msg/ParameterEvent"
+_PARAMETERS = frozenset(
+    f"rcl_interfaces/srv/{name}"
+    for name in (
+        "GetParameters", "GetParameterTypes", "ListParameters", "DescribeParameters", "SetParameters",
+        "SetParametersAtomically",
+    )
+)  # fmt: skip
+"""Types of the services that each ROS 2 node has for its parameters."""
+
+_EVENT = "rcl_interfaces/msg/ParameterEvent"
+_NAMED = "routing.parameters names its node"
 
 
 @dataclass(frozen=True, slots=True)
@@ -142,7 +152,7 @@ class RuleSet:
         self.section = section
         self._patterns = [_pattern(rule) for rule in section.rules]
         self._names = list(_names(section.rules))
-        self._nodes = frozenset(rule.node for rule in section.parameters)
+        self._owners = {rule.node: rule.owner for rule in section.parameters}
         self._decided: dict[tuple[str, ...], RoutePolicy] = {}
 
     def enter(self, side: str, topic: str, type_name: str, kind: Kind = "topic") -> RoutePolicy:
@@ -199,13 +209,15 @@ class RuleSet:
             return policy if native else replace(policy, name=topic, rate=None)
         if matches and self.section.default == "deny":
             return RoutePolicy(allowed=False, why="rules allow it to other sides only", name=topic)
-        if native:
-            return self._private(origin, topic, type_name, kind) or self._default(topic)
-        if elsewhere and self.section.default == "deny":
+        private = self._private(origin, topic, type_name, kind) if native else None
+        if private is not None and not private.allowed:
+            return private
+        if self._withheld(side, topic, type_name, kind):
+            return RoutePolicy(allowed=False, why="routing.parameters shares parameters", name=topic, private=True)
+        if self._shares(origin, topic, type_name, kind):
+            return RoutePolicy(allowed=True, why=_NAMED, name=topic)
+        if native or (elsewhere and self.section.default == "deny"):
             return self._default(topic)
-        told = type_name == _EVENT or self._shares(topic, type_name, kind)
-        if self.section.private and not (side in (known := all_networks()) and known[side].node_parameters) and told:
-            return RoutePolicy(allowed=False, why="parameters are told by routing.parameters", name=topic, private=True)
         return RoutePolicy(allowed=True, why="allowed where it entered the hub", name=topic)
 
     def _matches(self, origin: str, topic: str, type_name: str, kind: Kind) -> Iterator[_Match]:
@@ -223,13 +235,24 @@ class RuleSet:
             return RoutePolicy(allowed=True, why="a rule lets it leave the hub", name=topic)
         return None
 
-    def _shares(self, name: str, type_name: str, kind: Kind) -> bool:
-        """Return whether this is a parameter service of a node whose parameters are shared."""
-        return kind == "service" and type_name.startswith(_PARAMETERS) and name.rpartition("/")[0] in self._nodes
+    def _shares(self, origin: str, name: str, type_name: str, kind: Kind) -> bool:
+        """Return whether this is a parameter service of a node that a rule names, on the side of the rule's owner."""
+        if kind != "service" or type_name not in _PARAMETERS:
+            return False
+        return self._owners.get(name.rpartition("/")[0]) == ("ros1" if origin == "ros1" else "ros2")
+
+    def _withheld(self, side: str, name: str, type_name: str, kind: Kind) -> bool:
+        """Return whether these are shared parameters, as services or events, and the side's nodes have none."""
+        network = all_networks().get(side)
+        if not self.section.private or (network is not None and network.node_parameters):
+            return False
+        return type_name == _EVENT or (
+            kind == "service" and type_name in _PARAMETERS and name.rpartition("/")[0] in self._owners
+        )
 
     def _private(self, side: str, topic: str, type_name: str, kind: Kind) -> RoutePolicy | None:
-        if self._shares(topic, type_name, kind):
-            return RoutePolicy(allowed=True, why="routing.parameters names its node", name=topic)
+        if self._shares(side, topic, type_name, kind):
+            return RoutePolicy(allowed=True, why=_NAMED, name=topic)
         why = why_private(side, topic, type_name, kind) if self.section.private else ""
         return RoutePolicy(allowed=False, why=f"private to its side: {why}", name=topic, private=True) if why else None
 

@@ -2,10 +2,16 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import pytest
+
+from bridge.hub.session import Hub
+from bridge.messages.registry import Registry
 from tests.interop.deployment import Deployment
+from tests.support.hub_parameters import HubParameters
 from tests.support.peer import Peer
 from tests.support.ros2 import ros2_environment, ros2_python
 from tests.support.wait import until
@@ -93,3 +99,38 @@ def _a_reload_takes_up_other_rules(deployment: Deployment, ros1: Peer, ros2: Pee
     assert ros2.ask("get_of", node="/renamed", names=["speed"])["values"] == [2.5]
     until(lambda: "/ns/robot_parameters" not in ros2.ask("nodes")["names"], "the old node is gone", 30)
     until(lambda: ros1.ask("get_param", name="/nav/controller/tries")["value"] == 9, "the other rule holds", 30)
+
+
+@pytest.mark.parametrize("owner", ["ros2", "ros1"])
+def test_the_parameters_of_a_node_of_the_hub(deployment: Deployment, owner: str) -> None:
+    """A native node of the hub, as rmw_zenoh declares it, beside one that no rule names."""
+    deployment.master.start()
+    deployment.configure(routing={"parameters": [{"ros1": "/copy", "node": "/ns/named", "owner": owner}]})
+    ros1 = deployment.ros1()
+    deployment.run()
+    named, unnamed = _hub_node(deployment, "named"), _hub_node(deployment, "unnamed")
+    for service in [*named.services, *unnamed.services]:
+        until(lambda service=service: "private" in _decisions(named, "ros1", service), f"a decision on {service}", 30)
+    if owner == "ros2":
+        until(lambda: ros1.ask("get_param", name="/copy/limits/top")["value"] == 1.5, "the copy in ROS 1", 30)
+        ros1.ask("set_param", name="/copy/speed", value=0.75)
+        until(lambda: named.values["speed"] == 0.75, "the node has the value that ROS 1 set", 30)
+        ros2 = deployment.keep(Peer(PROGRAM, ros2_python(), ros2_environment(), "reader"))
+        assert ros2.ask("get_of", node="/ns/named", names=["speed", "mode"])["values"] == [0.75, "slow"]
+    offered = deployment.master.state()["services"]
+    assert not [name for name in offered if name.startswith("/ns/")]
+    for service in unnamed.services:
+        assert _decisions(named, "ros2", service) == {"private"}
+
+
+def _hub_node(deployment: Deployment, name: str) -> HubParameters:
+    hub = Hub.open(replace(deployment.settings(name, "far"), namespace="/ns"))
+    node: HubParameters = deployment.keep(
+        HubParameters(hub, f"/ns/{name}", Registry(), {"speed": 0.5, "limits.top": 1.5, "mode": "slow"})
+    )
+    return node
+
+
+def _decisions(node: HubParameters, worker: str, service: str) -> set[str]:
+    answers = node.hub.ask("explain", {"topic": service}, worker=worker)
+    return {line["decision"] for answer in answers if isinstance(answer.value, list) for line in answer.value}
