@@ -13,6 +13,9 @@ from sim.base import Base, BasePose, Encoders, Floats, Twist
 from sim.environment import SimError
 from sim.robot import BatteryDescription
 
+_ROUNDING = 1e-9
+"""rad/s below which a wheel's velocity is a rounding error of the physics: encoders of wheels that stand report 0."""
+
 
 class Sensed:
     """The encoders as they are read: with the errors that were set, drawn from one source."""
@@ -43,6 +46,7 @@ class Sensed:
         if self._noise:
             turned += self._rng.normal(0.0, 1.0, len(turned)) * self._noise * np.sqrt(np.abs(turned))
         self._said = self._said + turned
+        velocities = np.where(np.abs(velocities) < _ROUNDING, 0.0, velocities)
         self._unchanged = Encoders(time_ns, self._said.copy(), velocities * self._scale)
         return self._unchanged
 

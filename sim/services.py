@@ -118,11 +118,12 @@ class Stepping:
     One step at a time; all on the module's thread.
 
     Args:
-        tick: lets one tick pass, and says the time it came to.
+        tick: lets one tick pass, and returns the time it came to.
+        paced: whether `advance` sets the pace, rather than that a step runs as fast as it can.
     """
 
-    def __init__(self, loop: EventLoop, tick: Callable[[], int]) -> None:
-        self._loop, self._tick = loop, tick
+    def __init__(self, loop: EventLoop, tick: Callable[[], int], *, paced: bool = False) -> None:
+        self._loop, self._tick, self._paced = loop, tick, paced
         self._answer: Answer | None = None
         self._left = 0
         self._now = 0
@@ -147,7 +148,8 @@ class Stepping:
             return
         self._answer, self._left = answer, max(1, round(seconds * 1e9 / TICK_NS))
         self._wait_for, self._patience = set(request["wait_for"]), max(0.0, patience)
-        self._go()
+        if not self._paced:
+            self._go()
 
     def acknowledge(self, message: dict[str, Any]) -> None:
         """A participant is done with a time."""
@@ -166,18 +168,22 @@ class Stepping:
             answer(_reply(self._now, why))
 
     def _go(self) -> None:
-        if self._answer is None:
-            return
-        count = min(self._left, _BUNDLE)
+        if self._answer is not None and self.advance(_BUNDLE):
+            self._loop.post(self._go)
+
+    def advance(self, ticks: int) -> bool:
+        """Run at most this many ticks of the step in progress; return whether some are left."""
+        if not self._left:
+            return False
+        count = min(self._left, ticks)
         for _ in range(count):
             self._now = self._tick()
         self._left -= count
-        if self._left:
-            self._loop.post(self._go)
-            return
-        if self._wait_for:
-            self._timer = self._loop.after(self._patience, self._tired)
-        self._finish()
+        if not self._left:
+            if self._wait_for:
+                self._timer = self._loop.after(self._patience, self._tired)
+            self._finish()
+        return self._left > 0
 
     def _waiting(self) -> set[str]:
         return {name for name in self._wait_for if self._said.get(name, -1) < self._now}

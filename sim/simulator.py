@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import math
 import time
 from collections.abc import Callable
 from typing import Any
@@ -24,6 +25,7 @@ from sim.environment import SimError
 from sim.messages import TopicNames, names_of
 from sim.services import Stepping, Wishes, answered
 from sim.simulation import TICK_NS, Simulation
+from sim.stamps import WallStamps
 
 _PICTURE = Qos(depth=2)  # large messages: an old one is worth nothing
 _NEWEST = Qos(Reliability.BEST_EFFORT, depth=1)
@@ -47,7 +49,8 @@ class Simulator(Module):
         names = names_of(section.names, self.simulation.robot)
         node = host.node
         self._outlets = Outlets(node, names, self.simulation, clock=not self._real)
-        self._stepping = Stepping(host.loop, self._tick)
+        self._stamps = WallStamps() if self._real else None
+        self._stepping = Stepping(host.loop, self._tick, paced=self._real)
         if section.drive == "velocity":
             node.subscription(names.velocity, "geometry_msgs/msg/Twist", self._velocity, _NEWEST)
         else:
@@ -63,7 +66,7 @@ class Simulator(Module):
             from sim.ports import RobotPorts
 
             self._ports = RobotPorts(host, section.yarp, self.simulation)
-        self._outlets.begin(self._stamp())
+        self._outlets.begin(self._now())
         if self._pace is not None:
             self._pace.begin()
             host.loop.every(TICK_NS / 1e9, self._keep_pace)
@@ -93,12 +96,14 @@ class Simulator(Module):
             "doors": dict(simulation.world.doors),
         }
 
-    def _stamp(self) -> int:
+    def _now(self) -> int:
         return time.time_ns() if self._real else self.simulation.time_ns
 
     def _tick(self) -> int:
         self.simulation.tick()
-        at = self._stamp()
+        at = self.simulation.time_ns
+        if self._stamps is not None and self._pace is not None:
+            at = self._stamps.stamp(self._pace.moment())
         self._outlets.tell(at)
         if self._ports is not None:
             self._ports.tell(at)
@@ -106,11 +111,13 @@ class Simulator(Module):
 
     def _keep_pace(self) -> None:
         assert self._pace is not None
-        if self._paused or self._stepping.busy:
+        if self._stepping.busy and self._real:
+            self._stepping.advance(self._pace.due())
+        elif self._stepping.busy or self._paused:
             self._pace.begin()
-            return
-        for _ in range(self._pace.due()):
-            self._tick()
+        else:
+            for _ in range(self._pace.due()):
+                self._tick()
 
     def _hurry(self) -> None:
         if not self._paused and not self._stepping.busy:
@@ -134,7 +141,7 @@ class Simulator(Module):
             msg = f"a wheel command is for {', '.join(said) or 'nothing'}, and the base has {', '.join(motors.names)}"
             raise SimError(msg)
         at = message["header"]["stamp"]["sec"] * 1_000_000_000 + message["header"]["stamp"]["nanosec"]
-        if at and self._stamp() - at > self.simulation.robot.motor_timeout * 1e9:
+        if at and self._now() - at > self.simulation.robot.motor_timeout * 1e9:
             raise SimError("a wheel command is older than the motors' time-out")
         motors.drive([said[name] for name in motors.names])
 
@@ -176,6 +183,8 @@ class Pace:
 
     def __init__(self, speed: float) -> None:
         self._seconds = TICK_NS / 1e9 / speed
+        self._next = -math.inf  # when the next tick is due
+        self._owed = 0  # ticks that `due` has counted and `moment` has not passed
         self.begin()
         self.late = 0  # ticks that came a tick's time or more behind
         self.left_out = 0  # ticks that never came, since this process stood still
@@ -183,7 +192,7 @@ class Pace:
 
     def begin(self) -> None:
         """Begin from now on: after a pause nothing is due."""
-        self._next = time.monotonic() + self._seconds
+        self._next = max(self._next, time.monotonic() + self._seconds)
 
     def stood_still(self) -> bool:
         """Whether what is heard now may have waited while this process stood still."""
@@ -203,7 +212,17 @@ class Pace:
         count = min(count, max(1, int(_CATCH_UP / self._seconds)))
         self.late += max(0, min(count, int(behind / self._seconds))) if self._seconds >= _TICK_WAIT else 0
         self._next += count * self._seconds
+        self._owed = count
         return count
+
+    def moment(self) -> float:
+        """Return when the next of the ticks that `due` counted was due, in seconds of the monotonic clock.
+
+        Ticks count as due as early as they may come, so that no moment is in the future.
+        """
+        moment = self._next - self._owed * self._seconds - _EARLY
+        self._owed -= 1
+        return moment
 
 
 _PILED = 0.5  # seconds after a stop in which what piled up meanwhile is still being heard
