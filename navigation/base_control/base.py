@@ -16,6 +16,7 @@ from navigation.base_control.settings import limits
 from navigation.yarp import Commands
 
 MAX_STEP = 0.1  # seconds that one step may count for: after a standstill the base does not catch up on accelerations
+_PUSHED = 1.5  # times its own maximum that a wheel may turn when the base is pushed
 SETTLED, REPEAT = 0.5, 0.04
 """Seconds after which a base that is to stand still does so, and seconds between two commands to it from then on: less
 than half of the time-out of the wheels' driver."""
@@ -31,7 +32,7 @@ class DrivenBase:
         self.inputs = {one.name: CommandInput(one.name, one.timeout) for one in section.inputs}
         self._arbiter = Arbiter(list(self.inputs.values()), section.period)
         self.limiter = Limiter(base, self.most)  # keeps it within its limits
-        self.odometry = WheelOdometry(base)  # where it has come to
+        self.odometry = WheelOdometry(base, _PUSHED * self.most.wheel)
         self.full = FullControl(section.joystick_linear_vel, section.joystick_angular_vel)
         self.motors_filter: int = section.motors_filter
         self.choice = NOBODY  # what it drives by
@@ -49,12 +50,13 @@ class DrivenBase:
         self.limiter.step(STILL if self.idle else self.choice.velocity, seconds)
         return self.limiter.wheels()
 
-    def measured(self, angles: Sequence[float], now: float) -> Travelled:
-        """Take the wheels' angles, rad, at a time in seconds; where the base has come to, its velocity smoothed.
+    def measured(self, angles: Sequence[float], now: float, rates: Sequence[float] | None = None) -> Travelled:
+        """Add an encoder reading, and return the pose with the velocity smoothed.
 
-        Raises `ValueError` if they are no angles of these wheels.
+        ``angles`` in rad at a time in seconds, ``rates`` in rad/s if the encoders measure them. Raises `ValueError` for
+        angles that are not finite or not one per wheel.
         """
-        found = self.odometry.update(angles, now)
+        found = self.odometry.update(angles, now, rates)
         seconds = 0.0 if self._measured is None else now - self._measured
         self._measured = now
         if seconds > 0.0:

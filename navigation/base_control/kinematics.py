@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from navigation.base_control.commands import STILL, Velocity
+from navigation.base_control.encoders import WheelRates, turned
 
 Array = NDArray[np.float64]
 
@@ -98,46 +99,60 @@ class Travelled:
 
 
 class WheelOdometry:
-    """Adds up encoder angles; between two readings the base drives along an arc."""
+    """Integrates encoder angles; between two readings the base drives along an arc.
 
-    def __init__(self, kinematics: Kinematics) -> None:
-        # plain numbers: for two or three wheels they are quicker than arrays
+    Args:
+        kinematics: the kind of base.
+        fastest: rad/s that no wheel exceeds; a larger change of an angle is not a motion (`encoders.turned`).
+    """
+
+    def __init__(self, kinematics: Kinematics, fastest: float = math.inf) -> None:
+        # plain numbers: for two or three wheels they are faster than arrays
         self._rows: list[list[float]] = kinematics.inverse.tolist()
         self._wheels = len(kinematics.joints)
-        self._angles: Sequence[float] | None = None
+        self._fastest = fastest
+        self._angles: Sequence[float] | None = None  # of the last reading
+        self._total = [0.0] * self._wheels  # counted on over wraps and restarts of the encoders
+        self._rates = WheelRates(self._wheels)
         self._time = 0.0
         self.now = Travelled()
 
-    def update(self, angles: Sequence[float], time: float) -> Travelled:
-        """Take the wheels' angles (rad, counted on over full turns) at a time in seconds.
+    def update(self, angles: Sequence[float], time: float, rates: Sequence[float] | None = None) -> Travelled:
+        """Add a reading: the wheels' angles (rad) at a time in seconds, and their velocities (rad/s) if measured.
 
-        The first reading only says where the encoders stand. A reading that is not newer changes nothing.
-        Raises `ValueError` if an angle is not a number, or there are too many or too few.
+        The first reading is the reference for the next one. A reading that is not newer changes nothing.
+        Raises `ValueError` if an angle is not finite, or the number of angles is wrong.
         """
         if len(angles) != self._wheels or not all(map(math.isfinite, angles)):
             raise ValueError(f"{self._wheels} finite wheel angles are needed, not {angles}")
-        if self._angles is None:
-            self._angles, self._time = tuple(angles), time
-            return self.now
-        seconds = time - self._time
-        if seconds <= 0.0:
-            return self.now
-        turned = [angle - before for angle, before in zip(angles, self._angles, strict=True)]
-        step = Velocity(*(sum(map(mul, row, turned)) for row in self._rows))
+        seconds = 0.0
+        if self._angles is not None:
+            seconds = time - self._time
+            if seconds <= 0.0:
+                return self.now
+        before = angles if self._angles is None else self._angles
+        steps = [turned(a, b, seconds, self._fastest) for a, b in zip(before, angles, strict=True)]
         self._angles, self._time = tuple(angles), time
-        self.now = _moved(self.now, step, seconds)
+        self._total = [total + step for total, step in zip(self._total, steps, strict=True)]
+        velocity = self._base(self._rates.add(time, self._total, rates))
+        self.now = _moved(self.now, self._base(steps), velocity)
         return self.now
 
+    def _base(self, wheels: Sequence[float]) -> Velocity:
+        """Return the base's motion of the wheels'."""
+        return Velocity(*(sum(map(mul, row, wheels)) for row in self._rows))
+
     def reset(self) -> None:
-        """Begin at zero from here."""
+        """Continue from a pose and distances of zero."""
         self.now = Travelled()
 
     def restart(self) -> None:
-        """Take the next reading as the first one: the encoders or the clock began anew; the pose is kept."""
+        """Treat the next reading as the first one, because the clock was set; the pose is kept."""
         self._angles = None
+        self._rates.clear()
 
 
-def _moved(before: Travelled, step: Velocity, seconds: float) -> Travelled:
+def _moved(before: Travelled, step: Velocity, velocity: Velocity) -> Travelled:
     """``step`` is a motion in the base's frame: metres, metres, radians."""
     sin_share, cos_share = 1.0, step.turn / 2.0
     if abs(step.turn) > _SMALL_TURN:
@@ -150,7 +165,7 @@ def _moved(before: Travelled, step: Velocity, seconds: float) -> Travelled:
         before.x + cos * along - sin * aside,
         before.y + sin * along + cos * aside,
         before.theta + step.turn,
-        Velocity(step.x / seconds, step.y / seconds, step.turn / seconds),
+        velocity,
         before.distance + math.hypot(step.x, step.y),
         before.angle + abs(step.turn),
     )

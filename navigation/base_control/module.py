@@ -21,6 +21,7 @@ from bridge.modules.services import Answer
 from bridge.routing.stall import StallDetector
 from bridge.worker import Health
 from navigation.base_control.base import BaseCommands, DrivenBase
+from navigation.base_control.encoders import ReadingTimes
 from navigation.base_control.kinematics import Array
 from navigation.base_control.ports import CommandInputs, OdometryPublisher, OdometryRpc
 from navigation.base_control.settings import resolved
@@ -46,6 +47,7 @@ class BaseControl(Module):
             host.log.warning("%s", note)
         self.base = DrivenBase(section)
         self._joints = section.joints
+        self._times = ReadingTimes()
         self._trouble = ""
         self._heard: float | None = None
         self._named: list[str] = []  # the joints of the last encoders, and the wheels' places among them
@@ -59,7 +61,7 @@ class BaseControl(Module):
         self._command = self._wheels.template(still, "header.stamp", "velocity")
         host.node.subscription(section.joint_states, JOINTS, self._encoders, Qos(depth=10))
         self._offer(host, section)
-        host.on_jump(self.base.forget)
+        host.on_jump(self._forget)
         host.every(section.period, self._step)
 
     def _offer(self, host: Host, section: BaseControlSection) -> None:
@@ -100,14 +102,26 @@ class BaseControl(Module):
             self._miss(len(positions))
             return
         stamp = message["header"]["stamp"]
+        stamp_ns = stamp["sec"] * 1_000_000_000 + stamp["nanosec"]
+        at = self._times.add(stamp_ns, self.now(), self._host.clock.now_ns())
+        self._heard = time.monotonic()
+        if at is None:
+            return
+        velocities = message["velocity"].tolist()
+        rates = [velocities[place] for place in self._places if place is not None and place < len(velocities)]
         try:
-            found = self.base.measured(angles, stamp["sec"] + stamp["nanosec"] / 1e9)
+            travelled = self.base.measured(angles, at.seconds, rates if len(velocities) == len(positions) else None)
         except ValueError as err:
             self._trouble = str(err)
             return
         self._trouble = ""
-        self._heard = time.monotonic()
-        self._publisher.publish(found, stamp)
+        seconds, nanoseconds = divmod(at.stamp_ns, 1_000_000_000)
+        self._publisher.publish(travelled, {"sec": seconds, "nanosec": nanoseconds})
+
+    def _forget(self) -> None:
+        """Forget what depends on the clock, which was set back."""
+        self._times = ReadingTimes()
+        self.base.forget()
 
     def _miss(self, positions: int) -> None:
         """Say which wheel has no encoder, unless none has: then it is the arms' driver, on the same topic."""

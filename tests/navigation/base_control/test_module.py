@@ -39,6 +39,7 @@ class Wheels:
         self.told, self._told_at = [0.0, 0.0], 0.0
         self.fastest = 0.0
         self.names: list[str] = ["mobile_base_l_wheel_joint", "mobile_base_r_wheel_joint"]
+        self.stamped = True
         self._ending = threading.Event()
         self._thread = threading.Thread(target=self._run)
         self._thread.start()
@@ -61,7 +62,7 @@ class Wheels:
             now = time.time()
             angles = [angle + told * (now - last) for angle, told in zip(angles, self.told, strict=True)]
             last = now
-            stamp = {"sec": int(now), "nanosec": int(now % 1 * 1e9)}
+            stamp = {"sec": int(now), "nanosec": int(now % 1 * 1e9)} if self.stamped else {}
             message = {"header": {"stamp": stamp}, "name": self.names, "position": angles}
             self._out.put(from_json(self._registry, JOINTS, message))
 
@@ -239,3 +240,59 @@ def test_a_link_that_is_cut_stops_it_and_one_that_is_mended_brings_nothing_old(p
             until(lambda: base_stale(place) > before, "what waited is dropped", 30)
             assert wheels.fastest == 0.0
             until(lambda: (stick.put(payload), drives(wheels, 0.2, 0.0)())[1], "it goes on", 30)
+
+
+@pytest.mark.parametrize("measured", [False, True], ids=["angles", "velocities"])
+def test_a_driver_that_stamps_in_bursts_has_steady_odometry(place: Place, measured: bool) -> None:
+    odometry = place.far.subscribe("/odom", "nav_msgs/Odometry", depth=1000)
+    started(place)
+    out = place.far.advertise("/joint_states", "sensor_msgs/JointState")
+    names = ["arm_joint", "mobile_base_r_wheel_joint", "mobile_base_l_wheel_joint"]
+    start, rate = 1_760_000_000_000_000_000, 0.3 / RADIUS
+    count, readings = 0, 200
+    until(lambda: place.far.publishers("/odom"), "base control publishes odometry", 20)
+    for reading in range(readings):
+        burst, within = divmod(reading, 4)
+        stamp = start + burst * 40_000_000 + within * 400_000
+        seconds, nanoseconds = divmod(stamp, 1_000_000_000)
+        angle = rate * reading * 0.01
+        message = {
+            "header": {"stamp": {"sec": seconds, "nanosec": nanoseconds}},
+            "name": names,
+            "position": [0.0, angle, angle],
+            "velocity": [0.0, rate, rate] if measured else [],
+        }
+
+        def published(message: dict[str, Any] = message, count: int = count) -> bool:
+            place.far.publish(out, message)
+            return len(place.far.wait(odometry, count + 1, 0.2)) > count
+
+        until(published, "the reading becomes odometry", 20)
+        count = len(place.far.wait(odometry, 1))
+    messages = place.far.wait(odometry, readings)
+    speeds = [message["twist"]["twist"]["linear"]["x"] for message in messages]
+    assert max(speeds) <= 0.33
+    assert min(speeds[readings // 2 :]) >= (0.3 - 1e-6 if measured else 0.25)
+    stamps = [stamp_ns(message) for message in messages]
+    assert stamps == sorted(set(stamps))
+    assert messages[-1]["pose"]["pose"]["position"]["x"] == pytest.approx(0.3 * (readings - 1) * 0.01)
+
+
+def test_a_driver_without_stamps_has_odometry(place: Place, wheels: Wheels) -> None:
+    wheels.stamped = False
+    odometry = place.far.subscribe("/odom", "nav_msgs/Odometry")
+    started(place)
+    out = place.far.advertise("/cmd_vel", TWIST)
+    last = lambda: place.far.wait(odometry, 1)[-1]  # noqa: E731
+    until(
+        lambda: (place.far.publish(out, twist(0.2, 0.0)), last()["twist"]["twist"]["linear"]["x"] > 0.15)[1],
+        "odometry follows",
+        20,
+    )
+    assert stamp_ns(last()) / 1e9 == pytest.approx(time.time(), abs=5.0)
+    until(lambda: last()["twist"]["twist"]["linear"]["x"] == 0.0, "odometry stands when the base does", 20)
+
+
+def stamp_ns(message: dict[str, Any]) -> int:
+    stamp = message["header"]["stamp"]
+    return int(stamp["sec"]) * 1_000_000_000 + int(stamp["nanosec"])

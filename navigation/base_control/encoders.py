@@ -1,0 +1,137 @@
+"""Encoder readings: when each was taken, how far the wheels turned since the last, and how fast they turn."""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Sequence
+from operator import mul
+from typing import NamedTuple
+
+PATIENCE = 0.2  # seconds without a newer stamp after which the driver's clock was set back, or stands
+_JUMP = 0.5  # seconds by which stamps may run ahead of arrivals; more is a step of the driver's clock
+
+
+class ReadingTime(NamedTuple):
+    """When the encoders were read."""
+
+    stamp_ns: int  #: for messages: by the driver's clock, or ours if the driver has none
+    seconds: float  #: always increasing, also across a step of the driver's clock
+
+
+class ReadingTimes:
+    """Assigns times to readings whose stamps may jitter, repeat, go back, jump or be missing."""
+
+    def __init__(self) -> None:
+        self._last: ReadingTime | None = None
+        self._arrival = 0.0
+        self._stamp_ns = 0  # of the last reading, accepted or not
+        self._stands = False  # whether the driver's clock does
+
+    def add(self, stamp_ns: int, arrival: float, now_ns: int) -> ReadingTime | None:
+        """Return the time of a reading, or None if it is not newer than the last one.
+
+        ``arrival`` is in seconds of a clock that is never set; ``now_ns`` is the time that replaces a missing stamp.
+        """
+        repeated, self._stamp_ns = stamp_ns == self._stamp_ns, stamp_ns
+        last, waited = self._last, arrival - self._arrival
+        if last is None:
+            return self._accept(stamp_ns or now_ns, arrival, 0.0)
+        self._stands = repeated and (self._stands or waited >= PATIENCE)
+        if not stamp_ns or self._stands:
+            stamp_ns = now_ns
+        elif stamp_ns <= last.stamp_ns and waited < PATIENCE:
+            return None
+        step = (stamp_ns - last.stamp_ns) / 1e9
+        return self._accept(stamp_ns, arrival, step if 0.0 < step <= waited + _JUMP else max(waited, 0.0))
+
+    def _accept(self, stamp_ns: int, arrival: float, step: float) -> ReadingTime:
+        before = stamp_ns / 1e9 if self._last is None else self._last.seconds
+        self._last, self._arrival = ReadingTime(stamp_ns, before + step), arrival
+        return self._last
+
+
+_SLACK = 0.05  # seconds by which the time between two readings may be wrong
+_WRAP = 2.0 * math.pi
+
+
+def turned(before: float, after: float, seconds: float, fastest: float) -> float:
+    """Return the angle, rad, by which a wheel turned between two readings of its encoder.
+
+    A change that no wheel can make in that time, at ``fastest`` rad/s, is the wrap of an encoder that counts within one
+    turn, or else the encoder has started again at another angle: that is no motion.
+    """
+    change = after - before
+    possible = fastest * (seconds + _SLACK)
+    if abs(change) <= max(math.pi, possible):
+        return change
+    wrapped = math.remainder(change, _WRAP)
+    return wrapped if abs(change) <= _WRAP and abs(wrapped) <= possible else 0.0
+
+
+WINDOW = 0.25  # seconds over which a velocity is the slope of the angles
+_SHORTEST = WINDOW / 2.0
+"""Seconds that a slope needs. Until the readings span them, jitter could make any velocity, so that it is reduced."""
+
+_SAMPLES = 20
+_STANDING = 0.1  # seconds without a change of any angle after which the wheels stand
+_STILL_ANGLE, _STILL_RATE = 1e-10, 5e-10  # rad and rad/s that are rounding errors of a simulation, not motion
+
+
+class WheelRates:
+    """How fast wheels turn, rad/s: as their encoders report it, else from their angles over a `WINDOW` of time.
+
+    The slope is that of least squares, which averages the jitter of stamps: differences of two readings would turn a
+    burst of stamps into many times the true velocity. Wheels that stand have exactly zero, after `_STANDING` at latest.
+    """
+
+    def __init__(self, wheels: int) -> None:
+        self._zero = [0.0] * wheels
+        self._reports = False  # whether an encoder has reported a velocity other than 0
+        self.clear()
+
+    def clear(self) -> None:
+        """Forget all readings."""
+        self._window: deque[tuple[float, Sequence[float]]] = deque()
+        self._changed: tuple[float, Sequence[float]] | None = None
+
+    def add(self, time: float, angles: Sequence[float], reported: Sequence[float] | None = None) -> list[float]:
+        """Return the velocities at a reading, of which the time (s) is newer than the last.
+
+        Encoders that have only ever reported 0 may not measure velocities at all: until then the angles count.
+        """
+        self._keep(time, angles)
+        usable = reported is not None and len(reported) == len(self._zero) and all(map(math.isfinite, reported))
+        self._reports = self._reports or (usable and any(reported or ()))
+        if self._stand(time, angles):
+            return list(self._zero)
+        rates = list(reported) if usable and self._reports and reported is not None else self._slopes()
+        return [0.0 if abs(rate) < _STILL_RATE else rate for rate in rates]
+
+    def _stand(self, time: float, angles: Sequence[float]) -> bool:
+        changed = self._changed
+        if changed is None or any(abs(a - b) > _STILL_ANGLE for a, b in zip(angles, changed[1], strict=True)):
+            self._changed = changed = time, angles
+        return time - changed[0] >= _STANDING
+
+    def _keep(self, time: float, angles: Sequence[float]) -> None:
+        """Keep a reading; of several close together, only the newest, which bounds their number."""
+        window = self._window
+        if len(window) > 1 and time - window[-2][0] < WINDOW / _SAMPLES:
+            window.pop()
+        window.append((time, angles))
+        while len(window) > 2 and time - window[0][0] > WINDOW and time - window[1][0] >= _SHORTEST:
+            window.popleft()
+
+    def _slopes(self) -> list[float]:
+        """Return the slopes of the angles over the window, by least squares."""
+        count = len(self._window)
+        if count < 2:
+            return list(self._zero)
+        newest, oldest = self._window[-1][0], self._window[0][0]
+        times = [time - newest for time, _ in self._window]
+        mean = sum(times) / count
+        deviations = [time - mean for time in times]
+        share = min(1.0, (newest - oldest) / _SHORTEST) / sum(map(mul, deviations, deviations))
+        columns = zip(*(angles for _, angles in self._window), strict=True)
+        return [share * sum(map(mul, deviations, column)) for column in columns]
