@@ -209,7 +209,9 @@ class RuleSet:
             return policy if native else replace(policy, name=topic, rate=None)
         if matches and self.section.default == "deny":
             return RoutePolicy(allowed=False, why="rules allow it to other sides only", name=topic)
-        private = self._private(origin, topic, type_name, kind) if native else None
+        # a rule for another side may have let in what is private
+        passed = not native and (elsewhere or not matches or any(m.rule.to == ENTRY for m in matches))
+        private = None if passed else self._private(origin, topic, type_name, kind)
         if private is not None and not private.allowed:
             return private
         if self._withheld(side, topic, type_name, kind):

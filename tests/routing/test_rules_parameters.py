@@ -134,6 +134,23 @@ def test_a_rule_that_names_the_services_or_private_false_lets_them_leave(origin:
     assert allowed(leaving(rules("ros2", private=False, rules=[{**named, "deny": True}]), origin, side)) == {False}
 
 
+@pytest.mark.parametrize("origin", [NATIVE, "ros2"])
+@pytest.mark.parametrize("default", ["allow", "deny"])
+def test_a_rule_for_one_side_lets_private_ones_leave_to_that_side_only(origin: str, default: str) -> None:
+    named = {"kind": "service", "type": "rcl_interfaces/srv/*", "to": "zenoh_ros2dds"}
+    compiled = rules(rules=[named, {"topic": "/rosout", "to": "ros1"}], default=default)
+    assert allowed(leaving(compiled, origin, "zenoh_ros2dds", "/ns/other")) == {True}
+    assert allowed(leaving(compiled, origin, "ros1", "/ns/other")) == {False}
+    assert compiled.leave(origin, "ros1", "/rosout", "rcl_interfaces/msg/Log").allowed
+    assert not compiled.leave(origin, "yarp", "/rosout", "rcl_interfaces/msg/Log").allowed
+
+
+def test_a_rule_for_the_hub_lets_private_ones_leave_to_all_sides() -> None:
+    compiled = rules(rules=[{"topic": "/rosout", "to": "zenoh"}])
+    assert compiled.enter("ros2", "/rosout", "rcl_interfaces/msg/Log").allowed
+    assert compiled.leave("ros2", "yarp", "/rosout", "rcl_interfaces/msg/Log").allowed
+
+
 @pytest.mark.parametrize("origin", [None, Origin("ros2", "prefix", "here"), Origin("ros2", "prefix", "there")])
 @pytest.mark.parametrize(("side", "expected"), [("ros1", False), ("yarp", False), ("zenoh_ros2dds", True)])
 def test_the_exit_gate_decides_alike_for_native_and_bridged_servers(
