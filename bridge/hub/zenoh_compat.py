@@ -9,7 +9,7 @@ from __future__ import annotations
 import contextlib
 import ctypes
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import Any
 
 import zenoh
@@ -63,6 +63,23 @@ def follow_tokens(session: zenoh.Session, keys: str, callback: Callable[[zenoh.S
     """Call back for each liveliness token that is there, comes and goes."""
     handler = zenoh.handlers.Callback(callback, indirect=False)
     return session.liveliness().declare_subscriber(keys, handler, history=True)
+
+
+SOURCE_NUMBERS = 1 << 32
+"""How many source numbers there are; 0 follows the last one."""
+
+
+def source_infos(publisher: zenoh.Publisher, first: int = 0) -> Iterator[zenoh.SourceInfo]:
+    """Yield the source info of each sample that a publisher puts: its id, and a number that grows by one per sample.
+
+    Every subscription of rmw_zenoh is zenoh's advanced subscriber, which drops a sample whose number is not above the
+    last one from the same id. A number that is left out counts as a lost sample there. The caller puts one sample per
+    source info, in order.
+    """
+    identity, number = publisher.id, first
+    while True:
+        yield zenoh.SourceInfo(identity, number)
+        number = (number + 1) % SOURCE_NUMBERS
 
 
 def undeclare(*ends: Any) -> None:

@@ -104,9 +104,9 @@ class HubNetwork:
             yield session
 
     @contextmanager
-    def rmw_session(self) -> Iterator[zenoh.Session]:
+    def rmw_session(self, mode: str = "peer") -> Iterator[zenoh.Session]:
         """A session as an rmw_zenoh node opens it; see `tests.support.zenoh_rmw`."""
-        with rmw_session(self.endpoint) as session:
+        with rmw_session(self.endpoint, mode) as session:
             yield session
 
     def hub_peer(self, node: str, **more: Any) -> Peer:

@@ -429,7 +429,7 @@ class JsonProgram(Program):
     def subscribe(self, topic: str, type_: str = "", **_: Any) -> int:
         number, hear = self.listener(topic, type_)
         self._things[number][2].append(
-            self.session.declare_subscriber(topic.strip("/"), hear, allowed_origin=zenoh.Locality.REMOTE)
+            ext.declare_advanced_subscriber(self.session, topic.strip("/"), hear, allowed_origin=zenoh.Locality.REMOTE)
         )
         return number
 

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import contextlib
 import json
+import secrets
 import time
 from collections.abc import Callable
 from typing import Any
@@ -17,7 +18,7 @@ from typing import Any
 import zenoh
 from zenoh import ext
 
-from bridge.hub.wire.keys import pack_attachment
+from bridge.hub.wire.keys import GID_SIZE, pack_attachment
 from bridge.hub.wire.qos import History, Qos, Reliability
 from tests.support.wait import until
 
@@ -43,9 +44,15 @@ CONFIG: dict[str, Any] = {
 """What a node needs of rmw_zenoh_cpp's `DEFAULT_RMW_ZENOH_SESSION_CONFIG.json5`, with loopback for localhost."""
 
 
-def rmw_session(router: str) -> zenoh.Session:
-    """Open the zenoh session of an rmw_zenoh context, which connects to a router and directly to other peers."""
-    return zenoh.open(zenoh.Config.from_json5(json.dumps(CONFIG | {"connect": {"endpoints": [router]}})))
+def rmw_session(router: str, mode: str = "peer") -> zenoh.Session:
+    """Open the zenoh session of an rmw_zenoh context.
+
+    As a peer, rmw_zenoh's default, it connects to the router and directly to other peers; as a client it reaches them
+    through the router only.
+    """
+    listen = {} if mode == "client" else CONFIG["listen"]
+    tree = {**CONFIG, "mode": mode, "listen": listen, "connect": {"endpoints": [router]}}
+    return zenoh.open(zenoh.Config.from_json5(json.dumps(tree)))
 
 
 def subscribe(session: zenoh.Session, key: str, callback: Callable[[zenoh.Sample], None], qos: Qos) -> Any:
@@ -124,17 +131,34 @@ class RmwSubscription:
 
 
 class RmwPublisher:
-    """Publishes with an attachment as rmw_zenoh does: sequence numbers from 1, the time, the GID."""
+    """Publishes with the attachment of rmw_zenoh: sequence number, time and GID.
 
-    def __init__(self, session: zenoh.Session, key: str, qos: Qos, gid: bytes) -> None:
+    Args:
+        gid: the publisher's GID, by default a random one.
+        first: the first sequence number; rmw_zenoh starts with 1.
+    """
+
+    def __init__(self, session: zenoh.Session, key: str, qos: Qos, gid: bytes = b"", *, first: int = 1) -> None:
         self._end = declare_publisher(session, key, qos)
-        self._gid, self._sequence = gid, 0
+        # the wheel's AdvancedPublisher has no matching status
+        self._matching = session.declare_publisher(key)
+        self._gid, self._sequence = gid or secrets.token_bytes(GID_SIZE), first
 
     def put(self, payload: bytes) -> None:
         """Publish one message."""
-        self._sequence += 1
         self._end.put(payload, attachment=pack_attachment(self._sequence, time.time_ns(), self._gid))
+        self._sequence += 1
+
+    def matched(self) -> bool:
+        """Return whether another session subscribes to the key."""
+        status: Any = self._matching.matching_status  # an object, although the wheel's stubs promise a bool
+        return bool(status.matching)
+
+    def until_matched(self) -> None:
+        """Wait for a subscription."""
+        until(self.matched, "the publisher is matched")
 
     def close(self) -> None:
         """Withdraw the publisher with the samples it caches."""
+        self._matching.undeclare()
         self._end.undeclare()

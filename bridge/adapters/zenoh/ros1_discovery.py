@@ -28,7 +28,7 @@ import zenoh
 
 from bridge.adapters.zenoh.neighbours import is_marked, sender
 from bridge.hub.errors import HubWireError
-from bridge.hub.zenoh_compat import subscribe, undeclare
+from bridge.hub.zenoh_compat import source_infos, subscribe, undeclare
 from bridge.messages.definitions.names import is_ros1_name
 from bridge.routing.edge import Kind
 
@@ -112,10 +112,11 @@ class _Beacon:
             key, reliability=zenoh.Reliability.BEST_EFFORT, priority=zenoh.Priority.BACKGROUND,
             congestion_control=zenoh.CongestionControl.DROP, allowed_destination=zenoh.Locality.REMOTE,
         )  # fmt: skip
+        self._infos = source_infos(self._publisher)
 
     def send(self, now: float) -> None:
         self.rest(now)
-        self._publisher.put(b"", source_info=zenoh.SourceInfo(self._publisher.id, 0))
+        self._publisher.put(b"", source_info=next(self._infos))
 
     def rest(self, now: float) -> None:
         """We or another Midspan just beaconed on the key."""

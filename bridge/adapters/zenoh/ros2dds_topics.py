@@ -16,7 +16,7 @@ import zenoh
 from bridge.adapters.zenoh.neighbours import sender, time_ns
 from bridge.adapters.zenoh.topics import Announcement, KeyContext, KeySubscription, PlainSink, SourceOf, priority
 from bridge.concurrency import DelayedCalls
-from bridge.hub.endpoints.latched import LatchedHistory, LatchedPublisher
+from bridge.hub.endpoints.latched import LatchedHistory, LatchedPublisher, is_newer
 from bridge.hub.wire.qos import Qos
 from bridge.routing.edge import Deliver
 
@@ -93,7 +93,7 @@ class LatchedSubscription(KeySubscription):
         self._asked: Counter[str] = Counter()
         self._kept: dict[str, list[tuple[zenoh.Sample, str]]] = {}
         self._held: dict[str, list[tuple[zenoh.Sample, str]]] = {}
-        self._last: dict[tuple[str, str], int] = {}
+        self._last: dict[tuple[str, str], tuple[int | None, int]] = {}
         super().__init__(context, key, qos, deliver, source_of, announcement)
         self._history = LatchedHistory(context.session, key, wanted, self, context.executor, recovers=False)
         self._history.open()
@@ -137,7 +137,7 @@ class LatchedSubscription(KeySubscription):
                 return
             del self._asked[zid]
             by_source: dict[str, list[tuple[zenoh.Sample, str]]] = {}
-            for entry in sorted(self._kept.pop(zid, []), key=lambda entry: _order(entry[0])):
+            for entry in sorted(self._kept.pop(zid, []), key=lambda entry: time_ns(entry[0]) or 0):
                 by_source.setdefault(entry[1], []).append(entry)
             for source, entries in by_source.items():
                 for entry in entries[-self._depth(source) :]:
@@ -146,18 +146,23 @@ class LatchedSubscription(KeySubscription):
                 self._deliver(*entry)
 
     def _deliver(self, sample: zenoh.Sample, source: str) -> None:
-        info = sample.source_info
+        stamp, info = time_ns(sample) or 0, sample.source_info
         publisher = sender(sample), "" if info is None else str(info.source_id.eid)
-        order = _order(sample)
-        if order and order <= self._last.get(publisher, 0):
-            return  # it came both ways
+        number = None if info is None else info.source_sn
+        last = self._last.get(publisher)
+        if last is not None and not is_later(number, stamp, *last):
+            return  # it was received both live and from the cache
         if len(self._last) >= _MAX_PUBLISHERS:
             del self._last[next(iter(self._last))]
-        self._last[publisher] = order
+        self._last[publisher] = number, stamp
         super().take(sample, source)
 
 
-def _order(sample: zenoh.Sample) -> int:
-    """A number that grows from sample to sample of one publisher, 0 without one."""
-    stamp, info = time_ns(sample), sample.source_info
-    return stamp if stamp is not None else 0 if info is None else info.source_sn + 1
+def is_later(number: int | None, stamp: int, last_number: int | None, last_stamp: int) -> bool:
+    """Whether a sample follows its publisher's last one, by source number or, if it has none, by time stamp.
+
+    A publisher that restarts with the same id numbers from 0 again; only its time stamps go on.
+    """
+    if number is None or last_number is None:
+        return not stamp or stamp > last_stamp
+    return is_newer(number, last_number) or 0 < last_stamp < stamp

@@ -16,7 +16,7 @@ from bridge.adapters.zenoh.neighbours import is_marked, sender, time_ns
 from bridge.concurrency import SerialExecutor
 from bridge.hub.endpoints.calls import nothing
 from bridge.hub.wire.qos import Qos
-from bridge.hub.zenoh_compat import answer, subscribe, undeclare
+from bridge.hub.zenoh_compat import answer, source_infos, subscribe, undeclare
 from bridge.routing.dispatcher import Dispatcher
 from bridge.routing.edge import Deliver
 from bridge.routing.limits import BULK, QUEUE_BYTES, Priority
@@ -68,9 +68,6 @@ class Announcement:
             withdraw()
 
 
-_NUMBERS = 0xFFFFFFFF
-
-
 def is_command(qos: Qos) -> bool:
     """Whether only the newest message counts: volatile with depth 1, as the engine asks for commands."""
     return qos.depth == 1 and not qos.latched
@@ -92,15 +89,12 @@ class PlainSink:
             key, express=is_command(qos), priority=priority(qos),
             congestion_control=zenoh.CongestionControl.DROP, allowed_destination=zenoh.Locality.REMOTE,
         )  # fmt: skip
-        self._id = self.publisher.id
-        self._number = 0
+        self._infos = source_infos(self.publisher)
 
     def put(self, payload: bytes) -> None:
         """Publish; one thread at a time."""
-        self._number += 1
-        info = zenoh.SourceInfo(self._id, self._number & _NUMBERS)
         with contextlib.suppress(zenoh.ZError):  # the session is being closed
-            self.publisher.put(payload, source_info=info, encoding=self._encoding)
+            self.publisher.put(payload, source_info=next(self._infos), encoding=self._encoding)
 
     def close(self) -> None:
         """Give the publisher back."""

@@ -16,7 +16,7 @@ from typing import Any
 import zenoh
 
 from bridge.hub.errors import HubClosedError, HubError, zenoh_reason
-from bridge.hub.zenoh_compat import BEHIND, answer, follow_tokens, keep_thread_state, subscribe, undeclare
+from bridge.hub.zenoh_compat import BEHIND, answer, follow_tokens, keep_thread_state, source_infos, subscribe, undeclare
 
 _log = logging.getLogger(__name__)
 
@@ -95,7 +95,8 @@ class KeySpace:
 
     def __init__(self, session: zenoh.Session, prefix: str, limit: int) -> None:
         self._session, self._prefix, self._limit = session, prefix, limit
-        self._lock = threading.Lock()
+        self._lock, self._sending = threading.Lock(), threading.Lock()
+        self._infos: Iterator[zenoh.SourceInfo] | None = None
         self._ends: list[Any] = []
         self._asking: set[zenoh.CancellationToken] = set()
         self._closed = False
@@ -111,12 +112,23 @@ class KeySpace:
             "allowed_destination": zenoh.Locality.REMOTE,
         }
         try:
-            if item.body is None:
-                self._session.delete(key, **options)
-            else:
-                self._session.put(key, item.body, encoding=item.encoding or None, **options)
+            # Without source numbers zenoh's advanced subscriber goes by the time stamps, and drops what was written
+            # before the last value of the same writer, also under another key.
+            with self._sending:
+                if self._infos is None:
+                    self._infos = self._numbers()
+                options["source_info"] = next(self._infos)
+                if item.body is None:
+                    self._session.delete(key, **options)
+                else:
+                    self._session.put(key, item.body, encoding=item.encoding or None, **options)
         except zenoh.ZError as err:
             raise HubError(f"cannot send {item.key}: {zenoh_reason(err)}") from None
+
+    def _numbers(self) -> Iterator[zenoh.SourceInfo]:
+        source = self._session.declare_publisher(self._prefix, allowed_destination=zenoh.Locality.REMOTE)
+        self._keep(source)
+        return source_infos(source)
 
     def subscribe(self, keys: str, callback: Callable[[KeyItem], None]) -> None:
         """Call back for each value that is written or deleted, until the space is closed."""

@@ -21,12 +21,10 @@ import zenoh
 from zenoh import ext
 
 from bridge.concurrency import DelayedCalls, SerialExecutor
-from bridge.hub.zenoh_compat import BEHIND, follow_tokens, subscribe, undeclare
+from bridge.hub.zenoh_compat import BEHIND, SOURCE_NUMBERS, follow_tokens, subscribe, undeclare
 
 HEARTBEAT = 0.5
 """Seconds after which a latched publisher publishes its last sample's number, as rmw_zenoh's do."""
-
-_NUMBERS = 1 << 32
 
 
 class LatchedPublisher:
@@ -82,7 +80,7 @@ class LatchedPublisher:
     def _heartbeat(self) -> None:
         if self._closed:
             return
-        number = (self._put - 1) % _NUMBERS
+        number = (self._put - 1) % SOURCE_NUMBERS
         with contextlib.suppress(zenoh.ZError, RuntimeError):  # the session is being closed
             self._session.put(
                 self._heartbeat_key,
@@ -165,7 +163,7 @@ class LatchedHistory:
         identity = info.source_id
         publisher = str(identity.zid), str(identity.eid)
         with self._lock:
-            if _newer(info.source_sn, self._numbers.get(publisher)):
+            if is_newer(info.source_sn, self._numbers.get(publisher)):
                 if len(self._numbers) >= _MAX_PUBLISHERS:
                     del self._numbers[next(iter(self._numbers))]
                 self._numbers[publisher] = info.source_sn
@@ -220,7 +218,7 @@ class LatchedHistory:
             return
         with self._lock:
             seen = self._numbers.get(publisher)
-        if _newer(number, seen):
+        if is_newer(number, seen):
             self.ask(str(sample.key_expr), publisher[0])
 
     def _on_reply(self, reply: zenoh.Reply) -> None:
@@ -229,9 +227,9 @@ class LatchedHistory:
             self._listener.came(reply.ok)
 
 
-def _newer(number: int, seen: int | None) -> bool:
-    """Numbers of 32 bits, which begin anew after the last."""
-    return seen is None or 0 < (number - seen) % _NUMBERS < _NUMBERS // 2
+def is_newer(number: int, seen: int | None) -> bool:
+    """Whether a source number follows another one; the numbers wrap."""
+    return seen is None or 0 < (number - seen) % SOURCE_NUMBERS < SOURCE_NUMBERS // 2
 
 
 def _publisher(sample: zenoh.Sample) -> tuple[str, str] | None:

@@ -22,16 +22,13 @@ from bridge.hub.lane.outlet import Outlet
 from bridge.hub.lane.writer import LaneWriter
 from bridge.hub.wire.keys import pack_attachment
 from bridge.hub.wire.qos import History, Qos, Reliability
-from bridge.hub.zenoh_compat import BEHIND, keep_thread_state, undeclare
+from bridge.hub.zenoh_compat import BEHIND, keep_thread_state, source_infos, undeclare
 from bridge.hub.zenoh_config import POOL
 from bridge.resources import LARGE_MESSAGES
 
 KEEP_ALL_CACHE = 1000
 """Samples that a latched publisher keeps when its history is unlimited."""
 MAX_CACHE = 10_000
-
-SOURCE_NUMBERS = (1 << 32) - 1
-"""The highest source number of a sample; the next one is 0."""
 
 LARGE = POOL
 """Bytes from which a message does not fit the shared memory, and goes over the links in hundreds of packets."""
@@ -139,19 +136,15 @@ class _PlainSink:
         self._matching = _Matching(self._publisher)
         self._blocks = options.congestion is zenoh.CongestionControl.BLOCK
         self._put = self._publisher.put
-        self._id, self._number = self._publisher.id, 0
+        # the large publisher continues the count under the same id, so that subscribers see one source without gaps
+        self._infos = source_infos(self._publisher)
 
     def send(self, payload: bytes, attached: bytes) -> None:
         if len(payload) > LARGE and self._large is None and not self._blocks:
             # what comes after a large one goes the same way, so that nothing overtakes it
             self._large = self._declare(congestion_control=zenoh.CongestionControl.DROP, priority=BEHIND)
             self._put = self._large.put
-        # Each put needs the next number: zenoh's advanced subscriber, which is every subscription of rmw_zenoh since
-        # 0.2.2, drops a sample whose number is not above its source's last. The large publisher continues the count
-        # under the same id, so that subscribers see one source. Numbers have 32 bits and wrap.
-        info = zenoh.SourceInfo(self._id, self._number)
-        self._number = (self._number + 1) & SOURCE_NUMBERS
-        self._put(payload, attachment=attached, source_info=info)
+        self._put(payload, attachment=attached, source_info=next(self._infos))
 
     def matched(self) -> bool:
         return self._matching.now()

@@ -1,34 +1,61 @@
-"""What subscriptions and publishers of rmw_zenoh, which are zenoh's advanced ones, exchange with the hub."""
+"""What publishers and subscriptions of rmw_zenoh, which are zenoh's advanced ones, exchange with the hub."""
 
 from __future__ import annotations
 
+import time
 from dataclasses import replace
+from typing import Any
 
 import pytest
 import zenoh
 
+from bridge.hub.endpoints.keyspace import KeyItem
 from bridge.hub.endpoints.publisher import LARGE
 from bridge.hub.session import Hub
 from bridge.hub.wire.keys import topic_key
 from bridge.hub.wire.qos import History, Qos
-from tests.hub.parts import HASH, LATCHED, STREAM, TYPE, matched, talk
+from bridge.hub.zenoh_compat import SOURCE_NUMBERS, source_infos
+from tests.hub.parts import BEST_EFFORT_LATCHED, HASH, LATCHED, STREAM, TYPE, Heard, matched, see_each_other, talk
 from tests.support.hub import HubNetwork
 from tests.support.wait import until
-from tests.support.zenoh_rmw import RmwSubscription
+from tests.support.zenoh_rmw import RmwPublisher, RmwSubscription, subscribe
 
 BLOCKING = replace(STREAM, history=History.KEEP_ALL)
+EACH_QOS = pytest.mark.parametrize(
+    "qos",
+    [STREAM, BLOCKING, replace(LATCHED, depth=20), replace(BEST_EFFORT_LATCHED, depth=20)],
+    ids=["volatile", "blocking", "latched", "best effort latched"],
+)
+EACH_LATCHED = pytest.mark.parametrize("qos", [LATCHED, BEST_EFFORT_LATCHED], ids=["reliable", "best effort"])
 
 
-def subscription(session: zenoh.Session, hub: Hub, topic: str, qos: Qos = STREAM) -> RmwSubscription:
-    """An rmw_zenoh subscription to a topic of the hub."""
-    return RmwSubscription(session, topic_key(hub.domain, topic, TYPE, HASH), qos)
+def key(network: HubNetwork, topic: str) -> str:
+    """The key of a topic of the hub."""
+    return topic_key(network.domain, topic, TYPE, HASH)
+
+
+# Midspan publishes, a subscription of rmw_zenoh receives
+
+
+@EACH_QOS
+@pytest.mark.parametrize("priority", ["command", "state", "stream"])
+def test_a_subscription_receives_every_message(network: HubNetwork, qos: Qos, priority: str) -> None:
+    """A node received the first message of a volatile topic only: all had one source number."""
+    with Hub.open(network.settings("a")) as a, network.rmw_session() as rmw:
+        received = RmwSubscription(rmw, key(network, "/cmd_vel"), qos)
+        publisher = talk(a, "/cmd_vel", qos, priority=priority)
+        matched(publisher)
+        sent = ["0.2"] * 10 + ["0.0"] * 10
+        for text in sent:
+            publisher.put(text.encode())
+        received.expect(*sent)
 
 
 def test_messages_that_nobody_received_leave_no_gap(network: HubNetwork) -> None:
     with Hub.open(network.settings("a")) as a, network.rmw_session() as rmw:
         publisher = talk(a, "/chatter")
         assert [publisher.pass_over() for _ in range(3)] == [True] * 3
-        received = subscription(rmw, a, "/chatter")
+        received = RmwSubscription(rmw, key(network, "/chatter"), STREAM)
         matched(publisher)
         publisher.put(b"1")
         publisher.put(b"2")
@@ -39,7 +66,7 @@ def test_messages_that_nobody_received_leave_no_gap(network: HubNetwork) -> None
 def test_all_messages_arrive_around_one_that_is_too_large_for_the_shared_memory(network: HubNetwork) -> None:
     """From the large message on the publisher puts with a second zenoh publisher, of another priority."""
     with Hub.open(network.settings("a")) as a, network.rmw_session() as rmw:
-        received = subscription(rmw, a, "/map")
+        received = RmwSubscription(rmw, key(network, "/map"), STREAM)
         publisher = talk(a, "/map")
         matched(publisher)
         sent = [b"%d" % number for number in range(10)]
@@ -51,27 +78,147 @@ def test_all_messages_arrive_around_one_that_is_too_large_for_the_shared_memory(
 
 
 @pytest.mark.parametrize("qos", [STREAM, LATCHED], ids=["volatile", "latched"])
-def test_a_subscription_follows_source_numbers_across_the_32nd_bit(network: HubNetwork, qos: Qos) -> None:
-    with Hub.open(network.settings("a")) as a, network.rmw_session() as rmw:
-        received = subscription(rmw, a, "/chatter", qos)
-        publisher = talk(a, "/chatter")
-        publisher._sink._number = (1 << 32) - 2  # type: ignore[union-attr]
-        matched(publisher)
+def test_source_numbers_go_on_past_the_last_one(network: HubNetwork, qos: Qos) -> None:
+    with network.program() as program, network.rmw_session() as rmw:
+        received = RmwSubscription(rmw, key(network, "/chatter"), qos)
+        publisher = program.declare_publisher(key(network, "/chatter"))
+        until(lambda: publisher.matching_status.matching, "matched")  # type: ignore[attr-defined]
+        infos = source_infos(publisher, first=SOURCE_NUMBERS - 2)
         for number in range(5):
-            publisher.put(b"%d" % number)
+            publisher.put(b"%d" % number, attachment=bytes(33), source_info=next(infos))
         received.expect("0", "1", "2", "3", "4")
         assert received.missed == 0
 
 
-@pytest.mark.parametrize("qos", [STREAM, BLOCKING, LATCHED], ids=["volatile", "blocking", "latched"])
-@pytest.mark.parametrize("priority", ["command", "state", "stream"])
-def test_a_subscription_receives_every_message(network: HubNetwork, qos: Qos, priority: str) -> None:
-    """Only the first one arrived: all had the same source number."""
+def test_two_publishers_of_one_session_are_two_sources(network: HubNetwork) -> None:
     with Hub.open(network.settings("a")) as a, network.rmw_session() as rmw:
-        received = subscription(rmw, a, "/cmd_vel", qos)
-        publisher = talk(a, "/cmd_vel", qos, priority=priority)
+        received = RmwSubscription(rmw, key(network, "/tf"), STREAM)
+        one, two = talk(a, "/tf"), talk(a, "/tf")
+        matched(one)
+        matched(two)
+        for number in range(5):
+            one.put(b"one %d" % number)
+            two.put(b"two %d" % number)
+        received.expect(*(f"{name} {number}" for number in range(5) for name in ("one", "two")))
+
+
+def test_the_messages_of_a_standby_that_takes_over_arrive_from_the_first_on(network: HubNetwork) -> None:
+    with network.rmw_session() as rmw:
+        received = RmwSubscription(rmw, key(network, "/odom"), STREAM)
+        for name in ("active", "standby"):
+            with Hub.open(network.settings(name)) as hub:
+                publisher = talk(hub, "/odom")
+                matched(publisher)
+                for number in range(3):
+                    publisher.put(f"{name} {number}".encode())
+                until(lambda name=name: f"{name} 2" in received.texts(), f"{received.texts()} has the last")
+        assert received.texts() == [f"{name} {number}" for name in ("active", "standby") for number in range(3)]
+
+
+@EACH_LATCHED
+@pytest.mark.parametrize(("published", "asked", "expected"), [(5, 5, 5), (5, 2, 2), (2, 5, 2), (1, 1, 1)])
+def test_a_late_subscription_receives_the_cached_messages(
+    network: HubNetwork, qos: Qos, published: int, asked: int, expected: int
+) -> None:
+    with Hub.open(network.settings("a")) as a, network.rmw_session() as rmw:
+        sent = [str(number) for number in range(10)]
+        publisher = talk(a, "/map", replace(qos, depth=published), *sent)
+        received = RmwSubscription(rmw, key(network, "/map"), replace(qos, depth=asked))
+        received.expect(*sent[-expected:])
         matched(publisher)
-        sent = ["0.2"] * 10 + ["0.0"] * 10
+        publisher.put(b"live")
+        received.expect(*sent[-expected:], "live")
+
+
+def test_values_of_a_store_arrive_in_any_order_of_their_times(network: HubNetwork) -> None:
+    """Without source numbers zenoh's advanced subscriber drops a value that is older than its writer's last one."""
+    received: list[tuple[str, str]] = []
+
+    def add(sample: zenoh.Sample) -> None:
+        received.append((str(sample.key_expr).rpartition("/")[2], str(sample.kind).rpartition(".")[2]))
+
+    with Hub.open(network.settings("a")) as a, network.rmw_session() as rmw:
+        end = subscribe(rmw, "midspan/store/0/**", add, STREAM)
+        space, now = a.keyspace("midspan/store/0"), time.time_ns()
+        probe = KeyItem("location/probe", b"", ns=now, writer="aa" * 8)
+        until(lambda: space.send(probe) or received, "the subscriber is there", every=0.1)
+        for name, body, age in (("new", b"x", 1), ("older", b"y", 2), ("deleted", None, 2), ("new", b"z", 0)):
+            space.send(KeyItem(f"location/{name}", body, ns=now - age * 1000, writer="aa" * 8))
+        expected = [("new", "PUT"), ("older", "PUT"), ("deleted", "DELETE"), ("new", "PUT")]
+        until(lambda: received[-1:] == expected[-1:], "the last one arrives")
+        assert [each for each in received if each[0] != "probe"] == expected
+        end.undeclare()
+
+
+# a publisher of rmw_zenoh publishes, Midspan receives
+
+
+@EACH_QOS
+@pytest.mark.parametrize("first", [1, 1000, 1 << 40])
+def test_every_message_of_a_publisher_is_received(network: HubNetwork, qos: Qos, first: int) -> None:
+    with Hub.open(network.settings("a")) as a, network.rmw_session() as rmw:
+        received = Heard(a, "/scan", qos)
+        publisher = RmwPublisher(rmw, key(network, "/scan"), qos, first=first)
+        publisher.until_matched()
+        sent = [str(number) for number in range(20)]
         for text in sent:
             publisher.put(text.encode())
         received.expect(*sent)
+        assert received.texts() == sent
+        assert received.subscription.lost == 0
+
+
+@EACH_LATCHED
+@pytest.mark.parametrize("first", [1, 1000])
+def test_what_a_publisher_cached_is_received_late(network: HubNetwork, qos: Qos, first: int) -> None:
+    with network.rmw_session() as rmw, Hub.open(network.settings("a")) as a:
+        publisher = RmwPublisher(rmw, key(network, "/map"), replace(qos, depth=5), first=first)
+        for number in range(10):
+            publisher.put(b"%d" % number)
+        for depth, expected in ((1, ["9"]), (5, ["5", "6", "7", "8", "9"]), (20, ["5", "6", "7", "8", "9"])):
+            late = Heard(a, "/map", replace(qos, depth=depth))
+            late.expect(*expected)
+            assert late.texts() == expected
+            assert late.subscription.lost == 0
+
+
+@EACH_QOS
+def test_a_node_that_restarts_is_received_from_its_first_message_on(network: HubNetwork, qos: Qos) -> None:
+    with Hub.open(network.settings("a")) as a:
+        received = Heard(a, "/scan", qos)
+        expected = []
+        for life in ("first", "second"):
+            with network.rmw_session() as rmw:
+                publisher = RmwPublisher(rmw, key(network, "/scan"), qos)
+                publisher.until_matched()
+                for number in range(3):
+                    publisher.put(f"{life} {number}".encode())
+                    expected.append(f"{life} {number}")
+                received.expect(*expected)
+        assert received.texts() == expected
+        assert received.subscription.lost == 0
+
+
+def test_messages_that_a_link_dropped_are_recovered_both_ways() -> None:
+    """The router passes no live message of /map; only what is asked of the publishers arrives."""
+    deny = {"id": "deny", "permission": "deny", "messages": ["put"], "flows": ["egress"], "key_exprs": ["*/map/**"]}
+    policy = {"subjects": [{"id": "all"}], "policies": [{"rules": ["deny"], "subjects": ["all"]}]}
+    access: Any = {"enabled": True, "default_permission": "allow", "rules": [deny], **policy}
+    deep = replace(LATCHED, depth=10)
+    with (
+        HubNetwork(zenoh={"mode": "client"}, router_zenoh={"access_control": access}) as network,
+        Hub.open(network.settings("a")) as a,
+        Hub.open(network.settings("b")) as b,
+        network.rmw_session(mode="client") as rmw,
+    ):
+        see_each_other(a, b)
+        at_hub, at_rmw = Heard(b, "/map", deep), RmwSubscription(rmw, key(network, "/map"), deep)
+        ours, theirs = talk(a, "/map", deep), RmwPublisher(rmw, key(network, "/map"), deep)
+        matched(ours)
+        for text in ("one", "two", "three"):
+            ours.put(b"ours " + text.encode())
+            theirs.put(b"theirs " + text.encode())
+        at_hub.expect(*(f"{whose} {text}" for whose in ("ours", "theirs") for text in ("one", "two", "three")))
+        until(lambda: [t for t in at_rmw.texts() if t.startswith("ours")][2:], "all of ours are recovered")
+        assert [t for t in at_rmw.texts() if t.startswith("ours")] == ["ours one", "ours two", "ours three"]
+        assert at_hub.subscription.lost == 0

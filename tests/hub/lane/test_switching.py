@@ -10,12 +10,14 @@ import pytest
 
 from bridge.hub.lane.wire import BOUND
 from bridge.hub.session import Hub, HubSession
+from bridge.hub.wire.keys import topic_key
 from bridge.hub.wire.qos import History, Qos
 from tests.hub.lane.parts import goes_by, subscription, whole
 from tests.hub.parts import HASH, LATCHED, TYPE, Heard, matched, talk
 from tests.support.hub import HubNetwork
 from tests.support.peer import Peer
 from tests.support.wait import until
+from tests.support.zenoh_rmw import RmwSubscription
 
 
 @pytest.fixture
@@ -45,7 +47,8 @@ def drummer(network: HubNetwork, lane: str) -> Iterator[Peer]:
 def test_switches_lose_nothing(network: HubNetwork, reader: Hub, drummer: Peer, switches: int) -> None:
     heard = Heard(reader, "/t")
     number = drummer.ask("publisher", topic="/t")["id"]
-    with network.hub_peer("foreign") as foreign:
+    with network.hub_peer("foreign") as foreign, network.rmw_session() as rmw:
+        beside = RmwSubscription(rmw, topic_key(network.domain, "/t", TYPE, HASH), Qos(depth=10))
         goes_by(heard, "lane")
         drummer.ask("drum", id=number, rate=1000.0, size=100)
         for _ in range(switches // 2):
@@ -53,7 +56,11 @@ def test_switches_lose_nothing(network: HubNetwork, reader: Hub, drummer: Peer, 
             goes_by(heard, "zenoh", "foreign: it has no lane here")
             foreign.ask("drop", id=strange)
             goes_by(heard, "lane")
+        last = len(beside.payloads)
+        until(lambda: len(beside.payloads) > last, "the node of rmw_zenoh goes on receiving")
+        beside.close()
     whole(heard.texts())
+    whole(beside.texts())
     assert subscription(heard).by_lane
     assert not subscription(heard).lost
 
