@@ -122,7 +122,7 @@ class RmwSubscription:
         """Wait until exactly these arrived, in this order."""
         with contextlib.suppress(AssertionError):
             until(lambda: len(self.payloads) >= len(texts), "all arrive", seconds)
-        assert self.texts() == list(texts)
+        assert self.texts() == list(texts), f"{self.texts()} arrived, not {list(texts)}"
 
     def close(self) -> None:
         """Withdraw the subscription."""
