@@ -132,7 +132,7 @@ class ServiceClient(Client, Generic[S]):
     def __init__(self, interface: type[S], server: str, name: str = "", **options: Unpack[ClientOptions]) -> None:
         super().__init__(server, name, naming=options.get("naming"))
         timeout = options.get("timeout", PATIENCE)
-        self._channel = PortChannel(self.core, timeout=timeout, connect=lambda: self.connect(self.server))
+        self._channel = PortChannel(self.core, timeout=timeout, connect=self._reconnect)
         self.remote = interface(self._channel)
         self.version: tuple[int, int, int, int] | None = None  # as of `Service.introduce`, once this was open
 
@@ -140,6 +140,11 @@ class ServiceClient(Client, Generic[S]):
     def generation(self) -> Generation:
         """The server's release, as far as it is known."""
         return self._channel.generation
+
+    def _reconnect(self) -> None:
+        """Connect to a server that was away; it knows a client's release only by the connection."""
+        self.connect(self.server)
+        self.version = self.remote.introduce()
 
     def open(self) -> Self:
         """Open the port, connect it, and introduce it, as YARP 4's servers want it; errors as of `Stream.open`."""

@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+
 import pytest
 
+from tests.support.wait import until
 from tests.yarp_compat.dev.test_service import KITCHEN, Kept, Places
 from tests.yarp_compat.ports.conftest import MakePort, make_port, naming
-from yarp_compat.dev.client import PortChannel
+from yarp_compat.dev.client import PortChannel, ServiceClient
+from yarp_compat.dev.inavigation2d import INavigation2DMsgs, Navigation2DServer
 from yarp_compat.dev.locations import Map2DLocation
-from yarp_compat.dev.returnvalue import OK, ReturnCode
+from yarp_compat.dev.returnvalue import OK, ReturnCode, ReturnValue
 from yarp_compat.dev.server import Server
+from yarp_compat.ports.naming import Naming
 from yarp_compat.wire import binary
 from yarp_compat.wire.errors import Incomplete
 from yarp_compat.wire.framing import Buffer
@@ -38,6 +43,19 @@ def test_a_client_and_a_server(make_port: MakePort, generation: Generation, carr
     assert places.names() == ["kitchen"]
     assert places.introduce() == ((3, 4, 0, 0) if generation is Generation.YARP_4 else (3, 3, 12, 0))
     assert places.get_location_RPC("kitchen") == (OK, KITCHEN)
+
+
+def test_a_client_whose_server_was_restarted_reads_failures(make_port: MakePort, naming: Naming) -> None:
+    """The server knows the release of a client that introduced itself, and not on the next connection."""
+    service = Navigation2DServer(SimpleNamespace(stopNavigation=lambda: ReturnValue(ReturnCode.METHOD_FAILED)))
+    server = make_port("/server/rpc", Server(service), rpc=True)
+    with ServiceClient(INavigation2DMsgs, "/server/rpc", naming=naming, timeout=10) as client:
+        assert client.remote.stop_navigation_RPC().code is ReturnCode.METHOD_FAILED
+        server.close()
+        until(lambda: not client.core.connections.outputs, "the client notices", 10)
+        make_port("/server/rpc", Server(service), rpc=True)
+        for _ in range(2):
+            assert client.remote.stop_navigation_RPC().code is ReturnCode.METHOD_FAILED
 
 
 def test_a_reply_of_a_megabyte(make_port: MakePort) -> None:
