@@ -1,6 +1,6 @@
-"""A client of an interface, its port, and what a server streams.
+"""A client of an interface with its port, and subscriptions to a server's stream.
 
-The port is connected to the server's, and again where the server was away.
+The port connects to the server's, and reconnects before a call if the server was away.
 """
 
 from __future__ import annotations
@@ -29,8 +29,8 @@ PATIENCE = 10.0  # seconds to wait for a reply by default
 class PortChannel:
     """Sends requests through a port that is connected to the server's by a binary carrier.
 
-    ``generation`` is the server's, until it tells. ``connect`` connects the port again before a call; a call that was
-    under way is never made twice.
+    ``generation`` is assumed for the server until a reply shows another. ``connect`` reconnects the port before a call;
+    a call in progress is never repeated.
     """
 
     def __init__(
@@ -45,7 +45,7 @@ class PortChannel:
 
     @property
     def generation(self) -> Generation:
-        """The server's, as far as it is known; its replies set it."""
+        """The server's generation; its replies set it."""
         profile = self._port.answers_in
         if not self._has_told and profile is not None and profile is not self._generation.profile:
             self._generation = Generation.newest(profile)
@@ -69,11 +69,11 @@ T = TypeVar("T", bound=Portable)
 
 
 class Stream(Openable, Generic[T]):
-    """Hears a port that writes one ``kind`` of data, such as `Map2DLocation`, between ``with`` and its end.
+    """Reads a port that writes one ``kind`` of data, such as `Map2DLocation`, between ``with`` and its end.
 
-    A position whose coordinates are no numbers is that of a robot which does not know where it is. The source may say
-    the carrier, ``udp://robot/odometry:o``, or ``carrier`` does. ``strict``: every message, not the newest only; more
-    as of `OpenPort`.
+    NaN coordinates mean that the robot is not localized. The source may include the carrier,
+    ``udp://robot/odometry:o``; else ``carrier`` selects it. ``strict``: every message, not the newest only; for the
+    other arguments see `OpenPort`.
     """
 
     def __init__(
@@ -84,14 +84,14 @@ class Stream(Openable, Generic[T]):
         self._reader = Reader(name, strict=strict, naming=naming)
 
     def open(self) -> Self:
-        """Open the port and connect the source to it; raises `NamingError`, `PortError` where it does not exist."""
+        """Open the port and connect the source to it; raises `NamingError`, or `PortError` if the source is missing."""
         self._reader.open()
         with closed_on_failure(self):
             connections.connect(self._reader.core.naming, self._source, self._reader.name, self._carrier)
         return self
 
     def close(self) -> None:
-        """Close the port; who iterates comes to the end."""
+        """Close the port; iterations end."""
         self._reader.close()
 
     def read(self) -> tuple[T, float] | None:
@@ -116,7 +116,7 @@ class Stream(Openable, Generic[T]):
 
 
 class ClientOptions(TypedDict, total=False):
-    """A reply's ``timeout`` (seconds, None: for ever; else `PATIENCE`), and ``naming`` (else that of ``yarp.conf``)."""
+    """A reply's ``timeout`` (seconds, None: for ever; else `PATIENCE`), and ``naming`` (default: ``yarp.conf``)."""
 
     timeout: float | None
     naming: Naming | None
@@ -125,8 +125,8 @@ class ClientOptions(TypedDict, total=False):
 class ServiceClient(Client, Generic[S]):
     """Calls a server's methods: ``client.remote.get_map_names_RPC()``; options as of `ClientOptions`.
 
-    ``server`` is its port, ``fast_tcp://map2D_nws_yarp/rpc`` says the carrier too; ``name`` is the own port's, empty
-    lets the name server choose one.
+    ``server`` is its port, or carrier and port as in ``fast_tcp://map2D_nws_yarp/rpc``; ``name`` is the client's own
+    port; if it is empty, the name server chooses one.
     """
 
     def __init__(self, interface: type[S], server: str, name: str = "", **options: Unpack[ClientOptions]) -> None:
@@ -138,16 +138,16 @@ class ServiceClient(Client, Generic[S]):
 
     @property
     def generation(self) -> Generation:
-        """The server's release, as far as it is known."""
+        """The server's release."""
         return self._channel.generation
 
     def _reconnect(self) -> None:
-        """Connect to a server that was away; it knows a client's release only by the connection."""
+        """Connect to a server that was away, and introduce the client: a server keeps its release per connection."""
         self.connect(self.server)
         self.version = self.remote.introduce()
 
     def open(self) -> Self:
-        """Open the port, connect it, and introduce it, as YARP 4's servers want it; errors as of `Stream.open`."""
+        """Open the port, connect it, and introduce it, as YARP 4's servers expect; raises as `Stream.open` does."""
         super().open()
         with closed_on_failure(self):
             self.version = self.remote.introduce()
@@ -157,7 +157,7 @@ class ServiceClient(Client, Generic[S]):
 class StreamingClient(ServiceClient[S], Generic[S, T]):
     """A client of a server that streams one ``kind`` of data, too.
 
-    ``source`` is the port that streams, ``mine`` the own one that hears it; ``carrier`` is the stream's.
+    ``source`` is the port that streams, ``mine`` the client's own port for it; ``carrier`` is the stream's.
     """
 
     def __init__(
@@ -169,29 +169,29 @@ class StreamingClient(ServiceClient[S], Generic[S, T]):
         self._last: tuple[T, float] | None = None
 
     def open(self) -> Self:
-        """Open both ports and connect them; errors as of `ServiceClient.open`."""
+        """Open both ports and connect them; raises as `ServiceClient.open` does."""
         super().open()
         with closed_on_failure(self):
             self._stream.open()
         return self
 
     def close(self) -> None:
-        """Close both ports; who waits for data hears of it."""
+        """Close both ports, which ends waits for data."""
         self._stream.close()
         super().close()
 
     def read(self) -> tuple[T, float] | None:
-        """Wait for the next data, and its time stamp in seconds; None once this is closed."""
+        """Wait for the next data, and its time stamp in seconds; None once the stream is closed."""
         found = self._meant(self._stream.read())
         self._last = found or self._last
         return found
 
     def last(self) -> tuple[T, float] | None:
-        """The newest data, and its time stamp in seconds; None before any has come. Other data is left out."""
+        """The newest data, and its time stamp in seconds; None before the first. Other data is skipped."""
         with contextlib.suppress(WireError):
             self._last = self._meant(self._stream.read_now()) or self._last
         return self._last
 
     def _meant(self, received: tuple[T, float] | None) -> tuple[T, float] | None:
-        """What a server of an older release means by its data."""
+        """Return the meaning of data from a server of an older release."""
         return received

@@ -69,7 +69,7 @@ def test_a_reply_of_a_megabyte(make_port: MakePort) -> None:
 
 
 def test_the_server_tells_who_is_who(make_port: MakePort) -> None:
-    """One client of 4.0 that introduces itself, one of 3.9 that a rule names, one that nobody named."""
+    """A client of 4.0 introduces itself, a rule names one of 3.9, and nothing names the third one."""
     generations = Generations(Generation.YARP_3_12, [("/old/*", Generation.YARP_3_6)])
     make_port("/server/rpc", Server(Kept(), generations), rpc=True)
     dialects = {"/new/rpc": Profile.YARP4, "/old/rpc": Profile.YARP3, "/other/rpc": Profile.YARP3}
