@@ -4,7 +4,10 @@ from __future__ import annotations
 
 import itertools
 import logging
+from collections import defaultdict
 from collections.abc import Iterator
+from types import SimpleNamespace
+from typing import Any
 
 import pytest
 import zenoh
@@ -12,7 +15,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from bridge.hub.graph.best_available import resolve
-from bridge.hub.graph.tokens import EndpointKind
+from bridge.hub.graph.tokens import EndpointKind, EndpointToken, gid_of, parse_token
 from bridge.hub.graph.view import HubGraph
 from bridge.hub.session import Hub
 from bridge.hub.wire.qos import BEST_AVAILABLE_NS, Durability, Qos, Reliability
@@ -91,6 +94,43 @@ def test_nothing_stays_open_and_closed_policies_stay(endpoints: list[tuple[Endpo
         assert not resolved[key].best_available
         if not qos.best_available:
             assert resolved[key] == qos
+
+
+TEXTS = st.sampled_from([TOKEN, "::,7:,:,:,,", ":1:,1:,:,:,,", "2::,5:,:,:,,", "4::,5:5,0:,:,,", ":4:,5:9,0:,:,,"])
+TOKENS = st.tuples(st.sampled_from(["MP", "MS", "SS"]), st.sampled_from("tu"), st.sampled_from(["A", "B"]), TEXTS)
+
+
+class NoSession:
+    """A session, its liveliness and its subscribers, which do nothing."""
+
+    def __getattr__(self, _name: str) -> Any:
+        return lambda *_args, **_more: self
+
+
+@given(st.lists(st.tuples(st.booleans(), st.integers(1, 3), TOKENS), max_size=20), st.sets(st.integers(0, 19)))
+def test_the_graph_has_what_its_present_tokens_resolve_to(
+    changes: list[tuple[bool, int, tuple[str, str, str, str]]], reads: set[int]
+) -> None:
+    """Tokens come and go in any order, and the graph is read at any time."""
+    graph = HubGraph(NoSession(), 0, 100)  # type: ignore[arg-type]
+    present: set[str] = set()
+    for at, (declared, number, (letters, topic, type_name, qos)) in enumerate(changes):
+        key = f"@ros2_lv/0/z/0/{number}/{letters}/%/%/n/%{topic}/std_msgs::msg::dds_::{type_name}_/{HASH}/{qos}"
+        kind = zenoh.SampleKind.PUT if declared else zenoh.SampleKind.DELETE
+        graph._on_sample(SimpleNamespace(key_expr=key, kind=kind))  # type: ignore[arg-type]
+        present = present | {key} if declared else present - {key}
+        if at in reads or at == len(changes) - 1:
+            assert {e.gid: e.qos for e in graph.endpoints()} == _expected(present)
+            assert {e.gid: e.qos for e in graph.subscriptions("/t")}.items() <= _expected(present).items()
+
+
+def _expected(keys: set[str]) -> dict[bytes, Qos]:
+    topics: dict[tuple[str, str], dict[str, tuple[EndpointKind, Qos]]] = defaultdict(dict)
+    for key in keys:
+        token = parse_token(key)
+        assert isinstance(token, EndpointToken)
+        topics[token.topic, token.type_name][key] = token.kind, token.qos
+    return {gid_of(key): qos for announced in topics.values() for key, qos in resolve(announced).items()}
 
 
 class RmwNode:
