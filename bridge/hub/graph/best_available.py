@@ -15,6 +15,10 @@ from typing import Protocol
 from bridge.hub.graph.tokens import EndpointKind
 from bridge.hub.wire.qos import BEST_AVAILABLE_NS, Durability, Qos, Reliability
 
+VELOCITIES = frozenset({"geometry_msgs/msg/Twist", "geometry_msgs/msg/TwistStamped"})
+"""Types that command a velocity, under any topic name. An open publisher of these is volatile: rmw_zenoh stores nothing
+for it, and a bridge must not store velocities either."""
+
 
 class GraphEndpoint(Protocol):
     """What the resolution reads of an endpoint on the graph."""
@@ -62,12 +66,12 @@ class BestAvailable:
             for type_name in {topic[key].type_name for key in self._announced.keys() & topic.keys()}:
                 matched = {key: endpoint for key, endpoint in topic.items() if endpoint.type_name == type_name}
                 announced = {key: (end.kind, self._announced.get(key, end.qos)) for key, end in matched.items()}
-                for key, qos in resolve(announced).items():
+                for key, qos in resolve(type_name, announced).items():
                     if qos != matched[key].qos:
                         yield name, key, qos
 
 
-def resolve(announced: Mapping[str, tuple[EndpointKind, Qos]]) -> dict[str, Qos]:
+def resolve(type_name: str, announced: Mapping[str, tuple[EndpointKind, Qos]]) -> dict[str, Qos]:
     """Return the QoS of each endpoint of one topic and type, by the same keys, without any open policy.
 
     Publishers are resolved first: a subscription compares itself with the result.
@@ -75,7 +79,8 @@ def resolve(announced: Mapping[str, tuple[EndpointKind, Qos]]) -> dict[str, Qos]
     requested = [qos for kind, qos in announced.values() if kind is EndpointKind.SUBSCRIPTION]
     finite = (qos.deadline_ns for qos in requested if qos.deadline_ns != BEST_AVAILABLE_NS)
     shortest = min((deadline for deadline in finite if deadline is not None), default=None)
-    offer = Qos(Reliability.RELIABLE, Durability.TRANSIENT_LOCAL, deadline_ns=shortest)
+    durability = Durability.VOLATILE if type_name in VELOCITIES else Durability.TRANSIENT_LOCAL
+    offer = Qos(Reliability.RELIABLE, durability, deadline_ns=shortest)
     resolved = {key: _filled(qos, offer) for key, (kind, qos) in announced.items() if kind is EndpointKind.PUBLISHER}
     request = _strongest(resolved.values())
     for key, (kind, qos) in announced.items():

@@ -29,6 +29,7 @@ OPEN = Qos(Reliability.BEST_AVAILABLE, Durability.BEST_AVAILABLE, deadline_ns=BE
 TOKEN = "4:4:,10:,854775806:,:5,,854775806"
 """``rmw_qos_profile_best_available`` as rmw_zenoh_cpp 0.2.10 writes it."""
 
+STRING = "std_msgs/msg/String"
 PUBLISHER, SUBSCRIPTION = EndpointKind.PUBLISHER, EndpointKind.SUBSCRIPTION
 
 
@@ -51,7 +52,7 @@ def test_a_subscription_requests_the_strongest_policy_that_all_publishers_offer(
     publishers: list[Qos], expected: Qos
 ) -> None:
     announced = {str(number): (PUBLISHER, qos) for number, qos in enumerate(publishers)}
-    assert resolve({**announced, "s": (SUBSCRIPTION, OPEN)})["s"] == expected
+    assert resolve(STRING, {**announced, "s": (SUBSCRIPTION, OPEN)})["s"] == expected
 
 
 @pytest.mark.parametrize(
@@ -65,18 +66,24 @@ def test_a_subscription_requests_the_strongest_policy_that_all_publishers_offer(
 )
 def test_a_publisher_offers_what_every_subscription_accepts(subscriptions: list[Qos], deadline_ns: int | None) -> None:
     announced = {str(number): (SUBSCRIPTION, qos) for number, qos in enumerate(subscriptions)}
-    resolved = resolve({**announced, "p": (PUBLISHER, OPEN)})
+    resolved = resolve(STRING, {**announced, "p": (PUBLISHER, OPEN)})
     assert resolved["p"] == Qos(RELIABLE, LATCHED, deadline_ns=deadline_ns)
+
+
+@pytest.mark.parametrize("type_name", ["geometry_msgs/msg/Twist", "geometry_msgs/msg/TwistStamped"])
+def test_a_publisher_of_velocities_stays_volatile(type_name: str) -> None:
+    resolved = resolve(type_name, {"p": (PUBLISHER, OPEN), "s": (SUBSCRIPTION, OPEN)})
+    assert resolved == {"p": Qos(RELIABLE, VOLATILE), "s": Qos(RELIABLE, VOLATILE)}
 
 
 @pytest.mark.parametrize("kind", [EndpointKind.SERVER, EndpointKind.CLIENT])
 def test_services_have_the_default_profile(kind: EndpointKind) -> None:
-    assert resolve({"s": (kind, OPEN)}) == {"s": Qos()}
+    assert resolve(STRING, {"s": (kind, OPEN)}) == {"s": Qos()}
 
 
 def test_only_the_open_policies_change() -> None:
     one_open = Qos(Reliability.BEST_AVAILABLE, VOLATILE, depth=3, deadline_ns=7, lifespan_ns=8)
-    resolved = resolve({"p": (PUBLISHER, Qos(BEST_EFFORT, LATCHED)), "s": (SUBSCRIPTION, one_open)})
+    resolved = resolve(STRING, {"p": (PUBLISHER, Qos(BEST_EFFORT, LATCHED)), "s": (SUBSCRIPTION, one_open)})
     assert resolved["s"] == Qos(BEST_EFFORT, VOLATILE, depth=3, deadline_ns=7, lifespan_ns=8)
     assert resolved["p"] == Qos(BEST_EFFORT, LATCHED)
 
@@ -88,7 +95,7 @@ PROFILES = st.builds(Qos, st.sampled_from(Reliability), st.sampled_from(Durabili
 @given(st.lists(st.tuples(st.sampled_from(EndpointKind), PROFILES), max_size=6))
 def test_nothing_stays_open_and_closed_policies_stay(endpoints: list[tuple[EndpointKind, Qos]]) -> None:
     announced = {str(number): endpoint for number, endpoint in enumerate(endpoints)}
-    resolved = resolve(announced)
+    resolved = resolve(STRING, announced)
     assert resolved.keys() == announced.keys()
     for key, (_, qos) in announced.items():
         assert not resolved[key].best_available
@@ -134,7 +141,7 @@ def _expected(keys: list[str]) -> dict[bytes, Qos]:
         token = parse_token(key)
         assert isinstance(token, EndpointToken)
         topics[token.topic, token.type_name][key] = token.kind, token.qos
-    return {gid_of(key): qos for announced in topics.values() for key, qos in resolve(announced).items()}
+    return {gid_of(key): qos for announced in topics.values() for key, qos in resolve(STRING, announced).items()}
 
 
 class RmwNode:
