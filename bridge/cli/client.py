@@ -1,14 +1,15 @@
-"""How a verb joins the hub: as a zenoh client of the router, for as long as the verb runs."""
+"""A verb's session on the hub: a zenoh client of the router while the verb runs."""
 
 from __future__ import annotations
 
 import argparse
 import os
+import sys
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import zenoh
@@ -16,10 +17,12 @@ import zenoh
 from bridge.cli.output import CliError
 from bridge.config.load import load
 from bridge.config.model import Config
+from bridge.doctor.daemon_state import DaemonState, daemon_state
 from bridge.hub.control import WorkerAnswer
 from bridge.hub.errors import HubError
 from bridge.hub.session import Hub, HubSession, HubSettings
 from bridge.hub.zenoh_config import client_session_config, connect_endpoint
+from bridge.stores.entry import StoreError
 
 if TYPE_CHECKING:
     from bridge.messages.registry import Registry
@@ -33,31 +36,41 @@ _SETTLE_SECONDS = 1.5
 
 @dataclass(frozen=True, slots=True)
 class CliClient:
-    """A verb's session on the hub, its configuration, and in words which hub it is (``where``)."""
+    """A verb's session on the hub.
+
+    Attributes:
+        where: the hub's name for messages.
+        here: whether the hub is that of this machine's daemon.
+    """
 
     hub: Hub
     config: Config
     where: str
+    here: bool = True
+
+    def daemon(self, documents: Iterable[Mapping[str, Any]] = ()) -> DaemonState:
+        """Return the state of this machine's daemon, unknown on another hub; the documents are those of the hub."""
+        return daemon_state(self.config, documents) if self.here else DaemonState(self.config.name)
 
     def ask(
         self, verb: str, params: dict[str, Any] | None = None, *, worker: str = "*", timeout: float = ASK_SECONDS
     ) -> list[WorkerAnswer]:
-        """Ask all workers on the hub, or those of one name; in the order of daemons and workers."""
+        """Ask all workers on the hub, or those of one name; the answers are sorted by daemon and worker."""
         answers = self.hub.ask(verb, params or {}, worker=worker, timeout=timeout)
         return sorted(answers, key=lambda a: (a.daemon, a.worker))
 
     def registry(self) -> Registry:
-        """The message types known here, by the configuration's folders and rules."""
+        """Return the message types of the configuration's folders and rules."""
         from bridge.messages.registry import Registry  # many verbs need no types
 
         return Registry.of(self.config.types)
 
     def catch_up(self) -> None:
-        """Wait until what the router knows of the hub's graph is known here."""
+        """Wait until this session has received the hub's graph from the router."""
         self.hub.graph.catch_up(_SETTLE_SECONDS)
 
     def settle(self) -> None:
-        """Wait until the hub's graph is known here: all that the router knew, and nothing new for a moment."""
+        """Wait until this session has received the hub's graph, and the graph has not changed for a moment."""
         self.catch_up()
         changed = threading.Event()
         close = self.hub.graph.watch(changed.set)
@@ -70,7 +83,7 @@ class CliClient:
 
 
 def client_config(args: argparse.Namespace) -> Config:
-    """The configuration with what the command line says laid over it."""
+    """Return the configuration, overridden by the command line."""
     config = load(args.config)
     hub = config.hub
     if args.router is not None:
@@ -81,15 +94,48 @@ def client_config(args: argparse.Namespace) -> Config:
 
 
 @contextmanager
-def open_client(args: argparse.Namespace) -> Iterator[CliClient]:
-    """Join the hub; raises `CliError` where no router answers."""
-    with connect(client_config(args)) as client:
-        yield client
+def open_client(args: argparse.Namespace, *, warn: bool = True, watches: bool = False) -> Iterator[CliClient]:
+    """Join the hub; raises `CliError` if no router answers.
+
+    A daemon that does not run although its router does is reported on stderr, and each error names the daemon's
+    workers that do not run; both only for the hub of this machine's daemon. ``warn`` is False for verbs that report the
+    daemon themselves, or have something more urgent to do. ``watches`` reports missing workers at once, for verbs that
+    would only wait or print less.
+    """
+    config = client_config(args)
+    with connect(config) as client:
+        client = replace(client, here=of_this_machine(args))
+        reported = warn_of_daemon(args, config, workers=watches) if warn else []
+        try:
+            yield client
+        except (CliError, StoreError) as err:
+            absences = client.daemon().absences()
+            absences = [line for line in absences if line not in (*reported, str(err)) and line not in str(err)]
+            if not absences:
+                raise
+            raise CliError("\n".join([str(err), *absences])) from None
+
+
+def warn_of_daemon(args: argparse.Namespace, config: Config, *, workers: bool = True) -> list[str]:
+    """Report on stderr that this machine's daemon, or some of its workers, do not run; returns the lines."""
+    if not of_this_machine(args):
+        return []
+    state = daemon_state(config)
+    lines = [f"{state.trouble}; {state.cure}"] if state.trouble else []
+    lines += state.absences() if workers else []
+    for line in lines:
+        print(f"midspan: warning: {line}", file=sys.stderr)
+    return lines
+
+
+def of_this_machine(args: argparse.Namespace) -> bool:
+    """Whether the command line names no other hub than that of this machine's daemon."""
+    return args.router is None and args.hub_domain is None
 
 
 @contextmanager
 def connect(config: Config, seconds: float = CONNECT_SECONDS) -> Iterator[CliClient]:
-    """Join the hub that a configuration names; raises `CliError` where no router answers within ``seconds``."""
+    """Join the hub of a configuration; raises `CliError` if no router answers within ``seconds``."""
     where = f"the hub at {connect_endpoint(config.hub.listen)} (domain {config.hub.domain})"
     try:
         session = zenoh.open(client_session_config(config.hub.listen, config.hub.zenoh, seconds))
@@ -115,5 +161,5 @@ def connect(config: Config, seconds: float = CONNECT_SECONDS) -> Iterator[CliCli
 
 
 def _short(err: zenoh.ZError) -> str:
-    """The words of zenoh itself, without the places in its source."""
+    """Return zenoh's message without the location in its source code."""
     return str(err).partition(" at /")[0].rstrip(".!")

@@ -10,6 +10,7 @@ from rich.table import Table
 from rich.text import Text
 
 from bridge.cli.output import clean, duration, is_number, milliseconds, plural, rate, side_name
+from bridge.doctor.causes import cause, same_for
 
 Document = Mapping[str, Any]
 """One worker's status document: what it answers to the verb ``status``."""
@@ -30,13 +31,29 @@ def routes_table(documents: Iterable[Document], *, errors: bool = True) -> Table
     table.add_column("drops")
     table.add_column("age", justify="right", no_wrap=True)
     table.add_column("state")
+    last = _errors(route for _, route in rows) if errors else {}
     for document, route in rows:
         cells = _cells(document, route)
         table.add_row(*([Text(clean(document.get("daemon", "")))] if several else []), *cells)
-        if errors and route.get("error"):
+        if error := last.get(id(route)):
             blank = [Text("")] * (2 if several else 1)
-            table.add_row(*blank, Text(f"  {clean(route['error'])}", style="red"))
+            table.add_row(*blank, Text(f"  {clean(error)}", style="red"))
     return table
+
+
+def _errors(routes: Iterable[Document]) -> dict[int, str]:
+    """The last error of each route; what several have in common stands under the first of them, with their topics."""
+    groups: dict[str, list[Document]] = {}
+    for route in routes:
+        if route.get("error"):
+            groups.setdefault(cause(str(route["error"])), []).append(route)
+    found = {}
+    for first, *others in groups.values():
+        topics = list(
+            dict.fromkeys(str(route.get("topic")) for route in others if route.get("topic") != first.get("topic"))
+        )
+        found[id(first)] = str(first["error"]) + same_for(topics)
+    return found
 
 
 def route_list(document: Document) -> list[Document]:

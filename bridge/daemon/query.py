@@ -98,7 +98,7 @@ def ask_daemon(config: Config, seconds: float = 1.0) -> dict[str, Any] | None:
         ""), ``status`` (one line), ``workers``: a list of ``worker``, ``phase`` (`bridge.daemon.query.Phase`),
         ``text`` (what it is at, also while it starts), ``since`` (seconds in this phase), ``still`` (seconds for which
         a starting or running one has neither come further nor computed), ``beat`` (seconds since its process's last
-        heartbeat, null before the first), ``pid``, ``restarts``.
+        heartbeat, null before the first), ``pid``, ``restarts``, ``ended`` (how its last process ended by itself).
     """
     return ask_socket(config, state_file.daemon_socket, b"", seconds)
 

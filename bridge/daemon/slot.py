@@ -72,6 +72,7 @@ class Slot:
         self.since = time.monotonic()
         self.text = ""
         self.restarts = 0
+        self.ended = ""  # how its last process ended, if the daemon did not stop it
         self.beat_at: float | None = None  # of its process, on the monotonic clock; None before the first
         self.reloading = False
         self._loop = loop
@@ -306,7 +307,7 @@ class Slot:
         else:
             self.restarts += 1
             pause = self._backoff.pause(now - self.since if self.phase is Phase.UP else 0.0)
-            why = self._failure or str(ended)
+            why = self.ended = self._failure or str(ended)
             logger.error("%s %s after %.1f s; restarted in %g s", self.name, why, now - self._started, pause)
             self._enter(Phase.PAUSED, why)
             self._due = now + pause

@@ -216,6 +216,7 @@ class Supervisor:
                     "beat": None if slot.beat_at is None else round(time.monotonic() - slot.beat_at, 2),
                     "pid": slot.pid,
                     "restarts": slot.restarts,
+                    "ended": slot.ended,
                 }
                 for slot in self.slots
             ],

@@ -6,10 +6,11 @@ import logging
 import threading
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from enum import StrEnum
 
 from bridge.config.sections.section import Enabled
+from bridge.doctor.causes import cause, one_line
 from bridge.doctor.context import CheckContext
 from bridge.sides import label
 
@@ -110,5 +111,15 @@ def _run(context: CheckContext, report: Report) -> None:
         _log.debug("check %s failed", report.check.id, exc_info=err)
         found = fail(f"the check itself failed: {type(err).__name__}: {err}")
     if not report.done.is_set():
-        report.findings = [found] if isinstance(found, Finding) else found
+        report.findings = merged([found] if isinstance(found, Finding) else found)
         report.done.set()
+
+
+def merged(findings: Sequence[Finding]) -> list[Finding]:
+    """Return the findings with those warnings and failures as one that have the same cause and the same cure."""
+    groups: dict[tuple[object, ...], list[Finding]] = {}
+    for number, finding in enumerate(findings):
+        same = finding.result in (Result.WARN, Result.FAIL)
+        key = (finding.result, cause(finding.seen), cause(finding.cure)) if same else (number,)
+        groups.setdefault(key, []).append(finding)
+    return [replace(group[0], seen=one_line([finding.seen for finding in group])) for group in groups.values()]

@@ -18,6 +18,7 @@ from bridge.adapters.ros1.environment import master_uri
 from bridge.adapters.ros1.graph.state import MasterReader, MasterState
 from bridge.adapters.ros1_peers import Ros1Error, XmlRpcClient
 from bridge.config.model import Config
+from bridge.doctor.daemon_state import DaemonState
 from bridge.hub.graph import HubEndpoint
 
 
@@ -72,6 +73,7 @@ class CheckContext:
     config_good: bool = True
     environ: Mapping[str, str] = field(default_factory=lambda: dict(os.environ))
     hub: HubSnapshot = field(default_factory=HubSnapshot)
+    daemon: DaemonState = field(default_factory=lambda: DaemonState(""))
     shm: Path = Path("/dev/shm")  # noqa: S108  where the system keeps it
     proc: Path = Path("/proc")
     _lock: Lock = field(default_factory=Lock, repr=False)

@@ -142,7 +142,7 @@ def test_refused_types_and_differing_definitions() -> None:
     deaf = "/c: /old does not hear us: it asks for x/C with md5 1, we publish x/C with md5 2"
     warned = only(types.look_at_hashes(around(hub=hub({"worker": "ros1", "warnings": [deaf, "/d: other"]}))))
     assert (warned.result, warned.seen) == (Result.WARN, deaf)
-    many = hub({"worker": "ros1", "refused": [unknown] * 30})
+    many = hub({"worker": "ros1", "refused": [{**unknown, "type": f"x/A{number}"} for number in range(30)]})
     assert "and 10 more" in types.look_at_refused(around(hub=many))[-1].seen
     nothing = around(hub=hub({"worker": "ros1"}))
     assert only(types.look_at_refused(nothing)).result is Result.OK

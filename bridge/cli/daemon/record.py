@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from bridge.cli.arguments import add_exclude, add_hub_arguments, span
-from bridge.cli.client import CliClient, client_config, open_client
+from bridge.cli.client import CliClient, client_config, open_client, warn_of_daemon
 from bridge.cli.output import CliError, clean, print_json, size
 from yarp_compat.file_names import forbidden
 
@@ -35,6 +35,7 @@ examples:
 _COMMANDS = ("start", "stop", "split", "trigger")
 _SIZE = re.compile(r"(\d+(?:\.\d+)?)\s*([kMGT]?)i?B?", re.IGNORECASE)
 _JOIN_SECONDS = 5.0
+_NO_RECORDER = "set record.enabled in the daemon's configuration"
 _LOOK_SECONDS = 0.2
 
 
@@ -112,13 +113,15 @@ def run(args: argparse.Namespace) -> int:
     output: Path = args.output or Path("." if args.ring else f"midspan_{stamp()}.mcap")
     if why := forbidden(output.name):
         raise CliError(f"{output} {why}")
+    warn_of_daemon(args, config)
     return _record(args, config, section, output)
 
 
 def _tell_daemon(client: CliClient, args: argparse.Namespace) -> int:
     answers = client.ask("record", {"do": args.daemon}, worker="record", timeout=15.0)
     if not answers:
-        raise CliError("no recorder answers: set record.enabled in the daemon's configuration")
+        missing = client.daemon().why_missing("record", client.config)
+        raise CliError(f"no recorder answers: {missing or _NO_RECORDER}")
     told: list[dict[str, Any]] = []
     for answer in answers:
         if answer.error:

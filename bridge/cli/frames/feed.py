@@ -224,7 +224,7 @@ def add_tf_arguments(parser: argparse.ArgumentParser) -> None:
 @contextmanager
 def open_listener(args: argparse.Namespace) -> Iterator[TransformListener]:
     """Join the hub and subscribe; raises `CliError` where no router answers."""
-    with open_client(args) as client:
+    with open_client(args, watches=True) as client:
         listener = TransformListener(client, args.namespace, args.side)
         try:
             listener.open()

@@ -38,7 +38,7 @@ def register(verbs: Any, kind: Kind, views: Callable[[CliClient], Views]) -> Non
 
 
 def _list(args: argparse.Namespace, views: Callable[[CliClient], Views], kind: Kind) -> int:
-    with open_client(args) as client:
+    with open_client(args, watches=True) as client:
         found = sorted(views(client).values(), key=lambda view: view.name)
     if args.json:
         print_json([view.as_dict() for view in found])
@@ -51,7 +51,7 @@ def _list(args: argparse.Namespace, views: Callable[[CliClient], Views], kind: K
 
 
 def _info(args: argparse.Namespace, views: Callable[[CliClient], Views], kind: Kind) -> int:
-    with open_client(args) as client:
+    with open_client(args, watches=True) as client:
         view = find(views(client), args.name, kind)
     if args.json:
         print_json(_as_json(view))

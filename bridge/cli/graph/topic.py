@@ -57,7 +57,7 @@ def _register_echo(verbs: Any) -> None:
 
 def _echo(args: argparse.Namespace) -> int:
     patience = math.inf if args.timeout is None else args.timeout
-    with open_client(args) as client:
+    with open_client(args, watches=True) as client:
         feed, types = TopicFeed(client, args.topic, args.side), Types(client)
         shown = 0
         try:
@@ -244,7 +244,7 @@ def _register_hz(subparsers: Any) -> None:
 
 def _hz(args: argparse.Namespace) -> int:
     """Measure until the count, the duration or Ctrl-C; the last figures are printed at the end."""
-    with open_client(args) as client:
+    with open_client(args, watches=True) as client:
         feed = TopicFeed(client, args.topic, args.side, payloads=False)
         meter = _Meter(feed.topic, max(args.window, 2))
         try:

@@ -12,17 +12,17 @@ from rich.console import Console
 from rich.text import Text
 
 from bridge.cli.arguments import add_hub_arguments
-from bridge.cli.client import CliClient, client_config, connect
-from bridge.cli.inspection.status import absent, absent_workers, document_of
+from bridge.cli.client import CliClient, client_config, connect, of_this_machine
+from bridge.cli.inspection.status import absent, document_of, with_silent
 from bridge.cli.output import CliError, clean, make_console, print_json
 from bridge.config.document import ConfigError
 from bridge.config.load import find, load
 from bridge.config.model import Config
-from bridge.daemon.query import ask_daemon
 from bridge.doctor import context
 from bridge.doctor.check import Report, Result, examine
 from bridge.doctor.checks import CHECKS
-from bridge.doctor.context import CheckContext, Document, HubSnapshot
+from bridge.doctor.context import CheckContext, HubSnapshot
+from bridge.doctor.daemon_state import DaemonState, daemon_state
 
 _STYLES = {Result.OK: "green", Result.WARN: "yellow", Result.FAIL: "bold red", Result.SKIP: "dim"}
 _CLOCK_SECONDS = 0.5
@@ -69,29 +69,27 @@ def _look_around(args: argparse.Namespace) -> CheckContext:
     except (ConfigError, OSError) as err:
         hub = HubSnapshot("the hub was not asked: the configuration cannot be used")
         return CheckContext(config_text=str(err), config_good=False, environ=environ, hub=hub)
-    view = _with_silent(_look_at_hub(config), absent_workers(args))
-    return CheckContext(config, _good(args.config or find()), environ=environ, hub=view)
+    hub = _look_at_hub(config)
+    state = daemon_state(config, hub.documents) if of_this_machine(args) else DaemonState("")
+    documents = with_silent(hub.documents, absent(state.document, looping=True))
+    hub = dataclasses.replace(hub, documents=documents)
+    return CheckContext(config, _good(args.config or find()), environ=environ, hub=hub, daemon=state)
 
 
 def look_from(client: CliClient, file: Path | None) -> CheckContext:
-    """What the checks look at, for a program of the daemon's that is on the hub; ``file``: the configuration's."""
-    environ, view = dict(os.environ), snapshot(client)
-    view = _with_silent(view, absent(ask_daemon(client.config) or {}))
+    """Return what the checks examine, for a program of the daemon that is on the hub; ``file``: the configuration."""
+    environ, hub, state = dict(os.environ), snapshot(client), daemon_state(client.config)
+    documents = with_silent(hub.documents, absent(state.document, looping=True))
+    hub = dataclasses.replace(hub, documents=documents)
     try:
         load(file)
     except ConfigError as err:
-        return CheckContext(client.config, str(err), config_good=False, environ=environ, hub=view)
-    return CheckContext(client.config, _good(file), environ=environ, hub=view)
+        return CheckContext(client.config, str(err), config_good=False, environ=environ, hub=hub, daemon=state)
+    return CheckContext(client.config, _good(file), environ=environ, hub=hub, daemon=state)
 
 
 def _good(file: Path | None) -> str:
     return f"{file} is good" if file is not None else "no configuration file: all defaults"
-
-
-def _with_silent(view: HubSnapshot, silent: Sequence[Document]) -> HubSnapshot:
-    answering = {(document.get("daemon"), document.get("worker")) for document in view.documents}
-    more = [d for d in silent if (d.get("daemon"), d.get("worker")) not in answering]
-    return dataclasses.replace(view, documents=[*view.documents, *more])
 
 
 def _look_at_hub(config: Config) -> HubSnapshot:

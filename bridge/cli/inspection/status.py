@@ -14,14 +14,17 @@ from rich.live import Live
 from rich.text import Text
 
 from bridge.cli.arguments import add_hub_arguments, number_in
-from bridge.cli.client import CliClient, client_config, open_client
+from bridge.cli.client import CliClient, client_config, of_this_machine, open_client
 from bridge.cli.documents import Document, arrow, connected_lines, dicts, port_list, route_list, routes_table, texts
 from bridge.cli.inspection.refusals import Refusal, refusals
 from bridge.cli.output import CliError, clean, duration, is_number, make_console, plural, print_json, side_name, size
-from bridge.daemon.query import Phase, ask_daemon
+from bridge.daemon.query import Phase
+from bridge.doctor.causes import cause, grouped, one_line, shared
+from bridge.doctor.daemon_state import DaemonState, Life, daemon_state, describe, loops
 from bridge.hub.control import WorkerAnswer
 
 _STYLES = {"running": "green", "waiting": "yellow", "standby": "cyan", "starting": "yellow", "queued": "yellow"}
+DAEMON = "daemon"
 _ABSENT = {phase.value for phase in (Phase.QUEUED, Phase.STARTING, Phase.PAUSED, Phase.FAILED)}
 
 
@@ -29,7 +32,8 @@ def register_status(parser: argparse.ArgumentParser) -> None:
     """Describe the verb and its arguments."""
     parser.description = (
         "Shows every daemon and worker on the hub, this machine's workers that start or cannot work, what blocks"
-        " topics, and for each route what crosses, how fast, and what was dropped. Exit code 1 where nothing answers."
+        " topics, and for each route what crosses, how fast, and what was dropped. Exit code 1 if nothing answers, and"
+        " if this machine's daemon does not run although its router does."
     )
     parser.add_argument("--json", action="store_true", help="print the workers' status documents as JSON")
     add_hub_arguments(parser)
@@ -38,22 +42,27 @@ def register_status(parser: argparse.ArgumentParser) -> None:
 
 def run_status(args: argparse.Namespace) -> int:
     """Show the status once."""
-    absent, documents, refused = absent_workers(args), list[Document](), list[Refusal]()
+    documents, refused = list[Document](), list[Refusal]()
+    state = daemon_state(client_config(args)) if of_this_machine(args) else DaemonState("")
+    silent = absent(state.document, looping=True)
     try:
-        with open_client(args) as client:
+        with open_client(args, warn=False) as client:
             documents = ask_status(client)
             client.settle()
             refused = refusals(client, documents)
     except CliError:
-        if not absent:
+        if not silent:
             raise
-    answering = {(document["daemon"], document["worker"]) for document in documents}
-    documents += [document for document in absent if (document["daemon"], document["worker"]) not in answering]
-    documents.sort(key=lambda document: str(document["daemon"]))
+    if state.life is Life.UNKNOWN and of_this_machine(args):
+        state = daemon_state(client_config(args), documents)
+    documents = [*with_silent(documents, silent), *of_daemon(state)]
+    documents.sort(key=lambda document: (str(document["daemon"]), document["worker"] != DAEMON))
     if args.json:
         print_json([_with_refusals(document, refused) for document in documents])
     else:
         show(make_console(), documents, refused)
+    if state.trouble:
+        raise CliError(f"{state.trouble}\n{state.cure}")
     return 0
 
 
@@ -68,40 +77,55 @@ def ask_status(client: CliClient) -> list[Document]:
     return [document_of(answer) for answer in answers]
 
 
-def absent_workers(args: argparse.Namespace) -> list[Document]:
-    """Workers that are to run and do not yet answer on the hub, by the word of this machine's daemon."""
-    if args.router is not None or args.hub_domain is not None:
-        return []  # that hub is another daemon's
-    return absent(ask_daemon(client_config(args)) or {})
-
-
-def absent(said: Document, phases: Container[str] = _ABSENT) -> list[Document]:
-    """The workers of a daemon's own document that are in one of these phases."""
+def absent(report: Document, phases: Container[str] = _ABSENT, *, looping: bool = False) -> list[Document]:
+    """Return the workers in one of these phases, from a daemon's own report; also those that crash again and again."""
     return [
         {
-            "daemon": said["daemon"],
+            "daemon": report["daemon"],
             "worker": worker["worker"],
             "state": worker["phase"],
-            "text": " ".join(filter(None, (worker["text"], f"({duration(worker.get('since'))})"))),
+            "text": " ".join(filter(None, (describe(worker), f"({duration(worker.get('since'))})"))),
             "pid": worker["pid"],
             "restarts": worker["restarts"],
+            **({"loops": True} if loops(worker) else {}),
         }
-        for worker in said.get("workers", ())
-        if worker["phase"] in phases
+        for worker in report.get("workers", ())
+        if worker["phase"] in phases or (looping and loops(worker))
     ]
 
 
-def show(console: Console, documents: Sequence[Document], refused: Sequence[Refusal] = ()) -> None:
-    """One block for each worker, then the routes."""
-    daemon = None
+def with_silent(documents: Sequence[Document], silent: Sequence[Document]) -> list[Document]:
+    """Add the workers that do not answer; a crash loop of one that answers is known to its daemon only."""
+    reported = {(document["daemon"], document["worker"]): document for document in silent}
+    answering: list[Document] = []
     for document in documents:
-        if document.get("daemon") != daemon:
-            daemon = document.get("daemon")
-            console.print(Text(clean(daemon), style="bold"))
-        _show_worker(console, document)
-        for refusal in _of(document, refused):
-            console.print(Text(f"           {clean(refusal.text)}", "yellow"))
-            console.print(Text(f"             cure: {clean(refusal.cure)}"))
+        other = reported.pop((document.get("daemon"), document.get("worker")), {})
+        more = {key: other[key] for key in ("loops", "restarts", "text") if other.get("loops")}
+        answering.append({**document, **more})
+    return [*answering, *reported.values()]
+
+
+def of_daemon(state: DaemonState) -> list[Document]:
+    """Return an entry for a daemon that does not run or does not answer, in the form of a worker's document."""
+    if not state.trouble:
+        return []
+    text = f"{state.trouble}: {state.cure}"
+    return [{"daemon": state.name, "worker": DAEMON, "state": state.life.value, "text": text, "pid": state.pid}]
+
+
+def show(console: Console, documents: Sequence[Document], refused: Sequence[Refusal] = ()) -> None:
+    """Print a block for each daemon with its workers, then the routes."""
+    for daemon in dict.fromkeys(str(document.get("daemon")) for document in documents):
+        console.print(Text(clean(daemon), style="bold"))
+        workers = [document for document in documents if str(document.get("daemon")) == daemon]
+        common = shared({str(document.get("worker")): texts(document.get("warnings")) for document in workers})
+        for document in workers:
+            _show_worker(console, document, common)
+            for refusal in _of(document, refused):
+                console.print(Text(f"           {clean(refusal.text)}", "yellow"))
+                console.print(Text(f"             cure: {clean(refusal.cure)}"))
+        for warning, names in common.values():
+            console.print(Text(f"  warning of {clean(', '.join(names))}: {clean(warning)}", "yellow"))
     console.print()
     if any(route_list(document) for document in documents):
         console.print(routes_table(documents))
@@ -127,7 +151,8 @@ def document_of(answer: WorkerAnswer) -> Document:
     return {"daemon": answer.daemon, "worker": answer.worker, "side": answer.worker, "state": "failed", "error": error}
 
 
-def _show_worker(console: Console, document: Document) -> None:
+def _show_worker(console: Console, document: Document, elsewhere: Container[str]) -> None:
+    """Print a worker, without the warnings whose causes are in ``elsewhere``."""
     state = clean(document.get("state", "?"))
     line = Text(f"  {clean(document.get('worker', '?')):<8} ")
     line.append(f"{state:<8}", style=_STYLES.get(state, "red"))
@@ -135,21 +160,30 @@ def _show_worker(console: Console, document: Document) -> None:
     console.print(line)
     if document.get("error"):
         console.print(Text(f"           {clean(document['error'])}", style="red"))
-    for refused in dicts(document.get("refused")):
-        way = arrow(document.get("side"), refused.get("direction"))
-        topic, type_name, reason = (clean(refused.get(key, "")) for key in ("topic", "type", "reason"))
-        console.print(Text(f"           refused {way} {topic} ({type_name}): {reason}", "yellow"))
-        if refused.get("cure"):
-            console.print(Text(f"             cure: {clean(refused['cure'])}"))
+    for text, cure in _refused(document):
+        console.print(Text(f"           {clean(text)}", "yellow"))
+        if cure:
+            console.print(Text(f"             cure: {clean(cure)}"))
     for machine in dicts(document.get("machines")):
         console.print(_machine(machine))
-    for told in connected_lines(port_list(document)):
-        console.print(Text(f"           {told}"))
+    for connected in connected_lines(port_list(document)):
+        console.print(Text(f"           {connected}"))
     lane = document.get("lane")
     if isinstance(lane, dict) and lane.get("why"):
         console.print(Text(f"           no lane from it, small messages go over zenoh: {clean(lane['why'])}", "yellow"))
-    for warning in texts(document.get("warnings")):
+    for warning in grouped(text for text in texts(document.get("warnings")) if cause(text) not in elsewhere):
         console.print(Text(f"           warning: {clean(warning)}", "yellow"))
+
+
+def _refused(document: Document) -> list[tuple[str, str]]:
+    """What a worker refused, as one line for each cause and cure."""
+    groups: dict[tuple[str, str], list[tuple[str, str]]] = {}
+    for entry in dicts(document.get("refused")):
+        way = arrow(document.get("side"), entry.get("direction"))
+        topic, type_name, reason, cure = (str(entry.get(key, "")) for key in ("topic", "type", "reason", "cure"))
+        text = f"refused {way} {topic} ({type_name}): {reason}"
+        groups.setdefault((cause(text), cause(cure)), []).append((text, cure))
+    return [(one_line([text for text, _ in group]), group[0][1]) for group in groups.values()]
 
 
 def _machine(machine: Document) -> Text:

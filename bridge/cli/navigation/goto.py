@@ -19,6 +19,7 @@ from bridge.cli.navigation.gateway import (
     STATUS,
     STATUS_TOPIC,
     LatestMessage,
+    check_daemon,
     gateway_caller,
     no_answer,
     place_text,
@@ -58,6 +59,7 @@ def run(args: argparse.Namespace) -> int:
     """Drive there; returns the exit code."""
     numbers = _numbers(args.where)
     with open_client(args) as client, Interrupt() as interrupt:
+        check_daemon(client)
         types = Types(client)
         goal = _of_place(client, types, args.where[0]) if numbers is None else _of_pose(client, numbers, args.frame)
         try:

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from bridge.cli.arguments import add_hub_arguments
-from bridge.cli.client import CliClient, open_client
+from bridge.cli.client import CliClient, open_client, warn_of_daemon
 from bridge.cli.graph.caller import ServiceCaller
 from bridge.cli.messages import Types
 from bridge.cli.output import CliError, clean, plural, print_json
@@ -77,9 +77,10 @@ class Halted:
 
 def run(args: argparse.Namespace) -> int:
     """Halt everything; 1 where something did not answer."""
-    with open_client(args) as client:
+    with open_client(args, warn=False) as client:
         client.settle()
         found = halt(client, Types(client), args.seconds)
+        warn_of_daemon(args, client.config, workers=False)  # not before: a daemon that hangs takes a second to ask
     if args.json:
         errors = {cancel.name: cancel.error for cancel in found.failed}
         errors |= {base: why for base, why in found.bases.items() if why}
@@ -122,7 +123,7 @@ def unreached(section: NavigationSection, asked: Iterable[str], cancelled: Colle
     if not planner or section.at(planner) in cancelled or any(worker.split()[0] == "gateway" for worker in asked):
         return ""
     return (
-        f"neither the gateway nor the planner {planner} is on the hub now, so nobody could be asked to stop: the robot"
+        f"neither the gateway nor the planner {planner} is on the hub now, so none could be asked to stop: the robot"
         " may still be moving; ask again, and see `midspan status`"
     )
 

@@ -55,7 +55,7 @@ def register(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Run one of the verbs."""
-    with open_client(args) as client:
+    with open_client(args, warn=args.nav_verb != "stop") as client:
         types = Types(client)
         if args.nav_verb == "status":
             return _status(client, types, args)

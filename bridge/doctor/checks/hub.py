@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import stat
-from typing import Any
+from collections.abc import Container, Sequence
 
 import psutil
 
 from bridge.daemon.query import Phase
+from bridge.doctor.causes import cause, grouped, shared
 from bridge.doctor.check import Finding, Findings, fail, ok, skip, warn
-from bridge.doctor.context import CheckContext
+from bridge.doctor.context import CheckContext, Document
+from bridge.doctor.daemon_state import START
 from bridge.doctor.hub_problems import absence
 from bridge.hub.errors import HubConfigError, HubError
 from bridge.hub.router import port_held, probe_router
@@ -17,7 +19,7 @@ from bridge.hub.security.certificates import Certificate, CertificateError, read
 from bridge.hub.security.door import KeyFiles, has_tls, key_files
 from bridge.hub.zenoh_config import connect_endpoint
 
-_LOG = "look into its log: journalctl -u midspan"
+_LOG = "see its log: journalctl -u midspan"
 _COMES = {phase.value for phase in (Phase.QUEUED, Phase.STARTING, Phase.PAUSED)}
 """What the daemon says of a worker that does not answer on the hub yet."""
 
@@ -35,26 +37,53 @@ def look_at_config(context: CheckContext) -> Findings:
 
 
 def look_at_workers(context: CheckContext) -> Findings:
-    """Who answers on the hub, and how they are."""
-    absent = [_worker(context, document) for document in context.hub.documents] if context.hub.error else []
-    if context.hub.error:
-        cure = "" if absent else "start the daemon: midspan run (or systemctl start midspan)"
-        return [warn(context.hub.error.splitlines()[0], cure), *absent]
-    if not context.hub.documents:
-        hub = context.config.hub
-        seen = f"a router answers at {hub.listen}, but no worker does in domain {hub.domain}"
-        return warn(seen, "start the daemon: midspan run; where it runs, compare hub.domain")
-    return [_worker(context, document) for document in context.hub.documents]
+    """The daemon itself, and the state of each worker."""
+    hub, state = context.hub, context.daemon
+    gone = [fail(state.trouble, state.cure)] if state.trouble else []
+    if hub.error:
+        absent = [_worker(context, document) for document in hub.documents]
+        cure = "" if absent or gone else "start the daemon: midspan run (or systemctl start midspan)"
+        return [*gone, warn(hub.error.splitlines()[0], cure), *absent]
+    if not hub.documents:
+        listen, domain = context.config.hub.listen, context.config.hub.domain
+        seen = f"a router answers at {listen}, but no worker does in domain {domain}"
+        return [*gone, warn(seen, "start the daemon: midspan run; if it runs, compare hub.domain")]
+    findings = list(gone)
+    for daemon in dict.fromkeys(str(document.get("daemon")) for document in hub.documents):
+        workers = [document for document in hub.documents if str(document.get("daemon")) == daemon]
+        common = shared({str(document.get("worker")): warnings_of(document) for document in workers})
+        findings += _alone(context, daemon, workers)
+        findings += [_worker(context, document, common) for document in workers]
+        for text, names in common.values():
+            findings.append(warn(f"{', '.join(f'{daemon}/{name}' for name in names)}: {text}"))
+    return findings
 
 
-def _worker(context: CheckContext, document: Any) -> Finding:
+def _alone(context: CheckContext, daemon: str, workers: Sequence[Document]) -> list[Finding]:
+    """A warning if only the router of another machine's daemon answers; a router outlives its daemon."""
+    if daemon == context.config.name or [document.get("worker") for document in workers] != ["router"]:
+        return []
+    seen = f"only the router of {daemon} answers: the daemon is down, or runs nothing else"
+    return [warn(seen, f"on its machine: 'midspan status'; {START}")]
+
+
+def warnings_of(document: Document) -> list[str]:
+    """Return the warnings of a worker's status document."""
+    warnings = document.get("warnings")
+    return [str(text) for text in warnings] if isinstance(warnings, list) else []
+
+
+def _worker(context: CheckContext, document: Document, elsewhere: Container[str] = ()) -> Finding:
+    """The state of a worker, without the warnings whose causes are in ``elsewhere``."""
     name = f"{document.get('daemon')}/{document.get('worker')}"
     state = document.get("state")
     if document.get("error"):
         return fail(f"{name} does not answer: {document['error']}", _LOG)
-    warnings = document.get("warnings") or []
+    if document.get("loops"):
+        return fail(f"{name} crashes again and again, now it is {state}: {document.get('text')}", _LOG)
+    warnings = [text for text in warnings_of(document) if cause(text) not in elsewhere]
     if warnings:
-        return warn(f"{name} is {state}, and warns: {'; '.join(str(w) for w in warnings)}")
+        return warn(f"{name} is {state}, and warns: {'; '.join(grouped(warnings))}")
     if state == "waiting":
         return _waiting(context, document, name)
     if state in ("running", "standby"):
@@ -62,11 +91,12 @@ def _worker(context: CheckContext, document: Any) -> Finding:
     if state == Phase.FAILED.value:
         return fail(f"{name} {state}: {document.get('text')}", _LOG)
     if state in _COMES:
-        return warn(f"{name} is {state}: {document.get('text')}", _LOG if state == Phase.PAUSED.value else "wait")
-    return skip(f"{name} says {state}")
+        crashed = state == Phase.PAUSED.value or document.get("restarts")
+        return warn(f"{name} is {state}: {document.get('text')}", _LOG if crashed else "wait")
+    return skip(f"{name} reports {state}")
 
 
-def _waiting(context: CheckContext, document: Any, name: str) -> Finding:
+def _waiting(context: CheckContext, document: Document, name: str) -> Finding:
     """A side waits for its network; a module for anything, which it says itself."""
     if not document.get("module"):
         return warn(f"{name} waits: its network is away", "see the checks of that side")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from bridge.adapters.ros2.environment import available
-from bridge.doctor.check import Finding, Findings, fail, ok, skip, warn
+from bridge.doctor.check import Finding, Findings, fail, merged, ok, skip, warn
 from bridge.doctor.context import CheckContext, Document
 from bridge.doctor.hub_problems import CURE, conflicts
 from bridge.hub.graph.tokens import EndpointKind
@@ -28,8 +28,8 @@ def look_at_hashes(context: CheckContext) -> Findings:
     if context.hub.error:
         return skip("the hub does not answer")
     findings = _refusals(context, differing=True)
-    findings += [warn(text, CURE) for text in _warnings(context) if "md5" in text][:_SHOWN]
-    findings += [fail(conflict.text, conflict.cure) for conflict in conflicts(context.hub.endpoints)][:_SHOWN]
+    findings += merged([warn(text, CURE) for text in _warnings(context) if "md5" in text])[:_SHOWN]
+    findings += merged([fail(note.text, note.cure) for note in conflicts(context.hub.endpoints)])[:_SHOWN]
     return findings or ok("no definition differs")
 
 
@@ -52,6 +52,7 @@ def _refusals(context: CheckContext, *, differing: bool) -> list[Finding]:
             reason = str(entry.get("reason", ""))
             if any(word in reason for word in _DIFFERS) is differing and not _of_map_server(context, entry):
                 found.append(_refusal(document, entry, reason))
+    found = merged(found)
     more = len(found) - _SHOWN
     return found[:_SHOWN] + ([fail(f"and {more} more", "'midspan status' shows all")] if more > 0 else [])
 

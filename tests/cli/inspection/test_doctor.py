@@ -76,7 +76,7 @@ def test_a_worker_that_does_not_answer_stands_there_by_the_daemons_word(
         {"worker": "modules", "phase": "starting", "text": "importing numpy", "pid": 2, "restarts": 0, "since": 4.0},
     ]
     said = {"daemon": "robot1", "workers": workers}
-    monkeypatch.setattr("bridge.cli.inspection.status.ask_daemon", lambda _config: said)
+    monkeypatch.setattr("bridge.doctor.daemon_state.ask_daemon", lambda _config: said)
     closing.append(FakeWorker(network, "ros1", status=status("ros1", pid=0)))
     midspan = Midspan(config_file(tmp_path, network, **NO_ROS), capsys)
     assert midspan("doctor", "--only", "daemon").out.splitlines()[:3] == [

@@ -200,7 +200,7 @@ def test_all_kinds_are_listed_and_removed(midspan: Midspan, store: Store) -> Non
     ("words", "why"),
     [
         (["map", "show"], "no map is in use"),
-        (["map", "show", "hose"], "there is no map 'hose'; there is none at all"),
+        (["map", "show", "hose"], "there is no map 'hose'; none is stored"),
         (["map", "use", "house"], "there is no map 'house'"),
         (["map", "import", "nowhere.yaml"], "nowhere.yaml"),
         (["map", "import", "house.yaml", "house.yaml"], "in the files twice"),

@@ -33,7 +33,7 @@ from bridge.hub.wire.qos import Durability, Qos
 from bridge.stores.kinds import AREA, LOCATION, MAP
 from navigation.status import State
 from tests.cli.conftest import Midspan, Outcome
-from tests.cli.workers import FakeWorker
+from tests.cli.workers import FakeWorker, config_file
 from tests.navigation.gateway.rig import Asked, Planner, Program, Rig, pose
 from tests.support.hub import HubNetwork
 from tests.support.wait import until
@@ -222,11 +222,12 @@ def test_ctrl_c_cancels_and_so_does_the_time_out(rig: Rig, midspan: Midspan) -> 
 @pytest.mark.parametrize(("number", "code"), [(signal.SIGTERM, 143), (signal.SIGHUP, 129)])
 def test_a_signal_cancels_the_goal(rig: Rig, midspan: Midspan, number: signal.Signals, code: int) -> None:
     """The process reports in one line that the goal was canceled, and no client is reported as cut off."""
+    rig.statuses.clear()
     goto = process(midspan, "kitchen")
     goal = rig.planner.until(1)
     rig.state(State.MOVING)
     goto.send_signal(number)
-    out, err = goto.communicate(timeout=20)
+    out, err = goto.communicate(timeout=40)
     assert (goto.returncode, err) == (code, f"midspan: {number.name}: the goal was canceled\n")
     assert out.splitlines()[0] == "to 2.50, 1.00 m, 90 degrees in map"
     assert not goal.active
@@ -356,18 +357,22 @@ def test_no_gateway(
     file.write_text(json.dumps({"name": "there", "hub": network.config()}))
     outcome = Midspan(file, capsys)("nav", "stop")
     assert outcome.code == 1
-    assert "no gateway runs" in outcome.err
+    assert "no gateway is configured: name a planner" in outcome.err
 
 
 @pytest.mark.parametrize(
     ("phase", "words"),
     [
-        ("running", "the gateway's worker runs, and the gateway does not answer: the machine is busy"),
-        ("starting", "the gateway is not up: its worker 'modules' is starting: importing numpy"),
-        ("", "no gateway runs: name a planner"),
+        ("running", "the gateway's worker runs, but the gateway does not answer: the machine is busy"),
+        ("starting", "the gateway does not run: the worker 'modules' of robot1 is starting: importing numpy"),
+        ("restarting", "is restarting: importing numpy (restarted 4 times; last end: killed by SIGSEGV)"),
+        ("cannot work", "the worker 'modules' of robot1 cannot work: importing numpy"),
+        ("off", "the daemon robot1 runs without the worker 'modules': it has not loaded this configuration"),
+        ("hangs", "the worker 'modules' of robot1 hangs: its last heartbeat was 4 s ago"),
+        ("", "no gateway runs on this hub: no daemon robot1 runs on this machine; on the hub: none"),
     ],
 )
-def test_the_daemons_word_tells_a_late_gateway_from_none(
+def test_the_report_of_the_daemon_tells_a_late_gateway_from_none(
     network: HubNetwork,
     tmp_path: Path,
     capsys: pytest.CaptureFixture[str],
@@ -375,19 +380,25 @@ def test_the_daemons_word_tells_a_late_gateway_from_none(
     phase: str,
     words: str,
 ) -> None:
-    said = {"workers": [{"worker": "modules", "phase": phase, "text": "importing numpy"}]} if phase else None
-    monkeypatch.setattr("bridge.cli.navigation.gateway.ask_daemon", lambda _config: said)
+    worker = {"worker": "modules", "phase": phase, "text": "importing numpy", "restarts": 0, "beat": 0.5}
+    if phase == "restarting":
+        worker |= {"restarts": 4, "ended": "killed by SIGSEGV"}
+    if phase == "hangs":
+        worker |= {"phase": "running", "beat": 4.2}
+    report = {"daemon": "robot1", "config": "a.yaml", "workers": [worker]} if phase else None
+    monkeypatch.setattr("bridge.doctor.daemon_state.ask_daemon", lambda _config: report)
     monkeypatch.setattr("bridge.cli.navigation.gateway.PATIENCE", 0.1)
-    file = tmp_path / "late.yaml"
-    file.write_text(json.dumps({"hub": network.config(), "navigation": {"planner": "robot_goto"}}))
+    file = config_file(tmp_path, network, navigation={"planner": "robot_goto"}, state=str(tmp_path))
     outcome = Midspan(file, capsys)("nav", "status")
     assert (outcome.code, words in outcome.err) == (1, True), outcome
+    other = Midspan(file, capsys)("nav", "status", "--router", network.endpoint)
+    assert "modules" not in other.err, "the daemon of this machine is not asked about another hub"
 
 
 def test_a_gateway_that_takes_long_to_answer(network: HubNetwork, closing: list[Any]) -> None:
     late = threading.Event()
     with connect(Config.model_validate({"hub": network.config()})) as client:
-        assert no_answer(client).startswith("no gateway runs")
+        assert no_answer(client).startswith("no gateway is configured")
         worker = FakeWorker(network, "gateway", status=lambda _params: {"late": not late.wait(2.5)})
         closing.append(worker)
         assert gateway_status(client)["late"]  # after 2 s a busy machine was told that there is none

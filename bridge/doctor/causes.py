@@ -1,0 +1,63 @@
+"""One line for one cause: twenty topics with the same trouble are one problem, and the line names what it affects."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Mapping, Sequence
+from typing import NamedTuple
+
+_NAME = re.compile(r"\w+://[^\s,;)]+|(?<![\w/.])/[\w/.~-]*[\w~]")
+"""Names of topics, services, nodes and ports, and addresses; not types, as ``std_msgs/String`` has no leading slash."""
+
+_SHOWN = 5
+
+
+def cause(text: str) -> str:
+    """Return a text without the names in it: texts with the same result have the same cause."""
+    return _NAME.sub("/*", text)
+
+
+def grouped(texts: Iterable[str]) -> list[str]:
+    """Return one line for each cause, in the order of the texts."""
+    groups: dict[str, list[str]] = {}
+    for text in texts:
+        groups.setdefault(cause(text), []).append(text)
+    return [one_line(group) for group in groups.values()]
+
+
+def one_line(texts: Sequence[str]) -> str:
+    """Return texts of one cause as one line: the first of them, and the names by which the others differ."""
+    first, *others = dict.fromkeys(texts)
+    if not others:
+        return first
+    rows = [_NAME.findall(text) for text in (first, *others)]
+    place = next(place for place, names in enumerate(zip(*rows, strict=True)) if len(set(names)) > 1)
+    names = [name for name in dict.fromkeys(row[place] for row in rows) if name != rows[0][place]]
+    return first + same_for(names)
+
+
+def same_for(names: Sequence[str]) -> str:
+    """Return the end of a line that holds for other names too; "" without any."""
+    more = len(names) - _SHOWN
+    shown = ", ".join(names[:_SHOWN]) + (f" and {more} more" if more > 0 else "")
+    return f" (the same for {shown})" if names else ""
+
+
+class Shared(NamedTuple):
+    """A cause that several owners report, as one line."""
+
+    line: str
+    owners: Sequence[str]
+
+
+def shared(texts: Mapping[str, Iterable[str]]) -> dict[str, Shared]:
+    """Return what several owners report, by `cause`; ``texts`` are the reports by owner."""
+    owners: dict[str, dict[str, list[str]]] = {}
+    for owner, reported in texts.items():
+        for text in reported:
+            owners.setdefault(cause(text), {}).setdefault(owner, []).append(text)
+    return {
+        key: Shared(one_line([text for group in by_owner.values() for text in group]), list(by_owner))
+        for key, by_owner in owners.items()
+        if len(by_owner) > 1
+    }

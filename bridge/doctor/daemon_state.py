@@ -1,0 +1,220 @@
+"""Whether the daemon of a configuration runs, which of its workers do, and why a worker is missing.
+
+The facts come from the daemon's socket and lock in the state folder, from the status documents on the hub, and from
+the process table. A router outlives a daemon that was killed, so an answer on the hub does not show that the daemon
+runs.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+from enum import Enum
+from pathlib import Path
+from typing import Any
+
+import psutil
+
+from bridge import state_file
+from bridge.config.model import Config
+from bridge.daemon.query import Phase, ask_daemon
+from bridge.daemon.workers import worker_kinds
+from bridge.state_file import state_folder
+
+Document = Mapping[str, Any]
+
+START = "start the daemon: 'midspan run' (or 'systemctl start midspan'); 'journalctl -u midspan' shows why it ended"
+_LOG = "see its log: journalctl -u midspan"
+_LOOPS = 3
+"""Restarts from which a worker that does not run counts as crash-looping."""
+_SILENT_SECONDS = 2.0
+"""A worker sends a heartbeat each second."""
+_SETTLED_SECONDS = 30.0
+"""A worker that has run for so long since its last crash counts as recovered."""
+
+
+class Life(Enum):
+    """Whether a daemon runs."""
+
+    RUNNING = "running"
+    SILENT = "not answering"
+    DOWN = "not running"
+    UNKNOWN = "unknown"
+    """It has never run with this state folder, or the folder belongs to another user or machine."""
+
+
+@dataclass(frozen=True)
+class DaemonState:
+    """One daemon, by its name.
+
+    Attributes:
+        pid: the daemon's process; of the one that ended if the daemon is down; 0 if unknown.
+        router: the process of its router if that runs without the daemon, else 0.
+        document: the daemon's own report (`bridge.daemon.query.ask_daemon`).
+    """
+
+    name: str
+    life: Life = Life.UNKNOWN
+    pid: int = 0
+    router: int = 0
+    document: Document = field(default_factory=dict)
+
+    @property
+    def trouble(self) -> str:
+        """Why the daemon does not work; "" if it runs or if that is unknown."""
+        if self.life is Life.DOWN:
+            left = f", although its router is (process {self.router})" if self.router else ""
+            return f"the daemon {self.name} is not running{left}"
+        if self.life is Life.SILENT:
+            return f"the daemon {self.name} (process {self.pid}) does not answer: it starts, is stopped, or hangs"
+        return ""
+
+    @property
+    def cure(self) -> str:
+        """What helps against `trouble`."""
+        silent = f"wait, or end process {self.pid} and start the daemon again: 'midspan run'"
+        return {Life.DOWN: START, Life.SILENT: silent}.get(self.life, "")
+
+    @property
+    def workers(self) -> list[Document]:
+        """The workers as the daemon reports them."""
+        return list(self.document.get("workers", ()))
+
+    def why_missing(self, worker: str, config: Config) -> str:
+        """Return why a worker does not serve; "" if it runs or if that is unknown."""
+        if self.trouble or self.life is Life.UNKNOWN:
+            return self.trouble
+        for document in self.workers:
+            if document["worker"] == worker:
+                return _why(self.name, document) or _not_loaded(self.document, document, config)
+        return ""
+
+    def absences(self) -> list[str]:
+        """Return a line for each worker that is switched on and does not run."""
+        absent = {phase.value for phase in (Phase.QUEUED, Phase.STARTING, Phase.PAUSED, Phase.FAILED)}
+        return [_why(self.name, document) for document in self.workers if document["phase"] in absent]
+
+
+def daemon_state(config: Config, documents: Iterable[Document] = ()) -> DaemonState:
+    """Find out whether a configuration's daemon runs, given the status documents on its hub."""
+    document = ask_daemon(config)
+    if document is not None:
+        return DaemonState(config.name, Life.RUNNING, int(document.get("pid", 0)), document=document)
+    config = config.model_copy(update={"state": state_folder(config).absolute()})
+    lock = state_file.daemon_lock(config)
+    pid = _holder(lock)
+    if pid:
+        life = Life.SILENT if _holds(pid, lock) else Life.DOWN
+        return DaemonState(config.name, life, pid, router=_outliving(config) if life is Life.DOWN else 0)
+    orphan = _orphan([document for document in documents if document.get("daemon") == config.name], config)
+    return DaemonState(config.name, Life.DOWN if orphan else Life.UNKNOWN, router=orphan)
+
+
+def describe(document: Document) -> str:
+    """Return how a worker gets on by the daemon's report, with its crashes."""
+    text, restarts, ended = (
+        str(document.get("text", "")),
+        int(document.get("restarts", 0)),
+        str(document.get("ended", "")),
+    )
+    if not restarts:
+        return text
+    times = "once" if restarts == 1 else f"{restarts} times"
+    crashes = f"(restarted {times}" + (f"; last end: {ended})" if ended else ")")
+    return crashes if text in ("", ended) else f"{text} {crashes}"
+
+
+def loops(document: Document) -> bool:
+    """Whether a worker crashes again and again, by the daemon's report: also while it comes up or has just done so."""
+    settled = document.get("phase") == Phase.UP.value and float(document.get("since", 0.0)) > _SETTLED_SECONDS
+    return int(document.get("restarts", 0)) >= _LOOPS and not settled
+
+
+def _why(daemon: str, document: Document) -> str:
+    """Why a worker does not serve, by the daemon's report; "" if it does, or if it is switched off."""
+    phase, beat = document["phase"], document.get("beat")
+    name, text = f"the worker '{document['worker']}' of {daemon}", describe(document)
+    if phase == Phase.UP.value:
+        if beat is not None and beat > _SILENT_SECONDS:
+            return f"{name} hangs: its last heartbeat was {beat:.0f} s ago"
+        return ""
+    if phase == Phase.OFF.value:
+        return ""
+    return f"{name} is {phase}: {text}" if phase != Phase.FAILED.value else f"{name} {phase}: {text}"
+
+
+def _not_loaded(daemon: Document, document: Document, config: Config) -> str:
+    """Why a worker is off that the configuration at hand switches on: the daemon runs another one."""
+    kind = worker_kinds().get(str(document["worker"]))
+    if document["phase"] != Phase.OFF.value or kind is None or not kind.enabled(config):
+        return ""
+    file = daemon.get("config") or "its defaults"
+    return (
+        f"the daemon {daemon.get('daemon')} runs without the worker '{document['worker']}': it has not loaded this"
+        f" configuration (it runs {file}; reload it: 'systemctl reload midspan', or SIGHUP)"
+    )
+
+
+def _holder(lock: Path) -> int:
+    """The process of this machine that wrote itself into a lock, also a dead one; 0 if there is none."""
+    if sys.platform == "win32":  # where no daemon runs
+        return 0
+    from bridge.daemon.lock import Lock
+
+    try:
+        if not lock.exists():
+            return 0
+        opened = Lock(lock)
+    except OSError:
+        return 0
+    try:
+        holder = opened.holder()
+    finally:
+        opened.close()
+    return holder.pid if holder is not None and holder.is_here else 0
+
+
+def _holds(pid: int, lock: Path) -> bool:
+    """Whether a process holds a lock. Reads the kernel's table: an attempt to lock could make a new daemon fail."""
+    try:
+        inode, rows = str(lock.stat().st_ino), Path("/proc/locks").read_text().splitlines()
+    except OSError:
+        return _lives(pid)
+    held = {(row.split()[-4], row.split()[-3].rpartition(":")[2]) for row in rows if " FLOCK " in row}
+    return (str(pid), inode) in held
+
+
+def _lives(pid: int) -> bool:
+    try:
+        return psutil.Process(pid).status() != psutil.STATUS_ZOMBIE
+    except psutil.Error:
+        return False
+
+
+def _outliving(config: Config) -> int:
+    """The router that this daemon has left running, 0 if there is none."""
+    pid = _holder(state_file.worker_lock(config, "router"))
+    return pid if pid and _lives(pid) else 0
+
+
+def _orphan(documents: list[Document], config: Config) -> int:
+    """The router of a daemon of another user, if it is the only worker left and its daemon is gone; else 0.
+
+    A router that somebody started by itself ('midspan worker router') has no daemon to miss.
+    """
+    if [document.get("worker") for document in documents] != ["router"]:
+        return 0
+    others = [kind for name, kind in worker_kinds().items() if name != "router" and kind.enabled(config) is not False]
+    pid = documents[0].get("pid")
+    if not others or not isinstance(pid, int) or pid in (0, os.getpid()):
+        return 0
+    try:
+        process = psutil.Process(pid)
+        parent = process.parent()
+        supervised = {"bridge.cli.child", "--supervised"} <= set(process.cmdline())
+        left = parent is None or "run" not in parent.cmdline()
+    except psutil.Error:
+        return 0
+    return pid if supervised and left else 0

@@ -1,0 +1,192 @@
+"""A daemon that does not run, and workers that do not: each verb names the true cause."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import signal
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from tests.cli.daemons import RobotDaemon
+from tests.support.wait import until
+
+DOWN = "the daemon robot is not running, although its router is (process {router})"
+STAND_IN = "tests.cli.stand_in:Modules"
+Start = Callable[..., RobotDaemon]
+
+NEED_THE_GATEWAY = (["nav", "status"], ["nav", "pause"], ["nav", "show"], ["goto", "kitchen"], ["goto", "-1.5", "2"])
+NEED_THE_STORE = (["map", "list"], ["map", "show"], ["location", "list"], ["location", "add", "a", "1", "2"])
+NEED_NOTHING = (["topic", "list"], ["service", "list"], ["tf", "list"], ["explain", "/scan"], ["top", "--once"])
+
+
+@pytest.fixture
+def start(tmp_path: Path) -> Iterator[Start]:
+    """Starts a daemon; called once."""
+    made: list[RobotDaemon] = []
+
+    def begin(order: str = "", **sections: Any) -> RobotDaemon:
+        (tmp_path / "modules.do").write_text(order)
+        made.append(RobotDaemon(tmp_path, STAND_IN if order else "", **sections))
+        made[0].start()
+        return made[0]
+
+    yield begin
+    for robot in made:
+        robot.close()
+
+
+@pytest.fixture(scope="module")
+def dead(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[RobotDaemon, str]]:
+    """A daemon that was killed with SIGKILL while its router lives, and what is to be reported of it."""
+    robot = RobotDaemon(tmp_path_factory.mktemp("dead"))
+    robot.start()
+    robot.until_phase("modules", "running")
+    router = robot.kill()
+    yield robot, DOWN.format(router=router)
+    robot.close()
+
+
+def test_status_says_that_the_daemon_is_gone(dead: tuple[RobotDaemon, str]) -> None:
+    robot, down = dead
+    done = robot("status")
+    assert done.returncode == 1
+    assert f"daemon   not running {down}" in " ".join(done.stdout.splitlines())
+    assert "router   running" in done.stdout
+    assert done.stderr.startswith(f"midspan: {down}\nstart the daemon: 'midspan run'")
+    done = robot("status", "--json")
+    documents = {document["worker"]: document for document in json.loads(done.stdout)}
+    assert done.returncode == 1
+    assert documents.keys() == {"daemon", "router"}
+    assert documents["daemon"]["state"] == "not running"
+
+
+def test_doctor_finds_it_with_the_cure(dead: tuple[RobotDaemon, str]) -> None:
+    robot, down = dead
+    done = robot("doctor", "--only", "daemon", "--json")
+    assert done.returncode == 1
+    first, *others = json.loads(done.stdout)
+    assert (first["result"], first["seen"]) == ("fail", down)
+    assert first["cure"].startswith("start the daemon: 'midspan run'")
+    assert [(each["result"], each["seen"]) for each in others] == [("ok", "robot/router is running")]
+
+
+@pytest.mark.parametrize("words", [*NEED_THE_GATEWAY, *NEED_THE_STORE, ["record", "--daemon", "trigger"]], ids=" ".join)
+def test_verbs_that_need_a_worker_fail_with_the_cause(dead: tuple[RobotDaemon, str], words: list[str]) -> None:
+    robot, down = dead
+    done = robot(*words)
+    assert done.returncode == 1
+    assert done.stderr.count(down) >= 1, done
+    assert "name a planner" not in done.stderr
+    assert "set store.enabled" not in done.stderr
+    assert "record.enabled" not in done.stderr
+    assert done.stderr.splitlines()[-1].endswith(down), "the error itself names the cause"
+
+
+@pytest.mark.parametrize("words", [*NEED_NOTHING, ["halt", "--seconds", "0.1"], ["nav", "stop"]], ids=" ".join)
+def test_other_verbs_mention_it(dead: tuple[RobotDaemon, str], words: list[str]) -> None:
+    robot, down = dead
+    assert down in robot(*words).stderr
+
+
+@pytest.mark.thorough
+def test_the_daemon_of_another_user(dead: tuple[RobotDaemon, str], tmp_path: Path) -> None:
+    """Its state folder cannot be read: that the router lost its daemon shows in the process table."""
+    robot, down = dead
+    file = tmp_path / "other.yaml"
+    file.write_text(json.dumps({**json.loads(robot.file.read_text()), "state": str(tmp_path / "none")}))
+    before, robot.file = robot.file, file
+    try:
+        done = robot("status")
+    finally:
+        robot.file = before
+    assert (done.returncode, done.stderr.startswith(f"midspan: {down}\n")) == (1, True), done
+
+
+@pytest.mark.thorough
+def test_a_router_that_was_started_by_itself_misses_no_daemon(tmp_path: Path) -> None:
+    robot = RobotDaemon(tmp_path)
+    try:
+        robot.process("worker", "router")
+        done = until(lambda: (done := robot("status")).returncode == 0 and done, "the router answers", 40)
+        assert "not running" not in done.stdout + done.stderr
+        assert "no gateway runs on this hub: no daemon robot runs on this machine" in robot("nav", "status").stderr
+    finally:
+        robot.close()
+
+
+def test_a_daemon_that_runs_again_is_not_reported(start: Start) -> None:
+    robot = start()
+    robot.until_phase("modules", "running")
+    robot.kill()
+    assert robot("status").returncode == 1
+    robot.start()
+    robot.until_phase("modules", "running")
+    done = robot("status")
+    assert (done.returncode, done.stderr) == (0, "")
+    done = robot("nav", "status")
+    assert (done.returncode, done.stderr) == (0, "")
+
+
+@pytest.mark.thorough
+def test_a_daemon_that_hangs(start: Start) -> None:
+    robot = start("run")
+    robot.until_phase("modules", "running")
+    assert robot.daemon is not None
+    os.kill(robot.daemon.pid, signal.SIGSTOP)
+    hangs = f"the daemon robot (process {robot.daemon.pid}) does not answer"
+    for words in (["status"], ["doctor", "--only", "daemon"], ["nav", "status"], ["map", "list"]):
+        done = robot(*words)
+        assert (done.returncode, hangs in done.stdout + done.stderr) == (1, True), done
+
+
+def test_a_worker_that_crashes_again_and_again(start: Start) -> None:
+    robot = start("crash")
+    robot.until_phase("modules", "restarting", 3)
+    crashes = r"the worker 'modules' of robot is (restarting|starting|queued): .*restarted \d+ times"
+    for words in (*NEED_THE_GATEWAY[:4], *NEED_THE_STORE[:2]):
+        done = robot(*words)
+        assert done.returncode == 1
+        assert re.search(crashes, done.stderr), (words, done.stderr)
+        assert "ended with exit code 7" in done.stderr
+        assert "name a planner" not in done.stderr
+    assert "'modules'" in robot("topic", "list").stderr
+    done = robot("status")
+    assert done.returncode == 0
+    assert "modules" in done.stdout
+    assert "last end: ended with exit code 7" in done.stdout
+    findings = json.loads(robot("doctor", "--only", "daemon", "--json").stdout)
+    (loop,) = [finding for finding in findings if "robot/modules" in finding["seen"]]
+    assert loop["result"] == "fail"
+    assert "robot/modules crashes again and again" in loop["seen"]
+
+
+@pytest.mark.thorough
+def test_a_worker_that_comes_up(start: Start) -> None:
+    robot = start("hang")
+    robot.until_phase("modules", "starting")
+    for words in (["nav", "status"], ["goto", "kitchen"], ["map", "list"]):
+        done = robot(*words)
+        assert (done.returncode, "the worker 'modules' of robot is starting" in done.stderr) == (1, True), done
+
+
+def test_no_planner_is_configured(start: Start) -> None:
+    robot = start(navigation={})
+    robot.until_phase("modules", "running")
+    done = robot("nav", "status")
+    assert done.returncode == 1
+    assert "no gateway is configured: name a planner in the section 'navigation'" in done.stderr
+
+
+@pytest.mark.thorough
+def test_a_configuration_that_the_daemon_has_not_loaded(start: Start) -> None:
+    robot = start(navigation={}, modules={})
+    robot.until_phase("router", "running")
+    robot.configure()
+    for words in (["nav", "status"], ["map", "list"]):
+        done = robot(*words)
+        assert (done.returncode, "it has not loaded this configuration" in done.stderr) == (1, True), done
