@@ -8,6 +8,7 @@ from typing import Any
 
 from bridge.config.sections.navigation import OURS, NavigationSection, Planner
 from bridge.hub.graph import HubEndpoint
+from bridge.hub.graph.owners import owner
 from bridge.hub.graph.tokens import UNKNOWN_HASH, EndpointKind
 from bridge.messages.actions import split
 from bridge.sides import label
@@ -60,8 +61,8 @@ def _all_heard(endpoints: Iterable[HubEndpoint]) -> bool:
 
 
 def nodes(endpoints: Iterable[HubEndpoint]) -> str:
-    """The nodes of some endpoints, for people."""
-    return ", ".join(sorted({f"{e.namespace.rstrip('/')}/{e.node}" for e in endpoints}))
+    """Return the nodes behind some endpoints."""
+    return ", ".join(sorted({owner(endpoint) for endpoint in endpoints}))
 
 
 Document = Mapping[str, Any]

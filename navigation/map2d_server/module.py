@@ -1,7 +1,7 @@
 """Map2DServer: the maps and places of the store for every side.
 
-YARP's clients read and change them by IMap2D; ROS 1 and ROS 2 have the current map, the planners' masks and every map
-as latched topics, and the services of their own map servers. Whoever changes something, all the others hear of it.
+YARP's clients read and change them by IMap2D. ROS 1 and ROS 2 have the current map, the planners' masks and every map
+as latched topics, and the services of their own map servers. Each change reaches all clients.
 """
 
 from __future__ import annotations
@@ -12,6 +12,7 @@ from typing import Any
 
 from bridge.config.sections.maps import Map2DServerSection
 from bridge.config.sections.section import Section
+from bridge.hub.graph.owners import owner
 from bridge.modules.host import Host
 from bridge.modules.module import Module
 from bridge.stores.entry import StoreError
@@ -35,7 +36,7 @@ class Map2DServer(Module):
     name = "map2d_server"
 
     def start(self, host: Host, section: Section) -> None:
-        """Publish everything, and serve."""
+        """Publish the store, and open the services and ports."""
         assert isinstance(section, Map2DServerSection)
         self._host, self._store = host, host.store
         self._changed: set[tuple[str, str]] = set()
@@ -68,10 +69,10 @@ class Map2DServer(Module):
             host.yarp.respond(section.command_port, MapCommands(self._store, self._current).answer)
 
     def health(self) -> Health:
-        """Which map is current, and how many there are."""
+        """Return the current map, and other publishers of its topic."""
         words = f"map {self._current.name}" if self._current.name else "no map is current"
         if self._others:
-            words += f"; {MAP_TOPIC} is published by {', '.join(self._others)}, so not from here"
+            words += f"; {MAP_TOPIC} is published by {', '.join(self._others)}, not by this module"
         return Health("running", words)
 
     def status(self) -> dict[str, Any]:
@@ -123,10 +124,10 @@ class Map2DServer(Module):
             self._host.loop.post(self._look)
 
     def _look(self) -> None:
-        """Somebody else's map goes before ours, as of whoever has a robot's map now."""
+        """Stop publishing the current map if another program publishes one."""
         self._graph_due = False
         others = [each for each in self._host.node.hub.graph.publishers(MAP_TOPIC) if not is_ours(each)]
-        self._others = sorted({f"{each.namespace.rstrip('/')}/{each.node}" for each in others})
+        self._others = sorted({owner(each) for each in others})
         self._current.hush(bool(others))
 
     def _told(self, why: str) -> None:

@@ -6,6 +6,7 @@ import json
 import socket
 import threading
 from collections.abc import Iterator
+from dataclasses import replace
 from typing import Any
 
 import pytest
@@ -17,7 +18,7 @@ from bridge.doctor.checks import hub as hub_checks
 from bridge.doctor.context import HubSnapshot
 from bridge.doctor.hub_problems import conflicts
 from bridge.hub.graph import HubEndpoint
-from bridge.hub.graph.tokens import UNKNOWN_HASH, EndpointKind
+from bridge.hub.graph.tokens import UNKNOWN_HASH, EndpointKind, Origin
 from bridge.hub.wire.qos import Qos
 from tests.doctor.parts import around, hub, only, results
 from tests.support.hub import HubNetwork
@@ -160,6 +161,14 @@ def test_conflicts_on_the_hub() -> None:
     assert conflicts([endpoint("one", "a/srv/A", "1", EndpointKind.SERVER)]) == []
     view = HubSnapshot(endpoints=[endpoint("one", "a/msg/A", "1"), endpoint("two", "a/msg/A", "2")])
     assert only(types.look_at_hashes(around(hub=view))).result is Result.FAIL
+
+
+def test_bridged_endpoints_are_named_by_their_side() -> None:
+    bridged = replace(endpoint("midspan_ros2", "a/msg/A", "2"), origin=Origin("ros2", "0" * 24, "robot1"))
+    (note,) = conflicts([endpoint("one", "a/msg/A", "1"), bridged])
+    assert "/one RIHS01_1" in note.text
+    assert "a node on ROS 2 RIHS01_2" in note.text
+    assert "midspan_ros2" not in note.text
 
 
 def test_a_node_that_hears_several_types_conflicts_with_none_of_them() -> None:

@@ -14,7 +14,9 @@ import numpy as np
 import pytest
 
 from bridge.cli.main import main
+from bridge.hub.graph.tokens import Origin
 from bridge.hub.session import Hub
+from bridge.hub.wire.qos import LATCHED
 from bridge.stores.kinds import AREA, BEHAVIOUR, KINDS, LOCATION, MAP, MAP3D
 from bridge.stores.store import Store
 from navigation.map2d_server.publishers import topic_of
@@ -235,6 +237,25 @@ def test_files_of_a_yarp_client(served: Served) -> None:
         assert [path for path in sorted(served.folder.rglob("*")) if "sqlite" not in path.name] == [
             path for path in before if "sqlite" not in path.name
         ]
+
+
+def test_the_publisher_of_a_map_behind_a_bridge_is_named_by_its_side(served: Served) -> None:
+    """The node of the bridged publisher is a worker's own; it must not pass for the program that has the map."""
+
+    def text() -> str:
+        return str((served.status("map2d_server") or {}).get("text"))
+
+    with Hub.open(served.hubs.settings("midspan_ros2", worker="ros2")) as hub:
+        hub.set_origin(Origin("ros2", "0" * 24, "other"))
+        hub.publisher(
+            "/map",
+            "nav_msgs/msg/OccupancyGrid",
+            served.far.registry.ros2("nav_msgs/msg/OccupancyGrid").type_id,
+            LATCHED,
+        )
+        until(lambda: "/map is published by a node on ROS 2, not by this module" in text(), text, 20)
+        assert "midspan" not in text()
+    until(lambda: "published by" not in text(), "it has left", 20)
 
 
 def test_a_map_of_somebody_else_is_taken_and_never_echoed(served: Served) -> None:
