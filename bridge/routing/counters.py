@@ -1,7 +1,8 @@
-"""Counters of one route: what crossed, how fast, what was dropped and why."""
+"""Counters of one route: messages, rate, latency, and drops by reason."""
 
 from __future__ import annotations
 
+import re
 import time
 from bisect import bisect_left
 from collections import deque
@@ -14,6 +15,9 @@ inside zenoh or DDS, missed by a slow subscriber of the side, source unknown, th
 one of its network, a velocity of a planner that was stopped (`bridge.routing.hold`)."""
 
 _LATENCIES = 512
+_NUMBER = re.compile(r"\d+")
+_PAUSE = 60.0
+"""Seconds without an error after which the same one is logged again."""
 
 LATENCY_BOUNDS = tuple(
     int(seconds * 1e9) for seconds in (0.00025, 0.0005, 0.001, 0.0025, 0.005, 0.01, 0.025, 0.05, 0.1, 0.25, 0.5, 1, 2.5)
@@ -21,14 +25,14 @@ LATENCY_BOUNDS = tuple(
 """Upper bounds of the histogram's buckets but the last, which has none; nanoseconds."""
 
 CARRY_BOUNDS = (2e-5, 5e-5, 1e-4, 2.5e-4, 5e-4, 1e-3, 2.5e-3, 5e-3, 1e-2, 2.5e-2, 5e-2, 0.1, 0.25, 1.0)
-"""The same of the bridge's own time, which has nothing of the source; seconds."""
+"""The same for the time that the bridge itself takes, in seconds."""
 
 
 class Counters:
-    """One route's counters. Written by the route's threads, read by anybody; single reads may be a moment apart."""
+    """One route's counters. The route's threads write them, any thread reads them; single reads may be a moment apart."""
 
     __slots__ = (
-        "_buckets", "_carried", "_carrying", "_latencies", "_mark", "_rate", "_waited",
+        "_buckets", "_carried", "_carrying", "_failed_at", "_latencies", "_logged", "_mark", "_rate", "_waited",
         "bytes", "drops", "error", "error_at", "last", "messages",
     )  # fmt: skip
 
@@ -38,6 +42,8 @@ class Counters:
         self.last = 0.0
         self.error = ""
         self.error_at = 0.0
+        self._failed_at = 0.0
+        self._logged = ""
         self.drops = dict.fromkeys(DROPS, 0)
         self._latencies: deque[int] = deque(maxlen=_LATENCIES)
         self._buckets = [0] * (len(LATENCY_BOUNDS) + 1)
@@ -48,13 +54,13 @@ class Counters:
         self._rate = 0.0
 
     def crossed(self, size: int) -> None:
-        """One message of ``size`` bytes went through."""
+        """Count one message of ``size`` bytes."""
         self.messages += 1
         self.bytes += size
         self.last = time.monotonic()
 
     def carried(self, size: int, since: float) -> None:
-        """One message of ``size`` bytes went to the hub, which came on the monotonic clock's ``since``.
+        """Count one message of ``size`` bytes to the hub, which arrived at ``since`` on the monotonic clock.
 
         Takes 0.12 us longer than `crossed`, on top of 0.12.
         """
@@ -66,34 +72,42 @@ class Counters:
         self._carried[bisect_left(CARRY_BOUNDS, took)] += 1
 
     def latency(self, nanoseconds: int) -> None:
-        """One message took so long from its source's time stamp to here."""
+        """Add the time that one message took from its source's time stamp to here."""
         self._latencies.append(nanoseconds)
         self._buckets[bisect_left(LATENCY_BOUNDS, nanoseconds)] += 1
         if nanoseconds > 0:  # the clocks of two machines differ
             self._waited += nanoseconds
 
     def dropped(self, reason: str, count: int = 1) -> None:
-        """So many messages were dropped, for one of `DROPS`."""
+        """Count dropped messages, for one of `DROPS`."""
         self.drops[reason] += count
 
     def missed(self, lost: int, where: Callable[[], str]) -> None:
-        """Set the number of messages that were lost in all; ``where`` says where."""
+        """Set the total number of lost messages; ``where`` returns the place of the loss."""
         if lost != self.drops["lost"]:
             self.drops["lost"] = lost
             if lost:
                 self.failed(where())
 
     def failed(self, error: str) -> bool:
-        """Remember an error; whether it is worth a log line now (a second since the last one)."""
-        now = time.monotonic()
-        log = now - self.error_at > 1.0 or not self.error
-        self.error = error
+        """Remember an error; whether it is worth a log line now: a new one, or the same after a pause of a minute.
+
+        Errors that differ in numbers only are the same. Different ones are worth a line each second.
+        """
+        now, text = time.monotonic(), _NUMBER.sub("0", error)
+        new = text != self._logged or now - self._failed_at > _PAUSE
+        log = new and (now - self.error_at > 1.0 or not self.error)
+        self.error, self._failed_at = error, now
         if log:
-            self.error_at = now
+            self.error_at, self._logged = now, text
         return log
 
+    def recovered(self) -> None:
+        """Note that it works again: the next error is a new one."""
+        self._logged = ""
+
     def tick(self) -> float:
-        """Take the messages a second since the last tick, and give them; called about once a second."""
+        """Update and return the messages a second since the last tick; called about once a second."""
         now = time.monotonic()
         then, messages = self._mark
         if now - then >= 0.5:

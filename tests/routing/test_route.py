@@ -457,3 +457,25 @@ def test_what_never_came_is_told_with_its_place() -> None:
     counters.failed("something else")
     counters.missed(3, lambda: "3 from yarp")  # no news
     assert counters.as_dict()["error"] == "something else"
+
+
+def test_an_error_is_worth_one_log_line_for_each_change(monkeypatch: pytest.MonkeyPatch) -> None:
+    now = 1000.0
+    monkeypatch.setattr("bridge.routing.counters.time", SimpleNamespace(monotonic=lambda: now))
+    counters = Counters()
+
+    def logged(*errors: str) -> int:
+        nonlocal now
+        lines = 0
+        for error in errors:
+            now += 1.5
+            lines += counters.failed(error)
+        return lines
+
+    assert logged(*["no server of /a"] * 20) == 1
+    assert logged(*[f"message of {size} bytes, 100 allowed" for size in range(200, 220)]) == 1
+    assert logged("no server of /a", "no server of /a") == 1
+    assert [counters.failed("another"), counters.failed("a third")] == [True, False], "a second has not passed"
+    assert logged("a third", "a third") == 1
+    now += 61.0
+    assert logged("a third") == 1

@@ -211,6 +211,7 @@ class ServiceRoute(Route):
                 if counters.failed(str(result)):
                     _log.info("%s %s: %s", self.direction, self.side_topic, result)
             else:
+                counters.recovered()
                 counters.replies += 1
                 counters.bytes += len(result)
                 counters.latency(nanoseconds)

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import logging
 import threading
+import time
 from base64 import b64decode
 from collections.abc import Callable, Iterator
 from dataclasses import replace
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -16,6 +19,7 @@ from bridge.hub.endpoints.services import HubClient
 from bridge.hub.session import Hub
 from bridge.messages.json import from_json, to_json
 from bridge.messages.registry import Registry
+from bridge.routing import counters
 from bridge.routing.edge import MadeBy
 from bridge.routing.engine import Engine
 from bridge.routing.peer_watch import Lease
@@ -101,6 +105,42 @@ def test_too_many_calls_get_an_error_at_once(place: Place, monkeypatch: pytest.M
     assert [call.result()["reply"]["message"] for call in waiting] == ["late"] * 3
     assert ask(client).result()["reply"]
     assert place.counts() == (5, 4, 1, 0, 0)
+
+
+def test_one_cause_is_logged_once_however_often_it_is_called(
+    place: Place, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    """As the cancellation of a goal, which is repeated until it has an answer."""
+    caplog.set_level(logging.INFO, "bridge.routing.services.route")
+    answer: list[bytes | CallError] = [CallError("no server of /do is on ROS 2")]
+    works = from_json(REGISTRY, f"{SET}_Response", {})
+
+    def call(_request: bytes, done: Done) -> Abandon:
+        done(answer[0])
+        return lambda: None
+
+    place.network.serve("/do", SET, MadeBy.NATIVE, "/native", call)
+    client = place.client()
+    clock = time.monotonic()
+    monkeypatch.setattr(counters, "time", SimpleNamespace(monotonic=lambda: clock))
+
+    def logged(calls: int) -> int:
+        nonlocal clock
+        caplog.clear()
+        for _ in range(calls):
+            clock += 1.5
+            ask(client).result()
+        return sum("/do" in record.getMessage() for record in caplog.records)
+
+    assert [logged(10), logged(10)] == [1, 0]
+    answer[0] = CallError("the server of /do left before it answered")
+    assert logged(5) == 1
+    answer[0] = works
+    assert logged(2) == 0
+    answer[0] = CallError("the server of /do left before it answered")
+    assert logged(5) == 1, "it had worked meanwhile"
+    clock += 100.0
+    assert logged(5) == 1, "after a pause"
 
 
 def test_a_caller_that_gives_up_is_forgotten_on_the_side(place: Place) -> None:
