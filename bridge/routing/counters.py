@@ -29,7 +29,7 @@ CARRY_BOUNDS = (2e-5, 5e-5, 1e-4, 2.5e-4, 5e-4, 1e-3, 2.5e-3, 5e-3, 1e-2, 2.5e-2
 
 
 class Counters:
-    """One route's counters. The route's threads write them, any thread reads them; single reads may be a moment apart."""
+    """One route's counters. The route's threads write them, any thread reads them; reads may be a moment apart."""
 
     __slots__ = (
         "_buckets", "_carried", "_carrying", "_failed_at", "_latencies", "_logged", "_mark", "_rate", "_waited",
