@@ -163,6 +163,9 @@ class Edge(ABC):
     services: ClassVar[bool] = False
     """Whether services and actions cross; otherwise nothing is said of them."""
 
+    outlives_network: ClassVar[bool] = False
+    """Whether endpoints go on under their ids if the network's identity changes, as connections that need no master."""
+
     clock: RunClock = SYSTEM
     """What stamps are made by; the worker gives it before `start`."""
 

@@ -246,8 +246,9 @@ class Engine:
 
     def _change_network(self, network: str | None) -> None:
         _log.info("%s network: %s", self.edge.side, network or "away")
-        self._services_to_hub.close(f"the {self.edge.side} network of the server is away")
-        self._topics_to_hub.close()
+        if network is None or not self.edge.outlives_network:
+            self._services_to_hub.close(f"the {self.edge.side} network of the server is away")
+            self._topics_to_hub.close()
         self._network = network
         self.hub.set_origin(Origin(self.edge.side, network, self._daemon) if network is not None else None)
 

@@ -20,6 +20,7 @@ from bridge.adapters.ros1.environment import master_uri
 from bridge.adapters.ros1.epoll_loop import EpollLoop
 from bridge.adapters.ros1.graph.presence import Ledger, NodeConnections, NodeEntry, others
 from bridge.adapters.ros1.graph.probe import Ros1Context
+from bridge.adapters.ros1.graph.standing import Connections, StandingGraph
 from bridge.adapters.ros1.graph.state import MasterState, Registration
 from bridge.adapters.ros1.peer_pool import PeerPool
 from bridge.adapters.ros1.services.services import Ros1Services
@@ -55,6 +56,7 @@ class Ros1Edge(SideEdge):
 
     side: ClassVar[str] = "ros1"
     services: ClassVar[bool] = True
+    outlives_network: ClassVar[bool] = True
 
     def __init__(self, config: Config, registry: Registry, state: Path) -> None:
         super().__init__(config, registry)
@@ -64,10 +66,11 @@ class Ros1Edge(SideEdge):
         self._names = names.NameTable()
         self._lock = threading.Lock()
         self._look: MasterState | None = None
+        self._standing = StandingGraph(self._connections)
         self._publishers: frozenset[Registration] = frozenset()
         self._check_due = 0.0
         self._presence = self._links = NodeConnections(self._caller, self._presence_changed, self._wake_master)
-        found, limit = self._graph_changed, config.limits.message_bytes
+        found, limit = self._peer_changed, config.limits.message_bytes
         context = Ros1Context(self._pool, self._loop, self._timer, self._caller, config.name, found, limit)
         self._topics = Ros1Topics(context, self._refuse)
         self._services = Ros1Services(context, self._wake_master, self._doubt_service)
@@ -144,6 +147,16 @@ class Ros1Edge(SideEdge):
         if self._actions.awaits(topic):
             self._wake_master()
 
+    def _peer_changed(self) -> None:
+        """A connection of another node was made, has ended, or has shown what the node is; called on any thread."""
+        if self._standing.unlisted:
+            self._wake_master()
+        self._graph_changed()
+
+    def _connections(self) -> Connections:
+        subscribers = self._node.subscribers() if self._node is not None else frozenset()
+        return Connections(self._topics.connected(), subscribers, self._services.connected())
+
     def _doubt_service(self, name: str) -> None:
         if self._master is not None:
             self._master.doubt(name)
@@ -151,7 +164,7 @@ class Ros1Edge(SideEdge):
     # -- the graph -----------------------------------------------------------------------------------------------------
 
     def network(self) -> str | None:
-        """The master's run id, None while it is away."""
+        """The master's run id; None if it is away, and no connection shows that another node is there."""
         look = self._look
         return look.network if look is not None else None
 
@@ -186,7 +199,7 @@ class Ros1Edge(SideEdge):
     def warnings(self) -> list[str]:
         """What a person should know of this side."""
         warnings = []
-        if self._look is None and self._master is not None and self._master.trouble:
+        if self._master is not None and self._master.trouble:
             warnings.append(f"no ROS 1 master: {self._master.trouble}")
         if self._master is not None and self._master.simulated and not self._config.clock.simulated:
             warnings.append(
@@ -202,11 +215,12 @@ class Ros1Edge(SideEdge):
         parameters = [] if self._parameters is None else self._parameters.warnings()
         return [*warnings, *self._services.warnings(), *self._actions.warnings(), *parameters]
 
-    def _seen(self, look: MasterState | None) -> None:
-        """One look at the master; called on its thread."""
+    def _seen(self, listed: MasterState | None) -> None:
+        """Adopt the master's state, None while it is away; called on its thread."""
         assert self._node is not None
         if self._stopped:
             return
+        look = self._standing.update(listed)
         changed = look is not self._look
         self._look = look
         if changed:
@@ -222,7 +236,7 @@ class Ros1Edge(SideEdge):
         if time.monotonic() >= self._check_due:
             self._check_due = time.monotonic() + _CHECK_PERIOD
             self._node.drop_dead_connections()
-        self._watch_others(look)
+        self._watch_others(listed)
         if changed:
             self._graph_changed()
 

@@ -178,6 +178,14 @@ class Ros1Node:
         with topics.lock:
             return dict(topics.get_subscriptions())
 
+    @staticmethod
+    def subscribers() -> frozenset[tuple[str, str]]:
+        """The subscribers that are connected to our topics, each by node and topic."""
+        topics = registration.get_topic_manager()
+        with topics.lock:
+            publications = list(topics.pubs.values())
+        return frozenset((t.endpoint_id, p.resolved_name) for p in publications for t in p.connections)
+
     def services(self) -> dict[str, str]:
         """Services that we serve, with their addresses."""
         return dict.fromkeys(self._servers.names(), self.address)

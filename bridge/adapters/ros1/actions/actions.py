@@ -151,7 +151,10 @@ class Ros1Actions:
     def _caller(self, action: str, type_: str) -> ActionCaller:
         caller = self._callers.get((action, type_))
         if caller is None:
-            caller = ActionCaller(action, self._types(type_), self._towards_servers, self._guard)
+            caller = ActionCaller(
+                action, self._types(type_), self._towards_servers, self._guard,
+                lambda server: server in self._natives(action, self._network.facts()),
+            )  # fmt: skip
             self._callers[action, type_] = caller
         self._look_after()
         return caller

@@ -19,28 +19,28 @@ from bridge.messages import actions as ros2_action
 from bridge.messages.errors import ConversionError
 from bridge.routing.edge import Deliver
 
-AWAY_SECONDS = 5.0
-"""How long a server whose connections broke may take to be connected again; its goals are aborted then."""
-
 _QUEUE = Qos(depth=10_000)
 """Of goals and cancel requests none is dropped for another one."""
 
 _REJECTED = wire.goal_response(wire.ZERO, accepted=False)
 
 STOPS = "the bridge no longer follows the action"
+GONE = "its action server {} is gone"
 
 
 class ActionCaller(ActionTopics):
     """Sends goals to one server of an action at a time; what it knows of them stays for those who ask later."""
 
-    def __init__(self, name: str, types: ActionMessages, network: ActionNetwork, guard: FrameGuard) -> None:
+    def __init__(
+        self, name: str, types: ActionMessages, network: ActionNetwork, guard: FrameGuard,
+        is_present: Callable[[FoundServer], bool],
+    ) -> None:  # fmt: skip
         super().__init__(name, network)
-        self._types, self._guard = types, guard
+        self._types, self._guard, self._is_present = types, guard, is_present
         self._client = ActionlibClient(name, self, time.monotonic, empty(types.result_body))
         self._open: list[object] = []
         self._server: FoundServer | None = None
         self._ready = False
-        self._since = 0.0
         self._newest: tuple[bytes, str] | None = None
         self._early: tuple[bytes, str] | None = None
         self._unsure: list[tuple[bytes, Done, _StartedCall]] = []
@@ -88,11 +88,12 @@ class ActionCaller(ActionTopics):
         self._give_back(opened)
 
     def _end(self, reason: str) -> None:
-        self._ready = False
+        server, self._ready, self._states = self._server, False, b""
         unsure, self._unsure = self._unsure, []
         for _, done, _ in unsure:
             done(_REJECTED)
-        self._client.close(reason)
+        gone = server is not None and not self._is_present(server)
+        self._client.close(GONE.format(server.node) if server is not None and gone else reason)
 
     def _listen(self, part: str, deliver: Deliver) -> None:
         self._listeners[part].append(deliver)
@@ -139,12 +140,10 @@ class ActionCaller(ActionTopics):
         if self._server in servers:
             return
         if self._server is not None:
-            self._lose(f"its action server {self._server.node} is gone")
+            self._lose(GONE.format(self._server.node))
         if servers:
-            self._server, self._since = servers[0], time.monotonic()
+            self._server = servers[0]
             self._client.found()
-            if self._states:  # what is known of earlier goals is kept with the publisher that is there now
-                self.deliver(ros2_action.STATUS, self._states)
             if self._early is not None:  # a list that its connection brought before the master's state was read
                 self._newest, self._early = self._early, None
                 self._take_statuses()
@@ -153,24 +152,20 @@ class ActionCaller(ActionTopics):
         server = self._server
         if server is None:
             return
-        hears = all(server.node in publisher.subscribers for publisher in self._publishers.values())
+        listening = {part for part, publisher in self._publishers.items() if server.node in publisher.subscribers}
         heard = all(server.link(part) in subscription.connected for part, subscription in self._subscriptions.items())
-        now = time.monotonic()
-        if hears and heard:
-            self._since = now
-            if not self._ready:
-                self._ready = True
-                self._client.connected()
-        elif self._ready:
-            self._ready = False
+        ready = heard and listening >= discovery.TO_SERVER
+        if ready and not self._ready:
+            self._client.connected()
+        elif self._ready and not ready:
             self._client.disconnected()
-        elif now - self._since > AWAY_SECONDS:
-            self._lose(f"its action server {server.node} is no longer connected")
+        self._ready = ready
+        self._client.reach(reachable=discovery.CANCEL in listening)
 
     def _lose(self, reason: str) -> None:
         self._ready = False
         self._client.lost(reason)
-        self._server = None
+        self._server, self._states = None, b""
 
     def _is_ours(self, source: str, part: str) -> bool:
         """Whether a message's publisher is the server that is used."""

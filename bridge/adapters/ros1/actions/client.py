@@ -8,11 +8,11 @@ from __future__ import annotations
 
 import logging
 from collections import deque
-from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable
 from typing import Any, Protocol
 
-from bridge.adapters.ros1.actions import states, wire
+from bridge.adapters.ros1.actions import cancels, states, wire
+from bridge.adapters.ros1.actions.cancels import ANY, CancelRequests
 from bridge.adapters.ros1.actions.discovery import CANCEL, FEEDBACK, GOAL, STATUS
 from bridge.adapters.ros1.actions.goal import GoalStore, TrackedGoal
 from bridge.adapters.ros1.actions.states import TO_ROS2, Ros1State
@@ -39,10 +39,10 @@ CALM_SECONDS = 0.05
 FEW_GOALS = 32
 """With more goals than these, the status topic is published at most each `CALM_SECONDS`: it names all of them."""
 
-_ANY = bytes(wire.UUID_SIZE)
-_TERMINATED = wire.cancel_response(CancelCode.GOAL_TERMINATED, ())
+LOST = "lost sight of the goal: "
+"""Begins the text of a goal whose state nobody reports any longer; readers may depend on it."""
+
 _NO_SUCH_GOAL = wire.cancel_response(CancelCode.UNKNOWN_GOAL_ID, ())
-_CANCEL_REFUSED = wire.cancel_response(CancelCode.REJECTED, ())
 _REFUSED = wire.goal_response(ZERO, accepted=False)
 
 
@@ -56,17 +56,6 @@ class ClientOutput(Protocol):
         """Give the hub a message of the action's ``status`` or ``feedback`` topic."""
 
 
-@dataclass(eq=False, slots=True)
-class _Cancel:
-    """A cancel request under way; ``single``: it names one goal; ``unsent`` is None once it was sent."""
-
-    goals: Sequence[TrackedGoal]
-    single: bool
-    done: Done
-    since: float
-    unsent: bytes | None
-
-
 class ActionlibClient:
     """The goals of one action.
 
@@ -78,10 +67,11 @@ class ActionlibClient:
         self._output, self._empty = output, empty
         self._clock = clock
         self._goals = GoalStore()
-        self._cancels: list[_Cancel] = []
+        self._cancels = CancelRequests(lambda payload: output.publish(CANCEL, payload), clock)
         self._lost_results: deque[tuple[float, TrackedGoal]] = deque()
         self._ready = False
         self._gone = ""
+        self._listed = False
         self._changed = False
         self._told = float("-inf")
         self._shown = 0
@@ -96,7 +86,7 @@ class ActionlibClient:
             done(CallError(str(err)))
             return nothing
         why = self._gone or ("there are too many goals" if self._goals.full else "")
-        if not why and (uuid == _ANY or self._goals.by_uuid(uuid) is not None):
+        if not why and (uuid == ANY or self._goals.by_uuid(uuid) is not None):
             why = "its UUID was used before"
         if why:
             self._refuse(done, why)
@@ -132,21 +122,22 @@ class ActionlibClient:
         except ConversionError as err:
             done(CallError(str(err)))
             return nothing
-        single = uuid != _ANY and stamp == ZERO
+        single = uuid != ANY and stamp == ZERO
         named = self._goals.by_uuid(uuid)
         if single and (named is None or named.refused):
             done(_NO_SUCH_GOAL)
         elif single and named is not None and named.state.ended:
-            done(_TERMINATED)
+            done(cancels.TERMINATED)
         elif self._gone:
-            done(_CANCEL_REFUSED)
+            done(cancels.REFUSED)
+        elif single and named is not None and named.lost:
+            if self._cancels.reachable:
+                self._output.publish(CANCEL, wire.goal_id(GoalId(ZERO, named.id)))
+            done(_NO_SUCH_GOAL)
         else:
-            goals = [g for g in self._goals.unfinished() if not g.state.ended and _is_meant(g, uuid, stamp)]
-            id_ = "" if uuid == _ANY else named.id if named is not None else states.text_of(uuid)
-            cancel = _Cancel(goals, single, done, self._clock(), wire.goal_id(GoalId(stamp, id_)))
-            self._cancels.append(cancel)
-            self._send_cancels()
-            return lambda: _remove(self._cancels, cancel)
+            goals = [g for g in self._goals.unfinished() if not g.state.ended and cancels.concerns(g, uuid, stamp)]
+            id_ = "" if uuid == ANY else named.id if named is not None else states.text_of(uuid)
+            return self._cancels.add(GoalId(stamp, id_), goals, done, single=single)
         return nothing
 
     def _abandon(self, goal: TrackedGoal) -> None:
@@ -167,27 +158,38 @@ class ActionlibClient:
         for goal in self._goals.unfinished():
             if goal.body is not None:
                 self._send(goal)
-        self._send_cancels()
+        self.reach(reachable=True)
 
     def disconnected(self) -> None:
-        """The server is not connected; it may come back."""
+        """A connection with the server is missing; it may come back."""
         self._ready = False
+        self.reach(reachable=False)
+
+    def reach(self, *, reachable: bool) -> None:
+        """Whether the server is connected to our cancel topic, which is enough to stop it."""
+        self._cancels.reachable = reachable
+        self._cancels.send()
 
     def lost(self, reason: str) -> None:
-        """The server is gone for good, and its goals with it; until `found` is called, goals are rejected."""
-        self._ready, self._gone = False, reason
-        self._refuse_cancels(float("inf"))
+        """The server is out of sight; until `found` is called, goals are rejected.
+
+        No state is published for its goals: nobody knows whether they still execute. Whoever waits for the result of
+        one gets UNKNOWN, with a text that begins with `LOST`.
+        """
+        self._ready, self._gone, self._listed = False, reason, False
+        self._cancels.reachable = False
+        self._cancels.refuse_all()
         for goal in self._goals.unfinished():
-            if not goal.accepted:
-                self._drop(goal, reason)
-            elif goal.state.ended:
+            if goal.state.ended:
                 self._end(goal, goal.state, self._empty)
+            elif goal.accepted or goal.body is None:
+                self._lose(goal, reason)
             else:
-                self._abort(goal, reason)
-        self._flush()
+                self._drop(goal, reason)
+        self._changed = False
 
     def close(self, reason: str) -> None:
-        """Cancel the goals that callers sent, and end all of them."""
+        """Cancel the goals that callers sent, and lose sight of all."""
         if self._ready:
             for goal in self._goals.unfinished():
                 if goal.ours and goal.body is None and not goal.state.ended:
@@ -195,7 +197,8 @@ class ActionlibClient:
         self.lost(reason)
 
     def statuses(self, found: Iterable[GoalStatus]) -> None:
-        """The server's status list."""
+        """The server's status list; the first one is published even if it is empty: the server has no other goals."""
+        self._changed, self._listed = self._changed or not self._listed, True
         named: set[str] = set()
         for status in found:
             named.add(status.goal.id)
@@ -205,7 +208,8 @@ class ActionlibClient:
                 self._follow(goal, status)
         for goal in self._goals.unfinished():
             if goal.listed and goal.id not in named and not goal.state.ended:
-                self._abort(goal, "the server no longer knows it")
+                self._lose(goal, "the server no longer lists it")
+                self._changed = True
         if self._clock() >= self._told + ALIVE_SECONDS and self._goals.unfinished():
             self._changed = True
         self._flush()
@@ -248,7 +252,9 @@ class ActionlibClient:
             for goal in self._goals.unfinished():
                 if goal.body is not None and goal.since <= now - CONNECT_SECONDS:
                     self._drop(goal, "the server does not connect to this bridge")
-            self._refuse_cancels(now - CONNECT_SECONDS)
+        if not self._cancels.reachable:
+            self._cancels.refuse_unsent(now - CONNECT_SECONDS)
+        self._cancels.send()
         self._goals.expire(now)
         self._flush()
 
@@ -271,10 +277,14 @@ class ActionlibClient:
         if goal is not None and not goal.ours and goal.state.ended and goal.stamp != status.goal.stamp:
             self._goals.forget(goal)
             goal = None
+        ours = goal is not None and goal.lost and goal.ours
+        if goal is not None and goal.lost:  # it is in sight again
+            self._goals.forget(goal)
+            goal = None
         if goal is None and not self._goals.full:
             uuid = states.uuid_of(self.name, id_)
             if self._goals.by_uuid(uuid) is None:
-                goal = TrackedGoal(uuid, id_, self._clock())
+                goal = TrackedGoal(uuid, id_, self._clock(), ours=ours)
                 self._goals.add(goal)
         return goal
 
@@ -288,7 +298,7 @@ class ActionlibClient:
         self._changed = True
         if state.ended:
             self._lost_results.append((self._clock() + RESULT_SECONDS, goal))
-        self._answer_cancels()
+        self._cancels.send()
 
     def _accept(self, goal: TrackedGoal, status: GoalStatus) -> None:
         """The first report of a goal shows whether the server accepted it."""
@@ -303,6 +313,9 @@ class ActionlibClient:
         asker, goal.asker = goal.asker, None
         if asker is not None:
             asker(wire.goal_response(goal.stamp, accepted=True))
+        if not state.ended:
+            self._cancels.confirmed(goal)
+            self._cancels.send()
 
     def _refuse(self, done: Done, why: str) -> None:
         _log.warning("%s: a goal is rejected: %s", self.name, why)
@@ -318,12 +331,16 @@ class ActionlibClient:
         for done in goal.waiting:
             done(wire.result_response(GoalState.UNKNOWN, self._empty))
         goal.waiting.clear()
-        self._answer_cancels()
+        self._cancels.send()
 
-    def _abort(self, goal: TrackedGoal, why: str) -> None:
-        _log.warning("%s: goal %s is aborted: %s", self.name, goal.id, why)
-        goal.text = why
-        self._end(goal, GoalState.ABORTED, self._empty)
+    def _lose(self, goal: TrackedGoal, why: str) -> None:
+        """Nobody reports a goal any longer, which may still be executed."""
+        _log.warning("%s: lost sight of goal %s: %s", self.name, goal.id, why)
+        goal.lost, goal.text = True, LOST + why
+        asker, goal.asker = goal.asker, None
+        if asker is not None:
+            asker(CallError(goal.text))
+        self._end(goal, GoalState.UNKNOWN, self._empty)
 
     def _end(self, goal: TrackedGoal, state: GoalState, result: bytes) -> None:
         goal.state, goal.result = state, result
@@ -333,38 +350,14 @@ class ActionlibClient:
         for done in goal.waiting:
             done(wire.result_response(state, result, goal.reason))
         goal.waiting.clear()
-        self._answer_cancels()
-
-    def _send_cancels(self) -> None:
-        for cancel in self._cancels:
-            if self._ready and cancel.unsent is not None:
-                self._output.publish(CANCEL, cancel.unsent)
-                cancel.unsent = None
-        self._answer_cancels()
-
-    def _refuse_cancels(self, before: float) -> None:
-        late = [c for c in self._cancels if c.unsent is not None and c.since <= before]
-        self._cancels = [c for c in self._cancels if c not in late]
-        for cancel in late:
-            cancel.done(_CANCEL_REFUSED)
-
-    def _answer_cancels(self) -> None:
-        still: list[_Cancel] = []
-        for cancel in self._cancels:
-            if cancel.unsent is not None or any(_is_untouched(g) for g in cancel.goals):
-                still.append(cancel)
-                continue
-            canceling = [g.info for g in cancel.goals if g.state in (GoalState.CANCELING, GoalState.CANCELED)]
-            missed = cancel.single and not canceling
-            cancel.done(_TERMINATED if missed else wire.cancel_response(CancelCode.NONE, canceling))
-        self._cancels[:] = still
+        self._cancels.send()
 
     def _flush(self) -> None:
         """Publish the states where one has changed."""
         now = self._clock()
         if not self._changed or (self._shown > FEW_GOALS and now < self._told + CALM_SECONDS):
             return
-        goals = [g for g in self._goals.ended_since(now - SHOWN_SECONDS) if not g.refused]
+        goals = [g for g in self._goals.ended_since(now - SHOWN_SECONDS) if not g.refused and not g.lost]
         goals = [*reversed(goals), *(g for g in self._goals.unfinished() if g.accepted)]
         self._changed, self._told, self._shown = False, now, len(goals)
         self._output.deliver(STATUS, wire.goal_states([(g.info, g.state) for g in goals]))
@@ -373,14 +366,3 @@ class ActionlibClient:
 def _remove(items: list[Any], item: Any) -> None:
     if item in items:
         items.remove(item)
-
-
-def _is_meant(goal: TrackedGoal, uuid: bytes, stamp: wire.RosTime) -> bool:
-    if goal.uuid == uuid or (uuid == _ANY and stamp == ZERO):
-        return True
-    return stamp != ZERO and goal.accepted and goal.stamp <= stamp
-
-
-def _is_untouched(goal: TrackedGoal) -> bool:
-    """Whether a goal still goes on as if it had not been cancelled."""
-    return not goal.refused and not goal.state.ended and goal.state is not GoalState.CANCELING

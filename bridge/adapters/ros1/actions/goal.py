@@ -31,6 +31,7 @@ class TrackedGoal:
         waiting: the callers of get_result who wait for the end.
         listed: the server's status list named it.
         refused: it was rejected: on ROS 2 there never was such a goal.
+        lost: nobody reports its state any longer, which is UNKNOWN on ROS 2; it may still be executed.
         result: its bytes, None until it has ended and its result came or is given up.
         text: why it ended so, as the server or this bridge says it.
         told: somebody has that result.
@@ -48,6 +49,7 @@ class TrackedGoal:
     state: GoalState = GoalState.UNKNOWN
     listed: bool = False
     refused: bool = False
+    lost: bool = False
     result: bytes | None = None
     text: str = ""
     told: bool = False
@@ -62,6 +64,12 @@ class TrackedGoal:
     def reason(self) -> str:
         """Why it was not reached; of one that was, nothing: error messages belong to errors."""
         return "" if self.state is GoalState.SUCCEEDED else self.text
+
+    @property
+    def unconfirmed(self) -> bool:
+        """Whether it was sent, and the server has not shown that it has it."""
+        sent = self.ours and self.body is None
+        return sent and self.state is GoalState.UNKNOWN and not self.refused and not self.lost
 
     @property
     def accepted(self) -> bool:

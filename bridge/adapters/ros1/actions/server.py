@@ -14,6 +14,7 @@ from typing import Protocol
 from uuid import uuid4
 
 from bridge.adapters.ros1.actions import states, wire
+from bridge.adapters.ros1.actions.client import LOST
 from bridge.adapters.ros1.actions.discovery import FEEDBACK, RESULT, STATUS
 from bridge.adapters.ros1.actions.states import TO_ROS1, Ros1State
 from bridge.adapters.ros1.actions.wire import ZERO, GoalId, GoalInfo, GoalStatus, RosTime
@@ -229,7 +230,8 @@ class ActionlibServer:
                 number, body, text = wire.read_result_response(reply)
                 state = GoalState.parse(number)
                 if not state.ended:
-                    state, text = GoalState.ABORTED, "the action server no longer knows the goal"
+                    known = text.startswith(LOST)
+                    state, text = GoalState.ABORTED, text if known else "the action server no longer knows the goal"
         except ConversionError as err:
             text = str(err)
         self._end(entry, self._final(entry, state), body, text)

@@ -308,6 +308,10 @@ class Follower(ABC, Generic[AnyEnd]):
             for end in ends:
                 self._tell(end, known.get(end.name, {}))
 
+    def _followers(self) -> list[AnyEnd]:
+        with self._lock:
+            return list(self._ends)
+
     def _add(self, end: AnyEnd) -> AnyEnd:
         with self._lock:
             self._ends.add(end)

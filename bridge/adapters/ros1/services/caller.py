@@ -156,6 +156,12 @@ class Ros1Caller:
         return self._link is not None and not self._connections and not self._warming
 
     @property
+    def connected(self) -> frozenset[Registration]:
+        """The server, if it is connected now."""
+        with self._lock:
+            return frozenset(connection.link for connection in self._connections)
+
+    @property
     def load(self) -> CallerLoad:
         """How busy it is now."""
         with self._lock:

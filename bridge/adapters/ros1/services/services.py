@@ -67,6 +67,10 @@ class Ros1Services(Follower[Ros1Caller]):
             if link.node != own:
                 yield _endpoint(link, facts.get(link), midspan=link.node in midspans)
 
+    def connected(self) -> frozenset[Registration]:
+        """The servers to which a caller is connected."""
+        return frozenset(link for end in self._followers() for link in end.connected)
+
     def is_gone(self, link: Registration) -> bool:
         """Whether a server is known to be dead though the master still names it."""
         return self.prober.is_gone(link)

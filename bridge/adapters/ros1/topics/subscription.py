@@ -22,7 +22,7 @@ from bridge.adapters.ros1.graph.probe import HANDSHAKE_SECONDS, Facts, ProbedCon
 from bridge.adapters.ros1.graph.state import Registration, publisher_id
 from bridge.adapters.ros1.handshake import connect
 from bridge.adapters.ros1.topics.connection import PublisherConnection, Refused
-from bridge.adapters.ros1_peers import Ros1Error, UnreachableError, unanswered
+from bridge.adapters.ros1_peers import ExhaustedError, Ros1Error, UnreachableError, unanswered
 from bridge.routing.edge import Deliver
 
 _log = logging.getLogger(__name__)
@@ -203,8 +203,8 @@ class Ros1Subscription:
             source.connecting = False
             source.postpone()
         if isinstance(err, UnreachableError):
-            # It may be dead though the master still lists it: it counts no more until it answers a probe.
             self._context.pool.failed(link.uri)
+        if not isinstance(err, ExhaustedError):  # it may be gone though it is listed: unknown until it answers a probe
             self._prober.doubt(link, str(err))
 
     def _ended(self, link: Registration, source: _PublisherState, trouble: str) -> None:
@@ -213,6 +213,7 @@ class Ros1Subscription:
         with self._lock:
             source.reader = None
             source.postpone()
+        self._context.found()
 
     def _drop(self, reader: PublisherConnection | None) -> None:
         if reader is None:

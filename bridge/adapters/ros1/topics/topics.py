@@ -37,6 +37,10 @@ class Ros1Topics(Follower["Ros1Subscription"]):
             if link.node != own:
                 yield _subscriber(link, look, midspan=link.node in midspans)
 
+    def connected(self) -> frozenset[Registration]:
+        """The publishers to which a subscription is connected."""
+        return frozenset(link for end in self._followers() for link in end.connected)
+
     def warnings(self) -> Iterator[str]:
         """What a person should know."""
         for link, trouble in sorted(self.prober.troubles().items()):

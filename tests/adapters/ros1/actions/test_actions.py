@@ -165,7 +165,8 @@ def test_goals_of_native_clients_are_seen_followed_and_cancelled(master, edge, s
 
 
 @pytest.mark.parametrize("how", ["killed", "restarted", "stopped"])
-def test_a_server_that_goes_ends_its_goals(master, edge, how):
+def test_of_a_server_that_goes_the_goals_are_unknown(master, edge, how):
+    """It has not reported that they ended: nobody else does so for it."""
     name = f"/{how}"
     with peer_on(master, f"{how}_server") as peer:
         server = peer.ask("server", name=name)["id"]
@@ -181,7 +182,7 @@ def test_a_server_that_goes_ends_its_goals(master, edge, how):
         if how == "restarted":
             with peer_on(master, f"{how}_server") as other:
                 other.ask("server", name=name)
-                assert hub.result(asked) == (GoalState.ABORTED, 0)
+                assert hub.result(asked) == (GoalState.UNKNOWN, 0)
 
                 def taken() -> bytes | None:
                     new, sent = hub.send(10)
@@ -189,11 +190,12 @@ def test_a_server_that_goes_ends_its_goals(master, edge, how):
 
                 new = until(taken, "the new server takes goals", SECONDS)
                 assert hub.result(hub.ask(new)) == (GoalState.SUCCEEDED, 10)
-                assert hub.result(hub.ask(goal)) == (GoalState.ABORTED, 0)
+                assert hub.result(hub.ask(goal)) == (GoalState.UNKNOWN, 0)
+                until(lambda: goal not in hub.states(), "the new server does not list it", SECONDS)
         else:
-            assert hub.result(asked) == (GoalState.ABORTED, 0)
+            assert hub.result(asked) == (GoalState.UNKNOWN, 0)
             assert hub.accepted(hub.send(10)[1]) is False
-        hub.until_state(goal, GoalState.ABORTED)
+            assert hub.states()[goal] is GoalState.EXECUTING, "no list is published that says otherwise"
         hub.close()
 
 
@@ -247,21 +249,6 @@ def test_a_result_that_was_lost_has_the_state_of_the_list(master, edge, servers,
     hub.close()
 
 
-@pytest.mark.thorough
-def test_master_dies_in_a_goal(tmp_path):
-    with RosMaster() as master, edge_on(master, tmp_path) as edge, peer_on(master, "master_server") as peer:
-        server = peer.ask("server", name="/orphan")["id"]
-        hub = HubClient(edge, "/orphan")
-        goal, sent = hub.send(14)
-        assert hub.accepted(sent)
-        asked = hub.ask(goal)
-        hub.until_state(goal, GoalState.EXECUTING)
-        master.stop()
-        assert hub.result(asked) == (GoalState.ABORTED, 0)
-        hub.close()
-        assert peer.ask("goals", id=server)["goals"] == [[states.text_of(goal), 14]]
-
-
 def move_base_goal(frame):
     """A MoveBaseGoal: its PoseStamped alone."""
     text = frame.encode()
@@ -297,7 +284,6 @@ def test_goals_in_frames_that_are_not_there_are_rejected(master, edge, servers):
         hub.close()
 
 
-@pytest.mark.thorough
 @pytest.mark.thorough
 def test_a_thousand_goals_at_once_end_as_their_server_says(master, edge, servers):
     """Refused, ended at once, and all others held until every one of them has been accepted."""

@@ -9,7 +9,20 @@ from bridge.adapters.ros1.actions.states import Ros1State
 from bridge.adapters.ros1.actions.wire import ZERO, GoalId, GoalInfo, RosTime
 from bridge.hub.endpoints.calls import CallError
 from bridge.messages.actions import CancelCode, GoalState
-from tests.adapters.ros1.actions.client_world import ANY, EMPTY, World, accepted, cancelled, name, result, status, uuid
+from tests.adapters.ros1.actions.client_world import (
+    ANY,
+    EMPTY,
+    World,
+    accepted,
+    cancelled,
+    name,
+    reason,
+    result,
+    status,
+    uuid,
+)
+
+GONE = "lost sight of the goal: the server is gone"
 
 
 @pytest.fixture
@@ -88,34 +101,76 @@ def test_a_new_goal_pre_empts_the_old_one(world):
     assert world.states[-1] == {uuid(1): GoalState.CANCELED, uuid(2): GoalState.EXECUTING}
 
 
-def test_a_server_that_dies_ends_all_goals_once(world):
+def test_of_a_server_that_is_lost_each_goal_is_unknown_once_and_no_state_is_published(world):
     waiting, running, over = world.send(1), world.send(2), world.send(3)
     world.says((2, Ros1State.ACTIVE), (3, Ros1State.SUCCEEDED))
     asked = [world.ask(n) for n in (1, 2, 3)]
-    stop = world.stop(2)
+    stop, states_before = world.stop(2), list(world.states)
     world.client.lost("the server is gone")
-    assert (accepted(waiting), accepted(running), accepted(over)) == (False, True, True)
+    (error,) = waiting
+    assert (str(error), accepted(running), accepted(over)) == (GONE, True, True)
     assert [result(a) for a in asked] == [
-        (GoalState.UNKNOWN, EMPTY), (GoalState.ABORTED, EMPTY), (GoalState.SUCCEEDED, EMPTY)
+        (GoalState.UNKNOWN, EMPTY), (GoalState.UNKNOWN, EMPTY), (GoalState.SUCCEEDED, EMPTY)
     ]  # fmt: skip
-    assert cancelled(stop) == (CancelCode.GOAL_TERMINATED, set())
+    assert [reason(a) for a in asked[:2]] == [GONE, GONE]
+    assert cancelled(stop) == (CancelCode.REJECTED, set()), "nobody confirms it any longer"
     assert accepted(world.send(4)) is False, "none is kept for a server that is away"
-    world.ends(2, Ros1State.SUCCEEDED, b"late")
-    world.says((2, Ros1State.SUCCEEDED))
     world.passes(10.0)
-    assert result(world.ask(2)) == (GoalState.ABORTED, EMPTY)
+    assert world.states == states_before, "neither its end, nor a list without it: it may still be executed"
+    assert result(world.ask(2)) == (GoalState.UNKNOWN, EMPTY)
     world.client.found()
     world.client.connected()
     assert not world.send(5)
     assert len(world.goals) == 4
 
 
-def test_a_server_that_forgot_a_goal_ends_it(world):
+def test_goals_that_were_never_sent_to_a_lost_server_are_rejected(world):
+    world.client.disconnected()
+    answers = world.send(1)
+    world.client.lost("the server is gone")
+    assert accepted(answers) is False
+
+
+def test_a_goal_that_is_in_sight_again_is_followed_to_its_real_end(world):
+    native = states.uuid_of("/act", "/rviz-1")
+    world.send(1)
+    world.says((1, Ros1State.ACTIVE), ("/rviz-1", Ros1State.ACTIVE))
+    world.client.lost("the server is gone")
+    world.client.found()
+    world.client.connected()
+    assert cancelled(world.stop(1)) == (CancelCode.UNKNOWN_GOAL_ID, set())
+    assert world.cancels == [GoalId(ZERO, name(1))], "a stop is sent all the same"
+    world.says((1, Ros1State.ACTIVE), ("/rviz-1", Ros1State.ACTIVE))
+    assert world.states[-1] == {uuid(1): GoalState.EXECUTING, native: GoalState.EXECUTING}
+    asked = world.ask(1)
+    world.stop(1)
+    assert world.cancels == [GoalId(ZERO, name(1))] * 2
+    world.ends(1, Ros1State.PREEMPTED, b"stopped")
+    assert result(asked) == (GoalState.CANCELED, b"stopped")
+    world.client.close("the bridge stops")
+    assert len(world.cancels) == 2, "goals of others are never canceled by the bridge"
+
+
+def test_the_first_list_of_a_server_is_published_even_if_it_is_empty(world):
+    """It is the proof that the server has no goal; without one that is unknown."""
+    world.says()
+    assert world.states == [{}]
+    world.says()
+    assert world.states == [{}]
+    world.client.lost("the server is gone")
+    world.client.found()
+    assert world.states == [{}]
+    world.says()
+    assert world.states == [{}, {}]
+
+
+def test_a_goal_that_its_server_no_longer_lists_is_unknown(world):
     world.send(1), world.send(2)
     asked = world.ask(1)
     world.says((1, Ros1State.ACTIVE))
     world.says()
-    assert result(asked) == (GoalState.ABORTED, EMPTY)
+    assert result(asked) == (GoalState.UNKNOWN, EMPTY)
+    assert world.states[-1] == {}, "the server itself says that it has no such goal"
     world.passes(5.0)
     assert not world.ask(2), "it was never in the list: it may not have arrived yet"
 
@@ -143,8 +198,8 @@ def test_closing_cancels_what_callers_sent_and_ends_it(world):
     world.says((1, Ros1State.ACTIVE), ("/rviz-1", Ros1State.ACTIVE))
     world.client.close("the bridge stops")
     assert world.cancels == [GoalId(ZERO, name(1))]
-    assert result(asked) == (GoalState.ABORTED, EMPTY)
-    assert world.states[-1] == {uuid(1): GoalState.ABORTED, native: GoalState.ABORTED}
+    assert result(asked) == (GoalState.UNKNOWN, EMPTY)
+    assert world.states[-1] == {uuid(1): GoalState.EXECUTING, native: GoalState.EXECUTING}
 
 
 def test_goals_of_native_clients_appear_and_can_be_followed_and_cancelled(world):

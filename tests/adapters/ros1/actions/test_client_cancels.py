@@ -2,6 +2,7 @@
 
 import pytest
 
+from bridge.adapters.ros1.actions.cancels import CROSSING_SECONDS
 from bridge.adapters.ros1.actions.client import CONNECT_SECONDS
 from bridge.adapters.ros1.actions.states import Ros1State
 from bridge.adapters.ros1.actions.wire import ZERO, GoalId, RosTime
@@ -75,6 +76,54 @@ def test_a_cancel_request_waits_for_the_connections_and_not_for_ever(world):
     last = world.stop()
     world.client.lost("the server is gone")
     assert cancelled(last) == (CancelCode.REJECTED, set())
-    assert cancelled(early) == (CancelCode.GOAL_TERMINATED, set())
+    assert cancelled(early) == (CancelCode.REJECTED, set()), "the server has not confirmed it"
     assert cancelled(world.stop()) == (CancelCode.REJECTED, set()), "none is kept for a server that is away"
     assert len(world.cancels) == 1
+
+
+def test_a_request_that_names_a_goal_is_sent_once_the_server_has_the_goal(world):
+    """They go on two connections, on which the request could be the first to arrive."""
+    world.send(1)
+    answers = world.stop(1)
+    assert world.cancels == []
+    world.says((1, Ros1State.PENDING))
+    assert world.cancels == [GoalId(ZERO, name(1))]
+    world.says((1, Ros1State.RECALLED))
+    assert cancelled(answers) == (CancelCode.NONE, {1})
+
+
+def test_it_is_sent_all_the_same_if_the_server_shows_nothing(world):
+    world.send(1)
+    world.stop(1)
+    world.passes(CROSSING_SECONDS / 2)
+    assert world.cancels == []
+    world.passes(CROSSING_SECONDS / 2)
+    assert world.cancels == [GoalId(ZERO, name(1))]
+
+
+def test_it_is_not_sent_for_a_goal_that_has_ended(world):
+    world.send(1)
+    answers = world.stop(1)
+    world.ends(1, Ros1State.SUCCEEDED)
+    world.passes(0.1)
+    assert world.cancels == []
+    assert cancelled(answers) == (CancelCode.GOAL_TERMINATED, set())
+
+
+def test_cancel_all_is_sent_at_once_and_repeated_for_a_goal_that_it_overtook(world):
+    world.send(1)
+    answers = world.stop()
+    assert world.cancels == [GoalId(ZERO, "")]
+    world.says((1, Ros1State.ACTIVE))
+    assert world.cancels == [GoalId(ZERO, ""), GoalId(ZERO, name(1))]
+    world.says((1, Ros1State.PREEMPTING))
+    assert cancelled(answers) == (CancelCode.NONE, {1})
+
+
+def test_a_stop_needs_the_cancel_topic_only(world):
+    world.send(1)
+    world.says((1, Ros1State.ACTIVE))
+    world.client.disconnected()
+    world.client.reach(reachable=True)
+    world.stop(1)
+    assert world.cancels == [GoalId(ZERO, name(1))]

@@ -30,15 +30,15 @@ def test_what_the_server_says_of_a_goals_end_goes_with_its_result(world, state, 
     assert [reason(before), reason(world.ask(1))] == [why, why]
 
 
-def test_goals_that_this_bridge_aborts_say_why(world):
+def test_goals_out_of_sight_say_why(world):
     gone, forgotten = world.send(1), world.send(2)
     world.says((1, Ros1State.ACTIVE), (2, Ros1State.ACTIVE))
     world.says((1, Ros1State.ACTIVE))
     world.client.lost("its action server /move_base is gone")
     assert accepted(gone)
     assert accepted(forgotten)
-    assert reason(world.ask(1)) == "its action server /move_base is gone"
-    assert reason(world.ask(2)) == "the server no longer knows it"
+    assert reason(world.ask(1)) == "lost sight of the goal: its action server /move_base is gone"
+    assert reason(world.ask(2)) == "lost sight of the goal: the server no longer lists it"
 
 
 def test_a_result_that_comes_before_any_status_accepts_and_ends(world):

@@ -1,0 +1,121 @@
+"""The cancel requests of hub clients that an actionlib server has not answered yet.
+
+A goal and the request to cancel it go to the server on two connections. A request that names a goal is sent once the
+server shows that it has the goal, or after `CROSSING_SECONDS`. One for several goals is sent at once, and repeated for
+each goal that the server shows only later.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+from bridge.adapters.ros1.actions import wire
+from bridge.adapters.ros1.actions.goal import TrackedGoal
+from bridge.adapters.ros1.actions.wire import ZERO, GoalId
+from bridge.hub.endpoints.calls import Abandon, Done
+from bridge.messages.actions import CancelCode, GoalState
+
+CROSSING_SECONDS = 1.0
+"""How long a request waits for a goal that was sent, but is in none of the server's lists yet."""
+
+TERMINATED = wire.cancel_response(CancelCode.GOAL_TERMINATED, ())
+REFUSED = wire.cancel_response(CancelCode.REJECTED, ())
+
+ANY = bytes(wire.UUID_SIZE)
+
+
+@dataclass(eq=False, slots=True)
+class _Cancel:
+    """A cancel request under way; ``single``: it names one goal; ``unsent`` is None once it was sent."""
+
+    goals: Sequence[TrackedGoal]
+    single: bool
+    done: Done
+    since: float
+    unsent: bytes | None
+
+    @property
+    def moot(self) -> bool:
+        """Whether the goal that it names has ended."""
+        return self.single and all(goal.refused or goal.state.ended for goal in self.goals)
+
+    @property
+    def answerable(self) -> bool:
+        """Whether the server has shown of each goal that it is being canceled, or has ended."""
+        return self.unsent is None and not any(_is_untouched(goal) for goal in self.goals)
+
+
+class CancelRequests:
+    """Sends requests by ``publish`` and answers them; ``clock`` gives monotonic seconds.
+
+    Attributes:
+        reachable: whether the server is connected to our cancel topic.
+    """
+
+    def __init__(self, publish: Callable[[bytes], None], clock: Callable[[], float]) -> None:
+        self._publish, self._clock = publish, clock
+        self._open: list[_Cancel] = []
+        self.reachable = False
+
+    def add(self, request: GoalId, goals: Sequence[TrackedGoal], done: Done, *, single: bool) -> Abandon:
+        """Begin a request that concerns these goals; ``done`` gets its CancelGoal response."""
+        cancel = _Cancel(goals, single, done, self._clock(), wire.goal_id(request))
+        self._open.append(cancel)
+        self.send()
+        return lambda: self._open.remove(cancel) if cancel in self._open else None
+
+    def send(self) -> None:
+        """Send what can be sent now, and answer what is answered by the goals' states."""
+        for cancel in self._open:
+            if cancel.unsent is None:
+                continue
+            if cancel.moot:
+                cancel.unsent = None
+            elif self.reachable and not self._overtakes(cancel):
+                self._publish(cancel.unsent)
+                cancel.unsent = None
+        self._answer()
+
+    def _overtakes(self, cancel: _Cancel) -> bool:
+        crossing = cancel.single and any(goal.unconfirmed for goal in cancel.goals)
+        return crossing and self._clock() < cancel.since + CROSSING_SECONDS
+
+    def confirmed(self, goal: TrackedGoal) -> None:
+        """The server has shown for the first time that it has a goal."""
+        if any(goal in c.goals and c.unsent is None and not c.single for c in self._open):
+            self._publish(wire.goal_id(GoalId(ZERO, goal.id)))
+
+    def _answer(self) -> None:
+        """Answer the requests all of whose goals are being canceled, or have ended."""
+        answerable = [cancel for cancel in self._open if cancel.answerable]
+        self._open = [cancel for cancel in self._open if cancel not in answerable]
+        for cancel in answerable:
+            canceling = [g.info for g in cancel.goals if g.state in (GoalState.CANCELING, GoalState.CANCELED)]
+            missed = cancel.single and not canceling
+            cancel.done(TERMINATED if missed else wire.cancel_response(CancelCode.NONE, canceling))
+
+    def refuse_unsent(self, before: float) -> None:
+        """Refuse the requests that were made before a time and could not be sent."""
+        self._refuse([c for c in self._open if c.unsent is not None and c.since <= before])
+
+    def refuse_all(self) -> None:
+        """Refuse all requests: the server can no longer confirm one."""
+        self._refuse(self._open)
+
+    def _refuse(self, cancels: Sequence[_Cancel]) -> None:
+        self._open = [cancel for cancel in self._open if cancel not in cancels]
+        for cancel in cancels:
+            cancel.done(REFUSED)
+
+
+def concerns(goal: TrackedGoal, uuid: bytes, stamp: wire.RosTime) -> bool:
+    """Whether a CancelGoal request with this UUID and stamp is about a goal."""
+    if goal.uuid == uuid or (uuid == ANY and stamp == ZERO):
+        return True
+    return stamp != ZERO and goal.accepted and goal.stamp <= stamp
+
+
+def _is_untouched(goal: TrackedGoal) -> bool:
+    """Whether a goal still goes on as if it had not been canceled."""
+    return not (goal.refused or goal.lost or goal.state.ended or goal.state is GoalState.CANCELING)

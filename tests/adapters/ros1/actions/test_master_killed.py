@@ -1,0 +1,214 @@
+"""A roscore that is killed while an actionlib server executes goals: real roscore, real rospy."""
+
+import base64
+import signal
+import time
+from xmlrpc.client import ServerProxy
+
+import pytest
+
+from bridge.adapters.ros1.actions import states, wire
+from bridge.adapters.ros1.actions.states import Ros1State
+from bridge.messages.actions import CancelCode, GoalState
+from tests.adapters.ros1.hub_actions import SECONDS, HubClient, peer_on
+from tests.adapters.ros1.parts import edge_on, string, text
+from tests.support.ros1 import RosMaster, needs_ros1
+from tests.support.wait import until
+
+pytestmark = needs_ros1
+
+LOST = "lost sight of the goal: its action server /driver is gone"
+
+
+class Drive:
+    """An actionlib server that executes a goal of the hub's and one of a native client, and publishes a command."""
+
+    def __init__(self, master, edge, server, client) -> None:
+        self.master, self.edge, self.server, self.client = master, edge, server, client
+        self.action = server.ask("server", name="/drive")["id"]
+        self.id = client.ask("client", name="/drive")["id"]
+        assert client.ask("wait_for_server", id=self.id)["there"]
+        self.hub = HubClient(edge, "/drive")
+        self.goal, sent = self.hub.send(14)
+        assert self.hub.accepted(sent)
+        self.asked = self.hub.ask(self.goal)
+        client.ask("send", id=self.id, numbers=[24])
+        (outcome,) = client.ask("outcomes", id=self.id, numbers=[24], state="ACTIVE")["outcomes"]
+        self.native = states.uuid_of("/drive", outcome["id"])
+        self.drives()
+
+    def drives(self):
+        for goal in (self.goal, self.native):
+            self.hub.until_state(goal, GoalState.EXECUTING)
+
+    def lists(self):
+        return len(self.edge.received(self.hub.topics["status"], 0, 0))
+
+    def goes_on(self):
+        """The list is published again, and both goals are still in it."""
+        before = self.lists()
+        until(lambda: self.lists() >= before + 2, "the list goes on", SECONDS)
+        self.drives()
+        assert not self.hub.answered(self.asked)
+
+    def ends(self):
+        """A stop reaches the server: both goals end as their server says."""
+        assert self.hub.cancel(self.native) == (CancelCode.NONE, {self.native})
+        (outcome,) = self.client.ask("outcomes", id=self.id, numbers=[24])["outcomes"]
+        assert (outcome["state"], outcome["done"]) == (Ros1State.PREEMPTED, 1)
+        self.server.ask("finish", id=self.action, goal=states.text_of(self.goal))
+        assert self.hub.result(self.asked) == (GoalState.SUCCEEDED, 14)
+        self.hub.until_state(self.native, GoalState.CANCELED)
+
+
+@pytest.fixture
+def master():
+    with RosMaster() as master:
+        yield master
+
+
+@pytest.fixture
+def drive(master, tmp_path):
+    with (
+        edge_on(master, tmp_path) as edge,
+        peer_on(master, "driver") as server,
+        peer_on(master, "native_client") as client,
+    ):
+        yield Drive(master, edge, server, client)
+
+
+def shown(edge):
+    return sorted((e["id"], e["kind"]) for e in edge.endpoints(made_by="native") if "/drive/" in e["topic"])
+
+
+def test_its_goals_go_on_without_a_master_and_can_be_canceled(drive):
+    edge, network, before = drive.edge, drive.edge.joined(), shown(drive.edge)
+    drive.master.kill()
+    until(lambda: "no ROS 1 master" in str(edge.ask("status")["warnings"]), "the loss is noticed", SECONDS)
+    drive.goes_on()
+    assert edge.ask("network")["network"] == network
+    assert shown(edge) == before
+    drive.ends()
+
+
+def test_another_master_that_does_not_list_it_ends_nothing(drive):
+    edge, before = drive.edge, shown(drive.edge)
+    drive.master.kill()
+    drive.master.start()
+    edge.joined(drive.master.call("getParam", "/run_id"))
+    listed = drive.master.state
+    until(lambda: listed()["publishers"].get("/drive/goal") == ["/midspan"], "our end is registered again", SECONDS)
+    assert "/driver" not in drive.master.nodes()
+    drive.goes_on()
+    assert shown(edge) == before
+    goal, sent = drive.hub.send(10)
+    assert drive.hub.accepted(sent), "new goals are executed, too"
+    assert drive.hub.feedback(goal) == [10], "each message comes once"
+    drive.ends()
+
+
+def test_a_registration_that_is_lost_ends_nothing(drive):
+    with ServerProxy(drive.master.uri) as proxy:
+        _, _, uri = proxy.lookupNode("/test", "/driver")
+        for part in ("status", "feedback", "result"):
+            assert proxy.unregisterPublisher("/driver", f"/drive/{part}", uri)[2] == 1
+        for part in ("goal", "cancel"):
+            assert proxy.unregisterSubscriber("/driver", f"/drive/{part}", uri)[2] == 1
+    drive.goes_on()
+    drive.ends()
+
+
+@pytest.mark.parametrize("away", [True, False], ids=["no master", "another master"])
+def test_a_server_that_is_killed_later_is_lost(drive, away):
+    edge = drive.edge
+    drive.master.kill()
+    until(lambda: "no ROS 1 master" in str(edge.ask("status")["warnings"]), "the loss is noticed", SECONDS)
+    if not away:
+        drive.master.start()
+        edge.joined(drive.master.call("getParam", "/run_id"))
+    drive.goes_on()
+    lists = drive.hub.states()
+    drive.server.signal(signal.SIGKILL)
+    state, _, why = wire.read_result_response(drive.hub.reply(drive.asked))
+    assert (GoalState(state), why) == (GoalState.UNKNOWN, LOST)
+    until(lambda: not shown(edge), "it leaves the graph", SECONDS)
+    assert drive.hub.states() == lists, "the list says nothing of their end"
+    if away:
+        drive.client.signal(signal.SIGKILL)
+        until(lambda: edge.ask("network")["network"] is None, "nothing is left of the network", SECONDS)
+        assert edge.endpoints() == []
+
+
+def test_the_commands_of_a_node_go_on_without_a_master(master, tmp_path):
+    with edge_on(master, tmp_path) as edge, master.peer("base_driver") as peer:
+        out = peer.advertise("/cmd", "std_msgs/String")
+        endpoint = edge.endpoint(topic="/cmd", made_by="native")
+        inbox = edge.open("/cmd", "std_msgs/String")
+        mirror = edge.ask("advertise", topic="/back", type="std_msgs/String")["id"]
+        back = peer.subscribe("/back", "std_msgs/String")
+        edge.heard(mirror)
+        sent = 0
+
+        def goes_on(count: int) -> None:
+            nonlocal sent
+            for _ in range(count):
+                sent += 1
+                peer.publish(out, {"data": str(sent)})
+            messages = [text(p) for p, _ in edge.received(inbox, sent)]
+            assert messages == [str(n + 1) for n in range(sent)], "each once, in order"
+            edge.ask("send", id=mirror, payload=string(f"back {sent}"))
+            until(lambda: peer.wait(back, 1)[-1]["data"] == f"back {sent}", "the other direction", SECONDS)
+
+        until(lambda: peer.ask("connections", id=out)["count"] == 1, "it is connected", SECONDS)
+        goes_on(3)
+        master.kill()
+        until(lambda: "no ROS 1 master" in str(edge.ask("status")["warnings"]), "the loss is noticed", SECONDS)
+        goes_on(3)
+        assert edge.endpoints(topic="/cmd") == [endpoint]
+        master.start()
+        edge.joined(master.call("getParam", "/run_id"))
+        goes_on(3)
+        assert edge.endpoints(topic="/cmd") == [endpoint]
+        peer.signal(signal.SIGKILL)
+        until(lambda: not edge.endpoints(topic="/cmd", made_by="native"), "its end is known", SECONDS)
+
+
+def test_a_publisher_that_unregisters_leaves_at_once(master, tmp_path):
+    """Its connection ends, and nothing else proves it; the master still is there, and tells as ever."""
+    with edge_on(master, tmp_path) as edge, master.peer("leaves") as peer:
+        out = peer.advertise("/left", "std_msgs/String")
+        edge.endpoint(topic="/left", made_by="native")
+        edge.open("/left", "std_msgs/String")
+        until(lambda: peer.ask("connections", id=out)["count"] == 1, "it is connected", SECONDS)
+        begin = time.monotonic()
+        peer.drop(out)
+        until(lambda: not edge.endpoints(topic="/left"), "it leaves", SECONDS)
+        assert time.monotonic() - begin < SECONDS / 2
+
+
+def test_the_services_of_a_node_go_on_without_a_master_and_with_another(master, tmp_path):
+    with edge_on(master, tmp_path) as edge, master.peer("serves") as peer:
+        peer.ask("serve", service="/serve", type="std_srvs/SetBool", reply={"success": True})
+        endpoint = edge.endpoint(topic="/serve", made_by="native")
+        caller = edge.ask("caller", service="/serve", type="std_srvs/SetBool")["id"]
+
+        def answers(number: int) -> bool:
+            edge.ask("begin", id=caller, request=base64.b64encode(b"\1").decode(), number=number)
+            (answer,) = until(
+                lambda: edge.ask("results", id=caller, count=0, seconds=0)["results"].get(str(number)),
+                "it ends",
+                SECONDS,
+            )
+            return base64.b64decode(answer)[:1] == b"\1"
+
+        assert answers(1)
+        master.kill()
+        until(lambda: "no ROS 1 master" in str(edge.ask("status")["warnings"]), "the loss is noticed", SECONDS)
+        assert edge.endpoints(topic="/serve") == [endpoint]
+        assert answers(2)
+        master.start()
+        edge.joined(master.call("getParam", "/run_id"))
+        assert edge.endpoints(topic="/serve") == [endpoint]
+        assert answers(3)
+        peer.signal(signal.SIGKILL)
+        until(lambda: not edge.endpoints(topic="/serve", made_by="native"), "its end is known", SECONDS)

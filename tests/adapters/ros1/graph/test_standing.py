@@ -1,0 +1,106 @@
+"""What the edge shows of the graph while its master is away, and when another one lists less."""
+
+from dataclasses import replace
+
+import pytest
+
+from bridge.adapters.ros1.graph.standing import Connections, StandingGraph
+from bridge.adapters.ros1.graph.state import MasterState, Registration
+
+STATUS = Registration("/move_base", "/move_base/status", "http://a:1/")
+SCAN = Registration("/laser", "/scan", "http://b:1/")
+GOAL = Registration("/move_base", "/move_base/goal", "http://a:1/")
+CLEAR = Registration("/move_base", "/move_base/clear_costmaps", "rosrpc://a:2")
+TYPES = {"/move_base/status": "actionlib_msgs/GoalStatusArray", "/scan": "sensor_msgs/LaserScan"}
+
+FULL = MasterState(
+    "one#1", "one", frozenset({STATUS, SCAN}), frozenset({GOAL}), frozenset({CLEAR}), TYPES,
+    {"/move_base": "http://a:1/", "/laser": "http://b:1/"}, {"node": {"pid": 1}},
+)  # fmt: skip
+EMPTY = MasterState("two#2", "two", types={"/move_base/status": "*"})
+
+
+class Side:
+    """A graph, and the connections that stand."""
+
+    def __init__(self) -> None:
+        self.graph = StandingGraph(lambda: Connections(*map(frozenset, (self.publishers, self.heard, self.servers))))
+        self.publishers, self.heard, self.servers = {STATUS, SCAN}, {("/move_base", "/move_base/goal")}, {CLEAR}
+        self.graph.update(FULL)
+
+    def cut(self) -> None:
+        self.publishers, self.heard, self.servers = set(), set(), set()
+
+
+@pytest.fixture
+def side():
+    return Side()
+
+
+def test_what_the_master_lists_is_shown_as_it_is(side):
+    assert side.graph.state is FULL
+    side.cut()
+    assert side.graph.update(FULL) is FULL
+    assert not side.graph.unlisted
+
+
+def test_without_a_master_the_last_state_stays_while_any_connection_proves_it(side):
+    assert side.graph.update(None) is FULL
+    assert side.graph.unlisted
+    side.publishers, side.servers = set(), set()
+    assert side.graph.update(None) is FULL, "the server is connected to our goals"
+    side.heard = {("/other", "/move_base/goal")}
+    assert side.graph.update(None) is None
+    assert not side.graph.unlisted
+    assert side.graph.update(None) is None
+
+
+def test_a_master_that_never_was_there_leaves_nothing():
+    assert StandingGraph(lambda: Connections(frozenset({STATUS}), frozenset(), frozenset())).update(None) is None
+
+
+@pytest.mark.parametrize("away", [True, False])
+def test_a_restarted_master_does_not_end_what_it_does_not_list(side, away):
+    if away:
+        side.graph.update(None)
+    state = side.graph.update(EMPTY)
+    assert (state.run, state.network, state.presence) == ("two#2", "two", {})
+    assert (state.publishers, state.subscribers, state.servers) == ({STATUS, SCAN}, {GOAL}, {CLEAR})
+    assert state.types == TYPES, "our own subscription is registered as any type"
+    assert state.uris == FULL.uris
+    assert side.graph.update(EMPTY) is state, "nothing has changed"
+    side.publishers, side.servers = {STATUS}, set()
+    state = side.graph.update(EMPTY)
+    assert (state.publishers, state.subscribers, state.servers) == ({STATUS}, {GOAL}, frozenset())
+    side.cut()
+    assert side.graph.update(EMPTY) is EMPTY
+    assert not side.graph.unlisted
+    side.publishers = {STATUS}
+    assert side.graph.update(EMPTY) is EMPTY, "it was not there before"
+
+
+def test_a_node_that_registers_again_is_there_once(side):
+    side.graph.update(EMPTY)
+    again = replace(
+        EMPTY, publishers=frozenset({STATUS}), subscribers=frozenset({GOAL}), uris={"/move_base": STATUS.uri}
+    )
+    state = side.graph.update(again)
+    assert (state.publishers, state.subscribers) == ({STATUS, SCAN}, {GOAL})
+
+
+def test_a_node_whose_name_is_taken_over_does_not_stay(side):
+    """The master has asked the older one to stop; one that hangs does not do so."""
+    new = STATUS._replace(uri="http://c:1/")
+    look = replace(FULL, publishers=frozenset({new}), subscribers=frozenset(), uris={"/move_base": new.uri})
+    state = side.graph.update(look)
+    assert state.publishers == {new, SCAN}
+    assert (state.subscribers, state.servers) == (frozenset(), FULL.servers)
+
+
+def test_a_registration_that_a_living_master_lost_stays_but_a_service_does_not(side):
+    """A server that unregisters may leave its connections open."""
+    look = replace(FULL, publishers=frozenset({SCAN}), servers=frozenset())
+    state = side.graph.update(look)
+    assert (state.publishers, state.servers) == (FULL.publishers, frozenset())
+    side.publishers = {SCAN}
+    assert side.graph.update(look) is look
