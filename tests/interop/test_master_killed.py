@@ -1,0 +1,155 @@
+"""roscore is killed while move_base drives: the stand-in on rospy, the whole daemon, and a program on the hub."""
+
+from __future__ import annotations
+
+import signal
+import threading
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from bridge.clock import SYSTEM
+from bridge.hub.session import Hub
+from bridge.hub.wire.qos import LATCHED
+from bridge.messages.actions import STATUSES, GoalState, names
+from bridge.messages.registry import Registry
+from bridge.modules.clients import ActionClient, SentGoal
+from bridge.modules.host import ModuleNode
+from bridge.modules.loop import EventLoop
+from tests.interop.deployment import Deployment
+from tests.support.peer import Peer
+from tests.support.process import Process
+from tests.support.ros1 import ROS1_PYTHON
+from tests.support.wait import until
+
+ACTION, TYPE, TWIST = "/move_base", "nav2_msgs/action/NavigateToPose", "geometry_msgs/msg/Twist"
+STAND_IN = Path(__file__).parents[1] / "support" / "ros1_move_base.py"
+SECONDS = 40.0
+FAR = {"header": {"frame_id": "map"}, "pose": {"position": {"x": 800.0}, "orientation": {"w": 1.0}}}
+
+
+class HubProgram:
+    """What a program on the hub receives of the planner, and its goals."""
+
+    def __init__(self, place: Deployment) -> None:
+        self.loop, self.hub = EventLoop("program"), Hub.open(place.settings("program", "p"))
+        node = ModuleNode(self.hub, Registry(), self.loop, SYSTEM)
+        self.lists: list[dict[bytes, GoalState]] = []
+        self.moving: list[float] = []
+        self.ended: list[tuple[GoalState, Any, str]] = []
+        self.client = ActionClient(node, ACTION, TYPE)
+        node.subscription(names(ACTION).status, STATUSES, self._listed, LATCHED)
+        node.subscription("/cmd_vel", TWIST, lambda message: self.moving.append(message["linear"]["x"]))
+        self._node = node
+        self.loop.start()
+
+    def _listed(self, message: dict[str, Any]) -> None:
+        self.lists.append({
+            bytes(entry["goal_info"]["goal_id"]["uuid"]): GoalState(entry["status"])
+            for entry in message["status_list"]
+        })  # fmt: skip
+
+    def do(self, work: Any) -> Any:
+        """Run something on the loop, on which a client is used; its value."""
+        done, values = threading.Event(), []
+
+        def run() -> None:
+            values.append(work())
+            done.set()
+
+        self.loop.post(run)
+        assert done.wait(SECONDS)
+        return values[0]
+
+    def send(self) -> SentGoal:
+        return self.do(lambda: self.client.send({"pose": FAR}, lambda g, r, why: self.ended.append((g.status, r, why))))
+
+    def active(self) -> list[bytes]:
+        """The goals that the newest list names as unfinished."""
+        return [goal for goal, state in self.lists[-1].items() if not state.ended] if self.lists else []
+
+    def drives_on(self, goal: bytes) -> None:
+        """From now on the list goes on to name the goal, and commands go on to come."""
+        lists, commands = len(self.lists), len(self.moving)
+        until(lambda: len(self.lists) >= lists + 3, "the list goes on", SECONDS)
+        until(lambda: len(self.moving) >= commands + 10, "the commands go on", SECONDS)
+        assert all(listed.get(goal) is GoalState.EXECUTING for listed in self.lists[lists:])
+
+    @property
+    def there(self) -> bool:
+        graph = self.hub.graph
+        return any(graph.servers(name) for name in names(ACTION)[:3]) or bool(graph.publishers(names(ACTION).status))
+
+    def stop(self) -> None:
+        self._node.close()
+        self.loop.close()
+        self.hub.close()
+
+
+@pytest.fixture
+def program(running: Deployment) -> HubProgram:
+    return running.keep(HubProgram(running))
+
+
+@pytest.fixture
+def stand_in(running: Deployment, program: HubProgram) -> Iterator[Process]:
+    with Process([ROS1_PYTHON, STAND_IN, "0.5", "5.0"], running.master.env) as process:
+        until(lambda: program.client.ready, "the planner is on the hub", SECONDS)
+        until(lambda: program.lists == [{}], "its first list says that it has no goals", SECONDS)
+        yield process
+
+
+def native_goal(running: Deployment) -> tuple[Peer, int]:
+    """A goal of a ROS 1 client, which drives."""
+    peer = running.ros1("native")
+    sent = peer.ask("send_goal", action=ACTION, type="move_base_msgs/MoveBase", goal={"target_pose": FAR})["id"]
+    assert peer.ask("goal", id=sent, until={"accepted": True})["accepted"]
+    return peer, sent
+
+
+def without_a_master(running: Deployment) -> None:
+    running.master.kill()
+    until(lambda: "no ROS 1 master" in str(running.worker("ros1").get("warnings")), "its loss is noticed", SECONDS)
+
+
+def test_the_goal_of_a_ros_1_client_goes_on_and_is_canceled(
+    running: Deployment, program: HubProgram, stand_in: Process
+) -> None:
+    peer, sent = native_goal(running)
+    (goal,) = until(program.active, "the goal is listed", SECONDS)
+    program.drives_on(goal)
+    without_a_master(running)
+    program.drives_on(goal)
+    running.master.start()
+    until(lambda: running.worker("ros1")["network"] == running.master.call("getParam", "/run_id"), "joined", SECONDS)
+    program.drives_on(goal)
+    assert all(state is GoalState.EXECUTING for listed in program.lists[1:] for state in listed.values())
+    program.do(lambda: program.client.cancel(goal))
+    assert peer.ask("goal", id=sent, until={"ends": 1})["status"] == 5, "PREEMPTED, by its client's own words"
+    until(lambda: program.lists[-1][goal] is GoalState.CANCELED, "the list says so", SECONDS)
+    until(lambda: program.moving[-1] == 0.0, "it stands", SECONDS)
+    assert stand_in.popen.poll() is None
+
+
+def test_the_goal_of_a_hub_client_goes_on_and_a_killed_planner_is_lost(
+    running: Deployment, program: HubProgram, stand_in: Process
+) -> None:
+    sent = program.send()
+    until(lambda: program.active() == [sent.id], "the goal is listed", SECONDS)
+    without_a_master(running)
+    program.drives_on(sent.id)
+    program.do(sent.cancel)
+    until(lambda: program.ended, "it ends", SECONDS)
+    assert program.ended.pop()[0] is GoalState.CANCELED
+    sent = program.send()
+    until(lambda: program.active() == [sent.id], "another goal is listed, still without a master", SECONDS)
+    program.drives_on(sent.id)
+    stand_in.signal(signal.SIGKILL)
+    until(lambda: program.ended, "the client is told", SECONDS)
+    ((status, result, _),) = program.ended
+    assert (sent.accepted, status, result["error_code"]) == (True, GoalState.UNKNOWN, 0)
+    assert result["error_msg"] == "lost sight of the goal: its action server /move_base is gone"
+    until(lambda: not program.there, "the planner leaves the hub", SECONDS)
+    assert program.lists[-1][sent.id] is GoalState.EXECUTING, "no list says anything of its end"
