@@ -52,6 +52,7 @@ class ReadingTimes:
 
 
 _SLACK = 0.05  # seconds by which the time between two readings may be wrong
+_CERTAIN = 0.5  # rad; a smaller change is a motion even of a base that is pushed fast
 _WRAP = 2.0 * math.pi
 
 
@@ -59,11 +60,11 @@ def turned(before: float, after: float, seconds: float, fastest: float) -> float
     """Return the angle, rad, by which a wheel turned between two readings of its encoder.
 
     A change that no wheel can make in that time, at ``fastest`` rad/s, is the wrap of an encoder that counts within one
-    turn, or else the encoder has started again at another angle: that is no motion.
+    turn. Otherwise the encoder has restarted at another angle, and the wheel counts as not turned.
     """
     change = after - before
     possible = fastest * (seconds + _SLACK)
-    if abs(change) <= max(math.pi, possible):
+    if abs(change) <= max(_CERTAIN, possible):
         return change
     wrapped = math.remainder(change, _WRAP)
     return wrapped if abs(change) <= _WRAP and abs(wrapped) <= possible else 0.0

@@ -136,13 +136,22 @@ def test_encoders_that_count_within_one_turn(low: float, rate: int, direction: f
     assert base.odometry.now.theta == pytest.approx(0.2 * at, rel=1e-6)
 
 
-def test_encoders_that_start_again_move_nothing() -> None:
+@pytest.mark.parametrize("before", [-1.5, 0.0, 3.0, 30.0])
+def test_encoders_that_start_again_move_nothing(before: float) -> None:
     base = DrivenBase(resolved(BaseControlSection())[0])
     for reading in range(400):
         at = reading * 0.01
-        counted = angles(at + 30.0 if at < 2.0 else at - 2.0, 0.25, 0.0)
+        counted = angles(at + before if at < 2.0 else at - 2.0, 0.25, 0.0)
         assert base.measured(counted, START + at).velocity.speed <= 0.25 + 1e-6
     assert base.odometry.now.distance == pytest.approx(0.25 * 3.98, rel=1e-3)
+
+
+def test_a_base_that_is_pushed_fast_is_followed() -> None:
+    base = DrivenBase(resolved(BaseControlSection())[0])
+    for reading in range(100):
+        base.measured(angles(reading * 0.05, 1.5, 0.0), START + reading * 0.05)
+    assert base.odometry.now.distance == pytest.approx(1.5 * 99 * 0.05)
+    assert base.odometry.now.velocity.x == pytest.approx(1.5, rel=1e-6)
 
 
 NOW = 1_760_000_000_000_000_000
