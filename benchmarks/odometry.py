@@ -1,8 +1,8 @@
-"""Odometry of wheels on a busy machine: the velocities that BaseControl publishes, beside the simulator's own.
+"""Odometry of wheels on a busy machine: the velocities that BaseControl publishes, compared with the true ones.
 
 The whole deployment (`midspan run`) with ``sim.drive: wheels`` and BaseControl. A client commands arcs of at most
-0.30 m/s and 0.4 rad/s, with stops between them, while ``--busy`` processes compute: the simulator then catches up
-on its ticks in bursts. The peer is ``/ground_truth``, message by message with the same stamp.
+0.30 m/s and 0.4 rad/s, with stops between them, while ``--busy`` processes take the cores: the simulator then catches
+up on its ticks in bursts. The peer is the simulator's ``/ground_truth``, matched by stamp.
 
     python benchmarks/odometry.py [--seconds 30] [--busy 4] [--json FILE]
 """
@@ -49,7 +49,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Run the benchmark."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--seconds", type=float, default=30.0, help="of driving (default 30)")
-    parser.add_argument("--busy", type=int, default=4, help="processes that compute beside it (default 4)")
+    parser.add_argument("--busy", type=int, default=4, help="busy processes (default 4)")
     add_json_option(parser)
     args = parser.parse_args(arguments)
     with tempfile.TemporaryDirectory(prefix="midspan-odometry-") as folder:
@@ -59,7 +59,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def driven(folder: Path, seconds: float, busy: int) -> tuple[list[Motion], list[Motion]]:
-    """The odometry and the truth of a drive on a machine with so many busy processes."""
+    """Drive with a number of busy processes, and return the odometry and the ground truth."""
     idle = {"enabled": False}
     modules = dict.fromkeys(("map2d_server", "localization_server", "robot_goto", "robot_path_planner"), idle)
     chain = Chain(folder, sim={"plan": "hall"}, modules=modules, navigation={})
@@ -90,14 +90,14 @@ def driven(folder: Path, seconds: float, busy: int) -> tuple[list[Motion], list[
 
 
 def motion(message: dict[str, Any]) -> Motion:
-    """A `nav_msgs/Odometry` without its pose."""
+    """Read the stamp and the velocities of a `nav_msgs/Odometry`."""
     stamp, twist = message["header"]["stamp"], message["twist"]["twist"]
     linear = math.hypot(twist["linear"]["x"], twist["linear"]["y"])
     return Motion(stamp["sec"] + stamp["nanosec"] / 1e9, linear, abs(twist["angular"]["z"]))
 
 
 def rows(odometry: Sequence[Motion], truth: Sequence[Motion], case: str) -> list[Row]:
-    """What the velocities of a drive amount to, beside the true ones."""
+    """Compare the velocities of a drive with the true ones."""
     true = {one.stamp: one for one in truth}
     pairs = [(one, true[one.stamp]) for one in odometry if one.stamp in true]
     standing = [one for one, real in pairs if real.linear < 1e-4 and real.angular < 1e-4]
@@ -116,7 +116,7 @@ def rows(odometry: Sequence[Motion], truth: Sequence[Motion], case: str) -> list
 
 
 def within(motions: Sequence[Motion]) -> float:
-    """Percent of messages that are no faster than the command and the tolerated excess."""
+    """Return the percentage of messages within the commanded speed and its tolerance."""
     return 100.0 * sum(one.linear <= _TOLERATED * LINEAR for one in motions) / len(motions)
 
 

@@ -1,4 +1,4 @@
-"""What the robot senses of itself: odometry, battery, and the faults that a client asks for."""
+"""Encoders, odometry and battery of the simulated robot, and the faults that a client can inject."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _ROUNDING = 1e-9
 
 
 class Sensed:
-    """The encoders as they are read: with the errors that were set, drawn from one source."""
+    """Reads the encoders, with the configured errors from one random generator."""
 
     def __init__(self, base: Base, section: EncodersSection, rng: np.random.Generator) -> None:
         self._base, self._noise, self._rng = base, section.noise, rng
@@ -26,19 +26,19 @@ class Sensed:
         self._scale = 1.0 + np.resize(np.array(scale, float), len(base.names))
         self._last = base.joints()[0]
         self._said = np.zeros(len(base.names))
-        self.frozen = False  # whether they do not notice that the wheels turn
+        self.frozen = False  # whether they miss that the wheels turn
         self._unchanged: Encoders | None = None
 
     def read(self, time_ns: int, *, rests: bool = False) -> Encoders:
-        """What they say now; to be called at a steady rate. ``rests``: nothing has moved since the last call."""
+        """Return a reading; to be called at a steady rate. ``rests``: nothing has moved since the last call."""
         if rests and self._unchanged is not None and not self.frozen:
             if self._noise:
-                self._rng.normal(0.0, 1.0, len(self._said))  # a rest changes no number of what comes after it
+                self._rng.normal(0.0, 1.0, len(self._said))  # readings after a rest are the same as without one
             return Encoders(time_ns, self._unchanged.positions, self._unchanged.velocities)
         self._unchanged = None
         positions, velocities = self._base.joints()
         if self.frozen:
-            # such encoders count steps: those that they miss are lost
+            # such encoders count steps; missed steps are lost
             self._last = positions
             return Encoders(time_ns, self._said.copy(), np.zeros(len(velocities)))
         turned = (positions - self._last) * self._scale
@@ -53,17 +53,17 @@ class Sensed:
 
 @dataclass(frozen=True)
 class Estimate:
-    """Odometry."""
+    """An estimate of the odometry."""
 
-    time_ns: int  #: when, on the simulation's clock
-    pose: BasePose  #: since the start, in its own frame
+    time_ns: int  #: on the simulation's clock
+    pose: BasePose  #: since the start, in the odometry frame
     twist: Twist  #: in the base's frame
-    travelled: float  #: metres
-    turned: float  #: radians, either way
+    travelled: float  #: meters
+    turned: float  #: radians, to both sides
 
 
 class Odometry:
-    """Adds up what the wheels turned, with the wheels as the robot believes them to be."""
+    """Integrates encoder readings, with the wheels' geometry as the robot believes it to be."""
 
     def __init__(self, base: Base) -> None:
         believed = base.robot.believed
@@ -72,7 +72,7 @@ class Odometry:
         self.now = Estimate(0, BasePose(0.0, 0.0, 0.0), Twist(0.0, 0.0, 0.0), 0.0, 0.0)
 
     def add(self, encoders: Encoders) -> Estimate:
-        """Take up what the encoders say."""
+        """Add a reading."""
         last = encoders.positions if self._last is None else self._last
         dx, dy, turned = (float(v) for v in self._inverse @ (encoders.positions - last))
         self._last = encoders.positions
@@ -85,29 +85,29 @@ class Odometry:
         return self.now
 
     def rest(self, time_ns: int) -> None:
-        """The encoders say what they said last, at a later time."""
+        """Repeat the last reading at a later time."""
         self.now = replace(self.now, time_ns=time_ns)
 
     def reset(self) -> None:
-        """Begin at zero again."""
+        """Return to a pose and distances of zero."""
         self.now = Estimate(self.now.time_ns, BasePose(0.0, 0.0, 0.0), Twist(0.0, 0.0, 0.0), 0.0, 0.0)
 
 
-_EFFICIENCY = 0.7  # of the motors: what they put out of what they take
+_EFFICIENCY = 0.7  # of the motors, mechanical per electrical power
 
 
 @dataclass(frozen=True)
 class Charge:
-    """Its state."""
+    """The state of a battery."""
 
     voltage: float  #: volts
-    current: float  #: amperes, negative while it gives
+    current: float  #: amperes, negative while it discharges
     share: float  #: 0 to 1
     capacity: float  #: ampere hours when full
 
 
 class Battery:
-    """Runs down with time and with what the motors take; at zero it stays there, and the base goes on."""
+    """Discharges with time and with the motors' power. The base also drives on an empty battery."""
 
     def __init__(self, described: BatteryDescription) -> None:
         self._described = described
@@ -115,13 +115,13 @@ class Battery:
         self._power = described.idle
 
     def use(self, motors: float, seconds: float) -> None:
-        """The motors put out so many watts for so long."""
+        """Discharge by the motors' mechanical power (watts) over a time in seconds."""
         self._power = self._described.idle + motors / _EFFICIENCY
         self._left = max(0.0, self._left - self._power * seconds / 3600.0)
 
     @property
     def charge(self) -> Charge:
-        """Its state now."""
+        """The current state."""
         share = self._left / self._described.capacity
         full, empty = self._described.full, self._described.empty
         voltage = empty + (full - empty) * share
@@ -130,17 +130,17 @@ class Battery:
 
 
 KINDS = {
-    "laser_silent": "no scans come",
+    "laser_silent": "no scans are published",
     "laser_blind": "each beam of a scan is NaN",
-    "camera_silent": "no depth pictures come",
+    "camera_silent": "no depth pictures are published",
     "camera_blind": "each pixel of a depth picture is NaN",
-    "encoders_silent": "no joint states come, and no odometry",
-    "encoders_frozen": "the encoders say that the wheels stand still, whatever they do",
+    "encoders_silent": "no joint states and no odometry are published",
+    "encoders_frozen": "the encoders report that the wheels stand still",
 }
 
 
 class Faults:
-    """The faults that a client has asked for, so that those who drive the robot can be seen to notice."""
+    """The injected faults, by which a test shows that the software that drives the robot detects them."""
 
     def __init__(self) -> None:
         self._now: set[str] = set()
@@ -152,8 +152,8 @@ class Faults:
         return iter(sorted(self._now))
 
     def set(self, name: str, *, on: bool) -> str:
-        """Have something fail, or work again; what it means, in words. Raises `SimError` if there is no such fault."""
+        """Inject or remove a fault, and return a description. Raises `SimError` for an unknown name."""
         if name not in KINDS:
-            raise SimError(f"there is no fault {name!r}; there are {', '.join(KINDS)}")
+            raise SimError(f"unknown fault {name!r}; there are {', '.join(KINDS)}")
         (self._now.add if on else self._now.discard)(name)
         return f"{name}: {KINDS[name]}" if on else f"{name} is mended"

@@ -1,4 +1,4 @@
-"""The simulator's services on the hub, under ``/sim/``: what clients wish, and steps that they ask for one by one."""
+"""The simulator's services on the hub, under ``/sim/``: changes of the simulation, and single steps."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _BOX, _ROUND, _PERSON = 0, 1, 2
 
 
 def answered(do: Callable[[Request], str]) -> Callable[[Request, Answer], None]:
-    """A service whose reply is success and a message; what cannot be done is told in it."""
+    """Return a service handler that replies with success and a message, or with the error of a refused request."""
 
     def serve(request: Request, answer: Answer) -> None:
         try:
@@ -34,13 +34,13 @@ def answered(do: Callable[[Request], str]) -> Callable[[Request, Answer], None]:
 
 
 class Wishes:
-    """Changes to what is simulated."""
+    """The services that change the simulation."""
 
     def __init__(self, simulation: Simulation) -> None:
         self._simulation = simulation
 
     def services(self) -> dict[str, tuple[str, Callable[[Request], str]]]:
-        """By name: its type, and what does it."""
+        """Return the type and the handler of each service, by its name."""
         named = "midspan_msgs/srv/Named"
         return {
             "/sim/emergency_stop": ("std_srvs/srv/SetBool", self._stop),
@@ -86,7 +86,7 @@ class Wishes:
         people = self._simulation.world.people
         walker = people.get(request["name"])
         if walker is None:
-            raise SimError(f"there is nobody called {request['name']!r}; people: {', '.join(people) or 'none'}")
+            raise SimError(f"unknown person {request['name']!r}; people: {', '.join(people) or 'none'}")
         if len(request["path"]) > _MOST_POINTS:
             raise SimError(f"a path has {_MOST_POINTS} points at most")
         points = [_finite(point["x"], point["y"], 0.0)[:2] for point in request["path"]]
@@ -109,17 +109,17 @@ def _finite(*values: float) -> tuple[float, ...]:
 
 
 _LONGEST_STEP = 3600.0
-_BUNDLE = 50  # ticks at one go, after which others are heard
+_BUNDLE = 50  # ticks without handling messages
 
 
 class Stepping:
-    """Serves ``/sim/step``: a step is answered once all that it names have acknowledged the time it came to.
+    """Serves ``/sim/step``: the reply follows once all named participants have acknowledged the time of the step.
 
     One step at a time; all on the module's thread.
 
     Args:
-        tick: lets one tick pass, and returns the time it came to.
-        paced: whether `advance` sets the pace, rather than that a step runs as fast as it can.
+        tick: runs one tick, and returns its stamp in ns.
+        paced: whether the caller sets the pace with `advance`; otherwise a step runs as fast as possible.
     """
 
     def __init__(self, loop: EventLoop, tick: Callable[[], int], *, paced: bool = False) -> None:
@@ -128,17 +128,17 @@ class Stepping:
         self._left = 0
         self._now = 0
         self._wait_for: set[str] = set()
-        self._said: dict[str, int] = {}
+        self._acknowledged: dict[str, int] = {}
         self._patience = 0.0
         self._timer: Timer | None = None
 
     @property
     def busy(self) -> bool:
-        """Whether a step is under way."""
+        """Whether a step is in progress."""
         return self._answer is not None
 
     def serve(self, request: dict[str, Any], answer: Answer) -> None:
-        """Step."""
+        """Start a step."""
         seconds, patience = request["seconds"], request["patience"]
         if not (math.isfinite(seconds) and 0.0 < seconds <= _LONGEST_STEP and math.isfinite(patience)):
             answer(_reply(self._now, f"a step is more than 0 and at most {_LONGEST_STEP:g} seconds"))
@@ -152,16 +152,16 @@ class Stepping:
             self._go()
 
     def acknowledge(self, message: dict[str, Any]) -> None:
-        """A participant is done with a time."""
+        """Note that a participant has processed everything up to a time."""
         at = message["stamp"]["sec"] * 1_000_000_000 + message["stamp"]["nanosec"]
         if message["frame_id"] in self._wait_for:
-            self._said[message["frame_id"]] = at
+            self._acknowledged[message["frame_id"]] = at
             self._finish()
 
     def give_up(self, why: str) -> None:
-        """End the step that is under way."""
+        """End the step in progress."""
         answer, self._answer = self._answer, None
-        self._left, self._said = 0, {}
+        self._left, self._acknowledged = 0, {}
         if self._timer is not None:
             self._timer.close()
         if answer is not None:
@@ -186,7 +186,7 @@ class Stepping:
         return self._left > 0
 
     def _waiting(self) -> set[str]:
-        return {name for name in self._wait_for if self._said.get(name, -1) < self._now}
+        return {name for name in self._wait_for if self._acknowledged.get(name, -1) < self._now}
 
     def _finish(self) -> None:
         if self._answer is not None and not self._left and not self._waiting():

@@ -1,4 +1,4 @@
-"""The simulator as a node of the hub: its pace, its commands, its publishers; and the worker that runs it."""
+"""The simulator as a node of the hub: its pace, commands and publishers, and the worker that runs it."""
 
 from __future__ import annotations
 
@@ -27,13 +27,13 @@ from sim.services import Stepping, Wishes, answered
 from sim.simulation import TICK_NS, Simulation
 from sim.stamps import WallStamps
 
-_PICTURE = Qos(depth=2)  # large messages: an old one is worth nothing
+_PICTURE = Qos(depth=2)  # large messages, of which only the newest count
 _NEWEST = Qos(Reliability.BEST_EFFORT, depth=1)
-_BUNDLE = 5  # ticks at one go where it runs as fast as it can: then others are heard
+_BUNDLE = 5  # ticks without handling messages, at maximum speed
 
 
 class Simulator(Module):
-    """Runs a simulation on its host's thread, at the pace that its section says."""
+    """Runs a simulation on its host's thread, at the configured pace."""
 
     name = "sim"
 
@@ -104,7 +104,7 @@ class Simulator(Module):
         at = self.simulation.time_ns
         if self._stamps is not None and self._pace is not None:
             at = self._stamps.stamp(self._pace.moment())
-        self._outlets.tell(at)
+        self._outlets.publish(at)
         if self._ports is not None:
             self._ports.tell(at)
         return at
@@ -136,14 +136,14 @@ class Simulator(Module):
 
     def _drive_wheels(self, message: dict[str, Any]) -> None:
         motors = self.simulation.motors
-        said = dict(zip(message["name"], message["velocity"], strict=False))
-        if set(said) != set(motors.names):
-            msg = f"a wheel command is for {', '.join(said) or 'nothing'}, and the base has {', '.join(motors.names)}"
+        wanted = dict(zip(message["name"], message["velocity"], strict=False))
+        if set(wanted) != set(motors.names):
+            msg = f"a wheel command is for {', '.join(wanted) or 'nothing'}, and the base has {', '.join(motors.names)}"
             raise SimError(msg)
         at = message["header"]["stamp"]["sec"] * 1_000_000_000 + message["header"]["stamp"]["nanosec"]
         if at and self._now() - at > self.simulation.robot.motor_timeout * 1e9:
             raise SimError("a wheel command is older than the motors' time-out")
-        motors.drive([said[name] for name in motors.names])
+        motors.drive([wanted[name] for name in motors.names])
 
     def _try(self, do: Callable[[], None]) -> None:
         if self._pace is not None and self._pace.stood_still():
@@ -169,16 +169,16 @@ class Simulator(Module):
         return "paused" if self._paused else "running"
 
 
-_CATCH_UP = 0.05  # seconds for which it catches up at one go: messages are to be heard in between
-_EARLY = 0.002  # seconds before its time that a tick may come: timers are not exact
-_FORGIVEN = 0.25  # seconds behind after which what was missed is left out: a base does not rush to make up for a stop
+_CATCH_UP = 0.05  # seconds to catch up on at once, before messages are handled
+_EARLY = 0.002  # seconds by which a tick may be early, since timers are not exact
+_FORGIVEN = 0.25  # seconds of delay after which missed ticks are left out, so that a base does not rush
 
 
 class Pace:
-    """Says how many ticks are due.
+    """Determines how many ticks are due, and when each was due.
 
     Args:
-        speed: seconds of the simulation in one of ours.
+        speed: simulated seconds per second.
     """
 
     def __init__(self, speed: float) -> None:
@@ -186,20 +186,20 @@ class Pace:
         self._next = -math.inf  # when the next tick is due
         self._owed = 0  # ticks that `due` has counted and `moment` has not passed
         self.begin()
-        self.late = 0  # ticks that came a tick's time or more behind
-        self.left_out = 0  # ticks that never came, since this process stood still
+        self.late = 0  # ticks that were late by their duration or more
+        self.left_out = 0  # ticks that were skipped because this process stood still
         self._stood = -_PILED
 
     def begin(self) -> None:
-        """Begin from now on: after a pause nothing is due."""
+        """Start from now on: after a pause nothing is due."""
         self._next = max(self._next, time.monotonic() + self._seconds)
 
     def stood_still(self) -> bool:
-        """Whether what is heard now may have waited while this process stood still."""
+        """Return whether messages that arrive now may have waited while this process stood still."""
         return time.monotonic() - self._stood < _PILED
 
     def due(self) -> int:
-        """The ticks that are due now; they count as done."""
+        """Return the number of ticks that are due, and count them as done."""
         now = time.monotonic()
         behind = now - self._next
         if behind > _FORGIVEN:
@@ -218,15 +218,15 @@ class Pace:
     def moment(self) -> float:
         """Return when the next of the ticks that `due` counted was due, in seconds of the monotonic clock.
 
-        Ticks count as due as early as they may come, so that no moment is in the future.
+        That is the earliest time at which a tick may run, so it is never in the future.
         """
         moment = self._next - self._owed * self._seconds - _EARLY
         self._owed -= 1
         return moment
 
 
-_PILED = 0.5  # seconds after a stop in which what piled up meanwhile is still being heard
-_TICK_WAIT = 0.005  # ticks that follow each other closer than this, in seconds, come in bundles: that is no lateness
+_PILED = 0.5  # seconds after a standstill in which queued messages may still arrive
+_TICK_WAIT = 0.005  # seconds; shorter ticks run in bundles, and are not counted as late
 
 
 _ODOMETRY = 2
@@ -238,7 +238,7 @@ class Outlets:
     """The simulator's publishers.
 
     Args:
-        clock: whether ``/clock`` is said.
+        clock: whether to publish ``/clock``.
     """
 
     def __init__(self, node: ModuleNode, names: TopicNames, simulation: Simulation, *, clock: bool) -> None:
@@ -263,7 +263,7 @@ class Outlets:
         self._prepare()
 
     def _prepare(self) -> None:
-        """Encode what is said many times a second, so that then only its numbers are filled in."""
+        """Encode the frequent messages once, so that later only their numbers are filled in."""
         names, simulation, still = self._names, self._simulation, Twist(0.0, 0.0, 0.0)
         place, motion = BasePose(0.0, 0.0, 0.0), ("header.stamp", "pose.pose", "twist.twist")
         joints = messages.joints(0, simulation.base.names, simulation.motors.encoders())
@@ -277,28 +277,28 @@ class Outlets:
             self._moved = self._tf.template(frame, "transforms[0].header.stamp", "transforms[0].transform")
 
     def begin(self, time_ns: int) -> None:
-        """Say what is said once."""
+        """Publish the static transforms."""
         names, robot = self._names, self._simulation.robot
         middle = robot.wheels.radius if robot.kinematics == "differential" else 0.0
         camera = None if self._simulation.camera is None else self._simulation.section.camera
         frames = names.base_frame, names.laser_frame
         self._static.publish(messages.mount(time_ns, *frames, robot.lasers.height, camera, middle))
 
-    def tell(self, time_ns: int) -> None:
-        """Say what is due after a tick; ``time_ns`` is the time of the stamps."""
+    def publish(self, time_ns: int) -> None:
+        """Publish the messages that are due after a tick, with stamps of ``time_ns``."""
         simulation, names = self._simulation, self._names
         self._ticks += 1
         if "encoders_silent" not in simulation.faults:
             self._joints.offer(lambda: self._turning.fill(*messages.turning(time_ns, simulation.motors.encoders())))
         if self._ticks % _ODOMETRY == 0:
-            self._tell_pose(time_ns)
+            self._publish_pose(time_ns)
         if simulation.scan.time_ns != self._scanned:
             self._scanned = simulation.scan.time_ns
             rate = simulation.section.laser.rate
             scan, frame = simulation.scan, names.laser_frame
             self._scan.offer(lambda: self._scan.encoded(messages.scan(time_ns, scan, frame, rate)))
         if self._camera is not None and simulation.pictured == simulation.time_ns:
-            self._camera.tell(time_ns)
+            self._camera.publish(time_ns)
         bumped = bool(simulation.bumps)
         if bumped != self._bumped or self._ticks % _BUMPER == 0:
             self._bumped = bumped
@@ -306,28 +306,28 @@ class Outlets:
         if self._ticks % _BATTERY == 0:
             self._battery.publish(messages.battery(time_ns, simulation.battery.charge))
         if self._view is not None and self._ticks % self._every_view == 0:
-            self._tell_view(self._view, time_ns)
+            self._publish_view(self._view, time_ns)
         if self._clock is not None:
-            # the last, and with the priority of the rest: who hears the time has heard what was measured at it
+            # last, and with the same priority: the measurements of a time arrive before it
             self._clock.publish({"clock": messages.stamp(time_ns)})
 
-    def _tell_view(self, view: ModulePublisher, time_ns: int) -> None:
+    def _publish_view(self, view: ModulePublisher, time_ns: int) -> None:
         from sim.export import draw
 
         view.offer(lambda: view.encoded(messages.image(time_ns, draw(self._simulation))))
 
-    def _tell_pose(self, time_ns: int) -> None:
+    def _publish_pose(self, time_ns: int) -> None:
         simulation = self._simulation
         base = simulation.base
         self._truth.offer(lambda: self._true.fill(*messages.moving(time_ns, base.pose(), base.twist())))
         if self._odometry is not None and self._tf is not None and "encoders_silent" not in simulation.faults:
-            found = simulation.estimate
-            self._odometry.offer(lambda: self._estimated.fill(*messages.moving(time_ns, found.pose, found.twist)))
-            self._tf.offer(lambda: self._moved.fill(*messages.placed(time_ns, found.pose)))
+            estimate = simulation.estimate
+            self._odometry.offer(lambda: self._estimated.fill(*messages.moving(time_ns, estimate.pose, estimate.twist)))
+            self._tf.offer(lambda: self._moved.fill(*messages.placed(time_ns, estimate.pose)))
 
 
 class CameraOutlets:
-    """The depth camera's publishers; a picture is computed where anybody may get it."""
+    """The depth camera's publishers; pictures are computed only for subscribers."""
 
     def __init__(self, node: ModuleNode, simulation: Simulation) -> None:
         self._simulation = simulation
@@ -335,8 +335,8 @@ class CameraOutlets:
         self._info = node.publisher(messages.DEPTH_INFO, "sensor_msgs/msg/CameraInfo")
         self._points = node.publisher(messages.DEPTH_POINTS, "sensor_msgs/msg/PointCloud2", _PICTURE)
 
-    def tell(self, time_ns: int) -> None:
-        """Say what the picture that was just taken shows; ``time_ns`` is the time of the stamps."""
+    def publish(self, time_ns: int) -> None:
+        """Publish the latest picture, with stamps of ``time_ns``."""
         simulation, camera = self._simulation, self._simulation.camera
         assert camera is not None
         depth, info, points, encoding = self._depth, self._info, self._points, simulation.section.camera.encoding
@@ -349,21 +349,21 @@ _FIXED = ("name", "state", "hub", "types", "limits", "clock")
 
 
 class SimWorker(Worker):
-    """One simulation in a process of its own: DART holds Python's lock while it computes."""
+    """One simulation in a separate process, because DART holds Python's lock while it computes."""
 
     def __init__(self) -> None:
         self._config: Config | None = None
         self._running: Running | None = None
 
     def start(self, config: Config) -> None:
-        """Start the simulation; where it cannot, it is tried again and `health` says why."""
+        """Start the simulation; after a failure it is retried, and `health` gives the reason."""
         self._config = config
         registry = Registry.of(config.types)
         self._running = Running(Simulator, Simulator.name, config.sim, config, registry)
         self._running.start()
 
     def reload(self, config: Config) -> bool:
-        """Begin again with another section; False where only a restart of the worker can."""
+        """Restart the simulation with another section; return False if only a restart of the worker can apply it."""
         old, running = self._config, self._running
         if old is None or running is None or not config.yarp.opens_as(old.yarp):
             return False
@@ -377,11 +377,11 @@ class SimWorker(Worker):
         return True
 
     def health(self) -> Health:
-        """How the simulation is."""
+        """Return the state of the simulation."""
         return self._running.health() if self._running is not None else Health("waiting", "stopped")
 
     def stop(self) -> None:
-        """Stop it."""
+        """Stop the simulation."""
         running, self._running = self._running, None
         if running is not None:
             running.stop()

@@ -1,4 +1,4 @@
-"""A base that is driven: its inputs, limits and odometry, and the commands of its RPC port."""
+"""A mobile base: its inputs, limits and odometry, and the commands of its RPC port."""
 
 from __future__ import annotations
 
@@ -15,35 +15,35 @@ from navigation.base_control.limits import FILTERS, Limiter, smoothed
 from navigation.base_control.settings import limits
 from navigation.yarp import Commands
 
-MAX_STEP = 0.1  # seconds that one step may count for: after a standstill the base does not catch up on accelerations
+MAX_STEP = 0.1  # the longest step in seconds, so that the base does not catch up on accelerations after a stall
 _PUSHED = 1.5  # times its own maximum that a wheel may turn when the base is pushed
 SETTLED, REPEAT = 0.5, 0.04
-"""Seconds after which a base that is to stand still does so, and seconds between two commands to it from then on: less
-than half of the time-out of the wheels' driver."""
+"""Seconds after which a base that is commanded to stop stands, and seconds between two commands from then on: less than
+half the time-out of the wheels' driver."""
 
 
 class DrivenBase:
-    """Decides each period what the wheels do, and adds up what they did."""
+    """Computes the wheels' velocities in each period, and their odometry."""
 
     def __init__(self, section: BaseControlSection) -> None:
-        self.section, self.most = section, limits(section)  # what it is, and may do at most
+        self.section, self.most = section, limits(section)
         base = kinematics(section.kind, section.wheel_radius, section.wheel_distance)
-        # by name; their ranks are the section's
-        self.inputs = {one.name: CommandInput(one.name, one.timeout) for one in section.inputs}
+        # in the order of their ranks
+        self.inputs = {source.name: CommandInput(source.name, source.timeout) for source in section.inputs}
         self._arbiter = Arbiter(list(self.inputs.values()), section.period)
-        self.limiter = Limiter(base, self.most)  # keeps it within its limits
+        self.limiter = Limiter(base, self.most)
         self.odometry = WheelOdometry(base, _PUSHED * self.most.wheel)
         self.full = FullControl(section.joystick_linear_vel, section.joystick_angular_vel)
         self.motors_filter: int = section.motors_filter
-        self.choice = NOBODY  # what it drives by
-        self.idle = False  # whether it stands still, whatever the inputs command
-        self._still = 0  # periods in a row in which the wheels were to stand still
+        self.choice = NOBODY  # the command of the current period
+        self.idle = False  # whether the base ignores its inputs and stands still
+        self._still = 0  # consecutive periods with a command of zero
         self._last: float | None = None
-        self._told = STILL
+        self._smoothed = STILL
         self._measured: float | None = None
 
     def step(self, now: float) -> Array:
-        """The wheels' velocities for the next period, rad/s; in seconds of the clock by which commands came."""
+        """Return the wheels' velocities for the next period, rad/s; ``now`` in seconds of the clock of the commands."""
         seconds = self.section.period if self._last is None else min(max(now - self._last, 0.0), MAX_STEP)
         self._last = now
         self.choice = self._arbiter.choose(now)
@@ -56,25 +56,25 @@ class DrivenBase:
         ``angles`` in rad at a time in seconds, ``rates`` in rad/s if the encoders measure them. Raises `ValueError` for
         angles that are not finite or not one per wheel.
         """
-        found = self.odometry.update(angles, now, rates)
+        travelled = self.odometry.update(angles, now, rates)
         seconds = 0.0 if self._measured is None else now - self._measured
         self._measured = now
         if seconds > 0.0:
-            self._told = smoothed(self._told, found.velocity, self.motors_filter, seconds)
-        return found if self._told is found.velocity else replace(found, velocity=self._told)
+            self._smoothed = smoothed(self._smoothed, travelled.velocity, self.motors_filter, seconds)
+        return travelled if self._smoothed is travelled.velocity else replace(travelled, velocity=self._smoothed)
 
     def due(self, velocities: Array) -> bool:
-        """Whether what `step` returned is to be told to the wheels: all while they turn, and zeros now and then."""
+        """Return whether to send the result of `step` to the wheels: always while they turn, else at intervals."""
         self._still = 0 if velocities.any() else self._still + 1
         period = self.section.period
         return self._still * period < SETTLED or self._still % max(1, round(REPEAT / period)) == 0
 
     def stop(self) -> None:
-        """Forget all commands; the base brakes."""
+        """Discard all commands; the base brakes."""
         self._arbiter.forget()
 
     def forget(self) -> None:
-        """The clock was set back: forget what hangs on it. The pose is kept."""
+        """Discard all times, because the clock was set back. The pose is kept."""
         self._arbiter.forget()
         self.odometry.restart()
         self._last = self._measured = None
@@ -82,32 +82,32 @@ class DrivenBase:
 
 HELP = (
     "help: these lines",
-    "run: obey the inputs",
-    "idle: stand still, whatever the inputs command",
-    "reset_odometry: begin at zero from here",
-    "set_prefilter 0|1|2|4|8: filter commands at so many Hz; 0 for no filter",
-    "set_motors_filter 0|1|2|4|8: filter the velocities that are told at so many Hz; 0 for no filter",
-    "set_max_lin_vel V: metres per second",
+    "run: follow the inputs",
+    "idle: stand still and ignore the inputs",
+    "reset_odometry: set the odometry to zero",
+    "set_prefilter 0|1|2|4|8: cut-off frequency of the commands' filter, Hz; 0 for no filter",
+    "set_motors_filter 0|1|2|4|8: cut-off frequency of the measured velocities' filter, Hz; 0 for no filter",
+    "set_max_lin_vel V: meters per second",
     "set_max_ang_vel V: degrees per second",
-    "set_max_joy_lin_vel V: metres per second of a joystick's 100 percent",
-    "set_max_joy_ang_vel V: degrees per second of a joystick's 100 percent",
+    "set_max_joy_lin_vel V: meters per second at 100 percent of a joystick",
+    "set_max_joy_ang_vel V: degrees per second at 100 percent of a joystick",
 )
 
 _ELSEWHERE = {
-    "change_pid": "the motors' own driver has their controllers; nothing was changed",
+    "change_pid": "the driver of the motors has their controllers; nothing was changed",
     "change_ctrl_mode": "the wheels are driven by velocity; nothing was changed",
-    "set_debug_mode": "midspan status shows what debug mode did; nothing was changed",
+    "set_debug_mode": "use midspan status instead; nothing was changed",
 }
-"""Commands of upstream for parts that BaseControl does not have."""
+"""Upstream commands for parts that BaseControl does not have, and the reason for each."""
 
 
 class BaseCommands(Commands):
-    """Answers commands of the RPC port. Called on the module's thread."""
+    """Responds to commands of the RPC port, on the module's thread."""
 
     def __init__(self, base: DrivenBase) -> None:
         self._base = base
         super().__init__(HELP, {
-            "run": lambda _rest: self._idle("Now obeying the inputs.", on=False),
+            "run": lambda _rest: self._idle("Following the inputs.", on=False),
             "idle": lambda _rest: self._idle("Standing still; 'run' ends it.", on=True),
             "reset_odometry": self._reset,
             "set_prefilter": self._prefilter,
@@ -119,9 +119,9 @@ class BaseCommands(Commands):
             **{word: partial(_refuse, word) for word in _ELSEWHERE},
         })  # fmt: skip
 
-    def _idle(self, said: str, *, on: bool) -> str:
+    def _idle(self, reply: str, *, on: bool) -> str:
         self._base.idle = on
-        return said
+        return reply
 
     def _reset(self, _rest: list[Any]) -> str:
         self._base.odometry.reset()
@@ -147,14 +147,14 @@ class BaseCommands(Commands):
         return f"Max joystick {axis} velocity set."
 
     def _number(self, axis: str, rest: list[Any]) -> float:
-        """A velocity in m/s or deg/s, which the robot can have."""
+        """Return a velocity in m/s or deg/s within the robot's maximum; raises `ValueError` otherwise."""
         own = self._base.most
         most, unit = (own.linear, "m/s") if axis == "linear" else (math.degrees(own.angular), "deg/s")
         value = rest[0] if len(rest) == 1 else None
         if isinstance(value, bool) or not isinstance(value, (int, float)) or not 0.0 < value <= most + 1e-9:
-            told = " ".join(map(str, rest)) or "nothing"
+            received = " ".join(map(str, rest)) or "nothing"
             raise ValueError(
-                f"one number is needed, above 0 and at most {most:g} {unit}, the robot's own maximum; not {told}"
+                f"one number is needed, above 0 and at most {most:g} {unit}, the robot's own maximum; not {received}"
             )
         return min(float(value), most)
 

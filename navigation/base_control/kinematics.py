@@ -23,7 +23,7 @@ KINDS = ("cer", "ikart_V1")
 
 
 class KinematicsError(ValueError):
-    """A kind of base that BaseControl does not drive, or a geometry that cannot be; the text says why."""
+    """An unknown kind of base, or an impossible geometry; the message gives the reason."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,36 +31,36 @@ class Kinematics:
     """A kind of base with its measures."""
 
     matrix: Array  #: (wheels, 3): wheel velocities in rad/s of a velocity (m/s, m/s, rad/s)
-    inverse: Array  #: (3, wheels): the velocity of wheel velocities; the best one where wheels contradict each other
+    inverse: Array  #: (3, wheels): the velocity from wheel velocities, by least squares
     rows: tuple[tuple[float, ...], ...]  #: the matrix as plain numbers
     joints: tuple[str, ...]  #: the wheels' usual names, in order
     holonomic: bool  #: whether it can move to its side
 
     def wheels(self, velocity: Velocity) -> Array:
-        """The wheels' velocities, rad/s; what the base cannot do (a side step of a differential one) is left out."""
-        found: Array = self.matrix @ np.asarray(velocity)
-        return found
+        """Return the wheels' velocities, rad/s, without motion that the base cannot make (a side step of ``cer``)."""
+        wheels: Array = self.matrix @ np.asarray(velocity)
+        return wheels
 
     def fastest(self, velocity: Velocity) -> float:
-        """How fast the fastest wheel turns, rad/s."""
+        """Return the speed of the fastest wheel, rad/s."""
         x, y, turn = velocity
         return max(abs(a * x + b * y + c * turn) for a, b, c in self.rows)
 
     def velocity(self, wheels: Array) -> Velocity:
-        """The base's velocity where its wheels turn at these rad/s without slip."""
+        """Return the base's velocity when its wheels turn at these rad/s without slip."""
         return Velocity(*(float(value) for value in self.inverse @ wheels))
 
 
 def kinematics(kind: str, wheel_radius: float, wheel_distance: float) -> Kinematics:
-    """A kind of base; raises `KinematicsError` if there is no such kind or a measure is not positive.
+    """Return a kind of base; raises `KinematicsError` if the kind is unknown or a measure is not positive.
 
     ``cer`` is R1's: two driven wheels, left and right; ``ikart_V1`` has three omnidirectional ones. The radius
-    (``geom_r``) and the distance (``geom_L``) are metres, the latter between ``cer``'s wheels, from the centre to one
-    of ``ikart_V1``'s.
+    (``geom_r``) and the distance (``geom_L``) are meters, the latter between the two wheels of a
+    ``cer``, or from the center to a wheel of an ``ikart_V1``.
     """
     for name, value in (("geom_r", wheel_radius), ("geom_L", wheel_distance)):
         if not (math.isfinite(value) and 0.0 < value < 10.0):
-            raise KinematicsError(f"{name} is a length in metres, above 0 and below 10; this is {value:g}")
+            raise KinematicsError(f"{name} is a length in meters, above 0 and below 10; this is {value:g}")
     rows: list[list[float]]
     joints: tuple[str, ...]
     if kind == "cer":
@@ -82,18 +82,18 @@ _SMALL_TURN = 1e-9
 
 @dataclass(frozen=True)
 class Travelled:
-    """Where a base is in the odometry's frame."""
+    """The pose, velocity and distances of a base's odometry."""
 
-    x: float = 0.0  #: metres
-    y: float = 0.0  #: metres
-    theta: float = 0.0  #: radians, counted on over full turns
+    x: float = 0.0  #: meters
+    y: float = 0.0  #: meters
+    theta: float = 0.0  #: radians, not wrapped
     velocity: Velocity = STILL  #: in the base's frame
-    distance: float = 0.0  #: metres driven since the start or the last reset, forth and back alike
-    angle: float = 0.0  #: radians turned, to both sides alike
+    distance: float = 0.0  #: meters driven since the start or the last reset, forward and backward
+    angle: float = 0.0  #: radians turned, to both sides
 
     @property
     def world_velocity(self) -> tuple[float, float]:
-        """The velocity along the odometry frame's axes, m/s."""
+        """The velocity along the axes of the odometry frame, m/s."""
         cos, sin = math.cos(self.theta), math.sin(self.theta)
         return cos * self.velocity.x - sin * self.velocity.y, sin * self.velocity.x + cos * self.velocity.y
 
@@ -153,7 +153,7 @@ class WheelOdometry:
 
 
 def _moved(before: Travelled, step: Velocity, velocity: Velocity) -> Travelled:
-    """``step`` is a motion in the base's frame: metres, metres, radians."""
+    """``step`` is a motion in the base's frame: meters, meters, radians."""
     sin_share, cos_share = 1.0, step.turn / 2.0
     if abs(step.turn) > _SMALL_TURN:
         sin_share = math.sin(step.turn) / step.turn

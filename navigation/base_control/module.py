@@ -1,7 +1,8 @@
 """The module BaseControl: drives wheels through topics, as any driver or the simulator offers them.
 
-What robotology/navigation's ``baseControl2`` is to a YARP robot: ports and forms of both its generations, ``/cmd_vel``
-of ROS 1, ROS 2 and zenoh beside them. The wheels' driver stops by itself where BaseControl falls silent.
+It replaces robotology/navigation's ``baseControl2`` on a YARP robot, with the ports and message forms of both its
+generations, and also accepts ``/cmd_vel`` from ROS 1, ROS 2 and zenoh. The wheels' driver must stop by itself when
+BaseControl stops sending.
 """
 
 from __future__ import annotations
@@ -29,17 +30,17 @@ from navigation.base_control.settings import resolved
 JOINTS = "sensor_msgs/msg/JointState"
 RESET = "std_srvs/srv/Trigger"
 
-SILENT_SECONDS = 0.5  # after so long without encoders the module reports that there is no odometry
+SILENT_SECONDS = 0.5  # without encoders, until the health reports it
 _BEAT = 0.1
 
 
 class BaseControl(Module):
-    """Drives a mobile base as its inputs command."""
+    """Drives a mobile base by the commands of its inputs."""
 
     name = "base_control"
 
     def start(self, host: Host, section: Section) -> None:
-        """Open what the section names, and begin to drive."""
+        """Open the section's topics and ports, and start to drive."""
         assert isinstance(section, BaseControlSection)
         self._host = host
         section, self._notes = resolved(section)
@@ -49,8 +50,8 @@ class BaseControl(Module):
         self._joints = section.joints
         self._times = ReadingTimes()
         self._trouble = ""
-        self._heard: float | None = None
-        self._named: list[str] = []  # the joints of the last encoders, and the wheels' places among them
+        self._received: float | None = None  # when the last reading arrived, monotonic seconds
+        self._named: list[str] = []  # the joints of the last reading, and the indices of the wheels in it
         self._places: list[int | None] = [None] * len(self._joints)
         stall_detector = StallDetector()
         host.loop.every(_BEAT, stall_detector.beat)
@@ -72,12 +73,12 @@ class BaseControl(Module):
         host.answer("halt", lambda _params: host.loop.call(self.halt))
 
     def now(self) -> float:
-        """The time of commands in seconds: the simulated clock where there is one, else a monotonic one."""
+        """Return the time of commands in seconds: of the simulated clock if configured, else of a monotonic one."""
         clock = self._host.clock
         return clock.now_ns() / 1e9 if clock.simulated else time.monotonic()
 
     def halt(self) -> dict[str, Any]:
-        """Forget all commands and stand still; later commands are obeyed again."""
+        """Discard all commands and stop; later commands count again."""
         self.base.stop()
         self._turn(self.base.step(self.now()))
         return {"halted": True}
@@ -104,7 +105,7 @@ class BaseControl(Module):
         stamp = message["header"]["stamp"]
         stamp_ns = stamp["sec"] * 1_000_000_000 + stamp["nanosec"]
         at = self._times.add(stamp_ns, self.now(), self._host.clock.now_ns())
-        self._heard = time.monotonic()
+        self._received = time.monotonic()
         if at is None:
             return
         velocities = message["velocity"].tolist()
@@ -119,12 +120,12 @@ class BaseControl(Module):
         self._publisher.publish(travelled, {"sec": seconds, "nanosec": nanoseconds})
 
     def _forget(self) -> None:
-        """Forget what depends on the clock, which was set back."""
+        """Discard all times, because the clock was set back."""
         self._times = ReadingTimes()
         self.base.forget()
 
     def _miss(self, positions: int) -> None:
-        """Say which wheel has no encoder, unless none has: then it is the arms' driver, on the same topic."""
+        """Report the wheel without an encoder; a message without any wheel is of another driver on the same topic."""
         if any(at is not None for at in self._places):
             missing = next(
                 joint for joint, at in zip(self._joints, self._places, strict=True) if at is None or at >= positions
@@ -132,26 +133,29 @@ class BaseControl(Module):
             self._trouble = f"{missing} is not in the joint states; set modules.base_control.joints"
 
     def reset_odometry(self) -> None:
-        """Begin at zero from here."""
+        """Set the odometry to zero."""
         self.base.odometry.reset()
 
     def _reset_asked(self, _request: dict[str, Any], answer: Answer) -> None:
         self.reset_odometry()
-        answer({"success": True, "message": "odometry begins at zero"})
+        answer({"success": True, "message": "odometry set to zero"})
 
     def health(self) -> Health:
-        """Whether there are encoders, and who commands."""
+        """Return whether encoders arrive, and the input in command."""
         if self._trouble:
             return Health("waiting", self._trouble)
-        if self._heard is None or time.monotonic() - self._heard > SILENT_SECONDS:
-            return Health("waiting", "no wheel encoders are heard; is the base's driver there?")
+        if self._received is None or time.monotonic() - self._received > SILENT_SECONDS:
+            return Health("waiting", "no wheel encoders received; is the driver of the base running?")
         choice = self.base.choice
-        who = choice.input or "nobody"
-        state = "idle" if self.base.idle else "obeys " + who if choice.fresh or not choice.input else f"{who} is silent"
-        return Health("running", state)
+        source = choice.input
+        if self.base.idle:
+            return Health("running", "idle")
+        if not source:
+            return Health("running", "no active command source")
+        return Health("running", f"follows {source}" if choice.fresh else f"{source} is silent")
 
     def status(self) -> dict[str, Any]:
-        """Who commands what, and where the base is."""
+        """Return the input in command, its velocity, and the odometry."""
         base, moved = self.base, self.base.odometry.now
         return {
             "input": base.choice.input,
@@ -159,13 +163,13 @@ class BaseControl(Module):
             "velocity": [base.limiter.now.x, base.limiter.now.y, math.degrees(base.limiter.now.turn)],
             "odometry": [moved.x, moved.y, math.degrees(moved.theta)],
             "inputs": {
-                name: {"commands": one.commands, "refused": one.refused, "error": self.inputs.trouble.get(name, "")}
-                for name, one in base.inputs.items()
+                name: {"commands": each.commands, "refused": each.refused, "error": self.inputs.trouble.get(name, "")}
+                for name, each in base.inputs.items()
             },
             "stale": self.inputs.stale,
             "notes": list(self._notes),
         }
 
     def stop(self) -> None:
-        """Command the wheels to stand still."""
+        """Stop the wheels."""
         self._turn(np.zeros(len(self._joints)))

@@ -1,4 +1,4 @@
-"""BaseControl on a hub and on YARP, with wheels that turn as they are told."""
+"""BaseControl on a hub and on YARP, with a driver of the wheels that follows its commands."""
 
 from __future__ import annotations
 
@@ -29,14 +29,14 @@ QUICK = {"max_linear_acc": 100.0, "max_angular_acc": 7000.0, "max_motor_vel": 36
 
 
 class Wheels:
-    """A motors' driver on the hub: turns as told, and stands still 0.1 s after the last command."""
+    """A motors' driver on the hub: follows its commands, and stops 0.1 s after the last one."""
 
     def __init__(self, place: Place) -> None:
         self._hub, self._registry = place.far.hub, place.far.registry
         type_id = self._registry.ros2(JOINTS).type_id
         self._out = self._hub.publisher("/joint_states", JOINTS, type_id, Qos())
         self._in = self._hub.subscription("/wheel_command", JOINTS, type_id, Qos(depth=1), self._take)
-        self.told, self._told_at = [0.0, 0.0], 0.0
+        self.commanded, self._commanded_at = [0.0, 0.0], 0.0
         self.fastest = 0.0
         self.names: list[str] = ["mobile_base_l_wheel_joint", "mobile_base_r_wheel_joint"]
         self.stamped = True
@@ -47,20 +47,20 @@ class Wheels:
     def _take(self, sample: Any) -> None:
         message = to_json(self._registry, JOINTS, sample.data())
         assert message["name"] == self.names
-        self.told, self._told_at = message["velocity"], time.monotonic()
-        self.fastest = max(self.fastest, *map(abs, self.told))
+        self.commanded, self._commanded_at = message["velocity"], time.monotonic()
+        self.fastest = max(self.fastest, *map(abs, self.commanded))
 
     @property
     def velocity(self) -> tuple[float, float]:
         """The base's: m/s, rad/s."""
-        left, right = self.told if time.monotonic() - self._told_at < 0.1 else (0.0, 0.0)
+        left, right = self.commanded if time.monotonic() - self._commanded_at < 0.1 else (0.0, 0.0)
         return (left + right) / 2 * RADIUS, (right - left) * RADIUS / DISTANCE
 
     def _run(self) -> None:
         angles, last = [0.0, 0.0], time.time()
         while not self._ending.wait(0.01):
             now = time.time()
-            angles = [angle + told * (now - last) for angle, told in zip(angles, self.told, strict=True)]
+            angles = [angle + told * (now - last) for angle, told in zip(angles, self.commanded, strict=True)]
             last = now
             stamp = {"sec": int(now), "nanosec": int(now % 1 * 1e9)} if self.stamped else {}
             message = {"header": {"stamp": stamp}, "name": self.names, "position": angles}
@@ -106,16 +106,16 @@ def test_velocities_of_the_hub_drive_it_and_silence_stops_it(place: Place, wheel
         place.far.publish(out, twist(0.2, -0.5))
         return drives(wheels, 0.2, -0.5)()
 
-    until(driven, "the wheels turn as told", 20)
-    until(drives(wheels, 0.0, 0.0), "they stop when nobody commands", 10)
+    until(driven, "the wheels follow", 20)
+    until(drives(wheels, 0.0, 0.0), "they stop without commands", 10)
     last = lambda: place.far.wait(odometry, 1)[-1]  # noqa: E731
     assert (last()["header"]["frame_id"], last()["child_frame_id"]) == ("odom", "base_link")
-    until(lambda: last()["pose"]["pose"]["position"]["x"] > 0.0, "odometry tells of it", 20)
+    until(lambda: last()["pose"]["pose"]["position"]["x"] > 0.0, "odometry follows", 20)
     (transform,) = place.far.wait(frames, 1)[-1]["transforms"]
     assert (transform["header"]["frame_id"], transform["child_frame_id"]) == ("odom", "base_link")
-    until(lambda: "/joint_states" in str(place.status("base_control")), "status tells of it")
+    until(lambda: "/joint_states" in str(place.status("base_control")), "the status names the topic")
     place.worker.stop()
-    until(lambda: wheels.told == [0.0, 0.0], "the last that the wheels hear is to stand still", 10)
+    until(lambda: wheels.commanded == [0.0, 0.0], "the last command to the wheels is zero", 10)
 
 
 def test_nonsense_is_refused_and_told(place: Place, wheels: Wheels) -> None:
@@ -126,7 +126,7 @@ def test_nonsense_is_refused_and_told(place: Place, wheels: Wheels) -> None:
         place.far.publish(out, {"linear": {"x": 50.0}})
         return "above 10 m/s" in str(place.status("base_control"))
 
-    until(refused, "the command is refused, and status says why", 20)
+    until(refused, "the command is refused, and the status gives the reason", 20)
     assert wheels.velocity == (0.0, 0.0)
 
 
@@ -175,7 +175,7 @@ def test_its_yarp_ports_of_both_generations(place: Place, wheels: Wheels) -> Non
                 assert velocity == pytest.approx([0.1, 0.0, 90.0] if outcome else [0.0, 0.0, 0.0])
                 return bool(outcome)
 
-            until(told, "the command is told while it holds", 20)
+            until(told, "the command is reported while it holds", 20)
             until(lambda: not base.getLastVelocityCommand()[0], "and not when its time is over", 20)
             assert not base.applyVelocityCommand(math.nan, 0.0, 0.0)
         until(lambda: base_input(place) == "", "the command input has given back", 20)
@@ -201,7 +201,7 @@ def test_its_yarp_ports_of_both_generations(place: Place, wheels: Wheels) -> Non
             assert found[0].odom_x != 0.0
             assert found[1] == pytest.approx(time.time(), abs=30.0)
             assert odometry.resetOdometry()
-            until(lambda: odometry.getOdometry()[1].odom_x == 0.0, "the odometry begins anew", 20)
+            until(lambda: odometry.getOdometry()[1].odom_x == 0.0, "the odometry is reset", 20)
             outcome, _, stamp = odometry.getOdometry()
             assert outcome
             assert stamp > found[1]
@@ -234,7 +234,7 @@ def test_a_link_that_is_cut_stops_it_and_one_that_is_mended_brings_nothing_old(p
             link.freeze()
             until(lambda: (stick.put(payload), drives(wheels, 0.0, 0.0)())[1], "it stands while the link is cut", 10)
             stood = time.monotonic()
-            until(lambda: time.monotonic() - stood > 1.0, "what waits in the link is older than the time-out")
+            until(lambda: time.monotonic() - stood > 1.0, "messages in the link are older than the time-out")
             before, wheels.fastest = base_stale(place), 0.0
             link.thaw()
             until(lambda: base_stale(place) > before, "what waited is dropped", 30)
