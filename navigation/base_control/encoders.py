@@ -20,9 +20,15 @@ class ReadingTime(NamedTuple):
 
 
 class ReadingTimes:
-    """Assigns times to readings whose stamps may jitter, repeat, go back, jump or be missing."""
+    """Assigns times to readings whose stamps may jitter, repeat, go back, jump or be missing.
 
-    def __init__(self) -> None:
+    Args:
+        simulated: whether a simulation sets the time of stamps and arrivals. Its stamps may run far ahead of arrivals,
+            since a step of the simulation comes at once, and that is not a step of a clock.
+    """
+
+    def __init__(self, *, simulated: bool = False) -> None:
+        self._jump = math.inf if simulated else _JUMP
         self._last: ReadingTime | None = None
         self._arrival = 0.0
         self._stamp_ns = 0  # of the last reading, accepted or not
@@ -43,7 +49,7 @@ class ReadingTimes:
         elif stamp_ns <= last.stamp_ns and waited < PATIENCE:
             return None
         step = (stamp_ns - last.stamp_ns) / 1e9
-        return self._accept(stamp_ns, arrival, step if 0.0 < step <= waited + _JUMP else max(waited, 0.0))
+        return self._accept(stamp_ns, arrival, step if 0.0 < step <= waited + self._jump else max(waited, 0.0))
 
     def _accept(self, stamp_ns: int, arrival: float, step: float) -> ReadingTime:
         before = stamp_ns / 1e9 if self._last is None else self._last.seconds

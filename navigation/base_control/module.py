@@ -48,7 +48,7 @@ class BaseControl(Module):
             host.log.warning("%s", note)
         self.base = DrivenBase(section)
         self._joints = section.joints
-        self._times = ReadingTimes()
+        self._times = ReadingTimes(simulated=host.clock.simulated)
         self._trouble = ""
         self._received: float | None = None  # when the last reading arrived, monotonic seconds
         self._named: list[str] = []  # the joints of the last reading, and the indices of the wheels in it
@@ -121,7 +121,7 @@ class BaseControl(Module):
 
     def _forget(self) -> None:
         """Discard all times, because the clock was set back."""
-        self._times = ReadingTimes()
+        self._times = ReadingTimes(simulated=self._host.clock.simulated)
         self.base.forget()
 
     def _miss(self, positions: int) -> None:

@@ -189,6 +189,15 @@ def test_a_driver_whose_clock_is_set_goes_on(hours: int) -> None:
     assert sum(one is None for one in found) <= 100 * PATIENCE
 
 
+def test_a_step_of_a_simulation_counts_in_full_though_it_arrives_at_once() -> None:
+    clock, base = ReadingTimes(simulated=True), DrivenBase(resolved(BaseControlSection())[0])
+    for reading in range(20):  # steps of a second, of which only the last reading arrives, some before /clock
+        at = clock.add((reading + 1) * 100 * TICK, 2.0 * (reading // 2), 0)
+        assert at is not None
+        base.measured(angles(at.seconds, 0.25, 0.1), at.seconds)
+    assert base.odometry.now.distance == pytest.approx(0.25 * 19)
+
+
 @pytest.mark.parametrize("stamp", [0, NOW - 10**12], ids=["no stamp", "a clock that stands"])
 def test_readings_without_a_usable_stamp_have_the_time_at_which_they_arrive(stamp: int) -> None:
     found = times([stamp] * 200)
