@@ -1,4 +1,4 @@
-"""One way for all verbs to describe themselves, and the arguments that many of them share."""
+"""The parser of all verbs, and the arguments that many of them share."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ Run = Callable[[argparse.Namespace], int]
 
 _SPAN = re.compile(r"(\d+(?:\.\d+)?)\s*(ms|s|min|m|h|)", re.IGNORECASE)
 _LONGEST = 9e9
-"""Seconds: a thread can wait for hardly more; as a time of the clock it is the year 2255."""
+"""Seconds: about the longest wait of a thread; as a clock time it is the year 2255."""
 
 _NEGATIVE = re.compile(r"-\.?(\d|inf\b|nan\b)", re.IGNORECASE)
 _SECONDS = {"": 1.0, "s": 1.0, "ms": 0.001, "m": 60.0, "min": 60.0, "h": 3600.0}
@@ -60,7 +60,7 @@ def add_verb(
 ) -> argparse.ArgumentParser:
     """Add a verb below another one, by default with the arguments that find the hub.
 
-    ``text`` stands in the list of verbs, and is the description where there is no longer one.
+    ``text`` is the line in the list of verbs, and the default description.
     """
     parser: argparse.ArgumentParser = verbs.add_parser(
         name,
@@ -76,7 +76,7 @@ def add_verb(
 
 
 def add_verbs(parser: argparse.ArgumentParser, description: str, metavar: str = "VERB", **more: Any) -> Any:
-    """Describe a verb that has verbs of its own; returns where they are added."""
+    """Describe a verb that has subverbs; returns the object that they are added to."""
     parser.description = description
     return parser.add_subparsers(metavar=metavar, required=True, **more)
 
@@ -98,7 +98,7 @@ def add_exclude(parser: argparse._ActionsContainer) -> None:
     """``--exclude``, as all verbs that choose topics have it."""
     parser.add_argument(
         "-x", "--exclude", action="append", default=[], type=expression, metavar="RE",
-        help="leave out topics in whose name this regular expression is found; may be repeated",
+        help="leave out topics whose names contain a match of this regular expression; may be repeated",
     )  # fmt: skip
 
 
@@ -107,7 +107,7 @@ def expression(text: str) -> str:
     try:
         re.compile(text)
     except re.error as err:
-        raise argparse.ArgumentTypeError(f"{text!r} is no regular expression: {err}") from None
+        raise argparse.ArgumentTypeError(f"{text!r} is not a regular expression: {err}") from None
     return text
 
 
@@ -115,7 +115,7 @@ def span(text: str) -> float:
     """The type of an argument that takes a time: ``10m``, ``90s``, ``1.5h``, ``30`` (seconds)."""
     found = _SPAN.fullmatch(text.strip())
     if found is None:
-        raise argparse.ArgumentTypeError(f"{text!r} is no time: write it as 30s, 10m or 1h")
+        raise argparse.ArgumentTypeError(f"{text!r} is not a time: write it as 30s, 10m or 1h")
     seconds = float(found[1]) * _SECONDS[found[2].lower()]
     if seconds > _LONGEST:
         raise argparse.ArgumentTypeError(f"{text[:40]} is too long: {_LONGEST:g} seconds at most")

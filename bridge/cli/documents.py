@@ -1,4 +1,4 @@
-"""The workers' status documents for people: the table of routes, and the YARP ports."""
+"""Display of the workers' status documents: the table of routes, and the YARP ports."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ Document = Mapping[str, Any]
 
 
 def routes_table(documents: Iterable[Document], *, errors: bool = True) -> Table:
-    """A table of all routes of these workers by topic, where asked with each route's last error under it."""
+    """Return a table of all routes of these workers by topic, with the last errors if asked for."""
     rows = sorted(
         ((document, route) for document in documents for route in route_list(document)),
         key=lambda row: (str(row[1].get("hub_topic", "")), str(row[1].get("direction")), str(row[0].get("side"))),
@@ -57,17 +57,17 @@ def _errors(routes: Iterable[Document]) -> dict[int, str]:
 
 
 def route_list(document: Document) -> list[Document]:
-    """The routes of a status document; what is no route is left out."""
+    """Return the routes of a status document, without malformed ones."""
     return dicts(document.get("routes"))
 
 
 def dicts(value: object) -> list[Document]:
-    """The entries of a list in a document; none where it is no list, and what is no entry is left out."""
+    """Return the objects in a document's list; nothing if it is not a list."""
     return [item for item in value if isinstance(item, dict)] if isinstance(value, list) else []
 
 
 def texts(value: object) -> list[str]:
-    """The texts of a list in a document; none where it is no list."""
+    """Return a document's list as texts; nothing if it is not a list."""
     return [str(item) for item in value] if isinstance(value, list) else []
 
 
@@ -77,7 +77,7 @@ def arrow(side: object, direction: object) -> str:
 
 
 def topic_text(route: Document) -> str:
-    """The topic's name; both names where a rule or a side's spelling changes it on the way."""
+    """Return the topic's name, or both names if a rule or a side's spelling changes it."""
     side, hub = clean(route.get("topic", "")), clean(route.get("hub_topic", ""))
     if side == hub or not hub:
         return side
@@ -85,7 +85,7 @@ def topic_text(route: Document) -> str:
 
 
 def way_text(route: Document) -> str:
-    """``by the lane``, or ``over zenoh, as ...``; "" where nothing crosses the hub."""
+    """``by the lane``, or ``over zenoh, as ...``; "" if nothing crosses the hub."""
     way, why = route.get("way"), clean(route.get("why", ""))
     if way == "lane":
         return "by the lane"
@@ -94,7 +94,7 @@ def way_text(route: Document) -> str:
 
 
 def drops_text(route: Document) -> str:
-    """Drops by reason, ``-`` where there are none."""
+    """Return the drops by reason, ``-`` without any."""
     drops = route.get("drops")
     counts = drops.items() if isinstance(drops, dict) else ()
     return ", ".join(f"{clean(reason)} {count}" for reason, count in counts if count) or "-"
@@ -138,7 +138,7 @@ def port_list(document: Document) -> list[Document]:
 
 
 def content_text(port: Document) -> str:
-    """``sensor_msgs/msg/LaserScan as YARP's own type, YARP 3's bytes``; "" where it does not say it."""
+    """``sensor_msgs/msg/LaserScan as YARP's own type, YARP 3's bytes``; "" if that is unknown."""
     said = []
     if port.get("type") and port.get("carries"):
         said.append(f"{port['type']} as {_form(port['carries'])}")
@@ -157,7 +157,7 @@ def port_lines(port: Document) -> list[str]:
     """Sentences on one port, a line for each of its peers."""
     does = _DOES.get(str(port.get("direction")), "answers calls")
     content, peers = content_text(port), dicts(port.get("peers"))
-    who = plural(len(peers), "port") + " connected" if peers else "nobody is connected"
+    who = plural(len(peers), "port") + " connected" if peers else "no connection"
     lines = [f"YARP port {clean(port.get('port', '?'))} {does}: {content + '; ' if content else ''}{who}."]
     for peer in peers:
         said = [f"{_bytes(peer)} ({peer.get('profile_why')})"] if peer.get("profile") else []
@@ -170,7 +170,7 @@ def port_lines(port: Document) -> list[str]:
 
 
 def connected_lines(ports: Iterable[Document]) -> list[str]:
-    """A line for each port that somebody is connected to, and one for the others."""
+    """Return a line for each port with a connection, and one for the others."""
     lines, idle = [], 0
     for port in ports:
         peers = dicts(port.get("peers"))
@@ -180,7 +180,7 @@ def connected_lines(ports: Iterable[Document]) -> list[str]:
             who = ", ".join(map(_peer, peers))
             lines.append(clean(f"{port.get('port')}: {content_text(port)} {mark} {who}"))
     if idle:
-        lines.append(f"{plural(idle, 'port')} to which nobody is connected")
+        lines.append(f"{plural(idle, 'port')} without a connection")
     return lines
 
 

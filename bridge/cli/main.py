@@ -34,16 +34,17 @@ class Verb(NamedTuple):
 
 VERBS: dict[str, Verb] = {
     "run": Verb("bridge.cli.daemon.run:register_run", "run the daemon: start, watch and restart the workers"),
-    "worker": Verb("bridge.cli.daemon.run:register_worker", "run one worker alone, also on another machine"),
-    "module": Verb("bridge.cli.daemon.run:register_module", "run one hosted module alone, also on another machine"),
+    "worker": Verb("bridge.cli.daemon.run:register_worker", "run one worker, also on another machine"),
+    "module": Verb("bridge.cli.daemon.run:register_module", "run one hosted module, also on another machine"),
     "sim": Verb(
-        "bridge.cli.daemon.sim:register", "run the simulated base alone; make maps and pictures of floor plans"
+        "bridge.cli.daemon.sim:register",
+        "run the simulated base without a daemon; make maps and pictures of floor plans",
     ),
     "web": Verb("bridge.cli.daemon.web:register", "print or open the address of the console in the browser"),
     "status": Verb("bridge.cli.inspection.status:register_status", "show daemons, workers and routes"),
     "top": Verb("bridge.cli.inspection.status:register_top", "live table of all routes"),
-    "explain": Verb("bridge.cli.inspection.explain:register", "say why a topic is or is not bridged"),
-    "doctor": Verb("bridge.cli.inspection.doctor:register", "look for what commonly goes wrong, and say the cure"),
+    "explain": Verb("bridge.cli.inspection.explain:register", "show why a topic is or is not bridged"),
+    "doctor": Verb("bridge.cli.inspection.doctor:register", "check for common problems, with the cures"),
     "topic": Verb("bridge.cli.graph.topic:register", "list, info, echo, hz and pub on any side's topics"),
     "service": Verb("bridge.cli.graph.calls:register_service", "list, info and call on any side's services"),
     "action": Verb("bridge.cli.graph.calls:register_action", "list, info and send on any side's actions"),
@@ -58,14 +59,14 @@ VERBS: dict[str, Verb] = {
         "bridge.cli.navigation.nav:register", "status, stop, pause, resume, path and show of what drives the robot"
     ),
     "teleop": Verb("bridge.cli.navigation.teleop:register", "drive a base by the keyboard"),
-    "halt": Verb("bridge.cli.navigation.halt:register", "zero velocity on every side, and all goals cancelled"),
-    "yarp": Verb("bridge.cli.yarp_network.yarp:register", "look at and use a YARP network, as YARP's own tool does"),
+    "halt": Verb("bridge.cli.navigation.halt:register", "zero velocity on every side, and all goals canceled"),
+    "yarp": Verb("bridge.cli.yarp_network.yarp:register", "inspect and use a YARP network, as YARP's own tool does"),
     "config": Verb(
         "bridge.cli.setup.config:register_config", "check a configuration file; print its schema or an example"
     ),
     "import": Verb("bridge.cli.setup.config:register_import", "turn another bridge's configuration into ours"),
     "interfaces": Verb("bridge.cli.setup.interfaces:register", "build ROS 2 message packages that are missing"),
-    "keys": Verb("bridge.cli.setup.keys:register", "make and show the certificates by which machines know each other"),
+    "keys": Verb("bridge.cli.setup.keys:register", "make and show the certificates of the machines"),
     "install": Verb("bridge.cli.setup.install:register_install", "put the systemd services in place"),
     "demo": Verb("bridge.demo.command:register", "a simulated robot sent to rooms by YARP, ROS 1 and ROS 2 clients"),
     "completion": Verb("bridge.cli.setup.install:register_completion", "print a shell completion script"),
@@ -77,9 +78,9 @@ def build_parser(loaded: Iterable[str]) -> argparse.ArgumentParser:
     parser = VerbParser(
         prog="midspan",
         description="A bridge daemon for mobile robots: it joins ROS 1, ROS 2, YARP and zenoh.",
-        epilog="'midspan VERB --help' tells more about each.",
+        epilog="'midspan VERB --help' describes each verb.",
     )
-    parser.add_argument("--version", action="store_true", help="print the version and end")
+    parser.add_argument("--version", action="store_true", help="print the version and exit")
     parser.add_argument("--debug", action="store_true", help="show tracebacks (may stand anywhere)")
     subparsers = parser.add_subparsers(metavar="VERB")
     for name, verb in VERBS.items():
@@ -101,7 +102,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         # a Windows console may lack characters: it shows their numbers
         sys.stdout.reconfigure(errors="backslashreplace")
     arguments = list(sys.argv[1:] if argv is None else argv)
-    debug = "--debug" in arguments  # anywhere, also behind the verb
+    debug = "--debug" in arguments  # anywhere, also after the verb
     arguments = [argument for argument in arguments if argument != "--debug"]
     try:
         parser = build_parser(_named_verb(arguments))
@@ -115,7 +116,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     except KeyboardInterrupt as err:
         return getattr(err, "code", INTERRUPTED)  # `bridge.cli.graph.goal.Interrupted` knows the signal
     except BrokenPipeError:
-        # the reader of our output went away, as `| head` does
+        # the reader has closed the pipe, as `| head` does
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 0
     except Exception as err:
@@ -127,7 +128,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 def _run(args: argparse.Namespace) -> int:
     code: int = args.run(args)
-    sys.stdout.flush()  # a reader that went away is noticed here, where it is handled
+    sys.stdout.flush()  # raises here if the reader has closed the pipe
     return code
 
 

@@ -1,4 +1,4 @@
-"""Checks of the doctor: what they find, and how they run, all at once and each within its time."""
+"""The doctor's checks and their findings; all checks run at once, each with a time limit."""
 
 from __future__ import annotations
 
@@ -67,7 +67,7 @@ def skip(seen: str) -> Finding:
 
 
 def packages(side: str, package: str, enabled: Enabled, lacking: str) -> Finding:
-    """Whether a side's package is installed; ``lacking`` says why it cannot be used, "" where it can."""
+    """Report whether a side's package is installed; ``lacking`` is why it cannot be used, "" if it can."""
     name = label(side)
     if enabled is False:
         return skip(f"{side}.enabled is false")
@@ -91,16 +91,16 @@ class Report:
 
 
 def examine(context: CheckContext, checks: Sequence[Check]) -> list[Report]:
-    """Run all checks, in threads of their own; one that hangs is given up and said to."""
+    """Run all checks, each in its own thread; one that hangs is reported."""
     started = time.monotonic()
     reports = [Report(check) for check in checks]
     for report in reports:
-        # daemon threads: what hangs in the system's resolver must not keep the command from ending
+        # daemon threads: a thread that hangs in the system's resolver must not keep the command from exiting
         threading.Thread(target=_run, args=(context, report), name=f"doctor-{report.check.id}", daemon=True).start()
     for report in reports:
         left = started + report.check.seconds - time.monotonic()
         if not report.done.wait(max(left, 0.0)):
-            report.findings = [fail(f"no answer within {report.check.seconds:g} s; what it looks at hangs")]
+            report.findings = [fail(f"no answer within {report.check.seconds:g} s; the check hangs")]
     return reports
 
 

@@ -1,4 +1,4 @@
-"""What the doctor's checks look at: configuration, environment, the hub, clocks, the ROS 1 master, the machine."""
+"""The input of the doctor's checks: configuration, environment, hub, clocks, ROS 1 master, machine."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ _MASTER_SECONDS = 2.0
 
 @dataclass(frozen=True)
 class HubSnapshot:
-    """The hub as it was found, with each worker's clock by ``daemon/worker``; ``error`` says why nobody answered."""
+    """A snapshot of the hub, with each worker's clock by ``daemon/worker``; ``error`` is why no router answered."""
 
     error: str = ""
     documents: Sequence[Document] = ()
@@ -66,7 +66,7 @@ class HubSnapshot:
 
 @dataclass
 class CheckContext:
-    """What the checks may look at; the configuration is all defaults where it cannot be used."""
+    """The input of the checks; the configuration is all defaults if the file cannot be used."""
 
     config: Config = field(default_factory=Config)
     config_text: str = "no file, all defaults"
@@ -93,7 +93,7 @@ class CheckContext:
         return read_master(self.master)
 
     def process(self, document: Document) -> psutil.Process | None:
-        """The process of a worker of this daemon on this machine, None where it is not here or hidden from us."""
+        """Return the process of a worker of this daemon, None if it is on another machine or hidden."""
         pid = document.get("pid")
         if document.get("daemon") != self.config.name or not isinstance(pid, int) or pid <= 0:
             return None
@@ -115,7 +115,7 @@ def read_master(uri: str) -> MasterState | Ros1Error:
 
 
 def environment_of(process: psutil.Process | None) -> Mapping[str, str]:
-    """A process's environment, empty where it cannot be read."""
+    """Return a process's environment, empty if it cannot be read."""
     if process is None:
         return {}
     try:

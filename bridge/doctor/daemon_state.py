@@ -146,7 +146,7 @@ def _why(daemon: str, document: Document) -> str:
 
 
 def _not_loaded(daemon: Document, document: Document, config: Config) -> str:
-    """Why a worker is off that the configuration at hand switches on: the daemon runs another one."""
+    """Why a worker is off that this configuration switches on: the daemon runs another configuration."""
     kind = worker_kinds().get(str(document["worker"]))
     if document["phase"] != Phase.OFF.value or kind is None or not kind.enabled(config):
         return ""
@@ -158,8 +158,8 @@ def _not_loaded(daemon: Document, document: Document, config: Config) -> str:
 
 
 def _holder(lock: Path) -> int:
-    """The process of this machine that wrote itself into a lock, also a dead one; 0 if there is none."""
-    if sys.platform == "win32":  # where no daemon runs
+    """The process of this machine that is named in a lock, also a dead one; else 0."""
+    if sys.platform == "win32":  # without a daemon
         return 0
     from bridge.daemon.lock import Lock
 
@@ -194,7 +194,7 @@ def _lives(pid: int) -> bool:
 
 
 def _outliving(config: Config) -> int:
-    """The router that this daemon has left running, 0 if there is none."""
+    """The router that outlives this daemon, else 0."""
     pid = _holder(state_file.worker_lock(config, "router"))
     return pid if pid and _lives(pid) else 0
 
@@ -202,7 +202,7 @@ def _outliving(config: Config) -> int:
 def _orphan(documents: list[Document], config: Config) -> int:
     """The router of a daemon of another user, if it is the only worker left and its daemon is gone; else 0.
 
-    A router that somebody started by itself ('midspan worker router') has no daemon to miss.
+    A router that was started without a daemon ('midspan worker router') has none to miss.
     """
     if [document.get("worker") for document in documents] != ["router"]:
         return 0

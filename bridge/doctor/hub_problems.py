@@ -1,4 +1,4 @@
-"""What the hub's graph and the workers' documents show to be wrong: types that differ, a planner that is away."""
+"""Problems that the hub's graph and the workers' documents show: differing types, a missing planner."""
 
 from __future__ import annotations
 
@@ -42,13 +42,15 @@ def conflicts(endpoints: Iterable[HubEndpoint]) -> list[Note]:
         for type_name, hashes in sorted(types.items()):
             if len(hashes) > 1:
                 who = "; ".join(f"{nodes(e)} {h[:17]}..." for h, e in sorted(hashes.items()))
-                text = f"{topic}: the definitions of {type_name} differ ({who}); they do not hear each other"
+                text = (
+                    f"{topic}: the definitions of {type_name} differ ({who}); they do not receive each other's messages"
+                )
                 found.append(Note(text, CURE))
     return found
 
 
 def _all_heard(endpoints: Iterable[HubEndpoint]) -> bool:
-    """Whether each listening node hears each publisher of a topic of several types: one may listen to all of them."""
+    """Whether each subscribing node receives every publisher of a topic with several types."""
     published: set[str] = set()
     heard: dict[tuple[str, str, str], set[str]] = {}
     for e in endpoints:
@@ -61,7 +63,7 @@ def _all_heard(endpoints: Iterable[HubEndpoint]) -> bool:
 
 
 def nodes(endpoints: Iterable[HubEndpoint]) -> str:
-    """Return the nodes behind some endpoints."""
+    """Return the nodes of some endpoints, for people."""
     return ", ".join(sorted({owner(endpoint) for endpoint in endpoints}))
 
 
@@ -73,7 +75,7 @@ _CHECKS = {"ros1": "ros1-packages and ros1-master", "ros2": "ros2-packages and r
 def absence(
     section: NavigationSection, planner: str, endpoints: Iterable[HubEndpoint], documents: Sequence[Document]
 ) -> Note | None:
-    """Why a planner is absent; None where its action is on the hub, or the gateway's configuration does not know it."""
+    """Return why a planner is absent; None if its action is on the hub, or if the gateway's configuration lacks it."""
     if planner not in section.choices:
         return None
     action = section.at(planner)
@@ -85,7 +87,7 @@ def absence(
 
 def _of_module(planner: str) -> tuple[str, str]:
     return "its module does not run", (
-        f"modules.{planner}.enabled: true; where it is, 'midspan status' and the log tell why it does not come up"
+        f"modules.{planner}.enabled: true; if it is, 'midspan status' and the log show why it does not start"
     )
 
 
@@ -102,6 +104,6 @@ def _of_program(planner: Planner, documents: Sequence[Document]) -> tuple[str, s
             if entry.get("direction") == "in" and str(entry.get("topic")).startswith(f"{planner.action}/"):
                 return f"its action {planner.action} cannot cross: {entry.get('reason')}", str(entry.get("cure", ""))
     return (
-        f"nobody serves its action {planner.action} on {where}",
+        f"no node serves its action {planner.action} on {where}",
         f"start {planner.name} there, or name another planner in navigation.planner",
     )

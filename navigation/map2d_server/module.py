@@ -1,7 +1,7 @@
 """Map2DServer: the maps and places of the store for every side.
 
 YARP's clients read and change them by IMap2D. ROS 1 and ROS 2 have the current map, the planners' masks and every map
-as latched topics, and the services of their own map servers. Each change reaches all clients.
+as latched topics, and the services of their usual map servers. Each change reaches all clients.
 """
 
 from __future__ import annotations

@@ -135,11 +135,11 @@ def test_they_are_told_in_words(place: Place, midspan: Midspan) -> None:
     assert "YARP port /midspan/cmd_vel:i reads it: " in said
     said = midspan("explain", "/plain").out
     assert "std_msgs/msg/String as nested lists, as YARP's own converter of ROS messages writes them" in said
-    assert "YARP 3's bytes; nobody is connected." in said
+    assert "YARP 3's bytes; no connection." in said
     status = midspan("status").out.replace("\n", " ")
     assert "/midspan/cmd_vel:o: geometry_msgs/msg/Twist as a Bottle" in status
     assert "-> /reader over tcp" in status
-    assert "ports to which nobody is connected" in status
+    assert "ports without a connection" in status
     assert main(["explain", "/no/such:o", "--config", str(midspan.config)]) == 1
 
 

@@ -68,7 +68,7 @@ def test_times(text: str, value: float) -> None:
 @pytest.mark.parametrize(
     ("words", "told"),
     [
-        ([], "say which topics"),
+        ([], "name the topics to record"),
         (["-a", "--trigger", "/bumper"], "give --ring"),
         (["-a", "--side", "mars"], "sides"),
         (["--daemon", "split"], "set record.enabled"),
@@ -82,8 +82,8 @@ def test_mistakes_are_told(words: list[str], told: str, file: Path, capsys: pyte
 @pytest.mark.parametrize(
     ("word", "told"),
     [
-        ("--duration=-1s", "is no time"), ("--duration=ten", "is no time"), ("--ring=5 parsecs", "is no time"),
-        (f"--duration={10**400}h", "is too long"), ("-x(/camera", "'(/camera' is no regular expression"),
+        ("--duration=-1s", "is not a time"), ("--duration=ten", "is not a time"), ("--ring=5 parsecs", "is not a time"),
+        (f"--duration={10**400}h", "is too long"), ("-x(/camera", "'(/camera' is not a regular expression"),
     ],
 )  # fmt: skip
 def test_what_cannot_be_read_is_refused(word: str, told: str, capsys: pytest.CaptureFixture[str]) -> None:

@@ -84,7 +84,7 @@ def _moment(text: str) -> tuple[bool, int]:
     try:
         return True, round(datetime.fromisoformat(text).timestamp() * _NS)
     except ValueError:
-        msg = f"{text!r} is no time: write it as 30s, 2m, 1700000000.5 or 2026-05-04T10:30:00"
+        msg = f"{text!r} is not a time: write it as 30s, 2m, 1700000000.5 or 2026-05-04T10:30:00"
         raise argparse.ArgumentTypeError(msg) from None
 
 

@@ -43,7 +43,7 @@ def megabytes(text: str) -> int:
     """``1GB``, ``500 MB``, ``64`` (megabytes); each unit is 1,024 of the one below."""
     found = _SIZE.fullmatch(text.strip())
     if found is None:
-        raise argparse.ArgumentTypeError(f"{text!r} is no size: write it as 500MB or 1GB")
+        raise argparse.ArgumentTypeError(f"{text!r} is not a size: write it as 500MB or 1GB")
     value = float(found[1]) * 1024.0 ** ({"k": -1, "": 0, "m": 0, "g": 1, "t": 2}[found[2].lower()])
     if value < 1.0:
         raise argparse.ArgumentTypeError(f"{text!r} is less than a megabyte")
@@ -67,7 +67,7 @@ def register(parser: argparse.ArgumentParser) -> None:
         "--side", action="append", default=[], metavar="SIDE",
         help="only from this side, and of it also what does not cross: ros1, ros2, yarp, zenoh ...; may be repeated",
     )  # fmt: skip
-    what.add_argument("--duration", type=span, metavar="TIME", help="end after so long, as 30s or 10m")
+    what.add_argument("--duration", type=span, metavar="TIME", help="exit after this time, as 30s or 10m")
     where = parser.add_argument_group("where")
     where.add_argument("-o", "--output", type=Path, metavar="FILE", help="default midspan_<time>.mcap, here")
     where.add_argument(
@@ -79,29 +79,29 @@ def register(parser: argparse.ArgumentParser) -> None:
     where.add_argument(
         "--queue", type=megabytes, default=128, metavar="SIZE", help="wait to be written (default 128MB)"
     )
-    ring = parser.add_argument_group("the last minutes alone")
+    ring = parser.add_argument_group("only the last minutes")
     ring.add_argument(
         "--ring", type=span, default=0.0, metavar="TIME",
-        help="keep so much, and write it into a folder (in that of -o) when triggered: by 'midspan halt', a goal of the"
-        " gateway that failed, a call of /record/trigger, or --trigger",
+        help="keep this time span, and write it into a folder (in that of -o) when triggered: by 'midspan halt', a goal"
+        " of the gateway that failed, a call of /record/trigger, or --trigger",
     )  # fmt: skip
     ring.add_argument("--ring-size", type=megabytes, default=2048, metavar="SIZE", help="at most (default 2GB)")
     ring.add_argument(
         "--trigger", action="append", default=[], metavar="TOPIC", help="a message on it triggers; may be repeated"
     )
-    parser.add_argument("--daemon", choices=_COMMANDS, help="tell the daemon's recorder, which 'record:' configures")
+    parser.add_argument("--daemon", choices=_COMMANDS, help="control the daemon's recorder, which 'record:' configures")
     parser.add_argument("--json", action="store_true", help="print what was recorded, or done, as JSON")
     add_hub_arguments(parser)
     parser.set_defaults(run=run)
 
 
 def run(args: argparse.Namespace) -> int:
-    """Record until the time is over or Ctrl-C, or tell the daemon's recorder something."""
+    """Record until the time is over or Ctrl-C, or control the daemon's recorder."""
     if args.daemon is not None:
         with open_client(args) as client:
             return _tell_daemon(client, args)
     if not (args.topics or args.all or args.side):
-        raise CliError("say which topics to record: names, globs, or -a for all")
+        raise CliError("name the topics to record: names, globs, or -a for all")
     if args.trigger and not args.ring:
         raise CliError("--trigger writes what a ring holds: give --ring TIME too")
     config = client_config(args)
@@ -216,7 +216,7 @@ def _await_hub(recording: Recording, config: Config, ended: threading.Event) -> 
 
 
 def _follow(recording: Recording, duration: float | None, ended: threading.Event) -> None:
-    """Wait for the end, and say what goes wrong or is written meanwhile."""
+    """Wait for the end, and report errors and new files meanwhile."""
     end = None if duration is None else time.monotonic() + duration
     trouble = ""
     while not ended.wait(_LOOK_SECONDS if end is None else max(0.0, min(_LOOK_SECONDS, end - time.monotonic()))):

@@ -1,4 +1,4 @@
-"""The frames that a verb hears: a buffer of its own, filled from the two topics of transforms."""
+"""The frames that a verb receives: a buffer filled from the two topics of transforms."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ class FrameMeter:
         self._delays: deque[int] = deque(maxlen=_WINDOW)
 
     def add(self, arrived: float, delay: int | None) -> None:
-        """One came; ``delay`` is the ns from its stamp, None where it holds for all times."""
+        """Count a transform; ``delay`` is the ns since its stamp, None for a static one."""
         self.count += 1
         self.arrived = arrived
         self._arrivals.append(arrived)
@@ -116,14 +116,14 @@ class TransformListener:
         self.look()
 
     def listen(self, seconds: float) -> None:
-        """Hear for so long."""
+        """Receive for some seconds."""
         end = time.monotonic() + seconds
         while (left := end - time.monotonic()) > 0:
             time.sleep(min(left, _LOOK_SECONDS))
             self.look()
 
     def gather(self) -> float:
-        """Hear until all frames are known, as far as can be told, and at most `MOST`; the seconds that it took."""
+        """Receive until all frames are probably known, at most `MOST`; returns the seconds that it took."""
         began = time.monotonic()
         while (passed := time.monotonic() - began) < MOST:
             if time.monotonic() - max(began, self._news) >= QUIET and self._all_spoke():
@@ -133,7 +133,7 @@ class TransformListener:
         return passed
 
     def _all_spoke(self) -> bool:
-        """Whether each publisher was heard; False where one speaks for a side: it may have many programs behind it."""
+        """Whether each publisher has sent a transform; False if one bridges a side, which may have many programs."""
         with self._lock:
             heard = {gid for _, _, gid in self._known}
         topics = {feed.topic for feed in self._feeds}
@@ -173,7 +173,7 @@ class TransformListener:
             return {name: meter.copy() for name, meter in self._meters.items()}
 
     def wait(self) -> None:
-        """Wait for the first transform; raises `CliError` where none comes."""
+        """Wait for the first transform; raises `CliError` if none arrives."""
         end = time.monotonic() + PATIENCE
         while not self.buffer.changes:
             if time.monotonic() > end:
@@ -189,7 +189,7 @@ class TransformListener:
         if self._bad:
             print(clean(self._bad), file=sys.stderr)
         if lost := sum(feed.lost for feed in self._feeds):
-            print(f"{lost} messages were lost on the way", file=sys.stderr)
+            print(f"{lost} messages were lost on the hub", file=sys.stderr)
 
     def _nothing(self) -> str:
         topics = [feed.topic for feed in self._feeds]
@@ -199,7 +199,7 @@ class TransformListener:
         return f"no transform came on {' or '.join(topics)} for {PATIENCE:g} s{hint}"
 
     def _authority(self, gid: bytes, side: str) -> str:
-        """Who published: a node of the hub, or the side that a bridge worker speaks for."""
+        """Return the publisher: a node of the hub, or the side that a worker bridges."""
         known = self._authorities.get(gid)
         if known is None:
             endpoint = self.client.hub.graph.endpoint(gid)
@@ -223,7 +223,7 @@ def add_tf_arguments(parser: argparse.ArgumentParser) -> None:
 
 @contextmanager
 def open_listener(args: argparse.Namespace) -> Iterator[TransformListener]:
-    """Join the hub and subscribe; raises `CliError` where no router answers."""
+    """Join the hub and subscribe; raises `CliError` if no router answers."""
     with open_client(args, watches=True) as client:
         listener = TransformListener(client, args.namespace, args.side)
         try:

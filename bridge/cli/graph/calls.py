@@ -17,17 +17,17 @@ from bridge.cli.output import print_json
 
 def register_service(parser: argparse.ArgumentParser) -> None:
     """Describe the verb and its arguments."""
-    verbs = add_verbs(parser, "Looks at services and calls them, whichever side serves them.")
+    verbs = add_verbs(parser, "Lists and calls the services of all sides.")
     listing.register(verbs, "service", all_services)
     call = add_verb(
         verbs, "call", _call, "call a service",
         "Calls a service once and prints its reply. Checks the request against its type; missing fields are zero or"
-        " empty. Waits 5 s for a server. Exit code 1 where the call failed.",
+        " empty. Waits 5 s for a server. Exit code 1 if the call failed.",
         example="midspan service call /static_map --timeout 10",
     )  # fmt: skip
     call.add_argument("name", help="the service's name")
     call.add_argument("request", nargs="*", metavar="[TYPE] REQUEST", help="the fields as YAML or JSON: '{data: true}'")
-    call.add_argument("--timeout", type=float, metavar="SECONDS", help="give up after so long (default: never)")
+    call.add_argument("--timeout", type=float, metavar="SECONDS", help="time limit of the call (default: none)")
     call.add_argument("--full", action="store_true", help="print long arrays and texts whole")
     call.add_argument("--json", action="store_true", help="print the reply as JSON")
 
@@ -47,7 +47,7 @@ def _call(args: argparse.Namespace) -> int:
 
 def register_action(parser: argparse.ArgumentParser) -> None:
     """Describe the verb and its arguments."""
-    verbs = add_verbs(parser, "Looks at actions and sends goals to them, whichever side serves them.")
+    verbs = add_verbs(parser, "Lists the actions of all sides and sends goals to them.")
     listing.register(verbs, "action", all_actions)
     goal = add_verb(
         verbs, "send", _send, "send a goal",
@@ -59,8 +59,10 @@ def register_action(parser: argparse.ArgumentParser) -> None:
     )  # fmt: skip
     goal.add_argument("name", help="the action's name")
     goal.add_argument("goal", nargs="*", metavar="[TYPE] GOAL", help="the fields as YAML or JSON: '{order: 5}'")
-    goal.add_argument("--timeout", type=float, metavar="SECONDS", help="cancel the goal after so long (default: never)")
-    goal.add_argument("--no-feedback", action="store_true", help="show the result alone")
+    goal.add_argument(
+        "--timeout", type=float, metavar="SECONDS", help="cancel the goal after this time (default: never)"
+    )
+    goal.add_argument("--no-feedback", action="store_true", help="show only the result")
     goal.add_argument("--full", action="store_true", help="print long arrays and texts whole")
     goal.add_argument("--json", action="store_true", help="print one JSON object a line: each feedback, then the end")
 

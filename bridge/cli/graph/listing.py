@@ -83,7 +83,7 @@ def _table(views: Iterable[GraphView], kind: Kind) -> Table:
         table.add_column(name, justify="right")
     table.add_column("state")
     for view in views:
-        state = view.state.replace("unseen", "nobody publishes") if kind == "topic" else view.state
+        state = view.state.replace("unseen", "not published") if kind == "topic" else view.state
         table.add_row(
             Text(clean(view.name), style="bold"),
             Text(clean(", ".join(sorted(view.types))), style="cyan" if len(view.types) < 2 else "red"),

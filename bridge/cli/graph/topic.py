@@ -30,8 +30,8 @@ def register(parser: argparse.ArgumentParser) -> None:
     """Describe the verb and its arguments."""
     verbs = add_verbs(
         parser,
-        "Looks at topics and publishes on them, whichever side they are on. It hears on the hub what crosses; the"
-        " side's worker taps what does not (private to a side, or denied by a rule).",
+        "Shows the topics of all sides and publishes on them. It receives bridged topics on the hub; the side's worker"
+        " taps the others (private to a side, or denied by a rule).",
     )
     listing.register(verbs, "topic", all_topics)
     _register_echo(verbs)
@@ -45,10 +45,10 @@ def _register_echo(verbs: Any) -> None:
         "Prints each message of a topic until Ctrl-C, latched ones at once. Cuts long arrays and texts unless --full.",
     )  # fmt: skip
     add_feed_arguments(parser)
-    parser.add_argument("--count", type=int, metavar="N", help="end after so many messages")
+    parser.add_argument("--count", type=int, metavar="N", help="exit after this number of messages")
     parser.add_argument(
         "--timeout", type=float, metavar="SECONDS",
-        help="end with exit code 1 after so long without a message; also how long to wait for the topic",
+        help="exit with code 1 after this time without a message; also limits the wait for the topic",
     )  # fmt: skip
     parser.add_argument("--full", action="store_true", help="write arrays and texts whole")
     parser.add_argument("--json", action="store_true", help="a JSON object a line: topic, type, side, time_ns, message")
@@ -101,7 +101,7 @@ def _tell_losses(feed: TopicFeed) -> None:
     if feed.overrun:
         print(f"{feed.overrun} messages were not shown: they come faster than they can be printed", file=sys.stderr)
     if feed.lost:
-        print(f"{feed.lost} messages were lost on the way", file=sys.stderr)
+        print(f"{feed.lost} messages were lost on the hub", file=sys.stderr)
 
 
 DEFAULT_RATE = 1.0
@@ -113,8 +113,8 @@ _LINGER_SECONDS = 0.5
 def _register_pub(verbs: Any) -> None:
     parser = add_verb(
         verbs, "pub", _pub, "publish messages",
-        "Publishes messages on the hub; the rules say where they cross. Checks the message against its type; missing"
-        " fields are zero or empty.",
+        "Publishes messages on the hub; the rules decide which sides they reach. Checks the message against its"
+        " type; missing fields are zero or empty.",
         example="midspan topic pub /cmd_vel geometry_msgs/Twist '{linear: {x: 0.2}}' --rate 10",
     )  # fmt: skip
     parser.add_argument("topic", help="the topic's name")
@@ -122,8 +122,8 @@ def _register_pub(verbs: Any) -> None:
     parser.add_argument("message", nargs="?", default="{}", help="the fields as YAML or JSON, for example '{data: hi}'")
     how = parser.add_mutually_exclusive_group()
     how.add_argument("--rate", type=number_in(0, 1000), metavar="HZ", help=f"until Ctrl-C (default {DEFAULT_RATE:g})")
-    how.add_argument("--once", action="store_true", help="publish one message, as soon as somebody listens")
-    parser.add_argument("--count", type=int, metavar="N", help="end after so many messages")
+    how.add_argument("--once", action="store_true", help="publish one message, once there is a subscriber")
+    parser.add_argument("--count", type=int, metavar="N", help="exit after this number of messages")
     parser.add_argument(
         "--latch", action="store_true",
         help="late joiners get the last message (transient local); without --rate it publishes once, until Ctrl-C",
@@ -188,7 +188,7 @@ def _await_listeners(client: CliClient, publisher: HubPublisher, topic: str, set
         # the workers listen; those on their sides are still connecting to the publishers that the workers made
         time.sleep(settle)
     else:
-        print(f"nobody listens to {topic} on the hub yet", file=sys.stderr)
+        print(f"{topic} has no subscriber on the hub yet", file=sys.stderr)
     for decision in ask_decisions(client, topic):
         if decision.direction == "out" and decision.decision in ("denied", "private", "refused"):
             why = f"{decision.decision}: {decision.why}"
@@ -237,8 +237,10 @@ def _register_hz(subparsers: Any) -> None:
     )  # fmt: skip
     add_feed_arguments(parser)
     parser.add_argument("--window", type=int, default=1000, metavar="N", help="use the last N messages (default 1000)")
-    parser.add_argument("--count", type=int, metavar="N", help="end after so many messages")
-    parser.add_argument("--duration", type=float, metavar="SECONDS", help="end after so long; exit code 1 if none came")
+    parser.add_argument("--count", type=int, metavar="N", help="exit after this number of messages")
+    parser.add_argument(
+        "--duration", type=float, metavar="SECONDS", help="exit after this time; exit code 1 without a message"
+    )
     parser.add_argument("--json", action="store_true", help="one JSON object a line")
 
 

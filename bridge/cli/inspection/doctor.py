@@ -1,4 +1,4 @@
-"""``midspan doctor``: looks for what commonly goes wrong, and says the cure."""
+"""``midspan doctor``: checks for common problems and names their cures."""
 
 from __future__ import annotations
 
@@ -37,8 +37,8 @@ def register(parser: argparse.ArgumentParser) -> None:
         " the shell, and as the user, whose programs have trouble. Exit code 1 when a check fails; warnings give 0."
     )
     parser.add_argument("--json", action="store_true", help="print one entry for each finding as JSON")
-    parser.add_argument("--only", metavar="ID", action="append", default=[], help="run this check alone (repeatable)")
-    parser.add_argument("--list", action="store_true", help="list the checks and end")
+    parser.add_argument("--only", metavar="ID", action="append", default=[], help="run only this check (repeatable)")
+    parser.add_argument("--list", action="store_true", help="list the checks and exit")
     add_hub_arguments(parser)
     parser.set_defaults(run=run)
 
@@ -101,7 +101,7 @@ def _look_at_hub(config: Config) -> HubSnapshot:
 
 
 def snapshot(client: CliClient) -> HubSnapshot:
-    """The hub as a client finds it."""
+    """Return the hub as this client sees it."""
     documents = [document_of(answer) for answer in client.ask("status")]
     client.settle()
     endpoints = [e for e in client.hub.graph.endpoints() if not e.own]

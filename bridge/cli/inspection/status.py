@@ -67,7 +67,7 @@ def run_status(args: argparse.Namespace) -> int:
 
 
 def ask_status(client: CliClient) -> list[Document]:
-    """The status documents of all workers; raises `CliError` where none answers."""
+    """Return the status documents of all workers; raises `CliError` if none answers."""
     answers = client.ask("status")
     if not answers:
         raise CliError(
@@ -134,7 +134,7 @@ def show(console: Console, documents: Sequence[Document], refused: Sequence[Refu
 
 
 def _of(document: Document, refused: Sequence[Refusal]) -> list[Refusal]:
-    """Those of a router's door."""
+    """Return the refusals of a router's external listener."""
     return [r for r in refused if document.get("side") == "router" and document.get("daemon") == r.daemon]
 
 
@@ -144,10 +144,10 @@ def _with_refusals(document: Document, refused: Sequence[Refusal]) -> Document:
 
 
 def document_of(answer: WorkerAnswer) -> Document:
-    """A worker's status document; of one that fails to answer, a document that says so."""
+    """Return a worker's status document, or one with the error if it fails to answer."""
     if isinstance(answer.value, dict) and not answer.error:
         return {**answer.value, "daemon": answer.daemon, "worker": answer.worker}
-    error = answer.error or "the answer is no status document"
+    error = answer.error or "the answer is not a status document"
     return {"daemon": answer.daemon, "worker": answer.worker, "side": answer.worker, "state": "failed", "error": error}
 
 

@@ -17,7 +17,7 @@ from yarp_compat.dev.mapgrid import MapGrid2D
 
 @contextmanager
 def open_stored(args: argparse.Namespace) -> Iterator[tuple[CliClient, StoreClient]]:
-    """Join the hub and find a store; raises `CliError` or `StoreError` if there is none."""
+    """Join the hub and find a store; raises `CliError` or `StoreError` without one."""
     with open_client(args) as client:
         space = client.hub.keyspace(prefix(client.config.hub.domain))
         try:

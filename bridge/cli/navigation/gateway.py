@@ -74,7 +74,7 @@ def latest_message(
 
 
 def gateway_status(client: CliClient) -> dict[str, Any]:
-    """Return the gateway's status document; raises `CliError` if there is no gateway, or if it does not answer."""
+    """Return the gateway's status document; raises `CliError` without a gateway, or if it does not answer."""
     for answer in client.ask("status", worker="gateway", timeout=_ANSWER):
         if isinstance(answer.value, dict):
             return answer.value
@@ -163,7 +163,7 @@ def state_text(status: dict[str, Any]) -> str:
 
 
 def reason_text(reason: str, code: int) -> str:
-    """Return a reason with the meaning of Nav2's error code, if the code is one of Nav2's and the reason lacks it."""
+    """Return a reason, with the meaning of an error code of Nav2 that the reason lacks."""
     meaning = nav2_errors.reason(code)
     if not meaning or f"Nav2 {code}" in reason:
         return reason

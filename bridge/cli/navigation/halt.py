@@ -1,4 +1,4 @@
-"""``midspan halt``: every base stands still, every goal is cancelled."""
+"""``midspan halt``: stop every base, cancel every goal."""
 
 from __future__ import annotations
 
@@ -26,11 +26,11 @@ VELOCITIES = ("geometry_msgs/msg/Twist", "geometry_msgs/msg/TwistStamped")
 CANCEL = part_name("", CANCEL_GOAL)
 
 DEFAULT_SECONDS = 2.0
-"""So long zero is repeated: a topic that only now crosses to a side is heard there within this time."""
+"""Seconds for which zero is repeated: a topic that only now crosses to a side reaches it within this time."""
 
 _PERIOD = 0.05
 _ANSWER_SECONDS = 5.0
-"""The gateway waits for what confirms the stop."""
+"""The gateway waits for the confirmation of the stop."""
 
 _ALL: dict[str, Any] = {"goal_info": {}}
 """A `CancelGoal` request without id and stamp: all goals (action_msgs/srv/CancelGoal)."""
@@ -39,14 +39,17 @@ _ALL: dict[str, Any] = {"goal_info": {}}
 def register(parser: argparse.ArgumentParser) -> None:
     """Describe the verb and its arguments."""
     parser.description = (
-        "Publishes zero on every topic of velocities on the hub (the rules say where it crosses), clears the commands"
-        " of each BaseControl and the goals of the gateway and Midspan's planners, and cancels every goal of every"
-        " action. It is not an emergency stop: later commands are obeyed. Exit code 1 where something did not answer,"
-        " or it is not known that the robot stands."
+        "Publishes zero on every topic of velocities on the hub (the rules decide which sides it reaches), clears the"
+        " commands of each BaseControl and the goals of the gateway and Midspan's planners, and cancels every goal of"
+        " every action. It is not an emergency stop: later commands are obeyed. Exit code 1 if something did not"
+        " answer, or if it is not confirmed that the robot stands."
     )
     parser.epilog = "Example: midspan halt"
     parser.add_argument(
-        "--seconds", type=float, default=DEFAULT_SECONDS, help=f"repeat zero for so long (default {DEFAULT_SECONDS:g})"
+        "--seconds",
+        type=float,
+        default=DEFAULT_SECONDS,
+        help=f"repeat zero for this long (default {DEFAULT_SECONDS:g})",
     )
     parser.add_argument("--json", action="store_true", help="print what was halted as JSON")
     add_hub_arguments(parser)
@@ -58,10 +61,10 @@ class Halted:
     """What was halted.
 
     Attributes:
-        topics: those of velocities, with how many listen on the hub.
-        cancels: what became of each action's goals.
-        bases: who was asked to halt, and why it is not known to stand; "" where it is.
-        trouble: why the configured planner may drive on; "" where it does not.
+        topics: the topics of velocities, with their number of subscribers on the hub.
+        cancels: the result for each action's goals.
+        bases: the modules that were asked to halt, and why they may not stand; "" if they do.
+        trouble: why the configured planner may drive on; "" if it does not.
     """
 
     topics: dict[str, int]
@@ -76,7 +79,7 @@ class Halted:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Halt everything; 1 where something did not answer."""
+    """Halt everything; return 1 if something did not answer."""
     with open_client(args, warn=False) as client:
         client.settle()
         found = halt(client, Types(client), args.seconds)
@@ -98,7 +101,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def halt(client: CliClient, types: Types, seconds: float = DEFAULT_SECONDS) -> Halted:
-    """Halt everything on the hub, and repeat zero for so many seconds."""
+    """Halt everything on the hub, and repeat zero for some seconds."""
     zeros = ZeroVelocities(client, types)
     cancels = [GoalCancellation(client, types, name) for name in actions(client)]
     zeros.put()
@@ -110,7 +113,7 @@ def halt(client: CliClient, types: Types, seconds: float = DEFAULT_SECONDS) -> H
     while time.monotonic() < end:
         never.wait(_PERIOD)
         zeros.put()
-    asking.join()  # it has a time limit of its own
+    asking.join()  # it has its own time limit
     topics = {topic: zeros.listeners(topic) for topic in zeros.topics}
     zeros.close()
     trouble = unreached(client.config.navigation, bases, [cancel.name for cancel in cancels])
@@ -148,22 +151,22 @@ class ZeroVelocities:
             self._publishers.append((publisher, from_json(types.registry, name, {})))
 
     def put(self) -> None:
-        """Publish once on each."""
+        """Publish zero once on each topic."""
         for publisher, zero in self._publishers:
             publisher.put(zero)
 
     def listeners(self, topic: str) -> int:
-        """How many listen to a topic on the hub."""
+        """Return a topic's number of subscribers on the hub."""
         return len(self._graph.subscriptions(topic))
 
     def close(self) -> None:
-        """Leave the topics."""
+        """Withdraw the publishers."""
         for publisher, _ in self._publishers:
             publisher.close()
 
 
 class GoalCancellation:
-    """Cancels all goals of one action; ``found`` counts them, ``error`` says why that failed."""
+    """Cancels all goals of one action; ``found`` counts them, ``error`` is the reason of a failure."""
 
     def __init__(self, client: CliClient, types: Types, name: str) -> None:
         self.name, self.found, self.error = name, 0, "it has not answered"
@@ -180,7 +183,7 @@ class GoalCancellation:
 
 
 def _halted(client: CliClient) -> dict[str, str]:
-    """Who was asked to halt, and why it is not known to stand; "" where it is."""
+    """Return the modules that were asked to halt, and why they may not stand; "" if they do."""
     answers = client.ask("halt", timeout=_ANSWER_SECONDS)
     return {f"{a.worker} of {a.daemon}": a.error for a in answers if a.value != RECORDED}
 

@@ -1,4 +1,4 @@
-"""``midspan nav``: status, stop, pause, resume, path and show of what drives the robot."""
+"""``midspan nav``: status, stop, pause, resume, path and show for the planner in use."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def register(parser: argparse.ArgumentParser) -> None:
     """Describe the verb and its arguments."""
     verbs = add_verbs(parser, "Shows and holds the planner that drives the robot, whichever it is.", dest="nav_verb")
     for verb, text in (
-        ("status", "what the planner does, why, and where to"),
+        ("status", "the planner's state, its reason and the goal"),
         ("path", "the waypoints that are left"),
         ("stop", "give up the goal, whoever gave it"),
         ("pause", "stand still; the client's goal stays active"),
@@ -81,7 +81,7 @@ def _ask(client: CliClient, types: Types, verb: str) -> int:
 
 
 def _stop_itself(client: CliClient, types: Types, why: str) -> int:
-    """Have the planner give up its goals without the gateway, and the base stand; raises `CliError` where none can."""
+    """Stop the base and cancel the planner's goals without the gateway; raises `CliError` if that is impossible."""
     from bridge.cli.navigation.halt import GoalCancellation, ZeroVelocities, actions  # which loads message types
 
     planner = client.config.navigation.planner
@@ -127,7 +127,7 @@ def _status(client: CliClient, types: Types, args: argparse.Namespace) -> int:
         print(f"         {clean(gateway['pending'])} once the robot stands")
     others = gateway.get("goals_of_others")
     if others:
-        print(f"         it has {plural(int(others), 'goal')} that did not come through the gateway")
+        print(f"         it has {plural(int(others), 'goal')} from clients that bypass the gateway")
     return 0
 
 
@@ -138,14 +138,14 @@ def _path(client: CliClient, types: Types, args: argparse.Namespace) -> int:
         print_json(rows)
         return 0
     if not rows:
-        raise CliError("there is no path: nothing is driven now, or the planner publishes none")
+        raise CliError("no path: the robot has no goal now, or the planner publishes none")
     for number, row in enumerate(rows, 1):
         print(f"{number:>4}  {row['x']:>8.2f} {row['y']:>8.2f} m  {row['theta_deg']:>6.0f} degrees")
     return 0
 
 
 def waypoints(client: CliClient, types: Types) -> list[dict[str, Any]]:
-    """The chosen planner's path: a ``PoseStamped`` each; empty where it publishes none. Raises `CliError`."""
+    """Return the chosen planner's path as ``PoseStamped``, empty if it publishes none; raises `CliError`."""
     planner = str(gateway_status(client).get("planner", ""))
     other = client.config.navigation.others.get(planner)
     topic = other.path if other is not None and other.path else f"/planner/{planner}/path"

@@ -97,7 +97,7 @@ def _worker(context: CheckContext, document: Document, elsewhere: Container[str]
 
 
 def _waiting(context: CheckContext, document: Document, name: str) -> Finding:
-    """A side waits for its network; a module for anything, which it says itself."""
+    """A side waits for its network; a module reports what it waits for."""
     if not document.get("module"):
         return warn(f"{name} waits: its network is away", "see the checks of that side")
     hub = context.hub
@@ -109,7 +109,7 @@ def _waiting(context: CheckContext, document: Document, name: str) -> Finding:
 
 
 def look_at_port(context: CheckContext) -> Findings:
-    """Our router, another's, something else, or nobody."""
+    """The program at the router's address: our router, another one, or something else."""
     hub = context.config.hub
     try:
         info = probe_router(hub.listen, hub.zenoh)
@@ -118,7 +118,7 @@ def look_at_port(context: CheckContext) -> Findings:
     if info is None:
         if not port_held(hub.listen):
             return ok(f"nothing listens at {hub.listen}: the daemon's router will")
-        seen = f"{hub.listen} is held by a program that does not speak zenoh{_holder(hub.listen)}"
+        seen = f"{hub.listen} is held by a program that is not zenoh{_holder(hub.listen)}"
         return fail(seen, "stop that program, or set hub.listen to a free port")
     if info.mode != "router":
         return fail(f"{hub.listen} is held by {info}, which routes nothing", "set hub.listen to a free port")
@@ -127,7 +127,7 @@ def look_at_port(context: CheckContext) -> Findings:
     text = f"{hub.listen} is held by {info}{_holder(hub.listen)}"
     if hub.router is True:
         return fail(text, "hub.router is true: stop that router, set hub.listen to a free port, or hub.router to auto")
-    return warn(f"{text}; it is used as the hub's router", "where that is not meant, set hub.listen to a free port")
+    return warn(f"{text}; it is used as the hub's router", "if that is not intended, set hub.listen to a free port")
 
 
 def _holder(endpoint: str) -> str:
@@ -172,7 +172,7 @@ def _distrust(name: str, context: CheckContext) -> list[Finding]:
     return [
         warn(
             f"{document.get('daemon')} takes no commands, goals and service calls from this machine",
-            f"where that is not meant, name {name!r} in hub.open.trusted there",
+            f"if that is not intended, name {name!r} in hub.open.trusted there",
         )
         for document in context.hub.documents
         for machine in document.get("machines") or ()
@@ -183,7 +183,7 @@ def _distrust(name: str, context: CheckContext) -> list[Finding]:
 def _expiry(certificate: Certificate) -> list[Finding]:
     left = certificate.days_left()
     if left < 0:
-        return [fail(f"{certificate.file} expired on {certificate.until:%Y-%m-%d}: nobody lets it in", _RENEW)]
+        return [fail(f"{certificate.file} expired on {certificate.until:%Y-%m-%d}: no machine accepts it", _RENEW)]
     if left < SOON_DAYS:
         return [warn(f"{certificate.file} expires in {left} days", _RENEW)]
     return []

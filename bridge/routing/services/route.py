@@ -152,7 +152,7 @@ class ServiceRoute(Route):
 
     @abstractmethod
     def open(self) -> None:
-        """Open the missing ends; called by the engine's loop alone."""
+        """Open the missing ends; called only by the engine's loop."""
 
     @property
     def offered(self) -> bool:
@@ -192,7 +192,7 @@ class ServiceRoute(Route):
         return far.call(request, done)
 
     def carry(self, work: Callable[[], None], size: int) -> bool:
-        """Do a piece of work, at once where it is about few bytes: a congested link makes many of them wait."""
+        """Do a piece of work, at once if it has few bytes: a congested link makes large ones wait."""
         if size > BULK or self._large.busy:
             return self._large.offer(work, size)
         work()
@@ -225,7 +225,7 @@ class ServiceRoute(Route):
         if isinstance(far, HubClient):
             self._end_calls(error)
         if far is not None:
-            far.close()  # an edge may still say something better than an error, of a goal for example
+            far.close()  # an edge may still send a better end than an error, for example of a goal
         self._end_calls(error)
         if near is not None:
             near.close()

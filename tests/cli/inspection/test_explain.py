@@ -96,7 +96,7 @@ def test_a_name_that_nobody_has_yet_is_explained_by_the_rules(
     }.items():
         done = midspan("explain", name)
         assert (done.code, f"nobody has the name {name} now" in done.out, words in done.out) == (0, True, True), done
-        planner = "the planner move_base is not there: nobody serves its action /move_base on ROS 1" in done.out
+        planner = "the planner move_base is not there: no node serves its action /move_base on ROS 1" in done.out
         assert planner == ("move_base" in name), done
     assert midspan("explain", "/nobody").code == 1
 
@@ -155,7 +155,7 @@ def test_all_is_asked_at_once(midspan: Midspan, network: HubNetwork, closing: li
     closing.append(FakeWorker(network, "gateway", status=tell))
     asked.clear()
     done = midspan("explain", name)
-    assert f"YARP port {name} answers calls: nobody is connected." in done.out
+    assert f"YARP port {name} answers calls: no connection." in done.out
     assert f"{name} ({STRING}) does not cross: w." in done.out
     assert done.code == 0
 
