@@ -296,7 +296,8 @@ class ServiceCodec:
         return self.reader(self._response, self._check_response(cdr)).message()
 
 
-_ABORTED = 6  # action_msgs/msg/GoalStatus.STATUS_ABORTED
+_UNKNOWN, _ABORTED = 0, 6  # action_msgs/msg/GoalStatus.STATUS_UNKNOWN, STATUS_ABORTED
+_ERROR_MSG = "error_msg"
 _REJECTED = 1  # action_msgs/srv/CancelGoal_Response.ERROR_REJECTED
 
 
@@ -307,6 +308,24 @@ def refusal(registry: Registry, type_name: str, type_hash: str = "") -> Callable
         return None
     _, response = registry.service_schemas(type_name, type_hash)
     return lambda: MessageWriter(response).message(value)
+
+
+def unknown_result(registry: Registry, type_name: str, type_hash: str = "") -> Callable[[str], bytes]:
+    """Return a function that makes the GetResult reply in CDR for a goal whose end is unknown, given the reason.
+
+    The reason is the result's ``error_msg`` if it has a string of that name.
+    """
+    _, response = registry.service_schemas(type_name, type_hash)
+    kind = next(field.type for field in response.root.fields if field.name == "result")
+    fields = {field.name: field.type for field in response.types[kind.base].fields}
+    text = fields.get(_ERROR_MSG)
+    has_text = text is not None and text.base in STRING_TYPES and text.shape is Shape.SINGLE
+
+    def reply(why: str) -> bytes:
+        result = {_ERROR_MSG: why} if has_text else {}
+        return MessageWriter(response).message({"status": _UNKNOWN, "result": result})
+
+    return reply
 
 
 def _refusal(type_name: str) -> dict[str, Any] | None:

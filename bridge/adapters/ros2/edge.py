@@ -6,6 +6,7 @@ import logging
 import os
 import threading
 from collections.abc import Callable, Iterable, Sequence
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, TypeVar
 
@@ -28,9 +29,10 @@ from bridge.adapters.ros2.types import TypeSupports
 from bridge.adapters.side_edge import SideEdge
 from bridge.concurrency import DelayedCalls
 from bridge.config.model import Config
-from bridge.hub.endpoints.calls import Call
+from bridge.hub.endpoints.calls import Abandon, Call, CallError, Done
 from bridge.hub.graph.tokens import Origin
 from bridge.hub.wire.qos import Qos
+from bridge.messages.actions import GET_RESULT, GoalState, split
 from bridge.messages.definitions.hashes import rihs01
 from bridge.messages.errors import MessageTypeError
 from bridge.messages.registry import Registry
@@ -255,6 +257,8 @@ class Ros2Edge(SideEdge):
         """A server; a DDS client gets no errors, and waits on as after a lost reply."""
         service_class = self._service_class(side_type)
         refuse = refusal(self._registry, side_type.name, side_type.type_id)
+        if split(name)[1] == GET_RESULT:
+            call = partial(_call_for_end, call)
         return self._kept(Ros2Server(name, service_class, call, refuse, self._started(), self._closed))
 
     def _started(self) -> Ros2Context:
@@ -291,3 +295,18 @@ class Ros2Edge(SideEdge):
                 node = endpoint.node or "a node"
                 found += [f"{endpoint.topic}: {node} does not hear us: {why}" for why in sorted(reasons)]
         return found
+
+
+_STATUS = 4
+"""Where a GetResult response in CDR has the goal's status."""
+
+
+def _call_for_end(call: Call, request: bytes, done: Done) -> Abandon:
+    """Call get_result for a ROS 2 client, which gets an end: what is UNKNOWN on the hub is ABORTED for it."""
+
+    def ended(reply: bytes | CallError) -> None:
+        if isinstance(reply, bytes) and reply[_STATUS : _STATUS + 1] == bytes([GoalState.UNKNOWN]):
+            reply = reply[:_STATUS] + bytes([GoalState.ABORTED]) + reply[_STATUS + 1 :]
+        done(reply)
+
+    return call(request, ended)

@@ -7,8 +7,9 @@ from collections.abc import Callable, Sequence
 from typing import Final
 
 from bridge.hub.endpoints.calls import Abandon, CallError, Done
-from bridge.messages.actions import CANCEL_GOAL, GET_RESULT, part_name, split
-from bridge.messages.values import refusal
+from bridge.messages.actions import CANCEL_GOAL, ENDINGS, GET_RESULT, part_name, split
+from bridge.messages.registry import Registry
+from bridge.messages.values import refusal, unknown_result
 from bridge.routing.decision import RouteDecision, RouteKey, native_groups
 from bridge.routing.edge import Endpoint, Kind, MadeBy
 from bridge.routing.gates import EntryGate
@@ -31,12 +32,13 @@ _UUID = slice(4, 20)
 class SideToHubService(ServiceRoute):
     """A server of the side, called from the hub.
 
-    A client of rmw_zenoh hears no errors. That of an action gets the reply that says no, where there is one: the goal
-    is refused, or has been aborted.
+    A client of rmw_zenoh gets no errors. A failed call of an action's services gets a reply of its type: the goal is
+    rejected, its end is unknown (it may still be executing, so nobody reports that it was aborted), or the cancel
+    request is rejected.
     """
 
     direction = "in"
-    _refusal: Callable[[], bytes] | None = None
+    _refusal: Callable[[str], bytes] | None = None
     orphaned: Callable[[bytes], None] | None = None
     """Called with the request of a call whose caller left before its reply; on a thread of zenoh."""
 
@@ -49,7 +51,7 @@ class SideToHubService(ServiceRoute):
         if self._near is None:
             hub = conversion.hub
             if context.registry is not None:
-                self._refusal = refusal(context.registry, hub.name, hub.type_id)
+                self._refusal = _refusal(context.registry, hub.name, hub.type_id)
             self._near = context.hub.server(self.hub_topic, hub.name, hub.type_id, self.call)
 
     def call(self, request: bytes, done: Done) -> Abandon:
@@ -57,7 +59,7 @@ class SideToHubService(ServiceRoute):
         refuse = self._refusal
         if refuse is None:
             return self._call(request, done)
-        return self._call(request, lambda result: done(refuse() if isinstance(result, CallError) else result))
+        return self._call(request, lambda end: done(refuse(str(end)) if isinstance(end, CallError) else end))
 
     def _call(self, request: bytes, done: Done) -> Abandon:
         orphaned = self.orphaned
@@ -78,6 +80,13 @@ class SideToHubService(ServiceRoute):
                 orphaned(request)
 
         return left
+
+
+def _refusal(registry: Registry, type_name: str, type_hash: str) -> Callable[[str], bytes] | None:
+    if type_name.endswith(ENDINGS[GET_RESULT]):
+        return unknown_result(registry, type_name, type_hash)
+    refuse = refusal(registry, type_name, type_hash)
+    return None if refuse is None else lambda _why: refuse()
 
 
 class SideToHubServices(RouteSet[RouteKey, SideToHubService]):

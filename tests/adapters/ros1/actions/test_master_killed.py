@@ -10,7 +10,7 @@ import pytest
 from bridge.adapters.ros1.actions import states, wire
 from bridge.adapters.ros1.actions.states import Ros1State
 from bridge.messages.actions import CancelCode, GoalState
-from tests.adapters.ros1.hub_actions import SECONDS, HubClient, peer_on
+from tests.adapters.ros1.hub_actions import SECONDS, HubClient, Served, peer_on
 from tests.adapters.ros1.parts import edge_on, string, text
 from tests.support.ros1 import RosMaster, needs_ros1
 from tests.support.wait import until
@@ -137,6 +137,24 @@ def test_a_server_that_is_killed_later_is_lost(drive, away):
         drive.client.signal(signal.SIGKILL)
         until(lambda: edge.ask("network")["network"] is None, "nothing is left of the network", SECONDS)
         assert edge.endpoints() == []
+
+
+def test_a_goal_of_a_ros_1_client_at_a_hub_server_goes_on_and_is_canceled(master, tmp_path):
+    with edge_on(master, tmp_path) as edge, peer_on(master, "client") as client:
+        act = Served(edge, client, "/served")
+        act.send(1)
+        ((goal, _),) = act.goals(1)
+        act.hub.accept(0)
+        act.hub.states({goal: GoalState.EXECUTING})
+        act.until_state(1, "ACTIVE")
+        master.kill()
+        until(lambda: "no ROS 1 master" in str(edge.ask("status")["warnings"]), "the loss is noticed", SECONDS)
+        client.ask("cancel", id=act.id, number=1)
+        assert [wire.read_cancel_request(r) for r in act.hub.calls("cancel_goal")] == [(goal, wire.ZERO)]
+        act.hub.end(goal, GoalState.CANCELED, 0)
+        assert act.done(1)["state"] == Ros1State.PREEMPTED
+        act.send(2)
+        assert len(act.goals(2)) == 2, "new goals arrive, too"
 
 
 def test_the_commands_of_a_node_go_on_without_a_master(master, tmp_path):
