@@ -15,6 +15,7 @@ from bridge.messages.registry import Registry
 from tests.contract.fakeside import FakeSide
 from tests.contract.hubside import HubSide
 from tests.contract.ownside import OwnSide
+from tests.contract.rmwside import RmwSide
 from tests.contract.ros1side import Ros1Side
 from tests.contract.ros2side import Ros2Side
 from tests.contract.side import CUSTOM_FOLDER, Bridge, Side
@@ -84,19 +85,21 @@ def lane() -> bool:
 def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
     """What is tried on every side is tried without the lane as well."""
     if metafunc.definition.originalname in BASIC:
-        off = pytest.param(False, marks=pytest.mark.thorough)
-        metafunc.parametrize("lane", [LANE, off] if LANE else [False], ids=["lane", "zenoh"] if LANE else ["zenoh"])
+        metafunc.parametrize("lane", [LANE, False] if LANE else [False], ids=["lane", "zenoh"] if LANE else ["zenoh"])
 
 
 @pytest.fixture
-def far(hubs: HubNetwork, tmp_path: Path, *, lane: bool) -> Iterator[HubSide]:
-    """The far end of every route: a native participant of the hub, on the daemon's lanes."""
+def far(request: pytest.FixtureRequest, hubs: HubNetwork, tmp_path: Path, *, lane: bool) -> Iterator[HubSide]:
+    """The far end of every route: a node of rmw_zenoh, or, in tests of the lane, a session on the daemon's lanes."""
     folder = tmp_path / "state" / "contract" / "lane"
     hub = Hub.open(hubs.settings("far", lane=folder if lane else None))
+    registry = Registry(folders=[CUSTOM_FOLDER])
+    on_lane = hasattr(request.node, "callspec") and request.node.callspec.params.get("lane", False)
+    end = HubSide(hub, registry) if on_lane else RmwSide(hub, registry, hubs.endpoint)
     try:
-        yield HubSide(hub, Registry(folders=[CUSTOM_FOLDER]))
+        yield end
     finally:
-        hub.close()
+        end.close()
 
 
 @pytest.fixture

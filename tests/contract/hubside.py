@@ -7,6 +7,7 @@ from collections.abc import Callable
 from typing import Any
 
 from bridge.hub.endpoints.services import HubClient, HubServer
+from bridge.hub.graph import HubEndpoint
 from bridge.hub.session import Hub
 from bridge.hub.wire.qos import Durability, Qos, Reliability
 from bridge.messages.json import from_json, to_json
@@ -33,9 +34,12 @@ class HubSide:
         name = ros2_name(type_)
         qos = Qos(Reliability.RELIABLE, Durability.TRANSIENT_LOCAL if latched else Durability.VOLATILE, depth=depth)
         self._next += 1
-        publisher = self.hub.publisher(topic, name, self.registry.ros2(name).type_id, qos)
+        publisher = self._publisher(topic, name, self.registry.ros2(name).type_id, qos)
         self._publishers[self._next] = (publisher, name)
         return self._next
+
+    def _publisher(self, topic: str, name: str, type_hash: str, qos: Qos) -> Any:
+        return self.hub.publisher(topic, name, type_hash, qos)
 
     def publish(self, endpoint: int, message: dict[str, Any]) -> None:
         publisher, name = self._publishers[endpoint]
@@ -50,16 +54,18 @@ class HubSide:
         self._next += 1
         heard: list[dict[str, Any]] = []
 
-        def take(sample: Any) -> None:
+        def receive(payload: bytes) -> None:
             with self._changed:
-                heard.append(to_json(self.registry, name, sample.data()))
+                heard.append(to_json(self.registry, name, payload))
                 self._changed.notify_all()
 
         self._heard[self._next] = heard
-        self._subscriptions[self._next] = self.hub.subscription(
-            topic, name, self.registry.ros2(name).type_id, qos, take
-        )
+        type_hash = self.registry.ros2(name).type_id
+        self._subscriptions[self._next] = self._subscription(topic, name, type_hash, qos, receive)
         return self._next
+
+    def _subscription(self, topic: str, name: str, type_hash: str, qos: Qos, receive: Callable[[bytes], None]) -> Any:
+        return self.hub.subscription(topic, name, type_hash, qos, lambda sample: receive(sample.data()))
 
     def wait(self, endpoint: int, count: int, seconds: float = 10.0) -> list[dict[str, Any]]:
         with self._changed:
@@ -100,8 +106,15 @@ class HubSide:
 
         until(once, "a message from the side is heard on the hub", 20)
 
+    def close(self) -> None:
+        """Leave the hub."""
+        self.hub.close()
+
     def publishers(self, topic: str) -> list[Any]:
-        return [e for e in self.hub.graph.publishers(topic) if not e.own]
+        return [e for e in self.hub.graph.publishers(topic) if not self._is_own(e)]
+
+    def _is_own(self, endpoint: HubEndpoint) -> bool:
+        return endpoint.own
 
     def until_published(self, topic: str, count: int = 1, seconds: float = 15) -> None:
         until(lambda: len(self.publishers(topic)) >= count, f"{count} publishers of {topic} on the hub", seconds)

@@ -9,6 +9,7 @@ source; a plain subscriber delivers it.
 from __future__ import annotations
 
 import contextlib
+import itertools
 import json
 import secrets
 import time
@@ -18,7 +19,8 @@ from typing import Any
 import zenoh
 from zenoh import ext
 
-from bridge.hub.wire.keys import GID_SIZE, pack_attachment
+from bridge.hub.graph.tokens import EndpointKind, EndpointToken, NodeToken, endpoint_key, gid_of, node_key
+from bridge.hub.wire.keys import GID_SIZE, pack_attachment, topic_key
 from bridge.hub.wire.qos import History, Qos, Reliability
 from tests.support.wait import until
 
@@ -55,20 +57,29 @@ def rmw_session(router: str, mode: str = "peer") -> zenoh.Session:
     return zenoh.open(zenoh.Config.from_json5(json.dumps(tree)))
 
 
-def subscribe(session: zenoh.Session, key: str, callback: Callable[[zenoh.Sample], None], qos: Qos) -> Any:
+def subscribe(
+    session: zenoh.Session,
+    key: str,
+    callback: Callable[[zenoh.Sample], None],
+    qos: Qos,
+    *,
+    ignore_local: bool = False,
+) -> Any:
     """Declare a subscription with the options of `SubscriptionData::init`.
 
-    One option is missing in zenoh's Python wheel: rmw_zenoh's queries for cached samples never expire, these after the
-    session's 10 minutes.
+    ``ignore_local`` is rmw's option ``ignore_local_publications``. One option is missing in zenoh's Python wheel:
+    rmw_zenoh's queries for cached samples never expire, these after the session's 10 minutes.
     """
     handler = zenoh.handlers.Callback(callback, indirect=False)
+    origin = zenoh.Locality.REMOTE if ignore_local else zenoh.Locality.ANY
     if not qos.latched:
-        return ext.declare_advanced_subscriber(session, key, handler)
+        return ext.declare_advanced_subscriber(session, key, handler, allowed_origin=origin)
     reliable = qos.reliability is Reliability.RELIABLE
     return ext.declare_advanced_subscriber(
         session,
         key,
         handler,
+        allowed_origin=origin,
         history=ext.HistoryConfig(detect_late_publishers=True, max_samples=qos.depth),
         recovery=ext.RecoveryConfig(periodic_queries=None, heartbeat=True) if reliable else None,
         subscriber_detection=True,
@@ -94,17 +105,44 @@ def declare_publisher(session: zenoh.Session, key: str, qos: Qos) -> Any:
     )
 
 
-class RmwSubscription:
+class _Announced:
+    """An endpoint with a liveliness token."""
+
+    def __init__(self, session: zenoh.Session) -> None:
+        self._liveliness = session.liveliness()
+        self._tokens: list[zenoh.LivelinessToken] = []
+
+    def announce(self, token: str) -> None:
+        """Declare the endpoint's token; rmw_zenoh does so once the endpoint is declared."""
+        self._tokens.append(self._liveliness.declare_token(token))
+
+    def close(self) -> None:
+        """Withdraw the token."""
+        for token in self._tokens:
+            token.undeclare()
+
+
+class RmwSubscription(_Announced):
     """Collects the payloads that one subscription of rmw_zenoh would deliver.
 
     Attributes:
         missed: messages that zenoh counts as lost, from gaps between source numbers.
     """
 
-    def __init__(self, session: zenoh.Session, key: str, qos: Qos) -> None:
+    def __init__(
+        self,
+        session: zenoh.Session,
+        key: str,
+        qos: Qos,
+        received: Callable[[bytes], None] = lambda _payload: None,
+        *,
+        ignore_local: bool = False,
+    ) -> None:
+        super().__init__(session)
         self.payloads: list[bytes] = []
         self.missed = 0
-        self._end = subscribe(session, key, self._add, qos)
+        self._received = received
+        self._end = subscribe(session, key, self._add, qos, ignore_local=ignore_local)
         self._misses = self._end.sample_miss_listener(self._miss)
 
     def _miss(self, miss: ext.Miss) -> None:
@@ -112,7 +150,9 @@ class RmwSubscription:
 
     def _add(self, sample: zenoh.Sample) -> None:
         if sample.attachment is not None:  # rmw_zenoh drops samples without one
-            self.payloads.append(sample.payload.to_bytes())
+            payload = sample.payload.to_bytes()
+            self.payloads.append(payload)
+            self._received(payload)
 
     def texts(self) -> list[str]:
         """The payloads so far, decoded."""
@@ -126,11 +166,12 @@ class RmwSubscription:
 
     def close(self) -> None:
         """Withdraw the subscription."""
+        super().close()
         self._misses.undeclare()
         self._end.undeclare()
 
 
-class RmwPublisher:
+class RmwPublisher(_Announced):
     """Publishes with the attachment of rmw_zenoh: sequence number, time and GID.
 
     Args:
@@ -139,6 +180,7 @@ class RmwPublisher:
     """
 
     def __init__(self, session: zenoh.Session, key: str, qos: Qos, gid: bytes = b"", *, first: int = 1) -> None:
+        super().__init__(session)
         self._end = declare_publisher(session, key, qos)
         # the wheel's AdvancedPublisher has no matching status
         self._matching = session.declare_publisher(key)
@@ -160,5 +202,41 @@ class RmwPublisher:
 
     def close(self) -> None:
         """Withdraw the publisher with the samples it caches."""
+        super().close()
         self._matching.undeclare()
         self._end.undeclare()
+
+
+class RmwNode:
+    """A node of rmw_zenoh: a session, the node's liveliness token, and endpoints with theirs."""
+
+    def __init__(self, router: str, domain: int, name: str) -> None:
+        self._session = rmw_session(router)
+        self.zid = str(self._session.zid())
+        self._token = NodeToken(domain, self.zid, "0", "/", name)
+        self._ids = itertools.count(1)
+        self._node = self._session.liveliness().declare_token(node_key(self._token))
+
+    def publisher(self, topic: str, type_name: str, type_hash: str, qos: Qos) -> RmwPublisher:
+        """Declare a publisher and announce it."""
+        key = topic_key(self._token.domain, topic, type_name, type_hash)
+        token = self._endpoint(EndpointKind.PUBLISHER, topic, type_name, type_hash, qos)
+        publisher = RmwPublisher(self._session, key, qos, gid_of(token))
+        publisher.announce(token)
+        return publisher
+
+    def subscription(
+        self, topic: str, type_name: str, type_hash: str, qos: Qos, received: Callable[[bytes], None]
+    ) -> RmwSubscription:
+        """Declare a subscription, which leaves out this node's own messages, and announce it."""
+        key = topic_key(self._token.domain, topic, type_name, type_hash)
+        subscription = RmwSubscription(self._session, key, qos, received, ignore_local=True)
+        subscription.announce(self._endpoint(EndpointKind.SUBSCRIPTION, topic, type_name, type_hash, qos))
+        return subscription
+
+    def _endpoint(self, kind: EndpointKind, topic: str, type_name: str, type_hash: str, qos: Qos) -> str:
+        return endpoint_key(EndpointToken(self._token, str(next(self._ids)), kind, topic, type_name, type_hash, qos))
+
+    def close(self) -> None:
+        """Leave the hub."""
+        self._session.close()

@@ -1,0 +1,38 @@
+"""The far end of the contract suite as a node of rmw_zenoh."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+from bridge.hub.graph import HubEndpoint
+from bridge.hub.session import Hub
+from bridge.hub.wire.qos import Qos
+from bridge.messages.registry import Registry
+from tests.contract.hubside import HubSide
+from tests.support.zenoh_rmw import RmwNode
+
+
+class RmwSide(HubSide):
+    """Publishes and subscribes on the hub with zenoh's advanced publishers and subscribers, as rmw_zenoh does.
+
+    Services, the graph and the control plane are those of a hub session of Midspan, which has no topics.
+    """
+
+    def __init__(self, hub: Hub, registry: Registry, router: str) -> None:
+        super().__init__(hub, registry)
+        self._node = RmwNode(router, hub.domain, "far_rmw")
+
+    def _publisher(self, topic: str, name: str, type_hash: str, qos: Qos) -> Any:
+        return self._node.publisher(topic, name, type_hash, qos)
+
+    def _subscription(self, topic: str, name: str, type_hash: str, qos: Qos, receive: Callable[[bytes], None]) -> Any:
+        return self._node.subscription(topic, name, type_hash, qos, receive)
+
+    def _is_own(self, endpoint: HubEndpoint) -> bool:
+        return endpoint.own or endpoint.zid == self._node.zid
+
+    def close(self) -> None:
+        """Leave the hub."""
+        self._node.close()
+        super().close()
