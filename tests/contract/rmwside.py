@@ -21,18 +21,18 @@ class RmwSide(HubSide):
 
     def __init__(self, hub: Hub, registry: Registry, router: str) -> None:
         super().__init__(hub, registry)
-        self._node = RmwNode(router, hub.domain, "far_rmw")
+        self.node = RmwNode(router, hub.domain, "far_rmw")
 
     def _publisher(self, topic: str, name: str, type_hash: str, qos: Qos) -> Any:
-        return self._node.publisher(topic, name, type_hash, qos)
+        return self.node.publisher(topic, name, type_hash, qos)
 
     def _subscription(self, topic: str, name: str, type_hash: str, qos: Qos, receive: Callable[[bytes], None]) -> Any:
-        return self._node.subscription(topic, name, type_hash, qos, receive)
+        return self.node.subscription(topic, name, type_hash, qos, receive)
 
     def _is_own(self, endpoint: HubEndpoint) -> bool:
-        return endpoint.own or endpoint.zid == self._node.zid
+        return endpoint.own or endpoint.zid == self.node.zid
 
     def close(self) -> None:
         """Leave the hub."""
-        self._node.close()
+        self.node.close()
         super().close()

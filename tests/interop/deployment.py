@@ -17,7 +17,7 @@ from bridge.interfaces.builder import build
 from bridge.interfaces.cache import environment
 from bridge.interfaces.definition import read_folders
 from bridge.messages.registry import Registry
-from tests.contract.hubside import HubSide
+from tests.contract.rmwside import RmwSide
 from tests.contract.side import CUSTOM_FOLDER, CUSTOM_TYPES
 from tests.support.forks import DAEMON
 from tests.support.hub import SDK_PROGRAM
@@ -130,11 +130,12 @@ class Deployment:
         self._open.append(peer)
         return peer
 
-    def zenoh(self) -> HubSide:
-        """A native program of the hub, by our own session."""
+    def zenoh(self) -> RmwSide:
+        """A node of rmw_zenoh, but for its services, which are those of a session of Midspan."""
         hub = Hub.open(self.settings(self._name("zenoh"), "far"))
-        self._open.append(_Closer(hub))
-        return HubSide(hub, self._registry)
+        end = RmwSide(hub, self._registry, f"tcp/127.0.0.1:{self.port}")
+        self._open.append(_Closer(end))
+        return end
 
     def sdk(self) -> Peer:
         """A zenoh-ros2-sdk program, independent of our code."""
@@ -196,8 +197,8 @@ class Deployment:
 
 
 class _Closer:
-    def __init__(self, hub: Hub) -> None:
-        self._hub = hub
+    def __init__(self, end: Hub | RmwSide) -> None:
+        self._end = end
 
     def stop(self) -> None:
-        self._hub.close()
+        self._end.close()

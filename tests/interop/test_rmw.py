@@ -1,0 +1,118 @@
+"""A node of rmw_zenoh beside a running daemon receives every message, and its own arrive."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+
+from bridge.hub.wire.qos import Qos
+from bridge.messages.json import to_json
+from tests.interop.deployment import Deployment
+from tests.interop.hub_actions import HubActions
+from tests.support.wait import until
+
+STRING, TWIST = "std_msgs/String", "geometry_msgs/Twist"
+COUNT = 20
+
+
+def test_the_velocities_of_a_ros1_program_arrive_up_to_the_stop(shared: Deployment) -> None:
+    """The node received the first 0.2 m/s only; the stop never arrived."""
+    ros1, node = shared.ros1(), shared.zenoh()
+    received = node.subscribe("/cmd_vel", TWIST)
+    out = ros1.advertise("/cmd_vel", TWIST)
+    probe = {"linear": {"x": 0.1}}
+    until(lambda: ros1.publish(out, probe) or node.wait(received, 1, 0.2), "the route is there")
+    speeds = [0.2] * 10 + [0.0] * 10
+    before = _settled(node, received)
+    for number, speed in enumerate(speeds, 1):  # of waiting commands only the newest is kept
+        ros1.publish(out, {"linear": {"x": speed}})
+        node.wait(received, before + number)
+    assert [message["linear"]["x"] for message in node.wait(received, before + COUNT)][before:] == speeds
+
+
+def test_the_velocities_of_a_node_arrive_on_both_sides_up_to_the_stop(shared: Deployment) -> None:
+    node = shared.zenoh()
+    out = node.advertise("/cmd_vel_of_node", TWIST)
+    programs: dict[str, Any] = {"ros1": shared.ros1(), "ros2": shared.ros2()}
+    received = {name: each.subscribe("/cmd_vel_of_node", TWIST, depth=100) for name, each in programs.items()}
+    for name, program in programs.items():
+        node.hub_publish_until(out, {"linear": {"x": 0.1}}, lambda p=program, n=name: p.wait(received[n], 1, 0.2))
+    before = {name: _settled(program, received[name]) for name, program in programs.items()}
+    speeds = [0.2] * 10 + [0.0] * 10
+    for number, speed in enumerate(speeds, 1):
+        node.publish(out, {"linear": {"x": speed}})
+        for name, program in programs.items():
+            program.wait(received[name], before[name] + number)
+    for name, program in programs.items():
+        got = [message["linear"]["x"] for message in program.wait(received[name], before[name] + COUNT)]
+        assert got[before[name] :] == speeds, name
+
+
+SCAN = {"angle_min": 1.0, "ranges": [1.0, 2.0]}
+STREAMS = {
+    "/tf": ("tf2_msgs/TFMessage", lambda n: {"transforms": [{"transform": {"translation": {"x": n}}}]}),
+    "/scan": ("sensor_msgs/LaserScan", lambda n: {**SCAN, "angle_min": n}),
+    "/odom": ("nav_msgs/Odometry", lambda n: {"pose": {"pose": {"position": {"x": n}}}}),
+}
+NUMBER: dict[str, Any] = {
+    "/tf": lambda m: m["transforms"][0]["transform"]["translation"]["x"],
+    "/scan": lambda m: m["angle_min"],
+    "/odom": lambda m: m["pose"]["pose"]["position"]["x"],
+}
+
+
+@pytest.mark.parametrize("side", ["ros1", "ros2"])
+def test_streams_of_a_robot_arrive_whole(shared: Deployment, side: str) -> None:
+    program, node = getattr(shared, side)(), shared.zenoh()
+    for topic, (kind, message) in STREAMS.items():
+        received = node.subscribe(topic, kind)
+        out = program.advertise(topic, kind, depth=100)
+        probe = message(-1.0)
+        until(lambda o=out, p=probe, r=received: program.publish(o, p) or node.wait(r, 1, 0.2), f"{topic} arrives")
+        for number in range(COUNT):
+            program.publish(out, message(float(number)))
+        numbers = lambda t=topic, r=received: [NUMBER[t](m) for m in node.wait(r, 0) if NUMBER[t](m) >= 0]  # noqa: E731
+        until(lambda n=numbers: n()[-1:] == [COUNT - 1.0], f"the last message of {topic} arrives")
+        assert numbers() == [float(number) for number in range(COUNT)], topic
+        program.drop(out)
+
+
+def test_the_feedback_of_an_action_arrives_whole(shared: Deployment) -> None:
+    server, node = shared.ros2(), shared.zenoh()
+    kind, rounds = "nav2_msgs/NavigateToPose", [{"number_of_recoveries": number} for number in range(COUNT)]
+    acting = server.ask("act", action="/count", type=kind, feedback=rounds, held=True)["id"]
+    topic = "/count/_action/feedback"
+    token = until(lambda: node.publishers(topic), "the action's feedback is on the hub")[0]
+    received: list[int] = []
+
+    def receive(payload: bytes) -> None:
+        message = to_json(node.registry, token.type_name, payload)
+        received.append(message["feedback"]["number_of_recoveries"])
+
+    node.node.subscription(topic, token.type_name, token.type_hash, Qos(depth=100), receive)
+    client = shared.keep(HubActions(shared.settings("client")))
+    client.ask("send_goal", action="/count", type=kind, goal={}, seconds=30.0)
+    until(lambda: len(received) >= COUNT, "all feedback arrives")
+    assert received == list(range(COUNT))
+    server.ask("release", id=acting)
+
+
+def test_the_messages_of_midspan_topic_pub_arrive_whole(shared: Deployment) -> None:
+    node = shared.zenoh()
+    received = node.subscribe("/said", STRING)
+    done = shared.command("topic", "pub", "/said", STRING, "{data: hi}", "--rate", "20", "--count", "10")
+    assert done.returncode == 0, done.stderr
+    assert node.wait(received, 10) == [{"data": "hi"}] * 10
+
+
+def _settled(program: Any, received: int) -> int:
+    """Return how many messages arrived, once no more are on their way."""
+    counts = [-1]
+
+    def stands() -> bool:
+        counts.append(len(program.wait(received, counts[-1] + 1, 1.0)))
+        return counts[-1] == counts[-2]
+
+    until(stands, "no probe is on its way")
+    return counts[-1]
