@@ -1,7 +1,7 @@
-"""What Midspan declares on zenoh, in its one form, and the Python state of zenoh's threads.
+"""Declarations on zenoh in the form that all of Midspan uses, and the Python state of zenoh threads.
 
-Callbacks run on zenoh's receiving thread (``indirect=False``): they append and wake. What the same session puts they
-get on the thread that puts it, and only where they are declared for it (``origin``).
+Callbacks run on zenoh's receiving thread (``indirect=False``): they append and wake. Samples of the same session arrive
+on the thread that puts them, if ``origin`` includes the session.
 """
 
 from __future__ import annotations
@@ -15,22 +15,22 @@ from typing import Any
 import zenoh
 
 BEHIND = zenoh.Priority.DATA_LOW
-"""How goes what is large and waits where a link is full: in a queue of its own, behind all others.
+"""The priority of large samples, and of samples that wait for a full link: a separate queue, served last.
 
-While it is put into a link's queue, all else for that queue waits, from whichever node of the session. A reply goes as
-its query.
+While such a sample is put into a link's queue, all other samples for that queue wait, from any node of the session. A
+reply has the priority of its query.
 """
 
 _thread = threading.local()
 
 
 def keep_thread_state() -> None:
-    """Keep this thread's Python state after the call from zenoh that it runs in; to be called in each of them.
+    """Keep this thread's Python state after the current callback from zenoh; each callback calls this.
 
-    CPython makes such a thread a new state for each call, maps a page of stack for it, and unmaps it afterwards: 20 us
+    For each call on such a thread CPython creates a state, maps a page of stack for it, and unmaps it afterwards: 20 us
     a message, and a flush of the other core's address cache.
     """
-    if not hasattr(_thread, "kept"):  # which goes with the state: a number of a thread would come again
+    if not hasattr(_thread, "kept"):  # stored in the state itself, since thread ids are reused
         _thread.kept = True
         ctypes.pythonapi.PyGILState_Ensure()
 
@@ -41,7 +41,7 @@ def subscribe(
     callback: Callable[[zenoh.Sample], None],
     origin: zenoh.Locality = zenoh.Locality.REMOTE,
 ) -> zenoh.Subscriber[None]:
-    """Call back for each sample on a key, by default of other sessions alone."""
+    """Call back for each sample on a key, by default of other sessions only."""
     handler = zenoh.handlers.Callback(callback, indirect=False)
     return session.declare_subscriber(key, handler, allowed_origin=origin)
 
@@ -54,13 +54,13 @@ def answer(
     complete: bool = False,
     origin: zenoh.Locality = zenoh.Locality.REMOTE,
 ) -> zenoh.Queryable[None]:
-    """Call back for each query on a key, by default of other sessions; ``complete``: this one has all there is."""
+    """Call back for each query on a key, by default of other sessions; ``complete``: it has all values."""
     handler = zenoh.handlers.Callback(callback, indirect=False)
     return session.declare_queryable(key, handler, complete=complete, allowed_origin=origin)
 
 
 def follow_tokens(session: zenoh.Session, keys: str, callback: Callable[[zenoh.Sample], None]) -> Any:
-    """Call back for each liveliness token that is there, comes and goes."""
+    """Call back for each liveliness token that exists, appears or disappears."""
     handler = zenoh.handlers.Callback(callback, indirect=False)
     return session.liveliness().declare_subscriber(keys, handler, history=True)
 
@@ -83,7 +83,7 @@ def source_infos(publisher: zenoh.Publisher, first: int = 0) -> Iterator[zenoh.S
 
 
 def undeclare(*ends: Any) -> None:
-    """Withdraw what was declared; where the session is closed, it is withdrawn already."""
+    """Undeclare; does nothing if the session is closed."""
     for end in ends:
         with contextlib.suppress(zenoh.ZError):
             end.undeclare()

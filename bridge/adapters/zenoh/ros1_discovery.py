@@ -1,18 +1,18 @@
-"""Keys of zenoh-plugin-ros1, and the beacons by which its bridges tell each other their topics and services.
+"""Keys of zenoh-plugin-ros1, and the beacons with which its bridges announce their topics and services.
 
 A topic's samples travel on ``<type in hex>/<md5>/<bridge namespace>/<topic>``, the payload is the ROS 1 message as it
 is on TCPROS, without an attachment. The bridge namespace is ``*`` by default. A service is a queryable on the same kind
 of key, with the service's type and md5; a bridge whose server failed replies with the error's text instead of a
-response. Bridges tell each other what they have on
+response. Bridges announce their endpoints on
 ``ros1_discovery_info/<discovery namespace>/{pub|sub|srv|cl}/<type in hex>/<md5>/<bridge namespace>/<topic>``, the
 discovery namespace being ``*``. Read in zenoh-plugin-ros1, ``topic_utilities.rs``, ``discovery.rs`` and
 ``abstract_bridge.rs``, of May 2025; free_fleet's clients use the same data keys (its ``utils.py``).
 
-The beacons are in the manner of ALOHA. Who has a topic puts an empty sample on its discovery key each second, and is
-taken for gone after three seconds' silence. Who hears another's beacon on the same key may fall silent, and speaks
-again after a second without any (``aloha_declaration.rs``, ``aloha_subscription.rs``). So that no native bridge falls
-silent because of us, which would look as if it were gone, we always give way. One that hears us before we hear it may
-still fall silent: our beacons leave it time to speak again, those of all Midspans on a key together.
+The beacons work like ALOHA. A bridge that has a topic puts an empty sample on its discovery key each second; after
+three seconds without one the topic counts as gone. A bridge that receives another bridge's beacon on the same key may
+stop its own, and resumes after a second without any (``aloha_declaration.rs``, ``aloha_subscription.rs``). A native
+bridge that stopped because of Midspan would look as if it were gone, so Midspan's beacons always give way. A bridge
+that receives Midspan's beacon first may still stop: the beacons of all Midspans on a key leave it time to resume.
 """
 
 from __future__ import annotations
@@ -64,7 +64,7 @@ def all_discovery(namespace: str) -> str:
 
 
 def parse(key: str) -> tuple[Kind, AnnouncedTopic]:
-    """Read a discovery key; raises `WireError` where it is none, or has no type, md5 or topic."""
+    """Read a discovery key; raises `HubWireError` if it is invalid, or has no type, md5 or topic."""
     parts = key.split("/", 6)
     if len(key) > _MAX_KEY or len(parts) != 7 or parts[0] != _SPACE or not all(parts):
         raise HubWireError("no discovery key of the ros1 plugin")
@@ -88,17 +88,17 @@ PERIOD = 1.0
 """Seconds between the beacons of a native bridge."""
 
 _PAUSE = 2.25
-"""Periods between beacons of ours: a whole period of whoever is silent, and then up to one more until it speaks, fit
-between two of them; still less than the plugin's three."""
+"""Periods between Midspan's beacons. A bridge that stopped needs one period without beacons, and up to one more until
+it resumes; both fit in between, and it is still less than the plugin's three."""
 
 _LOST = 4
-"""Periods of silence after which a topic is gone: one more than the plugin's, as two may have met at the start."""
+"""Periods without a beacon after which a topic is gone: one more than the plugin's, as two beacons may have met."""
 
 _SOON = 0.5
-"""Periods within which a second beacon on one key is another bridge's."""
+"""Periods within which a second beacon on one key comes from another bridge."""
 
 _FORGOTTEN = 60
-"""Periods of silence after which a bridge counts as new: it may be silent for long where another one beacons."""
+"""Periods without a beacon after which a bridge counts as new: it pauses for long while another one beacons."""
 
 _MAX_TOPICS = 20_000
 _MAX_SPEAKERS = 100
@@ -119,7 +119,7 @@ class _Beacon:
         self._publisher.put(b"", source_info=next(self._infos))
 
     def rest(self, now: float) -> None:
-        """We or another Midspan just beaconed on the key."""
+        """Postpone the next beacon, since this or another Midspan just sent one on the key."""
         self.due = now + _PAUSE * PERIOD
 
     def close(self) -> None:
@@ -127,9 +127,10 @@ class _Beacon:
 
 
 class Aloha:
-    """Receives the beacons of native bridges and sends our own; for any thread. ``changed``: a topic came or went.
+    """Receives the beacons of native bridges and sends Midspan's; thread-safe.
 
-    ``newcomer`` is called when a bridge begins to tell that it subscribes, with the topic and whether it is the first.
+    ``changed`` is called when a topic appears or disappears, ``newcomer`` when a bridge starts to announce a
+    subscription, with the topic and whether the bridge is the first one.
     """
 
     def __init__(
@@ -146,12 +147,12 @@ class Aloha:
         self._subscriber = subscribe(session, all_discovery(namespace), self._on_beacon)
 
     def topics(self) -> list[tuple[Kind, AnnouncedTopic]]:
-        """The topics and services that native bridges announce now."""
+        """Return the topics and services that native bridges currently announce."""
         with self._lock:
             return list(self._heard)
 
     def announce(self, kind: Kind, topic: AnnouncedTopic) -> Callable[[], None]:
-        """Announce a topic of ours until the returned function is called."""
+        """Announce a topic of Midspan until the returned function is called."""
         with self._lock:
             beacon = self._own.get((kind, topic))
             if beacon is None:
@@ -170,7 +171,7 @@ class Aloha:
         return withdraw
 
     def tick(self, now: float) -> None:
-        """Send the beacons that are due, and forget silent bridges; our own standstill does not count as silence."""
+        """Send due beacons, and drop bridges without beacons; a pause of this process does not count against them."""
         with self._lock:
             stood_still, self._ticked = now - self._ticked, now
             if stood_still > PERIOD:
@@ -186,11 +187,11 @@ class Aloha:
             self._changed()
 
     def warnings(self) -> list[str]:
-        """How many beacons could not be read."""
+        """Return a warning with the number of invalid beacons."""
         return [f"{self._refused} beacons of ros1 bridges are left out: see the log"] if self._refused else []
 
     def close(self) -> None:
-        """Fall silent."""
+        """Stop all beacons."""
         undeclare(self._subscriber)
         with self._lock:
             beacons, self._own = list(self._own.values()), {}
@@ -226,9 +227,9 @@ class Aloha:
             self._newcomer(place[1].name, before is None)
 
     def _is_new(self, place: tuple[Kind, AnnouncedTopic], speaker: str, before: float | None, now: float) -> bool:
-        """Whether a beacon is of a bridge that did not beacon before.
+        """Return whether a beacon comes from a bridge that did not beacon before.
 
-        The time stamp tells, where the bridge itself set it; else two beacons soon after each other are of two bridges.
+        A time stamp that the bridge set identifies it; otherwise two beacons in quick succession come from two bridges.
         """
         speakers = self._speakers.setdefault(place, {})
         last = speakers.get(speaker, 0.0)

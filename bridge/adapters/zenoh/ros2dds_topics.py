@@ -22,10 +22,10 @@ from bridge.routing.edge import Deliver
 
 
 class Ros2ddsPublisher:
-    """Publishes what comes from the hub; latched: an advanced publisher for each source, which goes with it."""
+    """Publishes messages of the hub; latched ones with an advanced publisher per source, which ends with the source."""
 
-    dropped = 0  #: zenoh does not tell what a congested link dropped
-    heard = True  #: nor is it asked who listens
+    dropped = 0  #: zenoh does not report drops on a congested link
+    heard = True  #: subscriptions are not counted
 
     def __init__(
         self, context: KeyContext, key: str, qos: Qos, heartbeats: DelayedCalls, announcement: Announcement
@@ -63,7 +63,7 @@ class Ros2ddsPublisher:
             sink.close()
 
     def close(self) -> None:
-        """Give the publishers back. Safe to call twice."""
+        """Undeclare the publishers. Safe to call twice."""
         with self._lock:
             opened, self._open = self._open, False
             sinks, self._sinks = list(self._sinks.values()), {}
@@ -79,9 +79,9 @@ _MAX_PUBLISHERS = 4096
 
 
 class LatchedSubscription(KeySubscription):
-    """Receives live samples, and asks each publisher once for as many latched ones as are ``wanted``.
+    """Receives live samples, and requests ``wanted`` cached ones of each publisher once.
 
-    ``depth`` gives how many of the kept samples count, for the source with an id.
+    ``depth`` returns how many cached samples count for the source with an id.
     """
 
     def __init__(
@@ -99,7 +99,7 @@ class LatchedSubscription(KeySubscription):
         self._history.open()
 
     def ask_for(self, wanted: int) -> None:
-        """Ask publishers that come from now on for at least so many samples."""
+        """Request at least ``wanted`` samples of publishers that appear from now on."""
         self._history.depth = max(self._history.depth, wanted)
 
     def close(self) -> None:
@@ -109,7 +109,7 @@ class LatchedSubscription(KeySubscription):
         super().close()
 
     def take(self, sample: zenoh.Sample, source: str) -> None:
-        """A live sample: it waits while its session is asked."""
+        """Accept a live sample; hold it back while its session is queried."""
         zid = sender(sample)
         with self._asking:
             if self._asked[zid] and len(self._held.get(zid, ())) < _MAX_HELD:
@@ -118,19 +118,19 @@ class LatchedSubscription(KeySubscription):
                 self._deliver(sample, source)
 
     def asked(self, zid: str) -> None:
-        """A session's publishers were asked."""
+        """A session's publishers are being queried."""
         with self._asking:
             self._asked[zid] += 1
 
     def came(self, sample: zenoh.Sample) -> None:
-        """One of the samples that a publisher keeps."""
+        """A cached sample arrived."""
         source = self.native(sample)
         if source:
             with self._asking:
                 self._kept.setdefault(sender(sample), []).append((sample, source))
 
     def done(self, zid: str) -> None:
-        """All that was asked of a session has come."""
+        """A session's answer is complete."""
         with self._asking:
             self._asked[zid] -= 1
             if self._asked[zid] > 0:
@@ -159,9 +159,9 @@ class LatchedSubscription(KeySubscription):
 
 
 def is_later(number: int | None, stamp: int, last_number: int | None, last_stamp: int) -> bool:
-    """Whether a sample follows its publisher's last one, by source number or, if it has none, by time stamp.
+    """Return whether a sample follows its publisher's last one, by source number or, without one, by time stamp.
 
-    A publisher that restarts with the same id numbers from 0 again; only its time stamps go on.
+    A publisher that restarts with the same id numbers from 0 again, with later time stamps.
     """
     if number is None or last_number is None:
         return not stamp or stamp > last_stamp

@@ -28,7 +28,7 @@ Withdraw = Callable[[], None]
 class KeyContext:
     """What the endpoints of one edge share.
 
-    ``limit`` is bytes of a request or a reply at most; ``executor`` runs what may wait for zenoh; ``small`` and
+    ``limit`` is the largest request or reply in bytes; ``executor`` runs calls that may wait for zenoh; ``small`` and
     ``bulk`` convert received messages, urgent ones first; ``closed`` is called with each endpoint that has closed.
     """
 
@@ -41,10 +41,11 @@ class KeyContext:
 
 
 class Announcement:
-    """Announces an endpoint, and withdraws that when the endpoint closes.
+    """Announces an endpoint, and withdraws the announcement when the endpoint closes.
 
-    It is told once the endpoint is there: whoever hears of it calls, publishes or asks at once. An endpoint that has
-    been closed by then is not told at all. ``announce`` returns what withdraws it; by default nobody is told.
+    It is published once the endpoint exists, since others call, publish or query as soon as they receive it. An
+    endpoint that is closed before is not announced. ``announce`` returns the function that withdraws; the default does
+    nothing.
     """
 
     def __init__(self, announce: Callable[[], Withdraw] = lambda: nothing) -> None:
@@ -60,7 +61,7 @@ class Announcement:
                 self._withdraw = self._announce()
 
     def withdraw(self) -> None:
-        """The endpoint closes. Safe to call twice."""
+        """Withdraw the announcement. Safe to call twice."""
         with self._lock:
             self._over = True
             withdraw, self._withdraw = self._withdraw, None
@@ -69,19 +70,19 @@ class Announcement:
 
 
 def is_command(qos: Qos) -> bool:
-    """Whether only the newest message counts: volatile with depth 1, as the engine asks for commands."""
+    """Return whether only the newest message counts: volatile with depth 1, the QoS of the engine's commands."""
     return qos.depth == 1 and not qos.latched
 
 
 def priority(qos: Qos) -> zenoh.Priority:
-    """The zenoh priority for a QoS: commands before state before streams."""
+    """Return the zenoh priority for a QoS: commands before state before streams."""
     if is_command(qos):
         return zenoh.Priority.INTERACTIVE_HIGH
     return zenoh.Priority.DATA_HIGH if qos.latched else zenoh.Priority.DATA
 
 
 class PlainSink:
-    """Puts on a key, with our session's marked id; for all dialects. Commands (volatile, depth 1) go first."""
+    """Puts on a key, with the marked id of the session. Commands (volatile, depth 1) have priority."""
 
     def __init__(self, session: zenoh.Session, key: str, qos: Qos, encoding: zenoh.Encoding | None = None) -> None:
         self._encoding = encoding
@@ -97,18 +98,19 @@ class PlainSink:
             self.publisher.put(payload, source_info=next(self._infos), encoding=self._encoding)
 
     def close(self) -> None:
-        """Give the publisher back."""
+        """Undeclare the publisher."""
         undeclare(self.publisher)
 
 
 class KeyPublisher:
     """Puts messages of the hub on a plain key, and answers a ``get`` there with the latched ones.
 
-    ``qos`` says whether and how many of each source are kept; with ``newest`` a ``get`` gets the newest message alone.
+    ``qos`` determines whether messages are cached, and how many per source; with ``newest`` a ``get`` returns only the
+    newest message.
     """
 
-    dropped = 0  #: zenoh does not tell what a congested link dropped
-    heard = True  #: nor is it asked who listens
+    dropped = 0  #: zenoh does not report drops on a congested link
+    heard = True  #: subscriptions are not counted
 
     def __init__(
         self, context: KeyContext, key: str, qos: Qos, announcement: Announcement, *,
@@ -145,7 +147,7 @@ class KeyPublisher:
                     self._sink.put(payload)
 
     def close(self) -> None:
-        """Give the key back. Safe to call twice."""
+        """Leave the key. Safe to call twice."""
         with self._lock:
             sink, self._sink = self._sink, None
         if sink is not None:
@@ -163,7 +165,7 @@ class KeyPublisher:
                 query.reply(self._key, payload, encoding=self._encoding, timestamp=self._session.new_timestamp())
 
     def watch(self, matched: Callable[[], None]) -> None:
-        """Call ``matched`` when the key has got its first subscriber."""
+        """Call ``matched`` when the first subscriber of the key appears."""
 
         def changed(status: zenoh.MatchingStatus) -> None:
             if status.matching:
@@ -175,7 +177,7 @@ class KeyPublisher:
 
 
 class SampleQueue:
-    """A bounded queue that drops its oldest; of commands (depth 1, volatile) only the newest counts."""
+    """A bounded queue that drops its oldest messages; of commands (depth 1, volatile) it holds the newest only."""
 
     def __init__(self, deliver: Deliver, qos: Qos, context: KeyContext) -> None:
         self.lost = 0
@@ -223,7 +225,7 @@ SourceOf = Callable[[zenoh.Sample], str]
 
 
 class KeySubscription:
-    """Delivers what native programs put on a key; ``source_of`` gives its endpoint's id, "" where it does not count."""
+    """Delivers samples of native programs on a key; ``source_of`` returns an endpoint's id, "" to ignore a sample."""
 
     def __init__(
         self, context: KeyContext, key: str, qos: Qos, deliver: Deliver, source_of: SourceOf, announcement: Announcement
@@ -253,7 +255,7 @@ class KeySubscription:
             self.take(sample, source)
 
     def native(self, sample: zenoh.Sample) -> str:
-        """The endpoint that a sample is from; "" where it is to be passed over."""
+        """Return the endpoint that published a sample; "" if the sample is to be ignored."""
         if not self._open or sample.kind != zenoh.SampleKind.PUT or is_marked(sender(sample)):
             return ""
         return self._source_of(sample)

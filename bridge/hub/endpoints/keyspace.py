@@ -1,7 +1,7 @@
 """Plain zenoh keys beneath one prefix: values with their time, queries and liveliness tokens.
 
 zenoh replaces the time of a sample that is more than half a second ahead of the receiver's clock (measured with zenoh
-1.10; its hybrid logical clock refuses to follow). Who must know the writer's time sends it in the attachment as well.
+1.10; its hybrid logical clock refuses to follow). Writers whose exact time matters send it in the attachment as well.
 """
 
 from __future__ import annotations
@@ -23,12 +23,12 @@ _log = logging.getLogger(__name__)
 
 @dataclass(frozen=True, slots=True)
 class KeyItem:
-    """A value under a key, or the news that it was deleted.
+    """A value under a key, or its deletion.
 
     Attributes:
-        body: the value; None where it was deleted.
-        ns: when it was written, nanoseconds since 1970; 0 where that is not known.
-        writer: whose clock gave the time, up to 16 bytes in hexadecimal.
+        body: the value; None if it was deleted.
+        ns: time of writing, nanoseconds since 1970; 0 if unknown.
+        writer: id of the clock that gave the time, up to 16 bytes in hexadecimal.
     """
 
     key: str
@@ -40,10 +40,10 @@ class KeyItem:
 
 
 class KeyQuery:
-    """A query that waits for its answers. Its receiver ends it, on any thread.
+    """A pending query. Its receiver ends it, on any thread.
 
     Attributes:
-        key: what is asked for, beneath the prefix; it may have wildcards.
+        key: the requested key, beneath the prefix; it may have wildcards.
     """
 
     def __init__(self, query: zenoh.Query, prefix: str) -> None:
@@ -52,11 +52,11 @@ class KeyQuery:
         self.body = b"" if query.payload is None else query.payload.to_bytes()
 
     def asks_for(self, key: str) -> bool:
-        """Whether the question means a key beneath the prefix."""
+        """Return whether the query matches a key beneath the prefix."""
         return bool(self._query.key_expr.intersects(zenoh.KeyExpr(f"{self._prefix}/{key}")))
 
     def reply(self, item: KeyItem) -> None:
-        """Answer with one value; there may be several."""
+        """Send one of several values."""
         stamp = _timestamp(item)
         key, attached = f"{self._prefix}/{item.key}", item.attached or None
         with self._nobody_waits():
@@ -66,12 +66,12 @@ class KeyQuery:
                 self._query.reply(key, item.body, encoding=item.encoding or None, timestamp=stamp, attachment=attached)
 
     def fail(self, why: str) -> None:
-        """Answer that it cannot be."""
+        """Reply with an error."""
         with self._nobody_waits():
             self._query.reply_err(why.encode())
 
     def end(self) -> None:
-        """End the answers."""
+        """End the replies."""
         with self._nobody_waits():
             self._query.drop()  # type: ignore[no-untyped-call]
 
@@ -80,17 +80,16 @@ class KeyQuery:
         try:
             yield
         except zenoh.ZError as err:
-            _log.debug("nobody waits for %s any more: %s", self.key, err)
+            _log.debug("the client of %s is gone: %s", self.key, err)
 
 
 class KeySpace:
     """The keys beneath a prefix as one session sees and serves them. Safe to use from any thread.
 
-    Callbacks run on zenoh's receiving thread: they append and wake, nothing more. What this very session does is not
-    reported to it.
+    Callbacks run on zenoh's receiving thread: they append and wake only. A session does not receive its own changes.
 
     Args:
-        limit: bytes of a value at most; larger ones are left out.
+        limit: bytes of the largest value; larger ones are dropped.
     """
 
     def __init__(self, session: zenoh.Session, prefix: str, limit: int) -> None:
@@ -102,7 +101,7 @@ class KeySpace:
         self._closed = False
 
     def send(self, item: KeyItem) -> None:
-        """Publish that a value was written or deleted; waits where a link is full."""
+        """Publish a written value or a deletion; blocks while a link is full."""
         key, stamp, attached = f"{self._prefix}/{item.key}", _timestamp(item), item.attached or None
         options: Any = {
             "timestamp": stamp,
@@ -112,8 +111,8 @@ class KeySpace:
             "allowed_destination": zenoh.Locality.REMOTE,
         }
         try:
-            # Without source numbers zenoh's advanced subscriber goes by the time stamps, and drops what was written
-            # before the last value of the same writer, also under another key.
+            # Without source numbers zenoh's advanced subscriber compares time stamps, and drops a value that is older
+            # than the last one of the same writer, also under another key.
             with self._sending:
                 if self._infos is None:
                     self._infos = self._numbers()
@@ -144,7 +143,7 @@ class KeySpace:
     def serve(self, keys: str, asked: Callable[[KeyQuery], None], *, complete: bool = False) -> None:
         """Answer queries of some keys, which may have wildcards, until the space is closed.
 
-        ``complete`` says that any one such server knows all values.
+        ``complete``: any single such server knows all values.
         """
 
         def take(query: zenoh.Query) -> None:
@@ -157,10 +156,10 @@ class KeySpace:
         self._keep(answer(self._session, f"{self._prefix}/{keys}", take, complete=complete))
 
     def ask(self, keys: str, body: bytes = b"", seconds: float = 5.0) -> list[KeyItem]:
-        """Ask all who serve some keys; returns when all have answered, or the time is over.
+        """Query all servers of some keys; returns when all have answered, or after ``seconds``.
 
         Raises:
-            HubError: one answered that it cannot be.
+            HubError: a server replied with an error.
             HubClosedError: the space was closed.
         """
         token = zenoh.CancellationToken()
@@ -191,15 +190,15 @@ class KeySpace:
         self._keep(self._session.liveliness().declare_token(f"{self._prefix}/{key}"))
 
     def tokens(self, keys: str, seconds: float = 2.0) -> list[str]:
-        """The tokens that are there now, of keys that this session does not watch.
+        """Return the current tokens of keys that this session does not watch.
 
-        Those that it watches, zenoh lists from what it received, and at times misses the newest (zenoh 1.10).
+        Of watched keys zenoh lists the tokens that it received, and at times misses the newest (zenoh 1.10).
         """
         found: Any = self._session.liveliness().get(f"{self._prefix}/{keys}", timeout=seconds)
         return [self._below(str(reply.ok.key_expr)) for reply in found if reply.ok is not None]
 
     def watch(self, keys: str, changed: Callable[[str, bool], None]) -> None:
-        """Call back for tokens that are there, that come (True) and go (False), until the space is closed."""
+        """Call back for each present or new token (True) and each removed one (False), until the space is closed."""
 
         def take(sample: zenoh.Sample) -> None:
             keep_thread_state()
@@ -208,7 +207,7 @@ class KeySpace:
         self._keep(follow_tokens(self._session, f"{self._prefix}/{keys}", take))
 
     def close(self) -> None:
-        """Withdraw everything, and end questions that wait. Safe to call twice."""
+        """Withdraw everything, and end pending queries. Safe to call twice."""
         with self._lock:
             self._closed = True
             ends, self._ends = self._ends, []
@@ -235,7 +234,7 @@ class KeySpace:
     def _item(self, sample: zenoh.Sample) -> KeyItem | None:
         key = self._below(str(sample.key_expr))
         if len(sample.payload) > self._limit:
-            _log.warning("%s of %d bytes is left out: more than %d", key[:100], len(sample.payload), self._limit)
+            _log.warning("%s: value of %d bytes dropped, the limit is %d", key[:100], len(sample.payload), self._limit)
             return None
         ns, writer = 0, ""
         if sample.timestamp is not None:

@@ -1,12 +1,12 @@
-"""Latched topics: publishers that keep their last samples, and how subscriptions get what these keep.
+"""Latched topics: publishers that cache their last samples, and subscriptions that request these.
 
-The publishers are zenoh's advanced publishers, as rmw_zenoh makes them: each has a token at
-``<key>/@adv/pub/<zid>/<entity>/...``, answers queries there with the last samples that it keeps, and publishes there,
-half a second after a change, the number of its last sample.
+The publishers are zenoh's advanced publishers, declared like those of rmw_zenoh: each has a token at
+``<key>/@adv/pub/<zid>/<entity>/...``, answers queries there with its cached samples, and publishes there, half a second
+after a change, the number of its last sample.
 
-zenoh's own advanced subscriber asks each publisher twice at the start, and where the answers cross, it leaves out the
-older part of a history of more than one sample. Here each publisher is asked once, and what its session publishes
-meanwhile is held back until the answer is complete.
+zenoh's own advanced subscriber queries each publisher twice at the start, and if the answers cross, it leaves out the
+older part of a history of more than one sample. Here each publisher is queried once, and the live samples of its
+session are held back until the answer is complete.
 """
 
 from __future__ import annotations
@@ -30,14 +30,14 @@ HEARTBEAT = 0.5
 class LatchedPublisher:
     """zenoh's advanced publisher.
 
-    Sample miss detection makes zenoh number the samples per publisher and put the session's id on them; without it the
-    caches of several publishers in one session would be told apart by time alone. Its heartbeats are ours; their key
-    and bytes are those of zenoh's own, seen on the wire (1.10). A heartbeat waits where a link is congested, as it must
-    not be lost. zenoh would send it on the one thread that runs all of a session's tasks: no latched publisher can be
-    closed while one waits there, up to five seconds.
+    Sample miss detection makes zenoh number the samples per publisher and attach the session's id; without it only the
+    time would distinguish the caches of several publishers in one session. Midspan publishes the heartbeats, with the
+    key and bytes that zenoh uses (seen on the wire, 1.10). A heartbeat blocks on a congested link, as it must not be
+    lost. zenoh would send it on the one thread that runs all tasks of a session: while one waits there, for up to five
+    seconds, no latched publisher can be closed.
 
     Args:
-        heartbeats: what publishes the last sample's number, None where nobody is to recover a lost one.
+        heartbeats: publishes the last sample's number; None if lost samples are not recovered.
     """
 
     def __init__(
@@ -71,7 +71,7 @@ class LatchedPublisher:
         self._closed = False
 
     def put(self, payload: bytes, attachment: bytes | None = None) -> None:
-        """Publish; one at a time. Raises `zenoh.ZError` where the session is closed."""
+        """Publish; one at a time. Raises `zenoh.ZError` if the session is closed."""
         self._publisher.put(payload, attachment=attachment)
         self._put += 1
         if self._heartbeats is not None:
@@ -91,16 +91,16 @@ class LatchedPublisher:
             )
 
     def close(self) -> None:
-        """Drop the kept samples."""
+        """Drop the cached samples."""
         self._closed = True
-        # Not `undeclare`, which holds Python's lock; when the last reference goes, the lock is given away.
+        # Not `undeclare`, which holds Python's lock; dropping the last reference releases it.
         del self._publisher
 
 
 _log = logging.getLogger(__name__)
 
 ANSWER_SECONDS = 10.0
-"""How long a publisher may take to answer; what its session publishes is held back for so long."""
+"""Time limit for a publisher's answer, and for holding back the live samples of its session."""
 
 _PUBLISHERS = "/@adv/pub/"
 _MAX_PUBLISHERS = 4096
@@ -110,23 +110,23 @@ class HistoryListener(Protocol):
     """Receives the history; called on zenoh's threads."""
 
     def asked(self, zid: str) -> None:
-        """A session's publishers were asked: hold back what it publishes."""
+        """A session's publishers are being queried: hold back its live samples."""
 
     def came(self, sample: zenoh.Sample) -> None:
-        """One of the samples that were asked for."""
+        """A cached sample arrived."""
 
     def done(self, zid: str) -> None:
-        """All that was asked for has come, or never will."""
+        """The answer is complete, or the query has failed."""
 
 
 class LatchedHistory:
-    """Asks the publishers of one key, those that are there and those that come, once `open` was called.
+    """Queries all publishers of one key, present and late, once `open` was called.
 
-    With ``recovers`` it asks again where a publisher's last sample did not come. ``depth`` is how many samples each
-    publisher is asked for; it may be changed later.
+    With ``recovers`` it queries a publisher again if its last sample did not arrive. ``depth`` is how many samples it
+    requests of each publisher; it may be changed later.
 
-    It asks by ``executor``: a query waits where the link is congested, and zenoh's receiving thread, which tells of the
-    publishers, must go on reading. Two peers that both waited so for the other to read would do it for five seconds,
+    Queries run on ``executor``: a query blocks on a congested link, and zenoh's receiving thread, which reports the
+    publishers, must continue to read. Two peers that each waited for the other to read would block for five seconds,
     and then lose their link.
     """
 
@@ -150,14 +150,14 @@ class LatchedHistory:
         self._subscribers: list[zenoh.Subscriber[None]] = []
 
     def open(self) -> None:
-        """Begin; the live samples must be subscribed to before."""
+        """Start; the subscription to live samples must exist."""
         space = f"{self._key}{_PUBLISHERS}**"
         self._subscribers = [follow_tokens(self._session, space, self._on_token)]
         if self._recovers:
             self._subscribers.append(subscribe(self._session, space, self._on_heartbeat))
 
     def saw(self, info: zenoh.SourceInfo | None) -> None:
-        """Remember the number of the newest sample of a publisher."""
+        """Record the number of a publisher's newest sample."""
         if info is None:
             return
         identity = info.source_id
@@ -169,7 +169,7 @@ class LatchedHistory:
                 self._numbers[publisher] = info.source_sn
 
     def ask(self, publishers: str, zid: str) -> None:
-        """Ask the publishers at a key for what they keep. Not to be called with a lock held that the listener needs."""
+        """Query the publishers at a key for their cached samples. The caller holds no lock that the listener needs."""
         self._listener.asked(zid)
         self._executor.submit(partial(self._ask, publishers, zid))
 
@@ -192,11 +192,11 @@ class LatchedHistory:
             self._listener.done(zid)
 
     def ask_session(self, zid: str) -> None:
-        """Ask all publishers of a session, after a gap in what one of them published."""
+        """Query all publishers of a session, after a gap in the samples of one of them."""
         self.ask(f"{self._key}{_PUBLISHERS}{zid}/**", zid)
 
     def close(self) -> None:
-        """Stop asking. Safe to call twice."""
+        """Stop querying. Safe to call twice."""
         self._closed = True
         undeclare(*self._subscribers)
         self._subscribers = []
@@ -222,7 +222,7 @@ class LatchedHistory:
             self.ask(str(sample.key_expr), publisher[0])
 
     def _on_reply(self, reply: zenoh.Reply) -> None:
-        # what is asked is not on the samples' key: whoever answers could say anything on any key that it may write
+        # the query is not on the samples' key: a server could reply with samples of any key that it may write
         if reply.ok is not None and self._samples.includes(reply.ok.key_expr):
             self._listener.came(reply.ok)
 
@@ -233,6 +233,6 @@ def is_newer(number: int, seen: int | None) -> bool:
 
 
 def _publisher(sample: zenoh.Sample) -> tuple[str, str] | None:
-    """Session and entity that a token or a heartbeat is about."""
+    """Return session and entity of a token's or a heartbeat's publisher."""
     parts = str(sample.key_expr).rpartition(_PUBLISHERS)[2].split("/")
     return (parts[0], parts[1]) if len(parts) > 1 else None

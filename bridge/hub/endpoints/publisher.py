@@ -27,17 +27,17 @@ from bridge.hub.zenoh_config import POOL
 from bridge.resources import LARGE_MESSAGES
 
 KEEP_ALL_CACHE = 1000
-"""Samples that a latched publisher keeps when its history is unlimited."""
+"""Samples that a latched publisher caches if its history is unlimited."""
 MAX_CACHE = 10_000
 
 LARGE = POOL
-"""Bytes from which a message does not fit the shared memory, and goes over the links in hundreds of packets."""
+"""Bytes; a larger message does not fit the shared memory, and crosses a link in hundreds of packets."""
 
 
 NO_LANE = "this worker has no lane"
 
 QUEUE = 1000
-"""Messages that wait for a reader at most, where it is full and they are no commands."""
+"""Messages, other than commands, that wait at most for a lane's reader that is full."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,14 +45,14 @@ class EndpointContext:
     """What the endpoints of one node share.
 
     Attributes:
-        reach: whom they reach: other sessions, or also the other nodes of a session that several nodes share.
-        own: GIDs of the node's endpoints, from which its subscriptions and servers take nothing; it changes.
+        reach: other sessions only, or also the other nodes of a shared session.
+        own: GIDs of the node's endpoints, whose messages its subscriptions and servers ignore; it changes.
         limit: bytes of the largest message.
-        executor: what calls run on that may wait for zenoh.
-        asking: the same for what latched publishers keep.
+        executor: runs calls that may wait for zenoh.
+        asking: runs queries for the samples that latched publishers cache.
         heartbeats: publishes the numbers of latched publishers' last samples.
         closed: called with each endpoint that has closed.
-        lane: the way to this daemon's other workers, None where the session has none.
+        lane: the transport to this daemon's other workers; None if the session has no lane.
     """
 
     session: zenoh.Session
@@ -68,7 +68,7 @@ class EndpointContext:
 
 
 class SamplePriority(Enum):
-    """zenoh's priority for each of Midspan's classes; command before state before stream."""
+    """The zenoh priority of commands, states and streams."""
 
     COMMAND = zenoh.Priority.INTERACTIVE_HIGH
     STATE = zenoh.Priority.DATA_HIGH
@@ -77,7 +77,7 @@ class SamplePriority(Enum):
 
 class _Sink(Protocol):
     keeps: ClassVar[bool]
-    """Whether it keeps samples for those who subscribe later."""
+    """Whether it caches samples for late subscriptions."""
 
     def send(self, payload: bytes, attached: bytes) -> None: ...
     def matched(self) -> bool: ...
@@ -85,15 +85,15 @@ class _Sink(Protocol):
 
 
 def _matching(publisher: zenoh.Publisher) -> bool:
-    # the wheel returns a MatchingStatus (always true) where its stubs say bool
+    # an object that is always true, although the wheel's stubs promise a bool
     status: Any = publisher.matching_status
     return bool(status.matching)
 
 
 class _Matching:
-    """Whether another session subscribes to what a publisher puts.
+    """Whether another session subscribes to a publisher's key.
 
-    Asking zenoh each time takes half as long as a put, so from the first question on zenoh tells each change.
+    A query of zenoh costs half as much as a put, so after the first one a listener follows the changes.
     """
 
     def __init__(self, publisher: zenoh.Publisher) -> None:
@@ -102,28 +102,28 @@ class _Matching:
         self._told: dict[str, bool] = {}
 
     def now(self) -> bool:
-        """Whether one does; not to be called by two threads at once."""
+        """Return the current state; not safe for two threads at once."""
         if self._listener is None:
             self._listener = self._publisher.declare_matching_listener(
                 zenoh.handlers.Callback(self._changed, indirect=False)
             )
-            # one step of CPython, so that an answer from before does not replace a change that was told meanwhile
+            # one step of CPython, so that this older state does not replace a change reported meanwhile
             self._told.setdefault("", _matching(self._publisher))
         return self._told[""]
 
     def _changed(self, status: Any) -> None:
-        """Runs on a thread of zenoh's."""
+        """Runs on a zenoh thread."""
         keep_thread_state()
         self._told[""] = bool(status.matching)
 
     def close(self) -> None:
-        """Be told no more."""
+        """Stop following the changes."""
         if self._listener is not None:
             undeclare(self._listener)
 
 
 class _PlainSink:
-    """A volatile publisher: nothing is kept."""
+    """A volatile publisher, which caches nothing."""
 
     keeps: ClassVar[bool] = False
 
@@ -141,7 +141,7 @@ class _PlainSink:
 
     def send(self, payload: bytes, attached: bytes) -> None:
         if len(payload) > LARGE and self._large is None and not self._blocks:
-            # what comes after a large one goes the same way, so that nothing overtakes it
+            # later messages use it too, so that none overtakes the large one
             self._large = self._declare(congestion_control=zenoh.CongestionControl.DROP, priority=BEHIND)
             self._put = self._large.put
         self._put(payload, attachment=attached, source_info=next(self._infos))
@@ -157,7 +157,7 @@ class _PlainSink:
 
 
 class _LatchedSink:
-    """A transient-local publisher: it keeps its last samples and gives them to late joiners."""
+    """A transient-local publisher, which caches its last samples for late joiners."""
 
     keeps: ClassVar[bool] = True
 
@@ -190,8 +190,8 @@ class _LatchedSink:
 class PublisherOptions:
     """How zenoh carries a publisher's samples.
 
-    As in rmw_zenoh samples are dropped where a link is congested, and only RELIABLE with KEEP_ALL blocks: one slow peer
-    must not delay the others. What a latched publisher lost so, a latched subscription recovers from its cache.
+    As in rmw_zenoh, samples are dropped on a congested link, and only RELIABLE with KEEP_ALL blocks: one slow peer must
+    not delay the others. A latched subscription recovers dropped samples from the publisher's cache.
     """
 
     def __init__(self, qos: Qos, priority: str, express: bool | None, queue: int | None = None) -> None:
@@ -203,7 +203,7 @@ class PublisherOptions:
 
 
 def cache_depth(qos: Qos) -> int:
-    """How many samples a latched publisher with this QoS keeps, and a latched subscription asks for."""
+    """Return how many samples a latched publisher with this QoS caches, and a latched subscription requests."""
     return KEEP_ALL_CACHE if qos.history is History.KEEP_ALL else min(max(qos.depth, 1), MAX_CACHE)
 
 
@@ -212,7 +212,7 @@ class HubPublisher:
 
     Attributes:
         gid: the 16 bytes that name the publisher in its samples.
-        by_lane: messages that went to a lane, or to several.
+        by_lane: messages sent on at least one lane.
     """
 
     def __init__(
@@ -243,18 +243,18 @@ class HubPublisher:
             if context.lane is not None and not options.blocks:
                 self._writer = context.lane.writer
                 self._why = context.lane.why
-        if self._writer is not None:  # before the token tells of it
+        if self._writer is not None:  # before the token announces the publisher
             self._writer.add(self)
         self._withdraw = context.graph.announce(token)
 
     def put(self, payload: bytes, source_time_ns: int | None = None) -> None:
         """Publish CDR bytes, encapsulation header first.
 
-        ``source_time_ns`` is the system time of its source, by default now. Raises `HubClosedError` where the publisher
-        or its session is closed, and `HubError` for a message that is larger than the hub takes.
+        ``source_time_ns`` is the system time of its source, by default now. Raises `HubClosedError` if the publisher or
+        its session is closed, and `HubError` if the message is larger than the hub's limit.
         """
         if len(payload) > self._limit:
-            raise HubError(f"message of {len(payload)} bytes on {self.topic}: the hub takes up to {self._limit}")
+            raise HubError(f"message of {len(payload)} bytes on {self.topic}: the hub's limit is {self._limit}")
         LARGE_MESSAGES.passed(len(payload))
         if source_time_ns is None:
             source_time_ns = time.time_ns()
@@ -274,10 +274,10 @@ class HubPublisher:
                 raise HubClosedError(f"cannot publish on {self.topic}: {zenoh_reason(err)}") from None
 
     def pass_over(self) -> bool:
-        """Number a message that needs not even be encoded; False where it is to be `put`, since somebody may get it.
+        """Number a message without encoding it, if no subscription exists; return False if it has to be `put`.
 
-        Nobody gets one of a volatile publisher to which nobody subscribes; whoever comes later finds the same numbers
-        as if it had been put. Raises `HubClosedError` where the publisher is closed.
+        Messages of a volatile publisher without subscriptions reach no one. Later subscriptions see the same numbers as
+        if it had been put. Raises `HubClosedError` if the publisher is closed.
         """
         with self._lock:
             if self._sink is None:
@@ -288,12 +288,15 @@ class HubPublisher:
             return True
 
     def matched(self) -> bool:
-        """Whether anybody subscribes: on another session, or on this one where several nodes share it."""
+        """Return whether any subscription exists, on another session or on another node of a shared session."""
         with self._lock:
             return self._sink is not None and (bool(self._outlets) or self._sink.matched())
 
     def way(self) -> tuple[str, str]:
-        """The way that messages take now, ``lane``, ``zenoh``, ``both`` or "" where nobody listens; and why zenoh."""
+        """Return the current transport and, for zenoh, the reason.
+
+        The transport is ``lane``, ``zenoh``, ``both``, or "" if no subscription exists.
+        """
         with self._lock:
             lane = bool(self._outlets)
             other = self._sink is not None and self._sink.matched()
@@ -304,7 +307,7 @@ class HubPublisher:
         return ("zenoh" if other else ""), self._why
 
     def attach(self, outlet: Outlet) -> None:
-        """Send each message from now on to a lane too, which is told the number of the last one before."""
+        """Send all further messages on a lane too, and first the number of the last message before."""
         with self._lock:
             outlet.command = outlet.command or self._command
             outlet.depth = max(outlet.depth, self._queue)
@@ -313,12 +316,12 @@ class HubPublisher:
             outlet.mark(self.gid, self._sequence)
 
     def detach(self, outlet: Outlet) -> None:
-        """Send there no more."""
+        """Stop sending on a lane."""
         with self._lock:
             self._outlets = tuple(each for each in self._outlets if each is not outlet)
 
     def close(self) -> None:
-        """Leave the graph; a latched publisher's samples are no longer served. Safe to call twice."""
+        """Leave the graph and drop the cached samples. Safe to call twice."""
         with self._lock:
             sink, self._sink = self._sink, None
             self._outlets = ()
