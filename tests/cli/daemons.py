@@ -1,4 +1,4 @@
-"""A real daemon with a router, a store and a gateway, without sides, and the command line beside it."""
+"""A real daemon with a router, a store and a gateway, without sides, and the command line."""
 
 from __future__ import annotations
 
@@ -68,7 +68,7 @@ class RobotDaemon:
         return next((dict(worker) for worker in report["workers"] if worker["worker"] == name), {})
 
     def until_phase(self, worker: str, phase: str, restarts: int = 0) -> dict[str, Any]:
-        """Wait until a worker is in a phase after so many restarts."""
+        """Wait until a worker is in a phase, after a number of restarts."""
 
         def reached() -> dict[str, Any] | None:
             report = self.worker(worker)

@@ -60,7 +60,7 @@ def of_verb(verb: str) -> list[argparse.ArgumentParser]:
 def test_each_option_with_a_value_accepts_what_starts_like_a_negative_number(
     verb: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """The option may refuse the value, with a message of its own; it must not be reported as missing or unknown."""
+    """The option may refuse the value with its own message; it must not be reported as missing or unknown."""
     for parser in of_verb(verb):
         for action in parser._actions:
             if not action.option_strings or action.nargs == 0:

@@ -87,7 +87,7 @@ def midspan(place: Place, tmp_path: Path, capsys: pytest.CaptureFixture[str]) ->
 
 
 def port(midspan: Midspan, name: str, peers: int) -> Any:
-    """What explain tells of a port, once so many are connected to it."""
+    """The output of explain for a port, once a number of peers is connected."""
 
     def found() -> Any:
         told = midspan("explain", name, "--json")

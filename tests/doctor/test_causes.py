@@ -16,8 +16,8 @@ def test_twenty_topics_with_one_trouble_are_one_line() -> None:
 @pytest.mark.parametrize(
     ("texts", "line"),
     [
-        (["/a: /n does not hear us: reliable"] * 3, "/a: /n does not hear us: reliable"),
-        (["/a: /n does not hear us: x", "/a: /m does not hear us: x"], "/a: /n does not hear us: x (the same for /m)"),
+        (["/a: /n gets nothing: reliable"] * 3, "/a: /n gets nothing: reliable"),
+        (["/a: /n gets nothing: x", "/a: /m gets nothing: x"], "/a: /n gets nothing: x (the same for /m)"),
         (["/a: /n is deaf", "/b: /m is deaf", "/b: /o is deaf"], "/a: /n is deaf (the same for /b)"),
         (
             ["/a: no answer of http://robot:40123/", "/a: no answer of http://robot:40124/"],

@@ -84,7 +84,7 @@ def test_our_own_router() -> None:
 
 @pytest.fixture
 def strangers_port() -> Iterator[int]:
-    """A port held by a program that takes connections and says nothing."""
+    """A port held by a program that accepts connections and sends nothing."""
     with socket.create_server(("127.0.0.1", 0)) as server:
         server.settimeout(0.05)
         stop = threading.Event()
@@ -140,7 +140,7 @@ def test_refused_types_and_differing_definitions() -> None:
     assert (refused.result, refused.cure) == (Result.FAIL, "c")
     assert "/a (x/A, ros1 -> hub)" in refused.seen
     assert (hashes.result, "/b" in hashes.seen) == (Result.FAIL, True)
-    deaf = "/c: /old does not hear us: it asks for x/C with md5 1, we publish x/C with md5 2"
+    deaf = "/c: /old gets no messages: it asks for x/C with md5 1, we publish x/C with md5 2"
     warned = only(types.look_at_hashes(around(hub=hub({"worker": "ros1", "warnings": [deaf, "/d: other"]}))))
     assert (warned.result, warned.seen) == (Result.WARN, deaf)
     many = hub({"worker": "ros1", "refused": [{**unknown, "type": f"x/A{number}"} for number in range(30)]})
@@ -172,7 +172,7 @@ def test_bridged_endpoints_are_named_by_their_side() -> None:
 
 
 def test_a_node_that_hears_several_types_conflicts_with_none_of_them() -> None:
-    # as BaseControl, which hears /cmd_vel as Twist and as TwistStamped
+    # as BaseControl, which subscribes to /cmd_vel as Twist and as TwistStamped
     one, two = endpoint("one", "a/msg/A", "1"), endpoint("two", "a/msg/B", "2")
     both = [endpoint("base", e.type_name, e.type_hash[7], EndpointKind.SUBSCRIPTION) for e in (one, two)]
     assert conflicts(both) == conflicts([*both, one]) == conflicts([*both, one, two]) == []
@@ -182,7 +182,7 @@ def test_a_node_that_hears_several_types_conflicts_with_none_of_them() -> None:
 
 
 def test_a_map_server_of_ros_beside_map2d_server() -> None:
-    # what the ros1 worker refuses beside a real map_server (navigation 1.17.3), which serves both
+    # refused by the ros1 worker next to a real map_server (navigation 1.17.3), which serves both
     def refused(service: str, *, reason: str = "") -> list[dict[str, Any]]:
         entry = {"kind": "service", "topic": service, "hub_topic": service, "type": "nav_msgs/srv/GetMap"}
         there = reason or f"/map_server serves {service} there already"
@@ -208,7 +208,7 @@ def test_a_map_server_of_ros_beside_map2d_server() -> None:
 def test_a_compiler_that_is_missing(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("CXX", "no-such-compiler")
     finding = only(types.look_at_compiler(around()))
-    if finding.result is not Result.SKIP:  # where there is no rclpy nothing is built
+    if finding.result is not Result.SKIP:  # without rclpy nothing is built
         assert (finding.result, "no-such-compiler" in finding.seen) == (Result.WARN, True)
     assert only(types.look_at_compiler(around({"ros2": {"enabled": False}}))).result is Result.SKIP
 

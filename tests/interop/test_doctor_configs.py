@@ -1,7 +1,7 @@
 """Each documented configuration, fresh, with the middlewares and programs that it names: `midspan doctor` is all OK.
 
-Where a program that it names is not started yet, doctor says which one, and nothing fails. One roscore and one ROS
-domain serve the whole file; what doctor says of the machine (compiler, shared memory, clock) is no configuration's.
+If a program that it names is not started yet, doctor names it, and nothing fails. One roscore and one ROS domain serve
+the whole file; findings on the machine (compiler, shared memory, clock) do not depend on the configuration.
 """
 
 from __future__ import annotations
@@ -54,7 +54,7 @@ Config = dict[str, Any]
 
 
 class Fresh:
-    """A daemon that was never started before, with ports, folders and names of its own, and the shell of its user."""
+    """A daemon that was never started before, with its own ports, folders and names, and the shell of its user."""
 
     def __init__(self, config: Config, folder: Path, master: RosMaster, midspan: Callable[..., Any]) -> None:
         self.stack = contextlib.ExitStack()
@@ -71,7 +71,7 @@ class Fresh:
         config["hub"] = {**config.get("hub", {}), "listen": f"tcp/127.0.0.1:{free_port()}"}
         self.file = folder / "midspan.yaml"
         self.file.write_text(yaml.safe_dump(config))
-        (folder / "yarp.conf").write_text(f"{address.host} {address.port} yarp\n")  # as docs/sides/yarp.md says
+        (folder / "yarp.conf").write_text(f"{address.host} {address.port} yarp\n")  # as in docs/sides/yarp.md
         self.shell = {
             "ROS_MASTER_URI": master.uri,
             "ROS_DOMAIN_ID": str(ros2_domain()),
@@ -121,7 +121,7 @@ class Fresh:
         self._until(lambda found: not found, checks)
 
     def until_it_waits(self, *words: str) -> None:
-        """Until it is said that these are not there, and nothing else; none of it is a failure."""
+        """Wait until exactly these are reported as missing; none of it is a failure."""
         self._until(lambda found: matches(found, words), MOST)
 
     def _until(self, fits: Callable[[list[str]], bool], checks: Iterable[str]) -> None:

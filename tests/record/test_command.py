@@ -1,4 +1,4 @@
-"""``midspan record`` as people run it, and the worker that it speaks to."""
+"""``midspan record`` as a command, and the worker that it controls."""
 
 from __future__ import annotations
 
@@ -103,7 +103,7 @@ def test_a_file_that_is_there_is_not_written_over(
 
 
 def recorder(file: Path, *words: str, limit: str = "unlimited") -> subprocess.Popen[str]:
-    """The verb in a process of its own; ``limit``: kilobytes that its files may have."""
+    """Start the verb as a process; ``limit``: kilobytes that its files may have."""
     command = [sys.executable, "-m", "bridge.cli.main", "record", *words, "--config", str(file)]
     return subprocess.Popen(
         ["bash", "-c", f"ulimit -f {limit}; exec {shlex.join(command)}"],
@@ -134,7 +134,7 @@ def test_a_recording_ends_with_ctrl_c_and_tells_what_it_wrote(robot: Robot, file
 
 @pytest.mark.skipif(sys.platform != "linux", reason="only Linux has a thread's priority")
 def test_who_is_recorded_goes_first(robot: Robot, file: Path, tmp_path: Path) -> None:
-    """Its threads yield, once each; the main one, which tells how it is, does not."""
+    """Its threads yield, once each; the main one, which reports its health, does not."""
     said = robot.publisher("/said")
     program = recorder(file, "/said", "-o", str(tmp_path / "run.mcap"))
     until(lambda: said.matched() or program.poll() is not None, "it is heard")

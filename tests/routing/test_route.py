@@ -110,7 +110,7 @@ def test_age_is_waiting_time_whatever_the_clock_offset(monkeypatch: pytest.Monke
 
 
 def ages(clock: Clock, gate: stall.AgeGate, offset: float, count: int = 20) -> list[float]:
-    """Ages of messages at 20 Hz that come at once from a source whose clock differs so much."""
+    """Ages of messages at 20 Hz that arrive at once from a source whose clock differs."""
     found = []
     for _ in range(count):
         clock.now += 0.05
@@ -126,7 +126,7 @@ def test_a_source_whose_clock_is_set_is_heard_again(monkeypatch: pytest.MonkeyPa
     held = [a for a in after if a > 0.1]
     assert len(held) <= stall.HOLD / 0.05 + 1
     assert after[-1] < 0.01
-    assert gate.age(int((clock.now + jump - 2.0) * 1e9)) > 1.9, "what is old is old on the new scale too"
+    assert gate.age(int((clock.now + jump - 2.0) * 1e9)) > 1.9, "an old command is old on the new scale too"
 
 
 def test_setting_this_machines_clock_makes_nothing_old(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -362,7 +362,7 @@ def test_a_quick_stream_is_left_ten_seconds_after_its_last_listener(
             return route.status()["state"]
 
         listener = network.read_from(topic, STRING, Qos(), MadeBy.NATIVE, "/listener", lambda *_: None)
-        assert [state_after(0.1), state_after(30.0)] == ["active", "active"], "somebody listens"
+        assert [state_after(0.1), state_after(30.0)] == ["active", "active"], "a subscriber is there"
         network.remove(listener)
         assert [state_after(30.0), state_after(9.0)] == ["active", "active"], "the listener left at the look before"
         assert state_after(2.0) == ("unheard" if count else "active")
@@ -410,7 +410,7 @@ def test_a_rate_means_the_same_in_both_directions(priority: str, latched: bool, 
     policy = RoutePolicy(allowed=True, why="", name=topic, rate=0.001, priority=priority)
     key, conversion = RouteKey(topic, STRING, type_.type_id), Conversion(type_, type_, None)
     volatile, latching = Qos(), Qos(durability=Durability.TRANSIENT_LOCAL, depth=1)
-    other = latching if not latched else volatile  # a publisher beside it changes nothing
+    other = latching if not latched else volatile  # another publisher changes nothing
     with HubNetwork() as hubs, Hub.open(hubs.settings("rates")) as hub:
         idle, lease = Dispatcher("idle"), Lease()
         lease.extend(math.inf)

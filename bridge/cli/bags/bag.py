@@ -42,7 +42,7 @@ def register(parser: argparse.ArgumentParser) -> None:
         example="midspan bag convert old.bag new.mcap", hub=False,
     )  # fmt: skip
     convert.add_argument("--skip-unknown", action="store_true", help="leave out topics whose type has no counterpart")
-    convert.add_argument("--skip-bad", action="store_true", help="leave out messages that are not what their type says")
+    convert.add_argument("--skip-bad", action="store_true", help="leave out messages that do not match their type")
     add_config(convert)
     cut = add_verb(
         verbs, "cut", _cut, "copy a part of a bag, in its format",
@@ -52,14 +52,14 @@ def register(parser: argparse.ArgumentParser) -> None:
     mend = add_verb(
         verbs, "mend", _mend, "write what can be read of a damaged bag into a whole one",
         "Writes all that can be read of a bag whose writer was killed, or that is damaged, into a whole one of the same"
-        " format, and tells what is lost.",
+        " format, and reports what is lost.",
         example="midspan bag mend killed.mcap whole.mcap", hub=False,
     )  # fmt: skip
     for verb in (convert, cut, mend):
         verb.add_argument("bag", type=Path, metavar="IN", help="a file, or a folder of rosbag2")
         verb.add_argument("out", type=Path, metavar="OUT", help="must not be there yet")
         verb.add_argument("--compression", choices=["zstd", "lz4", "bz2", "none"], help="default: the format's own")
-        verb.add_argument("--json", action="store_true", help="tell as JSON what was done")
+        verb.add_argument("--json", action="store_true", help="print the result as JSON")
     for verb in (convert, cut):
         verb.add_argument(
             "--topics", nargs="+", action="extend", metavar="TOPIC", help="names or globs, as '/camera/**'"
@@ -73,7 +73,7 @@ def register(parser: argparse.ArgumentParser) -> None:
         )
         verb.add_argument("--end", type=_moment, metavar="TIME", help="up to this time, which is left out")
         verb.add_argument(
-            "--latched", action="store_true", help="start with what latched topics said last before the start"
+            "--latched", action="store_true", help="start with the last latched messages before the start"
         )
 
 
@@ -101,9 +101,9 @@ def _end(number: int, _frame: object) -> None:
 
 @contextmanager
 def _opened(path: Path) -> Iterator[Bag]:
-    """The bag; its errors are the command's. SIGTERM ends it as Ctrl-C does: what is half written goes.
+    """The bag; its errors are the command's. SIGTERM ends it as Ctrl-C does: half-written files are removed.
 
-    Signals that are ignored stay so: a shell's script in which it runs behind ``&`` is ended without it.
+    Ignored signals stay ignored: Ctrl-C in a shell script does not end a command that runs in the background.
     """
     from bridge.bags.reader import BagError, open_bag
 
@@ -144,7 +144,7 @@ def _info(args: argparse.Namespace) -> int:
 
 
 def describe(bag: Bag) -> dict[str, Any]:
-    """What ``midspan bag info`` tells of a bag."""
+    """The output of ``midspan bag info``."""
     lasted = (bag.end_ns - bag.start_ns) / _NS
     return {
         "file": str(bag.path),
@@ -258,7 +258,7 @@ def _cut_or_mend(args: argparse.Namespace, *, mend: bool) -> int:
 
 @contextmanager
 def _progress(bag: Bag) -> Iterator[Told]:
-    """A bar on the standard error, where that is a terminal."""
+    """A bar on the standard error, if that is a terminal."""
     from rich.console import Console
     from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
 

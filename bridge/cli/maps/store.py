@@ -47,4 +47,5 @@ def named_map(stored: StoreClient, name: str | None) -> MapGrid2D:
 def missing(kind: str, name: str, names: list[str]) -> str:
     """Return the error for a missing value, with similar names."""
     meant = near(name, names) or names[:10]
-    return f"there is no {kind} {name!r}; " + (f"there is {', '.join(meant)}" if meant else "none is stored")
+    others = f"those that are: {', '.join(meant)}" if meant else "the store has none"
+    return f"no {kind} {name!r} is stored; {others}"

@@ -1,4 +1,4 @@
-"""The feeds of the robot: where it is, what its laser sees, where it drives to. All on the module's thread."""
+"""The feeds of the robot: its pose, its laser scan, and its goal. All on the module's thread."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ class RobotFeed(FrameFeed):
         self._footprint = [list(corner) for corner in footprint]
 
     def look(self) -> None:
-        """Put where the robot is."""
+        """Publish the robot's pose."""
         try:
             pose = self._follower.frames.pose()
         except FramesError as err:
@@ -71,7 +71,7 @@ class TopicsFeed(Feed):
 
 
 class LaserFeed(TopicsFeed):
-    """``laser``: what the laser sees, on the map, some ten times a second."""
+    """``laser``: the laser scan on the map, some ten times a second."""
 
     def __init__(self, host: Host, follower: FrameFollower, topic: str) -> None:
         super().__init__(host, "laser")
@@ -118,7 +118,7 @@ class LaserFeed(TopicsFeed):
 
 
 class PathFeed(TopicsFeed):
-    """``path``: the way of the chosen planner."""
+    """``path``: the path of the chosen planner."""
 
     def __init__(self, host: Host, config: Config, driving: DrivingFeed) -> None:
         super().__init__(host, "path")
@@ -158,7 +158,7 @@ class PathFeed(TopicsFeed):
 
 
 class DrivingFeed(TopicsFeed):
-    """``driving``: what the gateway says of the drive at hand. The console itself watches it all the time."""
+    """``driving``: the gateway's status of the current goal. The console itself watches it all the time."""
 
     STANDING = frozenset(state.value for state in State if state.ended or state is State.PAUSED)
 
@@ -181,17 +181,17 @@ class DrivingFeed(TopicsFeed):
 
     @property
     def state(self) -> str:
-        """The gateway's state, "" where it is not known."""
+        """The gateway's state, "" if unknown."""
         return "" if self._status is None else str(self._status["state"])
 
     @property
     def goal_id(self) -> bytes:
-        """The id of the goal that the gateway speaks of; zeros without one."""
+        """The id of the gateway's goal; zeros without one."""
         return bytes(16) if self._status is None else bytes(self._status["goal_id"])
 
     @property
     def busy(self) -> str:
-        """Why nobody may drive by hand, "" where one may."""
+        """Why manual driving is refused, "" if it is allowed."""
         return f"{self.planner} drives; pause or stop it first" if self.drives else ""
 
     def open(self) -> None:
@@ -239,7 +239,7 @@ class DrivingFeed(TopicsFeed):
         if not section.planner:
             self.put(None, "no planner is configured (navigation.planner)")
         elif status is None:
-            self.put(None, "the gateway has not said yet how it is")
+            self.put(None, "waiting for the gateway's status")
         else:
             goal = status["goal"]["pose"]
             at = Pose(float(goal["position"]["x"]), float(goal["position"]["y"]), yaw_of(goal["orientation"]))
@@ -260,7 +260,7 @@ class DrivingFeed(TopicsFeed):
 
 
 def _moved(frames: RobotFrames, stamp: int) -> Pose:
-    """Where the robot was on the map at a time; the odometry says it better than a localiser that speaks seldom."""
+    """Return the robot's pose on the map at a time; the odometry is finer than a localizer that publishes rarely."""
     try:
         return frames.correction() @ frames.transform(frames.odom_frame, frames.base_frame, stamp, extrapolate=LATE)
     except FramesError:

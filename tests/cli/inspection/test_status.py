@@ -55,7 +55,7 @@ def test_status_as_json_is_the_documents(midspan: Midspan) -> None:
 def test_one_cause_is_one_line_with_what_it_affects(
     midspan: Midspan, network: HubNetwork, closing: list[FakeWorker]
 ) -> None:
-    deaf = [f"/t{number}: /rviz does not hear us: it asks for reliable" for number in range(20)]
+    deaf = [f"/t{number}: /rviz gets no messages: it asks for reliable" for number in range(20)]
     full = "the state folder /var/lib/midspan: no space left on device"
     lost = [route(f"/r{number}", error="no server of /cancel_goal is on the hub") for number in range(9)]
     odd = [{**REFUSED, "topic": f"/odd{number}"} for number in range(20)]
@@ -67,13 +67,13 @@ def test_one_cause_is_one_line_with_what_it_affects(
     assert f"warning of ros1, ros2: {full}" in lines
     same = "(the same for /odd1, /odd2, /odd3, /odd4, /odd5 and 14 more)"
     assert f"refused ROS 1 -> hub /odd0 (odd_msgs/Odd): odd_msgs is not known {same}" in lines
-    assert [out.count(text) for text in ("does not hear us", full, "odd_msgs is not known", "cure: get it")] == [1] * 4
+    assert [out.count(text) for text in ("gets no messages", full, "odd_msgs is not known", "cure: get it")] == [1] * 4
     assert out.count("no server of /cancel_goal") == 1
     assert "(the same for /r1, /r2, /r3, /r4, /r5 and 3 more)" in " ".join(out.split())
     documents = midspan("status", "--json").json()
     assert documents[0]["warnings"] == [*deaf, full], "programs get all of it"
     told = midspan("doctor", "--only", "daemon", "--only", "types").out
-    assert [told.count(text) for text in ("does not hear us", full, "odd_msgs is not known")] == [1] * 3
+    assert [told.count(text) for text in ("gets no messages", full, "odd_msgs is not known")] == [1] * 3
 
 
 def test_a_worker_that_fails_to_answer_is_shown(midspan: Midspan, network: HubNetwork, closing: list[Any]) -> None:

@@ -59,7 +59,7 @@ def store(network: HubNetwork, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) 
 
 @pytest.fixture
 def moving(network: HubNetwork, registry: Registry, closing: list[Any]) -> Iterator[EngineWorker]:
-    """A side that tells where the base is."""
+    """A side that publishes the pose of the base."""
     worker = EngineWorker(network, registry)
     closing.append(worker)
     stop = threading.Event()
@@ -130,7 +130,7 @@ def test_maps_in_three_dimensions_come_and_go(midspan: Midspan, store: Store) ->
     assert "which one? there are 2 maps in 3D: cloud, house" in midspan("map", "export", "x.bt").err
     assert midspan("map", "export", "cloud.ot", "cloud", "--resolution", "0.1").code == 0
     assert midspan("map", "delete", "house", "--3d").out == "house is deleted\n"
-    assert "there is no map3d 'house'; there is cloud" in midspan("map", "delete", "house", "--3d").err
+    assert "no map3d 'house' is stored; those that are: cloud" in midspan("map", "delete", "house", "--3d").err
     listed = json.loads(midspan("map", "list", "--json").out)
     assert [(each["name"], each["form"], each["points"]) for each in listed] == [("cloud", "cloud", occupied)]
 
@@ -153,7 +153,7 @@ def test_a_slice_of_an_octomap_is_drawn_as_a_grid(midspan: Midspan, store: Store
         (["room", "--layer", "9"], "nothing is known of 'room' at 9 m; its heights in metres: 0.2 to 0.4"),
         (["room", "--layer", "nan"], "--layer is a height in metres, not nan"),
         (["points", "--layer", "1"], "'points' is a cloud, which knows no free space"),
-        (["attic", "--layer", "1"], "there is no map3d 'attic'; there is points, room"),
+        (["attic", "--layer", "1"], "no map3d 'attic' is stored; those that are: points, room"),
         (["--layer", "1"], "which one? there are 2 maps in 3D: points, room"),
     ):
         assert told in midspan("map", "show", *words).err
@@ -193,15 +193,15 @@ def test_all_kinds_are_listed_and_removed(midspan: Midspan, store: Store) -> Non
     assert midspan("location", "remove", "zone", "--kind", "area").code == 0
     assert (store.names(AREA), store.names(BEHAVIOUR)) == ([], [])
     done = midspan("location", "remove", "aa")
-    assert (done.code, done.err) == (1, "midspan: there is no location 'aa'; there is a\n")
+    assert (done.code, done.err) == (1, "midspan: no location 'aa' is stored; those that are: a\n")
 
 
 @pytest.mark.parametrize(
     ("words", "why"),
     [
         (["map", "show"], "no map is in use"),
-        (["map", "show", "hose"], "there is no map 'hose'; none is stored"),
-        (["map", "use", "house"], "there is no map 'house'"),
+        (["map", "show", "hose"], "no map 'hose' is stored; the store has none"),
+        (["map", "use", "house"], "no map 'house'"),
         (["map", "import", "nowhere.yaml"], "nowhere.yaml"),
         (["map", "import", "house.yaml", "house.yaml"], "in the files twice"),
         (["map", "import", "house.yaml", "--name", "a/b"], "has /"),

@@ -101,15 +101,15 @@ def test_progress_tells_each_change_with_its_reason(capsys: pytest.CaptureFixtur
     for goal, state, reason in (
         (mine, "moving", ""),
         (other, "aborted", "not ours"),
-        (mine, "waiting_obstacle", "a chair stands in the way"),
-        (mine, "waiting_obstacle", "a chair stands in the way"),
+        (mine, "waiting_obstacle", "a chair is ahead"),
+        (mine, "waiting_obstacle", "a chair is ahead"),
         (mine, "moving", ""),
     ):
         progress.take({"goal_id": goal, "state": state, "reason": reason})
     progress.feedback({"distance_remaining": 3.25})
     progress.refresh()
     progress.refresh()
-    told = ["moving, 3.2 m to go", "waiting obstacle: a chair stands in the way, 3.2 m to go", "moving, 3.2 m to go"]
+    told = ["moving, 3.2 m to go", "waiting obstacle: a chair is ahead, 3.2 m to go", "moving, 3.2 m to go"]
     assert capsys.readouterr().out.splitlines() == told
 
 
@@ -174,7 +174,7 @@ def test_to_a_place_with_progress(rig: Rig, midspan: Midspan) -> None:
     def drive() -> None:
         goal = rig.planner.until(1)
         assert where(goal) == (2.5, 1.0, 90.0)
-        rig.planner.tell(goal, State.WAITING, "a chair stands in the way")
+        rig.planner.tell(goal, State.WAITING, "a chair is ahead")
         rig.state(State.WAITING)
         rig.planner.reach(goal)
 
@@ -241,7 +241,7 @@ def test_a_closed_output_cancels_the_goal(rig: Rig, midspan: Midspan) -> None:
     assert goto.stdout is not None
     goal = rig.planner.until(1)
     goto.stdout.close()
-    rig.planner.tell(goal, State.WAITING, "a chair stands in the way")
+    rig.planner.tell(goal, State.WAITING, "a chair is ahead")
     assert goto.wait(20) == 0
     assert goto.stderr is not None
     assert goto.stderr.read() == "midspan: the output was closed: the goal was canceled\n"
@@ -260,7 +260,7 @@ def test_a_killed_client_is_not_said_to_be_on_another_machine(rig: Rig, midspan:
 
 
 def process(midspan: Midspan, *words: str) -> subprocess.Popen[str]:
-    """``midspan goto`` as a process of its own."""
+    """Start ``midspan goto`` as a process."""
     command = [sys.executable, "-m", "bridge.cli.main", "goto", *words, "--config", str(midspan.config)]
     return subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
 
@@ -329,7 +329,7 @@ def test_the_path_is_told_and_drawn(rig: Rig, midspan: Midspan, tmp_path: Path) 
         goal = rig.planner.until(1)
         rig.state(State.MOVING)
         out.publish({"header": {"frame_id": "map"}, "poses": [pose(2.5, 4.0), pose(2.5, 1.0, math.pi / 2)]})
-        told = until(lambda: midspan("nav", "path", "--json").json(), "the path is told")
+        told = until(lambda: midspan("nav", "path", "--json").json(), "the path is printed")
         assert told[1] == {"frame": "map", "x": 2.5, "y": 1.0, "theta_deg": pytest.approx(90.0)}
         assert midspan("nav", "path").out.splitlines()[0].split()[:3] == ["1", "2.50", "4.00"]
         shown = midspan("nav", "show", "--width", "100").out
@@ -401,7 +401,7 @@ def test_a_gateway_that_takes_long_to_answer(network: HubNetwork, closing: list[
         assert no_answer(client).startswith("no gateway is configured")
         worker = FakeWorker(network, "gateway", status=lambda _params: {"late": not late.wait(2.5)})
         closing.append(worker)
-        assert gateway_status(client)["late"]  # after 2 s a busy machine was told that there is none
+        assert gateway_status(client)["late"]  # 2 s are too short on a busy machine
         worker.publish(STATUS_TOPIC, STATUS, f"RIHS01_{'1' * 64}", b"")
         until(lambda: no_answer(client).startswith("the gateway's worker runs"), "it is seen on the hub")
 

@@ -1,4 +1,4 @@
-"""The module on a hub of its own: YARP clients, hub participants in the place of ROS's, and the store."""
+"""The module on its own hub: YARP clients, hub participants in place of ROS nodes, and the store."""
 
 from __future__ import annotations
 
@@ -137,7 +137,7 @@ def test_a_map_in_three_dimensions_has_a_topic_of_its_form(served: Served) -> No
     points = served.latest("/maps3d/n1st", "sensor_msgs/PointCloud2")
     until(points, "the cloud is out", 20)
     assert (points()["width"], points()["point_step"]) == (3, 16)
-    until(lambda: not served.far.hub.graph.servers("/maps3d/n1st/octomap_full"), "a cloud is no octomap", 20)
+    until(lambda: not served.far.hub.graph.servers("/maps3d/n1st/octomap_full"), "a cloud is not an octomap", 20)
     served.store.delete(MAP3D, "1st")
     served.far.until_unpublished("/maps3d/n1st")
 
@@ -150,7 +150,7 @@ def test_each_change_is_heard(served: Served) -> None:
     changed = six_flags("one", seed=2)
     with served.client() as client:
         client.maps["one"] = changed
-        until(lambda: np.array_equal(from_grid(current(), "").occupancy, changed.occupancy), "the change is heard", 20)
+        until(lambda: np.array_equal(from_grid(current(), "").occupancy, changed.occupancy), "the change arrives", 20)
         served.far.until_published("/maps/one")
         del client.maps["one"]
         served.far.until_unpublished("/maps/one")

@@ -1,4 +1,4 @@
-"""A service's route: one end for each call, whatever comes between; and what its counters tell."""
+"""A service's route: one end for each call, despite all disturbances; and its counters."""
 
 from __future__ import annotations
 
@@ -148,7 +148,7 @@ def test_a_caller_that_gives_up_is_forgotten_on_the_side(place: Place) -> None:
     call = ask(place.client())
     serving.requests(1)
     call.abandon()
-    until(lambda: serving.abandoned == 1, "the side's server is told")
+    until(lambda: serving.abandoned == 1, "the side's server is notified")
     serving.release()
     assert place.counts() == (1, 0, 0, 1, 0)
     assert not call.result(0)["done"]
@@ -215,7 +215,7 @@ def test_the_end_of_the_network_ends_its_calls(place: Place) -> None:
 def test_an_error_of_an_actions_service_is_the_reply_that_says_no(
     place: Place, part: str, type_name: str, said: dict[str, int]
 ) -> None:
-    """A client of rmw_zenoh hears no errors."""
+    """A client of rmw_zenoh receives no errors."""
     place.serve(f"/go/_action/{part}", type_name, error="the planner fell over")
     if part == "cancel_goal":
         place.serve("/go/_action/send_goal", f"{GO}_SendGoal")
@@ -282,7 +282,7 @@ def test_one_worker_of_a_network_offers_a_service_and_another_takes_over(place: 
 
 
 def test_a_planners_goal_is_cancelled_whose_client_has_gone_and_no_other_actions(place: Place) -> None:
-    """The gateway's process is killed: nobody else knows the goal, so nobody could stop the robot."""
+    """The gateway's process is killed: no other program knows the goal, so none could stop the robot."""
     hub = Hub.open(place.hubs.settings("gateway"))
     cancels = {action: _goal(place, hub, action) for action in ("/planner/nav2/navigate_to_pose", "/arm/move")}
     hub.close()
@@ -294,7 +294,7 @@ def test_a_planners_goal_is_cancelled_whose_client_has_gone_and_no_other_actions
 
 
 def _goal(place: Place, hub: Hub, action: str) -> Serving:
-    """Wait for a goal's result on the hub; returns where the side is asked for its cancellation."""
+    """Wait for a goal's result on the hub; returns the side's server of cancellations."""
     result = f"{action}/_action/get_result"
     place.serve(result, f"{GO}_GetResult", held=True)
     cancels = place.serve(f"{action}/_action/cancel_goal", "action_msgs/srv/CancelGoal")
