@@ -11,7 +11,7 @@ from bridge.hub.graph.view import HubEndpoint
 from bridge.messages.actions import split
 from bridge.messages.errors import MessageTypeError
 from bridge.messages.transcode.conversion import Conversion, ServiceConversion
-from bridge.routing.edge import Endpoint, Kind, MadeBy
+from bridge.routing.edge import Endpoint, Kind, MadeBy, Obstacle
 from bridge.routing.rules import RoutePolicy
 
 Converts = TypeVar("Converts", Conversion, ServiceConversion)
@@ -42,6 +42,7 @@ class RouteDecision:
     reason: str = ""
     cure: str = ""
     of: str = "topic"
+    barred: bool = False
 
     @classmethod
     def not_native(cls, endpoint: Endpoint) -> Self:
@@ -82,6 +83,10 @@ class RouteDecision:
         """Say that something stands in the way."""
         self.refused, self.reason, self.cure = True, reason, cure
 
+    def bar(self, obstacle: Obstacle) -> None:
+        """Refuse the calls of a service whose route stays, so that its callers get the reason."""
+        self.barred, self.reason, self.cure = True, obstacle.reason, obstacle.cure
+
     def convert(self, make: Callable[[], Converts]) -> Converts | None:
         """Make the route's conversion; None, and the decision is refused, where its type cannot cross."""
         try:
@@ -97,7 +102,7 @@ class RouteDecision:
             return "standby"
         if self.own or self.policy.settled:
             return "unseen" if self.policy.allowed else "own"
-        if self.refused:
+        if self.refused or self.barred:
             return "refused"
         if self.policy.allowed:
             return "bridged"

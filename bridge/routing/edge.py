@@ -10,7 +10,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from enum import Enum
-from typing import TYPE_CHECKING, Any, ClassVar, Protocol
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, Protocol
 
 from bridge.clock import SYSTEM, RunClock
 from bridge.hub.endpoints.calls import Abandon, Call, Done
@@ -47,6 +47,13 @@ class MadeBy(Enum):
     UNKNOWN = "unknown"
 
 
+class Obstacle(NamedTuple):
+    """Why calls of a server, or requests of a client, do not cross, and what helps."""
+
+    reason: str
+    cure: str
+
+
 @dataclass(frozen=True, slots=True)
 class Endpoint:
     """One publisher, subscription, server or client on a side's graph.
@@ -62,6 +69,7 @@ class Endpoint:
         type_id: what the endpoint itself announced of its type (md5 or RIHS01), "" where unknown.
         definition: full definition text where the middleware carries one (ROS 1 connection header), else "".
         node: fully qualified node name, for people.
+        obstacle: why the calls of a server or client do not cross, None if they do.
     """
 
     id: str
@@ -73,6 +81,7 @@ class Endpoint:
     node: str = ""
     type_id: str = ""
     definition: str = ""
+    obstacle: Obstacle | None = None
 
 
 @dataclass(frozen=True, slots=True)

@@ -23,9 +23,13 @@ BROWSER = f"{_MARK}Chromium (`make test` installs it from apt on Debian 12, as r
 COMPILER = f"{_MARK}a C compiler (apt install g++ python3-dev, then `make setup`)"
 PROMETHEUS = f"{_MARK}Prometheus and promtool (apt install prometheus; in CI scripts/setup.sh unpacks them)"
 OCTOMAP = f"{_MARK}OctoMap's programs (apt install octomap-tools)"
+CYCLONE = f"{_MARK}Cyclone DDS (`make setup` installs the cyclonedds wheel on Linux with x86_64)"
 DEBIAN = f"{_MARK}root with debootstrap and lintian, to try the Debian package (apt install debootstrap lintian)"
 
-_PACKAGES = {"rospy": ROS1, "rosgraph": ROS1, "genpy": ROS1, "rclpy": ROS2, "rosidl_parser": ROS2, "dartpy": DART}
+_PACKAGES = {
+    "rospy": ROS1, "rosgraph": ROS1, "genpy": ROS1, "rclpy": ROS2, "rosidl_parser": ROS2, "dartpy": DART,
+    "cyclonedds": CYCLONE,
+}  # fmt: skip
 """What a test that cannot import one of these lacks."""
 
 _not_read: dict[str, list[str]] = {}
@@ -54,6 +58,7 @@ def lacking() -> frozenset[str]:
         BROWSER: bool(shutil.which("chromium") and shutil.which("chromedriver")),
         PROMETHEUS: prometheus_tool("promtool") is not None and prometheus_tool("prometheus") is not None,
         COMPILER: shutil.which("g++") is not None,
+        CYCLONE: find_spec("cyclonedds") is not None,
         OCTOMAP: shutil.which("convert_octree") is not None,
         DEBIAN: os.geteuid() == 0 and bool(shutil.which("debootstrap") and shutil.which("lintian")),
     }

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, TypeVar
 
 from bridge.adapters.ros2 import rcl
 from bridge.adapters.ros2.environment import domain
-from bridge.adapters.ros2.graph import neighbours, spdp
+from bridge.adapters.ros2.graph import neighbours, spdp, vendors
 from bridge.adapters.ros2.graph.graph import GraphSnapshot, Ros2Graph, is_hidden
 from bridge.adapters.ros2.graph.neighbours import ProcessWatch
 from bridge.adapters.ros2.graph.origins import Origins, new_prefix, participant_number
@@ -281,14 +281,20 @@ class Ros2Edge(SideEdge):
         if seconds > _FORGOTTEN and self._listener is not None:
             self._listener.edge_failed(why)
 
+    def details(self) -> dict[str, Any]:
+        """The nodes on Cyclone DDS, as `bridge.doctor.checks.cyclone` reads them."""
+        cyclone = vendors.report(self.endpoints())
+        return {"cyclone": cyclone} if cyclone else {}
+
     def warnings(self) -> list[str]:
-        """Native subscriptions that do not hear what we publish, and why."""
+        """Native subscriptions that do not receive what we publish, with the reason, and nodes on Cyclone DDS."""
         offers: dict[str, set[Qos]] = {}
         with self._lock:
             for end in self._ends:
                 if isinstance(end, Ros2Publisher):
                     offers.setdefault(end.topic, set()).add(end.qos)
-        found = []
+        cyclone = vendors.report(self.endpoints())
+        found = [vendors.warning(cyclone)] if cyclone else []
         for endpoint in self.endpoints():
             if endpoint.kind is Kind.SUBSCRIPTION and endpoint.made_by is MadeBy.NATIVE:
                 reasons = {mismatch(qos, endpoint.qos) for qos in offers.get(endpoint.topic, ())} - {""}

@@ -23,6 +23,16 @@ class CallError(Exception):
     """A call without a reply; the text tells the caller why."""
 
 
+class CallRefusedError(CallError):
+    """A call that was refused before any server received it.
+
+    ``reply`` is the reply by which the service's type refuses, for clients of rmw_zenoh, which get no errors; b"" if it
+    has none.
+    """
+
+    reply = b""
+
+
 Done = Callable[[bytes | CallError], None]
 """Gets a call's end, once, on any thread; it only appends and wakes, or sends."""
 
@@ -56,6 +66,9 @@ _SETTLING = 1.0
 
 _AGAIN = 0.02
 _NO_SERVER = "no server of {name} is on {where}"
+_REFUSED_ENCODING = zenoh.Encoding("text/plain;refused")
+"""Of the text of a `CallRefusedError`."""
+
 _FOR_EVER = 1e9
 """Seconds after which zenoh ends a query, ten by default: no call has a limit of ours."""
 
@@ -204,7 +217,8 @@ class CallClient:
         if reply.ok is None:
             error = b"" if reply.err is None else reply.err.payload.to_bytes()[:MAX_ERROR]
             text = error.decode(errors="replace") or "the server answered with an error"
-            self._end(number, CallError(text))
+            refused = reply.err is not None and reply.err.encoding == _REFUSED_ENCODING
+            self._end(number, (CallRefusedError if refused else CallError)(text))
         elif len(reply.ok.payload) > self._limit:
             size = len(reply.ok.payload)
             self._end(number, CallError(f"the reply has {size} bytes, limits.message allows {self._limit}"))
@@ -263,11 +277,16 @@ class CallClient:
             self._abandoned(asking.attached)
 
 
-def reply_error(query: zenoh.Query, error: CallError) -> None:
-    """Answer a query with zenoh's error reply, and end it."""
+def reply_error(
+    query: zenoh.Query, error: CallError, refuse: Callable[[zenoh.Query, bytes], None] | None = None
+) -> None:
+    """Answer a query with zenoh's error reply, and a refused one by ``refuse`` too; then end it."""
+    refused = isinstance(error, CallRefusedError)
     try:
         with query:
-            query.reply_err(str(error)[:MAX_ERROR].encode())
+            query.reply_err(str(error)[:MAX_ERROR].encode(), encoding=_REFUSED_ENCODING if refused else None)
+            if isinstance(error, CallRefusedError) and error.reply and refuse is not None:
+                refuse(query, error.reply)
     except zenoh.ZError as err:
         _log.debug("nobody waits for the reply: %s", err)
 
@@ -429,12 +448,16 @@ class CallServer:
             return
         if isinstance(result, bytes) and len(result) > self._limit:
             result = CallError(f"the reply has {len(result)} bytes, limits.message allows {self._limit}")
+
+        def reply(query: zenoh.Query, payload: bytes) -> None:
+            query.reply(self._key, payload, encoding=self.encoding, attachment=self._attached(asked))
+
         if isinstance(result, CallError):
-            reply_error(asked.query, result)
+            reply_error(asked.query, result, reply)
             return
         try:
             with asked.query as query:
-                query.reply(self._key, result, encoding=self.encoding, attachment=self._attached(asked))
+                reply(query, result)
         except zenoh.ZError as err:
             _log.debug("%s: nobody waits for the reply: %s", self.name, err)
 

@@ -59,6 +59,7 @@ class HubToSideServices(RouteSet[RouteKey, HubToSideService]):
         """
         groups = hub_groups(self._context.hub.graph.servers())
         natives = {e.topic: e for e in endpoints if e.kind is Kind.SERVER and e.made_by is not MadeBy.MIDSPAN}
+        barred = {e.topic: e.obstacle for e in endpoints if e.kind is Kind.CLIENT and e.obstacle is not None}
         taken = {route.side_topic: key for key, route in self._routes.items()}
         for key, servers in groups.items():
             decision = self._judge(key, servers, gate, outcome)
@@ -68,6 +69,10 @@ class HubToSideServices(RouteSet[RouteKey, HubToSideService]):
             if decision.kind == "bridged":
                 self._keep(key, servers, decision)
                 taken[decision.topic] = key
+                if decision.topic in barred and not decision.refused:
+                    also = RouteDecision("out", decision.topic, key.topic, key.type_name, decision.policy, of=_SERVICE)
+                    also.bar(barred[decision.topic])
+                    decisions.append(also)
             elif key in self._routes:
                 self._routes.pop(key).close(f"{key.topic} is no longer bridged")
 

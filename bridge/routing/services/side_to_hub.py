@@ -6,7 +6,7 @@ import logging
 from collections.abc import Callable, Sequence
 from typing import Final
 
-from bridge.hub.endpoints.calls import Abandon, CallError, Done
+from bridge.hub.endpoints.calls import Abandon, CallError, CallRefusedError, Done
 from bridge.messages.actions import CANCEL_GOAL, ENDINGS, GET_RESULT, part_name, split
 from bridge.messages.registry import Registry
 from bridge.messages.values import refusal, unknown_result
@@ -59,7 +59,15 @@ class SideToHubService(ServiceRoute):
         refuse = self._refusal
         if refuse is None:
             return self._call(request, done)
-        return self._call(request, lambda end: done(refuse(str(end)) if isinstance(end, CallError) else end))
+
+        def ended(result: bytes | CallError) -> None:
+            if isinstance(result, CallRefusedError):
+                result.reply = refuse(str(result))
+            elif isinstance(result, CallError):
+                result = refuse(str(result))
+            done(result)
+
+        return self._call(request, ended)
 
     def _call(self, request: bytes, done: Done) -> Abandon:
         orphaned = self.orphaned
@@ -138,6 +146,9 @@ class SideToHubServices(RouteSet[RouteKey, SideToHubService]):
             taken[hub_name] = key
         route.servers = len(servers)
         route.attempt(route.open, decision)
+        obstacle = next((server.obstacle for server in servers if server.obstacle is not None), None)
+        if obstacle is not None and not decision.refused:
+            decision.bar(obstacle)
 
     def _trouble(self, key: RouteKey, hub_name: str, taken: dict[str, RouteKey]) -> str:
         """Why the hub has no place for a service, "" where it has: a call goes to one server."""

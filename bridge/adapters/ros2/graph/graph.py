@@ -15,19 +15,20 @@ import tempfile
 import threading
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 from bridge.adapters.ros2 import rcl
+from bridge.adapters.ros2.graph import vendors
 from bridge.adapters.ros2.graph.origins import PREFIX_BYTES, is_marked
 from bridge.adapters.ros2.participant import Participant, from_rclpy, reply_topic, request_topic, service_type
 from bridge.config.model import Config
 from bridge.messages.actions import TOPICS, part_name
-from bridge.routing.edge import Endpoint, Kind, MadeBy
+from bridge.routing.edge import Endpoint, Kind, MadeBy, Obstacle
 
-_UNKNOWN_NODE = "_NODE_NAME_UNKNOWN_"
-"""rmw's name for the node of an endpoint whose participant has not told its nodes yet (or is no ROS node's)."""
+_UNKNOWN_NODES = ("_NODE_NAME_UNKNOWN_", "_CREATED_BY_BARE_DDS_APP_")
+"""rmw's names for the node of an endpoint whose participant has not announced its nodes yet, or is not a ROS program."""
 
 _SETTLE = 0.02
 _POLL, _LONGEST_POLL = 5.0, 60.0
@@ -45,7 +46,8 @@ class GraphSnapshot:
 
     ``endpoints`` leaves hidden topics out but for actions'; ``publishers`` are by topic and GID; ``servers`` are the
     GIDs of native servers by service; ``participants`` are the GUID prefixes of all ROS participants but ours;
-    ``heard`` are the topics that another participant subscribes to.
+    ``heard`` are the topics that another participant subscribes to; ``obstacles`` are the reasons why native servers
+    of a service cannot be called, by service.
     """
 
     endpoints: tuple[Endpoint, ...] = ()
@@ -53,6 +55,7 @@ class GraphSnapshot:
     servers: Mapping[str, frozenset[bytes]] = field(default_factory=dict)
     participants: frozenset[bytes] = frozenset()
     heard: frozenset[str] = frozenset()
+    obstacles: Mapping[str, Obstacle] = field(default_factory=dict)
 
 
 class Ros2Graph:
@@ -103,21 +106,38 @@ class Ros2Graph:
             endpoints += [e for _, e in found]
             endpoints += [e for _, e in self._endpoints_of(topic, Kind.SUBSCRIPTION)]
         servers: dict[str, frozenset[bytes]] = {}
+        obstacles: dict[str, Obstacle] = {}
         for service, requests in self._participant.service_topics():
-            found = self._others(service, Kind.SERVER, self._participant.readers(requests, dds=True))
+            found = self._servers(service, requests)
             servers[service] = frozenset(gid for gid, server in found if server.made_by is MadeBy.NATIVE)
-            endpoints += [e for _, e in found]
-            clients = self._participant.writers(requests, dds=True)
-            endpoints += [e for _, e in self._others(service, Kind.CLIENT, clients)]
+            obstacle = vendors.of_servers(service, (e for _, e in found))
+            if obstacle is not None:
+                obstacles[service] = obstacle
+            endpoints += [replace(e, obstacle=obstacle) for _, e in found]
+            endpoints += self._clients(service, requests)
         prefixes = {gid[:PREFIX_BYTES] for gid in self._participant.participants()}
         heard = frozenset(e.topic for e in endpoints if e.kind is Kind.SUBSCRIPTION)
-        return GraphSnapshot(tuple(endpoints), publishers, servers, frozenset(prefixes - {self._own}), heard)
+        return GraphSnapshot(tuple(endpoints), publishers, servers, frozenset(prefixes - {self._own}), heard, obstacles)
+
+    def obstacle(self, service: str) -> Obstacle | None:
+        """Why the servers that a service has at this moment cannot be called, None if they can."""
+        return vendors.of_servers(service, (e for _, e in self._servers(service, request_topic(service))))
 
     def clients(self, service: str) -> set[bytes]:
         """GIDs by which requests of a service's clients may be known, looked up now."""
         asking = self._participant.writers(request_topic(service), dds=True)
         waiting = self._participant.readers(reply_topic(service), dds=True)
         return {bytes(info["endpoint_gid"]) for info in (*asking, *waiting)}
+
+    def _servers(self, service: str, requests: str) -> list[tuple[bytes, Endpoint]]:
+        return self._others(service, Kind.SERVER, self._participant.readers(requests, dds=True))
+
+    def _clients(self, service: str, requests: str) -> list[Endpoint]:
+        clients = [e for _, e in self._others(service, Kind.CLIENT, self._participant.writers(requests, dds=True))]
+        obstacle = vendors.of_clients(service, clients)
+        if obstacle is None:
+            return clients
+        return [replace(e, obstacle=obstacle) if vendors.is_cyclone(bytes.fromhex(e.id)) else e for e in clients]
 
     def _endpoints_of(self, topic: str, kind: Kind) -> list[tuple[bytes, Endpoint]]:
         look = self._participant.writers if kind is Kind.PUBLISHER else self._participant.readers
@@ -172,7 +192,7 @@ def _endpoint(topic: str, kind: Kind, gid: bytes, info: Mapping[str, Any]) -> En
         type=service_type(str(info["topic_type"])),
         qos=from_rclpy(info["qos_profile"]),
         made_by=MadeBy.MIDSPAN if is_marked(gid) else MadeBy.NATIVE,
-        node="" if node == _UNKNOWN_NODE else f"{str(info['node_namespace']).rstrip('/')}/{node}",
+        node="" if node in _UNKNOWN_NODES else f"{str(info['node_namespace']).rstrip('/')}/{node}",
         type_id=f"RIHS01_{bytes(type_hash['value']).hex()}" if type_hash["version"] == 1 else "",
     )
 

@@ -13,9 +13,10 @@ from bridge.adapters.ros2.graph.origins import PREFIX_BYTES
 from bridge.adapters.ros2.participant import SERVICE
 from bridge.adapters.ros2.rcl import ENCAPSULATION
 from bridge.adapters.ros2.services.endpoint import Closed, Ros2Context, ServiceEndpoint
+from bridge.adapters.ros2.services.matching import MatchCounter
 from bridge.adapters.ros2.services.pacing import SentRequests
-from bridge.hub.endpoints.calls import Abandon, CallError, Done
-from bridge.routing.edge import EdgeCaller
+from bridge.hub.endpoints.calls import Abandon, CallError, CallRefusedError, Done
+from bridge.routing.edge import EdgeCaller, Obstacle
 
 _MOST = SERVICE.depth // 2
 """Calls of one caller under way; the engine allows less."""
@@ -47,6 +48,8 @@ class Ros2Caller(ServiceEndpoint, EdgeCaller):
         self._waiting: deque[_PendingCall] = deque()
         self._sent: dict[int, _PendingCall] = {}
         self._requests = SentRequests()
+        self._matches = MatchCounter(self.pointer)
+        self._verified: int | None = None
         self._gone: set[bytes] = set()
         self._matched = self._due = False
         self._find_gone()
@@ -60,21 +63,37 @@ class Ros2Caller(ServiceEndpoint, EdgeCaller):
             if not refused:
                 self._waiting.append(calling)
         if refused:
-            done(CallError(refused))
+            done(refused)
         else:
             self._advance()
         return partial(self._abandon, calling)
 
-    def _refused(self, request: bytes) -> str:
+    def _refused(self, request: bytes) -> CallError | None:
+        obstacle = self._graph.snapshot.obstacles.get(self.name)
         if self._closed:
-            return f"{self.name} is no longer bridged"
+            return CallError(f"{self.name} is no longer bridged")
         if request[: len(ENCAPSULATION)] != ENCAPSULATION:
-            return f"{self.name}: the request is not little-endian CDR"
+            return CallError(f"{self.name}: the request is not little-endian CDR")
+        if obstacle is not None:
+            return _refusal(obstacle)
         if not self._servers():
-            return f"{self.name} has no server on ROS 2"
+            return CallError(f"{self.name} has no server on ROS 2")
         if len(self._sent) + len(self._waiting) >= _MOST:
-            return f"{self.name} is busy: {_MOST} calls are under way"
-        return ""
+            return CallError(f"{self.name} is busy: {_MOST} calls are under way")
+        return None
+
+    def _obstacle(self) -> Obstacle | None:
+        """Why the servers that our writer has matched cannot be called; the graph is read after a new match only."""
+        known = self._graph.snapshot.obstacles.get(self.name)
+        if known is not None:
+            return known
+        matched = self._matches.total()
+        if matched is None or matched != self._verified:
+            found = self._graph.obstacle(self.name)
+            if found is not None:
+                return found
+            self._verified = matched
+        return None
 
     def _servers(self) -> frozenset[bytes]:
         """GIDs of the native servers that live."""
@@ -85,7 +104,7 @@ class Ros2Caller(ServiceEndpoint, EdgeCaller):
 
     def _advance(self) -> None:
         """Send what may be sent now, and schedule the rest."""
-        failed: list[tuple[_PendingCall, str]] = []
+        failed: list[tuple[_PendingCall, CallError]] = []
         with self._lock:
             wait = self._send_waiting(failed)
             if wait and not self._due:
@@ -94,20 +113,19 @@ class Ros2Caller(ServiceEndpoint, EdgeCaller):
             if self._sent:
                 self._look_soon()
         for calling, why in failed:
-            _end(calling, CallError(why))
+            _end(calling, why)
 
     def _advance_later(self) -> None:
         with self._lock:
             self._due = False
         self._advance()
 
-    def _send_waiting(self, failed: list[tuple[_PendingCall, str]]) -> float:
+    def _send_waiting(self, failed: list[tuple[_PendingCall, CallError]]) -> float:
         """Send under the lock; seconds until the next can go, 0 where none waits."""
         while self._waiting and not self._closed:
             servers = self._servers()
             if not servers:
-                failed += [(calling, f"{self.name} has no server on ROS 2") for calling in self._waiting]
-                self._waiting.clear()
+                self._fail_waiting(failed, CallError(f"{self.name} has no server on ROS 2"))
                 return 0.0
             if not self._matched:
                 self._matched = rcl.has_server(self._participant.pointer, self.pointer)
@@ -116,19 +134,27 @@ class Ros2Caller(ServiceEndpoint, EdgeCaller):
             wait = self._requests.wait()
             if wait:
                 return wait
+            obstacle = self._obstacle()
+            if obstacle is not None:
+                self._fail_waiting(failed, _refusal(obstacle))
+                return 0.0
             calling = self._waiting.popleft()
             if not self._matched:
-                failed.append((calling, f"the server of {self.name} on ROS 2 cannot be reached"))
+                failed.append((calling, CallError(f"the server of {self.name} on ROS 2 cannot be reached")))
                 continue
             try:
                 number = rcl.send_request(self.pointer, calling.request)
             except rcl.RclError as err:
-                failed.append((calling, f"{self.name}: {err}"))
+                failed.append((calling, CallError(f"{self.name}: {err}")))
                 continue
             calling.servers, calling.request = servers, b""
             self._sent[number] = calling
             self._requests.sent(number)
         return 0.0
+
+    def _fail_waiting(self, failed: list[tuple[_PendingCall, CallError]], why: CallError) -> None:
+        failed += [(calling, why) for calling in self._waiting]
+        self._waiting.clear()
 
     def drain(self, _taker: rcl.Taker, limit: int) -> None:
         """See `EndpointReader`."""
@@ -193,6 +219,10 @@ class Ros2Caller(ServiceEndpoint, EdgeCaller):
         for calling in ended:
             _end(calling, CallError(f"{self.name} is no longer bridged"))
         self._on_closed(self)
+
+
+def _refusal(obstacle: Obstacle) -> CallRefusedError:
+    return CallRefusedError(f"{obstacle.reason}; {obstacle.cure}")
 
 
 def _end(calling: _PendingCall, result: bytes | CallError) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import threading
 from abc import abstractmethod
 from collections.abc import Callable, Collection
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 from bridge.adapters.ros2 import rcl
@@ -22,13 +22,14 @@ _LOOK_SECONDS = 0.5
 
 @dataclass(frozen=True, slots=True)
 class Ros2Context:
-    """What the endpoints of the edge share."""
+    """What the endpoints of the edge share; ``warned`` are the services for which a warning has been logged."""
 
     participant: Participant
     loop: ReadLoop
     graph: Ros2Graph
     processes: ProcessWatch
     later: DelayedCalls
+    warned: set[str] = field(default_factory=set)
 
 
 Closed = Callable[[Any], None]

@@ -10,13 +10,14 @@ from functools import partial
 from typing import Any, ClassVar
 
 from bridge.adapters.ros2 import rcl
+from bridge.adapters.ros2.graph import vendors
 from bridge.adapters.ros2.graph.origins import PREFIX_BYTES, is_marked
 from bridge.adapters.ros2.participant import SERVICE
 from bridge.adapters.ros2.rcl import ENCAPSULATION, RequestId
 from bridge.adapters.ros2.services.endpoint import Closed, Ros2Context, ServiceEndpoint
 from bridge.adapters.ros2.services.pacing import ClientReplies
 from bridge.hub.endpoints.calls import Abandon, Call, CallError
-from bridge.routing.edge import EdgeServer
+from bridge.routing.edge import EdgeServer, Kind
 
 _LINGER = 1.0
 """Seconds for which a server stays after its last words: they may wait to be sent, and a client that hears of its end
@@ -54,6 +55,7 @@ class Ros2Server(ServiceEndpoint, EdgeServer):
     ) -> None:
         super().__init__(name, service_class, context.participant.make_server(service_class, name, SERVICE), context)
         self._call, self._refusal, self._on_closed = call, refusal, closed
+        self._warned = context.warned
         self._asked: dict[RequestId, _PendingRequest] = {}
         self._clients: dict[bytes, ClientReplies] = {}
         self._complained = self._spoke = float("-inf")
@@ -66,8 +68,22 @@ class Ros2Server(ServiceEndpoint, EdgeServer):
         for _ in range(limit):
             taken = self._taker.request(self.pointer)
             # A client that Midspan made means the native server of the name; DDS gives its request to all.
-            if taken is not None and not is_marked(taken[0].gid):
+            if taken is None or is_marked(taken[0].gid):
+                continue
+            if vendors.is_cyclone(taken[0].gid):
+                self._warn_of_cyclone()
+            else:
                 self._begin(*taken, limit)
+
+    def _warn_of_cyclone(self) -> None:
+        """Log once for each service that a request of Cyclone DDS was refused; it is not decoded at all."""
+        if self.name in self._warned:
+            return
+        self._warned.add(self.name)
+        endpoints = self._graph.snapshot.endpoints
+        clients = [e for e in endpoints if e.topic == self.name and e.kind is Kind.CLIENT]
+        obstacle = vendors.of_clients(self.name, clients) or vendors.of_unknown_client(self.name)
+        _log.warning("%s; %s", obstacle.reason, obstacle.cure)
 
     def _begin(self, request: RequestId, payload: bytes, backlog: int) -> None:
         asked = _PendingRequest(request)
