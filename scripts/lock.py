@@ -172,7 +172,11 @@ def main() -> None:
                 same = [f"{name}=={whole[name]}" for name in alone if name in whole]
                 plain[system] = resolve([*base, *same], system, Path(folder))
             ros2[system] = {name: version for name, version in whole.items() if name not in plain[system]}
-    own = {str(canonicalize_name(r.name)): f" ; {r.marker}" for r in map(Requirement, [*extras["sim"], *extras["dev"]]) if r.marker}
+    own = {
+        str(canonicalize_name(r.name)): f" ; {r.marker}"
+        for r in map(Requirement, [*extras["sim"], *extras["dev"]])
+        if r.marker
+    }
     write("requirements.lock", plain, own)
     write("requirements-ros2.lock", ros2, own)
 

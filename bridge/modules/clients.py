@@ -8,7 +8,7 @@ from collections.abc import Callable, Mapping
 from functools import partial
 from typing import Any, Protocol
 
-from bridge.hub.endpoints.calls import Abandon, CallError, CallRefusedError
+from bridge.hub.endpoints.calls import Abandon, CallError, UnsentCallError
 from bridge.hub.endpoints.services import HubClient
 from bridge.hub.session import Hub
 from bridge.hub.wire.qos import Qos
@@ -101,7 +101,7 @@ class SentGoal:
 
     def answered(self, reply: dict[str, Any] | CallError) -> None:
         """The server said whether it takes the goal."""
-        if isinstance(reply, CallRefusedError):
+        if isinstance(reply, UnsentCallError):
             self.accepted = False
             self.finish(GoalState.UNKNOWN, None, str(reply))
         elif isinstance(reply, CallError):

@@ -133,7 +133,7 @@ class Client:
         while not self.writer.matched():
             if time.monotonic() > end:
                 raise TimeoutError("no server has matched")
-            time.sleep(0.02)  # noqa: TID251
+            time.sleep(0.02)
         self.writer.write(request[:4] + self._header + request[4:])
 
     def reply(self, seconds: float) -> bytes:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from bridge.doctor.check import Check
-from bridge.doctor.checks import bridges, console, hub, machine, sharedmemory, types
+from bridge.doctor.checks import bridges, console, cyclone, hub, machine, sharedmemory, types
 from bridge.sides import all_sides, imported
 
 CHECKS: tuple[Check, ...] = (
@@ -15,6 +15,7 @@ CHECKS: tuple[Check, ...] = (
     Check("kernels", "the compiled kernels", machine.look_at_kernels),
     Check("wheels", "libraries that have no wheel on this system", machine.look_at_wheels),
     *(check for side in all_sides() if side.checks for check in imported(side.checks)),
+    *cyclone.CHECKS,
     Check("two-bridges", "other bridges on the same networks", bridges.look, seconds=15.0),
     Check("types", "message types that could not be used", types.look_at_refused),
     Check("type-hash", "definitions that differ between machines", types.look_at_hashes),

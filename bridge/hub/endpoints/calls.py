@@ -23,7 +23,7 @@ class CallError(Exception):
     """A call without a reply; the text tells the caller why."""
 
 
-class CallRefusedError(CallError):
+class UnsentCallError(CallError):
     """A call that was refused before any server received it.
 
     ``reply`` is the reply by which the service's type refuses, for clients of rmw_zenoh, which get no errors; b"" if it
@@ -67,7 +67,7 @@ _SETTLING = 1.0
 _AGAIN = 0.02
 _NO_SERVER = "no server of {name} is on {where}"
 _REFUSED_ENCODING = zenoh.Encoding("text/plain;refused")
-"""Of the text of a `CallRefusedError`."""
+"""Of the text of a `UnsentCallError`."""
 
 _FOR_EVER = 1e9
 """Seconds after which zenoh ends a query, ten by default: no call has a limit of ours."""
@@ -218,7 +218,7 @@ class CallClient:
             error = b"" if reply.err is None else reply.err.payload.to_bytes()[:MAX_ERROR]
             text = error.decode(errors="replace") or "the server answered with an error"
             refused = reply.err is not None and reply.err.encoding == _REFUSED_ENCODING
-            self._end(number, (CallRefusedError if refused else CallError)(text))
+            self._end(number, (UnsentCallError if refused else CallError)(text))
         elif len(reply.ok.payload) > self._limit:
             size = len(reply.ok.payload)
             self._end(number, CallError(f"the reply has {size} bytes, limits.message allows {self._limit}"))
@@ -281,11 +281,11 @@ def reply_error(
     query: zenoh.Query, error: CallError, refuse: Callable[[zenoh.Query, bytes], None] | None = None
 ) -> None:
     """Answer a query with zenoh's error reply, and a refused one by ``refuse`` too; then end it."""
-    refused = isinstance(error, CallRefusedError)
+    refused = isinstance(error, UnsentCallError)
     try:
         with query:
             query.reply_err(str(error)[:MAX_ERROR].encode(), encoding=_REFUSED_ENCODING if refused else None)
-            if isinstance(error, CallRefusedError) and error.reply and refuse is not None:
+            if isinstance(error, UnsentCallError) and error.reply and refuse is not None:
                 refuse(query, error.reply)
     except zenoh.ZError as err:
         _log.debug("nobody waits for the reply: %s", err)

@@ -6,7 +6,7 @@ import logging
 from collections.abc import Callable, Sequence
 from typing import Final
 
-from bridge.hub.endpoints.calls import Abandon, CallError, CallRefusedError, Done
+from bridge.hub.endpoints.calls import Abandon, CallError, Done, UnsentCallError
 from bridge.messages.actions import CANCEL_GOAL, ENDINGS, GET_RESULT, part_name, split
 from bridge.messages.registry import Registry
 from bridge.messages.values import refusal, unknown_result
@@ -61,7 +61,7 @@ class SideToHubService(ServiceRoute):
             return self._call(request, done)
 
         def ended(result: bytes | CallError) -> None:
-            if isinstance(result, CallRefusedError):
+            if isinstance(result, UnsentCallError):
                 result.reply = refuse(str(result))
             elif isinstance(result, CallError):
                 result = refuse(str(result))

@@ -18,7 +18,7 @@ from bridge.adapters.ros1.actions.client import LOST
 from bridge.adapters.ros1.actions.discovery import FEEDBACK, RESULT, STATUS
 from bridge.adapters.ros1.actions.states import TO_ROS1, Ros1State
 from bridge.adapters.ros1.actions.wire import ZERO, GoalId, GoalInfo, GoalStatus, RosTime
-from bridge.hub.endpoints.calls import CallError, CallRefusedError, Done
+from bridge.hub.endpoints.calls import CallError, Done, UnsentCallError
 from bridge.messages.actions import CANCEL_GOAL, GET_RESULT, SEND_GOAL, CancelCode, GoalState
 from bridge.messages.errors import ConversionError
 
@@ -213,7 +213,7 @@ class ActionlibServer:
             if entry.state is not Ros1State.PENDING and entry.state is not Ros1State.ACTIVE:
                 self._send_cancel(entry)
             self._output.call(GET_RESULT, entry.uuid, lambda result: self._ended(entry, result))
-        elif isinstance(why, CallRefusedError):
+        elif isinstance(why, UnsentCallError):
             self._end(entry, Ros1State.REJECTED, self._empty, str(why))
         elif isinstance(why, CallError):
             self._end(entry, Ros1State.ABORTED, self._empty, str(why))

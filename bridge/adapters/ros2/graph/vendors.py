@@ -16,7 +16,7 @@ from bridge.routing.edge import Endpoint, Kind, MadeBy, Obstacle
 
 _CYCLONE = b"\x01\x10"
 _CURE = "run that node on Fast DDS: RMW_IMPLEMENTATION=rmw_fastrtps_cpp"
-_UNNAMED = "a program without a node name"
+_UNNAMED = "a node whose name is not known"
 
 _OF_EACH_NODE = ("rcl_interfaces/srv/", "type_description_interfaces/srv/")
 """Types of services that every node has."""

@@ -15,7 +15,7 @@ from bridge.adapters.ros2.rcl import ENCAPSULATION
 from bridge.adapters.ros2.services.endpoint import Closed, Ros2Context, ServiceEndpoint
 from bridge.adapters.ros2.services.matching import MatchCounter
 from bridge.adapters.ros2.services.pacing import SentRequests
-from bridge.hub.endpoints.calls import Abandon, CallError, CallRefusedError, Done
+from bridge.hub.endpoints.calls import Abandon, CallError, Done, UnsentCallError
 from bridge.routing.edge import EdgeCaller, Obstacle
 
 _MOST = SERVICE.depth // 2
@@ -221,8 +221,8 @@ class Ros2Caller(ServiceEndpoint, EdgeCaller):
         self._on_closed(self)
 
 
-def _refusal(obstacle: Obstacle) -> CallRefusedError:
-    return CallRefusedError(f"{obstacle.reason}; {obstacle.cure}")
+def _refusal(obstacle: Obstacle) -> UnsentCallError:
+    return UnsentCallError(f"{obstacle.reason}; {obstacle.cure}")
 
 
 def _end(calling: _PendingCall, result: bytes | CallError) -> None:
