@@ -28,7 +28,7 @@ from bridge.messages.actions import TOPICS, part_name
 from bridge.routing.edge import Endpoint, Kind, MadeBy, Obstacle
 
 _UNKNOWN_NODES = ("_NODE_NAME_UNKNOWN_", "_CREATED_BY_BARE_DDS_APP_")
-"""rmw's names for the node of an endpoint whose participant has not announced its nodes yet, or is not a ROS program."""
+"""rmw's names for the node of an endpoint whose participant has announced no nodes: not yet, or it is no ROS program."""
 
 _SETTLE = 0.02
 _POLL, _LONGEST_POLL = 5.0, 60.0
