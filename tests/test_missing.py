@@ -8,7 +8,7 @@ import pytest
 
 from bridge.interfaces.definition import BuildError
 from tests.support import missing
-from tests.support.missing import COMPILER, DART, ROS1, ROS2, need
+from tests.support.missing import COMPILER, CYCLONE, DART, ROS1, ROS2, need
 
 
 @pytest.fixture(autouse=True)
@@ -68,6 +68,21 @@ def test_in_ci_it_fails(monkeypatch: pytest.MonkeyPatch, error: BaseException | 
     assert missing.judge(skipped, error) == ROS2
     assert skipped.failed
     assert ROS2 in str(skipped.longrepr)
+
+
+def test_missing_wheel_of_cyclone_dds_fails_in_ci(monkeypatch: pytest.MonkeyPatch) -> None:
+    """It is needed by a program of the tests and not imported by them, so `need` reports it."""
+    monkeypatch.setenv("CI", "true")
+    monkeypatch.setattr(missing, "find_spec", lambda name: None if name == "cyclonedds" else object())
+    missing.lacking.cache_clear()
+    try:
+        with pytest.raises(pytest.skip.Exception, match="Cyclone DDS") as skipped:
+            need(CYCLONE)
+    finally:
+        missing.lacking.cache_clear()
+    failed = report("skipped", ("tests/a.py", 1, f"Skipped: {skipped.value}"))
+    assert missing.judge(failed, None) == CYCLONE
+    assert failed.failed
 
 
 def test_other_skips_stay_skips_in_ci(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -1,4 +1,4 @@
-"""Real Cyclone DDS programs beside the real daemon: each caller of their services gets the reason at once."""
+"""Real Cyclone DDS programs and the real daemon: each caller of their services gets the reason at once."""
 
 from __future__ import annotations
 
@@ -162,7 +162,7 @@ def test_parameters_of_cyclone_dds(shared: Deployment) -> None:
     def warned() -> list[str]:
         return [line for line in shared.worker("ros1").get("warnings", []) if NODE in line and "Cyclone DDS" in line]
 
-    until(warned, "ROS 1's worker says why the parameters are not shared", 40)
+    until(warned, "the ROS 1 worker reports why the parameters are not shared", 40)
     assert [native.requests(server) for server in servers] == [[]] * len(servers)
 
 

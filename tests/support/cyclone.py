@@ -1,4 +1,4 @@
-"""Programs on Cyclone DDS, beside the ROS 2 side of a test."""
+"""Programs on Cyclone DDS, on the domain of a test's ROS 2 side."""
 
 from __future__ import annotations
 

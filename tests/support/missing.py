@@ -1,4 +1,4 @@
-"""What a machine may lack: tests that need it are not tried there, which is told once; in CI they fail."""
+"""Optional parts of a machine: tests that need a missing one are skipped, with one summary line; in CI they fail."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from bridge.interfaces.definition import BuildError
 _MARK = "not on this machine: "
 ROS1 = f"{_MARK}ROS 1 (`make setup` installs it from apt on Debian 12 and Ubuntu 24.04, as root or with sudo)"
 ROS2 = f"{_MARK}ROS 2 (`make setup` installs its wheels on Linux with x86_64; elsewhere source /opt/ros/jazzy)"
-DART = f"{_MARK}DART (`make setup` installs dartpy where there is a wheel: Linux, Python up to 3.13)"
+DART = f"{_MARK}DART (`make setup` installs dartpy if it has a wheel: Linux, Python up to 3.13)"
 BROWSER = f"{_MARK}Chromium (`make test` installs it from apt on Debian 12, as root or with sudo)"
 COMPILER = f"{_MARK}a C compiler (apt install g++ python3-dev, then `make setup`)"
 PROMETHEUS = f"{_MARK}Prometheus and promtool (apt install prometheus; in CI scripts/setup.sh unpacks them)"
@@ -42,7 +42,7 @@ def has_ros1() -> bool:
 
 
 def prometheus_tool(name: str) -> Path | None:
-    """``prometheus`` or ``promtool``: installed, or unpacked by scripts/setup.sh; None where there is none."""
+    """``prometheus`` or ``promtool``: installed, or unpacked by scripts/setup.sh; None if missing."""
     unpacked = Path(__file__).parents[2] / ".cache" / "prometheus" / "usr" / "bin"
     found = shutil.which(name) or shutil.which(name, path=str(unpacked))
     return Path(found) if found else None
@@ -66,7 +66,7 @@ def lacking() -> frozenset[str]:
 
 
 def need(reason: str) -> None:
-    """Skip the test where this machine lacks something."""
+    """Skip the test if this machine lacks something."""
     if reason in lacking():
         pytest.skip(reason)
 
@@ -77,7 +77,7 @@ def needs(reason: str) -> pytest.MarkDecorator:
 
 
 def cause(error: BaseException | None) -> str:
-    """The reason for which something could not be imported or built; empty where it is a mistake of ours."""
+    """The reason for which something could not be imported or built; empty if the fault is ours."""
     while error is not None:
         if isinstance(error, ModuleNotFoundError) and error.name:
             return _PACKAGES.get(error.name.partition(".")[0], "")
@@ -119,7 +119,7 @@ def pytest_runtest_makereport(call: pytest.CallInfo[None]) -> Iterator[None]:
 
 
 def pytest_sessionfinish(session: pytest.Session) -> None:
-    """A process of pytest-xdist tells the one that leads."""
+    """Pass what could not be imported from a pytest-xdist worker to its controller."""
     if hasattr(session.config, "workeroutput"):
         session.config.workeroutput["not_read"] = _not_read
 
@@ -140,7 +140,7 @@ def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
 
 
 def summary(skips: Sequence[str]) -> list[str]:
-    """Lines that tell what was not tried, of the reasons of all skipped tests."""
+    """Summarize what was not tried, from the reasons of all skipped tests."""
     reasons = [reason.removeprefix("Skipped: ") for reason in skips]
     tests = Counter(reason for reason in reasons if reason.startswith(_MARK))
     lines = []

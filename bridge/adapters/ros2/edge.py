@@ -81,7 +81,7 @@ class Ros2Edge(SideEdge):
         self._presence: PresenceTopic | None = None
 
     def start(self, listener: EdgeListener) -> None:
-        """Join the DDS network, which is always there; takes about half a second."""
+        """Join the DDS network, which is always available; takes about half a second."""
         self._listener = listener
         removed = neighbours.clean()
         if removed:
@@ -112,14 +112,14 @@ class Ros2Edge(SideEdge):
         self._presence = PresenceTopic(participant, loop, string, seen, past, changed)
 
     def _greet(self, dead: Sequence[bytes]) -> None:
-        """Say farewell for our dead predecessors, and have everybody announce himself to us."""
+        """Dispose our dead predecessors, and prompt all participants to announce themselves."""
         number, caller = domain(self._config, os.environ), new_prefix(rcl.host_prefix())
         call = [spdp.hello(caller, number, participant_number(self._prefix)), spdp.farewell(caller)]
         localhost_only = self._config.ros2.localhost_only and self._config.ros2.profile is None
         spdp.say([*map(spdp.farewell, dead), *call], number, localhost_only=localhost_only)
 
     def _clean_ports(self, past: Iterable[bytes]) -> None:
-        """Remove what our dead predecessors left in shared memory; not what has our own number, or another's."""
+        """Remove the shared memory of our dead predecessors, except under our own participant number."""
         numbers = {participant_number(prefix) for prefix in past} - {participant_number(self._prefix)}
         of_domain = domain(self._config, os.environ)
         neighbours.clean_ports(port for number in numbers for port in spdp.unicast_ports(of_domain, number))
@@ -136,7 +136,7 @@ class Ros2Edge(SideEdge):
     def carry_parameters(
         self, rules: Sequence[ParameterRule], hub: Hub, active: Callable[[], bool]
     ) -> Callable[[], None]:
-        """Be the nodes whose parameters ROS 1 owns: `ros2 param` asks for services only of nodes that are there."""
+        """Create the nodes whose parameters ROS 1 owns: `ros2 param` calls services only of nodes on the graph."""
         del hub, active
         participant = self._started().participant
         names = dict.fromkeys(rule.node for rule in rules if rule.owner == "ros1")
@@ -158,7 +158,7 @@ class Ros2Edge(SideEdge):
         if self._listener is not None:
             self._listener.edge_failed(
                 "there are ROS 2 nodes of another user or container, to which shared memory delivers nothing:"
-                " starting again with UDP alone"
+                " starting again with UDP only"
             )
 
     def stop(self) -> None:
@@ -200,7 +200,7 @@ class Ros2Edge(SideEdge):
         return context is None or is_hidden(topic) or topic in context.graph.snapshot.heard
 
     def subscribe(self, topic: str, side_type: SideType, qos: Qos, deliver: Deliver) -> EdgeSubscription:
-        """Subscribe; ``qos`` is the most that is requested, limited for each publisher to what it offers."""
+        """Subscribe; ``qos`` is an upper bound, reduced for each publisher to its offer."""
         context = self._started()
         self._check_one_type(topic, side_type.name)
         message_class = self._types.message_class(side_type.name, side_type.type_id)
@@ -216,7 +216,7 @@ class Ros2Edge(SideEdge):
         return self._kept(Ros2Publisher(topic, message_class, qos, participant, self._closed, self.is_heard))
 
     def _check_one_type(self, topic: str, type_name: str) -> None:
-        """A DDS participant has one type per topic; Fast DDS's own error does not say so."""
+        """Reject a second type for a topic: a DDS participant has one, and Fast DDS's own error does not mention it."""
         with self._lock:
             here = [end for end in self._ends if isinstance(end, Ros2Subscription | Ros2Publisher)]
         other = next((e.type_name for e in here if e.topic == topic and e.type_name != type_name), None)
@@ -227,7 +227,7 @@ class Ros2Edge(SideEdge):
             )
 
     def service_to_hub(self, endpoint: Endpoint) -> ServiceConversion:
-        """The bytes are the same once they are checked, as those of topics are."""
+        """Return a conversion that checks the bytes and leaves them as they are."""
         conversion = self.service_from_hub(endpoint.type, "")
         request, _ = self._part_hashes(conversion.side)
         if endpoint.type_id not in ("", request):
@@ -276,7 +276,7 @@ class Ros2Edge(SideEdge):
             self._ends.discard(end)
 
     def went_on(self, seconds: float) -> None:
-        """See `Edge.went_on`: who was forgotten by others, and has not forgotten them, is never found again."""
+        """See `Edge.went_on`: others that dropped this participant never rediscover it."""
         why = f"stood still for {seconds:.0f} s, so that ROS 2 nodes may have given this one up: starting again"
         if seconds > _FORGOTTEN and self._listener is not None:
             self._listener.edge_failed(why)

@@ -45,7 +45,7 @@ class HubToSideServices(RouteSet[RouteKey, HubToSideService]):
         return {(e.topic, e.type_name) for e in servers if may_leave(e, self._context.edge)}
 
     def leave(self) -> None:
-        """Close the routes of servers that are gone, before an action's topics are: its last words are to go out."""
+        """Close the routes of servers that have left, before an action's topics: its last messages still go out."""
         there = {(e.topic, e.type_name, e.type_hash) for e in self._context.hub.graph.servers()}
         for key in [k for k in self._routes if (k.topic, k.type_name, k.type_id) not in there]:
             self._routes.pop(key).close()
@@ -55,7 +55,7 @@ class HubToSideServices(RouteSet[RouteKey, HubToSideService]):
     ) -> None:
         """Bring the routes in line with both graphs, the rules and the election, after `leave`; one decision each.
 
-        A name that is served in ``endpoints``, the side's graph, is not served there by us.
+        A name that has a server in ``endpoints``, the side's graph, gets no other server there.
         """
         groups = hub_groups(self._context.hub.graph.servers())
         natives = {e.topic: e for e in endpoints if e.kind is Kind.SERVER and e.made_by is not MadeBy.MIDSPAN}
@@ -97,7 +97,7 @@ class HubToSideServices(RouteSet[RouteKey, HubToSideService]):
     def _refuse_second(
         self, key: RouteKey, decision: RouteDecision, natives: dict[str, Endpoint], taken: dict[str, RouteKey]
     ) -> None:
-        """Refuse a second server of one name: a call goes to one server alone."""
+        """Refuse a second server of one name: a call goes to one server."""
         name, holder = decision.topic, taken.get(decision.topic, key)
         cure = "give one of them another name by a rule with 'rename'"
         if name in natives:

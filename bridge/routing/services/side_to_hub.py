@@ -22,19 +22,20 @@ _log = logging.getLogger(__name__)
 _SERVICE: Final = "service"
 
 PLANNERS = "/planner/"
-"""What the names of planners' actions on the hub begin with: the gateway alone gives goals there."""
+"""Prefix of the planners' actions on the hub, to which only the gateway sends goals."""
 
 _HEADER = b"\x00\x01\x00\x00"
 _UUID = slice(4, 20)
-"""A goal's id in a ``GetResult`` request (CDR behind its header); ``CancelGoal`` has it there too, and then a stamp."""
+"""A goal's id in a ``GetResult`` request, after the encapsulation header; in ``CancelGoal`` a stamp follows."""
 
 
 class SideToHubService(ServiceRoute):
     """A server of the side, called from the hub.
 
     A client of rmw_zenoh gets no errors. A failed call of an action's services gets a reply of its type: the goal is
-    rejected, its end is unknown (it may still be executing, so nobody reports that it was aborted), or the cancel
-    request is rejected.
+    rejected, its end is unknown (it may still be executing, so no client gets *aborted*), or the cancel request is
+    rejected. If the side did not send the call, the error with its reason comes before that reply, and Midspan's own
+    clients use the error.
     """
 
     direction = "in"
@@ -108,7 +109,7 @@ class SideToHubServices(RouteSet[RouteKey, SideToHubService]):
         return {(e.topic, e.type) for e in endpoints if e.kind is Kind.SERVER}
 
     def leave(self, endpoints: Sequence[Endpoint]) -> None:
-        """Close the routes of servers that are gone, before an action's topics are: its last words are to go out."""
+        """Close the routes of servers that have left, before an action's topics: its last messages still go out."""
         servers = [e for e in endpoints if e.kind is Kind.SERVER and e.made_by is MadeBy.NATIVE]
         there = {(e.topic, e.type, e.type_id) for e in servers}
         for key in [k for k in self._routes if (k.topic, k.type_name, k.type_id) not in there]:
@@ -151,7 +152,7 @@ class SideToHubServices(RouteSet[RouteKey, SideToHubService]):
             decision.bar(obstacle)
 
     def _trouble(self, key: RouteKey, hub_name: str, taken: dict[str, RouteKey]) -> str:
-        """Why the hub has no place for a service, "" where it has: a call goes to one server."""
+        """Return why the hub cannot offer a service, "" if it can: a call goes to one server."""
         holder = taken.get(hub_name, key)
         if holder.topic != key.topic:
             return f"{holder.topic} is already offered under the name {hub_name}"
@@ -181,11 +182,11 @@ class SideToHubServices(RouteSet[RouteKey, SideToHubService]):
     def _cancel(self, action: str, request: bytes) -> None:
         """Cancel a planner's goal whose result no one awaits: the gateway left, or is cut off.
 
-        Nobody else knows that goal, so nobody could stop the robot. Clients of other actions may leave their goals.
+        No other client has that goal, so no other could stop the robot. Clients of other actions may leave their goals.
         """
         name = part_name(action, CANCEL_GOAL)
         route = next((route for route in self.routes() if route.hub_topic == name), None)
         if route is None or len(request) < _UUID.stop:
             return
-        _log.warning("who gave %s a goal has gone: the goal is cancelled", action)
+        _log.warning("the client that sent %s a goal has left: the goal is canceled", action)
         route.call(_HEADER + request[_UUID] + bytes(8), lambda _reply: None)

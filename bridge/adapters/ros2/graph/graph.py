@@ -1,7 +1,7 @@
 """The ROS 2 graph as our participant sees it, followed by a thread.
 
-The middleware's graph guard condition wakes the thread; it then looks at the whole graph, which costs about 20 ms for
-500 topics with two endpoints each, and rests ten times as long as it looked.
+The middleware's graph guard condition wakes the thread; it then reads the whole graph, which takes about 20 ms for 500
+topics with two endpoints each, and pauses ten times as long.
 """
 
 from __future__ import annotations
@@ -28,12 +28,12 @@ from bridge.messages.actions import TOPICS, part_name
 from bridge.routing.edge import Endpoint, Kind, MadeBy, Obstacle
 
 _UNKNOWN_NODES = ("_NODE_NAME_UNKNOWN_", "_CREATED_BY_BARE_DDS_APP_")
-"""rmw's names for the node of an endpoint whose participant has announced no nodes: not yet, or it is no ROS program."""
+"""rmw's names for the node of an endpoint whose participant has not announced its nodes, or is no ROS program."""
 
 _SETTLE = 0.02
 _POLL, _LONGEST_POLL = 5.0, 60.0
 _SHARE = 1000
-"""A look that nothing called for comes after so many times what the last one cost: 0.1 % of a core."""
+"""The interval of reads without a change, in multiples of what the last one cost: 0.1 % of a core."""
 
 _REST = 10
 
@@ -44,9 +44,9 @@ _log = logging.getLogger(__name__)
 class GraphSnapshot:
     """The graph at one moment, without our own endpoints.
 
-    ``endpoints`` leaves hidden topics out but for actions'; ``publishers`` are by topic and GID; ``servers`` are the
+    ``endpoints`` omits hidden topics except those of actions; ``publishers`` are by topic and GID; ``servers`` are the
     GIDs of native servers by service; ``participants`` are the GUID prefixes of all ROS participants but ours;
-    ``heard`` are the topics that another participant subscribes to; ``obstacles`` are the reasons why native servers
+    ``heard`` has the topics that another participant subscribes to; ``obstacles`` are the reasons why native servers
     of a service cannot be called, by service.
     """
 
@@ -70,7 +70,7 @@ class Ros2Graph:
         self._thread = threading.Thread(target=self._run, name="midspan-ros2-graph", daemon=True)
 
     def start(self) -> None:
-        """Look once, then follow."""
+        """Read the graph once, then follow it."""
         self.snapshot = self.look()
         self._thread.start()
 
@@ -87,14 +87,14 @@ class Ros2Graph:
         return self.snapshot.publishers.get(topic, {})
 
     def find(self, topic: str, gid: bytes) -> Endpoint | None:
-        """One publisher, looked up anew where the last look does not know it."""
+        """Return one publisher; the graph is queried if the last snapshot lacks it."""
         found = self.publishers(topic).get(gid)
         if found is None:
             found = next((e for g, e in self._endpoints_of(topic, Kind.PUBLISHER) if g == gid), None)
         return found
 
     def look(self) -> GraphSnapshot:
-        """The whole graph now."""
+        """Read the whole graph."""
         endpoints: list[Endpoint] = []
         publishers: dict[str, dict[bytes, Endpoint]] = {}
         for topic in self._participant.topics():
@@ -199,7 +199,7 @@ def _endpoint(topic: str, kind: Kind, gid: bytes, info: Mapping[str, Any]) -> En
 
 # -- one look, for programs that must not load rclpy -------------------------------------------------------------------
 # Run as ``python -m bridge.adapters.ros2.graph.graph`` in a ros2 worker's environment, with the configuration as JSON
-# on standard input. It joins with a marked participant, so that a running bridge does not take it for a node.
+# on standard input. It joins with a marked participant, so that a running bridge ignores it.
 
 SECONDS = 4.0
 """How long it listens. Most participants answer our first announcement at once, but a stock one may be found only at

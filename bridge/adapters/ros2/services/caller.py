@@ -19,11 +19,11 @@ from bridge.hub.endpoints.calls import Abandon, CallError, Done, UnsentCallError
 from bridge.routing.edge import EdgeCaller, Obstacle
 
 _MOST = SERVICE.depth // 2
-"""Calls of one caller under way; the engine allows less."""
+"""Pending calls of one caller; the engine allows fewer."""
 
 _MATCH = 0.01
 _MATCH_SECONDS = 5.0
-"""DDS endpoints that are on the graph find each other within milliseconds; on a machine that is busy, later."""
+"""DDS endpoints on the graph match within milliseconds; on a busy machine, later."""
 
 _log = logging.getLogger(__name__)
 
@@ -38,7 +38,7 @@ class _PendingCall:
 
 
 class Ros2Caller(ServiceEndpoint, EdgeCaller):
-    """An rcl client. A request goes to every server of the name, and the first reply counts, as always on DDS."""
+    """An rcl client. DDS delivers a request to every server of the name; the first reply counts."""
 
     kind: ClassVar[str] = "client"
 
@@ -96,14 +96,14 @@ class Ros2Caller(ServiceEndpoint, EdgeCaller):
         return None
 
     def _servers(self) -> frozenset[bytes]:
-        """GIDs of the native servers that live."""
+        """Return the GIDs of the native servers whose processes run."""
         servers = self._graph.snapshot.servers.get(self.name, frozenset())
         if self._gone:
             servers = frozenset(gid for gid in servers if gid[:PREFIX_BYTES] not in self._gone)
         return servers
 
     def _advance(self) -> None:
-        """Send what may be sent now, and schedule the rest."""
+        """Send the requests that may go now, and schedule the rest."""
         failed: list[tuple[_PendingCall, CallError]] = []
         with self._lock:
             wait = self._send_waiting(failed)
@@ -121,7 +121,7 @@ class Ros2Caller(ServiceEndpoint, EdgeCaller):
         self._advance()
 
     def _send_waiting(self, failed: list[tuple[_PendingCall, CallError]]) -> float:
-        """Send under the lock; seconds until the next can go, 0 where none waits."""
+        """Send waiting requests; return the seconds until the next may go, 0 without one. The lock is held."""
         while self._waiting and not self._closed:
             servers = self._servers()
             if not servers:
@@ -161,7 +161,7 @@ class Ros2Caller(ServiceEndpoint, EdgeCaller):
         for _ in range(limit):
             taken = self._taker.response(self.pointer)
             if taken is None:
-                continue  # a reply to another client: every client of a name is given all
+                continue  # a reply to another client: DDS delivers each to all clients of a name
             request, payload = taken
             with self._lock:
                 calling = self._sent.pop(request.number, None)
@@ -185,7 +185,7 @@ class Ros2Caller(ServiceEndpoint, EdgeCaller):
         self._advance()
 
     def _look(self) -> None:
-        """Find servers whose processes have ended, while a call waits for them."""
+        """Check for servers whose processes have ended while a call is pending."""
         with self._lock:
             self._looking = False
             if self._sent and not self._closed:
@@ -195,7 +195,7 @@ class Ros2Caller(ServiceEndpoint, EdgeCaller):
             self.refit()
 
     def _find_gone(self) -> set[bytes]:
-        """Look which servers' processes have ended; one that is new is then remembered as living."""
+        """Update and return the set of servers whose processes have ended; a new one is recorded as running."""
         self._gone = self._ended_among(self._graph.snapshot.servers.get(self.name, frozenset()))
         return self._gone
 
@@ -229,4 +229,4 @@ def _end(calling: _PendingCall, result: bytes | CallError) -> None:
     try:
         calling.done(result)
     except Exception:
-        _log.exception("telling of a call's end failed")
+        _log.exception("the callback of an ended call failed")

@@ -1,4 +1,4 @@
-"""A server on the DDS network that hands its requests over and sends what comes back."""
+"""A server on the DDS network that passes requests on and returns their replies."""
 
 from __future__ import annotations
 
@@ -20,8 +20,7 @@ from bridge.hub.endpoints.calls import Abandon, Call, CallError
 from bridge.routing.edge import EdgeServer, Kind
 
 _LINGER = 1.0
-"""Seconds for which a server stays after its last words: they may wait to be sent, and a client that hears of its end
-before them drops them."""
+"""Seconds that a server stays after its last reply: a client that learns of the server's end first drops the reply."""
 
 _MOST_CLIENTS = 1000
 _LOG_SECONDS = 10.0
@@ -29,7 +28,7 @@ _LOG_SECONDS = 10.0
 _log = logging.getLogger(__name__)
 
 Refusal = Callable[[], bytes]
-"""Gives the reply by which a service of its kind says no."""
+"""Returns the reply by which a service of its type refuses."""
 
 
 class _PendingRequest:
@@ -44,8 +43,8 @@ class _PendingRequest:
 class Ros2Server(ServiceEndpoint, EdgeServer):
     """An rcl service.
 
-    A DDS client cannot be told that its call failed. Where the service's type has a reply that says no (``refusal``)
-    it gets that, else nothing, and the log says why.
+    DDS has no error replies. A client whose call failed gets the reply by which the service's type refuses
+    (``refusal``), or none if it has no such reply; the reason is logged.
     """
 
     kind: ClassVar[str] = "service"
@@ -67,7 +66,7 @@ class Ros2Server(ServiceEndpoint, EdgeServer):
         """See `EndpointReader`."""
         for _ in range(limit):
             taken = self._taker.request(self.pointer)
-            # A client that Midspan made means the native server of the name; DDS gives its request to all.
+            # A client that Midspan made calls the native server; DDS delivers its request to all servers of the name.
             if taken is None or is_marked(taken[0].gid):
                 continue
             if vendors.is_cyclone(taken[0].gid):
@@ -132,13 +131,13 @@ class Ros2Server(ServiceEndpoint, EdgeServer):
         told = self._refusal() if self._refusal is not None else None
         if time.monotonic() - self._complained > _LOG_SECONDS:
             self._complained = time.monotonic()
-            nothing = "ROS 2 has no way to tell its client, which waits on"
+            nothing = "ROS 2 has no error replies, so its client keeps waiting"
             how = nothing if told is None else "its client got a refusal"
             _log.warning("a call of %s failed: %s; %s", self.name, why, how)
         return told
 
     def _write(self, request: RequestId, payload: bytes) -> bool:
-        """Send a reply; False where its client cannot be reached."""
+        """Send a reply; return False if its client cannot be reached."""
         with self._alive:
             if self._destroyed:
                 return True
@@ -172,7 +171,7 @@ class Ros2Server(ServiceEndpoint, EdgeServer):
             abandon()
 
     def _look(self) -> None:
-        """Look for clients whose processes have ended, while they wait."""
+        """Check for clients whose processes have ended while their calls are pending."""
         with self._lock:
             self._looking = False
             if self._closed or not self._asked:
@@ -188,7 +187,7 @@ class Ros2Server(ServiceEndpoint, EdgeServer):
             self._closed = True
             waiting = [(asked, asked.abandon) for asked in self._asked.values()]
             for asked, _ in waiting:
-                asked.left = True  # a call that is just being made is abandoned by who makes it
+                asked.left = True  # `_begin` abandons a call that it is about to make
         for asked, abandon in waiting:
             if abandon is not None:
                 abandon()
