@@ -296,7 +296,7 @@ class ServiceCodec:
         return self.reader(self._response, self._check_response(cdr)).message()
 
 
-_UNKNOWN, _ABORTED = 0, 6  # action_msgs/msg/GoalStatus.STATUS_UNKNOWN, STATUS_ABORTED
+_UNKNOWN = 0  # action_msgs/msg/GoalStatus.STATUS_UNKNOWN: contact with the goal is lost, it may still be executing
 _ERROR_MSG = "error_msg"
 _REJECTED = 1  # action_msgs/srv/CancelGoal_Response.ERROR_REJECTED
 
@@ -334,5 +334,5 @@ def _refusal(type_name: str) -> dict[str, Any] | None:
     if "/action/" in type_name and type_name.endswith("_SendGoal"):
         return {"accepted": False}
     if "/action/" in type_name and type_name.endswith("_GetResult"):
-        return {"status": _ABORTED}
+        return {"status": _UNKNOWN}
     return None

@@ -141,17 +141,33 @@ class ActionServer:
         names, types = actions.names(name), actions.types(type_name)
         self._status = node.publisher(names.status, STATUSES, LATCHED, priority="state")
         self._feedback = node.publisher(names.feedback, types.feedback, Qos(depth=100))
-        node.server(names.get_result, types.get_result, self._asked)
         at_once = None if brake is None else lambda request: _brake(brake, request["goal_info"])
-        node.server(names.cancel_goal, CANCEL, self._cancelled, at_once)
+        self._others = (
+            node.server(names.get_result, types.get_result, self._asked),
+            node.server(names.cancel_goal, CANCEL, self._cancelled, at_once),
+        )
         self._sending = node.server(names.send_goal, types.send_goal, self._sent)
+        self.accepting = True  # whether new goals are served
         self._clients_of = names.send_goal
         self.met: Callable[[Goal], object] = lambda _goal: None  # called with each goal as it comes
+        self.tell_status()  # at once: who reads it knows then that there are no goals
 
     @property
     def active(self) -> list[Goal]:
         """The goals that have not ended, the oldest first."""
         return list(self._active.values())
+
+    def stop_accepting(self) -> None:
+        """Serve no new goals, for good: another server has the name. The active ones go on to their end."""
+        if self.accepting:
+            self.accepting = False
+            self._node.release(self._sending)
+
+    def close(self) -> None:
+        """Close all five parts of the action."""
+        self.stop_accepting()
+        for endpoint in (*self._others, self._feedback, self._status):
+            self._node.release(endpoint)
 
     @property
     def clients(self) -> int:
@@ -196,10 +212,10 @@ class ActionServer:
 
     def _asked(self, request: dict[str, Any], answer: Answer) -> None:
         goal = self._goals.get(bytes(request["goal_id"]["uuid"]))
-        if goal is None:
-            answer({"status": int(GoalState.UNKNOWN), "result": {}})
-        else:
+        if goal is not None:
             goal.ask(answer)
+        elif self.accepting:  # else another server has the name, and answers
+            answer({"status": int(GoalState.UNKNOWN), "result": {}})
 
     def _cancelled(self, request: dict[str, Any], answer: Answer) -> None:
         info = request["goal_info"]

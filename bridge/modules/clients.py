@@ -119,6 +119,9 @@ class SentGoal:
         """The goal ended."""
         if isinstance(reply, CallError):
             self.finish(GoalState.ABORTED, None, str(reply))
+        elif reply["status"] == GoalState.UNKNOWN:  # the server has lost the goal, or a bridge has
+            why = str(reply["result"].get("error_msg", "")) or "the server does not know the goal"
+            self.finish(GoalState.ABORTED, None, why)
         else:
             self.finish(GoalState(reply["status"]), reply["result"], "")
 
@@ -138,6 +141,10 @@ class CallingNode(Protocol):
 
     loop: EventLoop
 
+    @property
+    def hub(self) -> Any:
+        """Its session on the hub; see `bridge.hub.session.Hub`."""
+
     def client(self, name: str, type_name: str) -> ModuleClient:
         """Call a service."""
 
@@ -154,6 +161,7 @@ class ActionClient:
     def __init__(self, node: CallingNode, name: str, type_name: str) -> None:
         self.name, self.type_name, self._node = name, type_name, node
         names, types = actions.names(name), actions.types(type_name)
+        self._topics = (names.feedback, names.status)
         self._send = node.client(names.send_goal, types.send_goal)
         self._result = node.client(names.get_result, types.get_result)
         self._cancel = node.client(names.cancel_goal, CANCEL)
@@ -163,12 +171,15 @@ class ActionClient:
 
     @property
     def ready(self) -> bool:
-        """Whether there is a server."""
-        return self._send.ready and self._result.ready
+        """Whether there is a server: all five parts of the action are on the hub."""
+        services = self._send.ready and self._result.ready and self._cancel.ready
+        return services and all(map(self._node.hub.graph.publishers, self._topics))
 
-    def send(self, goal: Mapping[str, Any], ended: Ended, feedback: Heard | None = None) -> SentGoal:
-        """Send a goal, under a new id; raises `ConversionError` if it does not fit its type."""
-        sent = SentGoal(self, uuid.uuid4().bytes, feedback, ended)
+    def send(
+        self, goal: Mapping[str, Any], ended: Ended, feedback: Heard | None = None, goal_id: bytes = b""
+    ) -> SentGoal:
+        """Send a goal, under this id of 16 bytes or a new one; raises `ConversionError` if it does not fit its type."""
+        sent = SentGoal(self, goal_id or uuid.uuid4().bytes, feedback, ended)
         self._goals[sent.id] = sent
         self._sent += 1
         try:
@@ -177,6 +188,12 @@ class ActionClient:
             del self._goals[sent.id]
             raise
         return sent
+
+    def follow(self, goal: SentGoal) -> None:
+        """Follow a goal again that the server still executes, after contact with it was lost."""
+        goal.accepted, goal.status = True, GoalState.EXECUTING
+        self._goals[goal.id] = goal
+        self.ask_result(goal)
 
     def ask_result(self, goal: SentGoal) -> None:
         """Ask for the result; it comes when the goal has ended."""

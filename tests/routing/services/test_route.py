@@ -208,7 +208,7 @@ def test_the_end_of_the_network_ends_its_calls(place: Place) -> None:
     ("part", "type_name", "said"),
     [
         ("send_goal", f"{GO}_SendGoal", {"accepted": False}),
-        ("get_result", f"{GO}_GetResult", {"status": 6}),
+        ("get_result", f"{GO}_GetResult", {"status": 0}),
         ("cancel_goal", "action_msgs/srv/CancelGoal", {"return_code": 1}),
     ],
 )
