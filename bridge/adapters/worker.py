@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 import os
 import sys
+import threading
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -16,6 +17,7 @@ from bridge import resources
 from bridge.adapters.memory import keep_memory, keep_objects
 from bridge.clock import RunClock
 from bridge.config.model import Config
+from bridge.config.sections.navigation import ACTION
 from bridge.config.sections.routing import RoutingSection
 from bridge.config.sections.section import SideSection
 from bridge.hub import shared_memory
@@ -23,12 +25,16 @@ from bridge.hub.control import Handler
 from bridge.hub.diagnostics import heard
 from bridge.hub.errors import HubError
 from bridge.hub.session import Hub, HubSettings, follow_clock
+from bridge.messages.actions import GET_RESULT, split
 from bridge.messages.registry import Registry
 from bridge.progress import working
 from bridge.routing.diagnostics import Diagnostics
 from bridge.routing.edge import Edge
 from bridge.routing.engine import Engine
 from bridge.routing.hold import Hold, held_topics
+from bridge.routing.route import Route
+from bridge.routing.services.route import ServiceRoute
+from bridge.routing.services.side_to_hub import PLANNERS
 from bridge.sides import all_networks, imported
 from bridge.state_file import lane_folder, state_folder, worker_folder
 from bridge.worker import Health, Worker, costs
@@ -37,6 +43,14 @@ _log = logging.getLogger(__name__)
 
 SWITCH_INTERVAL = 0.0002
 """Seconds after which a thread that only computes gives way to one that has a message."""
+
+
+DRAIN_SECONDS = 2.2
+"""A worker that stops carries the last replies of navigation for this time: longer than
+`bridge.modules.worker.WIND_DOWN_SECONDS`, and within the 2.8 s that the daemon allows."""
+
+_DRAIN_PERIOD = 0.02
+_LAST_SECONDS = 0.1
 
 
 def make_edges(name: str, config: Config, registry: Registry, folder: Path) -> dict[str, Edge]:
@@ -109,8 +123,11 @@ class BridgeWorker(Worker):
         return bool(self.crossings) and self.crossings[0].hears_diagnostics()
 
     def stop(self) -> None:
-        """Give back every endpoint and close the sessions."""
+        """Give back every endpoint and close the sessions, once the goals of the gateway have ended."""
         crossings, self.crossings = self.crossings, []
+        deadline = time.monotonic() + DRAIN_SECONDS
+        for crossing in crossings:
+            crossing.drain(deadline)
         for crossing in crossings:
             crossing.stop()
 
@@ -137,6 +154,14 @@ def _with_memory(config: Config) -> Config:
     return config.model_copy(update={"hub": config.hub.model_copy(update={"shared_memory": False})})
 
 
+def _navigates(route: Route) -> bool:
+    """Whether the result of a goal of the gateway, or of a planner's, is pending in a route."""
+    if not isinstance(route, ServiceRoute) or not route.counters.pending:
+        return False
+    action, part = split(route.hub_topic)
+    return part == GET_RESULT and (action == ACTION or action.startswith(PLANNERS))
+
+
 class Crossing:
     """Joins one network; it answers on the hub's control plane under its ``name``.
 
@@ -153,6 +178,7 @@ class Crossing:
         self._started = time.monotonic()
         self._process = psutil.Process()
         self._stopped = False
+        self._drained = threading.Event()  # never set: a pause that no signal cuts short
         self._hub = Hub.open(
             HubSettings(
                 domain=config.hub.domain,
@@ -210,6 +236,17 @@ class Crossing:
     def hears_diagnostics(self) -> bool:
         """Whether somebody on the hub, or a program of any side, hears `/diagnostics`."""
         return heard(self._hub.graph)
+
+    def drain(self, deadline: float) -> None:
+        """Wait until no result of a navigation goal is pending: the gateway of the daemon stops the robot meanwhile.
+
+        ``deadline`` is in monotonic seconds.
+        """
+        pending = any(map(_navigates, self._engine.routes()))
+        while any(map(_navigates, self._engine.routes())) and time.monotonic() < deadline:
+            self._drained.wait(_DRAIN_PERIOD)
+        if pending:
+            self._drained.wait(_LAST_SECONDS)  # for the replies that were sent last
 
     def stop(self) -> None:
         """Give back every endpoint and close the session."""

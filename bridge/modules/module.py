@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib
 from abc import ABC, abstractmethod
+from collections.abc import Callable
 from typing import TYPE_CHECKING, Any, ClassVar
 
 from bridge.config.sections.modules import OwnModule
@@ -39,6 +40,13 @@ class Module(ABC):
     def status(self) -> dict[str, Any]:
         """What it tells of itself beyond its ends' counters, for the status document."""
         return {}
+
+    def begin_stop(self, done: Callable[[], None]) -> None:
+        """Wind down what must not end abruptly, such as a robot's motion, while all ends still work.
+
+        ``done`` is called once, from any thread; the host waits for it for a short time before `stop`.
+        """
+        done()
 
     def stop(self) -> None:  # noqa: B027 - the host closes all ends that it gave
         """End what it began by itself; its ends are closed after it."""

@@ -6,6 +6,7 @@ import logging
 import os
 import sys
 import time
+from threading import Event
 from typing import Any
 
 import psutil
@@ -26,6 +27,9 @@ from bridge.worker import Health, Worker, costs
 
 _log = logging.getLogger(__name__)
 _START_SECONDS = 30.0  # a module that stands still for longer as it starts has failed: what it waits for does not come
+WIND_DOWN_SECONDS = 2.0
+"""A module has this time to bring its robot to rest before it is stopped; `bridge.daemon.supervisor` allows 3.3 s."""
+
 _SILENCE = 60.0  # seconds between two lines in the log that tell of the same
 
 
@@ -125,6 +129,9 @@ class Running:
         host, self._host = self._host, None
         if module is not None and host is not None:
             try:
+                done = Event()
+                host.loop.call(lambda: module.begin_stop(done.set), seconds=1.0)
+                done.wait(WIND_DOWN_SECONDS)
                 host.loop.call(lambda: _end(module, host), seconds=1.0)
             except Exception:
                 _log.exception("%s did not stop in good order", self.name)
