@@ -96,3 +96,18 @@ _REASONS = {
 def reason(code: int) -> str:
     """Return why Nav2 failed, by the ``error_code`` of a result; "" for 0 and for an unknown code."""
     return _REASONS.get(code, "")
+
+
+def is_missing_transform(code: int) -> bool:
+    """Whether a server of Nav2 failed for want of a transform, as it does while a localizer or a bridge starts."""
+    return _REASONS.get(code) == _NO_TRANSFORM
+
+
+def reason_text(reason: str, code: int) -> str:
+    """Return a reason, with the meaning of an error code of Nav2 that the reason lacks."""
+    meaning = _REASONS.get(code, "")
+    if not meaning or f"Nav2 {code}" in reason:
+        return reason
+    if meaning in reason:
+        return f"{reason} (Nav2 {code})"
+    return f"{meaning} (Nav2 {code})" + (f": {reason}" if reason else "")

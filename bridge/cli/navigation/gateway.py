@@ -15,7 +15,7 @@ from bridge.doctor.hub_problems import Note, absence
 from bridge.hub.endpoints.subscription import HubSample
 from bridge.hub.wire.qos import LATCHED
 from bridge.messages.errors import ConversionError
-from navigation import nav2_errors
+from navigation.nav2_errors import reason_text
 
 STATUS_TOPIC, STATUS = "/navigation/status", "midspan_msgs/msg/NavigationStatus"
 PATIENCE = 5.0
@@ -160,13 +160,3 @@ def state_text(status: dict[str, Any]) -> str:
     state, reason = str(status["state"]).replace("_", " "), str(status["reason"])
     text = reason_text(reason, int(status.get("error_code", 0)))
     return f"{state}: {text}" if text else state
-
-
-def reason_text(reason: str, code: int) -> str:
-    """Return a reason, with the meaning of an error code of Nav2 that the reason lacks."""
-    meaning = nav2_errors.reason(code)
-    if not meaning or f"Nav2 {code}" in reason:
-        return reason
-    if meaning in reason:
-        return f"{reason} (Nav2 {code})"
-    return f"{meaning} (Nav2 {code})" + (f": {reason}" if reason else "")

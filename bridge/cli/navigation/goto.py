@@ -23,11 +23,11 @@ from bridge.cli.navigation.gateway import (
     gateway_caller,
     no_answer,
     place_text,
-    reason_text,
     state_text,
 )
 from bridge.cli.output import CliError, clean, print_json
 from navigation.constraints import Constraints
+from navigation.nav2_errors import reason_text
 
 ACTION = "/navigate_to_pose"
 _PERIOD, _PERIOD_SCREEN = 5.0, 0.5

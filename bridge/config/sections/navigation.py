@@ -26,6 +26,13 @@ HOLD, HOLD_TYPE = "/navigation/hold", "std_msgs/msg/Bool"
 """Where the gateway says, latched, whether the planner's velocities are held back; see `bridge.routing.hold`."""
 
 
+NAV2_MOTION = (
+    "follow_path", "spin", "backup", "drive_on_heading", "assisted_teleop", "navigate_through_poses",
+    "follow_waypoints", "dock_robot", "undock_robot",
+)  # fmt: skip
+"""Nav2's actions that move the base besides ``navigate_to_pose`` (Jazzy's default names)."""
+
+
 def planner_action(name: str) -> str:
     """Where a planner serves its action on the hub."""
     return f"/planner/{name}/navigate_to_pose"
@@ -41,6 +48,9 @@ class Planner(Section):
     local_map: OptionalTopic = setting("", 'Topic of its local map (`nav_msgs/msg/OccupancyGrid`); "": none.')
     current_goal: OptionalTopic = setting("", 'Topic of its current goal (`geometry_msgs/msg/PoseStamped`); "": none.')
     velocity: OptionalTopic = setting("", "Its topic of velocities, if other than `navigation.velocity`.")
+    motion_actions: tuple[TopicName, ...] | None = setting(
+        None, "Other actions there that move the base, which a stop cancels too; empty: Nav2's, except on ROS 1."
+    )
 
     @field_validator("name")
     @classmethod
@@ -54,6 +64,14 @@ class Planner(Section):
         if self.side == "zenoh" and self.action == ACTION:
             raise ValueError(f"{ACTION} is the gateway's on the hub; let the planner serve {planner_action(self.name)}")
         return self
+
+    @property
+    def motion(self) -> tuple[str, ...]:
+        """The other actions on its side that move the base."""
+        if self.motion_actions is not None:
+            return self.motion_actions
+        namespace = self.action.rpartition("/")[0]
+        return () if self.side == "ros1" else tuple(f"{namespace}/{name}" for name in NAV2_MOTION)
 
     @property
     def on_hub(self) -> str:

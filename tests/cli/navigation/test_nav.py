@@ -24,13 +24,13 @@ from bridge.cli.navigation.gateway import (
     STATUS_TOPIC,
     gateway_status,
     no_answer,
-    reason_text,
     state_text,
 )
 from bridge.cli.navigation.goto import GoalProgress
 from bridge.config.model import Config
 from bridge.hub.wire.qos import Durability, Qos
 from bridge.stores.kinds import AREA, LOCATION, MAP
+from navigation.nav2_errors import reason_text
 from navigation.status import State
 from tests.cli.conftest import Midspan, Outcome
 from tests.cli.workers import FakeWorker, config_file
@@ -165,9 +165,9 @@ def test_an_end_with_a_code_of_nav2(rig: Rig, midspan: Midspan) -> None:
     outcome = beside(midspan, ["1", "2", "0"], lambda: rig.planner.give_up(rig.planner.until(1), "", 208))
     assert outcome.code == 1
     assert "midspan: aborted: no path to the goal (Nav2 208)" in outcome.err
-    outcome = beside(midspan, ["--json", "1", "2", "0"], lambda: rig.planner.give_up(rig.planner.until(2), "", 102))
-    assert outcome.lines()[-1]["code"] == 102
-    assert outcome.lines()[-1]["reason"].startswith("a transform is missing or too old (Nav2 102)")
+    outcome = beside(midspan, ["--json", "1", "2", "0"], lambda: rig.planner.give_up(rig.planner.until(2), "", 203))
+    assert outcome.lines()[-1]["code"] == 203
+    assert outcome.lines()[-1]["reason"].startswith("the robot is outside the map (Nav2 203)")
 
 
 def test_to_a_place_with_progress(rig: Rig, midspan: Midspan) -> None:
