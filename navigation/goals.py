@@ -149,7 +149,11 @@ class FarClients:
         self._hub, self._server, self._gone = host.node.hub, server, gone
         self._known: dict[bytes, _Far] = {}
         server.met = self._meet
-        host.loop.every(_EVERY, self._check)
+        self._timer = host.loop.every(_EVERY, self._check)
+
+    def close(self) -> None:
+        """Stop watching."""
+        self._timer.close()
 
     def _meet(self, goal: Goal) -> None:
         """Note the client when the goal arrives: the link may be cut before the next check."""

@@ -1,123 +1,72 @@
-"""Where goals lead, also by the names of places, and one client's drive, goal by goal."""
+"""A client's drive: what it asks for, goal by goal, and how it is getting on."""
 
 from __future__ import annotations
 
 import math
 import time
 import uuid
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import Any
 
-from bridge.config.sections.navigation import OURS
 from bridge.messages.actions import GoalState
 from bridge.modules.action_server import Goal
 from bridge.modules.clients import SentGoal
-from bridge.modules.host import Host
-from bridge.stores.entry import StoreError
-from bridge.stores.kinds import AREA, LOCATION, MAP
-from bridge.stores.store import Store
-from navigation.constraints import PREFIX, Constraints
-from navigation.maps.grid import from_grid, yaw_of
-from navigation.messages import pose_message
-from navigation.pose import Pose
-from yarp_compat.dev.locations import Map2DLocation
-from yarp_compat.dev.mapgrid import MapGrid2D
-
-_NO_STAMP = {"sec": 0, "nanosec": 0}
+from navigation.gateway.machine import DRIVE, DriveEvent, DriveState, Machine
+from navigation.gateway.targets import Target
 
 
-@dataclass(frozen=True)
-class Target:
-    """A pose to drive to."""
-
-    pose: Pose  #: where, metres and rad; a theta that is no number means that any heading will do
-    frame: str  #: what it is in; the name of another map of the store for a place there
-    tree: str = ""  #: the client's ``behavior_tree``
-
-    def goal(self, planner: str, robot: Pose | None) -> dict[str, Any]:
-        """The goal for a planner, without a stamp: those of two machines' clocks would decide what it means.
-
-        Midspan's own words are for planners of ours, names of behaviour trees for others. Any heading is the one that
-        the robot comes with, where its pose is known.
-        """
-        ours, tree = planner in OURS, self.tree
-        if tree.startswith(PREFIX) != ours:
-            tree = ""
-        if math.isnan(self.pose.theta) and ours and not tree:
-            tree = Constraints(heading=False).to_text()
-        return {"pose": self.stamped(robot), "behavior_tree": tree}
-
-    def stamped(self, robot: Pose | None = None) -> dict[str, Any]:
-        """As a ``geometry_msgs/PoseStamped``."""
-        pose = self.pose
-        if math.isnan(pose.theta) and robot is not None:
-            pose = pose._replace(theta=math.atan2(pose.y - robot.y, pose.x - robot.x))
-        return {"header": {"stamp": _NO_STAMP, "frame_id": self.frame}, "pose": pose_message(pose)}
+def _machine() -> Machine[DriveState, DriveEvent]:
+    return Machine(DRIVE, DriveState.WAITING)
 
 
-class TargetError(ValueError):
-    """A goal that no planner could follow; the text says why."""
+def _now() -> float:
+    return time.monotonic()
 
 
-def target_of(message: Mapping[str, Any], tree: str = "") -> Target:
-    """The target of a ``geometry_msgs/PoseStamped``; raises `TargetError` for no frame, no numbers or no rotation."""
-    frame = str(message["header"]["frame_id"]).lstrip("/")
-    position, turn = message["pose"]["position"], message["pose"]["orientation"]
-    if not frame:
-        raise TargetError("the goal's frame is empty; on the map it is 'map'")
-    if not all(map(math.isfinite, (*position.values(), *turn.values()))):
-        raise TargetError("the goal's pose has a number that is none")
-    length = math.sqrt(sum(value * value for value in turn.values()))
-    if not 0.9 < length < 1.1:
-        raise TargetError(f"the goal's quaternion is no rotation: its length is {length:.2f}, not 1")
-    return Target(Pose(float(position["x"]), float(position["y"]), yaw_of(turn)), frame, tree)
-
-
-@dataclass
+@dataclass(eq=False)
 class ClientDrive:
-    """What a client wants, until it is there or given up; an action's goal stays active in pauses and repetitions."""
+    """What one client asks for. The goal of an action stays active through pauses and repetitions."""
 
     targets: Sequence[Target]  #: the goals, one after the other
     who: str  #: the client, for people
-    goal: Goal | None = None  #: the client's own goal, where it came by the action
-    name: str = ""  #: of the place, where it was given one
-    at: int = 0  #: which of the targets it is driving to
+    goal: Goal | None = None  #: the client's own goal, if it came by the action
+    name: str = ""  #: of the place, if the client named one
+    at: int = 0  #: index of the current target
+    machine: Machine[DriveState, DriveEvent] = field(default_factory=_machine)
     sent: SentGoal | None = None  #: the goal that the planner has now, or had last
     sent_at: float = 0.0  #: when it was sent (monotonic)
-    taken: bool = False  #: whether a planner may have taken a goal of it before that one
-    # whether the planner has said itself that it drives to none of its goals; no bridge can say that
-    let_go: bool = True
-    paused: bool = False  #: whether it stands because it was told to
-    stopping: str = ""  #: why it is being given up, "" where it is not
-    held_at: float = 0.0  #: when it was stopped or paused, last (monotonic)
-    waiting: bool = False  #: whether it waits for a planner that is not there
-    began: float = field(default_factory=time.monotonic)
-    asked_at: float = field(default_factory=time.monotonic)  #: when the client wanted it to drive, last (monotonic)
+    released: bool = True  #: whether the planner is known to have none of its goals
+    why: str = ""  #: why it is being stopped, or waits
+    pause_seconds: float = math.inf  #: how long it is paused for
+    due: float = 0.0  #: it is not sent again before then (monotonic)
+    transform_missing_at: float = 0.0  #: since when the planner lacks a transform (monotonic); 0: it does not
+    asked_at: float = field(default_factory=_now)  #: when the client last asked for motion (monotonic)
+    began: float = field(default_factory=_now)
     own_id: bytes = field(default_factory=lambda: uuid.uuid4().bytes)
 
     @property
+    def state(self) -> DriveState:
+        """What is known of it."""
+        return self.machine.state
+
+    @property
     def id(self) -> bytes:
-        """The client's goal id, or one of our own."""
+        """The client's goal id, or one made here."""
         return self.own_id if self.goal is None else self.goal.id
 
     @property
     def target(self) -> Target:
-        """Where it is driving to."""
+        """The current target."""
         return self.targets[self.at]
 
     @property
     def begun(self) -> bool:
-        """Whether a planner may have taken any of its goals; one may that went before it answered."""
-        return self.taken or (self.sent is not None and self.sent.accepted is not False)
-
-    @property
-    def below(self) -> SentGoal | None:
-        """The planner's goal, while it has one."""
-        return self.sent if self.sent is not None and self.sent.active else None
+        """Whether a planner may have accepted any of its goals, for example one that vanished before it answered."""
+        return not self.released or (self.sent is not None and self.sent.accepted is not False)
 
     def end(self, status: GoalState, code: int, why: str) -> None:
-        """Tell the client how its goal ended."""
+        """End the client's own goal."""
+        self.machine.on(DriveEvent.END)
         if self.goal is None:
             return
         result = {"error_code": int(code), "error_msg": why}
@@ -127,93 +76,3 @@ class ClientDrive:
             self.goal.canceled(result)
         else:
             self.goal.abort(result)
-
-
-@dataclass
-class UnconfirmedStop:
-    """Goals that ended here while their planner has not said that it let go of them.
-
-    The wish outlives the goal: `navigation.gateway.planner_link.PlannerLink` asks the planner as soon as it is there.
-    """
-
-    why: str  #: they ended
-    since: float  #: when (monotonic)
-    stands: bool = False  #: whether the base stands, by its odometry
-    # whether it is not known yet if the planner has any goals: it is looked for since a moment ago
-    unknown: bool = False
-
-
-_ANY = math.nan
-
-
-class StoredPlaces:
-    """The store's places for goals; ``waits``: whether the planner drives to any map by its name, and waits for one."""
-
-    def __init__(self, host: Host, frame: str, waits: Callable[[], bool] = lambda: False) -> None:
-        self._host, self._frame, self._waits = host, frame, waits
-
-    @property
-    def store(self) -> Store | None:
-        """The store, where there is one."""
-        try:
-            return self._host.store
-        except StoreError:
-            return None
-
-    @property
-    def current(self) -> str:
-        """The map that is in use, "" where none is."""
-        return "" if self.store is None else self.store.current_map()
-
-    def find(self, name: str) -> Target:
-        """A location's pose, or a point in an area, in any heading; raises `LookupError` with the names there are."""
-        store = self.store
-        if store is None:
-            raise LookupError("there is no store of locations here; switch on `store`")
-        found = store.get(LOCATION, name)
-        if found is not None:
-            return self.target(found)
-        area = store.get(AREA, name)
-        middle = None if area is None else area.getCentroid()
-        if area is None or middle is None:
-            known = ", ".join([*store.names(LOCATION), *store.names(AREA)][:20]) or "none"
-            raise LookupError(f"there is no location or area {name!r}; there are: {known}")
-        inside = middle if area.contains(middle.x, middle.y) else area.getRandomLocation() or middle
-        inside.theta = _ANY
-        return self.target(inside)
-
-    def target(self, place: Map2DLocation) -> Target:
-        """A goal at a place; where that is on another map, its frame is that map's name.
-
-        While no map is in use it is not known where the place is, so it keeps its map's name for a planner that waits.
-        """
-        known = self.current or (self._waits() and self.store is not None and place.map_id in self.store.names(MAP))
-        elsewhere = place.map_id and known and place.map_id not in (self.current, self._frame)
-        frame = place.map_id if elsewhere else self._frame
-        return Target(Pose(place.x, place.y, math.radians(place.theta)), frame)
-
-    def known(self, place: Map2DLocation) -> Target:
-        """A goal at a place; raises `LookupError` if the store has maps, and not the place's."""
-        target, store = self.target(place), self.store
-        if target.frame != self._frame and store is not None and target.frame not in (maps := store.names(MAP)):
-            raise LookupError(f"it is on the map {target.frame}, which is not here; there are: {', '.join(maps[:20])}")
-        return target
-
-    def location(self, message: Mapping[str, Any] | Target) -> Map2DLocation:
-        """A ``geometry_msgs/PoseStamped``, or a target, as a place on a map."""
-        if isinstance(message, Target):
-            frame, pose = message.frame, message.pose
-        else:
-            position, frame = message["pose"]["position"], str(message["header"]["frame_id"])
-            pose = Pose(position["x"], position["y"], yaw_of(message["pose"]["orientation"]))
-        map_id = self.current or frame if frame in ("", self._frame) else frame
-        return Map2DLocation(map_id, float(pose.x), float(pose.y), math.degrees(pose.theta))
-
-    def map(self) -> MapGrid2D | None:
-        """The map that is in use."""
-        store = self.store
-        return None if store is None or not self.current else store.get(MAP, self.current)
-
-    def grid(self, message: Mapping[str, Any] | None) -> MapGrid2D | None:
-        """A ``nav_msgs/OccupancyGrid`` as YARP has it."""
-        return None if message is None else from_grid(message, self.current or "map")

@@ -1,7 +1,8 @@
-"""The gateway: clients of every side give goals, the chosen planner drives; see docs/navigation/navigation.md."""
+"""The gateway's module: its action, topics, services and ports; see docs/navigation/navigation.md."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 from bridge.config.sections.navigation import ACTION, GOAL_POSE, HOLD, HOLD_TYPE, NavigationSection
@@ -12,18 +13,17 @@ from bridge.modules.host import Host
 from bridge.modules.module import Module
 from bridge.worker import Health
 from navigation.frames import RobotFrames
-from navigation.gateway.drive import StoredPlaces, TargetError, target_of
+from navigation.gateway.entry import NavigateAction
 from navigation.gateway.gateway import BETWEEN_MAPS, Gateway
-from navigation.gateway.planner_link import POSE
 from navigation.gateway.services import WHO, GatewayDevice, HubServices, VelocityCommander, YarpVelocity
-from navigation.gateway.stop import StopAnswer, waited_for
-from navigation.goals import CUT_OFF, FarClients
-from navigation.messages import NAVIGATE
+from navigation.gateway.stop import StopAnswer, wait_for
+from navigation.gateway.targets import StoredPlaces, TargetError, target_of
+from navigation.gateway.telemetry import POSE
 from navigation.status import STATUS, Fault, State
 from yarp_compat.dev.inavigation2d import Navigation2DServer
 
 STATUS_TOPIC = "/navigation/status"
-_AGAIN_SECONDS = 5.0  # after so long YARP's ports say the status again, as YARP's own do
+_REPEAT_SECONDS = 5.0  # YARP's ports repeat the status after this time, as YARP's own do
 _CHANGEABLE = ("planner", "planners", "localizer", "map", "patience", "silence")
 
 
@@ -36,28 +36,28 @@ class GatewayModule(Module):
         """Open all topics, services and ports."""
         assert isinstance(section, NavigationSection)
         self._host, self._section = host, section
-        self._told = host.node.publisher(STATUS_TOPIC, STATUS, LATCHED, priority="state")
+        self._status = host.node.publisher(STATUS_TOPIC, STATUS, LATCHED, priority="state")
         self._state = State.IDLE.value
-        self._ports = [host.yarp.output(f"{door}/status:o") for door in section.doors.yarp]
+        self._ports = [host.yarp.output(f"{prefix}/status:o") for prefix in section.doors.yarp]
         frames = RobotFrames(host, section.frame, section.base_frame)
         self._commander = VelocityCommander(host, section.velocity)
         self._holding = host.node.publisher(HOLD, HOLD_TYPE, LATCHED, priority="state")
         self._holding.publish({"data": False})
-        self.gateway = Gateway(host, section, frames, self._tell, self._hold)
+        self.gateway = Gateway(host, section, frames, self._on_status, self._hold)
         places = StoredPlaces(host, section.frame, lambda: self.gateway.planner == BETWEEN_MAPS)
-        server = host.node.action_server(ACTION, NAVIGATE, self.gateway.take, self.gateway.cancel)
-        FarClients(host, server, lambda goal: self.gateway.lost(goal, CUT_OFF))
-        host.node.subscription(GOAL_POSE, POSE, self._goal_pose, Qos(depth=1))
-        HubServices(host.node, self.gateway, places, self._commander)
-        self._answers = Navigation2DServer(GatewayDevice(host, self.gateway, places, self._commander, self._begin_stop))
-        for door in section.doors.yarp:
-            host.yarp.serve(f"{door}/rpc", self._answers)
+        gateway = self.gateway
+        self._action = NavigateAction(host, gateway.accept_goal, gateway.cancel_goal, gateway.client_lost)
+        host.node.subscription(GOAL_POSE, POSE, self._on_goal_pose, Qos(depth=1))
+        HubServices(host.node, gateway, places, self._commander)
+        self._device = Navigation2DServer(GatewayDevice(host, gateway, places, self._commander, self._begin_stop))
+        for prefix in section.doors.yarp:
+            host.yarp.serve(f"{prefix}/rpc", self._device)
         host.answer("halt", self.halt)
-        self._tell(self.gateway.status())
-        host.loop.every(_AGAIN_SECONDS, self._say)
+        self._on_status(gateway.status())
+        host.loop.every(_REPEAT_SECONDS, self._write_status)
 
     def reload(self, section: Section) -> bool:
-        """Take up another planner, once the one that drives stands; other doors are opened by a new start."""
+        """Adopt another planner as soon as the current one stands; other entry points need a restart."""
         assert isinstance(section, NavigationSection)
         same = {name: getattr(section, name) for name in _CHANGEABLE}
         if self._section.model_copy(update=same) != section:
@@ -67,8 +67,8 @@ class GatewayModule(Module):
         return True
 
     def halt(self, _params: Any = None) -> dict[str, Any]:
-        """Give up every goal, also a paused one; on any thread. Raises `HubError` unless the robot surely stands."""
-        trouble = waited_for(self._host.loop.call(self._begin_stop))
+        """Cancel every goal, also a paused one; on any thread. Raises `HubError` unless the robot is known to stand."""
+        trouble = wait_for(self._host.loop.call(self._begin_stop))
         if trouble:
             raise HubError(trouble)
         return {"halted": True}
@@ -77,7 +77,7 @@ class GatewayModule(Module):
         self._commander.stop()
         self.gateway.stop()
         answer = StopAnswer()
-        self.gateway.when_stopped(answer.put)
+        self.gateway.when_confirmed(answer.put)
         return answer
 
     def _hold(self, held: bool) -> None:
@@ -87,45 +87,50 @@ class GatewayModule(Module):
         elif self._commander.last == YarpVelocity():
             self._commander.stop()
 
-    def _goal_pose(self, message: dict[str, Any]) -> None:
+    def _on_goal_pose(self, message: dict[str, Any]) -> None:
         try:
-            self.gateway.begin([target_of(message)], f"who publishes {GOAL_POSE}")
+            self.gateway.execution.begin([target_of(message)], f"a publisher of {GOAL_POSE}")
         except TargetError as err:
             self.gateway.ended["refused"] += 1
             self._host.log.warning("%s: refused: %s", GOAL_POSE, err)
 
-    def _tell(self, status: dict[str, Any]) -> None:
-        self._told.publish(status)
+    def _on_status(self, status: dict[str, Any]) -> None:
+        self._status.publish(status)
         self._state = status["state"]
         drive = self.gateway.drive
         if drive is None and self.gateway.driving:
-            self._answers.target_name = ""
+            self._device.target_name = ""
         elif drive is not None and drive.who != WHO:
-            self._answers.target_name = drive.name
+            self._device.target_name = drive.name
         if self.gateway.has_base and not self.gateway.held:
             self._commander.stop()
-        self._say()
+        self._write_status()
 
-    def _say(self) -> None:
+    def _write_status(self) -> None:
         for port in self._ports:
             port.write([f"navigation_status_{self._state}"])
 
     def health(self) -> Health:
         """Which planner there is, and what it does."""
         gateway = self.gateway
-        if not gateway.link.ready:
-            return Health("waiting", f"the planner {gateway.planner} is not there")
+        if not gateway.link.reachable:
+            return Health("waiting", f"the planner {gateway.planner} is not available")
         state, why, code = gateway.state()
         if code in (Fault.SILENT, Fault.MAY_MOVE):
             return Health("waiting", why)
-        words = f"{gateway.planner} {state.value.replace('_', ' ')}" + (f" ({why})" if why else "")
-        return Health("running", f"{words}; {gateway.pending} once it stands" if gateway.pending else words)
+        text = f"{gateway.planner} {state.value.replace('_', ' ')}" + (f" ({why})" if why else "")
+        if gateway.pending:
+            text += f"; {gateway.pending} takes over when it stands"
+        if self._action.served_by:
+            text += f"; {ACTION} is served by {self._action.served_by}"
+        return Health("running", text)
 
     def status(self) -> dict[str, Any]:
-        """What drives to where."""
+        """The planner, the goal and the state."""
         gateway = self.gateway
         state, why, _ = gateway.state()
-        drive = gateway.drive
+        drive, other = gateway.drive, self._action.served_by
+        warnings = [self._host.yarp.trouble(), f"{ACTION} is served by {other}: {_BESIDE}" if other else ""]
         return {
             "planner": gateway.planner,
             "planners": list(gateway.choices),
@@ -135,11 +140,24 @@ class GatewayModule(Module):
             "goals": 0 if drive is None else len(drive.targets) - drive.at,
             "goal": None if drive is None else [*drive.target.pose[:3]],
             "client": "" if drive is None else drive.who,
-            "goals_of_others": len(gateway.link.others),
+            "goals_of_others": len(gateway.link.foreign),
             "goals_ended": dict(gateway.ended),
+            "served_by": other,
+            "warnings": list(filter(None, warnings)),
         }
 
+    def begin_stop(self, done: Callable[[], None]) -> None:
+        """Stop the robot if the gateway moves it, before clients lose the server of their goals."""
+        self._commander.stop()
+        self.gateway.shut_down(done)
+
     def stop(self) -> None:
-        """Give up what is under way."""
+        """End what is left."""
         self._commander.stop()
         self.gateway.close()
+
+
+_BESIDE = (
+    "its clients on the hub and on ROS 2 reach that node directly, and the gateway serves YARP and its other entry"
+    " points; stop that node, or name it as planner, so that the robot has one master"
+)

@@ -1,84 +1,105 @@
-"""The chosen planner, as the gateway sees it, and which one that is."""
+"""The planner as the gateway sees it: whether it is reachable, its goals, and everything else that moves the base."""
 
 from __future__ import annotations
 
+import hashlib
+import os
 import time
 from collections.abc import Callable, Mapping
-from functools import partial
-from typing import Any
+from typing import Any, NamedTuple
 
 from bridge.config.sections.navigation import OURS, NavigationSection
-from bridge.hub.wire.qos import LATCHED
-from bridge.messages.actions import STATUSES, GoalState, names
+from bridge.messages.actions import GoalState, names
 from bridge.modules.clients import ActionClient, Ended, SentGoal
 from bridge.modules.host import Host
-from navigation.gateway.drive import UnconfirmedStop
-from navigation.messages import GRID, NAVIGATE, Message
-from navigation.status import STATUS, State
+from navigation.gateway.action_goals import ActionGoals
+from navigation.gateway.goal_list import GoalList
+from navigation.gateway.machine import PLANNER, Machine, PlannerEvent, PlannerState
+from navigation.gateway.motion import Base, Motion
+from navigation.gateway.telemetry import Telemetry
+from navigation.messages import NAVIGATE, Message
+from navigation.status import State
 
-PATH, POSE = "nav_msgs/msg/Path", "geometry_msgs/msg/PoseStamped"
-_LOCAL = {"robot_path_planner": "robot_goto"}  # the planner that publishes the local map of another one
-_SENT_KEPT = 1000
-_AGAIN_SECONDS = 1.0
-_LIST_SECONDS = 1.0
-"""A planner that has published no list of goals for so long has none: an action server publishes it with its first."""
+ABSENT_SECONDS = 2.0
+"""A planner that does not appear for this time after its side's worker has joined is not running there."""
+
+UNSEEN_SECONDS = 10.0
+"""The same while the base moves: the worker of a busy machine may take this long to find the planner."""
 
 
-def local_map_topic(section: NavigationSection, planner: str) -> str:
-    """The topic of a planner's local map (``nav_msgs/OccupancyGrid``), "" where it has none."""
-    other = section.others.get(planner)
-    return other.local_map if other else f"/planner/{_LOCAL.get(planner, planner)}/local_map"
+class GoalMark:
+    """Makes goal ids by which the gateway recognizes its own goals, also those from before it was restarted."""
+
+    def __init__(self, daemon: str) -> None:
+        self._mark = hashlib.blake2b(f"midspan gateway {daemon}".encode(), digest_size=6).digest()
+        self._run = os.urandom(4)
+
+    def new_id(self) -> bytes:
+        """Return a new goal id, 16 bytes."""
+        return self._mark + self._run + os.urandom(6)
+
+    def is_own(self, goal: bytes) -> bool:
+        """Whether a gateway of this daemon made the id."""
+        return goal.startswith(self._mark)
+
+    def is_orphan(self, goal: bytes) -> bool:
+        """Whether an earlier run of this gateway made the id."""
+        return self.is_own(goal) and not goal.startswith(self._mark + self._run)
+
+
+class ForeignEnd(NamedTuple):
+    """How a goal ended that the planner's own client gave it."""
+
+    goal: bytes
+    state: State
+    reason: str
+
+
+def _end_of(status: GoalState | None) -> State:
+    """Return how a goal ended: aborted if the list does not have it, or has not shown its end."""
+    return {GoalState.SUCCEEDED: State.REACHED, GoalState.CANCELED: State.IDLE}.get(
+        status or GoalState.ABORTED, State.ABORTED
+    )
 
 
 class PlannerLink:
-    """Sends goals to a planner, and calls ``changed`` when it tells something new. On the module's thread."""
+    """Sends goals to a planner, and calls ``changed`` when it reports something. On the module's thread."""
 
-    def __init__(self, host: Host, section: NavigationSection, planner: str, changed: Callable[[], None]) -> None:
-        self.planner, self._changed = planner, changed
-        self._host = host
+    def __init__(
+        self, host: Host, section: NavigationSection, planner: str, changed: Callable[[], None], mark: GoalMark
+    ) -> None:
+        self.planner, self._host, self._changed, self.mark = planner, host, changed, mark
+        other = section.others.get(planner)
+        self._side = other.side if other else ""
+        self.machine: Machine[PlannerState, PlannerEvent] = Machine(PLANNER, PlannerState.UNKNOWN)
+        self.seen_at = time.monotonic()  # when it was last reachable; before that, when this began
+        self.unreachable_at = time.monotonic()  # when it was last seen to be unreachable
+        self._side_since: float | None = None
         action = section.at(planner)
         self._client = ActionClient(host.node, action, NAVIGATE)
-        self._mine: dict[bytes, SentGoal] = {}
-        # when it was last seen not to be there, and to be there (monotonic); before the first look, now
-        self.lost_at = self.seen_at = self._made_at = time.monotonic()
-        self._condemned: dict[bytes, None] = {}
-        self._asked: dict[bytes, float] = {}
-        self._heard_at, self._beats = 0.0, 0
-        self._listed_since, self._before = False, set[bytes]()
-        self._listed: dict[bytes, GoalState] = {}
-        self._lister, self._lister_seen, self._listed_at = b"", False, 0.0
-        self._followed: bytes | None = None
-        self._own: Message | None = None
-        self.ended: tuple[bytes, State, str] | None = None  # a goal of others that ended last, how, and why if known
-        # a goal of others that it drove to as it went out of reach, and when; None once it is known how that ended
-        self.gone: tuple[bytes, float] | None = None
-        # what it told last
-        self.path: Message | None = None
-        self.local_map: Message | None = None
-        self.current_goal: Message | None = None
-        other = section.others.get(planner)
-        base = f"/planner/{planner}"
-        node = host.node
-        topics = {
-            "path": (other.path if other else "", PATH),
-            "local_map": (local_map_topic(section, planner), GRID),
-            "current_goal": (other.current_goal if other else "", POSE),
-        }
-        self._topics = [
-            names(action).status,
-            names(action).feedback,
-            f"{base}/status",
-            *(t for t, _ in topics.values() if t),
+        self._goals = ActionGoals(host, action, always=self._side in ("", "ros1"), changed=self._on_list)
+        self._motion = [
+            ActionGoals(host, name, always=False, changed=lambda _differs: changed())
+            for name in (other.motion if other is not None else ())
         ]
-        self._list = node.subscription(names(action).status, STATUSES, self._hear_list, LATCHED)
-        self._ends = [
-            self._list,
-            node.subscription(f"{base}/status", STATUS, self._hear_status, LATCHED),
-            *(
-                node.subscription(topic or f"{base}/{name}", kind, partial(setattr, self, name), LATCHED)
-                for name, (topic, kind) in topics.items()
-            ),
-        ]
+        self._foreign: tuple[bytes, ...] = ()
+        self.foreign_end: ForeignEnd | None = None  # the last end of a goal of the planner's own clients
+        self.doubtful: bytes | None = None  # such a goal, while the planner is out of reach
+        self._parts_before: set[bytes] = set()
+        self.telemetry = Telemetry(host, section, planner, changed)
+        self._topics = [names(action).status, names(action).feedback, *self.telemetry.topics]
+
+    # -- what is known -------------------------------------------------------------------------------------------------
+
+    @property
+    def state(self) -> PlannerState:
+        """What is known of it."""
+        return self.machine.state
+
+    @property
+    def reachable(self) -> bool:
+        """Whether all parts of its action are on the hub."""
+        return self.machine.state.reachable
 
     @property
     def ours(self) -> bool:
@@ -86,265 +107,170 @@ class PlannerLink:
         return self.planner in OURS
 
     @property
-    def ready(self) -> bool:
-        """Whether it is there."""
-        return self._client.ready
+    def foreign(self) -> tuple[bytes, ...]:
+        """The active goals that its own clients gave it, the oldest first, while its list is valid."""
+        return self._foreign if self.machine.state.reported else ()
 
     @property
-    def others(self) -> list[bytes]:
-        """The goals that it drives to and that it was given by others."""
-        listed = self._listed if self.ready else {}
-        return [one for one, status in listed.items() if not status.ended and one not in self._mine]
+    def motion(self) -> tuple[str, ...]:
+        """The other actions on its side that move the base now, such as Nav2's ``/follow_path``."""
+        return tuple(one.action for one in self._motion if one.list.known and one.list.active)
 
     @property
-    def may_drive(self) -> bool:
-        """Whether it drives to a goal according to its last list, even if it is out of reach."""
-        return any(not status.ended for status in self._listed.values())
+    def goals(self) -> bool | None:
+        """Whether its newest list has active goals, valid or not; None before the first list."""
+        return bool(self._goals.list.active) if self._goals.list.any else None
 
     @property
-    def unknown(self) -> bool:
-        """Whether it was found, or looked for, so lately that its list of goals cannot have come yet."""
-        since = self.lost_at if self.ready else self._made_at
-        return not self._listed_since and time.monotonic() < since + _LIST_SECONDS
+    def released(self) -> bool:
+        """Whether it is known that it, and everything else that moves the base, has no goal left that has to end."""
+        reachable = self.reachable and self._goals.released
+        return reachable and all(one.released or not one.there for one in self._motion)
 
     @property
-    def holds_on(self) -> bool:
-        """Whether it is there, and has not said that all goals have ended that it was to give up."""
-        return self.ready and (bool(self._left()) or any(sent.active for sent in self._mine.values()))
+    def left(self) -> bool:
+        """Whether there are goals that have to end, and have not by the newest lists."""
+        return bool(self._goals.left) or any(one.left for one in self._motion)
 
-    @property
-    def let_go(self) -> bool:
-        """Whether it is there and, by a list that had the time to come, has no goal left to give up."""
-        if not self.ready or self.holds_on:
-            return False
-        return self._listed_since or time.monotonic() > self.lost_at + _LIST_SECONDS
-
-    def _left(self) -> list[bytes]:
-        """The goals that it drives to and is to give up: they ended here, or were to be cancelled with all others."""
-        return [
-            one
-            for one, status in self._listed.items()
-            if not status.ended
-            and (one in self._condemned or (one in self._mine and not self._mine[one].active))
-        ]  # fmt: skip
-
-    @property
-    def silent(self) -> float:
-        """Seconds since it spoke of the last goal; 0 for one that only publishes changes: its silence means nothing."""
-        return time.monotonic() - self._heard_at if self._beats else 0.0
-
-    def _heard(self, beats: int = 1) -> None:
-        self._heard_at, self._beats = time.monotonic(), self._beats + beats
+    def lists(self, sent: SentGoal) -> GoalState | None:
+        """Return the state of a goal in a valid list; None if the list does not have it, or is not valid."""
+        return self._goals.list.status(sent.id) if self.machine.state.reported else None
 
     @property
     def coming_up(self) -> bool:
-        """Whether parts of it have come to the hub while it is not there as a whole."""
-        return not self.ready and bool(self._there() - self._before)
+        """Whether parts of it have come to the hub while it is not reachable as a whole."""
+        return not self.reachable and bool(self._parts() - self._parts_before)
 
-    def _there(self) -> set[bytes]:
+    def _parts(self) -> set[bytes]:
         graph = self._host.node.hub.graph
         return {one.gid for topic in self._topics for one in graph.publishers(topic)}
 
-    def told(self, goal_id: bytes) -> tuple[State, str] | None:
-        """The state and the reason that it published for a goal, if any."""
-        own = self._own
-        if own is None or bytes(own["goal_id"]) != goal_id:
-            return None
-        return State(own["state"]), str(own["reason"])
-
-    def code(self, goal_id: bytes) -> int:
-        """The number of the reason why the goal waits or failed; 0 if unknown."""
-        own = self._own
-        return int(own["error_code"]) if own is not None and bytes(own["goal_id"]) == goal_id else 0
-
-    def pose(self, goal_id: bytes) -> Message | None:
-        """The pose of a goal that others gave it, if it publishes that."""
-        own = self._own
-        if own is not None and bytes(own["goal_id"]) == goal_id:
-            return dict(own["goal"])
-        return self.current_goal
+    # -- goals ---------------------------------------------------------------------------------------------------------
 
     def send(self, goal: Mapping[str, Any], ended: Ended, feedback: Callable[[Message], None]) -> SentGoal:
         """Send a goal, under a new id."""
-        self.path = self.gone = None
-        self._beats = 0
+        self.telemetry.begin()
+        self.doubtful = None
 
-        def heard(told: Message) -> None:
-            self._heard()
-            feedback(told)
+        def on_feedback(message: Message) -> None:
+            self.telemetry.beat()
+            feedback(message)
 
-        sent = self._client.send(goal, ended, heard)
-        while len(self._mine) >= _SENT_KEPT:
-            del self._mine[next(iter(self._mine))]
-        self._mine[sent.id] = sent
+        sent = self._client.send(goal, ended, on_feedback, self.mark.new_id())
+        for action in (self._goals, *self._motion):
+            action.spare(sent.id)
         return sent
 
-    def look(self) -> None:
-        """Note whether it is there; have it give up goals that ended here while the link to it was cut."""
-        ready, now = self.ready, time.monotonic()
-        if ready:
-            self.seen_at = now
-            self._forget_the_dead()
-        self._follow()
-        if ready and self.gone is not None and (self._listed_since or now > self.lost_at + _LIST_SECONDS):
-            self.give_up_gone()
-        if ready:
-            self._ask_to_let_go()
+    def follow(self, sent: SentGoal) -> None:
+        """Ask again for the result of a goal that the planner still has."""
+        if not sent.active:
+            self._client.follow(sent)
+
+    def end(self, sent: SentGoal) -> None:
+        """Cancel a goal, now or as soon as that is possible, until the planner's list shows that it has ended."""
+        if sent.active:
+            sent.cancel()
+        self._goals.end(sent.id)
+
+    def end_all(self) -> None:
+        """Cancel everything that moves the base, also what its own clients gave it."""
+        for action in (self._goals, *self._motion):
+            action.end_all()
+
+    def end_motion(self) -> None:
+        """Cancel what moves the base besides the planner's own goals."""
+        for action in self._motion:
+            action.end_all()
+
+    def end_no_more(self) -> None:
+        """The stop is over: goals that appear now may go on."""
+        for action in (self._goals, *self._motion):
+            action.end_no_more()
+
+    # -- what happens --------------------------------------------------------------------------------------------------
+
+    def refresh(self, motion: Motion) -> None:
+        """Read the hub's graph and the lists again; called about ten times a second."""
+        now = time.monotonic()
+        for action in (self._goals, *self._motion):
+            action.refresh()
+        if self._client.ready:
+            self.seen_at, self._side_since = now, None
+            self.machine.on(PlannerEvent.FOUND)
+        else:
+            if self.reachable:
+                self._parts_before = self._parts()
+            self._doubt()
+            self.machine.on(PlannerEvent.LOST)
+            self.unreachable_at = now
+            if self._side_reported(moving=motion.base() is Base.MOVING):
+                self.machine.on(PlannerEvent.SIDE_REPORTED)
+        self._update()
+        if not self.reachable and motion.stands(self.machine.since):
+            self._close_doubt()
+
+    def _update(self) -> None:
+        """Derive the planner's state, and the foreign goals, from the newest list: both in one step."""
+        goals = self._goals.list
+        if not self.reachable:
             return
-        if self.seen_at >= self.lost_at:
-            self._before = self._there()
-        self.lost_at, self._listed_since = now, False
-        self._asked.clear()
+        if goals.known:
+            self.machine.on(PlannerEvent.GOALS if goals.active else PlannerEvent.NO_GOALS)
+            self._update_foreign(goals)
+        else:
+            self._doubt()
+            self.machine.on(PlannerEvent.UNREPORTED)
 
-    def give_up_gone(self) -> None:
-        """The goal of others that it drove to as it went has ended: it is back without that one, or the base stands."""
-        if self.gone is not None and self.gone[0] not in self.others:
-            self.ended = self.gone[0], State.ABORTED, f"the planner {self.planner} has gone"
-        self.gone = None
+    def _doubt(self) -> None:
+        """The list is no longer valid: what becomes of a goal of the planner's own clients is not known for now."""
+        if self.machine.state.reported and self._foreign:
+            self.doubtful = self._foreign[-1]
 
-    def _ask_to_let_go(self) -> None:
-        now, left = time.monotonic(), self._left()
-        self._asked = {one: at for one, at in self._asked.items() if one in left}
-        for one in left:
-            if now >= self._asked.get(one, 0.0):
-                self._asked[one] = now + _AGAIN_SECONDS
-                self._client.cancel(one)
+    def _update_foreign(self, goals: GoalList) -> None:
+        before, self._foreign = self._foreign, tuple(goal for goal in goals.active if not self.mark.is_own(goal))
+        for goal in goals.active:
+            if self.mark.is_orphan(goal):
+                self._goals.end(goal)  # nobody else knows of it, so nobody else could stop the robot
+        for goal in before:
+            if goal not in self._foreign and goal != self.doubtful:
+                self.foreign_end = ForeignEnd(goal, _end_of(goals.status(goal)), "")
+        if self.doubtful is not None:
+            self._close_doubt()
 
-    def _forget_the_dead(self) -> None:
-        """Drop the list of a program that has gone, once another one is there: that one has none of its goals.
-
-        A list may come before the graph tells of the program that sent it.
-        """
-        there = {one.gid for one in self._host.node.hub.graph.publishers(self._list.topic)}
-        if self._lister in there:
-            self._lister_seen = True
-        elif there and (self._lister_seen or time.monotonic() > self._listed_at + _LIST_SECONDS):
-            self._listed = {}
-
-    def _follow(self) -> None:
-        """Note which goal of others it drives to; one that it drove to as it went out of reach may go on there."""
-        others = self.others
-        if others:
-            self.gone = None
-        elif self._followed is not None and (self.ended is None or self.ended[0] != self._followed):
-            self.gone = self._followed, time.monotonic()
-        self._followed = others[-1] if others else None
-
-    def cancel_all(self) -> None:
-        """Have it give up all goals, also those of others; where it is not there, once it is again."""
-        self._condemned |= {one: None for one, status in self._listed.items() if not status.ended}
-        while len(self._condemned) > _SENT_KEPT:
-            del self._condemned[next(iter(self._condemned))]
-        self._client.cancel()
-
-    def close(self) -> None:
-        """Close the subscriptions and the client."""
-        self._client.close()
-        for end in self._ends:
-            self._host.node.release(end)
-
-    def _hear_list(self, message: Message) -> None:
-        listed = {
-            bytes(one["goal_info"]["goal_id"]["uuid"]): GoalState(one["status"]) for one in message["status_list"]
-        }
-        for goal in self.others:
-            end = listed.get(goal, GoalState.ABORTED)
-            if end.ended:
-                self.ended = goal, _ENDS[end], ""
-        if self.gone is not None and self.gone[0] in listed and listed[self.gone[0]].ended:
-            self.ended, self.gone = (self.gone[0], _ENDS[listed[self.gone[0]]], ""), None
-        self._heard(listed == self._listed)
-        self._lister_seen = self._lister_seen and self._lister == self._list.sender
-        self._listed, self._lister, self._listed_since = listed, self._list.sender, True
-        self._listed_at = time.monotonic()
-        if self.ready:
-            self._ask_to_let_go()  # before anything else that comes
-        self._follow()
-        self._changed()
-
-    def _hear_status(self, message: Message) -> None:
-        try:
-            State(message["state"])
-        except ValueError:
-            self._host.log.warning("the planner %s reported an unknown state: %r", self.planner, message["state"])
+    def _close_doubt(self) -> None:
+        """It is known again how the planner's own goal does, or the base stands."""
+        goal, self.doubtful = self.doubtful, None
+        if goal is None or (goal in self._foreign and self.machine.state.reported):
             return
-        self._own = message
-        self._heard()
-        self._changed()
-
-
-_ENDS = {GoalState.SUCCEEDED: State.REACHED, GoalState.CANCELED: State.IDLE, GoalState.ABORTED: State.ABORTED}
-
-
-LETTING_GO_SECONDS = 30.0
-"""For so long another planner waits for one that does not let go of a goal that ended here, and is asked to."""
-
-
-class RequestError(RuntimeError):
-    """A request that cannot be met now; the text says why."""
-
-
-class PlannerChoice:
-    """The planner at hand, and the one that takes its place. On the module's thread."""
-
-    def __init__(self, host: Host, section: NavigationSection, changed: Callable[[], None]) -> None:
-        self._host, self.section, self._changed = host, section, changed  # the section that holds
-        self._chosen = ""
-        self._next: NavigationSection | None = None
-        self._held_since: float | None = None
-        self.link = PlannerLink(host, section, section.planner, changed)  # to the planner at hand
+        status = self._goals.list.status(goal) if self.machine.state.reported else None
+        why = "" if status is not None and status.ended else f"the planner {self.planner} has gone"
+        self.foreign_end = ForeignEnd(goal, _end_of(status), why)
 
     @property
-    def pending(self) -> str:
-        """The planner that drives once the one at hand stands; "" for none."""
-        return "" if self._next is None else self._wanted(self._next)
+    def orphans(self) -> bool:
+        """Whether it drives to a goal that this gateway gave it before it was restarted."""
+        return any(self.mark.is_orphan(goal) for goal in self._goals.list.active)
 
-    def choose(self, planner: str, *, driving: bool) -> None:
-        """Have another planner drive; raises `RequestError` if it is unknown, or the one at hand is driving."""
-        at_hand = self.link.planner
-        if planner not in self.section.choices:
-            raise RequestError(f"there is no planner {planner!r}; there are {', '.join(self.section.choices)}")
-        if planner != at_hand and driving:
-            raise RequestError(f"{at_hand} is driving; stop it first")
-        self._chosen = planner
-        self._next = self._next or self.section
-
-    def configure(self, section: NavigationSection) -> None:
-        """Take up another section once nothing drives; a chosen planner stays unless the section names another one."""
-        if section.planner != (self._next or self.section).planner:
-            self._chosen = ""
-        self._next = section
-
-    def settle(self, *, driving: bool, stop: UnconfirmedStop | None) -> bool:
-        """Take up a section that waited for a drive's end; whether the planner before never let go, nor is followed."""
-        section = self._next
-        if section is None:
-            return False
-        planner = self._wanted(section)
-        same = planner == self.link.planner and section.others == self.section.others
-        if not same and (driving or self._holds_on(stop)):  # without the link nobody would ask it to stop
-            return False
-        self.section, self._next = section, None
-        return not same and self._link_to(planner)
-
-    def _wanted(self, section: NavigationSection) -> str:
-        return self._chosen if self._chosen in section.choices else section.planner
-
-    def _holds_on(self, stop: UnconfirmedStop | None) -> bool:
-        """Whether the planner may still drive to a goal that ended here."""
-        if not self.link.holds_on and (stop is None or (stop.stands and not self.link.ready)):
-            self._held_since = None
-            return False
+    def _side_reported(self, *, moving: bool) -> bool:
+        """Whether the planner's side had the time to show it: its worker has joined, and it is not there."""
         now = time.monotonic()
-        if self._held_since is None:
-            self._held_since = now
-        return now < self._held_since + LETTING_GO_SECONDS
+        origins = self._host.node.hub.graph.origins().values()
+        here = self._side == "" and self.planner in self._host.config.hosted
+        if not here and self._side not in {origin.side for origin in origins} | {"zenoh"}:
+            self._side_since = None
+            return False
+        if self._side_since is None:
+            self._side_since = now
+        return now > self._side_since + (UNSEEN_SECONDS if moving else ABSENT_SECONDS)
 
-    def _link_to(self, planner: str) -> bool:
-        given_up, self._held_since = self._held_since is not None, None
-        if given_up:
-            self._host.log.warning("%s has not let go of its goal for %g s", self.link.planner, LETTING_GO_SECONDS)
-        self.link.close()
-        self.link = PlannerLink(self._host, self.section, planner, self._changed)
-        self._host.log.info("%s is the planner now", planner)
-        return given_up
+    def _on_list(self, differs: bool) -> None:
+        self.telemetry.beat(counts=not differs)
+        self._update()
+        self._changed()
+
+    def close(self) -> None:
+        """Close the subscriptions and the clients."""
+        self._client.close()
+        self.telemetry.close()
+        for action in (self._goals, *self._motion):
+            action.close()

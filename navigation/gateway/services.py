@@ -1,6 +1,6 @@
-"""The gateway's services on the hub, YARP's ``INavigation2D``, and velocities that pass the planner for a while."""
+"""The gateway's services on the hub, YARP's ``INavigation2D``, and direct velocity commands."""
 
-# ruff: noqa: N802, D102 - YARP's names, and what they do is said in `yarp_compat.dev.inavigation2d`
+# ruff: noqa: N802, D102 - YARP's names; `yarp_compat.dev.inavigation2d` describes them
 
 from __future__ import annotations
 
@@ -13,10 +13,11 @@ from bridge.hub.wire.qos import Qos
 from bridge.modules.host import Host, ModuleNode
 from bridge.modules.loop import Timer
 from bridge.modules.services import Answer
-from navigation.gateway.drive import StoredPlaces, Target
+from navigation.gateway.choice import RequestError
+from navigation.gateway.entry import STOP_SERVICE
 from navigation.gateway.gateway import Gateway
-from navigation.gateway.planner_link import RequestError
-from navigation.gateway.stop import StopAnswer, waited_for
+from navigation.gateway.stop import StopAnswer, wait_for
+from navigation.gateway.targets import StoredPlaces, Target
 from navigation.messages import TWIST
 from navigation.pose import Pose
 from navigation.yarp import Calls, NavigationDevice
@@ -26,7 +27,7 @@ from yarp_compat.dev.mapgrid import MapGrid2D
 from yarp_compat.dev.returnvalue import CallFailed, ReturnCode
 
 LONGEST_SECONDS = 1.0
-"""A client that wants to drive on repeats its command; one that has gone is obeyed no longer than this."""
+"""A client that wants to go on driving repeats its command; a command holds no longer than this."""
 
 _PERIOD = 0.05
 
@@ -40,47 +41,47 @@ class YarpVelocity(NamedTuple):
 
 
 class VelocityCommander:
-    """Repeats a velocity on the base's topic until its time is over, and then says zero. On the module's thread."""
+    """Repeats a velocity on the base's topic until its time is over, then publishes zero. On the module's thread."""
 
     def __init__(self, host: Host, topic: str) -> None:
         self._host = host
-        self._out = host.node.publisher(topic, TWIST, Qos(depth=1), priority="command")
+        self._publisher = host.node.publisher(topic, TWIST, Qos(depth=1), priority="command")
         self._velocity, self._until = YarpVelocity(), 0.0
         self._timer: Timer | None = None
 
     @property
     def last(self) -> YarpVelocity | None:
-        """The current command; None once its time is over."""
+        """The current command; None when its time is over."""
         return self._velocity if time.monotonic() <= self._until else None
 
     def command(self, velocity: YarpVelocity, seconds: float) -> None:
-        """Command for so many seconds."""
+        """Command a velocity for this time, at most `LONGEST_SECONDS`."""
         self._velocity, self._until = velocity, time.monotonic() + min(max(seconds, 0.0), LONGEST_SECONDS)
-        self._publish(velocity)
+        self._send(velocity)
         if self._timer is None:
-            self._timer = self._host.loop.every(_PERIOD, self._again)
+            self._timer = self._host.loop.every(_PERIOD, self._repeat)
 
     def stop(self) -> None:
-        """Command nothing more; the base stands where it was being commanded."""
+        """End the command; a base that followed it stops."""
         if self._timer is not None:
             self._timer.close()
             self._timer = None
             self._until = 0.0
-            self._publish(YarpVelocity())
+            self._send(YarpVelocity())
 
     def halt(self) -> None:
-        """Say zero for `LONGEST_SECONDS`, whoever commands beside it."""
+        """Command zero for `LONGEST_SECONDS`, against any other commander."""
         self.command(YarpVelocity(), LONGEST_SECONDS)
 
-    def _again(self) -> None:
+    def _repeat(self) -> None:
         if self.last is None:
             self.stop()
         else:
-            self._publish(self._velocity)
+            self._send(self._velocity)
 
-    def _publish(self, velocity: YarpVelocity) -> None:
-        turn = math.radians(velocity.turn)
-        self._out.publish({"linear": {"x": velocity.x, "y": velocity.y}, "angular": {"z": turn}})
+    def _send(self, velocity: YarpVelocity) -> None:
+        rotation = math.radians(velocity.turn)
+        self._publisher.publish({"linear": {"x": velocity.x, "y": velocity.y}, "angular": {"z": rotation}})
 
 
 TRIGGER, NAMED = "std_srvs/srv/Trigger", "midspan_msgs/srv/Named"
@@ -88,54 +89,66 @@ GET_LOCATION = "midspan_msgs/srv/GetLocation"
 
 
 class HubServices:
-    """Serves them; all on the module's thread."""
+    """The gateway's services on the hub. On the module's thread."""
 
     def __init__(self, node: ModuleNode, gateway: Gateway, places: StoredPlaces, commander: VelocityCommander) -> None:
         self._gateway, self._places, self._commander = gateway, places, commander
-        done: dict[str, tuple[str, Callable[[str], str | None]]] = {
-            "pause": (TRIGGER, lambda _name: gateway.pause()),
-            "resume": (TRIGGER, lambda _name: gateway.resume()),
+        actions: dict[str, tuple[str, Callable[[str], str | None]]] = {
+            "resume": (TRIGGER, lambda _name: gateway.execution.resume()),
             "choose_planner": (NAMED, gateway.choose),
             "go_to": (NAMED, self._go_to),
         }
-        for name, (kind, action) in done.items():
+        for name, (kind, action) in actions.items():
             node.server(f"/navigation/{name}", kind, _serving(action))
-        node.server("/navigation/stop", TRIGGER, self._stop)
+        node.server(STOP_SERVICE, TRIGGER, self._stop)
+        node.server("/navigation/pause", TRIGGER, self._pause)
         node.server("/navigation/get_location", GET_LOCATION, self._locate)
 
     def _stop(self, _request: dict[str, Any], answer: Answer) -> None:
         self._commander.stop()
-        done = self._gateway.stop()
-        self._gateway.when_stopped(lambda trouble: answer({"success": not trouble, "message": trouble or done}))
+        self._answer_when_confirmed(self._gateway.stop(), answer)
+
+    def _pause(self, _request: dict[str, Any], answer: Answer) -> None:
+        try:
+            self._gateway.execution.pause()
+        except RequestError as err:
+            answer({"success": False, "message": str(err)})
+        else:
+            self._answer_when_confirmed("", answer)
+
+    def _answer_when_confirmed(self, done: str, answer: Answer) -> None:
+        self._gateway.when_confirmed(
+            lambda trouble: answer({"success": not trouble, "message": trouble or done}),
+        )
 
     def _go_to(self, name: str) -> str:
-        self._gateway.go([self._places.find(name)], "a caller of /navigation/go_to", name)
-        return f"drives to {name}; /navigation/status tells how it gets on"
+        self._gateway.go([self._places.find(name)], "a client of /navigation/go_to", name)
+        return f"driving to {name}; /navigation/status reports the progress"
 
     def _locate(self, request: dict[str, Any], answer: Answer) -> None:
         try:
-            found = self._places.find(str(request["name"]))
+            target = self._places.find(str(request["name"]))
         except LookupError as err:
             answer({"success": False, "message": str(err)})
         else:
-            answer({"success": True, "message": "", "pose": found.stamped(self._gateway.robot())})
+            answer({"success": True, "message": "", "pose": target.stamped(self._gateway.robot())})
 
 
 def _serving(action: Callable[[str], str | None]) -> Callable[[dict[str, Any], Answer], None]:
     def serve(request: dict[str, Any], answer: Answer) -> None:
         try:
-            said = action(str(request.get("name", "")))
+            reply = action(str(request.get("name", "")))
         except (RequestError, LookupError) as err:
             answer({"success": False, "message": str(err)})
         else:
-            answer({"success": True, "message": said or ""})
+            answer({"success": True, "message": reply or ""})
 
     return serve
 
 
 WHO = "a YARP client"
 _FRESH_SECONDS = 0.3
-"""A velocity that waited longer for the module's thread is not obeyed: its client has another one by then, or stops."""
+"""A velocity that waited longer for the module's thread is refused: its client has sent another one, or stops."""
 
 
 class GatewayDevice(NavigationDevice):
@@ -147,7 +160,7 @@ class GatewayDevice(NavigationDevice):
         gateway: Gateway,
         places: StoredPlaces,
         commander: VelocityCommander,
-        stop: Callable[[], StopAnswer],  # begins to stop the robot; what it returns says whether that is confirmed
+        stop: Callable[[], StopAnswer],  # begins to stop the robot; the answer comes when that is confirmed
     ) -> None:
         self._gateway, self._places, self._commander, self._log = gateway, places, commander, host.log
         self._stop = stop
@@ -164,28 +177,39 @@ class GatewayDevice(NavigationDevice):
     # -- control -------------------------------------------------------------------------------------------------------
 
     def getNavigationStatus(self) -> str:
-        """Without waiting for the module's thread: one that is busy for long is no error."""
+        """Without waiting for the module's thread, which may be busy."""
         return self._gateway.state().state.value
 
     def stopNavigation(self) -> None:
-        """The answer waits for what confirms the stop: the planner has let go, or the base stands."""
-        trouble = waited_for(self._do(self._stop))
-        if trouble:
-            self._log.warning("a stop of %s is not confirmed: %s", WHO, trouble)
-            raise CallFailed(ReturnCode.METHOD_FAILED, trouble)
+        """The answer waits until the stop is confirmed."""
+        self._wait_for("stop", self._do(self._stop))
 
     def suspendNavigation(self, time_s: float) -> None:
-        self._do(lambda: self._gateway.pause(time_s))
+        """The answer waits until the pause is confirmed."""
+
+        def pause() -> StopAnswer:
+            self._gateway.execution.pause(time_s)
+            answer = StopAnswer()
+            self._gateway.when_confirmed(answer.put)
+            return answer
+
+        self._wait_for("pause", self._do(pause))
+
+    def _wait_for(self, what: str, answer: StopAnswer) -> None:
+        trouble = wait_for(answer)
+        if trouble:
+            self._log.warning("a %s of %s is not confirmed: %s", what, WHO, trouble)
+            raise CallFailed(ReturnCode.METHOD_FAILED, trouble)
 
     def resumeNavigation(self) -> None:
-        self._move(self._gateway.resume)
+        self._move(self._gateway.execution.resume)
 
     def recomputeCurrentNavigationPath(self) -> None:
-        self._do(self._gateway.recompute)
+        self._do(self._gateway.execution.recompute)
 
     def getAllNavigationWaypoints(self, kind: TrajectoryTypeEnum) -> Map2DPath | None:  # noqa: ARG002
-        """YARP's robotPathPlanner answers either kind with its way."""
-        return self._do(lambda: Map2DPath(self._way()) if self._gateway.driving else None)
+        """YARP's robotPathPlanner answers either kind with its path."""
+        return self._do(lambda: Map2DPath(self._waypoints()) if self._gateway.driving else None)
 
     def getCurrentNavigationWaypoint(self) -> Map2DLocation | None:
         return self._do(self._waypoint)
@@ -193,7 +217,7 @@ class GatewayDevice(NavigationDevice):
     def getCurrentNavigationMap(self, kind: NavigationMapTypeEnum) -> MapGrid2D | None:
         if kind is NavigationMapTypeEnum.global_map:
             return self._do(self._places.map)
-        return self._do(lambda: self._places.grid(self._gateway.link.local_map))
+        return self._do(lambda: self._places.grid(self._gateway.link.telemetry.local_map))
 
     # -- velocities ----------------------------------------------------------------------------------------------------
 
@@ -211,7 +235,7 @@ class GatewayDevice(NavigationDevice):
     # -- parts ---------------------------------------------------------------------------------------------------------
 
     def _accept(self, action: Callable[[], None]) -> None:
-        """Take a goal; YARP's answer has no words for why it is refused, so the log says it."""
+        """Accept a goal; YARP's answer has no text for the reason of a refusal, so the log has it."""
         try:
             super()._accept(action)
         except CallFailed as err:
@@ -224,7 +248,7 @@ class GatewayDevice(NavigationDevice):
     def _robot(self) -> Pose:
         robot = self._gateway.robot()
         if robot is None:
-            raise LookupError("it is not known where the robot is; ask again once its localisation says so")
+            raise LookupError("the robot's pose is unknown; ask again when it is localized")
         return robot
 
     def _go_to(self, pose: Pose) -> None:
@@ -234,21 +258,21 @@ class GatewayDevice(NavigationDevice):
         drive, link = self._gateway.drive, self._gateway.link
         if drive is not None:
             return self._places.location(drive.targets[-1])
-        told = link.pose(link.others[-1]) if link.others else None
-        return None if told is None else self._places.location(told)
+        pose = link.telemetry.pose(link.foreign[-1]) if link.foreign else None
+        return None if pose is None else self._places.location(pose)
 
-    def _way(self) -> list[Map2DLocation]:
-        """The planner's path, or the goals that are left if it publishes no path."""
-        path = self._gateway.link.path
+    def _waypoints(self) -> list[Map2DLocation]:
+        """Return the planner's path, or the goals that are left if it publishes no path."""
+        path = self._gateway.link.telemetry.path
         poses: Sequence[Any] = path["poses"] if path is not None else []
         drive = self._gateway.drive
         left = [] if drive is None else list(drive.targets[drive.at :])
-        return [self._places.location(one) for one in (poses or left)]
+        return [self._places.location(place) for place in (poses or left)]
 
     def _waypoint(self) -> Map2DLocation | None:
-        """The place of its way that the robot comes to next."""
-        way, robot = (self._way() if self._gateway.driving else []), self._gateway.robot()
-        if not way or robot is None:
-            return way[0] if way else None
-        nearest = min(range(len(way)), key=lambda i: math.hypot(way[i].x - robot.x, way[i].y - robot.y))
-        return way[min(nearest + 1, len(way) - 1)]
+        """Return the next waypoint of the robot."""
+        path, robot = (self._waypoints() if self._gateway.driving else []), self._gateway.robot()
+        if not path or robot is None:
+            return path[0] if path else None
+        nearest = min(range(len(path)), key=lambda i: math.hypot(path[i].x - robot.x, path[i].y - robot.y))
+        return path[min(nearest + 1, len(path) - 1)]

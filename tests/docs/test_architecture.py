@@ -4,10 +4,14 @@ from __future__ import annotations
 
 import ast
 import re
+from collections.abc import Mapping
+from enum import Enum
 from pathlib import Path
+from typing import Any
 
 import pytest
 
+from navigation.gateway import machine
 from scripts import house
 
 ROOT = Path(__file__).parents[2]
@@ -60,4 +64,29 @@ def test_a_scans_way_is_short() -> None:
 
 
 def test_a_goals_way_is_short() -> None:
-    assert 0 < house.ways(ROOT)["The way of a goal"] <= 14
+    assert 0 < house.ways(ROOT)["The way of a goal"] <= 15
+
+
+def diagram(table: Mapping[Any, Mapping[Any, Any]], first: Enum, without: frozenset[str] = frozenset()) -> str:
+    """Return a table of transitions as a state diagram in Mermaid's language."""
+    lines = ["```mermaid", "stateDiagram-v2", f"    [*] --> {first.name}"]
+    for state, row in table.items():
+        events: dict[Enum, list[str]] = {}
+        for event, following in row.items():
+            if event.name not in without:
+                events.setdefault(following, []).append(event.name.lower())
+        lines += [f"    {state.name} --> {following.name}: {', '.join(names)}" for following, names in events.items()]
+    return "\n".join([*lines, "```"])
+
+
+@pytest.mark.parametrize(
+    "drawn",
+    [
+        diagram(machine.PLANNER, machine.PlannerState.UNKNOWN),
+        diagram(machine.DRIVE, machine.DriveState.WAITING, frozenset(("PAUSE", "STOP", "END"))),
+        diagram(machine.STOP, machine.StopState.NONE),
+    ],
+    ids=["planner", "drive", "stop"],
+)
+def test_the_gateways_states_are_drawn_as_they_are(drawn: str) -> None:
+    assert drawn in PAGE, f"ARCHITECTURE.md should have:\n{drawn}"

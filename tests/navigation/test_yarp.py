@@ -67,7 +67,7 @@ def test_what_moves_the_robot_is_not_done_once_its_client_was_told_that_it_faile
     assert "has ended" in refused(lambda: Calls(loop).do(lambda: done.append("too late")))
 
 
-def test_what_moves_the_robot_and_has_begun_is_waited_for() -> None:
+def test_what_moves_the_robot_and_has_begun_is_wait_for() -> None:
     loop, tired = EventLoop("the module"), threading.Event()
     loop.start()
     withdrawn = loop._withdrawn

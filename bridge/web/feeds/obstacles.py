@@ -14,7 +14,7 @@ from bridge.modules.loop import Timer
 from bridge.web.feeds.frames import FrameFollower
 from bridge.web.feeds.robot import MOST_POINTS, DrivingFeed, TopicsFeed
 from navigation.frames import FramesError
-from navigation.gateway.planner_link import local_map_topic
+from navigation.gateway.telemetry import local_map_topic
 from navigation.maps.grid import yaw_of
 from navigation.messages import GRID
 from navigation.pose import Pose

@@ -19,7 +19,7 @@ from bridge.modules.loop import Timer
 from bridge.web.feeds.feed import Feed
 from bridge.web.feeds.frames import FrameFeed, FrameFollower
 from navigation.frames import LATE, FramesError, RobotFrames, laser_pose
-from navigation.gateway.planner_link import PATH
+from navigation.gateway.telemetry import PATH
 from navigation.maps.grid import yaw_of
 from navigation.messages import NAVIGATE, stamp_ns
 from navigation.pose import Pose

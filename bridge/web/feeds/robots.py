@@ -13,7 +13,7 @@ from bridge.tf.transform import LATEST
 from bridge.web.feeds.frames import FrameFeed, FrameFollower
 from bridge.web.feeds.robot import ROBOT_SECONDS, disc, place, points_of_path
 from navigation.frames import FramesError
-from navigation.gateway.planner_link import PATH
+from navigation.gateway.telemetry import PATH
 
 AGE = 3.0
 """Seconds after which a robot of which nothing new is said is not drawn."""

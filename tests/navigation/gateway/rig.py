@@ -150,7 +150,7 @@ class Rig(Place):
     def have(self, name: str, settings: Any = None) -> Planner:
         """Start a planner, and wait until the gateway finds it where it is the chosen one."""
         self.planners[name] = made = Planner(settings or self.hubs.settings(name), name)
-        until(lambda: self.gateway.planner != name or self.gateway.link.ready, f"{name} is found", SECONDS)
+        until(lambda: self.gateway.planner != name or self.gateway.link.reachable, f"{name} is found", SECONDS)
         return made
 
     @property

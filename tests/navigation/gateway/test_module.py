@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 from bridge.stores.kinds import AREA, LOCATION, MAP
-from navigation.gateway import planner_link, stop
+from navigation.gateway import choice, execution
 from navigation.status import Fault, State
 from tests.navigation.gateway.rig import Asked, Rig, pose
 from tests.support.faults import FaultProxy
@@ -70,12 +70,6 @@ def test_a_reason_without_a_code_is_that_of_a_planner_that_is_there(rig: Rig) ->
     rig.planner.give_up(rig.planner.until(1), "Failed to find a valid plan.", 0)
     assert asked.end() == ("ABORTED", "Failed to find a valid plan.")
     rig.state(State.ABORTED, "Failed to find a valid plan.")
-    asked = Asked(rig.client, pose(3.0))
-    goal = rig.planner.until(2)
-    rig.gateway.link.lost_at = math.inf  # it was away since the goal was sent
-    rig.planner.give_up(goal, "its action server is gone", 0)
-    rig.planner.reach(rig.planner.until(3))
-    assert asked.end() == ("SUCCEEDED", "")
 
 
 def test_a_goal_that_no_planner_could_follow_says_why(rig: Rig) -> None:
@@ -147,7 +141,7 @@ def test_a_planner_that_is_killed_is_waited_for_and_goes_on(rig: Rig) -> None:
     asked = Asked(rig.client, pose(5.0))
     rig.planner.until(1)
     rig.planners.pop("robot_goto").close()
-    rig.state(State.MOVING, "robot_goto is not there; it is waited for")
+    rig.state(State.MOVING, "robot_goto is not available; waiting for it")
     rig.planner = rig.have("robot_goto")
     goal = rig.planner.until(1)
     assert at(goal)[1] == 5.0
@@ -158,13 +152,13 @@ def test_a_planner_that_is_killed_is_waited_for_and_goes_on(rig: Rig) -> None:
 def test_a_goal_that_comes_before_the_planner_is_being_prepared_and_then_driven_to(rig: Rig) -> None:
     rig.planners.pop("robot_goto").close()
     try:
-        until(lambda: not rig.gateway.link.ready, "the planner has gone", 20)
+        until(lambda: not rig.gateway.link.reachable, "the planner has gone", 20)
         first = Asked(rig.client, pose(5.0))
-        rig.state(State.PREPARING, "robot_goto is not there; it is waited for")
+        rig.state(State.PREPARING, "robot_goto is not available; waiting for it")
         first.cancel()
         assert first.end()[0] == "CANCELED"
         asked = Asked(rig.client, pose(6.0))
-        rig.state(State.PREPARING, "robot_goto is not there; it is waited for")
+        rig.state(State.PREPARING, "robot_goto is not available; waiting for it")
     finally:
         rig.planner = rig.have("robot_goto")
     assert at(rig.planner.until(1)) == ("map", 6.0, 0.0), "and not what was cancelled"
@@ -178,10 +172,10 @@ def test_a_planner_that_stays_away_ends_the_goal_with_the_reason(rig: Rig) -> No
     rig.planner.until(1)
     rig.planners.pop("robot_goto").close()
     try:
-        assert asked.end() == ("ABORTED", "the planner robot_goto is not there")
+        assert asked.end() == ("ABORTED", "the planner robot_goto was not available for 0.3 s")
         end, why = Asked(rig.client, pose(6.0)).end()
         assert end == "ABORTED"
-        assert "ask again once it is" in why
+        assert "ask again when it is" in why
     finally:
         rig.worker.reload(rig.configured(patience=60.0))
         rig.planner = rig.have("robot_goto")
@@ -189,12 +183,12 @@ def test_a_planner_that_stays_away_ends_the_goal_with_the_reason(rig: Rig) -> No
 
 def test_a_rejection_is_believed_of_a_planner_that_has_been_there_for_a_while(rig: Rig) -> None:
     rig.planner.rejects = 1
-    rig.gateway.link.lost_at = math.inf  # it came this moment: its bridge may be about to find it
+    rig.gateway.link.unreachable_at = math.inf  # it came this moment: its bridge may be about to find it
     asked = Asked(rig.client, pose(1.0))
     rig.planner.reach(rig.planner.until(1))
     assert asked.end() == ("SUCCEEDED", "")
     rig.planner.rejects = 1
-    rig.gateway.link.lost_at = 0.0
+    rig.gateway.link.unreachable_at = 0.0
     assert Asked(rig.client, pose(1.0)).end() == ("ABORTED", "robot_goto rejected the goal")
 
 
@@ -208,18 +202,20 @@ def test_what_drives_on_behind_a_cut_link_is_stopped_when_the_link_is_back(rig: 
             asked = Asked(rig.client, pose(5.0))
             planner.until(1)
             link.freeze()
-            rig.state(State.MOVING, "robot_goto is not there; it is waited for")
+            rig.state(State.MOVING, "robot_goto is not available; waiting for it")
             link.thaw()
             link.cut()
-            again = planner.until(2)
-            planner.reach(again)
+            rig.state(State.MOVING, "")
+            until(lambda: rig.statuses[-1]["reason"] == "", "the planner still has the goal", 30)
+            assert len(planner.goals) == 1, "it is not sent again"
+            planner.reach(planner.goals[0])
             assert asked.end() == ("SUCCEEDED", "")
             # it is not: the client is told, and the planner once that can be
             rig.worker.reload(rig.configured(patience=0.3))
             asked = Asked(rig.client, pose(6.0))
-            goal = planner.until(3)
+            goal = planner.until(2)
             link.freeze()
-            assert asked.end() == ("ABORTED", "the planner robot_goto is not there")
+            assert asked.end() == ("ABORTED", "the planner robot_goto was not available for 0.3 s")
             assert goal.active
             link.thaw()
             link.cut()
@@ -234,15 +230,15 @@ def test_what_drives_on_behind_a_cut_link_is_stopped_when_the_link_is_back(rig: 
 def test_goals_that_the_planner_was_given_itself_are_seen_and_can_be_stopped(rig: Rig) -> None:
     direct = Asked(rig.client, pose(1.0), "/planner/robot_goto/navigate_to_pose")
     goal = rig.planner.until(1)
-    rig.state(State.MOVING, "itself")
-    assert "stop can end it" in rig.ask("pause")["message"]
+    rig.state(State.MOVING, "its own client")
+    assert "it can be stopped" in rig.ask("pause")["message"]
     assert "is driving" in rig.ask("choose_planner", name="mine")["message"]
     rig.planner.reach(goal)
     assert direct.end()[0] == "SUCCEEDED"
-    rig.state(State.REACHED, "itself")
+    rig.state(State.REACHED, "its own client")
     direct = Asked(rig.client, pose(1.0), "/planner/robot_goto/navigate_to_pose")
     rig.planner.until(2)
-    rig.state(State.MOVING, "itself")
+    rig.state(State.MOVING, "its own client")
     assert rig.ask("stop")["success"]
     assert direct.end()[0] == "CANCELED"
     rig.state(State.IDLE)
@@ -253,16 +249,16 @@ def test_a_planner_that_dies_with_a_goal_that_it_was_given_itself_is_no_success(
     rig.planner.reach(rig.planner.until(1))
     assert asked.end()[0] == "SUCCEEDED"
     Asked(rig.client, pose(2.0), "/planner/robot_goto/navigate_to_pose")
-    rig.state(State.MOVING, "itself")
+    rig.state(State.MOVING, "its own client")
     rig.planners.pop("robot_goto").close()
-    told = rig.state(State.MOVING, "the planner robot_goto is not there; it may still be moving")
+    told = rig.state(State.MOVING, "the planner robot_goto is not available; the robot may still be moving")
     assert told["error_code"] == Fault.MAY_MOVE
     rig.planner = rig.have("robot_goto")  # another program, which has none of the goals
     rig.state(State.ABORTED, "robot_goto has gone")
     until(lambda: not rig.gateway.driving, "nothing drives", 20)
     assert rig.ask("choose_planner", name="mine")["success"]
     assert rig.ask("choose_planner", name="robot_goto")["success"]
-    until(lambda: rig.gateway.link.ready, "the planner is found", 20)
+    until(lambda: rig.gateway.link.reachable, "the planner is found", 20)
 
 
 def test_a_direct_goal_that_takes_the_place_is_told_to_our_client(rig: Rig) -> None:
@@ -270,7 +266,7 @@ def test_a_direct_goal_that_takes_the_place_is_told_to_our_client(rig: Rig) -> N
     rig.planner.until(1)
     Asked(rig.client, pose(2.0), "/planner/robot_goto/navigate_to_pose")
     assert asked.end() == ("CANCELED", "another goal took its place")
-    rig.state(State.MOVING, "itself")
+    rig.state(State.MOVING, "its own client")
 
 
 def test_the_planner_changes_while_standing_and_not_while_driving(rig: Rig) -> None:
@@ -278,12 +274,12 @@ def test_the_planner_changes_while_standing_and_not_while_driving(rig: Rig) -> N
     asked = Asked(rig.client, pose(1.0))
     goal = rig.planner.until(1)
     assert "robot_goto is driving" in rig.ask("choose_planner", name="mine")["message"]
-    assert "there is no planner 'yours'" in rig.ask("choose_planner", name="yours")["message"]
+    assert "unknown planner 'yours'" in rig.ask("choose_planner", name="yours")["message"]
     rig.worker.reload(rig.configured(planner="mine"))
     assert rig.gateway.pending == "mine"
     rig.planner.reach(goal)
     assert asked.end()[0] == "SUCCEEDED"
-    until(lambda: rig.gateway.planner == "mine" and rig.gateway.link.ready, "mine drives now", 20)
+    until(lambda: rig.gateway.planner == "mine" and rig.gateway.link.reachable, "mine drives now", 20)
     asked = Asked(rig.client, pose(2.0), tree="midspan: through=true")
     goal = mine.until(1)
     assert goal.goal["behavior_tree"] == ""  # Midspan's own words are for its own planners
@@ -293,33 +289,33 @@ def test_the_planner_changes_while_standing_and_not_while_driving(rig: Rig) -> N
     rig.worker.reload(rig.configured(patience=61.0))
     assert (rig.gateway.planner, rig.gateway.pending) == ("robot_goto", ""), "the file's line is as it was"
     rig.worker.reload(rig.configured(patience=60.0, planner="robot_goto"))
-    until(lambda: rig.gateway.planner == "robot_goto" and rig.gateway.link.ready, "the first one drives again", 20)
+    until(lambda: rig.gateway.planner == "robot_goto" and rig.gateway.link.reachable, "the first one drives again", 20)
     assert rig.ask("choose_planner", name="mine")["success"]
     rig.worker.reload(rig.configured(planner="robot_path_planner"))
     assert rig.gateway.planner == "robot_path_planner", "the file's line changed"
     rig.worker.reload(rig.configured(planner="robot_goto"))
-    until(lambda: rig.gateway.planner == "robot_goto" and rig.gateway.link.ready, "the first one drives again", 20)
+    until(lambda: rig.gateway.planner == "robot_goto" and rig.gateway.link.reachable, "the first one drives again", 20)
 
 
 def test_another_planner_waits_for_one_that_does_not_let_go(rig: Rig, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(stop, "CANCEL_SECONDS", 0.1)
+    monkeypatch.setattr(execution, "GIVE_UP_SECONDS", 0.1)
     monkeypatch.setattr(rig.planner, "cancels", lambda _goal: True)  # and drives on
     for let_go in (True, False):
         asked = Asked(rig.client, pose(1.0))
         goal = rig.planner.until(1 if let_go else 2)
         asked.cancel()
-        assert "robot_goto has not answered" in asked.end()[1]
+        assert "robot_goto has not released its goal" in asked.end()[1]
         rig.worker.reload(rig.configured(planner="mine"))
         loop = rig.worker.running("gateway").host.loop
-        loop.call(rig.gateway._look)
+        loop.call(rig.gateway.poll)
         assert (rig.gateway.planner, rig.gateway.pending) == ("robot_goto", "mine")
         if let_go:
             rig.planner.on(goal.canceled)
         else:
-            monkeypatch.setattr(planner_link, "LETTING_GO_SECONDS", 0.0)
+            monkeypatch.setattr(choice, "RELEASE_SECONDS", 0.0)
         until(lambda: rig.gateway.planner == "mine", "another one drives", 20)
         rig.worker.reload(rig.configured(planner="robot_goto"))
-        until(lambda: rig.gateway.planner == "robot_goto" and rig.gateway.link.ready, "the first one again", 20)
+        until(lambda: rig.gateway.planner == "robot_goto" and rig.gateway.link.reachable, "the first one again", 20)
     rig.planner.on(goal.canceled)
 
 

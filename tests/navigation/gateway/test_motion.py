@@ -6,7 +6,7 @@ import threading
 from typing import Any, cast
 
 from navigation.frames import FramesError
-from navigation.gateway.stop import Motion
+from navigation.gateway.motion import Motion
 from navigation.pose import Pose
 
 TENTH = 100_000_000
@@ -26,22 +26,22 @@ class Odometry:
 
 def test_only_odometry_that_goes_on_tells_that_the_base_stands() -> None:
     said = Odometry()
-    motion = Motion(cast("Any", said))
+    motion = Motion(cast("Any", said), simulated=True)
     assert motion.stands() is None
     for _ in range(6):
         said.x, said.stamp = said.x + 0.03, said.stamp + TENTH
-        motion.look()
+        motion.poll()
     assert motion.stands() is False
     for _ in range(20):  # it falls silent in mid-drive: the last pose says nothing of where the base is now
-        motion.look()
+        motion.poll()
     assert motion.stands() is False
     for _ in range(4):
         said.stamp += TENTH
-        motion.look()
+        motion.poll()
     assert motion.stands() is True
     assert motion.stands(since=float("inf")) is None
     said.known = False
-    motion.look()
+    motion.poll()
     assert motion.stands() is None
 
 
@@ -61,7 +61,17 @@ def test_it_is_asked_while_it_looks() -> None:
     asking.start()
     for _ in range(5_000):
         said.stamp += TENTH // 1000
-        motion.look()
+        motion.poll()
     over.set()
     asking.join()
     assert not failed
+
+
+def test_a_step_of_the_odometrys_clock_is_not_time_that_passed() -> None:
+    """NTP sets the robot's clock forward while it drives slowly: its stamps jump, and the pose hardly changes."""
+    odometry = Odometry()
+    motion = Motion(cast("Any", odometry))
+    for _ in range(3):
+        odometry.x, odometry.stamp = odometry.x + 0.0004, odometry.stamp + 5 * TENTH
+        motion.poll()
+    assert motion.stands() is None

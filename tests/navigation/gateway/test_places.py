@@ -7,7 +7,7 @@ from typing import Any, cast
 
 import pytest
 
-from navigation.gateway.drive import StoredPlaces
+from navigation.gateway.targets import StoredPlaces
 from yarp_compat.dev.locations import Map2DLocation
 
 

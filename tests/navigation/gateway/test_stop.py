@@ -17,7 +17,7 @@ from bridge.messages.values import MessageWriter
 from bridge.modules import clients
 from bridge.modules.action_server import Goal
 from bridge.modules.host import Host
-from navigation.gateway import planner_link, stop
+from navigation.gateway import execution, goal_list, stop
 from navigation.gateway.module import GatewayModule
 from navigation.status import Fault, State
 from tests.navigation.gateway.odometry import Odometry
@@ -56,7 +56,7 @@ def rig(running: Rig, odometry: Odometry) -> Iterator[Rig]:
         patched.setattr(clients, "CANCEL_ALL_SECONDS", 0.0)  # what this stop means is not the next test's planner
         running.fresh()
     running.planners.pop(PLANNER).close()
-    until(lambda: not running.gateway.link.ready, "the planner has gone", 20)
+    until(lambda: not running.gateway.link.reachable, "the planner has gone", 20)
 
 
 def hears(rig: Rig, topic: str, kind: str) -> list[dict[str, Any]]:
@@ -109,12 +109,12 @@ def test_a_stop_out_of_the_planners_reach_says_so_and_is_done_once_it_is_back(ri
         asked = Asked(rig.client, pose(5.0))
         goal = planner.until(1)
         link.freeze()
-        told = rig.state(State.MOVING, f"{PLANNER} is not there; it is waited for; it may still be moving")
+        told = rig.state(State.MOVING, f"{PLANNER} is not available; waiting for it; the robot may still be moving")
         assert told["error_code"] == Fault.NO_NAVIGATOR
         answer = rig.ask("stop")
         assert not answer["success"]
-        assert "it may still be moving: the planner move_base is not there" in answer["message"]
-        assert rig.state(State.MOVING, "it may still be moving")["error_code"] == Fault.MAY_MOVE
+        assert "the robot may still be moving: the planner move_base is not available" in answer["message"]
+        assert rig.state(State.MOVING, "the robot may still be moving")["error_code"] == Fault.MAY_MOVE
         assert holds[-1] == {"data": True}
         assert velocities
         assert not any(v["linear"]["x"] or v["angular"]["z"] for v in velocities)
@@ -159,7 +159,7 @@ def test_yarps_client_hears_no_ok_of_a_stop_that_is_not_confirmed(rig: Rig, odom
 def test_without_odometry_a_stop_that_nobody_confirms_ends_the_goal_as_aborted(
     rig: Rig, odometry: Odometry, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(stop, "CANCEL_SECONDS", 1.0)
+    monkeypatch.setattr(execution, "GIVE_UP_SECONDS", 1.0)
     odometry.silent = True
     until(lambda: rig.gateway.motion.stands() is None, "nobody knows whether the base moves", 20)
     rig.planner.cancels = unmoved
@@ -167,7 +167,7 @@ def test_without_odometry_a_stop_that_nobody_confirms_ends_the_goal_as_aborted(
     goal = rig.planner.until(1)
     asked.cancel()
     status, why = asked.end()
-    assert (status, "it may still be moving" in why) == ("ABORTED", True)
+    assert (status, "the robot may still be moving" in why) == ("ABORTED", True)
     assert asked.result is not None
     assert asked.result["error_code"] == Fault.MAY_MOVE
     assert rig.state(State.MOVING, "may still be moving")["error_code"] == Fault.MAY_MOVE
@@ -180,8 +180,10 @@ def test_a_pause_that_the_planner_does_not_answer_is_not_said_to_stand(rig: Rig,
     rig.planner.cancels = unmoved
     Asked(rig.client, pose(5.0))
     rig.planner.until(1)
-    assert rig.ask("pause")["success"]
-    assert rig.state(State.MOVING, "it was paused; it may still be moving")["error_code"] == Fault.MAY_MOVE
+    paused = rig.ask("pause")
+    assert not paused["success"]
+    assert "the robot may still be moving: move_base has not released its goal" in paused["message"]
+    assert rig.state(State.MOVING, "it was paused; the robot may still be moving")["error_code"] == Fault.MAY_MOVE
     odometry.speed = 0.0
     rig.state(State.PAUSED)
 
@@ -191,9 +193,9 @@ def test_goals_that_others_gave_are_stopped_once_the_planner_is_back(rig: Rig) -
         planner = FarPlanner(rig, link).planner
         Asked(rig.client, pose(1.0), f"/planner/{PLANNER}/navigate_to_pose")
         goal = planner.until(1)
-        rig.state(State.MOVING, "itself")
+        rig.state(State.MOVING, "its own client")
         link.freeze()
-        until(lambda: not rig.gateway.link.ready, "the planner is out of reach", 30)
+        until(lambda: not rig.gateway.link.reachable, "the planner is out of reach", 30)
         assert not rig.ask("stop")["success"]
         rig.state(State.MOVING, "may still be moving")
         link.thaw()
@@ -210,17 +212,20 @@ def test_a_planner_that_speaks_before_the_graph_tells_of_it_is_believed(
     one = {"goal_info": {"goal_id": {"uuid": list(bytes(range(16)))}}, "status": GoalState.EXECUTING.value}
     payload = MessageWriter(REGISTRY.schema(STATUSES)).message({"status_list": [one]})
     attached = pack_attachment(1, time.time_ns(), bytes(range(16)))
-    monkeypatch.setattr(planner_link, "_LIST_SECONDS", 60.0)  # a busy machine's looks may be seconds apart
+    monkeypatch.setattr(goal_list, "EARLY_SECONDS", 60.0)  # a busy machine's looks may be seconds apart
     with rig.hubs.program() as session:
         session.put(topic_key(rig.hubs.domain, topic, before.type_name, before.type_hash), payload, attachment=attached)
-        rig.state(State.MOVING, "itself")
+        rig.state(State.MOVING, "its own client")
         count, looks, link = len(rig.statuses), [], rig.gateway.link
-        look = link.look
-        monkeypatch.setattr(link, "look", lambda: looks.append(look()))
+        look = link.refresh
+        monkeypatch.setattr(link, "refresh", lambda motion: looks.append(look(motion)))
         until(lambda: len(looks) > 3, "the gateway has looked again")
         assert {told["state"] for told in rig.statuses[count - 1 :]} == {State.MOVING.value}
-        monkeypatch.setattr(planner_link, "_LIST_SECONDS", 0.0)
-        rig.state(State.ABORTED, "")
+        monkeypatch.setattr(goal_list, "EARLY_SECONDS", 0.0)
+        unknown = rig.state(State.MOVING, "has not reported its goals; the robot may still be moving")
+        assert unknown["error_code"] == Fault.MAY_MOVE, "a list that is missing is not an empty one"
+        rig.planner.on(rig.planner.server.tell_status)
+        rig.state(State.ABORTED, "has gone")
 
 
 def test_a_goal_that_others_gave_goes_on_while_the_planner_is_out_of_reach(rig: Rig, odometry: Odometry) -> None:
@@ -231,9 +236,9 @@ def test_a_goal_that_others_gave_goes_on_while_the_planner_is_out_of_reach(rig: 
         planner.reach(planner.until(1))  # a stop that was asked for before does not concern what comes now
         Asked(rig.client, pose(1.0), f"/planner/{PLANNER}/navigate_to_pose")
         goal = planner.until(2)
-        rig.state(State.MOVING, "itself")
+        rig.state(State.MOVING, "its own client")
         link.freeze()
-        told = rig.state(State.MOVING, f"the planner {PLANNER} is not there; it may still be moving")
+        told = rig.state(State.MOVING, f"the planner {PLANNER} is not available; the robot may still be moving")
         assert told["error_code"] == Fault.MAY_MOVE
         link.thaw()
         link.cut()
@@ -245,7 +250,7 @@ def test_a_goal_that_others_gave_goes_on_while_the_planner_is_out_of_reach(rig: 
         rig.state(State.ABORTED, f"the planner {PLANNER} has gone")
         link.thaw()
         link.cut()
-        until(lambda: rig.gateway.link.ready, "it is back", 30)
+        until(lambda: rig.gateway.link.reachable, "it is back", 30)
         planner.on(goal.canceled)
         until(lambda: not goal.active, "it has ended", 20)
 
@@ -260,11 +265,11 @@ def test_a_robot_that_drove_may_still_be_moving_also_after_the_goal_was_sent_aga
         rig.planners[PLANNER] = rig.planner = slow
         assert slow.asked.wait(20), "the goal is not sent again"
         link.freeze()
-        rig.state(State.MOVING, f"{PLANNER} is not there; it is waited for; it may still be moving")
+        rig.state(State.MOVING, f"{PLANNER} is not available; waiting for it; the robot may still be moving")
         slow.takes.set()
         link.thaw()
         link.cut()
-        until(lambda: rig.gateway.link.ready, "it is back", 30)
+        until(lambda: rig.gateway.link.reachable, "it is back", 30)
 
 
 def test_a_planner_that_goes_before_it_has_answered_may_have_taken_the_goal(rig: Rig) -> None:
@@ -272,38 +277,41 @@ def test_a_planner_that_goes_before_it_has_answered_may_have_taken_the_goal(rig:
     with FaultProxy(rig.hubs.port) as link:
         slow = SlowPlanner(behind(rig, link), PLANNER)
         rig.planners[PLANNER] = rig.planner = slow
-        until(lambda: rig.gateway.link.ready, "it is there", 30)
+        until(lambda: rig.gateway.link.reachable, "it is there", 30)
         Asked(rig.client, pose(5.0))
         assert slow.asked.wait(20), "the goal is not sent"
         link.freeze()
-        rig.state(State.MOVING, f"{PLANNER} is not there; it is waited for; it may still be moving")
+        rig.state(State.MOVING, f"{PLANNER} is not available; waiting for it; the robot may still be moving")
         slow.takes.set()
         link.thaw()
         link.cut()
-        until(lambda: rig.gateway.link.ready, "it is back", 30)
+        until(lambda: rig.gateway.link.reachable, "it is back", 30)
 
 
-def test_a_stop_right_after_a_start_waits_for_what_the_planner_tells(rig: Rig, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_stop_right_after_a_start_waits_for_what_the_planner_tells(
+    rig: Rig, odometry: Odometry, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """The modules were killed and are back, while a goal of the planner's own client goes on."""
     rig.planner.cancels = unmoved
     Asked(rig.client, pose(5.0), f"/planner/{PLANNER}/navigate_to_pose")
     goal = rig.planner.until(1)
-    rig.state(State.MOVING, "itself")
+    rig.state(State.MOVING, "its own client")
     said: list[str] = []
 
     def starting(module: GatewayModule, host: Host, section: Section) -> None:
         """Stop before anything is heard: in one step of the module's thread."""
         start(module, host, section)
         module.gateway.stop()
-        module.gateway.when_stopped(said.append)
+        module.gateway.when_confirmed(said.append)
 
     start = GatewayModule.start
     monkeypatch.setattr(GatewayModule, "start", starting)
     restart(rig)
     until(lambda: said, "the stop is answered", 20)
-    assert "it may still be moving" in said.pop()
+    assert "the robot may still be moving" in said.pop()
     rig.planner.on(goal.canceled)
     rig.state(State.IDLE)
+    odometry.speed = 0.0
     restart(rig)
     until(lambda: said, "the stop is answered", 20)
     assert said == [""], "nothing drives"
@@ -319,9 +327,9 @@ def test_a_planner_that_tells_nothing_is_said_not_to_answer(rig: Rig) -> None:
     Asked(rig.client, pose(5.0))
     goal = rig.planner.until(1)
     rig.state(State.MOVING)
-    assert rig.gateway.link.silent == 0.0, "a planner that has never told anything may be one that does not"
+    assert rig.gateway.link.telemetry.silent == 0.0, "a planner that has never told anything may be one that does not"
     rig.planner.on(lambda: goal.feedback({"current_pose": pose(0.5)}))
-    told = rig.state(State.MOVING, "move_base does not answer: no status or feedback of it for 0.5 s")
+    told = rig.state(State.MOVING, "move_base does not answer: no status or feedback for 0.5 s")
     assert told["error_code"] == Fault.SILENT
     health = rig.module.health()
     assert (health.state, "does not answer" in health.text) == ("waiting", True)
@@ -366,7 +374,7 @@ def test_a_planner_that_does_not_come_back_is_not_held_for_ever(
     rig.planner.until(1)
     rig.planners.pop(PLANNER).close()
     try:
-        rig.state(State.MOVING, f"{PLANNER} is not there")
+        rig.state(State.MOVING, f"{PLANNER} is not available")
         asked.cancel()
         until(lambda: holds[-1:] == [{"data": True}], "its velocities are held", 20)
         odometry.speed = 0.0

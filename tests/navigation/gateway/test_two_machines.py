@@ -29,7 +29,7 @@ class Robot:
         self.planner = Planner(network.settings("robot_goto"), "robot_goto")
         module: Any = self.worker.running("gateway").module
         gateway = module.gateway
-        until(lambda: gateway.link.ready, "the planner is found", 20)
+        until(lambda: gateway.link.reachable, "the planner is found", 20)
 
     def operator(self, name: str) -> Program:
         return Program(self.machines.settings(name))

@@ -142,7 +142,7 @@ def test_what_is_suspended_for_a_time_does_not_go_on_after_a_halt(rig: Rig, yarp
         {"halted": True}
     ]
     rig.state(State.IDLE, "it was stopped")
-    assert rig.gateway._pause is None
+    assert rig.gateway.execution._pause is None
     assert not yarp.resume_navigation_RPC()
 
 

@@ -1,0 +1,102 @@
+"""The goals of one action on the hub: which ones there are, and which ones have to end."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+
+from bridge.hub.wire.qos import LATCHED
+from bridge.messages.actions import CANCEL, STATUSES, GoalState, names
+from bridge.modules.host import Host
+from navigation.gateway.goal_list import GoalList
+from navigation.messages import Message
+
+_MAX_CANCELED = 1000
+_CANCEL_PERIOD = 1.0
+
+
+class ActionGoals:
+    """The goals of one action, and which of them have to end: those are canceled until the server's list shows it."""
+
+    def __init__(self, host: Host, action: str, *, always: bool, changed: Callable[[bool], None]) -> None:
+        self._host, self._changed = host, changed  # called with whether the list differs from the one before
+        self.action = action
+        self.list = GoalList(always=always)
+        self._to_end: dict[bytes, None] = {}
+        self._asked: dict[bytes, float] = {}
+        self._end_next = False  # the goals of the next valid list have to end
+        self._client = host.node.client(names(action).cancel_goal, CANCEL)
+        self._subscription = host.node.subscription(names(action).status, STATUSES, self._on_list, LATCHED)
+
+    @property
+    def there(self) -> bool:
+        """Whether the action has a server that can be asked to cancel."""
+        return self._client.ready
+
+    @property
+    def left(self) -> tuple[bytes, ...]:
+        """The goals that have to end, and have not by the newest list."""
+        return tuple(goal for goal in self.list.active if goal in self._to_end)
+
+    @property
+    def released(self) -> bool:
+        """Whether a valid list shows that no goal is left that has to end."""
+        return self.list.known and not self.left and not self._end_next
+
+    def end(self, goal: bytes) -> None:
+        """Have a goal end: it is canceled as soon as the server is there, and again until its list shows the end."""
+        self._to_end[goal] = None
+        while len(self._to_end) > _MAX_CANCELED:
+            del self._to_end[next(iter(self._to_end))]
+
+    def end_all(self) -> None:
+        """Have all goals end that the server has; if that is not known, those of its next valid list."""
+        for goal in self.list.active:
+            self.end(goal)
+        self._end_next = not (self.there and self.list.known)
+        self._ask(bytes(16))
+
+    def end_no_more(self) -> None:
+        """The stop is over: goals that appear now may go on."""
+        self._end_next = False
+
+    def spare(self, goal: bytes) -> None:
+        """A goal that was given after the stop: it may go on."""
+        self._end_next = False
+        self._to_end.pop(goal, None)
+
+    def refresh(self) -> None:
+        """Note which servers are there, and cancel again what has to end."""
+        self.list.refresh([one.gid for one in self._host.node.hub.graph.publishers(names(self.action).status)])
+        if not self.there:
+            self._asked.clear()
+            return
+        now = time.monotonic()
+        if self._end_next and self.list.known:
+            self._end_next = False
+            for goal in self.list.active:
+                self.end(goal)
+        left = self.left
+        self._asked = {goal: due for goal, due in self._asked.items() if goal in left}
+        for goal in left:
+            if now >= self._asked.get(goal, 0.0):
+                self._asked[goal] = now + _CANCEL_PERIOD
+                self._ask(goal)
+
+    def close(self) -> None:
+        """Close the client and the subscription."""
+        for endpoint in (self._client, self._subscription):
+            self._host.node.release(endpoint)
+
+    def _ask(self, goal: bytes) -> None:
+        if self.there:
+            self._client.call({"goal_info": {"goal_id": {"uuid": list(goal)}}}, lambda _reply: None)
+
+    def _on_list(self, message: Message) -> None:
+        statuses = {
+            bytes(entry["goal_info"]["goal_id"]["uuid"]): GoalState.parse(entry["status"])
+            for entry in message["status_list"]
+        }
+        differs = self.list.receive(self._subscription.sender, statuses)
+        self.refresh()  # a goal that has to end is canceled before anything else happens
+        self._changed(differs)

@@ -1,0 +1,89 @@
+"""Which planner drives, and which one takes its place."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+
+from bridge.config.sections.navigation import NavigationSection
+from bridge.modules.host import Host
+from navigation.gateway.machine import StopState
+from navigation.gateway.planner_link import GoalMark, PlannerLink
+
+RELEASE_SECONDS = 30.0
+"""Another planner waits this long for one that does not release a goal that has ended here."""
+
+
+class RequestError(RuntimeError):
+    """A request that cannot be met now; the text gives the reason."""
+
+
+class PlannerChoice:
+    """The current planner, and the one that takes its place. On the module's thread."""
+
+    def __init__(self, host: Host, section: NavigationSection, changed: Callable[[], None]) -> None:
+        self._host, self.section, self._changed = host, section, changed
+        self._mark = GoalMark(host.config.name)
+        self._chosen = ""
+        self._next: NavigationSection | None = None
+        self._unreleased_since: float | None = None
+        self.link = PlannerLink(host, section, section.planner, changed, self._mark)  # to the current planner
+
+    @property
+    def pending(self) -> str:
+        """The planner that takes over as soon as the current one stands; "" for none."""
+        return "" if self._next is None else self._wanted(self._next)
+
+    def choose(self, planner: str, *, driving: bool) -> None:
+        """Have another planner drive; raises `RequestError` if it is unknown, or the current one is driving."""
+        current = self.link.planner
+        if planner not in self.section.choices:
+            raise RequestError(f"unknown planner {planner!r}; choose one of {', '.join(self.section.choices)}")
+        if planner != current and driving:
+            raise RequestError(f"{current} is driving; stop it first")
+        self._chosen = planner
+        self._next = self._next or self.section
+
+    def configure(self, section: NavigationSection) -> None:
+        """Adopt another section when nothing drives; a chosen planner stays unless the section names another one."""
+        if section.planner != (self._next or self.section).planner:
+            self._chosen = ""
+        self._next = section
+
+    def settle(self, *, driving: bool, stop: StopState) -> bool:
+        """Adopt a section that waited for the end of a drive.
+
+        Returns whether the planner before never released its goals, and is no longer followed.
+        """
+        section = self._next
+        if section is None:
+            return False
+        planner = self._wanted(section)
+        same = planner == self.link.planner and section.others == self.section.others
+        if not same and (driving or self._unreleased(stop)):  # without the link nothing would ask it to stop
+            return False
+        self.section, self._next = section, None
+        return not same and self._link_to(planner)
+
+    def _wanted(self, section: NavigationSection) -> str:
+        return self._chosen if self._chosen in section.choices else section.planner
+
+    def _unreleased(self, stop: StopState) -> bool:
+        """Whether the planner may still drive to a goal that has ended here."""
+        resting_without_it = stop is StopState.RESTING and not self.link.reachable
+        if not self.link.left and (not stop.open or resting_without_it):
+            self._unreleased_since = None
+            return False
+        now = time.monotonic()
+        if self._unreleased_since is None:
+            self._unreleased_since = now
+        return now < self._unreleased_since + RELEASE_SECONDS
+
+    def _link_to(self, planner: str) -> bool:
+        given_up, self._unreleased_since = self._unreleased_since is not None, None
+        if given_up:
+            self._host.log.warning("%s has not released its goal for %g s", self.link.planner, RELEASE_SECONDS)
+        self.link.close()
+        self.link = PlannerLink(self._host, self.section, planner, self._changed, self._mark)
+        self._host.log.info("planner: %s", planner)
+        return given_up

@@ -1,0 +1,89 @@
+"""The gateway's action on the hub, which it leaves to another node that serves the same name."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from bridge.config.sections.navigation import ACTION
+from bridge.hub.graph.view import HubEndpoint
+from bridge.messages.actions import names
+from bridge.modules.action_server import ActionServer, Goal
+from bridge.modules.host import Host
+from navigation.goals import CUT_OFF, FarClients
+from navigation.messages import NAVIGATE
+
+STOP_SERVICE = "/navigation/stop"
+"""Every gateway serves it: by it one gateway recognizes another."""
+
+_POLL_SECONDS = 0.2
+
+
+class NavigateAction:
+    """Serves ``/navigate_to_pose`` unless another node does, such as Nav2 on rmw_zenoh: a goal has one master.
+
+    While another node announces the action, the gateway accepts no goals there; those that it holds go on to their end.
+
+    Args:
+        accept: see `bridge.modules.action_server.Accept`; cancel: the same for a cancellation.
+        client_lost: called with a goal whose client is cut off, and why.
+    """
+
+    def __init__(
+        self,
+        host: Host,
+        accept: Callable[[Goal], bool],
+        cancel: Callable[[Goal], bool],
+        client_lost: Callable[[Goal, str], None],
+    ) -> None:
+        self._host, self._accept, self._cancel, self._client_lost = host, accept, cancel, client_lost
+        self._server: ActionServer | None = None
+        self._watch: FarClients | None = None
+        self.served_by = ""  # the node that serves the action instead; "" if the gateway does
+        self.poll()
+        host.loop.every(_POLL_SECONDS, self.poll)
+
+    def poll(self) -> None:
+        """Leave the name to another node, or take it back."""
+        other = self._other_server()
+        if other is None:
+            if self.served_by:
+                self._host.log.info("%s: %s has left; the gateway serves it again", ACTION, self.served_by)
+            self.served_by = ""
+            self._serve()
+            return
+        node = f"{other.namespace.rstrip('/')}/{other.node.lstrip('/')}"
+        if node != self.served_by:
+            self._host.log.warning("%s is served by %s: the gateway accepts no goals under that name", ACTION, node)
+        self.served_by = node
+        self._step_aside()
+
+    def _other_server(self) -> HubEndpoint | None:
+        graph = self._host.node.hub.graph
+        gateways = {server.zid for server in graph.servers(STOP_SERVICE)}
+        servers = graph.servers(names(ACTION).send_goal)
+        return next((server for server in servers if not server.own and server.zid not in gateways), None)
+
+    def _serve(self) -> None:
+        if self._server is not None and self._server.accepting:
+            return
+        if self._server is not None:
+            if self._server.active:
+                return  # its goals go on to their end first
+            self._close()
+        self._server = self._host.node.action_server(ACTION, NAVIGATE, self._accept, self._cancel)
+        self._watch = FarClients(self._host, self._server, lambda goal: self._client_lost(goal, CUT_OFF))
+
+    def _step_aside(self) -> None:
+        if self._server is None:
+            return
+        self._server.stop_accepting()
+        if not self._server.active:
+            self._close()
+
+    def _close(self) -> None:
+        server, self._server = self._server, None
+        watch, self._watch = self._watch, None
+        if watch is not None:
+            watch.close()
+        if server is not None:
+            server.close()

@@ -1,0 +1,438 @@
+"""Gives a client's drive to the planner, goal by goal, and follows it to its end."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
+
+from bridge.messages.actions import GoalState
+from bridge.modules.action_server import Goal
+from bridge.modules.clients import SentGoal
+from bridge.modules.host import Host
+from bridge.modules.loop import Timer
+from navigation import nav2_errors
+from navigation.frames import FramesError, RobotFrames
+from navigation.gateway.choice import PlannerChoice, RequestError
+from navigation.gateway.drive import ClientDrive
+from navigation.gateway.machine import DriveEvent, DriveState, StopState
+from navigation.gateway.motion import Base, Motion
+from navigation.gateway.planner_link import PlannerLink
+from navigation.gateway.progress import distance, seconds
+from navigation.gateway.stop import GIVE_UP_SECONDS, StopOrder
+from navigation.gateway.targets import Target
+from navigation.gateway.words import MAY_MOVE, own_client
+from navigation.messages import duration
+from navigation.pose import Pose
+from navigation.status import Fault, PlannerStatus, State
+
+JUDGING_SECONDS = 0.5
+"""The planner's goal list has this time to show why it ended a goal without an error code."""
+
+SETTLING_SECONDS = 5.0
+"""A planner that has been reachable for less than this rejects goals as it is starting: they are sent again."""
+
+RETRY_SECONDS = 0.5
+"""Time between two attempts to send a goal that the planner cannot accept yet."""
+
+REPLACED_SECONDS = 5.0
+"""A planner that still has the old goal this long after a new one executes several at a time: cancel the old one."""
+
+COMING_SECONDS = 30.0
+"""A goal waits this much longer than `NavigationSection.patience` for a planner whose first parts have appeared."""
+
+_OUTCOMES = {GoalState.SUCCEEDED: "reached", GoalState.CANCELED: "canceled"}
+_STOPPING = frozenset((DriveState.PAUSING, DriveState.PAUSED, DriveState.STOPPING))
+_ACTIVE = frozenset((DriveState.SENT, DriveState.DRIVING))
+
+
+class Execution:
+    """One drive at a time, and the stop or pause in force. On the module's thread.
+
+    `navigation.gateway.machine` has the states. ``changed`` is called when one of them has changed, ``unconfirmed``
+    returns why it is not known that the robot stands.
+    """
+
+    def __init__(
+        self,
+        host: Host,
+        choice: PlannerChoice,
+        frames: RobotFrames,
+        motion: Motion,
+        order: StopOrder,
+        changed: Callable[[], None],
+        unconfirmed: Callable[[], str],
+    ) -> None:
+        self._host, self._choice, self._frames, self._motion = host, choice, frames, motion
+        self._order, self._changed, self._unconfirmed = order, changed, unconfirmed
+        self.drive: ClientDrive | None = None
+        self.last, self.ended_at = PlannerStatus(), 0.0  # how the last drive ended, and when (monotonic)
+        self._pause: Timer | None = None
+        #: how many drives of clients ended so; refused: what is not a place to drive to
+        self.ended = dict.fromkeys(("reached", "failed", "canceled", "replaced", "refused"), 0)
+
+    @property
+    def driving(self) -> bool:
+        """Whether the planner has a goal, from the gateway or from its own clients."""
+        return self.drive is not None or bool(self._link.foreign)
+
+    @property
+    def _link(self) -> PlannerLink:
+        return self._choice.link
+
+    @property
+    def _planner(self) -> str:
+        return self._choice.link.planner
+
+    @property
+    def _frame(self) -> str:
+        return self._choice.section.frame
+
+    def begin(self, targets: Sequence[Target], who: str, name: str = "", goal: Goal | None = None) -> ClientDrive:
+        """Drive somewhere, in place of the current drive."""
+        before, self.drive = self.drive, ClientDrive([self._on_map(target) for target in targets], who, goal, name)
+        self._unpause()
+        if before is not None:
+            self.drive.released = before.released  # the planner may still drive to an earlier goal
+            self.ended["replaced"] += 1
+            before.end(GoalState.CANCELED, Fault.OTHER, f"{who} gave another goal, which took its place")
+        if goal is not None:
+            goal.execute()
+        self._send(self.drive, None if before is None else before.sent)
+        return self.drive
+
+    def pause(self, seconds: float = float("inf")) -> None:
+        """Stand still for some seconds, counted from when the robot stands; the client's goal stays active.
+
+        Raises `RequestError` if there is nothing to pause.
+        """
+        drive = self.drive
+        if drive is None:
+            foreign = f"the goal is {own_client(self._planner)}: it can be stopped, but not paused"
+            raise RequestError(foreign if self._link.foreign else "there is no goal to pause")
+        self._unpause()
+        drive.pause_seconds = seconds
+        if drive.machine.on(DriveEvent.PAUSE):
+            drive.why = "it was paused"
+            self.cancel(drive)
+            self._order.ask(drive.why)
+            if drive.released and not drive.begun:
+                self._order.drop()  # it has not begun to move
+                self._on_paused(drive)
+        elif drive.state is DriveState.PAUSED:
+            self._on_paused(drive)
+        self.advance()
+        self._changed()
+
+    def resume(self) -> None:
+        """Send the paused goal again; raises `RequestError` if nothing is paused."""
+        drive = self.drive
+        if drive is None or drive.state not in (DriveState.PAUSING, DriveState.PAUSED):
+            raise RequestError("nothing is paused")
+        self._resume(drive)
+
+    def recompute(self) -> None:
+        """Have the planner plan again, by sending the goal again; raises `RequestError` if it is not driving."""
+        drive = self.drive
+        if drive is None or drive.state in (DriveState.PAUSING, DriveState.PAUSED, DriveState.STOPPING):
+            raise RequestError("it is not driving")
+        self._send(drive, drive.sent)
+
+    def _send(self, drive: ClientDrive, before: SentGoal | None) -> None:
+        """Give the planner a drive's goal, in place of one that it has; wait if it cannot be given one."""
+        now = time.monotonic()
+        if not self._link.reachable or now < drive.due:
+            if before is not None and before is not drive.sent:
+                self._link.end(before)
+            self._give_up_waiting(drive)
+            self._changed()
+            return
+        if self._order.state is not StopState.NONE:
+            # the planner gives up earlier goals for this one, and is still asked to cancel them
+            self._order.drop(f"{MAY_MOVE}: {drive.who} gave another goal")
+        drive.machine.on(DriveEvent.SEND)
+        drive.released, drive.sent_at, drive.why = False, now, ""
+        drive.sent = self._link.send(
+            drive.target.goal(self._planner, robot_pose(self._frames)),
+            lambda sent, result, why: self._on_end(drive, sent, result, why),
+            lambda feedback: self._on_feedback(drive, feedback),
+        )
+        if before is not None:
+            # planners end the old goal by themselves, unless they execute several at a time
+            self._host.loop.after(REPLACED_SECONDS, lambda: self._link.end(before))
+        self._changed()
+
+    def _resume(self, drive: ClientDrive) -> None:
+        if self.drive is drive and drive.machine.on(DriveEvent.RESUME):
+            self._unpause()
+            drive.asked_at, drive.why = time.monotonic(), ""
+            self._send(drive, None)
+
+    def cancel(self, drive: ClientDrive) -> None:
+        """Have the planner end a drive's goal, and what moves the base for it, if it may have it."""
+        if drive.released:
+            return
+        if drive.sent is not None:
+            self._link.end(drive.sent)
+        if not self._link.foreign:
+            self._link.end_motion()
+
+    def stop_drive(self, why: str) -> None:
+        """End the drive as soon as the planner has released its goal, or the base stands."""
+        drive = self.drive
+        if drive is None or not drive.machine.on(DriveEvent.STOP):
+            return
+        drive.why = why
+        self._unpause()
+        if drive.goal is not None:
+            drive.goal.begin_cancel()  # its client sees CANCELING until the end
+        if drive.released and not drive.begun:
+            # the action's server reports the cancellation first
+            self._host.loop.post(lambda: self.finish(drive, GoalState.CANCELED, Fault.OTHER, why))
+            return
+        self.cancel(drive)
+        self._order.ask(why)
+        self._changed()
+
+    def _give_up_waiting(self, drive: ClientDrive) -> None:
+        """End a drive whose planner was waited for long enough, from when it was last seen or the client asked."""
+        if self._link.reachable:
+            return
+        patience = self._choice.section.patience
+        over = time.monotonic() - max(self._link.seen_at, drive.asked_at) - patience
+        if over >= (COMING_SECONDS if self._link.coming_up else 0.0):
+            why = f"the planner {self._planner} was not available for {patience:g} s"
+            if not drive.begun:
+                why += ": ask again when it is"
+            self.finish(drive, GoalState.ABORTED, Fault.NO_NAVIGATOR, why)
+
+    def poll(self) -> None:
+        """Act on what is known now; called about ten times a second."""
+        self.advance()
+        if self.drive is not None:
+            self._advance_drive(self.drive)
+        self.settle()
+
+    def advance(self) -> None:
+        """Take in what confirms a stop or pause, and end the drive that it was asked for."""
+        drive, order, link = self.drive, self._order, self._link
+        if drive is not None and not drive.released and drive.state in _STOPPING:
+            drive.released = link.state.reported and not link.left and not _still_listed(link, drive.sent)
+        released = link.released and (drive is None or drive.released)
+        order.update(released=released, seen_at=link.seen_at)
+        if not order.state.open:
+            link.end_no_more()
+        if drive is None:
+            return
+        if drive.state is DriveState.PAUSING and (order.confirmed or order.state is StopState.EXPIRED):
+            self._on_paused(drive)
+        elif drive.state is DriveState.PAUSED and order.state in (StopState.ASKED, StopState.SETTLING):
+            drive.machine.on(DriveEvent.MOVES)
+        elif drive.state is DriveState.STOPPING:
+            self._end_stopped(drive)
+
+    def _on_paused(self, drive: ClientDrive) -> None:
+        """The robot stands: a pause for a time begins."""
+        drive.machine.on(DriveEvent.STANDS)
+        if drive.pause_seconds < 1e6 and self._pause is None:
+            self._pause = self._host.loop.after(drive.pause_seconds, lambda: self._resume(drive))
+
+    def _end_stopped(self, drive: ClientDrive) -> None:
+        order, why = self._order, drive.why
+        if drive.released:
+            self.finish(drive, GoalState.CANCELED, Fault.OTHER, why)
+        elif order.confirmed:
+            text = f"{why}; {self._planner} has not answered, and the base stands"
+            self.finish(drive, GoalState.CANCELED, Fault.OTHER, text)
+        elif order.age > GIVE_UP_SECONDS:
+            text = f"{why}; {self._unconfirmed()}"
+            self.finish(drive, GoalState.ABORTED, Fault.MAY_MOVE, text)
+
+    def _advance_drive(self, drive: ClientDrive) -> None:
+        if drive.state in _ACTIVE and not self._link.reachable:
+            drive.machine.on(DriveEvent.CONTACT_LOST)
+        if drive.state is DriveState.WAITING:
+            self._send(drive, None)
+        elif drive.state is DriveState.LOST:
+            self._find_again(drive)
+        elif drive.state is DriveState.JUDGING:
+            self._judge(drive)
+
+    def _find_again(self, drive: ClientDrive) -> None:
+        """Follow a goal again that the planner still has; send it again if it does not."""
+        link, sent = self._link, drive.sent
+        if not link.reachable or sent is None:
+            self._give_up_waiting(drive)
+        elif time.monotonic() > drive.due and (link.state.reported or link.machine.age > SETTLING_SECONDS):
+            if link.lists(sent) is not None:
+                link.follow(sent)
+                drive.due = time.monotonic() + RETRY_SECONDS
+                drive.machine.on(DriveEvent.RESUMED_CONTACT)
+            else:
+                drive.released = link.state.reported
+                drive.machine.on(DriveEvent.RETRY)
+                self._send(drive, None)
+
+    def _on_feedback(self, drive: ClientDrive, feedback: Mapping[str, Any]) -> None:
+        if self.drive is not drive or drive.goal is None or drive.state not in _ACTIVE:
+            return
+        spent = duration(time.monotonic() - drive.began)  # of the client's goal, pauses included
+        message = {**feedback, "navigation_time": spent}
+        other = self._choice.section.others.get(self._planner)
+        if other is not None and other.side == "ros1":  # MoveBase reports its pose and nothing else
+            goal = drive.target.pose if drive.target.frame == self._frame else None
+            left = distance(robot_pose(self._frames), goal, self._link.telemetry.path, self._frame)
+            message |= {"distance_remaining": left, "estimated_time_remaining": seconds(left, self._motion.speed)}
+        drive.goal.feedback(message)
+
+    def _on_end(self, drive: ClientDrive, sent: SentGoal, result: Mapping[str, Any] | None, why: str) -> None:
+        """The planner's goal ended, or contact with it is lost."""
+        if self.drive is not drive or drive.sent is not sent:
+            return  # another one has replaced it
+        if result is None and sent.accepted is not False:
+            drive.machine.on(DriveEvent.CONTACT_LOST)
+        else:
+            drive.released = True
+            self._on_result(drive, sent, result or {}, why)
+        self.advance()
+        self._changed()
+
+    def _on_result(self, drive: ClientDrive, sent: SentGoal, result: Mapping[str, Any], why: str) -> None:
+        """The planner itself ended the goal."""
+        code = int(result.get("error_code", 0))
+        reason = nav2_errors.reason_text(str(result.get("error_msg", "")) or why, code)
+        if sent.status is GoalState.SUCCEEDED:
+            self._on_reached(drive)
+        elif drive.state in (DriveState.STOPPING, DriveState.PAUSING, DriveState.PAUSED):
+            return  # as asked for: the stop or pause is confirmed by `_advance`
+        elif sent.accepted is False:
+            self._on_rejected(drive)
+        elif sent.status is GoalState.CANCELED:
+            self.finish(drive, GoalState.CANCELED, code or Fault.OTHER, reason or self._without_reason("canceled"))
+        elif nav2_errors.is_missing_transform(code) and self._may_retry(drive):
+            drive.why = f"{self._planner}: {reason}; trying again"
+            drive.due = time.monotonic() + RETRY_SECONDS
+            drive.machine.on(DriveEvent.RETRY)
+        elif code:
+            self.finish(drive, GoalState.ABORTED, code, reason or self._without_reason("aborted"))
+        else:
+            drive.why = reason
+            drive.machine.on(DriveEvent.ABORTED)
+
+    def _may_retry(self, drive: ClientDrive) -> bool:
+        """Whether a goal that failed for want of a transform is sent again: within the patience."""
+        now, patience = time.monotonic(), self._choice.section.patience
+        if not drive.transform_missing_at or now > drive.sent_at + max(patience, 2 * RETRY_SECONDS):
+            drive.transform_missing_at = now
+        return now < drive.transform_missing_at + patience
+
+    def _on_rejected(self, drive: ClientDrive) -> None:
+        """A planner that is starting rejects goals: they are sent again."""
+        if time.monotonic() < self._link.unreachable_at + SETTLING_SECONDS:
+            drive.why = f"{self._planner} has just started and rejected the goal; trying again"
+            drive.due = time.monotonic() + RETRY_SECONDS
+            drive.machine.on(DriveEvent.RETRY)
+            return
+        drive.why = f"{self._planner} rejected the goal"
+        if drive.target.frame != self._frame:
+            drive.why += f": {self._frame_trouble(drive.target.frame)}"
+        drive.machine.on(DriveEvent.ABORTED)
+
+    def _frame_trouble(self, frame: str) -> str:
+        try:
+            self._frames.on_map(frame)
+        except FramesError as err:
+            return str(err)
+        return f"it is in the frame '{frame}', not '{self._frame}'"
+
+    def _judge(self, drive: ClientDrive) -> None:
+        """The planner ended the goal without a code: for another client's goal, or for a reason that is only a text.
+
+        A bridge whose planner has just gone rejects goals, too, and its neighbors do not know that yet.
+        """
+        rejected = drive.sent is not None and drive.sent.accepted is False
+        if not self._link.reachable:
+            drive.released = rejected
+            drive.machine.on(DriveEvent.RETRY if rejected else DriveEvent.CONTACT_LOST)
+        elif rejected:
+            if drive.machine.age > JUDGING_SECONDS:
+                self.finish(drive, GoalState.ABORTED, Fault.BAD_GOAL, drive.why)
+        elif self._link.foreign and self._link.state.reported:
+            why = drive.why or self._without_reason("canceled")
+            self.finish(drive, GoalState.CANCELED, Fault.OTHER, why)
+        elif drive.machine.age > JUDGING_SECONDS:
+            self.finish(drive, GoalState.ABORTED, Fault.OTHER, drive.why or self._without_reason("aborted"))
+
+    def _without_reason(self, what: str) -> str:
+        return f"{self._planner} {what} the goal" + (f" for {own_client(self._planner)}" if self._link.foreign else "")
+
+    def _on_reached(self, drive: ClientDrive) -> None:
+        if drive.at + 1 == len(drive.targets):
+            self.finish(drive, GoalState.SUCCEEDED, Fault.NONE, "")
+        elif drive.state is DriveState.STOPPING:
+            self.finish(drive, GoalState.CANCELED, Fault.OTHER, drive.why)
+        else:
+            drive.at += 1
+            if drive.machine.on(DriveEvent.NEXT):
+                self._send(drive, None)
+
+    def finish(self, drive: ClientDrive, status: GoalState, code: int, why: str) -> None:
+        """End a drive; a stop goes on if the planner has not released its goal, or the base still moves."""
+        if self.drive is not drive:
+            return
+        self.drive, self.ended_at = None, time.monotonic()
+        self.ended[_OUTCOMES.get(status, "failed")] += 1
+        self._unpause()
+        if not drive.released:
+            self.cancel(drive)
+        moves = status is not GoalState.SUCCEEDED and self._motion.base() is Base.MOVING
+        if (moves or not drive.released) and not self._order.state.open:
+            self._order.ask(why)
+        self.last = {
+            GoalState.SUCCEEDED: PlannerStatus(State.REACHED),
+            GoalState.CANCELED: PlannerStatus(State.IDLE, why),
+        }.get(status, PlannerStatus(State.ABORTED, why, int(code)))
+        self._link.foreign_end = None
+        if status is GoalState.ABORTED:
+            self._host.log.warning("the goal of %s is aborted: %s", drive.who, why)
+        drive.end(status, code, why)
+        self.advance()
+        self.settle()
+        self._changed()
+
+    def settle(self) -> None:
+        """Adopt another planner if one is pending."""
+        before = self._link
+        if self._choice.settle(driving=self.driving, stop=self._order.state):
+            self._order.drop()
+        if self._link is not before:
+            self._link.refresh(self._motion)
+
+    def _unpause(self) -> None:
+        if self._pause is not None:
+            self._pause.close()
+            self._pause = None
+
+    def _on_map(self, target: Target) -> Target:
+        """Return a target in the map's frame if the transform is known: later motion does not change what it means."""
+        frame = self._frame
+        if target.frame == frame:
+            return target
+        try:
+            return Target(self._frames.on_map(target.frame) @ target.pose, frame, target.tree)
+        except FramesError:
+            return target
+
+
+def _still_listed(link: PlannerLink, sent: SentGoal | None) -> bool:
+    """Whether a goal may still be executing by the planner's list, or its own end has not come yet."""
+    status = None if sent is None else link.lists(sent)
+    return (status is not None and not status.ended) or (sent is not None and sent.active)
+
+
+def robot_pose(frames: RobotFrames) -> Pose | None:
+    """Return the robot's pose on the map, None if it is unknown."""
+    try:
+        return frames.pose()
+    except FramesError:
+        return None

@@ -1,0 +1,68 @@
+"""The goals of an action server, by the list that it publishes on its ``status`` topic."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Collection, Mapping
+
+from bridge.messages.actions import GoalState
+
+EARLY_SECONDS = 1.0
+"""A list may arrive this long before the graph shows its publisher."""
+
+EMPTY_SECONDS = 2.0
+"""A server of rcl publishes its list with its first goal: one without a list for this time has no goals."""
+
+
+class GoalList:
+    """The newest list of one action server, and whether it is valid: "no list yet" is not "no goals".
+
+    Args:
+        always: the server publishes its list as soon as it starts, as Midspan's own and those of ROS 1 do. Then the
+            goals stay unknown until it comes, however long that takes.
+    """
+
+    def __init__(self, *, always: bool) -> None:
+        self._always = always
+        self._publishers: frozenset[bytes] = frozenset()  # GIDs of the topic's publishers on the hub
+        self._appeared = 0.0  # when the first of them appeared (monotonic)
+        self._publisher = b""  # whose list it is
+        self._received = 0.0  # when it came (monotonic); 0: never
+        self._statuses: dict[bytes, GoalState] = {}
+        self.known = False  # whether the list is that of a server that is there
+
+    @property
+    def any(self) -> bool:
+        """Whether there has been a list at all, or a server that needs none."""
+        return self._received > 0.0
+
+    @property
+    def active(self) -> tuple[bytes, ...]:
+        """The goals that have not ended by the newest list, valid or not."""
+        return tuple(goal for goal, status in self._statuses.items() if not status.ended)
+
+    def status(self, goal: bytes) -> GoalState | None:
+        """The state of a goal in the newest list; None if the list does not have it."""
+        return self._statuses.get(goal)
+
+    def receive(self, publisher: bytes, statuses: Mapping[bytes, GoalState]) -> bool:
+        """Take in a list; whether it differs from the one before."""
+        changed = self._statuses != statuses
+        self._publisher, self._statuses, self._received = publisher, dict(statuses), time.monotonic()
+        self.known = True
+        return changed
+
+    def refresh(self, publishers: Collection[bytes]) -> None:
+        """Note which publishers the topic has now: a list is valid while its publisher is there."""
+        now, before = time.monotonic(), self._publishers
+        self._publishers = frozenset(publishers)
+        if not before & self._publishers:
+            self._appeared = now
+        if self._publisher in self._publishers:
+            self.known = True
+        elif self._publishers and self._publisher not in before and now < self._received + EARLY_SECONDS:
+            self.known = True  # the graph does not show its publisher yet
+        elif self._publishers and not self._always and now >= self._appeared + EMPTY_SECONDS:
+            self._publisher, self._statuses, self._received, self.known = b"", {}, now, True
+        else:
+            self.known = False

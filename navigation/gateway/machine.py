@@ -1,0 +1,207 @@
+"""The gateway's states, events and transitions, as tables; ARCHITECTURE.md draws them.
+
+Three machines hold everything that the gateway knows: of the planner (`PLANNER`), of the drive for one client
+(`DRIVE`), and of a stop or pause that has to be confirmed (`STOP`). An event that a state does not list leaves it as it
+is. `navigation.gateway.words` derives every answer to a client from these states.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping
+from enum import Enum
+from typing import Generic, TypeVar
+
+
+class PlannerState(Enum):
+    """What is known of the planner."""
+
+    UNKNOWN = "unknown"  #: not seen since the gateway started; its side has not reported yet
+    ABSENT = "absent"  #: its side has reported, and the planner is not on it
+    UNREPORTED = "unreported"  #: reachable; its goals are not known yet
+    IDLE = "idle"  #: reachable, without goals
+    DRIVING = "driving"  #: reachable, with goals
+    UNREACHABLE = "unreachable"  #: it was reachable; a part of its action, or the worker of its side, has gone
+
+    @property
+    def reachable(self) -> bool:
+        """Whether all parts of its action are on the hub."""
+        return self in _REACHABLE
+
+    @property
+    def reported(self) -> bool:
+        """Whether it is known which goals it has."""
+        return self in _REPORTED
+
+
+_REACHABLE = frozenset((PlannerState.UNREPORTED, PlannerState.IDLE, PlannerState.DRIVING))
+_REPORTED = frozenset((PlannerState.IDLE, PlannerState.DRIVING))
+
+
+class PlannerEvent(Enum):
+    """What changes `PlannerState`."""
+
+    FOUND = "all parts of its action are on the hub"
+    LOST = "a part of its action has left the hub"
+    UNREPORTED = "its goal list is no longer valid"
+    NO_GOALS = "its goal list has no active goal"
+    GOALS = "its goal list has an active goal"
+    SIDE_REPORTED = "its side has reported, without it"
+
+
+class DriveState(Enum):
+    """What is known of a client's drive."""
+
+    WAITING = "waiting"  #: not sent: the planner cannot accept a goal yet
+    SENT = "sent"  #: the planner has not answered yet
+    DRIVING = "driving"  #: the planner has accepted the goal
+    JUDGING = "judging"  #: the planner ended the goal without a code; its next goal list shows why
+    LOST = "lost"  #: contact with the goal is lost: it may still be executing
+    PAUSING = "pausing"  #: canceled for a pause, which is not confirmed yet
+    PAUSED = "paused"  #: the robot stands
+    STOPPING = "stopping"  #: canceled for good, which is not confirmed yet
+    ENDED = "ended"
+
+
+class DriveEvent(Enum):
+    """What changes `DriveState`."""
+
+    SEND = "the goal is sent"
+    ACCEPTED = "the planner accepts the goal"
+    RETRY = "the goal has to be sent again"
+    NEXT = "a place on the way is reached"
+    ABORTED = "the planner ended the goal without a code"
+    CONTACT_LOST = "the planner is unreachable, or has lost the goal's client"
+    RESUMED_CONTACT = "the planner's goal list still has the goal"
+    PAUSE = "a client pauses"
+    RESUME = "a client resumes, or the pause is over"
+    STOP = "a client cancels or stops"
+    STANDS = "the pause is confirmed"
+    MOVES = "the base moves during the pause, and the planner has not released the goal"
+    END = "the drive ends"
+
+
+class StopState(Enum):
+    """What is known of a stop or pause."""
+
+    NONE = "none"  #: nothing is asked for
+    ASKED = "asked"  #: the planner has not released its goals
+    RESTING = "resting"  #: the base stands; the planner has not released its goals
+    SETTLING = "settling"  #: the planner has released its goals; the base is not known to stand
+    CONFIRMED = "confirmed"  #: the planner has released its goals, and the base stands
+    EXPIRED = "expired"  #: given up: the planner is gone for long, or something else moves the base
+
+    @property
+    def open(self) -> bool:
+        """Whether it is still to be confirmed."""
+        return self in _OPEN
+
+    @property
+    def held(self) -> bool:
+        """Whether the planner's velocities must not reach the base."""
+        return self in (StopState.ASKED, StopState.RESTING)
+
+
+_OPEN = frozenset((StopState.ASKED, StopState.RESTING, StopState.SETTLING))
+
+
+class StopEvent(Enum):
+    """What changes `StopState`."""
+
+    ASK = "a stop or pause is asked for"
+    RELEASED = "the planner has no goal left that has to end"
+    NOT_RELEASED = "the planner has such a goal, or it is not known whether it does"
+    STANDS = "the base stands"
+    MOVES = "the base is not known to stand"
+    EXPIRE = "nothing has confirmed it for long"
+
+
+S = TypeVar("S", bound=Enum)
+E = TypeVar("E", bound=Enum)
+Table = Mapping[S, Mapping[E, S]]
+
+
+def _planner() -> Table[PlannerState, PlannerEvent]:
+    state, event = PlannerState, PlannerEvent
+    reachable = {event.LOST: state.UNREACHABLE, event.NO_GOALS: state.IDLE, event.GOALS: state.DRIVING}
+    reported = reachable | {event.UNREPORTED: state.UNREPORTED}
+    missing = {event.FOUND: state.UNREPORTED}
+    return {
+        state.UNKNOWN: missing | {event.SIDE_REPORTED: state.ABSENT},
+        state.ABSENT: missing,
+        state.UNREPORTED: reachable,
+        state.IDLE: reported,
+        state.DRIVING: reported,
+        state.UNREACHABLE: missing | {event.SIDE_REPORTED: state.ABSENT},
+    }
+
+
+def _drive() -> Table[DriveState, DriveEvent]:
+    state, event = DriveState, DriveEvent
+    always = {event.STOP: state.STOPPING, event.END: state.ENDED}
+    active = always | {event.PAUSE: state.PAUSING}
+    sent = active | {
+        event.SEND: state.SENT,
+        event.RETRY: state.WAITING,
+        event.NEXT: state.WAITING,
+        event.ABORTED: state.JUDGING,
+        event.CONTACT_LOST: state.LOST,
+    }
+    return {
+        state.WAITING: active | {event.SEND: state.SENT},
+        state.SENT: sent | {event.ACCEPTED: state.DRIVING},
+        state.DRIVING: sent,
+        state.JUDGING: active | {event.RETRY: state.WAITING, event.CONTACT_LOST: state.LOST},
+        state.LOST: active
+        | {
+            event.RETRY: state.WAITING,
+            event.RESUMED_CONTACT: state.DRIVING,
+            event.NEXT: state.WAITING,
+            event.ABORTED: state.JUDGING,
+        },
+        state.PAUSING: always | {event.STANDS: state.PAUSED, event.RESUME: state.WAITING},
+        state.PAUSED: always | {event.MOVES: state.PAUSING, event.RESUME: state.WAITING},
+        state.STOPPING: {event.END: state.ENDED},
+        state.ENDED: {},
+    }
+
+
+def _stop() -> Table[StopState, StopEvent]:
+    state, event = StopState, StopEvent
+    again = {event.ASK: state.ASKED}
+    return {
+        state.NONE: again,
+        state.ASKED: again
+        | {event.RELEASED: state.SETTLING, event.STANDS: state.RESTING},
+        state.RESTING: again
+        | {event.RELEASED: state.CONFIRMED, event.MOVES: state.ASKED, event.EXPIRE: state.EXPIRED},
+        state.SETTLING: again
+        | {event.STANDS: state.CONFIRMED, event.NOT_RELEASED: state.ASKED, event.EXPIRE: state.EXPIRED},
+        state.CONFIRMED: again,
+        state.EXPIRED: again,
+    }  # fmt: skip
+
+
+PLANNER, DRIVE, STOP = _planner(), _drive(), _stop()
+
+
+class Machine(Generic[S, E]):
+    """One machine: its state, and since when (monotonic seconds)."""
+
+    def __init__(self, table: Table[S, E], state: S) -> None:
+        self._table = table
+        self.state = state
+        self.since = time.monotonic()
+
+    def on(self, event: E) -> bool:
+        """Handle an event; whether it changed the state."""
+        following = self._table[self.state].get(event, self.state)
+        if following is self.state:
+            return False
+        self.state, self.since = following, time.monotonic()
+        return True
+
+    @property
+    def age(self) -> float:
+        """Seconds since the state was entered."""
+        return time.monotonic() - self.since

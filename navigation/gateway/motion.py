@@ -1,0 +1,156 @@
+"""What is known of the base: whether it stands, by odometry, or by its velocity commands if there is no odometry."""
+
+from __future__ import annotations
+
+import math
+import struct
+import time
+from enum import Enum
+
+from bridge.hub.wire.qos import Qos
+from bridge.modules.endpoints import Subscription
+from bridge.modules.host import Host
+from navigation.frames import FramesError, RobotFrames
+from navigation.messages import TWIST
+from navigation.pose import Pose
+
+STANDING_SECONDS = 0.4
+"""A base whose odometry has not changed for this time stands."""
+
+STILL_METERS, STILL_RADIANS = 0.005, 0.01
+"""Changes of a standing base's odometry in that time stay below these."""
+
+SILENCE_SECONDS = 1.0
+"""A base that receives no velocity command for this time stands: every base stops after 0.1 to 0.5 s without one."""
+
+ZERO_SECONDS = 0.3
+"""A base that receives zero velocities and no others for this time stands."""
+
+_HISTORY_SECONDS = 3.0
+"""Poses are kept for this time, for `Motion.speed`."""
+
+
+class Base(Enum):
+    """What is known of the base."""
+
+    UNKNOWN = "unknown"
+    STANDING = "standing"
+    MOVING = "moving"
+
+
+class Motion:
+    """Follows the base's odometry: `poll` on the module's thread, everything else on any thread.
+
+    Args:
+        simulated: the stamps are those of a simulation, which may run faster than time.
+    """
+
+    def __init__(self, frames: RobotFrames, *, simulated: bool = False) -> None:
+        self._frames, self._simulated = frames, simulated
+        self._poses: tuple[tuple[float, Pose], ...] = ()
+        """Time of arrival and pose. Never changed, only replaced: other threads read it."""
+
+    def poll(self) -> None:
+        """Record the pose of the base; called about ten times a second."""
+        now = time.monotonic()
+        try:
+            pose = self._frames.odometry()
+        except FramesError:
+            self._poses = ()
+            return
+        before = self._poses
+        if not before or pose.stamp_ns != before[-1][1].stamp_ns:
+            self._poses = (*(entry for entry in before if entry[0] >= now - _HISTORY_SECONDS), (now, pose))
+
+    def stands(self, since: float = 0.0) -> bool | None:
+        """Return whether the base has stood for `STANDING_SECONDS`, by three poses or more; None without odometry.
+
+        In simulated time the stamps count, otherwise the times of arrival, too. Poses that arrived before ``since``
+        (monotonic seconds) do not count.
+        """
+        poses = self._poses
+        if not poses:
+            return None
+        last = poses[-1][1]
+        for count, (arrival, pose) in enumerate(reversed(poses)):
+            rotation = math.remainder(pose.theta - last.theta, math.tau)
+            if math.hypot(pose.x - last.x, pose.y - last.y) > STILL_METERS or abs(rotation) > STILL_RADIANS:
+                return False
+            if arrival < since:
+                return None
+            passed = (last.stamp_ns - pose.stamp_ns) / 1e9
+            if not self._simulated:
+                passed = min(passed, poses[-1][0] - arrival)  # a step of the odometry's clock is not time that passed
+            if passed >= STANDING_SECONDS and count >= 2:
+                return True
+        return None
+
+    def base(self, since: float = 0.0) -> Base:
+        """Return what odometry since then shows of the base; `Base.UNKNOWN` until it has covered enough time."""
+        return {True: Base.STANDING, False: Base.MOVING, None: Base.UNKNOWN}[self.stands(since)]
+
+    @property
+    def known(self) -> bool:
+        """Whether there is odometry at all."""
+        return bool(self._poses)
+
+    @property
+    def speed(self) -> float | None:
+        """Meters per second over the last seconds; None if unknown, or if the base hardly moves."""
+        poses = self._poses
+        if len(poses) < 2:
+            return None
+        first, last = poses[0][1], poses[-1][1]
+        seconds = (last.stamp_ns - first.stamp_ns) / 1e9
+        moved = math.hypot(last.x - first.x, last.y - first.y)
+        return moved / seconds if seconds > 0 and moved > 2 * STILL_METERS else None
+
+
+_TWIST = struct.Struct("<6d")
+_HEADER = 4
+"""Bytes of CDR's encapsulation header, before the six numbers of a ``geometry_msgs/Twist``."""
+
+
+class VelocityWatch:
+    """Follows the velocity commands to the base, only while it is open: for stops without odometry."""
+
+    def __init__(self, host: Host, topic: str) -> None:
+        self._host, self._topic = host, topic
+        self._subscription: Subscription | None = None
+        self._opened = 0.0
+        self._moving_at = -math.inf  # when the last command other than zero arrived (monotonic)
+        self._zero_at = -math.inf
+
+    def open(self) -> None:
+        """Subscribe, unless that is done."""
+        if self._subscription is None and self._topic:
+            self._opened = time.monotonic()
+            self._moving_at = self._zero_at = -math.inf
+            self._subscription = self._host.node.subscription_cdr(
+                self._topic, TWIST, self._on_velocity, Qos(depth=1), at_once=True
+            )
+
+    def close(self) -> None:
+        """Unsubscribe."""
+        subscription, self._subscription = self._subscription, None
+        if subscription is not None:
+            self._host.node.release(subscription)
+
+    def zero(self, since: float) -> bool:
+        """Return whether the base is commanded to stand: zeros only, or silence for `SILENCE_SECONDS`.
+
+        What was commanded before ``since`` (monotonic seconds) does not count. Without a topic of velocities nothing is
+        known, and the answer is False.
+        """
+        if self._subscription is None:
+            return False
+        begin = max(self._moving_at, self._opened, since)
+        return time.monotonic() > begin + (ZERO_SECONDS if self._zero_at > begin else SILENCE_SECONDS)
+
+    def _on_velocity(self, cdr: bytes) -> None:
+        """Runs on a thread of zenoh."""
+        now = time.monotonic()
+        if len(cdr) >= _HEADER + _TWIST.size and any(_TWIST.unpack_from(cdr, _HEADER)):
+            self._moving_at = now
+        else:
+            self._zero_at = now

@@ -1,0 +1,145 @@
+"""Where goals lead, also by the names of places in the store."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from bridge.config.sections.navigation import OURS
+from bridge.modules.host import Host
+from bridge.stores.entry import StoreError
+from bridge.stores.kinds import AREA, LOCATION, MAP
+from bridge.stores.store import Store
+from navigation.constraints import PREFIX, Constraints
+from navigation.maps.grid import from_grid, yaw_of
+from navigation.messages import pose_message
+from navigation.pose import Pose
+from yarp_compat.dev.locations import Map2DLocation
+from yarp_compat.dev.mapgrid import MapGrid2D
+
+_NO_STAMP = {"sec": 0, "nanosec": 0}
+
+
+@dataclass(frozen=True)
+class Target:
+    """A pose to drive to."""
+
+    pose: Pose  #: where, metres and rad; a theta that is no number means that any heading will do
+    frame: str  #: what it is in; the name of another map of the store for a place there
+    tree: str = ""  #: the client's ``behavior_tree``
+
+    def goal(self, planner: str, robot: Pose | None) -> dict[str, Any]:
+        """The goal for a planner, without a stamp: those of two machines' clocks would decide what it means.
+
+        Midspan's own words are for planners of ours, names of behaviour trees for others. Any heading is the one that
+        the robot comes with, where its pose is known.
+        """
+        ours, tree = planner in OURS, self.tree
+        if tree.startswith(PREFIX) != ours:
+            tree = ""
+        if math.isnan(self.pose.theta) and ours and not tree:
+            tree = Constraints(heading=False).to_text()
+        return {"pose": self.stamped(robot), "behavior_tree": tree}
+
+    def stamped(self, robot: Pose | None = None) -> dict[str, Any]:
+        """As a ``geometry_msgs/PoseStamped``."""
+        pose = self.pose
+        if math.isnan(pose.theta) and robot is not None:
+            pose = pose._replace(theta=math.atan2(pose.y - robot.y, pose.x - robot.x))
+        return {"header": {"stamp": _NO_STAMP, "frame_id": self.frame}, "pose": pose_message(pose)}
+
+
+class TargetError(ValueError):
+    """A goal that no planner could follow; the text says why."""
+
+
+def target_of(message: Mapping[str, Any], tree: str = "") -> Target:
+    """The target of a ``geometry_msgs/PoseStamped``; raises `TargetError` for no frame, no numbers or no rotation."""
+    frame = str(message["header"]["frame_id"]).lstrip("/")
+    position, turn = message["pose"]["position"], message["pose"]["orientation"]
+    if not frame:
+        raise TargetError("the goal's frame is empty; on the map it is 'map'")
+    if not all(map(math.isfinite, (*position.values(), *turn.values()))):
+        raise TargetError("the goal's pose has a number that is none")
+    length = math.sqrt(sum(value * value for value in turn.values()))
+    if not 0.9 < length < 1.1:
+        raise TargetError(f"the goal's quaternion is no rotation: its length is {length:.2f}, not 1")
+    return Target(Pose(float(position["x"]), float(position["y"]), yaw_of(turn)), frame, tree)
+
+
+_ANY = math.nan
+
+
+class StoredPlaces:
+    """The store's places for goals; ``waits``: whether the planner drives to any map by its name, and waits for one."""
+
+    def __init__(self, host: Host, frame: str, waits: Callable[[], bool] = lambda: False) -> None:
+        self._host, self._frame, self._waits = host, frame, waits
+
+    @property
+    def store(self) -> Store | None:
+        """The store, where there is one."""
+        try:
+            return self._host.store
+        except StoreError:
+            return None
+
+    @property
+    def current(self) -> str:
+        """The map that is in use, "" where none is."""
+        return "" if self.store is None else self.store.current_map()
+
+    def find(self, name: str) -> Target:
+        """A location's pose, or a point in an area, in any heading; raises `LookupError` with the names there are."""
+        store = self.store
+        if store is None:
+            raise LookupError("there is no store of locations here; switch on `store`")
+        found = store.get(LOCATION, name)
+        if found is not None:
+            return self.target(found)
+        area = store.get(AREA, name)
+        middle = None if area is None else area.getCentroid()
+        if area is None or middle is None:
+            known = ", ".join([*store.names(LOCATION), *store.names(AREA)][:20]) or "none"
+            raise LookupError(f"there is no location or area {name!r}; there are: {known}")
+        inside = middle if area.contains(middle.x, middle.y) else area.getRandomLocation() or middle
+        inside.theta = _ANY
+        return self.target(inside)
+
+    def target(self, place: Map2DLocation) -> Target:
+        """A goal at a place; where that is on another map, its frame is that map's name.
+
+        While no map is in use it is not known where the place is, so it keeps its map's name for a planner that waits.
+        """
+        known = self.current or (self._waits() and self.store is not None and place.map_id in self.store.names(MAP))
+        elsewhere = place.map_id and known and place.map_id not in (self.current, self._frame)
+        frame = place.map_id if elsewhere else self._frame
+        return Target(Pose(place.x, place.y, math.radians(place.theta)), frame)
+
+    def known(self, place: Map2DLocation) -> Target:
+        """A goal at a place; raises `LookupError` if the store has maps, and not the place's."""
+        target, store = self.target(place), self.store
+        if target.frame != self._frame and store is not None and target.frame not in (maps := store.names(MAP)):
+            raise LookupError(f"it is on the map {target.frame}, which is not here; there are: {', '.join(maps[:20])}")
+        return target
+
+    def location(self, message: Mapping[str, Any] | Target) -> Map2DLocation:
+        """A ``geometry_msgs/PoseStamped``, or a target, as a place on a map."""
+        if isinstance(message, Target):
+            frame, pose = message.frame, message.pose
+        else:
+            position, frame = message["pose"]["position"], str(message["header"]["frame_id"])
+            pose = Pose(position["x"], position["y"], yaw_of(message["pose"]["orientation"]))
+        map_id = self.current or frame if frame in ("", self._frame) else frame
+        return Map2DLocation(map_id, float(pose.x), float(pose.y), math.degrees(pose.theta))
+
+    def map(self) -> MapGrid2D | None:
+        """The map that is in use."""
+        store = self.store
+        return None if store is None or not self.current else store.get(MAP, self.current)
+
+    def grid(self, message: Mapping[str, Any] | None) -> MapGrid2D | None:
+        """A ``nav_msgs/OccupancyGrid`` as YARP has it."""
+        return None if message is None else from_grid(message, self.current or "map")

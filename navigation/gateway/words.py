@@ -1,0 +1,192 @@
+"""Every word to a client about the robot's motion, derived from what the gateway knows: nothing else makes one."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+
+from navigation.gateway.machine import DriveState, PlannerState, StopState
+from navigation.gateway.motion import Base
+from navigation.gateway.stop import LATE_SECONDS, SETTLING_SECONDS
+from navigation.status import Fault, PlannerStatus, State
+
+MAY_MOVE = "the robot may still be moving"
+
+_LIST_LAG = 0.5
+"""The lists of Nav2's servers may show the end of a goal this much later than its result, in seconds."""
+
+
+@dataclass(frozen=True)
+class Situation:
+    """What the gateway knows at one instant."""
+
+    planner: str  #: its name
+    planner_state: PlannerState = PlannerState.UNKNOWN
+    planner_age: float = 0.0  #: seconds since that changed
+    base: Base = Base.UNKNOWN
+    goals: bool | None = None  #: whether its newest list has active goals, valid or not; None before the first list
+    doubtful: bool = False  #: whether it had a goal of its own client when it became unreachable
+    motion: tuple[str, ...] = ()  #: other actions that move the base now, such as Nav2's ``/follow_path``
+    foreign: PlannerStatus | None = None  #: how a goal of the planner's own client is getting on
+    orphans: bool = False  #: whether the planner drives to a goal from before the gateway was restarted
+    drive: DriveState | None = None
+    why: str = ""  #: why the drive is being stopped, or waits
+    unreleased: bool = False  #: whether the planner may have a goal of the drive
+    reported: PlannerStatus | None = None  #: what the planner itself published about the drive's goal
+    silence: float = 0.0  #: seconds without a word from the planner; 0 if that means nothing
+    localization: str = ""  #: why the robot's pose is not to be trusted
+    stop: StopState = StopState.NONE
+    stop_why: str = ""
+    stop_age: float = 0.0  #: seconds since the stop or pause was asked for
+    odometry: bool = False  #: whether there is any
+    since_end: float = 0.0  #: seconds since the last drive ended
+    last: PlannerStatus = field(default_factory=PlannerStatus)  #: how the last drive ended
+
+
+def derive(now: Situation) -> PlannerStatus:
+    """Return the state to report, its reason in words and as a number."""
+    return _of_nobody(now) if now.drive is None else _OF_DRIVE[now.drive](now)
+
+
+def trouble(now: Situation) -> str:
+    """Return why a stop or pause is not confirmed; "" if it is, or none is asked for."""
+    if now.stop in (StopState.NONE, StopState.CONFIRMED):
+        return ""
+    if now.stop is StopState.RESTING and now.stop_age > LATE_SECONDS:
+        return ""
+    return unconfirmed(now)
+
+
+def unconfirmed(now: Situation) -> str:
+    """Return why it is not known that the robot stands."""
+    if now.motion and now.planner_state.reachable:
+        return f"{MAY_MOVE}: {', '.join(now.motion)} of {now.planner} has not ended"
+    if now.stop in (StopState.SETTLING, StopState.EXPIRED):
+        why = (
+            f"{now.planner} has released its goals, but the base has not come to rest"
+            if now.odometry
+            else "there is no odometry, and the velocity commands have not ended"
+        )
+        return f"{MAY_MOVE}: {why}"
+    if not now.planner_state.reachable:
+        why = f"the planner {now.planner} is not available"
+    elif not now.planner_state.reported:
+        why = f"{now.planner} has not reported its goals yet"
+    else:
+        why = f"{now.planner} has not released its goal"
+    return f"{MAY_MOVE}: {why}; it is asked to stop until it does"
+
+
+def _stopping(now: Situation) -> PlannerStatus:
+    why = now.why or now.stop_why
+    if now.stop_age <= LATE_SECONDS:
+        return PlannerStatus(State.MOVING, f"stopping: {why}")
+    return PlannerStatus(State.MOVING, f"{why}; {unconfirmed(now)}", Fault.MAY_MOVE)
+
+
+def _waiting(now: Situation) -> PlannerStatus:
+    """The goal is not at the planner, or contact with it is lost; an earlier goal may still be executing."""
+    may_drive = now.unreleased or now.goals is True
+    moves = now.base is Base.MOVING or (now.base is Base.UNKNOWN and may_drive)
+    state = State.MOVING if moves else State.PREPARING
+    if now.planner_state.reachable:
+        why = now.why or f"waiting for the goal list of {now.planner}"
+        return PlannerStatus(state, why, Fault.OTHER if now.why else Fault.NONE)
+    why = f"the planner {now.planner} is not available; waiting for it"
+    return PlannerStatus(state, f"{why}; {MAY_MOVE}" if moves and may_drive else why, Fault.NO_NAVIGATOR)
+
+
+def _sent(now: Situation) -> PlannerStatus:
+    return PlannerStatus(State.MOVING if now.base is Base.MOVING else State.PREPARING)
+
+
+def _driving(now: Situation) -> PlannerStatus:
+    if now.silence:
+        why = f"{now.planner} does not answer: no status or feedback for {now.silence:g} s"
+        return PlannerStatus(State.MOVING, why, Fault.SILENT)
+    status = now.reported or PlannerStatus(State.MOVING)
+    if status.state.ended:
+        return PlannerStatus(State.MOVING, "", status.fault)  # how it ended comes as the goal's result
+    if now.localization and not status.reason:
+        return PlannerStatus(State.MOVING, now.localization, Fault.NOT_LOCALIZED)
+    return status._replace(state=State.MOVING) if status.state is State.PAUSED else status
+
+
+def _judging(now: Situation) -> PlannerStatus:
+    return PlannerStatus(State.MOVING, f"{now.planner} ended the goal; waiting for its reason")
+
+
+def _paused(now: Situation) -> PlannerStatus:
+    if now.foreign is not None and now.base is not Base.STANDING:
+        return now.foreign
+    return _COASTING if _coasting(now) else PlannerStatus(State.PAUSED)
+
+
+_COASTING = PlannerStatus(State.MOVING, "the base has not come to rest yet")
+
+
+def _coasting(now: Situation) -> bool:
+    """Whether the base still moves for a goal that has just ended."""
+    ended = now.planner_state is PlannerState.IDLE and now.planner_age < SETTLING_SECONDS
+    return ended and now.base is Base.MOVING and now.last.state is not State.REACHED
+
+
+def _ended(now: Situation) -> PlannerStatus:
+    return now.last
+
+
+_OF_DRIVE: Mapping[DriveState, Callable[[Situation], PlannerStatus]] = {
+    DriveState.WAITING: _waiting,
+    DriveState.SENT: _sent,
+    DriveState.DRIVING: _driving,
+    DriveState.JUDGING: _judging,
+    DriveState.LOST: _waiting,
+    DriveState.PAUSING: _stopping,
+    DriveState.PAUSED: _paused,
+    DriveState.STOPPING: _stopping,
+    DriveState.ENDED: _ended,
+}
+
+
+def own_client(planner: str) -> str:
+    """Return the words for a goal that did not come through the gateway."""
+    return f"a goal that {planner} received from its own client"
+
+
+def _of_nobody(now: Situation) -> PlannerStatus:
+    """No client of the gateway drives: others may, and a stop may not be confirmed yet."""
+    if now.stop in (StopState.ASKED, StopState.SETTLING):
+        return _stopping(now)
+    if now.stop is StopState.RESTING:
+        return now.last
+    if now.foreign is not None:
+        return now.foreign
+    if now.orphans:
+        why = f"stopping: {now.planner} still has a goal from before the gateway was restarted"
+        return PlannerStatus(State.MOVING, why, Fault.MAY_MOVE)
+    if now.doubtful:
+        cause = "has not reported its goals" if now.planner_state.reachable else "is not available"
+        why = f"{own_client(now.planner)}; the planner {now.planner} {cause}; {MAY_MOVE}"
+        return PlannerStatus(State.MOVING, why, Fault.MAY_MOVE)
+    lists_agree = now.base is Base.MOVING or now.since_end > _LIST_LAG
+    if now.motion and now.base is not Base.STANDING and lists_agree:
+        return PlannerStatus(State.MOVING, f"{', '.join(now.motion)} moves the base")
+    if _coasting(now):
+        return _COASTING
+    if not now.planner_state.reported and now.planner_state is not PlannerState.ABSENT:
+        return _unknown(now)
+    return now.last
+
+
+def _unknown(now: Situation) -> PlannerStatus:
+    """Nobody has reported whether the planner has goals: that is not known to be none."""
+    why = f"it is not known whether {now.planner} has a goal: " + (
+        "it has not reported its goals yet" if now.planner_state.reachable else "it is not available"
+    )
+    if now.base is Base.STANDING:
+        return now.last
+    if now.base is Base.MOVING:
+        return PlannerStatus(State.MOVING, f"{why}; {MAY_MOVE}", Fault.MAY_MOVE)
+    if now.planner_state is PlannerState.UNREACHABLE and now.goals is False:
+        return now.last
+    return PlannerStatus(State.THINKING, why, Fault.NO_NAVIGATOR)

@@ -1,0 +1,137 @@
+"""Every transition of the gateway's tables, and every word that is derived from them."""
+
+from __future__ import annotations
+
+import itertools
+from enum import Enum
+from typing import Any
+
+import pytest
+
+from navigation.gateway.machine import (
+    DRIVE,
+    PLANNER,
+    STOP,
+    DriveEvent,
+    DriveState,
+    Machine,
+    PlannerEvent,
+    PlannerState,
+    StopEvent,
+    StopState,
+)
+from navigation.gateway.motion import Base
+from navigation.gateway.words import MAY_MOVE, Situation, derive, trouble
+from navigation.status import Fault, PlannerStatus, State
+
+TABLES: dict[type[Enum], tuple[Any, type[Enum], Enum]] = {
+    PlannerState: (PLANNER, PlannerEvent, PlannerState.UNKNOWN),
+    DriveState: (DRIVE, DriveEvent, DriveState.WAITING),
+    StopState: (STOP, StopEvent, StopState.NONE),
+}
+PAIRS = [(state, event) for states, (_table, events, _first) in TABLES.items() for state in states for event in events]
+
+
+@pytest.mark.parametrize(("state", "event"), PAIRS, ids=lambda value: value.name.lower())
+def test_each_event_leads_from_each_state_where_the_table_says(state: Enum, event: Enum) -> None:
+    table = TABLES[type(state)][0]
+    machine: Machine[Any, Any] = Machine(table, state)
+    since = machine.since
+    following = table[state].get(event, state)
+    assert machine.on(event) == (following is not state)
+    assert machine.state is following
+    assert (machine.since == since) == (following is state)
+
+
+@pytest.mark.parametrize("states", TABLES, ids=lambda states: states.__name__)
+def test_each_state_is_reached(states: type[Enum]) -> None:
+    table, _events, first = TABLES[states]
+    reached, pending = {first}, [first]
+    while pending:
+        following = set(table[pending.pop()].values()) - reached
+        reached |= following
+        pending.extend(following)
+    assert reached == set(states)
+
+
+def test_a_planner_is_never_idle_before_it_has_reported() -> None:
+    """An empty container is not an answer: each path to `IDLE` has the event of a list without goals."""
+    ways = {(state, event) for state, row in PLANNER.items() for event, to in row.items() if to is PlannerState.IDLE}
+    assert ways
+    assert {event for _state, event in ways} == {PlannerEvent.NO_GOALS}
+    assert {state for state, _event in ways} <= {PlannerState.UNREPORTED, PlannerState.IDLE, PlannerState.DRIVING}
+
+
+def test_a_stop_is_confirmed_by_both_the_planner_and_the_base() -> None:
+    for state, row in STOP.items():
+        for event, to in row.items():
+            if to is StopState.CONFIRMED:
+                assert (state, event) in {
+                    (StopState.RESTING, StopEvent.RELEASED),
+                    (StopState.SETTLING, StopEvent.STANDS),
+                }
+
+
+ENDED = frozenset((State.IDLE, State.REACHED, State.ABORTED, State.PAUSED))
+SITUATIONS = [
+    Situation("nav2", planner_state=planner, planner_age=9.0, base=base, goals=goals, doubtful=doubtful, motion=motion,
+              foreign=foreign, drive=drive, stop=stop, stop_age=age, unreleased=True,
+              odometry=base is not Base.UNKNOWN)
+    for planner, base, goals, doubtful, motion, foreign, drive, stop, age in itertools.product(
+        PlannerState,
+        Base,
+        (None, False, True),
+        (False, True),
+        ((), ("/follow_path",)),
+        (None, PlannerStatus(State.MOVING, "a goal")),
+        (None, *DriveState),
+        StopState,
+        (0.5, 5.0),
+    )
+]  # fmt: skip
+
+
+def test_no_word_says_that_the_robot_stands_while_its_base_moves() -> None:
+    """Whatever else is known: with a goal that may be executing, a moving base is reported as moving."""
+    checked = 0
+    for now in SITUATIONS:
+        planner_moves = now.motion or now.doubtful or now.foreign or not now.planner_state.reported
+        absent = now.planner_state is PlannerState.ABSENT and not (now.doubtful or now.motion or now.foreign)
+        resting = now.stop is StopState.RESTING  # by its own evidence the base stands
+        if now.base is not Base.MOVING or absent or resting or now.drive in (DriveState.PAUSED, DriveState.ENDED):
+            continue
+        if now.drive is None and not planner_moves and not now.stop.open:
+            continue
+        checked += 1
+        status = derive(now)
+        assert status.state not in ENDED | {State.PREPARING}, (now, status)
+    assert checked > 1000
+
+
+def test_a_goal_that_is_not_released_is_no_end() -> None:
+    for now in SITUATIONS:
+        if now.drive in (DriveState.PAUSING, DriveState.STOPPING, DriveState.LOST, DriveState.JUDGING):
+            assert derive(now).state not in ENDED, now
+
+
+def test_what_is_not_known_is_not_idle() -> None:
+    for planner in (PlannerState.UNKNOWN, PlannerState.UNREPORTED):
+        moving = derive(Situation("nav2", planner, base=Base.MOVING))
+        assert (moving.state, moving.fault) == (State.MOVING, Fault.MAY_MOVE)
+        assert "it is not known whether nav2 has a goal" in moving.reason
+        assert derive(Situation("nav2", planner, base=Base.UNKNOWN)).state is State.THINKING
+        assert derive(Situation("nav2", planner, base=Base.STANDING)).state is State.IDLE
+
+
+def test_a_stop_is_ok_only_if_it_is_confirmed() -> None:
+    for now in SITUATIONS:
+        ok = not trouble(now)
+        late = now.stop is StopState.RESTING and now.stop_age > 1.0
+        assert ok == (now.stop in (StopState.NONE, StopState.CONFIRMED) or late), now
+        assert ok or MAY_MOVE in trouble(now)
+
+
+def test_no_sentence_says_it_twice() -> None:
+    for now in SITUATIONS:
+        for sentence in (derive(now).reason, trouble(now)):
+            assert sentence.count("may still be moving") <= 1, sentence
