@@ -8,7 +8,7 @@ import sys
 import threading
 import time
 from collections.abc import Iterable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
@@ -103,7 +103,7 @@ def open_client(args: argparse.Namespace, *, warn: bool = True, watches: bool = 
     would only wait or print less.
     """
     config = client_config(args)
-    with connect(config) as client:
+    with _connected(args, config) as client:
         client = replace(client, here=of_this_machine(args))
         reported = warn_of_daemon(args, config, workers=watches) if warn else []
         try:
@@ -114,6 +114,22 @@ def open_client(args: argparse.Namespace, *, warn: bool = True, watches: bool = 
             if not absences:
                 raise
             raise CliError("\n".join([str(err), *absences])) from None
+
+
+@contextmanager
+def _connected(args: argparse.Namespace, config: Config) -> Iterator[CliClient]:
+    """Join the hub; the error names what this machine's daemon knows of its router."""
+    with ExitStack() as stack:
+        try:
+            client = stack.enter_context(connect(config))
+        except CliError as err:
+            state = daemon_state(config) if of_this_machine(args) else DaemonState("")
+            missing = state.why_missing("router", config)
+            if not missing:
+                raise
+            line = str(err).splitlines()[0]
+            raise CliError("\n".join(filter(None, (line, missing, state.cure)))) from None
+        yield client
 
 
 def warn_of_daemon(args: argparse.Namespace, config: Config, *, workers: bool = True) -> list[str]:

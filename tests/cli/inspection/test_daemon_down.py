@@ -6,6 +6,7 @@ import json
 import os
 import re
 import signal
+import socket
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -13,6 +14,7 @@ from typing import Any
 import pytest
 
 from tests.cli.daemons import RobotDaemon
+from tests.support.ports import free_port
 from tests.support.wait import until
 
 DOWN = "the daemon robot is not running, although its router is (process {router})"
@@ -180,6 +182,36 @@ def test_no_planner_is_configured(start: Start) -> None:
     done = robot("nav", "status")
     assert done.returncode == 1
     assert "no gateway is configured: name a planner in the section 'navigation'" in done.stderr
+
+
+def test_a_router_that_cannot_work(start: Start) -> None:
+    """Its port is held by another program: the daemon runs, and knows the reason."""
+    with socket.create_server(("127.0.0.1", 0)) as other:
+        robot = start("run", hub={"listen": f"tcp/127.0.0.1:{other.getsockname()[1]}"})
+        robot.until_phase("router", "cannot work")
+        for words in (["nav", "status"], ["topic", "list"]):
+            done = robot(*words)
+            assert done.returncode == 1
+            assert "the worker 'router' of robot cannot work: tcp/127.0.0.1" in done.stderr
+            assert "Is the daemon running?" not in done.stderr
+        done = robot("status")
+        assert "cannot work" in done.stdout
+
+
+def test_without_router_and_daemon(dead: tuple[RobotDaemon, str], tmp_path: Path) -> None:
+    robot = dead[0]
+    file = tmp_path / "other.yaml"
+    file.write_text(
+        json.dumps({**json.loads(robot.file.read_text()), "hub": {"listen": f"tcp/127.0.0.1:{free_port()}"}})
+    )
+    before, robot.file = robot.file, file
+    try:
+        done = robot("topic", "list")
+    finally:
+        robot.file = before
+    assert done.returncode == 1
+    assert "the daemon robot is not running" in done.stderr
+    assert "start the daemon: 'midspan run'" in done.stderr
 
 
 @pytest.mark.thorough

@@ -242,6 +242,18 @@ def test_nothing_is_overwritten_unasked(midspan: Midspan, store: Store) -> None:
     assert store.get(MAP, "house") == house()
 
 
+@pytest.mark.parametrize("equals", [False, True])
+def test_negative_coordinates(midspan: Midspan, store: Store, *, equals: bool) -> None:
+    store.put(MAP, "house", house((-3.0, -1.5, 0.0)))
+    points = ["--points=-1.6,0.9"] if equals else ["--points", "-1.6,0.9"]
+    assert midspan("map", "edit-flags", "house", "--flag", "keep-out", *points, "-.6,0.9", "-6e-1,-5e-1").code == 0
+    grid = store.get(MAP, "house")
+    assert grid is not None
+    assert np.count_nonzero(grid.flags == MapFlag.KEEP_OUT) == pytest.approx(70, abs=20)
+    done = midspan("location", "add", "dock", "-1.5", "-2e-1", "-90", "--map", "house")
+    assert done.out == "dock: -1.500, -0.200 m, -90.0 degrees on house\n"
+
+
 def test_without_a_store_the_cure_is_told(midspan: Midspan) -> None:
     done = midspan("map", "list")
     assert done.code == 1
