@@ -1,4 +1,4 @@
-"""The ROS 1 edge: what is on the ROS 1 graph, and our endpoints there."""
+"""The ROS 1 edge: the ROS 1 graph, and our endpoints on it."""
 
 from __future__ import annotations
 
@@ -186,7 +186,7 @@ class Ros1Edge(SideEdge):
         return look is not None and any(s.topic == topic and s.node != own for s in look.subscribers)
 
     def others(self) -> Sequence[NodeEntry]:
-        """Other nodes of Midspan's on this network that are alive, in the order of their names."""
+        """Return the other Midspan nodes on this network that are alive, in the order of their names."""
         return self._links.living()
 
     def settled(self, since: float) -> bool:
@@ -241,7 +241,7 @@ class Ros1Edge(SideEdge):
             self._graph_changed()
 
     def _watch_others(self, look: MasterState | None) -> None:
-        """Follow the entries of the other Midspan nodes; while the master is away the nodes still tell each other."""
+        """Follow the entries of the other Midspan nodes; without a master their own connections remain."""
         assert self._master is not None
         own = self._master.presence()
         if look is None or NodeEntry.parse(look.presence.get(own.key)) != own:
@@ -285,7 +285,7 @@ class Ros1Edge(SideEdge):
     # -- our endpoints -------------------------------------------------------------------------------------------------
 
     def subscribe(self, topic: str, side_type: SideType, qos: Qos, deliver: Deliver) -> EdgeSubscription:
-        """Hear a topic's native publishers of this type; a volatile subscription hears nothing older than itself."""
+        """Subscribe to a topic's native publishers of this type; a volatile subscription gets no older messages."""
         part = discovery.split_part(topic, side_type.name)
         if part:
             return self._actions.subscribe(*part, side_type.name, deliver)

@@ -59,7 +59,7 @@ class _RequestHandler(SilenceableXMLRPCRequestHandler):  # type: ignore[misc]  #
 
 
 class _SlaveApi(ROSHandler):  # type: ignore[misc]  # rospy has no types
-    """rospy's slave API, telling us when the master asks us to go."""
+    """rospy's slave API, which reports the master's request to shut down."""
 
     def __init__(self, name: str, master_uri: str, notes: _RegistrationNotes, asked: Callable[[str], None]) -> None:
         super().__init__(name, master_uri)
@@ -67,7 +67,7 @@ class _SlaveApi(ROSHandler):  # type: ignore[misc]  # rospy has no types
         self.parameter_changed: Changed | None = None
 
     def paramUpdate(self, _caller_id: str, _key: str, _value: object) -> tuple[int, str, int]:  # noqa: N802 - ROS 1's
-        """The master reports the change of a subscribed parameter; its value is read anew."""
+        """The master reports the change of a subscribed parameter; its value is read again."""
         if self.parameter_changed is not None:
             self.parameter_changed()
         return 1, "", 0
@@ -131,7 +131,7 @@ class Ros1Node:
     ) -> None:  # fmt: skip
         if rospy.core.is_initialized():
             raise RuntimeError("rospy is already in use in this process: one ROS 1 edge per process")
-        # rosgraph makes every logger of the process one of its own kind; ours stay as they are.
+        # rosgraph changes the class of every new logger of the process; ours stay as they are.
         logging.setLoggerClass(logging.Logger)
         self._greetings = threading.BoundedSemaphore(_MAX_GREETINGS)
         self._greeters = WorkerPool(_MAX_GREETINGS, "midspan-ros1-greet")
@@ -167,7 +167,7 @@ class Ros1Node:
             return dict(topics.get_publications())
 
     def take_removed(self) -> set[str]:
-        """Topics whose publications ended since the last call, those among them that were made anew at once."""
+        """Return the topics whose publications ended since the last call, also those that were made again at once."""
         removed, self._notes.removed = self._notes.removed, set()
         return removed
 
@@ -278,7 +278,7 @@ class Ros1Node:
         if farewell is None:
             return error
         publication = registration.get_topic_manager().get_publisher_impl(header["topic"])
-        if publication is not None and not publication.closed:  # made anew meanwhile, or of another type
+        if publication is not None and not publication.closed:  # made again meanwhile, or of another type
             return str(self._tcpros.topic_connection_handler(sock, address, header) or "")
         sock.sendall(encode(farewell))
         sock.close()

@@ -73,8 +73,8 @@ class Ros1Actions:
     def is_part(self, topic: str, type_name: str) -> bool:
         """Whether a topic is one of an action's five, and so does not cross as a topic.
 
-        Those that are served or called here are that too while a node has registered only some of them: a topic heard
-        twice costs messages, since a publisher of rospy's keeps one connection from each node.
+        That also holds for an action that is served or called here while a node has registered only some of its topics:
+        a second subscription would cost messages, since a rospy publisher accepts one connection from each node.
         """
         wanted = self._found.topics.get(topic) or self._in_use(topic.rpartition("/")[0]).get(topic)
         return wanted is not None and type_name in ("", "*", wanted)
@@ -143,7 +143,7 @@ class Ros1Actions:
         open_ = [type_ for name, type_ in self._callers if name == action]
         if open_:
             return open_[-1]
-        raise MessageTypeError(f"there is no actionlib server {action}")
+        raise MessageTypeError(f"no actionlib server of {action} was found")
 
     def _types(self, type_: str) -> ActionMessages:
         return types_of(self._network.registry, type_)

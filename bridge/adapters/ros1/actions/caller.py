@@ -29,7 +29,7 @@ GONE = "its action server {} is gone"
 
 
 class ActionCaller(ActionTopics):
-    """Sends goals to one server of an action at a time; what it knows of them stays for those who ask later."""
+    """Sends goals to one server of an action at a time, and stores their states and results for later callers."""
 
     def __init__(
         self, name: str, types: ActionMessages, network: ActionNetwork, guard: FrameGuard,
@@ -65,7 +65,7 @@ class ActionCaller(ActionTopics):
         return opened
 
     def subscribe(self, part: str, deliver: Deliver) -> OpenPart:
-        """One of the two topics; a status comes at once where there was one."""
+        """Subscribe to one of the two topics; the last status list, if any, is delivered at once."""
         opened = OpenPart(lambda: self._unsubscribe(part, deliver, opened))
         self._executor.submit(lambda: self._listen(part, deliver))
         self._take_up(opened)
@@ -107,7 +107,7 @@ class ActionCaller(ActionTopics):
     # -- ROS 1 ---------------------------------------------------------------------------------------------------------
 
     def _connect(self) -> None:
-        self._client.found()  # who opens a part has seen a server, which `_choose` may not have yet
+        self._client.found()  # a part is opened because a server is on the graph, which `_choose` may not have yet
         if not self._open or self._subscriptions:
             return
         self._advertise(discovery.GOAL, self._types.goal, _QUEUE)
@@ -242,7 +242,7 @@ def endpoint_id(server: FoundServer, part: str) -> str:
 
 
 class _StartedCall:
-    """A call that is begun later than its caller was given the way to abandon it."""
+    """A call that begins only after its caller has received the function that abandons it."""
 
     def __init__(self) -> None:
         self._abandon: Abandon | None = None

@@ -1,6 +1,6 @@
 """An actionlib client: the calls of a ROS 2 action become goals of an actionlib server.
 
-Pure: it has no thread, socket or clock of its own; an `InlineExecutor` gives it one event at a time.
+Pure: it uses no thread, socket or clock; an `InlineExecutor` passes it one event at a time.
 How actionlib servers behave: https://github.com/ros/actionlib (1.14), ``ActionServer`` and ``SimpleActionServer``.
 """
 
@@ -40,7 +40,7 @@ FEW_GOALS = 32
 """With more goals than these, the status topic is published at most each `CALM_SECONDS`: it names all of them."""
 
 LOST = "lost sight of the goal: "
-"""Begins the text of a goal whose state nobody reports any longer; readers may depend on it."""
+"""Begins the text of a goal whose state is no longer reported; clients may depend on it."""
 
 _NO_SUCH_GOAL = wire.cancel_response(CancelCode.UNKNOWN_GOAL_ID, ())
 _REFUSED = wire.goal_response(ZERO, accepted=False)
@@ -146,7 +146,7 @@ class ActionlibClient:
         if goal.body is not None and not goal.refused:
             self._drop(goal, "its caller left")
 
-    # -- what the server says ------------------------------------------------------------------------------------------
+    # -- events of the server ------------------------------------------------------------------------------------------
 
     def found(self) -> None:
         """There is a server; it may not be connected yet."""
@@ -171,10 +171,10 @@ class ActionlibClient:
         self._cancels.send()
 
     def lost(self, reason: str) -> None:
-        """The server is out of sight; until `found` is called, goals are rejected.
+        """Lose contact with the server; until `found` is called, goals are rejected.
 
-        No state is published for its goals: nobody knows whether they still execute. Whoever waits for the result of
-        one gets UNKNOWN, with a text that begins with `LOST`.
+        No state is published for its goals, since they may still be executing. Callers of get_result receive UNKNOWN,
+        with a text that begins with `LOST`.
         """
         self._ready, self._gone, self._listed = False, reason, False
         self._cancels.reachable = False
@@ -219,7 +219,7 @@ class ActionlibClient:
         goal = self._goal(status)
         if goal is None or goal.whole or goal.told or goal.refused:
             return
-        if goal.result is not None:  # it was given up, but nobody asked yet
+        if goal.result is not None:  # it was given up, but no caller has received it
             self._goals.forget(goal)
             goal.result = None
             self._goals.add(goal)
@@ -306,7 +306,7 @@ class ActionlibClient:
             return
         state = Ros1State.parse(status.state)
         if goal.ours and state in (Ros1State.REJECTED, Ros1State.RECALLED, Ros1State.LOST):
-            self._drop(goal, status.text or f"the server says {state.name}")
+            self._drop(goal, status.text or f"the server reports {state.name}")
             return
         goal.state, goal.stamp = GoalState.ACCEPTED, status.goal.stamp
         self._changed = True
@@ -334,7 +334,7 @@ class ActionlibClient:
         self._cancels.send()
 
     def _lose(self, goal: TrackedGoal, why: str) -> None:
-        """Nobody reports a goal any longer, which may still be executed."""
+        """End a goal as UNKNOWN: its state is no longer reported, and it may still be executing."""
         _log.warning("%s: lost sight of goal %s: %s", self.name, goal.id, why)
         goal.lost, goal.text = True, LOST + why
         asker, goal.asker = goal.asker, None
@@ -353,7 +353,7 @@ class ActionlibClient:
         self._cancels.send()
 
     def _flush(self) -> None:
-        """Publish the states where one has changed."""
+        """Publish the states if one has changed."""
         now = self._clock()
         if not self._changed or (self._shown > FEW_GOALS and now < self._told + CALM_SECONDS):
             return

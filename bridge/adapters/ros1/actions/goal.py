@@ -25,16 +25,16 @@ class TrackedGoal:
     """One goal.
 
     Attributes:
-        body: what is still to be sent to the server, None once it was, and for goals of ROS 1 clients.
+        body: the goal message that is still to be sent to the server; None once sent, and for goals of ROS 1 clients.
         ours: a caller of this process sent it.
-        asker: the caller of send_goal who waits for acceptance.
-        waiting: the callers of get_result who wait for the end.
-        listed: the server's status list named it.
-        refused: it was rejected: on ROS 2 there never was such a goal.
-        lost: nobody reports its state any longer, which is UNKNOWN on ROS 2; it may still be executed.
-        result: its bytes, None until it has ended and its result came or is given up.
-        text: why it ended so, as the server or this bridge says it.
-        told: somebody has that result.
+        asker: the pending send_goal call.
+        waiting: the pending get_result calls.
+        listed: the server's status list has named it.
+        refused: it was rejected, so ROS 2 never had such a goal.
+        lost: its state is no longer reported, and UNKNOWN on ROS 2; it may still be executing.
+        result: its bytes, None until it has ended and its result has arrived or is given up.
+        text: the reason for its final state, from the server or this bridge.
+        told: a caller has received that result.
         whole: the result came from the server.
     """
 
@@ -105,7 +105,7 @@ class GoalStore:
 
     @property
     def full(self) -> bool:
-        """Whether there is no room for another goal."""
+        """Whether further goals have to be rejected."""
         return len(self._open) >= MAX_OPEN
 
     def end(self, goal: TrackedGoal, now: float) -> None:

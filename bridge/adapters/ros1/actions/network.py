@@ -51,11 +51,11 @@ class ActionNetwork:
 
     Attributes:
         own: our node's name.
-        facts: what is known of all publishers.
+        facts: the known properties of all publishers.
         registry: the types.
         clock: the time of this side.
-        subscribe: ``subscribe(topic, side_type, deliver, suffix)``; a publisher of rospy's has one connection from
-            each name of a node, so who hears a topic that may also cross adds a suffix to ours.
+        subscribe: ``subscribe(topic, side_type, deliver, suffix)``; a rospy publisher accepts one connection from each
+            node name, so a second subscription of a topic that may also cross adds a suffix to ours.
         publish: ``publish(topic, side_type, qos)``.
         refuse: report a bad message: ``refuse(topic, reason, why)``.
         check_frames: goals in frames that are not there are rejected.
@@ -140,7 +140,7 @@ class ActionTopics:
         self._states = b""
 
     def publish(self, part: str, payload: bytes, source: str = "") -> None:
-        """Publish on one of the topics, while it is open; what is latched is kept for each source."""
+        """Publish on one of the topics, while it is open; latched messages are stored per source."""
         if part in self._publishers:
             self._publishers[part].send(payload, source)
 
@@ -164,9 +164,9 @@ class ActionTopics:
 
 
 # -- publications towards actionlib servers ----------------------------------------------------------------------------
-# The master announces new subscribers to nobody. But a server subscribes its goals and cancel requests last
-# (``initialize`` of actionlib's ``ActionServer``, in C++ and in Python), and connects to their publishers as soon as it
-# has: where we still publish, that connection tells when a restarted server is complete.
+# The master does not announce new subscribers. But a server subscribes to its goals and cancel requests last
+# (``ActionServer.initialize`` of actionlib, in C++ and in Python), and then connects to their publishers at once. If we
+# still publish, that connection shows that a restarted server is complete.
 
 KEPT_SECONDS = 60.0
 """How long they stay; a server that comes later is found at one of the usual looks at the master."""
@@ -178,9 +178,9 @@ Publish = Callable[[str, SideType, Qos], TopicPublisher]
 
 
 class LingeringPublishers:
-    """Opens publications, and closes those that are given back: at once where a server is there, else after a while.
+    """Opens publications, and closes those that are given back: at once if a server is present, else after a while.
 
-    ``publish`` opens one; ``is_gone`` says whether an action has no server now.
+    ``publish`` opens one; ``is_gone`` returns whether an action has no server now.
     """
 
     def __init__(self, publish: Publish, is_gone: Callable[[str], bool]) -> None:

@@ -52,7 +52,7 @@ class ServedAction(ActionTopics):
         return self._parts > 0
 
     def serve(self, part: str, type_name: str, call: Call) -> OpenPart:
-        """One of the three services; raises `MessageTypeError` where the action's type is not known."""
+        """Serve one of the three services; raises `MessageTypeError` if the action's type is not known."""
         if part != ros2_action.CANCEL_GOAL:
             self._types_of(discovery.action_type(type_name, part))
         self._count(1)
@@ -159,14 +159,14 @@ class ServedAction(ActionTopics):
         goal, body = wire.read_action_goal(payload)
         schema = self._types.goal_body
         if self._network.check_frames and names_frames(schema):
-            with contextlib.suppress(ConversionError):  # the call will say so, and end the goal
+            with contextlib.suppress(ConversionError):  # the call reports it, and ends the goal
                 body = without_slashes(body, frames_in(schema, body))
         if self._order is not None:
             self._order.goal(goal, body, client)
 
     def _on_cancel(self, payload: bytes, source: str, _time: int | None) -> None:
         client = node_of(source)
-        unread = self._unread(client, listed=False)  # before the turn: what was read by now has its turn earlier
+        unread = self._unread(client, listed=False)  # before `submit`: goals read until now go first
         self._executor.submit(lambda: self._read(discovery.CANCEL, lambda: self._cancel(payload, client, unread)))
 
     def _cancel(self, payload: bytes, client: Client, unread: bool) -> None:
@@ -224,4 +224,4 @@ class PartPublisher(OpenPart):
             self._action.send(self._part, payload)
 
     def forget(self, source: str) -> None:
-        """The hub's server is gone; that its services are too says the same."""
+        """The hub's server has left; its services leave with it, which is handled there."""

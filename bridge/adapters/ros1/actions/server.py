@@ -111,7 +111,7 @@ class ActionlibServer:
         """Say that the server is there."""
         self._flush()
 
-    # -- what ROS 1 clients say ----------------------------------------------------------------------------------------
+    # -- events of ROS 1 clients ---------------------------------------------------------------------------------------
 
     def goal(self, goal: GoalId, body: bytes) -> str:
         """Accept a client's goal; returns the id under which it is listed, "" if it is not."""
@@ -183,7 +183,7 @@ class ActionlibServer:
         self._output.call(CANCEL_GOAL, wire.cancel_request(GoalInfo(entry.uuid, ZERO)), self._cancel_answered)
 
     def _cancel_answered(self, reply: bytes | CallError) -> None:
-        """ROS 1's clients are not told: a goal that cannot be cancelled ends in another state."""
+        """Log a request that failed; to ROS 1's clients, a goal that cannot be canceled ends in another state."""
         why = str(reply)
         if isinstance(reply, bytes):
             try:
@@ -196,7 +196,7 @@ class ActionlibServer:
                 why = "the action server rejected it"
         _log.warning("%s: a cancel request had no effect: %s", self.name, why)
 
-    # -- what the hub's server says ------------------------------------------------------------------------------------
+    # -- events of the hub's server ------------------------------------------------------------------------------------
 
     def _answered(self, entry: _ListedGoal, reply: bytes | CallError) -> None:
         if entry.state.ended or entry.uuid is None:
@@ -270,7 +270,7 @@ class ActionlibServer:
             self._set(entry, _STARTED[entry.state])
         elif state is GoalState.CANCELING and entry.state in _CANCELING:
             self._set(entry, _CANCELING[entry.state])
-        elif state.ended and not entry.ours:  # of ours get_result tells
+        elif state.ended and not entry.ours:  # the end of ours comes with get_result
             self._set(entry, self._final(entry, state))
             entry.gone = self._clock()
 

@@ -1,8 +1,8 @@
-"""What each publisher and server on the graph is, asked by a TCPROS handshake, and who of ours follows them.
+"""Probes each publisher and server on the graph by a TCPROS handshake, and informs our subscriptions and callers.
 
-The connection to a publisher stays open for a moment, and the subscription that follows takes it over. To the publisher
-it is a listener. Programs that wait for one before they publish (``get_num_connections`` of rospy, ``getOutputCount``
-of YARP's ports, which count one until they next write) send their first message there, some of them their only one.
+The connection to a publisher stays open for a moment, and the next subscription reuses it. To the publisher
+it is a subscriber. Programs that wait for one before they publish (``get_num_connections`` of rospy, ``getOutputCount``
+of a YARP port, which counts one until its next write) send their first message there, some of them their only one.
 """
 
 from __future__ import annotations
@@ -70,13 +70,13 @@ class Facts:
         return cls(header["type"], header["md5sum"], definition, latching, native)
 
     def fits(self, md5: str) -> bool:
-        """Whether it is no Midspan's, and has the wanted type."""
+        """Whether it is native, and has the wanted type."""
         return self.native and md5 in (self.md5, "*", "")
 
 
 @dataclass(slots=True)
 class _Attempt:
-    """How asking one goes: when next, and what went wrong; ``refused``: nobody listens there."""
+    """The progress of probing one: the next attempt and the last error; ``refused``: its address has no listener."""
 
     due: float = 0.0
     wait: float = _FIRST_WAIT
@@ -139,7 +139,7 @@ class Prober:
         return bool(self._open)
 
     def facts(self, topic: str = "") -> Mapping[Registration, Facts]:
-        """What is known now, of one topic where one is given."""
+        """Return the known facts, of one topic if one is given."""
         with self._lock:
             return {link: facts for link, facts in self._facts.items() if topic in ("", link.topic)}
 
@@ -163,7 +163,7 @@ class Prober:
         self._changed(link)
 
     def check(self, link: Registration) -> None:
-        """Ask one again of which something is known; where it does not answer, it is doubted."""
+        """Probe a known one again; doubt it if it does not answer."""
         self._pool.submit(link.uri, lambda: self._check(link))
 
     def _check(self, link: Registration) -> None:
@@ -176,7 +176,7 @@ class Prober:
             self.learned(link, Facts.of(header))
 
     def learned(self, link: Registration, facts: Facts) -> None:
-        """A publisher announced itself to a subscription that connected; it may have advertised anew."""
+        """A publisher announced itself to a subscription that connected; it may have advertised again."""
         with self._lock:
             if self._facts.get(link) in (None, facts):
                 return
@@ -194,7 +194,7 @@ class Prober:
             return link in self._open
 
     def is_gone(self, link: Registration) -> bool:
-        """Whether the last attempt was refused: nobody listens there."""
+        """Whether the last attempt was refused: the address has no listener."""
         with self._lock:
             attempt = self._open.get(link)
         return attempt is not None and attempt.refused
@@ -236,7 +236,7 @@ class Prober:
                 self._release(link)
 
     def _release(self, link: Registration) -> None:
-        """Close a connection that nobody took; called with the lock held."""
+        """Close a connection that no subscription has reused; called with the lock held."""
         if (held := self._held.pop(link, None)) is not None:
             held[0].close()
 

@@ -1,4 +1,4 @@
-"""The graph that the edge shows: what the master lists, and what it lost although a TCP connection proves it.
+"""The graph that the edge shows: the master's list, and what it lost although a TCP connection proves it.
 
 A connection between two nodes needs no master. If the master is killed, the nodes and their connections stay; if it is
 restarted, it lists only nodes that register again, which those of rospy and roscpp do not. Only a connection that ends

@@ -24,7 +24,7 @@ PRESENCE = "/midspan/nodes"
 class Registration(NamedTuple):
     """One node's registration for one topic or service, under the name that is registered.
 
-    ``uri`` is the node's XML-RPC address, of a service its own (``rosrpc://host:port``); "" where none is known.
+    ``uri`` is the node's XML-RPC address, of a service the service's (``rosrpc://host:port``); "" if unknown.
     """
 
     node: str
@@ -33,7 +33,7 @@ class Registration(NamedTuple):
 
 
 def publisher_id(link: Registration, *, latching: bool) -> str:
-    """Id of a publisher's endpoint; a node that advertises anew, now latched, is another publisher."""
+    """Return the id of a publisher's endpoint; a node that advertises again, now latched, is another publisher."""
     return f"publisher {link.topic} {link.node} {link.uri}{' latched' if latching else ''}"
 
 
@@ -47,7 +47,7 @@ def node_of(publisher: str) -> tuple[str, str]:
 class MasterState:
     """A master's state at one look.
 
-    ``run`` changes when the master is started anew: its run id and its process. ``network`` is its ``/run_id``, which
+    ``run`` changes when the master is restarted: its run id and its process. ``network`` is its ``/run_id``, which
     roscore sets, or a bare rosmaster's address and process id. ``uris`` are the nodes' XML-RPC addresses; ``presence``
     has the entries of `PRESENCE` by their key.
     """
@@ -89,7 +89,7 @@ class MasterReader:
             return self._try()
         except (LookupError, TypeError, ValueError) as err:
             self._nodes, self._answers, self._look = (), [], None
-            raise Ros1ProtocolError(f"the master's state is not what ROS 1's masters say: {err}") from None
+            raise Ros1ProtocolError(f"the master's state is malformed: {err}") from None
 
     def _try(self) -> MasterState:
         for _ in range(_TRIES):
@@ -110,7 +110,7 @@ class MasterReader:
         return self._look
 
     def _addresses(self, services: list[tuple[str, list[str]]], uris: Mapping[str, str]) -> frozenset[Registration]:
-        """Each service's server; its address is asked for once, again where its node is another or it is in doubt."""
+        """Return each service's server; ask for its address once, and again if its node changes or it is doubted."""
         there = {Registration(nodes[0], name, uris.get(nodes[0], "")) for name, nodes in services if nodes}
         doubted, self._doubted = self._doubted, set()
         self._servers = {k: uri for k, uri in self._servers.items() if k in there and k.topic not in doubted}

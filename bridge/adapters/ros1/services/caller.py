@@ -37,7 +37,7 @@ Doubt = Callable[[Registration, str], None]
 
 
 class _Pending:
-    """One call that is under way; it ends once, whoever is first to end it."""
+    """One pending call; the first end counts."""
 
     def __init__(self, request: bytes, done: Done, over: Callable[[_Pending], None]) -> None:
         self.request = request
@@ -56,7 +56,7 @@ class _Pending:
             done(result)
 
     def abandon(self) -> None:
-        """The caller is gone: a ROS 1 server learns that by its connection alone."""
+        """End the call of a caller that left; closing the connection is ROS 1's only signal for it."""
         if self._take() is not None and self.connection is not None:
             self.connection.cut()
 
@@ -102,8 +102,8 @@ class _ServerConnection(ServiceConnection):
             pending.finish(body)
         else:
             reason = body[:_MAX_ERROR].decode(errors="replace")
-            pending.finish(CallError(reason or "the server says that it failed, and gives no reason"))
-        # It may have answered before it had the whole request, or send or close right behind the answer.
+            pending.finish(CallError(reason or "the server reported a failure without a reason"))
+        # It may have answered before it had the whole request, or it may send or close right after the answer.
         if self.is_at_rest():
             self._owner.freed(self, served=True)
         else:
@@ -225,7 +225,7 @@ class Ros1Caller:
         self._warm()
 
     def _why_not(self) -> str:
-        """Why a call cannot begin now, "" where it can. With the lock held."""
+        """Return why a call cannot begin now, "" if it can. With the lock held."""
         if self._closed:
             return f"{self.name} no longer crosses"
         if self._link is None:
@@ -291,7 +291,7 @@ class Ros1Caller:
     # -- the connection that is kept open ------------------------------------------------------------------------------
 
     def _warm(self) -> None:
-        """Have a connection, so that the next call is quick and a death is noticed; soon, where it did not last."""
+        """Connect in advance, so that the next call is quick and the server's death is noticed; pauses grow."""
         now = time.monotonic()
         with self._lock:
             link = self._link

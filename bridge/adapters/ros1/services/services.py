@@ -1,7 +1,7 @@
-"""The services of a ROS 1 graph: which servers there are, calling them, and serving ours.
+"""The services of a ROS 1 graph: its servers, calls to them, and our servers.
 
-A master names a service's node and address alone. Its type and md5 sum stand in the header that its server answers
-with, so each new one is asked once. Clients leave no trace on the graph: there are none to be shown.
+A master lists only a service's node and address. Its type and md5 sum are in the header with which its server answers,
+so each new one is probed once. Clients leave no trace on the graph, so none are shown.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ _CHECK_PERIOD = 2.0
 
 
 class Ros1Services(Follower[Ros1Caller]):
-    """The services of one edge; ``wake`` has the master looked at, ``doubt`` a service that is not where it said."""
+    """The services of one edge; ``wake`` polls the master, ``doubt`` reports a service with an outdated address."""
 
     def __init__(self, context: Ros1Context, wake: Callable[[], None], doubt: Callable[[str], None]) -> None:
         super().__init__(context, self._handshake, "server")

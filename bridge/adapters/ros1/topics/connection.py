@@ -35,8 +35,8 @@ Refused = Callable[[str, str], None]
 class PublisherConnection(PolledConnection):
     """Reads one publisher's messages until the connection ends.
 
-    Where a loop is given its thread reads them until a large one comes, else, and from then on, one of its own.
-    The attributes without docstring are what rospy's bus statistics (rosnode info) ask of a connection.
+    The loop's thread reads them until a large one comes. From then on, and without a loop, a separate thread does.
+    rospy's bus statistics (rosnode info) need the attributes that have no docstring.
     """
 
     direction = "i"
@@ -51,7 +51,7 @@ class PublisherConnection(PolledConnection):
         self.stat_bytes = self.stat_num_msg = 0
         self.done = False
         self._peer, self._local = sock.getpeername(), sock.getsockname()
-        super().__init__(sock)  # its lock says who closes the socket: nobody reads it before it is started, nor after
+        super().__init__(sock)  # its lock decides which thread closes the socket
         self._deliver, self._ended, self._refused, self._limit = deliver, ended, refused, limit
         self._loop, self._taken = loop, b""
         self._started = self._midway = False
@@ -106,7 +106,7 @@ class PublisherConnection(PolledConnection):
     def _go_on_alone(self) -> None:
         try:
             self._thread.start()
-        except RuntimeError as err:  # the system gives no more threads
+        except RuntimeError as err:  # the system is out of threads
             self._end(str(err))
 
     def abandon(self) -> None:
@@ -207,7 +207,7 @@ class PublisherConnection(PolledConnection):
             self._hand_over(payload)
 
     def _skip(self, count: int) -> bool:
-        """Read so many bytes and forget them; False where the connection ends before."""
+        """Read ``count`` bytes and discard them; return False if the connection ends first."""
         scratch = bytearray(min(count, _CHUNK))
         while count:
             came = self._sock.recv_into(scratch, min(count, _CHUNK))

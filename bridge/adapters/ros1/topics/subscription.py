@@ -2,8 +2,8 @@
 
 rospy's ``Subscriber`` with ``AnyMsg`` connects to every publisher of a topic, whoever made it, puts no limit on a
 message's length, and asks the master for parameters in the caller's thread. Here a connection is opened to publishers
-that are known to be native and of the subscription's type, and to nobody else: what a Midspan published never even
-comes in, and a latched message is not lost while it is not yet known who sent it.
+that are known to be native and of the subscription's type only. Messages of a Midspan are not even received, and a
+latched message is not lost while its publisher is not yet known.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ came through before these know each other was lost; so it waits in the connectio
 
 
 class _SubscribedTopic(_TopicImpl):  # type: ignore[misc]  # rospy has no types
-    """One subscribed topic in rospy's books; what the slave API tells of our subscriptions comes from here."""
+    """One subscribed topic in rospy's topic manager, from which the slave API reports our subscriptions."""
 
     def __init__(self, topic: str) -> None:
         super().__init__(topic, rospy.AnyMsg)
@@ -106,7 +106,7 @@ class Ros1Subscription:
 
     @property
     def connected(self) -> frozenset[Registration]:
-        """The publishers that are heard now."""
+        """The publishers that are connected now."""
         sources = list(self._publishers.items())
         return frozenset(link for link, source in sources if source.reader is not None and not source.reader.done)
 
