@@ -1,6 +1,6 @@
 """Messages as Python values: a message is a mapping with ROS 2's field names, an array of numbers a numpy array.
 
-How single numbers and arrays look is left to subclasses where it differs, such as those of `bridge.messages.json`.
+Subclasses may represent single numbers and arrays differently, such as those of `bridge.messages.json`.
 numpy is loaded with the first array: a worker that passes bytes on has no need of its 6 MB.
 """
 
@@ -120,7 +120,7 @@ class MessageReader:
 
 
 class MessageWriter:
-    """Writes a message; ``where`` is the path of the value at hand, for errors."""
+    """Writes a message; ``where`` is the path of the current value, for errors."""
 
     def __init__(self, schema: Schema) -> None:
         self.schema = schema
@@ -302,7 +302,7 @@ _REJECTED = 1  # action_msgs/srv/CancelGoal_Response.ERROR_REJECTED
 
 
 def refusal(registry: Registry, type_name: str, type_hash: str = "") -> Callable[[], bytes] | None:
-    """Makes the refusing reply in CDR, None where there is none; `MessageTypeError` for an unknown action's service."""
+    """Return a function that makes the refusing reply in CDR, or None; `MessageTypeError` for an unknown action."""
     value = _refusal(type_name)
     if value is None:
         return None

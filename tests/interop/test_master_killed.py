@@ -97,7 +97,7 @@ def program(running: Deployment) -> HubProgram:
 def stand_in(running: Deployment, program: HubProgram) -> Iterator[Process]:
     with Process([ROS1_PYTHON, STAND_IN, "0.5", "5.0"], running.master.env) as process:
         until(lambda: program.client.ready, "the planner is on the hub", SECONDS)
-        until(lambda: program.lists == [{}], "its first list says that it has no goals", SECONDS)
+        until(lambda: program.lists == [{}], "its first list is empty", SECONDS)
         yield process
 
 
@@ -128,7 +128,7 @@ def test_the_goal_of_a_ros_1_client_goes_on_and_is_canceled(
     assert all(state is GoalState.EXECUTING for listed in program.lists[1:] for state in listed.values())
     program.do(lambda: program.client.cancel(goal))
     assert peer.ask("goal", id=sent, until={"ends": 1})["status"] == 5, "PREEMPTED, by its client's own words"
-    until(lambda: program.lists[-1][goal] is GoalState.CANCELED, "the list says so", SECONDS)
+    until(lambda: program.lists[-1][goal] is GoalState.CANCELED, "the list shows it", SECONDS)
     until(lambda: program.moving[-1] == 0.0, "it stands", SECONDS)
     assert stand_in.popen.poll() is None
 
@@ -147,9 +147,9 @@ def test_the_goal_of_a_hub_client_goes_on_and_a_killed_planner_is_lost(
     until(lambda: program.active() == [sent.id], "another goal is listed, still without a master", SECONDS)
     program.drives_on(sent.id)
     stand_in.signal(signal.SIGKILL)
-    until(lambda: program.ended, "the client is told", SECONDS)
+    until(lambda: program.ended, "the client gets the end", SECONDS)
     ((status, result, _),) = program.ended
     assert (sent.accepted, status, result["error_code"]) == (True, GoalState.UNKNOWN, 0)
     assert result["error_msg"] == "lost sight of the goal: its action server /move_base is gone"
     until(lambda: not program.there, "the planner leaves the hub", SECONDS)
-    assert program.lists[-1][sent.id] is GoalState.EXECUTING, "no list says anything of its end"
+    assert program.lists[-1][sent.id] is GoalState.EXECUTING, "no list shows its end"

@@ -30,7 +30,7 @@ from bridge.messages.transcode.conversion import SideType
 
 
 class Listener:
-    """Counts what the edge tells."""
+    """Counts the edge's notifications."""
 
     def __init__(self) -> None:
         self.changes = 0

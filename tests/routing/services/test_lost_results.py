@@ -1,4 +1,4 @@
-"""The reply to a hub client whose get_result call failed: nobody knows how the goal ended, or whether it did."""
+"""The reply to a hub client whose get_result call failed: the goal may still be executing."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Actions of real actionlib servers for the hub, beside native clients."""
+"""Actions of real actionlib servers for the hub, with native clients on the same servers."""
 
 import signal
 import struct
@@ -106,7 +106,7 @@ def test_cancel(master, edge, servers):
     assert [hub.result(a)[0] for a in asked[1:]] == [GoalState.CANCELED] * 2
     stubborn, sent = hub.send(1_000_004)
     assert hub.accepted(sent)
-    assert hub.cancel(stubborn) == (CancelCode.NONE, {stubborn}), "the server's library says so, not its user"
+    assert hub.cancel(stubborn) == (CancelCode.NONE, {stubborn}), "by the server's library, not by its user"
     hub.until_state(stubborn, GoalState.CANCELING)
     hub.close()
 
@@ -166,7 +166,7 @@ def test_goals_of_native_clients_are_seen_followed_and_cancelled(master, edge, s
 
 @pytest.mark.parametrize("how", ["killed", "restarted", "stopped"])
 def test_of_a_server_that_goes_the_goals_are_unknown(master, edge, how):
-    """It has not reported that they ended: nobody else does so for it."""
+    """It has not reported their end, so the bridge does not either."""
     name = f"/{how}"
     with peer_on(master, f"{how}_server") as peer:
         server = peer.ask("server", name=name)["id"]
@@ -195,12 +195,12 @@ def test_of_a_server_that_goes_the_goals_are_unknown(master, edge, how):
         else:
             assert hub.result(asked) == (GoalState.UNKNOWN, 0)
             assert hub.accepted(hub.send(10)[1]) is False
-            assert hub.states()[goal] is GoalState.EXECUTING, "no list is published that says otherwise"
+            assert hub.states()[goal] is GoalState.EXECUTING, "no other list is published"
         hub.close()
 
 
 def test_who_opens_an_action_again_is_not_turned_away(edge, servers):
-    """What is remembered of earlier goals keeps it; that nobody follows it is over at once."""
+    """Earlier goals keep the caller; it accepts goals again as soon as a part is open."""
     servers.ask("server", name="/again")
     for number in range(10):
         hub = HubClient(edge, "/again")
@@ -211,7 +211,7 @@ def test_who_opens_an_action_again_is_not_turned_away(edge, servers):
 
 
 def test_a_server_that_comes_back_is_found_by_what_it_does(tmp_path):
-    """Nothing but its connecting to us tells that it is there: no look at the master comes by itself."""
+    """Only its connection to our topics shows it: the master is not polled."""
     with RosMaster() as master, edge_on(master, tmp_path) as edge:
         with peer_on(master, "returns") as peer:
             peer.ask("server", name="/returns")
@@ -233,7 +233,7 @@ def test_a_server_that_comes_back_is_found_by_what_it_does(tmp_path):
 
 
 def test_a_result_that_was_lost_has_the_state_of_the_list(master, edge, servers, clients):
-    """The goal ended while nobody of ours listened: results are not latched."""
+    """The goal ended while no subscription of ours was connected: results are not latched."""
     peer, native = servers, clients
     server = peer.ask("server", name="/lost")["id"]
     client = native.ask("client", name="/lost")["id"]
@@ -250,7 +250,7 @@ def test_a_result_that_was_lost_has_the_state_of_the_list(master, edge, servers,
 
 
 def move_base_goal(frame):
-    """A MoveBaseGoal: its PoseStamped alone."""
+    """A MoveBaseGoal, which consists of a PoseStamped."""
     text = frame.encode()
     return struct.pack("<IIII", 0, 0, 0, len(text)) + text + struct.pack("<7d", 0, 0, 0, 0, 0, 0, 1)
 
@@ -266,8 +266,8 @@ def test_goals_in_frames_that_are_not_there_are_rejected(master, edge, servers):
         def accepted(frame: str) -> bool:
             return hub.accepted(hub.begin("send_goal", new_uuid() + move_base_goal(frame)))
 
-        # as long as no transform has come, nobody knows which frames there are
-        until(lambda: not accepted("mpa"), "the transforms are heard")
+        # until a transform has come, all frames are unknown
+        until(lambda: not accepted("mpa"), "the transforms are received")
         for frame, good in (("map", True), ("/map", True), ("odom", True), ("mpa", False), ("", False)):
             assert accepted(frame) is good, frame
         wanted = ["map", "map", "odom"]

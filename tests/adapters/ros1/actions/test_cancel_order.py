@@ -73,7 +73,7 @@ def test_one_whose_goal_never_comes_is_remembered_by_the_server(world):
     world.passes(CROSSING_SECONDS)
     assert world.passed == ["cancel a"]
     world.send("a")
-    assert world.passed == ["cancel a", "goal a"], "what the server makes of it is its own matter"
+    assert world.passed == ["cancel a", "goal a"], "the server decides from then on"
 
 
 @pytest.mark.parametrize("why", ["unread", "listed"])

@@ -113,7 +113,7 @@ def test_of_a_server_that_is_lost_each_goal_is_unknown_once_and_no_state_is_publ
         (GoalState.UNKNOWN, EMPTY), (GoalState.UNKNOWN, EMPTY), (GoalState.SUCCEEDED, EMPTY)
     ]  # fmt: skip
     assert [reason(a) for a in asked[:2]] == [GONE, GONE]
-    assert cancelled(stop) == (CancelCode.REJECTED, set()), "nobody confirms it any longer"
+    assert cancelled(stop) == (CancelCode.REJECTED, set()), "it cannot be confirmed any longer"
     assert accepted(world.send(4)) is False, "none is kept for a server that is away"
     world.passes(10.0)
     assert world.states == states_before, "neither its end, nor a list without it: it may still be executed"
@@ -170,7 +170,7 @@ def test_a_goal_that_its_server_no_longer_lists_is_unknown(world):
     world.says((1, Ros1State.ACTIVE))
     world.says()
     assert result(asked) == (GoalState.UNKNOWN, EMPTY)
-    assert world.states[-1] == {}, "the server itself says that it has no such goal"
+    assert world.states[-1] == {}, "by the server's own list it has no such goal"
     world.passes(5.0)
     assert not world.ask(2), "it was never in the list: it may not have arrived yet"
 

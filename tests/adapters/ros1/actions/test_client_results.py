@@ -19,7 +19,7 @@ def world():
     ("state", "why"), [(Ros1State.ABORTED, "no way"), (Ros1State.PREEMPTED, "no way"), (Ros1State.SUCCEEDED, "")]
 )
 def test_what_the_server_says_of_a_goals_end_goes_with_its_result(world, state, why, by_result):
-    """Also where the result was lost; of one that was reached there is no error to tell of."""
+    """Also if the result was lost; a goal that was reached has no error text."""
     world.send(1)
     before = world.ask(1)
     if by_result:
@@ -101,7 +101,7 @@ def test_a_lost_result_is_empty_and_has_the_state_of_the_list(world):
     world.passes(0.2)
     assert result(asked) == (GoalState.SUCCEEDED, EMPTY)
     world.ends(1, Ros1State.SUCCEEDED, b"late")
-    assert result(world.ask(1)) == (GoalState.SUCCEEDED, EMPTY), "it has been told otherwise"
+    assert result(world.ask(1)) == (GoalState.SUCCEEDED, EMPTY), "the empty one was already delivered"
 
 
 def test_a_late_result_counts_where_nobody_has_asked(world):

@@ -1,4 +1,4 @@
-"""The first goal of a fresh actionlib client, and a cancel request right behind it: real roscore, real rospy."""
+"""The first goal of a fresh actionlib client, and a cancel request right after it: real roscore, real rospy."""
 
 import contextlib
 import socket
@@ -55,7 +55,7 @@ def test_a_cancel_right_behind_a_fresh_clients_first_goal_never_overtakes_it(mas
 
 
 class RawClient:
-    """An actionlib client by hand, whose goal connection answers when a test says so; its goal waits in it."""
+    """A hand-written actionlib client, whose goal connection answers on the test's signal; its goal waits."""
 
     def __init__(self, stack, master, name, goal, cancel) -> None:
         self.answers = threading.Event()

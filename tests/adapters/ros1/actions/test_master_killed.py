@@ -52,7 +52,7 @@ class Drive:
         assert not self.hub.answered(self.asked)
 
     def ends(self):
-        """A stop reaches the server: both goals end as their server says."""
+        """A stop reaches the server, and both goals end as the server reports."""
         assert self.hub.cancel(self.native) == (CancelCode.NONE, {self.native})
         (outcome,) = self.client.ask("outcomes", id=self.id, numbers=[24])["outcomes"]
         assert (outcome["state"], outcome["done"]) == (Ros1State.PREEMPTED, 1)
@@ -132,7 +132,7 @@ def test_a_server_that_is_killed_later_is_lost(drive, away):
     state, _, why = wire.read_result_response(drive.hub.reply(drive.asked))
     assert (GoalState(state), why) == (GoalState.UNKNOWN, LOST)
     until(lambda: not shown(edge), "it leaves the graph", SECONDS)
-    assert drive.hub.states() == lists, "the list says nothing of their end"
+    assert drive.hub.states() == lists, "the list does not show their end"
     if away:
         drive.client.signal(signal.SIGKILL)
         until(lambda: edge.ask("network")["network"] is None, "nothing is left of the network", SECONDS)
@@ -192,7 +192,7 @@ def test_the_commands_of_a_node_go_on_without_a_master(master, tmp_path):
 
 
 def test_a_publisher_that_unregisters_leaves_at_once(master, tmp_path):
-    """Its connection ends, and nothing else proves it; the master still is there, and tells as ever."""
+    """Its connection ends, and nothing else proves it; the master goes on."""
     with edge_on(master, tmp_path) as edge, master.peer("leaves") as peer:
         out = peer.advertise("/left", "std_msgs/String")
         edge.endpoint(topic="/left", made_by="native")

@@ -59,7 +59,7 @@ class Connection:
 
 @pytest.fixture
 def limit():
-    """Bytes of a message, where a test has another limit."""
+    """Bytes of the longest message; a test may override it."""
     return module.MAX_MESSAGE
 
 
@@ -131,7 +131,7 @@ def test_a_message_over_the_limit_is_passed_over(connection, size, limit):
 
 
 def test_an_announced_length_alone_takes_no_memory():
-    """The publisher says that 500 MB come, and then nothing."""
+    """The publisher announces 500 MB, and sends nothing."""
     code = (
         "import resource, socket, struct\n"
         "from bridge.adapters.ros1_peers import DeadlineSocket\n"
