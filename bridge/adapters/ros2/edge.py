@@ -29,7 +29,7 @@ from bridge.adapters.ros2.types import TypeSupports
 from bridge.adapters.side_edge import SideEdge
 from bridge.concurrency import DelayedCalls
 from bridge.config.model import Config
-from bridge.hub.endpoints.calls import Abandon, Call, CallError, Done
+from bridge.hub.endpoints.calls import Abandon, Call, Done
 from bridge.hub.graph.tokens import Origin
 from bridge.hub.wire.qos import Qos
 from bridge.messages.actions import GET_RESULT, GoalState, split
@@ -258,7 +258,7 @@ class Ros2Edge(SideEdge):
         service_class = self._service_class(side_type)
         refuse = refusal(self._registry, side_type.name, side_type.type_id)
         if split(name)[1] == GET_RESULT:
-            call = partial(_call_for_end, call)
+            call, refuse = partial(_call_for_end, call), _ended_refusal(refuse)
         return self._kept(Ros2Server(name, service_class, call, refuse, self._started(), self._closed))
 
     def _started(self) -> Ros2Context:
@@ -304,15 +304,19 @@ class Ros2Edge(SideEdge):
 
 
 _STATUS = 4
-"""Where a GetResult response in CDR has the goal's status."""
+"""Offset of the goal's status in a GetResult response in CDR."""
+
+
+def _ended(response: bytes) -> bytes:
+    """Return a GetResult response with a final state: what is UNKNOWN on the hub is ABORTED for a ROS 2 client."""
+    if response[_STATUS : _STATUS + 1] != bytes([GoalState.UNKNOWN]):
+        return response
+    return response[:_STATUS] + bytes([GoalState.ABORTED]) + response[_STATUS + 1 :]
+
+
+def _ended_refusal(refuse: Callable[[], bytes] | None) -> Callable[[], bytes] | None:
+    return None if refuse is None else lambda: _ended(refuse())
 
 
 def _call_for_end(call: Call, request: bytes, done: Done) -> Abandon:
-    """Call get_result for a ROS 2 client, which gets an end: what is UNKNOWN on the hub is ABORTED for it."""
-
-    def ended(reply: bytes | CallError) -> None:
-        if isinstance(reply, bytes) and reply[_STATUS : _STATUS + 1] == bytes([GoalState.UNKNOWN]):
-            reply = reply[:_STATUS] + bytes([GoalState.ABORTED]) + reply[_STATUS + 1 :]
-        done(reply)
-
-    return call(request, ended)
+    return call(request, lambda reply: done(_ended(reply) if isinstance(reply, bytes) else reply))

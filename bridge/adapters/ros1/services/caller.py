@@ -102,7 +102,7 @@ class _ServerConnection(ServiceConnection):
             pending.finish(body)
         else:
             reason = body[:_MAX_ERROR].decode(errors="replace")
-            pending.finish(CallError(reason or "the server reported a failure without a reason"))
+            pending.finish(CallError(reason or "the server reported a failure and gave no reason"))
         # It may have answered before it had the whole request, or it may send or close right after the answer.
         if self.is_at_rest():
             self._owner.freed(self, served=True)
