@@ -116,7 +116,7 @@ def test_a_call_prints_the_reply(midspan: Midspan, robot: Robot) -> None:
         (["/lamp", "std_srvs/Trigger"], "is std_srvs/srv/SetBool on the hub"),
         (["/lamp", "{data: true}", "std_srvs/SetBool"], "is no type"),
         (["/lamp", "{data: false}", "--timeout", "0.2"], "has not answered in 0.2 s"),
-        (["/nowhere"], "nobody serves /nowhere"),
+        (["/nowhere"], "serves /nowhere"),
         (["/lamp", "[1]"], "must be a map"),
     ],
 )

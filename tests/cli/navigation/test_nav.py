@@ -276,7 +276,7 @@ def test_nowhere(midspan: Midspan, words: list[str], why: str) -> None:
 
 
 def test_status_pause_resume_and_stop(rig: Rig, midspan: Midspan) -> None:
-    assert midspan("nav", "pause").err == "midspan: there is no goal to pause\n"
+    assert "no goal to pause" in midspan("nav", "pause").err
     assert midspan("nav", "resume").code == 1
     assert midspan("nav", "status", "--json").json()["planner"] == "robot_goto"
     rig.ask("go_to", name="kitchen")
