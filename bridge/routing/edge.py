@@ -1,6 +1,6 @@
 """What every side's edge offers to the engine that routes between it and the hub.
 
-An edge writes little: it says what is on its side's graph, opens and closes endpoints there, and hands over bytes.
+An edge is small: it lists its side's graph, opens and closes endpoints there, and passes bytes on.
 Rules, conversion, queues, latching, origins and counters are the engine's, written once in ``bridge.routing``.
 """
 
@@ -27,7 +27,7 @@ _NO_SERVICES = "{name}: services do not cross to {side}"
 
 Deliver = Callable[[bytes, str, int | None], None]
 """``deliver(payload, source, time_ns)``: one message in the side's wire bytes; ``source`` is the id of the endpoint
-that published it, ``time_ns`` the source's time stamp on the system clock where the middleware carries one."""
+that published it, ``time_ns`` the source's time stamp on the system clock if the middleware carries one."""
 
 
 class Kind(Enum):
@@ -66,8 +66,8 @@ class Endpoint:
         topic: absolute name of the topic or service as the side spells it.
         type: the type's name as the side spells it (ROS 1 ``std_msgs/String``, ROS 2 ``std_msgs/msg/String``; services
             ``std_srvs/SetBool``, ``std_srvs/srv/SetBool``; an action's ``nav2_msgs/action/NavigateToPose_SendGoal``).
-        type_id: what the endpoint itself announced of its type (md5 or RIHS01), "" where unknown.
-        definition: full definition text where the middleware carries one (ROS 1 connection header), else "".
+        type_id: the hash of its type that the endpoint announced (md5 or RIHS01), "" if unknown.
+        definition: full definition text if the middleware carries one (ROS 1 connection header), else "".
         node: fully qualified node name, for people.
         obstacle: why the calls of a server or client do not cross, None if they do.
     """
@@ -88,8 +88,8 @@ class Endpoint:
 class Sighting:
     """Another Midspan worker that is on this side's network now.
 
-    ``id`` tells it from the others, in the edge's own words; ``record`` is what it announced last (`Edge.announce`),
-    None while only its being there is known; ``heard`` is ``time.monotonic()`` when that came, or it was first seen.
+    ``id`` identifies it, in a form that the edge chooses; ``record`` is its last announcement (`Edge.announce`),
+    None before the first; `heard` is ``time.monotonic()`` when that arrived, or the worker was first seen.
     """
 
     id: str
@@ -98,7 +98,7 @@ class Sighting:
 
 
 class EdgeListener(Protocol):
-    """What an edge tells the engine; each call only sets a flag and wakes a thread."""
+    """An edge's notifications to the engine; each call only sets a flag and wakes a thread."""
 
     def graph_changed(self) -> None:
         """The endpoints, their qualities or the network's identity may have changed."""
@@ -118,7 +118,7 @@ class EdgeSubscription(Protocol):
 
     @property
     def lost(self) -> int:
-        """Messages so far that the side did not bring, as far as it tells; else 0."""
+        """Messages lost by the side so far; 0 if it does not report them."""
 
     def close(self) -> None:
         """Stop delivering and give the endpoint back. Safe to call twice."""
@@ -129,11 +129,11 @@ class EdgePublisher(Protocol):
 
     @property
     def dropped(self) -> int:
-        """Messages so far that slow subscribers of this topic missed, as far as the side tells; else 0."""
+        """Messages so far that slow subscribers of this topic missed; 0 if the side does not report them."""
 
     @property
     def heard(self) -> bool:
-        """Whether somebody on the side listens to the topic; True where the side does not tell.
+        """Whether the topic has subscribers on the side; True if the side does not report them.
 
         The edge calls `EdgeListener.graph_changed` when it changes.
         """
@@ -162,7 +162,7 @@ class EdgeServer(Protocol):
     """A server that the bridge holds on the side."""
 
     def close(self) -> None:
-        """Abandon every call that is under way, tell its caller, and give the endpoint back. Safe to call twice."""
+        """Abandon every pending call, inform its caller, and give the endpoint back. Safe to call twice."""
 
 
 class Edge(ABC):
@@ -180,7 +180,7 @@ class Edge(ABC):
 
     @abstractmethod
     def start(self, listener: EdgeListener) -> None:
-        """Begin joining the network; returns at once, also where the network is away (it is then joined later)."""
+        """Begin joining the network; returns at once, also while the network is away (it is then joined later)."""
 
     @abstractmethod
     def stop(self) -> None:
@@ -208,7 +208,7 @@ class Edge(ABC):
 
     @abstractmethod
     def learn(self, type_name: str, definition: str) -> None:
-        """A definition of a ROS 2 type that another worker told on the hub; a later `from_hub` may use it."""
+        """Learn a definition of a ROS 2 type that another worker published on the hub, for a later `from_hub`."""
 
     @abstractmethod
     def subscribe(self, topic: str, side_type: SideType, qos: Qos, deliver: Deliver) -> EdgeSubscription:
@@ -216,7 +216,7 @@ class Edge(ABC):
 
     @abstractmethod
     def advertise(self, topic: str, side_type: SideType, qos: Qos) -> EdgePublisher:
-        """Advertise on the side; raises `bridge.messages.errors.MessageTypeError` where the type cannot be used."""
+        """Advertise on the side; raises `bridge.messages.errors.MessageTypeError` if the type cannot be used."""
 
     def service_to_hub(self, endpoint: Endpoint) -> ServiceConversion:
         """Conversion of a server's type; raises `bridge.messages.errors.MessageTypeError`."""
@@ -235,9 +235,8 @@ class Edge(ABC):
     def serve(self, name: str, side_type: SideType, call: Call) -> EdgeServer:
         """Serve ``name`` on the side; ``call`` gets the side's request bytes and answers with the side's reply bytes.
 
-        ``call`` runs on a thread of the edge and returns at once. What ends with
-        `bridge.hub.endpoints.calls.CallError` is told to the caller as the side tells errors. Raises
-        `bridge.messages.errors.MessageTypeError`.
+        ``call`` runs on a thread of the edge and returns at once. A `bridge.hub.endpoints.calls.CallError` reaches the
+        client as the side's form of an error. Raises `bridge.messages.errors.MessageTypeError`.
         """
         del side_type, call
         raise MessageTypeError(_NO_SERVICES.format(side=self.side, name=name))
@@ -247,23 +246,23 @@ class Edge(ABC):
     ) -> Callable[[], None]:
         """Do the side's part for the parameters that rules name, until the returned call; most sides have none.
 
-        Called once `start` was; ``active`` says whether this worker is the one that joins the network to the hub.
+        Called once `start` was; ``active`` returns whether this worker is the one that joins the network to the hub.
         """
         del rules, hub, active
         return lambda: None
 
     def announce(self, record: bytes) -> None:  # noqa: B027 - a side without other Midspan workers has nothing to do
-        """Tell all other Midspan workers on this side's network, those that come later too; replaces the last record.
+        """Send a record to all Midspan workers on this side's network, also later ones; it replaces the last record.
 
-        Called some five times a second by one thread, with up to some kilobytes. It also says that this worker lives,
-        so every record is sent, even one that equals the last; none is queued behind another.
+        Called some five times a second by one thread, with up to some kilobytes. It is a heartbeat, too,
+        so every record is sent, even one that equals the last; records are not queued.
         """
 
     def sightings(self) -> Sequence[Sighting]:
         """The other Midspan workers on this very network, whatever daemon, node or hub they belong to.
 
-        One that left in good order, or whose death the side tells, is gone at once; one that may be standing still
-        stays, and its ``heard`` tells. Dead predecessors of this very daemon are left out.
+        One that left in good order, or whose death the side reports, disappears at once; one that may be suspended
+        stays, with an old `heard`. Dead predecessors of this daemon are left out.
         """
         return ()
 
@@ -284,16 +283,16 @@ class Edge(ABC):
         return side_name
 
     def is_heard(self, topic: str) -> bool:
-        """Whether somebody else on the side subscribes to a topic."""
+        """Whether another node on the side subscribes to a topic."""
         return any(e.topic == topic and e.kind is Kind.SUBSCRIPTION for e in self.endpoints())
 
     def went_on(self, seconds: float) -> None:  # noqa: B027  most have nothing to do
-        """The process stood still for so long, maybe until the network took it for dead, and runs again."""
+        """Handle a resumed process that was suspended for ``seconds``: the network may consider it dead."""
 
     def details(self) -> dict[str, Any]:
-        """What a side has besides to tell in its status document."""
+        """Return further entries of the side's status document."""
         return {}
 
     def warnings(self) -> list[str]:
-        """What is wrong on the side and not with one route alone, for people; for example incompatible QoS."""
+        """Return problems of the side beyond single routes, for people; for example incompatible QoS."""
         return []

@@ -40,7 +40,7 @@ _log = logging.getLogger(__name__)
 
 _TICK = 1.0
 _LOOK = 10.0  # a look without being woken, should a change ever go untold
-_SHARE, _LONGEST = 1000, 60.0  # nor sooner than after so many times what the last one cost: 0.1 % of a core
+_SHARE, _LONGEST = 1000, 60.0  # the pause is at least 1000 times the last cost: 0.1 % of a core
 _RETRY = 2.0  # what was refused may work by now
 _SETTLE = 0.02
 _TURN_SECONDS = 3.0  # a turn that stands still for longer hangs
@@ -54,7 +54,7 @@ _ENDS = {
 class Summary:
     """How an engine is; ``network`` is None while away, ``rate`` messages and calls a second over all routes.
 
-    ``standing_by`` names the daemons that are active in our stead, ``waiting`` says why nothing crosses yet; else "".
+    ``standing_by`` names the daemons that are active in our stead, ``waiting`` is why nothing crosses yet; else "".
     """
 
     network: str | None
@@ -73,7 +73,7 @@ class Summary:
 
     @property
     def text(self) -> str:
-        """The text beside the word, for people; "" while the network is away."""
+        """Details of the state for people; "" while the network is away."""
         if self.standing_by:
             return f"{self.standing_by} is active on this network"
         if self.network is None or self.waiting:
@@ -253,13 +253,13 @@ class Engine:
         self.hub.set_origin(Origin(self.edge.side, network, self._daemon) if network is not None else None)
 
     def tap(self, topic: str, seconds: float) -> dict[str, str]:
-        """Show a topic that does not cross on the hub for so many seconds; see `SideToHubTopics.tap`."""
+        """Show a topic that does not cross on the hub for a number of seconds; see `SideToHubTopics.tap`."""
         return self._topics_to_hub.tap(topic, seconds)
 
     # -- reports -------------------------------------------------------------------------------------------------------
 
     def alive(self) -> str:
-        """Raise `TimeoutError` where the loop or a dispatcher hangs; a text about a loop that computes, or ""."""
+        """Raise `TimeoutError` if the loop or a dispatcher hangs; return a text about a busy loop, or ""."""
         said = [
             self._step.judge(f"the {self.edge.side} engine's loop", self._beat),
             self._peers.alive(),
@@ -277,7 +277,7 @@ class Engine:
             return list(self._decisions)
 
     def summary(self) -> Summary:
-        """How the engine is, in numbers; cheap, whatever the number of routes."""
+        """Return the engine's state in numbers; cheap with any number of routes."""
         outcome, routes = self._peers.outcome, len(self.routes())
         return Summary(self._network, routes, self._refused, self._rate, outcome.standing_by, outcome.waiting)
 

@@ -308,7 +308,7 @@ _STATUS = 4
 
 
 def _ended(response: bytes) -> bytes:
-    """Return a GetResult response with a final state: what is UNKNOWN on the hub is ABORTED for a ROS 2 client."""
+    """Return a GetResult response with a final state: UNKNOWN on the hub becomes ABORTED for a ROS 2 client."""
     if response[_STATUS : _STATUS + 1] != bytes([GoalState.UNKNOWN]):
         return response
     return response[:_STATUS] + bytes([GoalState.ABORTED]) + response[_STATUS + 1 :]

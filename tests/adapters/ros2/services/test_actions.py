@@ -1,4 +1,4 @@
-"""A real ActionClient and a real ActionServer that meet through the edge alone, as three services and two topics."""
+"""A real ActionClient and a real ActionServer that meet through the edge only, as three services and two topics."""
 
 from __future__ import annotations
 
