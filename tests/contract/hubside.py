@@ -73,7 +73,7 @@ class HubSide:
             return list(self._heard[endpoint])
 
     def wait_without(self, endpoint: int, probe: str, count: int) -> list[dict[str, Any]]:
-        """All that was heard but the probes, once so many others have come."""
+        """Return all messages but the probes, once ``count`` of these have arrived."""
 
         def others() -> list[dict[str, Any]]:
             return [m for m in self._heard[endpoint] if m["data"] != probe]
@@ -89,13 +89,13 @@ class HubSide:
             self._subscriptions.pop(endpoint).close()
 
     def hub_publish_until(self, endpoint: int, message: dict[str, Any], heard: Callable[[], Any]) -> None:
-        """Publish again and again until it is heard, since a stream's first messages may find no route yet."""
+        """Publish repeatedly until a message arrives, since the route may not exist yet for the first ones."""
 
         def once() -> Any:
             self.publish(endpoint, message)
             return heard()
 
-        until(once, "a message from the hub is heard on the side", 20)
+        until(once, "a message from the hub arrives on the side", 20)
 
     def publish_until(self, peer: PeerLike, endpoint: int, message: dict[str, Any], heard: Callable[[], Any]) -> None:
         """The same from a peer on the side."""
@@ -104,7 +104,7 @@ class HubSide:
             peer.publish(endpoint, message)
             return heard()
 
-        until(once, "a message from the side is heard on the hub", 20)
+        until(once, "a message from the side arrives on the hub", 20)
 
     def close(self) -> None:
         """Leave the hub."""

@@ -71,7 +71,7 @@ class Deployment:
         self.file.write_text(yaml.safe_dump(config))
 
     def start(self, **sections: Any) -> None:
-        """Start roscore and the daemon; returns when the workers of ROS, and of YARP where it is used, have joined."""
+        """Start roscore and the daemon; returns when the workers of ROS, and of YARP if it is used, have joined."""
         self.master.start()
         self.configure(**sections)
         self.run()
@@ -94,14 +94,14 @@ class Deployment:
         )
 
     def status(self) -> list[dict[str, Any]]:
-        """What the workers tell of themselves."""
+        """Return the status of each worker."""
         if self._watch is None:
             self._watch = Hub.open(self.settings("watch", "w"))
             self._open.append(_Closer(self._watch))
         return [a.value for a in self._watch.ask("status", {}, timeout=ANSWER_SECONDS) if isinstance(a.value, dict)]
 
     def explain(self, topic: str) -> list[dict[str, Any]]:
-        """What the workers decided of a topic."""
+        """Return the workers' decisions on a topic."""
         assert self._watch is not None
         answers = self._watch.ask("explain", {"topic": topic}, timeout=ANSWER_SECONDS)
         return [line for a in answers if isinstance(a.value, list) for line in a.value]

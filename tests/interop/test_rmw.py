@@ -1,4 +1,4 @@
-"""A node of rmw_zenoh beside a running daemon receives every message, and its own arrive."""
+"""A node of rmw_zenoh on the hub of a running daemon receives every message, and its messages arrive."""
 
 from __future__ import annotations
 
@@ -107,12 +107,12 @@ def test_the_messages_of_midspan_topic_pub_arrive_whole(shared: Deployment) -> N
 
 
 def _settled(program: Any, received: int) -> int:
-    """Return how many messages arrived, once no more are on their way."""
+    """Return how many messages arrived, once the last probe has arrived."""
     counts = [-1]
 
     def stands() -> bool:
         counts.append(len(program.wait(received, counts[-1] + 1, 1.0)))
         return counts[-1] == counts[-2]
 
-    until(stands, "no probe is on its way")
+    until(stands, "the last probe arrives")
     return counts[-1]

@@ -1,4 +1,4 @@
-"""A hub of a test's own: a router on a free port, and settings for sessions that join it."""
+"""A hub for one test: a router on a free port, and settings for sessions that join it."""
 
 from __future__ import annotations
 
@@ -23,12 +23,13 @@ from tests.support.zenoh_rmw import rmw_session
 
 ROUTER_PROGRAM = Path(__file__).with_name("hub_router.py")
 PEER_PROGRAM = Path(__file__).with_name("hub_peer.py")
+RMW_PROGRAM = Path(__file__).with_name("rmw_node.py")
 SDK_PROGRAM = Path(__file__).with_name("zenoh_peer.py")
 ROOT = Path(__file__).parents[2]
 
 
 class HubNetwork:
-    """A router in a process of its own on a free port of loopback.
+    """A router in a separate process on a free port of loopback.
 
     Args:
         domain: the hub's domain.
@@ -85,7 +86,7 @@ class HubNetwork:
         assert router.popen.poll() is None, router.output()
 
     def stop_router(self) -> None:
-        """End the router, and leave the hub's other sessions alone."""
+        """End the router; the other sessions of the hub stay open."""
         if self._router is not None:
             self._router.stop()
             self._router = None
@@ -98,7 +99,7 @@ class HubNetwork:
 
     @contextmanager
     def program(self) -> Iterator[zenoh.Session]:
-        """A session of a plain zenoh program, which knows nothing of the hub."""
+        """A session of a plain zenoh program without ROS 2."""
         tree = session_tree(self.endpoint, shared_memory=False, max_payload=1 << 20)
         with zenoh.open(make_config(tree, {"mode": "client"})) as session:
             yield session
@@ -109,13 +110,18 @@ class HubNetwork:
         with rmw_session(self.endpoint, mode) as session:
             yield session
 
+    def rmw_process(self, node: str, lease: float) -> Process:
+        """A node of rmw_zenoh in a separate process, with a lease in seconds; see `tests.support.rmw_node`."""
+        arguments = [self.endpoint, str(self.domain), node, str(round(lease * 1000))]
+        return Process([sys.executable, RMW_PROGRAM, *arguments], {"PYTHONPATH": str(ROOT)}, pipes=True)
+
     def hub_peer(self, node: str, **more: Any) -> Peer:
-        """A hub session in a process of its own, driven by `tests.support.hub_peer`'s commands."""
+        """A hub session in a separate process, driven by `tests.support.hub_peer`'s commands."""
         env = {"_ROS_WHEELS_BOOTSTRAP_COMPLETE": "1", "PYTHONPATH": str(ROOT)}
         settings = json.dumps(asdict(self.settings(node, **more)))
         return Peer(PEER_PROGRAM, Path(sys.executable), env, settings)
 
     def sdk_peer(self) -> Peer:
-        """A zenoh-ros2-sdk program on this hub, in a process of its own."""
+        """A zenoh-ros2-sdk program on this hub, in a separate process."""
         env = {"_ROS_WHEELS_BOOTSTRAP_COMPLETE": "1", "HOME": "/nonexistent"}
         return Peer(SDK_PROGRAM, Path(sys.executable), env, str(self.port), str(self.domain))

@@ -2,8 +2,8 @@
 
 Written from the plugins' sources (zenoh-plugin-ros2dds of August 2026: ``liveliness_mgt.rs``, ``route_publisher.rs``,
 ``route_subscriber.rs``; zenoh-plugin-ros1 of May 2025: ``topic_utilities.rs``, ``discovery.rs``,
-``aloha_declaration.rs``), with nothing of Midspan's own code, messages included. A peer is a bridge with ROS nodes
-behind it; these hear each other as ROS nodes do. See `tests.support.peer` for the commands.
+``aloha_declaration.rs``), without code of Midspan, messages included. A peer is a bridge together with its ROS nodes,
+which receive each other's messages. See `tests.support.peer` for the commands.
 """
 
 from __future__ import annotations
@@ -70,7 +70,7 @@ class Router:
 
 
 class Program:
-    """What all of these programs have in common: numbered endpoints, and what each heard."""
+    """The base of all these programs: numbered endpoints, and the messages that each received."""
 
     def __init__(self, endpoint: str) -> None:
         self.session = open_session(endpoint)
@@ -115,9 +115,9 @@ class Program:
             self.hear(number, type_, data)
 
     def until_heard_of(self, endpoint: int) -> None:
-        """Wait until somebody subscribes to what a publisher says."""
+        """Wait for a subscription to a publisher."""
         publisher = self._things[endpoint][2][-1]
-        until(lambda: publisher.matching_status.matching, "somebody subscribes")
+        until(lambda: publisher.matching_status.matching, "a subscription exists")
 
     def wait(self, endpoint: int, count: int, seconds: float = 40.0) -> list[Any]:
         with self._changed:
@@ -137,7 +137,7 @@ class Program:
         raise NotImplementedError
 
     def ask(self, do: str, **params: Any) -> dict[str, Any]:
-        """The words of services; see `tests.support.peer`."""
+        """Execute a command for services; see `tests.support.peer`."""
         if do == "serve":
             serving, parts = self.serve(params["service"], params["type"], params)
             number = self.add(params["service"], params["type"], [*parts, serving])
@@ -252,7 +252,7 @@ class Ros2ddsBridge(Program):
         return Calling(self.session, self.key(service), self.wire, type_, request)
 
     def all_tokens(self) -> set[str]:
-        """All tokens of the dialect that are there."""
+        """Return all current tokens of the dialect."""
         return set(self._tokens)
 
     def tokens(self, topic: str, letters: str = "MP") -> list[str]:
@@ -278,7 +278,7 @@ def _is_cdr(query: zenoh.Query) -> bool:
 
 
 class Beacon:
-    """A plugin's beacon on one key, silent as the plugin's is where others beacon there (``aloha_declaration.rs``)."""
+    """A plugin's beacon on one key, which pauses when others beacon there (``aloha_declaration.rs``)."""
 
     def __init__(self, session: zenoh.Session, key: str, period: float, *, sending: bool = True) -> None:
         self._period, self._sending = period, sending
@@ -318,7 +318,7 @@ class Beacon:
 
 
 class Ros1Bridge(Program):
-    """A zenoh-bridge-ros1, its ROS 1 nodes latching or not: the plugin does not tell."""
+    """A zenoh-bridge-ros1; the plugin does not announce whether its ROS 1 nodes latch."""
 
     def __init__(self, endpoint: str, messages: Messages, namespace: str = "*", period: float = 1.0) -> None:
         super().__init__(endpoint)
@@ -332,7 +332,7 @@ class Ros1Bridge(Program):
         )
 
     def deafen(self) -> None:
-        """Hear no more beacons but those of its own topics."""
+        """Ignore all beacons except those of its topics."""
         self.watch.undeclare()
         self.watch = self.session.declare_subscriber("nothing", zenoh.handlers.Callback(self._on_beacon))
 
@@ -394,7 +394,7 @@ class Ros1Bridge(Program):
         return Calling(self.session, self.key(service, type_, MD5[type_]), self.wire, type_, request)
 
     def beacons(self) -> list[str]:
-        """Whose beacons were heard in the last three periods, its own among them."""
+        """Return the keys of all beacons received in the last three periods, including its own."""
         now = time.monotonic()
         return sorted(key for key, heard in self._beacons.items() if now - heard < 3 * self._period)
 
@@ -410,7 +410,7 @@ class Ros1Bridge(Program):
 
 
 class JsonProgram(Program):
-    """A program without ROS that speaks JSON; topics and services are keys."""
+    """A program without ROS that uses JSON; topics and services are keys."""
 
     def __init__(self, endpoint: str) -> None:
         super().__init__(endpoint)

@@ -19,7 +19,7 @@ LAST = SOURCE_NUMBERS - 1
 
 
 class Reader:
-    """An advanced subscriber without options, on a session of its own."""
+    """An advanced subscriber without options, on a separate session."""
 
     def __init__(self, endpoint: str, key: str) -> None:
         self.samples: list[zenoh.Sample] = []
@@ -62,7 +62,7 @@ def test_every_message_of_a_dialect_arrives(place: Place, dialect: dict[str, Any
 
 
 def test_every_beacon_of_the_ros1_dialect_arrives(place: Place) -> None:
-    """A program that reads the beacons so received the first one only, and dropped the topic soon after."""
+    """Such a program received the first beacon only, and dropped the topic soon after."""
     reader = Reader(place.router.endpoint, "ros1_discovery_info/**")
     place.bridge({"dialect": "ros1"})
     place.far.advertise("/orders", STRING)

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import signal
 import time
+from contextlib import ExitStack
 from dataclasses import replace
 from typing import Any
 
@@ -15,6 +17,7 @@ from bridge.hub.session import Hub
 from bridge.hub.wire.keys import topic_key
 from bridge.hub.wire.qos import History, Qos
 from bridge.hub.zenoh_compat import SOURCE_NUMBERS, source_infos
+from bridge.hub.zenoh_config import LEASE_MS
 from tests.hub.parts import BEST_EFFORT_LATCHED, HASH, LATCHED, STREAM, TYPE, Heard, matched, see_each_other, talk
 from tests.support.hub import HubNetwork
 from tests.support.wait import until
@@ -35,7 +38,7 @@ def key(network: HubNetwork, topic: str) -> str:
 
 
 def linked(hub: Hub, rmw: zenoh.Session) -> None:
-    """Wait for the direct link; a late subscription may receive live what is on its way to the router."""
+    """Wait for the direct link; through the router, a late subscription may receive older messages live."""
     until(lambda: hub.zid in map(str, rmw.info.peers_zid()), "the sessions are linked directly")
 
 
@@ -229,3 +232,28 @@ def test_messages_that_a_link_dropped_are_recovered_both_ways() -> None:
         until(lambda: [t for t in at_rmw.texts() if t.startswith("ours")][2:], "all of ours are recovered")
         assert [t for t in at_rmw.texts() if t.startswith("ours")] == ["ours one", "ours two", "ours three"]
         assert at_hub.subscription.lost == 0
+
+
+# leases
+
+
+def test_a_frozen_node_leaves_after_the_lease_of_its_own_session(network: HubNetwork) -> None:
+    """A node of rmw_zenoh has 60 s by default, whatever the lease of Midspan's sessions, which is 3 s."""
+    leases = {"short": 1.0, "long": 8.0}
+
+    def present() -> set[str]:
+        return {node.node for node in a.graph.nodes()} & leases.keys()
+
+    with Hub.open(network.settings("a")) as a, ExitStack() as ends:
+        nodes = []
+        for name, lease in leases.items():
+            nodes.append(network.rmw_process(name, lease))
+            ends.callback(nodes[-1].stop, 0.0)
+        until(lambda: present() == leases.keys() and len(a.graph.subscriptions()) == 2, "both are there")
+        frozen = time.monotonic()
+        for node in nodes:
+            node.signal(signal.SIGSTOP)
+        until(lambda: present() == {"long"}, "the node with the short lease leaves", every=0.05)
+        until(lambda: not present(), "the node with the long lease leaves", every=0.05)
+        assert time.monotonic() - frozen > LEASE_MS / 1000 + 1.0
+        assert not a.graph.subscriptions()

@@ -85,7 +85,7 @@ def test_others_hear_what_goes_by_the_lane(network: HubNetwork, reader: Hub, wri
     heard, every = Heard(reader, "/t"), Heard(reader, "/t", type_hash="*")
     goes_by(heard, "lane")
     goes_by(every, "lane")
-    until(lambda: ours.way() == ("lane", ""), "the publisher knows, and takes nobody's zenoh for the other's")
+    until(lambda: ours.way() == ("lane", ""), "the publisher knows both subscriptions")
     with Hub.open(network.settings("foreign")) as far:
         strange = Heard(far, "/t")
         until(lambda: ours.way()[0] == "both", "both listen")
@@ -151,7 +151,7 @@ def test_late_publishers_and_listeners(reader: Hub, writer: Hub) -> None:
     second.put(b"two")
     heard.expect("at once", "one", "two")
     # the first message came to the other by the lane; zenoh's may be under way still
-    until(lambda: {"one", "two"} <= set(later.texts()), "the later one hears them")
+    until(lambda: {"one", "two"} <= set(later.texts()), "the later one receives them")
     assert sorted(later.texts()) in (["one", "two"], ["at once", "one", "two"])
     later.subscription.close()
     heard.subscription.close()
