@@ -133,7 +133,7 @@ def test_goals_and_velocities_are_commands_by_any_of_the_names() -> None:
     [
         ({"planner": "moovebase"}, "no planner is named 'moovebase'"),
         ({"planners": [{"name": "x", "side": "zenoh", "action": "/navigate_to_pose"}]}, "is the gateway's on the hub"),
-        ({"planners": [{"name": "robot_goto", "side": "ros1", "action": "/x"}]}, "is a planner of Midspan's"),
+        ({"planners": [{"name": "robot_goto", "side": "ros1", "action": "/x"}]}, "is one of Midspan's own planners"),
         ({"planners": [{"name": "x", "side": "ros1", "action": "x"}]}, "begin it with a slash"),
         ({"planners": [{"name": "x", "side": "ros1", "action": "/x"}] * 2}, "two planners have the name x"),
         ({"doors": {"yarp": ["navigation"]}}, "is not a name of a YARP port"),

@@ -1,4 +1,4 @@
-"""The section ``navigation``: the planner, and who is where on each side; see docs/navigation/navigation.md."""
+"""The section ``navigation``: the planners, and the names that their clients use; see docs/navigation/navigation.md."""
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ from bridge.config.sections.section import (
     subsection,
 )
 
-OURS = ("robot_path_planner", "robot_goto")  # planners that are modules of Midspan's
+OURS = ("robot_path_planner", "robot_goto")  # planners that are modules of Midspan
 ACTION = "/navigate_to_pose"  # the gateway's action on the hub
-GOAL_POSE = "/goal_pose"  # the topic of the hub on which the gateway hears goals
+GOAL_POSE = "/goal_pose"  # the hub's topic on which the gateway receives goals
 HOLD, HOLD_TYPE = "/navigation/hold", "std_msgs/msg/Bool"
-"""Where the gateway says, latched, whether the planner's velocities are held back; see `bridge.routing.hold`."""
+"""The gateway's latched topic: whether the planner's velocities are held back; see `bridge.routing.hold`."""
 
 
 NAV2_MOTION = (
@@ -34,7 +34,7 @@ NAV2_MOTION = (
 
 
 def planner_action(name: str) -> str:
-    """Where a planner serves its action on the hub."""
+    """Return a planner's action on the hub."""
     return f"/planner/{name}/navigate_to_pose"
 
 
@@ -49,14 +49,14 @@ class Planner(Section):
     current_goal: OptionalTopic = setting("", 'Topic of its current goal (`geometry_msgs/msg/PoseStamped`); "": none.')
     velocity: OptionalTopic = setting("", "Its topic of velocities, if other than `navigation.velocity`.")
     motion_actions: tuple[TopicName, ...] | None = setting(
-        None, "Other actions there that move the base, which a stop cancels too; empty: Nav2's, except on ROS 1."
+        None, "Other actions there that move the base, which a stop cancels too; not set: Nav2's, and none on ROS 1."
     )
 
     @field_validator("name")
     @classmethod
     def _name_is_one(cls, value: str) -> str:
         if value in OURS:
-            raise ValueError(f"{value} is a planner of Midspan's; give yours another name")
+            raise ValueError(f"{value} is one of Midspan's own planners; give yours another name")
         return value
 
     @model_validator(mode="after")
@@ -75,7 +75,7 @@ class Planner(Section):
 
     @property
     def on_hub(self) -> str:
-        """Its action on the hub."""
+        """The planner's action on the hub."""
         return self.action if self.side == "zenoh" else planner_action(self.name)
 
 
@@ -96,7 +96,7 @@ KNOWN = {
 
 
 class DoorsSection(Section):
-    """The names at which each side's clients ask. The gateway leaves a name to the planner that has it."""
+    """The names that clients on each side use. The gateway leaves a name to a planner that has it."""
 
     ros1: OptionalTopic = setting("/move_base", 'The actionlib server (`MoveBase`) on ROS 1; "": none.')
     ros1_goal: OptionalTopic = setting("/move_base_simple/goal", 'Topic of goals on ROS 1 (`PoseStamped`); "": none.')
@@ -113,22 +113,26 @@ class NavigationSection(Section):
 
     planner: str = setting(
         "",
-        "Who drives: `robot_path_planner` or `robot_goto` (Midspan's modules), `move_base` (ROS 1), `nav2` (ROS 2), or"
-        ' one of `planners`; "": nobody, and the gateway does not run.',
+        "The planner: `robot_path_planner` or `robot_goto` (Midspan's modules), `move_base` (ROS 1), `nav2` (ROS 2), or"
+        ' one of `planners`; "": none, and the gateway does not run.',
     )
-    planners: tuple[Planner, ...] = setting((), "Planners that are not Midspan's, besides `move_base` and `nav2`.")
+    planners: tuple[Planner, ...] = setting(
+        (), "Planners that are not part of Midspan, other than `move_base` and `nav2`."
+    )
     localizer: Literal["own", "amcl", "tf", "topic", "port", "server"] | None = setting(
-        None, "Who says where the robot is, as `modules.localization_server.source`; empty: that key decides."
+        None, "The source of the robot's pose, as in `modules.localization_server.source`; empty: that key decides."
     )
-    map: MapSource = setting("store", "Midspan's planner's and localiser's map: `store`, or a topic (`OccupancyGrid`).")
+    map: MapSource = setting("store", "The map for Midspan's planner and localizer: `store`, or a topic.")
     frame: FrameName = setting("map", "The frame of maps and locations.")
     base_frame: FrameName = setting("base_link", "The robot's frame.")
     velocity: OptionalTopic = setting("/cmd_vel", "The base's topic of velocities on the hub (`Twist`).")
     patience: float = setting(
         10.0, "Seconds for which a goal waits for a planner that is absent, or left while driving.", ge=0.0, le=3600.0
     )
-    silence: float = setting(5.0, "Seconds without a word that make a planner silent; 0: never.", ge=0.0, le=3600.0)
-    doors: DoorsSection = subsection(DoorsSection, "The names at which clients ask.")
+    silence: float = setting(
+        5.0, "Seconds without status and feedback that make a planner silent; 0: never.", ge=0.0, le=3600.0
+    )
+    doors: DoorsSection = subsection(DoorsSection, "The names that clients use.")
 
     @model_validator(mode="after")
     def _planner_is_known(self) -> NavigationSection:
@@ -136,13 +140,13 @@ class NavigationSection(Section):
         differ(names, "two planners have the name")
         known = sorted({*OURS, *KNOWN, *names})
         if self.planner and self.planner not in known:
-            msg = f"no planner is named {self.planner!r}; add it to 'planners', or take one of {', '.join(known)}"
+            msg = f"no planner is named {self.planner!r}; add it to 'planners', or choose one of {', '.join(known)}"
             raise ValueError(msg)
         return self
 
     @property
     def others(self) -> dict[str, Planner]:
-        """The planners of this deployment that are not Midspan's, by name."""
+        """The planners of this deployment that are not part of Midspan, by name."""
         found = {planner.name: planner for planner in self.planners}
         if self.planner in KNOWN:
             found.setdefault(self.planner, KNOWN[self.planner])
@@ -154,5 +158,5 @@ class NavigationSection(Section):
         return (*OURS, *self.others)
 
     def at(self, planner: str) -> str:
-        """A planner's action on the hub."""
+        """Return a planner's action on the hub."""
         return self.others[planner].on_hub if planner in self.others else planner_action(planner)
