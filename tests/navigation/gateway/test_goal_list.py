@@ -1,0 +1,169 @@
+"""Goals by a server's list: "no list yet" is not "no goals", and a list is valid while its publisher is there."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import pytest
+
+from bridge.messages.actions import GoalState
+from navigation.gateway import goal_list
+from navigation.gateway.goal_list import EARLY_SECONDS, EMPTY_SECONDS, GoalList
+from tests.navigation.gateway.world import Clock
+
+SERVER, OTHER = b"server", b"other"
+GOAL, NEXT = b"first goal", b"second goal"
+DRIVING, ENDED = {GOAL: GoalState.EXECUTING}, {GOAL: GoalState.SUCCEEDED}
+
+
+@pytest.fixture
+def clock(monkeypatch: pytest.MonkeyPatch) -> Iterator[Clock]:
+    clock = Clock()
+    monkeypatch.setattr(goal_list, "time", clock)
+    return clock
+
+
+def later(clock: Clock, goals: GoalList, seconds: float, *publishers: bytes) -> None:
+    """Refresh ten times a second, as the gateway does, with these publishers in the graph."""
+    end = clock.now + seconds
+    while clock.now < end:
+        clock.now = min(clock.now + 0.1, end)
+        goals.refresh(publishers)
+
+
+@pytest.mark.parametrize("always", [True, False])
+def test_before_the_first_list_nothing_is_known(clock: Clock, always: bool) -> None:
+    goals = GoalList(always=always)
+    assert not goals.known
+    later(clock, goals, 100.0)
+    assert not goals.known, "without a publisher, the absence of goals is not reported"
+    later(clock, goals, EMPTY_SECONDS - 0.5, SERVER)
+    assert not goals.known
+    assert not goals.any
+    assert goals.receive(SERVER, DRIVING)
+    assert goals.known
+    assert goals.any
+    assert goals.active == (GOAL,)
+
+
+def test_a_server_that_always_publishes_its_list_has_unknown_goals_until_then(clock: Clock) -> None:
+    goals = GoalList(always=True)
+    later(clock, goals, 600.0, SERVER)
+    assert not goals.known
+    assert not goals.any
+    goals.receive(SERVER, {})
+    assert goals.known
+    assert goals.active == ()
+
+
+def test_a_server_of_rcl_without_a_list_has_no_goals(clock: Clock) -> None:
+    """It publishes its first list with its first goal."""
+    goals = GoalList(always=False)
+    later(clock, goals, 0.1, SERVER)
+    later(clock, goals, EMPTY_SECONDS - 0.2, SERVER)
+    assert not goals.known
+    later(clock, goals, 0.4, SERVER)
+    assert goals.known
+    assert goals.any
+    assert goals.active == ()
+
+
+def test_a_new_server_of_rcl_has_its_own_time_for_a_list(clock: Clock) -> None:
+    """The list of the previous server does not apply to the new one, and is dropped after a while."""
+    goals = GoalList(always=False)
+    goals.receive(SERVER, DRIVING)
+    later(clock, goals, 5.0, SERVER)
+    later(clock, goals, 1.0)
+    later(clock, goals, EMPTY_SECONDS - 0.2, OTHER)
+    assert not goals.known
+    assert goals.active == (GOAL,), "the last that is known of it, marked as invalid"
+    later(clock, goals, 0.5, OTHER)
+    assert goals.known
+    assert goals.active == ()
+
+
+@pytest.mark.parametrize("always", [True, False])
+def test_the_list_of_a_dead_publisher_is_invalid(clock: Clock, always: bool) -> None:
+    goals = GoalList(always=always)
+    goals.receive(SERVER, DRIVING)
+    later(clock, goals, 60.0, SERVER)
+    assert goals.known, "a list does not age while its publisher is there"
+    goals.refresh(())
+    assert not goals.known
+    assert goals.active == (GOAL,)
+    assert goals.status(GOAL) is GoalState.EXECUTING
+    later(clock, goals, 60.0)
+    assert not goals.known, "silence does not make it valid again"
+    goals.refresh((SERVER,))
+    assert goals.known, "the publisher's token was lost for a moment, and the list was not"
+
+
+def test_another_publisher_does_not_make_a_dead_one_valid(clock: Clock) -> None:
+    goals = GoalList(always=True)
+    goals.receive(SERVER, {})
+    later(clock, goals, 5.0, SERVER, OTHER)
+    assert goals.known
+    goals.refresh((OTHER,))
+    assert not goals.known
+    goals.receive(OTHER, DRIVING)
+    goals.refresh((OTHER,))
+    assert goals.known
+    assert goals.active == (GOAL,)
+
+
+OVERLAP = pytest.mark.xfail(
+    strict=True, reason="a publisher that has no list is believed by the time of another one that was there before it"
+)
+
+
+@pytest.mark.parametrize("always", [True, pytest.param(False, marks=OVERLAP)])
+def test_a_list_may_be_ahead_of_the_graph_for_a_moment(clock: Clock, always: bool) -> None:
+    """A new worker's list arrives while the graph still shows the publisher of the worker that was killed."""
+    goals = GoalList(always=always)
+    goals.receive(OTHER, {})
+    later(clock, goals, 5.0, OTHER)
+    goals.receive(SERVER, DRIVING)
+    later(clock, goals, EARLY_SECONDS - 0.2, OTHER)
+    assert goals.known
+    assert goals.active == (GOAL,)
+    later(clock, goals, 0.4, OTHER)
+    assert not goals.known, "its publisher has not appeared"
+    goals.refresh((OTHER, SERVER))
+    assert goals.known
+
+
+def test_a_list_from_a_publisher_that_has_just_left_is_not_ahead_of_the_graph(clock: Clock) -> None:
+    """The last words of a killed worker arrive before its token is withdrawn: they do not outlive it."""
+    goals = GoalList(always=True)
+    later(clock, goals, 1.0, SERVER, OTHER)
+    goals.receive(SERVER, {})
+    goals.refresh((SERVER, OTHER))
+    goals.refresh((OTHER,))
+    assert not goals.known
+
+
+@OVERLAP
+def test_a_new_server_has_its_own_time_also_while_the_graph_still_shows_the_one_before_it(clock: Clock) -> None:
+    """A frozen worker's tokens last until its lease is over; the worker in its place has not published a list yet."""
+    goals = GoalList(always=False)
+    goals.receive(SERVER, DRIVING)
+    later(clock, goals, 5.0, SERVER)
+    later(clock, goals, 0.2, SERVER, OTHER)
+    later(clock, goals, 0.2, OTHER)
+    assert not goals.known, "0.4 s after it appeared it has not reported its goals"
+    later(clock, goals, EMPTY_SECONDS, OTHER)
+    assert goals.known
+    assert goals.active == ()
+
+
+def test_only_a_list_that_differs_is_a_change(clock: Clock) -> None:
+    goals = GoalList(always=True)
+    assert not goals.receive(SERVER, {})
+    assert goals.receive(SERVER, DRIVING)
+    assert not goals.receive(SERVER, DRIVING)
+    assert goals.receive(SERVER, ENDED)
+    assert goals.active == ()
+    assert goals.status(GOAL) is GoalState.SUCCEEDED
+    assert goals.receive(SERVER, {NEXT: GoalState.ACCEPTED})
+    assert goals.active == (NEXT,)
+    assert goals.status(GOAL) is None

@@ -1,0 +1,392 @@
+"""A stop or pause is confirmed by the planner and by the base, and each client that waits for it is answered once."""
+
+from __future__ import annotations
+
+import math
+import struct
+from collections.abc import Callable
+from types import SimpleNamespace
+from typing import Any, cast
+
+import pytest
+
+from navigation.frames import FramesError
+from navigation.gateway import machine, motion, stop
+from navigation.gateway.machine import StopState
+from navigation.gateway.motion import SILENCE_SECONDS, STANDING_SECONDS, ZERO_SECONDS, Motion, VelocityWatch
+from navigation.gateway.stop import HELD_SECONDS, LATE_SECONDS, SETTLING_SECONDS, StopOrder, StopWaiters
+from navigation.pose import Pose
+from tests.navigation.gateway.world import Clock
+
+TICK = 0.1
+LONG = 600.0
+
+
+class Base:
+    """A base, its odometry, and the commanders of its velocity, around one stop order; ``run`` lets time pass.
+
+    Attributes:
+        speed: m/s of the base.
+        odometry: whether it publishes odometry.
+        commands: velocities that its commanders publish in each step, m/s.
+        released: whether the planner has released its goals.
+        reachable: whether the planner is reachable.
+    """
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        self.clock = Clock()
+        for module in (machine, motion, stop):
+            monkeypatch.setattr(module, "time", self.clock)
+        self.speed, self._x = 0.5, 0.0
+        self.odometry = True
+        self.commands: tuple[float, ...] = ()
+        self.released, self.reachable = False, True
+        self._seen_at = self.clock.now
+        self.subscribed: list[Callable[[bytes], None]] = []
+        host = SimpleNamespace(node=self)
+        self.motion = Motion(cast("Any", SimpleNamespace(odometry=self._pose)))
+        self.order = StopOrder(self.motion, VelocityWatch(cast("Any", host), "/cmd_vel"))
+        self.states: list[StopState] = []
+
+    def subscription_cdr(self, topic: str, _type: str, receive: Callable[[bytes], None], *_: Any, **__: Any) -> Any:
+        assert topic == "/cmd_vel"
+        self.subscribed.append(receive)
+        return receive
+
+    def release(self, receive: Callable[[bytes], None]) -> None:
+        self.subscribed.remove(receive)
+
+    def _pose(self) -> Pose:
+        if not self.odometry:
+            raise FramesError("odometry is missing")
+        return Pose(self._x, 0.0, 0.0, int(self.clock.now * 1e9))
+
+    def step(self) -> StopState:
+        self.clock.now += TICK
+        self._x += self.speed * TICK
+        for velocity in self.commands:
+            for receive in list(self.subscribed):
+                receive(b"\0\1\0\0" + struct.pack("<6d", velocity, 0.0, 0.0, 0.0, 0.0, 0.0))
+        if self.reachable:
+            self._seen_at = self.clock.now
+        self.motion.poll()
+        self.order.update(released=self.released, seen_at=self._seen_at)
+        if self.order.state not in self.states[-1:]:
+            self.states.append(self.order.state)
+        return self.order.state
+
+    def run(self, seconds: float) -> StopState:
+        """Let time pass; returns the state at the end."""
+        for _ in range(round(seconds / TICK)):
+            self.step()
+        return self.order.state
+
+    def until(self, state: StopState, within: float = LONG) -> float:
+        """Return the seconds until the order is in this state, which has to be within a time."""
+        begin = self.clock.now
+        while self.step() is not state:
+            assert self.clock.now < begin + within, f"{self.order.state} after {within} s, not {state}"
+        return self.clock.now - begin
+
+
+@pytest.fixture
+def base(monkeypatch: pytest.MonkeyPatch) -> Base:
+    made = Base(monkeypatch)
+    made.run(1.0)
+    return made
+
+
+# -- with odometry -----------------------------------------------------------------------------------------------------
+
+
+def test_nothing_is_asked_for(base: Base) -> None:
+    base.released, base.speed = True, 0.0
+    assert base.run(LONG) is StopState.NONE
+    assert not base.order.confirmed
+
+
+def test_a_planner_that_releases_its_goals_first_does_not_confirm_that_the_base_stands(base: Base) -> None:
+    base.order.ask("it was stopped")
+    assert base.run(1.0) is StopState.ASKED
+    base.released = True
+    assert base.run(2.0) is StopState.SETTLING
+    assert not base.order.confirmed
+    base.speed = 0.0
+    assert base.until(StopState.CONFIRMED, 2.0) >= STANDING_SECONDS
+    assert base.order.confirmed
+
+
+def test_a_base_that_stands_first_does_not_confirm_that_the_planner_has_released_its_goals(base: Base) -> None:
+    base.order.ask("it was stopped")
+    base.speed = 0.0
+    base.until(StopState.RESTING, 2.0)
+    assert not base.order.confirmed, "the planner has its time"
+    base.released = True
+    assert base.step() is StopState.CONFIRMED
+
+
+def test_a_base_that_stood_before_the_stop_was_asked_for_does_not_confirm_it(base: Base) -> None:
+    base.speed = 0.0
+    base.run(2.0)
+    base.released = True
+    base.order.ask("it was stopped")
+    assert base.run(STANDING_SECONDS - TICK) is StopState.SETTLING, "odometry from before the stop does not count"
+    base.until(StopState.CONFIRMED, 0.5)
+
+
+def test_a_standing_base_confirms_the_stop_alone_once_the_planner_is_late(base: Base) -> None:
+    base.order.ask("it was stopped")
+    base.speed = 0.0
+    base.run(LATE_SECONDS - 2 * TICK)
+    assert base.order.state is StopState.RESTING
+    assert not base.order.confirmed
+    base.run(3 * TICK)
+    assert base.order.confirmed
+    assert base.order.state.held, "the planner may still drive: its velocities stay out of the hub"
+
+
+def test_a_base_that_moves_again_before_the_planner_released_its_goals_is_being_stopped_again(base: Base) -> None:
+    base.order.ask("it was stopped")
+    base.speed = 0.0
+    base.until(StopState.RESTING, 2.0)
+    base.run(2.0)
+    assert base.order.confirmed
+    base.speed = 0.5
+    assert base.run(0.5) is StopState.ASKED
+    assert not base.order.confirmed
+    base.speed = 0.0
+    base.until(StopState.RESTING, 2.0)
+
+
+def test_a_base_that_moves_again_in_the_step_of_the_release_is_not_confirmed(base: Base) -> None:
+    base.order.ask("it was stopped")
+    base.speed = 0.0
+    base.until(StopState.RESTING, 2.0)
+    base.speed, base.released = 0.5, True
+    assert base.step() is not StopState.CONFIRMED
+    assert base.run(1.0) is StopState.SETTLING
+    assert StopState.CONFIRMED not in base.states
+
+
+def test_a_goal_that_turns_up_after_the_release_has_to_end_too(base: Base) -> None:
+    base.order.ask("it was stopped")
+    base.released = True
+    base.until(StopState.SETTLING, 1.0)
+    base.released = False
+    assert base.step() is StopState.ASKED
+    assert base.order.state.held
+
+
+def test_odometry_that_falls_silent_confirms_nothing(base: Base) -> None:
+    base.order.ask("it was stopped")
+    base.commands = (0.5,)
+    base.odometry = False
+    base.released = True
+    assert base.run(SETTLING_SECONDS - 1.0) is StopState.SETTLING
+    assert StopState.CONFIRMED not in base.states
+
+
+# -- without odometry --------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def blind(base: Base) -> Base:
+    base.odometry = False
+    base.run(1.0)
+    return base
+
+
+def test_without_odometry_zero_velocities_confirm_the_stop_once_the_planner_has_released_its_goals(blind: Base) -> None:
+    blind.order.ask("it was stopped")
+    blind.commands = (0.0,)
+    assert blind.run(5.0) is StopState.ASKED, "held velocities do not reach the hub: zeros mean nothing before"
+    blind.released = True
+    assert ZERO_SECONDS <= blind.until(StopState.CONFIRMED, 1.0) < SILENCE_SECONDS
+    assert not blind.subscribed, "the velocities are no longer read"
+
+
+def test_without_odometry_silence_takes_longer_to_confirm_it(blind: Base) -> None:
+    blind.order.ask("it was stopped")
+    blind.run(5.0)
+    blind.released = True
+    assert blind.until(StopState.CONFIRMED, 2.0) >= SILENCE_SECONDS
+
+
+def test_without_odometry_velocities_other_than_zero_keep_it_open(blind: Base) -> None:
+    blind.order.ask("it was stopped")
+    blind.released, blind.commands = True, (0.5,)
+    assert blind.run(3.0) is StopState.SETTLING
+    blind.commands = (0.0,)
+    assert blind.until(StopState.CONFIRMED, 1.0) >= ZERO_SECONDS
+
+
+def test_without_odometry_a_second_commander_that_drives_keeps_it_open_despite_zeros(blind: Base) -> None:
+    blind.order.ask("it was stopped")
+    blind.released, blind.commands = True, (0.5, 0.0)
+    assert blind.run(3.0) is StopState.SETTLING
+    blind.commands = (0.0, 0.5)
+    assert blind.run(1.5) is StopState.SETTLING
+    assert StopState.CONFIRMED not in blind.states
+
+
+def test_without_odometry_silence_before_the_release_does_not_count(blind: Base) -> None:
+    """The velocities of an unreachable planner do not come to the hub."""
+    blind.order.ask("it was stopped")
+    blind.reachable = False
+    assert blind.run(30.0) is StopState.ASKED
+    blind.reachable = blind.released = True
+    blind.commands = (0.5,)
+    assert blind.run(2.0) is StopState.SETTLING
+
+
+def test_odometry_that_comes_back_takes_over(blind: Base) -> None:
+    blind.order.ask("it was stopped")
+    blind.released, blind.commands = True, (0.0,)
+    blind.step()
+    assert blind.subscribed
+    blind.odometry = True
+    assert blind.run(2.0) is StopState.SETTLING, "the base rolls despite zero commands"
+    assert not blind.subscribed
+    blind.speed = 0.0
+    blind.until(StopState.CONFIRMED, 2.0)
+
+
+# -- expiry and holding ------------------------------------------------------------------------------------------------
+
+
+def test_a_base_that_still_moves_long_after_the_release_is_moved_by_something_else(base: Base) -> None:
+    base.order.ask("it was stopped")
+    base.released = True
+    base.until(StopState.SETTLING, 1.0)
+    assert base.until(StopState.EXPIRED, 10.0) == pytest.approx(SETTLING_SECONDS, abs=3 * TICK)
+    assert not base.order.confirmed, "an order that has expired is not a robot that stands"
+    assert not base.order.state.held
+    base.speed = 0.0
+    assert base.run(5.0) is StopState.EXPIRED
+
+
+def test_a_planner_that_stays_unreachable_is_not_held_for_ever(base: Base) -> None:
+    base.order.ask("it was stopped")
+    base.reachable, base.speed = False, 0.0
+    assert base.run(HELD_SECONDS - 1.0) is StopState.RESTING
+    assert base.order.state.held
+    base.until(StopState.EXPIRED, 3.0)
+    assert not base.order.state.held
+
+
+def test_a_planner_that_is_reachable_and_a_base_that_moves_are_held_as_long_as_it_takes(base: Base) -> None:
+    base.order.ask("it was stopped")
+    assert base.run(2 * HELD_SECONDS) is StopState.ASKED
+    assert base.order.state.held
+    base.reachable = False
+    assert base.run(2 * HELD_SECONDS) is StopState.ASKED, "the base moves"
+    base.reachable, base.speed = True, 0.0
+    assert base.run(2 * HELD_SECONDS) is StopState.RESTING
+    assert base.order.state.held
+
+
+def test_velocities_are_held_until_the_planner_has_released_its_goals(base: Base) -> None:
+    assert not base.order.state.held
+    base.order.ask("it was stopped")
+    assert base.order.state.held
+    base.released = True
+    assert not base.step().held, "its zero velocities have to reach the base"
+    base.speed = 0.0
+    assert not base.run(2.0).held
+
+
+def test_a_second_stop_keeps_the_time_of_one_that_is_open_and_begins_a_new_one_after_it(base: Base) -> None:
+    base.order.ask("it was paused")
+    base.run(3.0)
+    base.order.ask("it was stopped")
+    assert base.order.why == "it was stopped"
+    assert base.order.age == pytest.approx(3.0)
+    base.speed, base.released = 0.0, True
+    base.until(StopState.CONFIRMED, 2.0)
+    base.order.ask("it was stopped")
+    assert (base.order.state, base.order.age) == (StopState.ASKED, 0.0)
+    assert not base.order.confirmed, "it needs its own confirmation"
+    base.until(StopState.CONFIRMED, 1.0)
+
+
+def test_a_second_stop_without_odometry_needs_its_own_zeros(blind: Base) -> None:
+    blind.order.ask("it was stopped")
+    blind.released = True
+    blind.until(StopState.CONFIRMED, 2.0)
+    blind.released, blind.commands = False, (0.5,)
+    blind.run(1.0)
+    blind.order.ask("it was stopped")
+    blind.released, blind.commands = True, ()
+    assert blind.until(StopState.CONFIRMED, 3.0) >= SILENCE_SECONDS - TICK
+
+
+def test_a_stop_that_was_dropped_is_none(blind: Base) -> None:
+    answers: list[str] = []
+    blind.order.ask("it was stopped")
+    blind.order.waiters.add(answers.append, LONG)
+    blind.released, blind.commands = True, (0.5,)
+    blind.step()
+    blind.order.drop("another goal")
+    assert answers == ["another goal"]
+    assert not blind.subscribed
+    assert blind.run(5.0) is StopState.NONE
+
+
+# -- waiters -----------------------------------------------------------------------------------------------------------
+
+
+def waiters(monkeypatch: pytest.MonkeyPatch) -> tuple[StopWaiters, Clock]:
+    clock = Clock()
+    monkeypatch.setattr(stop, "time", clock)
+    return StopWaiters(), clock
+
+
+def test_each_client_is_answered_once_when_the_stop_is_confirmed(monkeypatch: pytest.MonkeyPatch) -> None:
+    waiting, clock = waiters(monkeypatch)
+    answers: list[tuple[int, str]] = []
+    for number in range(3):
+        waiting.add(lambda text, number=number: answers.append((number, text)), 2.5)  # type: ignore[misc]
+    waiting.notify("it may still be moving")
+    assert not answers
+    waiting.notify("")
+    waiting.notify("")
+    waiting.fail("too late")
+    clock.now += LONG
+    waiting.notify("it may still be moving")
+    assert answers == [(0, ""), (1, ""), (2, "")]
+
+
+def test_a_client_whose_time_is_over_gets_the_reason_and_the_others_wait_on(monkeypatch: pytest.MonkeyPatch) -> None:
+    waiting, clock = waiters(monkeypatch)
+    early, late = list[str](), list[str]()
+    waiting.add(early.append, 1.0)
+    clock.now += 0.5
+    waiting.add(late.append, 1.0)
+    clock.now += 0.4
+    waiting.notify("not yet")
+    assert (early, late) == ([], [])
+    clock.now += 0.1
+    waiting.notify("not yet")
+    assert (early, late) == (["not yet"], [])
+    waiting.notify("")
+    assert (early, late) == (["not yet"], [""])
+
+
+def test_a_new_goal_fails_the_clients_that_wait(monkeypatch: pytest.MonkeyPatch) -> None:
+    waiting, _clock = waiters(monkeypatch)
+    answers: list[str] = []
+    waiting.add(answers.append, math.inf)
+    waiting.fail("a client gave another goal")
+    waiting.notify("")
+    assert answers == ["a client gave another goal"]
+
+
+def test_an_answer_that_asks_again_is_not_answered_in_the_same_step(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A client may send its next request from the callback of its last one."""
+    waiting, _clock = waiters(monkeypatch)
+    answers: list[str] = []
+    waiting.add(lambda text: (answers.append(text), waiting.add(answers.append, math.inf))[0], math.inf)
+    waiting.notify("")
+    assert answers == [""]
+    waiting.notify("")
+    assert answers == ["", ""]
