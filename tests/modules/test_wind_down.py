@@ -1,0 +1,127 @@
+"""A module that is stopped first brings its robot to rest, for as long as the host allows."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from bridge.adapters.worker import DRAIN_SECONDS
+from bridge.daemon.slot import Timing
+from bridge.modules import worker as modules_worker
+from bridge.modules.module import Module
+from bridge.modules.worker import Running
+from tests.modules.place import STRING, Place
+from tests.support.wait import until
+
+ECHO = {"name": "echo", "factory": "tests.modules.echo:Echo"}
+
+
+@pytest.fixture
+def place(tmp_path: Path) -> Iterator[Place]:
+    with Place(tmp_path) as made:
+        made.worker.start(made.config(ECHO))
+        yield made
+
+
+class WindDown:
+    """Takes the place of a module's `begin_stop` and `stop`, and records the order of events."""
+
+    def __init__(self, module: Module, monkeypatch: pytest.MonkeyPatch) -> None:
+        self.events: list[str] = []
+        self.done: Callable[[], None] | None = None
+        self.begun = threading.Event()
+        monkeypatch.setattr(module, "begin_stop", self._begin)
+        monkeypatch.setattr(module, "stop", lambda: self.events.append("stopped"))
+
+    def _begin(self, done: Callable[[], None]) -> None:
+        self.events.append("winding down")
+        self.done = done
+        self.begun.set()
+
+
+class Stopping:
+    """Stops a module on another thread."""
+
+    def __init__(self, running: Running) -> None:
+        self.began = time.monotonic()
+        self.seconds = 0.0
+        self._thread = threading.Thread(target=self._run, args=(running,))
+        self._thread.start()
+
+    def _run(self, running: Running) -> None:
+        running.stop()
+        self.seconds = time.monotonic() - self.began
+
+    @property
+    def stopped(self) -> bool:
+        return not self._thread.is_alive()
+
+    def join(self) -> None:
+        self._thread.join(60)
+        assert self.stopped, "the module does not stop"
+
+
+def test_a_module_is_stopped_once_it_has_wound_down(place: Place, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(modules_worker, "WIND_DOWN_SECONDS", 60.0)
+    running = place.worker.running("echo")
+    module: Any = running.module
+    received = place.far.subscribe("/said", STRING)
+    winding = WindDown(module, monkeypatch)
+    stopping = Stopping(running)
+    assert winding.begun.wait(20)
+    assert winding.done is not None
+    place.hears("one more", received, "one more")  # its endpoints work meanwhile
+    assert not stopping.stopped
+    assert winding.events == ["winding down"]
+    winding.done()
+    stopping.join()
+    assert winding.events == ["winding down", "stopped"]
+    assert stopping.seconds < 60.0
+    until(lambda: not place.far.hub.graph.publishers("/said"), "its endpoints are closed")
+
+
+def test_a_module_that_does_not_wind_down_is_stopped_all_the_same(
+    place: Place, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(modules_worker, "WIND_DOWN_SECONDS", 0.3)
+    running = place.worker.running("echo")
+    winding = WindDown(running.module, monkeypatch)
+    stopping = Stopping(running)
+    stopping.join()
+    assert winding.events == ["winding down", "stopped"]
+    assert 0.3 <= stopping.seconds < 10.0, "it had its time, and only that"
+    assert winding.done is not None
+    winding.done()  # too late, and harmless
+
+
+def test_a_module_that_has_nothing_to_wind_down_is_stopped_at_once(
+    place: Place, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(modules_worker, "WIND_DOWN_SECONDS", 120.0)
+    stopping = Stopping(place.worker.running("echo"))
+    stopping.join()
+    assert stopping.seconds < 60.0
+
+
+def test_a_module_that_fails_to_wind_down_is_closed(
+    place: Place, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    def fail(_done: Callable[[], None]) -> None:
+        raise ValueError("no base")
+
+    monkeypatch.setattr(modules_worker, "WIND_DOWN_SECONDS", 120.0)
+    running = place.worker.running("echo")
+    monkeypatch.setattr(running.module, "begin_stop", fail)
+    Stopping(running).join()
+    assert "no base" in caplog.text
+    until(lambda: not place.far.hub.graph.publishers("/said"), "its endpoints are closed")
+
+
+def test_the_workers_of_the_sides_wait_longer_than_a_module_winds_down_and_the_daemon_waits_longest() -> None:
+    """The daemon kills what has not ended by then, and with it the last replies."""
+    assert modules_worker.WIND_DOWN_SECONDS < DRAIN_SECONDS < Timing().stop
