@@ -1,0 +1,242 @@
+"""The gateway leaves its action's name to another node that serves it: a goal has one master."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from rich.console import Console
+
+from bridge.cli.inspection.status import show
+from bridge.config.sections.navigation import ACTION
+from bridge.doctor.check import Result
+from bridge.doctor.checks.hub import look_at_workers
+from bridge.messages.actions import GoalState, names
+from bridge.modules.worker import ModulesWorker
+from navigation.status import State
+from tests.doctor.parts import around, every, hub
+from tests.navigation.gateway.rig import Asked, Rig, pose
+from tests.support.rmw_action_server import RmwActionServer
+from tests.support.wait import until
+
+NODE = "/bt_navigator"
+PARTS = names(ACTION)
+
+
+@pytest.fixture(scope="module")
+def running(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Rig]:
+    with Rig(tmp_path_factory.mktemp("entry")) as made:
+        yield made
+
+
+@pytest.fixture
+def rig(running: Rig) -> Iterator[Rig]:
+    until(lambda: parts(running) == set(PARTS), "the gateway serves its action")
+    yield running
+    for planner in running.planners.values():
+        for goal in planner.goals:
+            planner.on(goal.canceled)
+    until(lambda: not running.gateway.driving, "nothing drives")
+    running.planner.goals.clear()
+
+
+def nav2(rig: Rig) -> RmwActionServer:
+    """Start an rmw_zenoh node that serves the gateway's name."""
+    return RmwActionServer(rig.hubs.endpoint, rig.hubs.domain, NODE[1:], ACTION)
+
+
+@pytest.fixture
+def other(rig: Rig) -> Iterator[RmwActionServer]:
+    """The same, which comes while the gateway runs."""
+    made = nav2(rig)
+    try:
+        until(lambda: rig.module.status()["served_by"] == NODE, "the gateway finds it")
+        yield made
+    finally:
+        made.close()
+
+
+def parts(rig: Rig, worker: ModulesWorker | None = None) -> set[str]:
+    """The parts of the action that a gateway serves, as another session sees them."""
+    zid = (worker or rig.worker).running("gateway").host.node.hub.zid
+    endpoints = rig.client.node.hub.graph.endpoints()
+    return {end.topic for end in endpoints if end.zid == zid and end.kind in ("server", "publisher")} & set(PARTS)
+
+
+def restart(rig: Rig) -> None:
+    rig.worker.running("gateway").stop()
+    rig.worker.running("gateway").start()
+
+
+def test_the_gateway_withdraws_all_parts_while_another_node_serves_the_name(rig: Rig, other: RmwActionServer) -> None:
+    until(lambda: not parts(rig), "all five parts are withdrawn")
+    asked = Asked(rig.client, pose(1.0))
+    until(lambda: other.goals == [asked.sent.id], "the goal is at that node")
+    assert not rig.planner.goals
+    assert rig.gateway.drive is None
+    other.end(GoalState.SUCCEEDED)
+    assert asked.end() == ("SUCCEEDED", "")
+    other.close()
+    until(lambda: parts(rig) == set(PARTS), "the gateway has its name again")
+    assert rig.module.status()["served_by"] == ""
+    asked = Asked(rig.client, pose(2.0))
+    rig.planner.reach(rig.planner.until(1))
+    assert asked.end() == ("SUCCEEDED", "")
+    assert len(other.goals) == 1
+
+
+def test_a_node_that_was_there_before_the_gateway_keeps_the_name(rig: Rig) -> None:
+    rig.worker.running("gateway").stop()
+    other = nav2(rig)
+    try:
+        far = rig.client.node.hub.graph
+        until(lambda: far.servers(PARTS.send_goal), "it is on the hub")
+        rig.worker.running("gateway").start()
+        until(lambda: rig.module.status()["served_by"] == NODE, "the gateway finds it")
+        until(lambda: not parts(rig), "the gateway has no part of the action")
+        asked = Asked(rig.client, pose(1.0))
+        until(lambda: other.goals == [asked.sent.id], "the goal is at that node")
+        assert not rig.planner.goals
+        assert rig.gateway.drive is None
+    finally:
+        other.close()
+    until(lambda: parts(rig) == set(PARTS), "the gateway serves the name once the node has left")
+
+
+def test_a_goal_that_the_gateway_holds_goes_on_to_its_end(rig: Rig) -> None:
+    asked = Asked(rig.client, pose(1.0))
+    goal = rig.planner.until(1)
+    other = nav2(rig)
+    try:
+        until(lambda: PARTS.send_goal not in parts(rig), "the gateway no longer accepts goals")
+        assert parts(rig) == set(PARTS) - {PARTS.send_goal}, "its client needs the others"
+        rig.planner.on(lambda: goal.feedback({"distance_remaining": 0.5}))
+        until(lambda: asked.feedback, "feedback still arrives")
+        assert not asked.ended
+        rig.planner.reach(goal)
+        assert asked.end() == ("SUCCEEDED", "")
+        until(lambda: not parts(rig), "now the others are withdrawn")
+    finally:
+        other.close()
+
+
+def test_a_goal_that_the_gateway_holds_can_be_canceled(rig: Rig) -> None:
+    asked = Asked(rig.client, pose(1.0))
+    goal = rig.planner.until(1)
+    other = nav2(rig)
+    try:
+        until(lambda: PARTS.send_goal not in parts(rig), "the gateway no longer accepts goals")
+        asked.cancel()
+        until(lambda: not goal.active, "the planner ends it")
+        assert asked.end()[0] == "CANCELED"
+        until(lambda: not parts(rig), "all parts are withdrawn")
+    finally:
+        other.close()
+
+
+def test_goals_at_both_servers_have_their_own_results(rig: Rig) -> None:
+    """While the gateway finishes its goal, two servers have parts of one action."""
+    held = Asked(rig.client, pose(1.0))
+    goal = rig.planner.until(1)
+    other = nav2(rig)
+    try:
+        until(lambda: PARTS.send_goal not in parts(rig), "the gateway no longer accepts goals")
+        for number, status in enumerate((GoalState.SUCCEEDED, GoalState.CANCELED), 1):
+            asked = Asked(rig.client, pose(2.0))
+            until(lambda: len(other.goals) == number, "a new goal is at that node")  # noqa: B023
+            if status is GoalState.CANCELED:
+                asked.cancel()
+            else:
+                other.end(status)
+            assert asked.end()[0] == status.name
+        assert goal.active
+        assert not held.ended
+        rig.planner.reach(goal)
+        assert held.end() == ("SUCCEEDED", "")
+    finally:
+        other.close()
+
+
+def test_a_goal_that_the_gateway_holds_outlives_a_short_visit(rig: Rig) -> None:
+    """The node leaves before the goal has ended: the server of that goal stays until then."""
+    asked = Asked(rig.client, pose(1.0))
+    goal = rig.planner.until(1)
+    other = nav2(rig)
+    until(lambda: PARTS.send_goal not in parts(rig), "the gateway no longer accepts goals")
+    other.close()
+    until(lambda: rig.module.status()["served_by"] == "", "the gateway notices")
+    rig.planner.reach(goal)
+    assert asked.end() == ("SUCCEEDED", "")
+    until(lambda: parts(rig) == set(PARTS), "it serves the name again")
+    again = Asked(rig.client, pose(2.0))
+    rig.planner.reach(rig.planner.until(2))
+    assert again.end() == ("SUCCEEDED", "")
+
+
+@pytest.mark.usefixtures("other")
+def test_other_entry_points_go_on(rig: Rig) -> None:
+    out = rig.far.advertise("/goal_pose", "geometry_msgs/PoseStamped")
+
+    def once() -> bool:
+        rig.far.publish(out, pose(7.0))
+        return bool(rig.planner.goals)
+
+    until(once, "a published goal is driven to")
+    rig.state(State.MOVING)
+    until(lambda: rig.ask("stop")["success"], "the last of these goals is canceled")
+
+
+@pytest.mark.usefixtures("other")
+def test_status_and_doctor_say_who_serves_the_name(rig: Rig) -> None:
+    health = rig.module.health()
+    assert health.state == "running"
+    assert f"{ACTION} is served by {NODE}" in health.text
+    warning = f"{ACTION} is served by {NODE}: its clients on the hub and on ROS 2 reach that node directly"
+    document = rig.answer("gateway")
+    assert document["served_by"] == NODE
+    assert any(text.startswith(warning) for text in document["warnings"])
+    printed = io.StringIO()
+    show(Console(file=printed, width=1000), [document])
+    assert f"warning: {warning}" in printed.getvalue()
+    findings = every(look_at_workers(around({"name": "here"}, hub=hub(document))))
+    (found,) = [finding for finding in findings if warning in finding.seen]
+    assert found.result is Result.WARN
+
+
+def test_status_and_doctor_say_nothing_once_the_node_has_left(rig: Rig) -> None:
+    document = rig.answer("gateway")
+    assert (document["served_by"], document["warnings"]) == ("", [])
+    assert ACTION not in rig.module.health().text
+
+
+def test_two_gateways_on_one_hub_both_serve_the_name(rig: Rig, tmp_path: Path) -> None:
+    """Daemons on two machines of one hub: both are gateways, so neither steps aside."""
+    worker = ModulesWorker()
+    config: Any = rig.configured()
+    second = config.model_copy(update={"name": "there", "state": tmp_path})
+    worker.start(second.model_copy(update={"yarp": second.yarp.model_copy(update={"enabled": False})}))
+    try:
+        until(lambda: parts(rig, worker) == set(PARTS), "the second gateway serves the name")
+        gateways = [worker.running("gateway"), rig.worker.running("gateway")]
+        for running in gateways:
+            until(lambda running=running: sees(running, gateways), "each sees the other")  # type: ignore[misc]
+            entry: Any = running.module
+            running.host.loop.call(entry._action.poll)
+        assert parts(rig) == parts(rig, worker) == set(PARTS)
+        assert [running.module.status()["served_by"] for running in gateways] == ["", ""]
+        other = nav2(rig)
+        try:
+            until(lambda: not parts(rig) and not parts(rig, worker), "both step aside for a planner")
+        finally:
+            other.close()
+        until(lambda: parts(rig) == parts(rig, worker) == set(PARTS), "both are back")
+    finally:
+        worker.stop()
+
+
+def sees(running: Any, gateways: list[Any]) -> bool:
+    servers = running.host.node.hub.graph.servers(PARTS.send_goal)
+    return {server.zid for server in servers} >= {other.host.node.hub.zid for other in gateways}
