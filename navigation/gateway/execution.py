@@ -15,7 +15,7 @@ from navigation import nav2_errors
 from navigation.frames import FramesError, RobotFrames
 from navigation.gateway.choice import PlannerChoice, RequestError
 from navigation.gateway.drive import ClientDrive
-from navigation.gateway.machine import DriveEvent, DriveState, StopState
+from navigation.gateway.machine import DriveEvent, DriveState, PlannerState, StopState
 from navigation.gateway.motion import Base, Motion
 from navigation.gateway.planner_link import PlannerLink
 from navigation.gateway.progress import distance, seconds
@@ -72,6 +72,13 @@ class Execution:
         self.ended = dict.fromkeys(("reached", "failed", "canceled", "replaced", "refused"), 0)
 
     @property
+    def _known_to_stand(self) -> bool:
+        """Whether the planner is known to have no goals, or the base stands."""
+        idle = self._link.state in (PlannerState.IDLE, PlannerState.ABSENT) and not self._link.left
+        base = self._motion.base()
+        return base is Base.STANDING or (idle and base is Base.UNKNOWN)
+
+    @property
     def driving(self) -> bool:
         """Whether the planner has a goal, from the gateway or from its own clients."""
         return self.drive is not None or bool(self._link.foreign)
@@ -116,8 +123,8 @@ class Execution:
             drive.why = "it was paused"
             self.cancel(drive)
             self._order.ask(drive.why)
-            if drive.released and not drive.begun:
-                self._order.drop()  # it has not begun to move
+            if drive.released and not drive.begun and self._known_to_stand:
+                self._order.drop()
                 self._on_paused(drive)
         elif drive.state is DriveState.PAUSED:
             self._on_paused(drive)
@@ -290,6 +297,7 @@ class Execution:
         if self.drive is not drive or drive.sent is not sent:
             return  # another one has replaced it
         if result is None and sent.accepted is not False:
+            self._link.lose_contact()
             drive.machine.on(DriveEvent.CONTACT_LOST)
         else:
             drive.released = True

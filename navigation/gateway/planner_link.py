@@ -13,6 +13,7 @@ from bridge.messages.actions import GoalState, names
 from bridge.modules.clients import ActionClient, Ended, SentGoal
 from bridge.modules.host import Host
 from navigation.gateway.action_goals import ActionGoals
+from navigation.gateway.contact import Contact
 from navigation.gateway.goal_list import GoalList
 from navigation.gateway.machine import PLANNER, Machine, PlannerEvent, PlannerState
 from navigation.gateway.motion import Base, Motion
@@ -87,7 +88,8 @@ class PlannerLink:
         self.doubtful: bytes | None = None  # such a goal, while the planner is out of reach
         self._parts_before: set[bytes] = set()
         self.telemetry = Telemetry(host, section, planner, changed)
-        self._topics = [names(action).status, names(action).feedback, *self.telemetry.topics]
+        self._names, self._contact = names(action), Contact()
+        self._topics = [self._names.status, self._names.feedback, *self.telemetry.topics]
 
     # -- what is known -------------------------------------------------------------------------------------------------
 
@@ -153,6 +155,7 @@ class PlannerLink:
         self.doubtful = None
 
         def on_feedback(message: Message) -> None:
+            self._contact.prove()
             self.telemetry.beat()
             feedback(message)
 
@@ -194,8 +197,10 @@ class PlannerLink:
         now = time.monotonic()
         for action in (self._goals, *self._motion):
             action.refresh()
-        if self._client.ready:
-            self.seen_at, self._side_since = now, None
+        if self._client.ready and self._contact.answers(self._action_parts()):
+            if self._contact.proven:
+                self.seen_at = now
+            self._side_since = None
             self.machine.on(PlannerEvent.FOUND)
         else:
             if self.reachable:
@@ -208,6 +213,23 @@ class PlannerLink:
         self._update()
         if not self.reachable and motion.stands(self.machine.since):
             self._close_doubt()
+
+    def lose_contact(self) -> None:
+        """A call of the planner failed: it is out of reach until its parts or its goal list show the contrary."""
+        self._contact.lose(self._action_parts())
+        self._doubt()
+        self.machine.on(PlannerEvent.LOST)
+        self.unreachable_at = time.monotonic()
+
+    def _action_parts(self) -> set[bytes]:
+        """The GIDs of all servers and publishers of its action."""
+        graph, parts = self._host.node.hub.graph, self._names
+        servers = (parts.send_goal, parts.get_result, parts.cancel_goal)
+        return {
+            endpoint.gid
+            for endpoints in (*map(graph.servers, servers), *map(graph.publishers, (parts.feedback, parts.status)))
+            for endpoint in endpoints
+        }
 
     def _update(self) -> None:
         """Derive the planner's state, and the foreign goals, from the newest list: both in one step."""
@@ -264,6 +286,7 @@ class PlannerLink:
         return now > self._side_since + (UNSEEN_SECONDS if moving else ABSENT_SECONDS)
 
     def _on_list(self, differs: bool) -> None:
+        self._contact.prove()
         self.telemetry.beat(counts=not differs)
         self._update()
         self._changed()

@@ -119,6 +119,8 @@ def _judging(now: Situation) -> PlannerStatus:
 def _paused(now: Situation) -> PlannerStatus:
     if now.foreign is not None and now.base is not Base.STANDING:
         return now.foreign
+    if now.base is Base.MOVING and not now.planner_state.reported and now.planner_state is not PlannerState.ABSENT:
+        return _unknown(now)
     return _COASTING if _coasting(now) else PlannerStatus(State.PAUSED)
 
 

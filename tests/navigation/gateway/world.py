@@ -117,6 +117,7 @@ class Hub:
 
     publishers: dict[str, set[bytes]] = field(default_factory=dict)
     servers: dict[str, Callable[[dict[str, Any], Callable[[Any], None]], None]] = field(default_factory=dict)
+    gids: dict[str, bytes] = field(default_factory=dict)  # of the servers
     latched: dict[str, tuple[bytes, Any]] = field(default_factory=dict)
     subscriptions: dict[str, list[Subscription]] = field(default_factory=dict)
     sides: set[str] = field(default_factory=set)
@@ -179,6 +180,7 @@ class Node:
         self.hub_state, self.loop = hub, loop
         graph = SimpleNamespace(
             publishers=lambda topic: [SimpleNamespace(gid=gid) for gid in hub.publishers.get(topic, ())],
+            servers=lambda name: [SimpleNamespace(gid=hub.gids[name])] if name in hub.servers else [],
             origins=lambda: {side: SimpleNamespace(side=side) for side in hub.sides},
         )
         self.hub = SimpleNamespace(graph=graph, zid="gateway")
@@ -254,6 +256,7 @@ class World:
         self.planner_alive, self.planner_hangs = True, False
         self._when_awake: list[Callable[[], None]] = []
         self.goals: dict[bytes, PlannerGoal] = {}
+        self.orphan_until = 0.0  # a controller whose navigator was killed drives on until then
         self.controller_until = 0.0  # a FollowPath goal that outlives its NavigateToPose goal ends then
         self._commanded_at = 0.0
         self.planner_registered = True  # at the ROS master
@@ -281,6 +284,8 @@ class World:
     def commanded(self) -> bool:
         """Whether the planner's programs command the base now."""
         runs = self.planner_alive and not self.planner_hangs
+        if self.clock.now < self.orphan_until:
+            return True
         return runs and (bool(self._active()) or self.clock.now < self.controller_until)
 
     def _tick(self) -> None:
@@ -342,6 +347,7 @@ class World:
         self.gid = gid
         self.hub.sides.add(self.side)
         parts = names(self.action)
+        self.hub.gids |= {name: gid + name.encode() for name in (parts.send_goal, parts.get_result, parts.cancel_goal)}
         steps: list[Callable[[], None]] = [
             lambda: self.hub.servers.__setitem__(parts.send_goal, self._serve(generation, self._send_goal)),
             lambda: self.hub.servers.__setitem__(parts.get_result, self._serve(generation, self._get_result)),
@@ -375,15 +381,18 @@ class World:
         self.hub.servers[parts.cancel_goal] = self._serve(self.generation, self._cancel_controller)
         self.clock.after(0.05, self._publish_controller)
 
-    def _withdraw(self) -> None:
-        """The planner or the worker has gone: the parts leave, one after the other, and pending calls fail."""
+    def _withdraw(self, lease: float = 0.0) -> None:
+        """The planner or the worker has gone: the parts leave, one after the other, and pending calls fail.
+
+        The parts of a program on DDS that was killed may stay for its lease.
+        """
         self.generation += 1
         self.gid = b""
         parts, controller = names(self.action), names(self.controller)
         for name in (parts.send_goal, parts.get_result, parts.cancel_goal, controller.cancel_goal):
             generation = self.generation
             self.clock.after(
-                self.random.uniform(0.0, 0.6),
+                lease + self.random.uniform(0.0, 0.6),
                 lambda name=name, generation=generation: (  # type: ignore[misc]
                     self.hub.servers.pop(name, None) if self._current(generation) else None
                 ),
@@ -391,7 +400,7 @@ class World:
         for name in (parts.feedback, parts.status, controller.status):
             generation = self.generation
             self.clock.after(
-                self.random.uniform(0.0, 0.6),
+                lease + self.random.uniform(0.0, 0.6),
                 lambda name=name, generation=generation: (  # type: ignore[misc]
                     (self.hub.publishers.pop(name, None), self.hub.latched.pop(name, None))
                     if self._current(generation)
@@ -464,8 +473,18 @@ class World:
             self.planner_alive = False
             self.wake_planner()  # requests that it has not read fail
             self.controller_until = 0.0
-            self._withdraw()
+            self._withdraw(self._lease())
             self.goals.clear()
+
+    def _lease(self) -> float:
+        return self.random.choice((0.0, 0.0, 19.0)) if self.side == "ros2" else 0.0
+
+    def kill_navigator(self) -> None:
+        """bt_navigator is killed while its controller drives on."""
+        if self.planner == "nav2" and self.planner_alive:
+            drives = self.commanded
+            self.kill_planner()
+            self.orphan_until = self.clock.now + 5.0 if drives else 0.0
 
     def start_planner(self) -> None:
         if not self.planner_alive:
@@ -575,8 +594,8 @@ class World:
             self.gateway.accept_goal(goal)  # type: ignore[arg-type]
 
     def foreign_goal(self) -> None:
-        """The planner's own client gives it a goal."""
-        if self.planner_alive and not self.planner_hangs:
+        """The planner's own client, which has found it with the master's help, gives it a goal."""
+        if self.planner_alive and not self.planner_hangs and self.planner_registered:
             self.foreign_at = self.clock.now
             self._accept(self.random.randbytes(16))
 
@@ -662,7 +681,7 @@ class World:
 
 OPERATIONS = (
     "goal", "goal", "goal", "foreign_goal", "cancel", "stop", "stop", "pause", "pause", "resume", "give_up",
-    "kill_planner", "start_planner", "hang_planner", "wake_planner", "kill_worker", "start_worker",
+    "kill_planner", "kill_navigator", "start_planner", "hang_planner", "wake_planner", "kill_worker", "start_worker",
     "kill_master", "start_master", "kill_modules", "start_modules", "kill_all", "start_all",
 )  # fmt: skip
 

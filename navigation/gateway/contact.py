@@ -1,0 +1,43 @@
+"""Whether a planner answers: the parts of a killed program may stay on the graph for its lease, 20 s with Fast DDS."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Set as AbstractSet
+
+TRIAL_SECONDS = 3.0
+"""A planner that did not answer is tried again after this time, unless it shows before that it is there."""
+
+PROOF_SECONDS = 1.0
+"""A trial that has not failed for this time has succeeded."""
+
+
+class Contact:
+    """Contact with one action server, by what its calls show. GIDs of its parts tell one program from another."""
+
+    def __init__(self) -> None:
+        self._lost_at: float | None = None  # monotonic; None: contact is not in doubt
+        self._parts: AbstractSet[bytes] = frozenset()
+
+    @property
+    def proven(self) -> bool:
+        """Whether nothing has failed since the last proof that the server is there."""
+        return self._lost_at is None
+
+    def lose(self, parts: AbstractSet[bytes]) -> None:
+        """A call failed although these parts are on the hub."""
+        self._lost_at, self._parts = time.monotonic(), parts
+
+    def prove(self) -> None:
+        """The server published something."""
+        self._lost_at = None
+
+    def answers(self, parts: AbstractSet[bytes]) -> bool:
+        """Whether the server with these parts is expected to answer, or is worth a trial."""
+        if self._lost_at is None:
+            return True
+        now = time.monotonic()
+        if parts != self._parts or now > self._lost_at + TRIAL_SECONDS + PROOF_SECONDS:
+            self._lost_at = None
+            return True
+        return now > self._lost_at + TRIAL_SECONDS
