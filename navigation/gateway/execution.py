@@ -360,8 +360,8 @@ class Execution:
         """
         rejected = drive.sent is not None and drive.sent.accepted is False
         if not self._link.reachable:
-            drive.released = rejected
-            drive.machine.on(DriveEvent.RETRY if rejected else DriveEvent.CONTACT_LOST)
+            drive.released = False
+            drive.machine.on(DriveEvent.CONTACT_LOST)
         elif rejected:
             if drive.machine.age > JUDGING_SECONDS:
                 self.finish(drive, GoalState.ABORTED, Fault.BAD_GOAL, drive.why)

@@ -149,7 +149,9 @@ class Gateway:
         """
         foreign, motion, drive = self.link.foreign, self.link.motion, self.drive
         self.link.end_all()
-        if drive is not None:
+        if drive is None:
+            self.execution.last = PlannerStatus()  # how the last drive ended no longer matters
+        else:
             self.execution.stop_drive("it was stopped")
         self._order.ask("it was stopped")
         self.execution.advance()
