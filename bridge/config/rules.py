@@ -38,6 +38,9 @@ def made_rules(section: NavigationSection) -> Iterator[MadeRule]:
         of = f"navigation (planner {planner.name})"
         if planner.side != "zenoh":
             yield _rule(of, kind="action", topic=planner.action, from_=planner.side, rename=planner.on_hub)
+        if planner.side != "zenoh":  # a stop cancels these, too, whatever the file says of other actions
+            for action in planner.motion:
+                yield _rule(of, kind="action", topic=action, from_=planner.side)
         if planner.velocity and section.velocity and planner.velocity != section.velocity:
             yield _rule(
                 of, kind="topic", topic=planner.velocity, type=TWIST, from_=planner.side, rename=section.velocity,

@@ -115,7 +115,7 @@ class Execution:
         """
         drive = self.drive
         if drive is None:
-            foreign = f"the goal is {own_client(self._planner)}: it can be stopped, but not paused"
+            foreign = f"{own_client(self._planner)} can be stopped, but not paused"
             raise RequestError(foreign if self._link.foreign else "there is no goal to pause")
         self._unpause()
         drive.pause_seconds = seconds

@@ -22,7 +22,7 @@ from bridge.cli.navigation.gateway import (
     told_status,
 )
 from bridge.cli.output import CliError, clean, plural, print_json
-from bridge.config.sections.navigation import OURS
+from bridge.config.sections.navigation import ACTION, OURS
 
 PATH = "nav_msgs/msg/Path"
 _ASK_SECONDS = 10.0
@@ -109,9 +109,20 @@ def _status(client: CliClient, types: Types, args: argparse.Namespace) -> int:
     goal = told["goal"] if told["goal"]["header"]["frame_id"] else None
     if args.json:
         place = None if goal is None else dict(zip(("frame", "x", "y", "theta_deg"), place_of(goal), strict=True))
-        shown = {key: gateway.get(key) for key in ("planner", "pending", "goals", "client", "goals_of_others")}
+        shown = {
+            key: gateway.get(key) for key in ("planner", "pending", "goals", "client", "goals_of_others", "served_by")
+        }
         waits = {"waits": "" if away is None else away.text, "cure": "" if away is None else away.cure}
-        print_json({"state": told["state"], "reason": told["reason"], "goal": place, **shown, **waits})
+        print_json(
+            {
+                "state": told["state"],
+                "reason": told["reason"],
+                "error_code": told["error_code"],
+                "goal": place,
+                **shown,
+                **waits,
+            }
+        )
         return 0
     print(clean(state_text(told)))
     if goal is not None and gateway.get("goals"):
@@ -128,6 +139,8 @@ def _status(client: CliClient, types: Types, args: argparse.Namespace) -> int:
     others = gateway.get("goals_of_others")
     if others:
         print(f"         it has {plural(int(others), 'goal')} from clients that bypass the gateway")
+    if gateway.get("served_by"):
+        print(f"action   {ACTION} is served by {clean(gateway['served_by'])}, not by the gateway")
     return 0
 
 

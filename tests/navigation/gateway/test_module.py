@@ -231,7 +231,7 @@ def test_goals_that_the_planner_was_given_itself_are_seen_and_can_be_stopped(rig
     direct = Asked(rig.client, pose(1.0), "/planner/robot_goto/navigate_to_pose")
     goal = rig.planner.until(1)
     rig.state(State.MOVING, "its own client")
-    assert "it can be stopped" in rig.ask("pause")["message"]
+    assert "can be stopped, but not paused" in rig.ask("pause")["message"]
     assert "is driving" in rig.ask("choose_planner", name="mine")["message"]
     rig.planner.reach(goal)
     assert direct.end()[0] == "SUCCEEDED"
