@@ -1,4 +1,4 @@
-"""The worker of one side: for each of its networks a crossing to the hub."""
+"""The worker of one side: connects each of its networks to the hub."""
 
 from __future__ import annotations
 
@@ -42,11 +42,10 @@ from bridge.worker import Health, Worker, costs
 _log = logging.getLogger(__name__)
 
 SWITCH_INTERVAL = 0.0002
-"""Seconds after which a thread that only computes gives way to one that has a message."""
-
+"""Seconds after which a computing thread yields to one with a message to handle."""
 
 DRAIN_SECONDS = 2.2
-"""A worker that stops carries the last replies of navigation for this time: longer than
+"""A stopping worker forwards the last replies of navigation for this time: longer than
 `bridge.modules.worker.WIND_DOWN_SECONDS`, and within the 2.8 s that the daemon allows."""
 
 _DRAIN_PERIOD = 0.02
@@ -56,16 +55,16 @@ _LAST_SECONDS = 0.1
 def make_edges(name: str, config: Config, registry: Registry, folder: Path) -> dict[str, Edge]:
     """Import and construct a side's edges, by their names on the control plane."""
     side = all_networks()[name]
-    made: Any = imported(side.edges)(config, registry, folder)
-    return dict(made) if side.networks else {side.name: made}
+    edges: Any = imported(side.edges)(config, registry, folder)
+    return dict(edges) if side.networks else {side.name: edges}
 
 
 class BridgeWorker(Worker):
-    """Joins one side to the hub.
+    """Connects one side to the hub.
 
     Attributes:
-        config: what it runs by, None before it starts.
-        crossings: one for each network of its side.
+        config: the active configuration, None before the start.
+        crossings: one for each network of the side.
     """
 
     def __init__(self, side: str) -> None:
@@ -75,9 +74,9 @@ class BridgeWorker(Worker):
         self._failure = ""
 
     def start(self, config: Config) -> None:
-        """Open the hub sessions and begin to join the side's networks."""
+        """Open the hub sessions and start joining the side's networks."""
         self.config = config
-        # A status document or diagnostics of many routes must not hold up a message for Python's usual 5 ms.
+        # A status document or diagnostics of many routes must not delay a message by Python's default of 5 ms.
         sys.setswitchinterval(SWITCH_INTERVAL)
         keep_memory()
         config = _with_memory(config)
@@ -85,8 +84,8 @@ class BridgeWorker(Worker):
         working.at(self.side.loading or f"loading the {self.side.name} side")
         for name, edge in make_edges(self.side.name, config, registry, worker_folder(config)).items():
             working.at("opening the hub")
-            told = not self.side.networks  # on foreign keys nobody expects our diagnostics
-            self.crossings.append(Crossing(name, edge, config, registry, self._failed, diagnostics=told))
+            diagnostics = not self.side.networks  # programs on foreign keys do not expect diagnostics
+            self.crossings.append(Crossing(name, edge, config, registry, self._failed, diagnostics=diagnostics))
         keep_objects()
 
     def reload(self, config: Config) -> bool:
@@ -107,23 +106,23 @@ class BridgeWorker(Worker):
         return True
 
     def health(self) -> Health:
-        """The engines' health; of several, that of the first that runs."""
+        """The combined health of the engines: running if any of them is."""
         if self._failure:
             raise RuntimeError(self._failure)
-        found = {crossing.name: crossing.health() for crossing in self.crossings}
-        if not found:
+        reports = {crossing.name: crossing.health() for crossing in self.crossings}
+        if not reports:
             return Health("waiting", "starting")
-        if len(found) == 1:
-            return next(iter(found.values()))
-        best = min(found.values(), key=lambda health: health.state != "running")
-        return Health(best.state, "; ".join(f"{name}: {health.text}" for name, health in found.items()))
+        if len(reports) == 1:
+            return next(iter(reports.values()))
+        best = min(reports.values(), key=lambda health: health.state != "running")
+        return Health(best.state, "; ".join(f"{name}: {health.text}" for name, health in reports.items()))
 
     def hears_diagnostics(self) -> bool:
-        """See `Worker`; each of several crossings sees the same hub."""
+        """See `Worker`; all crossings see the same hub."""
         return bool(self.crossings) and self.crossings[0].hears_diagnostics()
 
     def stop(self) -> None:
-        """Give back every endpoint and close the sessions, once the goals of the gateway have ended."""
+        """Close all endpoints and sessions, once the goals of the gateway have ended."""
         crossings, self.crossings = self.crossings, []
         deadline = time.monotonic() + DRAIN_SECONDS
         for crossing in crossings:
@@ -137,8 +136,8 @@ class BridgeWorker(Worker):
 
 
 def _with_memory(config: Config) -> Config:
-    """The configuration, without the hub's shared memory where dead sessions' still fills the machine's."""
-    if sys.platform != "linux":  # elsewhere shared memory is no files that are seen
+    """Return the configuration, with shared memory off if pools of dead sessions still occupy the machine's."""
+    if sys.platform != "linux":  # other systems do not expose shared memory as files
         return config
     removed = shared_memory.clean()
     if removed:
@@ -147,15 +146,15 @@ def _with_memory(config: Config) -> Config:
     if not orphans:
         return config
     _log.warning(
-        "%d shared-memory pools of zenoh sessions that were killed are held by programs that live: the hub does without"
-        " shared memory in this worker; start those programs anew, and then this one",
+        "%d shared-memory pools of killed zenoh sessions are held by running programs: this worker does not use shared"
+        " memory for the hub; restart those programs, then this worker",
         orphans,
     )
     return config.model_copy(update={"hub": config.hub.model_copy(update={"shared_memory": False})})
 
 
 def _navigates(route: Route) -> bool:
-    """Whether the result of a goal of the gateway, or of a planner's, is pending in a route."""
+    """Whether a route has a pending result of a goal of the gateway or a planner."""
     if not isinstance(route, ServiceRoute) or not route.counters.pending:
         return False
     action, part = split(route.hub_topic)
@@ -163,9 +162,9 @@ def _navigates(route: Route) -> bool:
 
 
 class Crossing:
-    """Joins one network; it answers on the hub's control plane under its ``name``.
+    """Connects one network to the hub, and responds on the hub's control plane under its ``name``.
 
-    ``edge`` is not started yet; ``failed`` gets the reason when the edge or the engine cannot go on; with
+    ``edge`` is not started yet; ``failed`` receives the reason when the edge or the engine fails for good; with
     ``diagnostics`` the counters are published on the side.
     """
 
@@ -178,7 +177,7 @@ class Crossing:
         self._started = time.monotonic()
         self._process = psutil.Process()
         self._stopped = False
-        self._drained = threading.Event()  # never set: a pause that no signal cuts short
+        self._drained = threading.Event()  # never set: a pause that signals do not shorten
         self._hub = Hub.open(
             HubSettings(
                 domain=config.hub.domain,
@@ -225,7 +224,7 @@ class Crossing:
         self._unshare = carry(routing.parameters, self._hub, lambda: engine.summary().state == "running")
 
     def health(self) -> Health:
-        """The engine's health; raises `TimeoutError` where it stands still."""
+        """The engine's health; raises `TimeoutError` if the engine hangs."""
         engine = self._running()
         computes = engine.alive()
         summary = engine.summary()
@@ -234,11 +233,11 @@ class Crossing:
         return Health(summary.state, f"{text}; it {computes}" if computes else text)
 
     def hears_diagnostics(self) -> bool:
-        """Whether somebody on the hub, or a program of any side, hears `/diagnostics`."""
+        """Whether `/diagnostics` has a subscriber on the hub or on any side."""
         return heard(self._hub.graph)
 
     def drain(self, deadline: float) -> None:
-        """Wait until no result of a navigation goal is pending: the gateway of the daemon stops the robot meanwhile.
+        """Wait until no result of a navigation goal is pending: the daemon's gateway stops the robot meanwhile.
 
         ``deadline`` is in monotonic seconds.
         """
@@ -249,7 +248,7 @@ class Crossing:
             self._drained.wait(_LAST_SECONDS)  # for the replies that were sent last
 
     def stop(self) -> None:
-        """Give back every endpoint and close the session."""
+        """Close all endpoints and the session."""
         self._diagnostics.close()
         for closer in self._closers:
             closer()

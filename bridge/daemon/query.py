@@ -1,6 +1,6 @@
-"""What the daemon says of itself and its workers, on a Unix socket in its state folder: also of those that do not run.
+"""State of the daemon and its workers, on a Unix socket in the state folder.
 
-A running worker answers on the hub; one that cannot start has nobody to answer for it but the daemon.
+A running worker responds on the hub; for one that cannot start, only the daemon can respond.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from bridge.state_file import state_folder
 
 
 class Phase(Enum):
-    """What a slot is doing."""
+    """State of a worker slot."""
 
     OFF = "off"
     UNAVAILABLE = "not available"
@@ -41,7 +41,7 @@ _MAX_ANSWER = 1 << 20
 
 
 class QueryServer:
-    """Answers each connection with one JSON document, and closes it."""
+    """Sends one JSON document on each connection, then closes it."""
 
     def __init__(self, loop: SelectorLoop, path: Path, document: Callable[[], dict[str, Any]]) -> None:
         self._loop = loop
@@ -50,11 +50,11 @@ class QueryServer:
         self._spare = os.open(os.devnull, os.O_RDONLY | os.O_CLOEXEC)
         self._server = socket.socket(socket.AF_UNIX)
         try:
-            path.unlink(missing_ok=True)  # a dead predecessor's: the daemon's lock is ours
+            path.unlink(missing_ok=True)  # left by a dead daemon: this one holds the lock
             self._server.bind(str(path))
             path.chmod(0o600)
         except OSError as err:
-            logger.warning("cannot make %s: %s; nobody can ask this daemon about its workers", path, err.strerror)
+            logger.warning("cannot create socket %s: %s; commands cannot query the workers", path, err.strerror)
             return
         self._server.listen(8)
         self._server.setblocking(False)
@@ -71,11 +71,11 @@ class QueryServer:
 
     def _accepted(self, client: socket.socket) -> None:
         with contextlib.suppress(OSError), client:
-            client.setblocking(False)  # an answer is far smaller than a socket's buffer
+            client.setblocking(False)  # the document is far smaller than the socket buffer
             client.sendall(json.dumps(self._document()).encode())
 
     def _turn_away(self) -> None:
-        """Without a descriptor for it, a waiting connection would wake the loop without end: the spare one takes it."""
+        """Accept and close a connection with the spare descriptor: left waiting, it would wake the loop forever."""
         os.close(self._spare)
         with contextlib.suppress(OSError):
             self._server.accept()[0].close()
@@ -91,14 +91,15 @@ class QueryServer:
 
 
 def ask_daemon(config: Config, seconds: float = 1.0) -> dict[str, Any] | None:
-    """What the daemon of this configuration says of itself, None where none runs (or its state folder is not ours).
+    """Return the state of this configuration's daemon, None if it is not running (or its folder is another user's).
 
     Returns:
-        ``daemon``, ``pid``, ``uptime`` (seconds), ``config`` (file or null), ``refused`` (why the last reload was, or
-        ""), ``status`` (one line), ``workers``: a list of ``worker``, ``phase`` (`bridge.daemon.query.Phase`),
-        ``text`` (what it is at, also while it starts), ``since`` (seconds in this phase), ``still`` (seconds for which
-        a starting or running one has neither come further nor computed), ``beat`` (seconds since its process's last
-        heartbeat, null before the first), ``pid``, ``restarts``, ``ended`` (how its last process ended by itself).
+        ``daemon``, ``pid``, ``uptime`` (seconds), ``config`` (file or null), ``refused`` (why the last reload was
+        refused, or ""), ``status`` (one line), ``workers``: a list of ``worker``, ``phase``
+        (`bridge.daemon.query.Phase`), ``text`` (current step or state), ``since`` (seconds in this phase), ``still``
+        (seconds without progress or computation of a starting or running worker), ``beat`` (seconds since the last
+        heartbeat of its process, null before the first), ``pid``, ``restarts``, ``ended`` (how its last process exited
+        by itself).
     """
     return ask_socket(config, state_file.daemon_socket, b"", seconds)
 
@@ -106,22 +107,22 @@ def ask_daemon(config: Config, seconds: float = 1.0) -> dict[str, Any] | None:
 def ask_socket(
     config: Config, path: Callable[[Config], Path], question: bytes, seconds: float
 ) -> dict[str, Any] | None:
-    """The answer on one of the daemon's sockets, None where there is none."""
+    """Return the response on one of the daemon's sockets, None without a valid one."""
     config = config.model_copy(update={"state": state_folder(config).absolute()})
     answer = b""
-    if not hasattr(socket, "AF_UNIX"):  # Windows, where no daemon runs
+    if not hasattr(socket, "AF_UNIX"):  # on Windows, which has no daemon
         return None
     with socket.socket(socket.AF_UNIX) as sock:
         sock.settimeout(seconds)
         try:
             sock.connect(str(path(config)))
-            if question:  # even no bytes at all cannot be sent to a server that has answered and left
+            if question:  # even an empty send fails if the server has already responded and closed
                 sock.sendall(question)
             while data := sock.recv(1 << 16):
                 answer += data
                 if len(answer) > _MAX_ANSWER:
                     return None
-            said = json.loads(answer)
+            document = json.loads(answer)
         except (OSError, ValueError, RuntimeError):
             return None
-    return said if isinstance(said, dict) else None
+    return document if isinstance(document, dict) else None

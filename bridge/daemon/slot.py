@@ -1,4 +1,4 @@
-"""One worker's place in the daemon: starts its process, watches its heartbeat, restarts it, and stops it."""
+"""Supervision of one worker: start, heartbeat, restart and stop of its process."""
 
 from __future__ import annotations
 
@@ -26,11 +26,11 @@ from bridge.worker import Health
 
 logger = logging.getLogger("midspan.daemon")
 
-_LAST_WORDS = 0.3
-"""Seconds for a silent worker to tell where its threads stand, before it is killed."""
+_STACK_SECONDS = 0.3
+"""Seconds for a hung worker to log the stacks of its threads before SIGKILL."""
 
 _DOUBLED = 2
-"""Times that what a worker may stand still for as it comes up is doubled."""
+"""How often the limit for a start without progress is doubled."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,13 +38,13 @@ class Timing:
     """Limits in seconds.
 
     Attributes:
-        heartbeat: a worker that sends no heartbeat, nor computes, for longer is killed and started again.
-        start: one that comes up may stand still for so long; the next one in its place for twice as long, and so on.
-        patience: one that comes up and stands still for longer keeps the others waiting no more.
-        stop: from the word to stop until SIGKILL.
-        retry: until one that cannot work here is tried again.
-        look: between looks for a worker that a service of its own runs.
-        end: between looks whether an earlier daemon's worker has ended.
+        heartbeat: a worker that neither sends a heartbeat nor computes for longer is killed and restarted.
+        start: longest time without progress while starting; it doubles after each such failure, up to a limit.
+        patience: a starting worker without progress for longer no longer delays the start of others.
+        stop: from the stop request until SIGKILL.
+        retry: pause before a worker that cannot work here is started again.
+        look: interval of polling for a worker that a separate service runs.
+        end: interval of polling for the exit of an earlier daemon's worker.
     """
 
     heartbeat: float = 5.0
@@ -57,10 +57,10 @@ class Timing:
 
 
 class Slot:
-    """One worker's place.
+    """Runs and monitors one worker.
 
-    A ``standing`` worker is run by a service of its own: the daemon adopts it, and never starts it. ``first`` says
-    which workers must come up before this one may start, "" if none. ``link`` leads to its process.
+    A ``standing`` worker is run by a separate service: the daemon adopts it and never starts it. ``first`` returns the
+    workers that must finish starting before this one, "" if none. ``link`` is the connection to its process.
     """
 
     def __init__(
@@ -72,8 +72,8 @@ class Slot:
         self.since = time.monotonic()
         self.text = ""
         self.restarts = 0
-        self.ended = ""  # how its last process ended, if the daemon did not stop it
-        self.beat_at: float | None = None  # of its process, on the monotonic clock; None before the first
+        self.ended = ""  # how its last process exited, if the daemon did not stop it
+        self.beat_at: float | None = None  # last heartbeat, on the monotonic clock; None before the first
         self.reloading = False
         self._loop = loop
         self._timing = timing
@@ -105,7 +105,7 @@ class Slot:
 
     @property
     def pid(self) -> int:
-        """Process id, 0 where there is none."""
+        """Process id, 0 if no process is attached."""
         return self.link.pid if self.link is not None else 0
 
     @property
@@ -115,28 +115,28 @@ class Slot:
 
     @property
     def still(self) -> float:
-        """Seconds for which its process has come no further, has not computed and has sent no heartbeat."""
+        """Seconds without progress, computation or a heartbeat of its process."""
         return self._movement.still(time.monotonic()) if self.phase in {Phase.STARTING, Phase.UP} else 0.0
 
     @property
     def comes_up(self) -> bool:
-        """Whether a process of this daemon's comes up, and works at that."""
+        """Whether this daemon's process for it is starting and makes progress."""
         return self.phase is Phase.STARTING and self._spawned and self.still <= self._timing.patience
 
     @property
     def settled(self) -> bool:
-        """Whether it is as well as it can be for now: nothing is under way."""
+        """Whether it is in a stable phase and no reload is pending."""
         return self.phase in {Phase.OFF, Phase.UNAVAILABLE, Phase.UP, Phase.FAILED} and not self.reloading
 
     @property
     def is_service(self) -> bool:
-        """Whether a service of its own runs the worker."""
+        """Whether a separate service runs the worker."""
         return self._standing or (self.link is not None and self.link.owner == "service")
 
     # -- configuration -------------------------------------------------------------------------------------------------
 
     def configure(self, config: Config) -> None:
-        """Take up a checked configuration: start, stop, tell or restart the worker, or leave it alone."""
+        """Apply a checked configuration: start, stop, reload or restart the worker if needed."""
         old, self._config = self._config, config
         enabled = self.kind.enabled(config)
         missing = self.kind.missing(config) if enabled == "auto" else ""
@@ -144,7 +144,7 @@ class Slot:
             if self.link is not None:
                 self.stop(missing or "switched off")
             else:
-                self._rest()
+                self._enter_idle()
             return
         if self.phase is Phase.STOPPING:
             self._then_start = True
@@ -152,22 +152,22 @@ class Slot:
             self._backoff.reset()
             self._launch()
         elif old is None or self.kind.config_part(old) != self.kind.config_part(config):
-            self._tell(config)
+            self._reconfigure(config)
 
-    def _tell(self, config: Config) -> None:
+    def _reconfigure(self, config: Config) -> None:
         assert self.link is not None
         try:
             same = not self._env or self.kind.child_environment(config) == self._env
         except RuntimeError:
-            same = False  # the start says why
+            same = False  # the restart logs the reason
         if not same:
             self._restart("its environment changes")
             return
         self.reloading = True
         self.link.send(protocol.NewConfig(config))
 
-    def _rest(self) -> None:
-        """No process, and none wanted: say why."""
+    def _enter_idle(self) -> None:
+        """Enter the phase of a worker without a process, with the reason."""
         assert self._config is not None
         enabled = self.kind.enabled(self._config)
         missing = self.kind.missing(self._config) if enabled == "auto" else ""
@@ -227,7 +227,7 @@ class Slot:
         logger.info("%s started as process %d", self.name, self.link.pid)
 
     def _wait_for(self, lock: Lock) -> None:
-        """An earlier daemon's worker still runs: give it the time to stop by itself, then end it."""
+        """Wait for an earlier daemon's worker to exit; kill it after the stop limit."""
         now = time.monotonic()
         holder = lock.holder()
         self._blocked_since = self._blocked_since or now
@@ -250,14 +250,14 @@ class Slot:
         self._due = time.monotonic() + seconds
 
     def _cannot_work(self, why: str) -> None:
-        logger.error("%s cannot work: %s (tried again in %g s)", self.name, why, self._timing.retry)
+        logger.error("%s cannot work: %s (retrying in %g s)", self.name, why, self._timing.retry)
         self._enter(Phase.FAILED, why)
         self._due = time.monotonic() + self._timing.retry
 
-    # -- what the worker says ------------------------------------------------------------------------------------------
+    # -- reports of the worker -----------------------------------------------------------------------------------------
 
     def on_report(self, report: protocol.Report) -> None:
-        """The worker said something."""
+        """Handle a report of the worker."""
         match report:
             case Busy(text, used, read):
                 self._movement.look(time.monotonic(), text, used, read)
@@ -268,7 +268,7 @@ class Slot:
                 self._movement.move(self.beat_at)
                 self._asked = False
                 if self.phase in {Phase.STARTING, Phase.UP}:
-                    self._take_health(health)
+                    self._on_health(health)
             case protocol.LogLine(level, text):
                 logger.log(level, "%s", text, extra={"worker": self.name})
             case protocol.Reloaded():
@@ -280,30 +280,30 @@ class Slot:
             case protocol.Hello(pid, owner):
                 logger.info("%s: connected to process %d, started by a %s", self.name, pid, owner)
 
-    def _take_health(self, health: Health) -> None:
-        """It has come up, or goes on; it is called up once it says that it runs."""
+    def _on_health(self, health: Health) -> None:
+        """Handle a heartbeat; the worker is up once its health is "running"."""
         if health.state == "running" and not self._up:
             self._up = True
             logger.info("%s is up (%s)", self.name, health.text)
         elif self.phase is Phase.STARTING:
-            done = "stands by" if health.state == "standby" else "waits"
-            logger.info("%s has started and %s: %s", self.name, done, health.text)
+            state = "stands by" if health.state == "standby" else "waits"
+            logger.info("%s has started and %s: %s", self.name, state, health.text)
         self._stood_still = 0
         self._enter(Phase.UP, health.text if health.state == "running" else f"{health.state}, {health.text}")
 
     def on_gone(self, ended: Exit) -> None:
-        """The worker's process has ended."""
+        """Handle the exit of the worker's process."""
         self._standing = self.is_service
         self.link = None
         self.reloading = False
         now = time.monotonic()
         if self.phase is Phase.STOPPING:
             logger.info("%s %s", self.name, ended)
-            self._rest()
+            self._enter_idle()
             if self._then_start:
                 self._launch()
         elif ended.code == protocol.EXIT_CANNOT_WORK:
-            self._cannot_work(self._failure or "it said so by its exit code")
+            self._cannot_work(self._failure or "it reported no reason")
         else:
             self.restarts += 1
             pause = self._backoff.pause(now - self.since if self.phase is Phase.UP else 0.0)
@@ -315,13 +315,13 @@ class Slot:
     # -- time ----------------------------------------------------------------------------------------------------------
 
     def tick(self) -> None:
-        """What is due; called several times a second."""
+        """Do what is due; called several times a second."""
         if self.link is not None:
             self.link.poll()
         now = time.monotonic()
         match self.phase:
             case Phase.STARTING | Phase.UP:
-                self._judge(now)
+                self._check_progress(now)
             case Phase.QUEUED:
                 self._launch()
             case Phase.STOPPING if now > self._due:
@@ -331,24 +331,24 @@ class Slot:
 
     @property
     def _limit(self) -> float:
-        """Seconds for which it may stand still now."""
+        """Longest time without progress in the current phase, in seconds."""
         if self.phase is Phase.UP:
             return self._timing.heartbeat
         return self._timing.start * (1 << min(self._stood_still, _DOUBLED))
 
-    def _judge(self, now: float) -> None:
-        """Kill it where it hangs; one that only takes long is let be."""
+    def _check_progress(self, now: float) -> None:
+        """Kill a hung worker, but not one that only computes for long."""
         if self._killed:
             return
         limit, still, computed = self._limit, self._movement.still(now), self._movement.computed()
         if computed > ENDLESS * limit:
             self._kill(f"is in a loop without an end: {self._movement.step} has computed for {computed:.0f} s")
-        elif still > limit + _LAST_WORDS:
+        elif still > limit + _STACK_SECONDS:
             self._kill(self._silence(limit))
         elif still > limit and not self._asked:
             self._asked = True
-            listens = self.phase is Phase.UP or self.text  # before its first word the signal would end it
-            if listens and self.link is not None and self.link.pid and TELL_STACKS is not None:
+            handles_signal = self.phase is Phase.UP or self.text  # before its first report the signal would kill it
+            if handles_signal and self.link is not None and self.link.pid and TELL_STACKS is not None:
                 self.link.kill(TELL_STACKS)
 
     def _silence(self, limit: float) -> str:
@@ -362,11 +362,11 @@ class Slot:
 
     @property
     def due(self) -> float:
-        """When `tick` has something to do at the latest, on the monotonic clock; infinite where that is not known."""
+        """Latest time at which `tick` has work to do, on the monotonic clock; infinite if unknown."""
         return self._due if self.phase in {Phase.PAUSED, Phase.FAILED} else math.inf
 
     def forgive(self, seconds: float) -> None:
-        """The daemon itself did not look for so long."""
+        """Ignore a time, in seconds, in which the daemon itself did not run."""
         self._movement.moved += seconds
 
     def _kill(self, why: str) -> None:
@@ -384,14 +384,14 @@ class Slot:
         if self.link.pid:
             self.link.kill(signal.SIGKILL)
         else:
-            # adopted, but it never told who it is: its lock does, once this connection is given up
+            # adopted, but its process id is unknown: the lock names it once this connection is closed
             self.link.detach()
             self.on_gone(Exit(None))
 
     # -- stopping ------------------------------------------------------------------------------------------------------
 
     def _restart(self, why: str) -> None:
-        if self.is_service and self.link is not None:  # it does so by itself, and is then found again
+        if self.is_service and self.link is not None:  # it restarts by itself and is then adopted again
             logger.info("%s starts again: %s", self.name, why)
             self._enter(Phase.STOPPING, why)
             self._due = time.monotonic() + self._timing.stop
@@ -400,7 +400,7 @@ class Slot:
         self._then_start = True
 
     def stop(self, why: str, seconds: float | None = None) -> None:
-        """Tell the worker to stop; SIGKILL after ``seconds`` (by default the limit), from `tick`."""
+        """Ask the worker to stop; `tick` sends SIGKILL after ``seconds`` (by default the limit)."""
         self._then_start = False
         if self.link is None:
             self._enter(Phase.OFF)
@@ -414,7 +414,7 @@ class Slot:
         self._due = time.monotonic() + (self._timing.stop if seconds is None else seconds)
 
     def let_go(self) -> None:
-        """Close the line to a worker that goes on without this daemon."""
+        """Disconnect from a worker that continues without this daemon."""
         if self.link is not None:
             self.link.detach()
             self.link = None
@@ -422,7 +422,7 @@ class Slot:
 
 
 def _is_worker(pid: int, name: str) -> bool:
-    """Whether the process is a worker of that name, and not some other one that got a dead worker's number."""
+    """Whether the process is a worker of that name, not another program with a reused process id."""
     try:
         arguments = psutil.Process(pid).cmdline()
     except psutil.Error:

@@ -1,4 +1,4 @@
-"""The daemon: starts the workers, watches them, reloads the configuration, reports, and stops all in order."""
+"""The daemon: starts and monitors the workers, reloads the configuration, reports, and stops everything in order."""
 
 from __future__ import annotations
 
@@ -28,28 +28,28 @@ logger = logging.getLogger("midspan.daemon")
 
 STEP = 0.25
 STOOD_STILL = 1.0
-"""A step longer than this means that this process, or the machine, stood still: no worker is to blame for that time."""
+"""A longer step means that this process or the machine was suspended; workers are not blamed for that time."""
 READY_AFTER = 10.0
-"""Ready at the latest after this, with what works by then: a side that is away must not fail the whole service."""
+"""The daemon reports ready after this time at the latest: a side without its network must not fail the service."""
 STOP_SECONDS = 4.8
 KILLED_SECONDS = 1.0
-"""A killed process that is still there by then hangs in the kernel; it does not count to `STOP_SECONDS`."""
+"""A killed process that still exists after this time hangs in the kernel; not part of `STOP_SECONDS`."""
 STATUS_INTERVAL = 1.0
 
 
 def usable_cores() -> int:
-    """How many processor cores this process may use."""
+    """Return the number of processor cores that this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 class Supervisor:
     """The daemon's one thread.
 
-    Without a file it looks for one at each load. It adopts the ``standing`` workers, which services of their own run.
-    At most ``cores`` workers come up at once, by default as many as this process may use.
+    Without a file it searches for one at each load. It adopts the ``standing`` workers, which separate services run.
+    At most ``cores`` workers start at once, by default as many as this process may use.
 
     Attributes:
-        loop: what that thread waits on.
+        loop: the selector loop of that thread.
     """
 
     def __init__(
@@ -77,13 +77,13 @@ class Supervisor:
 
     @property
     def config(self) -> Config:
-        """The configuration that is running."""
+        """The active configuration."""
         return self._config
 
     # -- from signal handlers and other threads ------------------------------------------------------------------------
 
     def request_stop(self) -> None:
-        """Stop; a second time: at once."""
+        """Stop in order; a second request kills the workers at once."""
         self._stops += 1
         self.loop.wake()
 
@@ -95,9 +95,9 @@ class Supervisor:
     # -- the loop ------------------------------------------------------------------------------------------------------
 
     def run(self) -> None:
-        """Run until asked to stop; raises `RuntimeError` where the state folder is another daemon's, or unusable."""
+        """Run until a stop request; raises `RuntimeError` if the state folder is unusable or has another daemon."""
         socket, log_socket = state_file.daemon_socket(self._config), state_file.log_socket(self._config)
-        lock = self._only_one()
+        lock = self._lock_state_folder()
         query, kept = QueryServer(self.loop, socket, self.document), KeptLines()
         log_query = LogServer(self.loop, log_socket, kept)
         logging.getLogger().addHandler(kept)
@@ -119,7 +119,7 @@ class Supervisor:
             self._notify.close()
             self.loop.close()
 
-    def _only_one(self) -> Lock:
+    def _lock_state_folder(self) -> Lock:
         lock = Lock(state_file.daemon_lock(self._config))
         if lock.try_lock():
             lock.write(os.getpid(), "daemon")
@@ -137,13 +137,13 @@ class Supervisor:
             slot.configure(config)
 
     def _first(self) -> str:
-        """Who comes up before one more process may be started, "" where one may now.
+        """Return the workers that must finish starting before another process may start, "" if it may start now.
 
-        All at once they would only hold each other up, restarted ones among them. Who is asked first is started first:
-        the slots stand in that order, the router, the sides, then the modules and the simulator.
+        Starting all at once only slows every one of them, restarted ones included. The order of the slots decides: the
+        router, the sides, then the modules and the simulator.
         """
-        coming = [slot.name for slot in self.slots if slot.comes_up]
-        return " and ".join(coming) if len(coming) >= self._cores else ""
+        starting = [slot.name for slot in self.slots if slot.comes_up]
+        return " and ".join(starting) if len(starting) >= self._cores else ""
 
     def _step(self) -> None:
         interval = self._notify.watchdog_interval
@@ -160,25 +160,25 @@ class Supervisor:
         if not self._announced and (now > self._ready_at or all(slot.settled for slot in self.slots)):
             self._announced = True
             self._status_sent = 0.0
-            self._tell_status(now)
+            self._send_status(now)
             self._notify.ready()
             logger.info("ready: %s", self.status())
-        self._tell_status(now)
+        self._send_status(now)
 
-    def _tell_status(self, now: float) -> None:
+    def _send_status(self, now: float) -> None:
         if now - self._status_sent >= STATUS_INTERVAL:
             self._status_sent = now
-            self._look_at_folder()
+            self._check_folder()
             self._notify.status(self.status())
 
-    def _look_at_folder(self) -> None:
+    def _check_folder(self) -> None:
         trouble = folder_trouble(state_folder(self._config))
         if trouble != self._trouble:
             self._trouble = trouble
             logger.warning("%s", trouble or "the state folder can be written again")
 
     def status(self) -> str:
-        """One line that says it all."""
+        """Return the state of all workers in one line."""
         parts = []
         for slot in self.slots:
             if slot.phase is Phase.OFF:
@@ -195,10 +195,10 @@ class Supervisor:
             parts.append(self._trouble)
         if self._refused:
             parts.append(f"reload refused, the running configuration is kept: {self._refused}")
-        return " | ".join(parts) or "no worker is switched on"
+        return " | ".join(parts) or "no worker is enabled"
 
     def document(self) -> dict[str, Any]:
-        """What `bridge.daemon.query.ask_daemon` returns."""
+        """Return the document that `bridge.daemon.query.ask_daemon` receives."""
         return {
             "daemon": self._config.name,
             "pid": os.getpid(),
@@ -242,7 +242,7 @@ class Supervisor:
 
     def _checked_again(self) -> Config:
         config = load(self._file)
-        # The folder that is in use may be full or read-only by now: that is told, and is no reason to refuse a file.
+        # The folder in use may be full or read-only by now: that is reported, but must not make the reload fail.
         config = config.model_copy(update={"state": state_folder(config, self._environ).absolute()})
         for key in ("name", "state"):
             old, new = getattr(self._config, key), getattr(config, key)
@@ -254,7 +254,7 @@ class Supervisor:
     # -- the end -------------------------------------------------------------------------------------------------------
 
     def _end(self) -> None:
-        """Stop the bridge workers, then what outlives a crash but not a clean stop, all within `STOP_SECONDS`."""
+        """Stop the bridge workers, then those that outlive a crash but not a clean stop, all within `STOP_SECONDS`."""
         self._notify.stopping()
         self._notify.status("stopping")
         begun = time.monotonic()
@@ -275,23 +275,23 @@ class Supervisor:
             if self._stops > 1:
                 for slot in group:
                     slot.kill()
-            self._look_after([slot for slot in self.slots if not slot.idle])
+            self._step_slots([slot for slot in self.slots if not slot.idle])
 
-    def _look_after(self, slots: list[Slot]) -> None:
+    def _step_slots(self, slots: list[Slot]) -> None:
         self.loop.step(0.05)
         for slot in slots:
             slot.tick()
         self._notify.feed_watchdog()
 
     def _kill_the_rest(self) -> None:
-        """What is left: its kill may have come to it only now, or, where this process stood still, not at all."""
-        rest = [slot for slot in self.slots if not slot.idle]
-        for slot in rest:
+        """Kill the remaining workers again: an earlier SIGKILL may not have been sent if this process was suspended."""
+        remaining = [slot for slot in self.slots if not slot.idle]
+        for slot in remaining:
             slot.kill()
         end = time.monotonic() + KILLED_SECONDS
-        while not all(slot.idle for slot in rest) and time.monotonic() < end:
-            self._look_after(rest)
-        for slot in rest:
+        while not all(slot.idle for slot in remaining) and time.monotonic() < end:
+            self._step_slots(remaining)
+        for slot in remaining:
             if not slot.idle:
                 logger.error("%s: process %d does not end, even when killed", slot.name, slot.pid)
                 slot.let_go()

@@ -17,39 +17,39 @@ from bridge.modules.endpoints import Endpoints
 from bridge.modules.services import Answer
 
 KEPT_SECONDS = 3600.0
-"""How long a result is kept for whoever asks for it."""
+"""How long a result is retained for clients that request it."""
 
 MAX_KEPT = 10_000
-MAX_TOLD = 100
-"""Goals of which the status topic tells, at most: the newest."""
+MAX_STATUSES = 100
+"""Maximum number of goals in a status message: the newest ones."""
 
 MAX_GOALS = 1000
-"""Goals that have not ended, at most; further ones are rejected."""
+"""Maximum number of active goals; further ones are rejected."""
 
 
 class Goal:
-    """One goal that came. Its methods are called on the module's thread.
+    """One received goal. Its methods are called on the module's thread.
 
     Attributes:
-        id: its 16 bytes.
-        goal: what is asked for.
-        info: its id and stamp, as ``action_msgs/msg/GoalInfo``.
-        status: its state.
-        cancel_wanted: a client asked for its cancellation.
-        client: GID of who sent it; empty where it does not say.
+        id: the goal id, 16 bytes.
+        goal: the goal message.
+        info: id and time stamp, as ``action_msgs/msg/GoalInfo``.
+        status: the current state.
+        cancel_wanted: whether a client requested cancellation.
+        client: GID of the action client; empty if unknown.
     """
 
     def __init__(
         self, server: ActionServer, goal_id: bytes, goal: dict[str, Any], stamp: dict[str, int], client: bytes = b""
     ) -> None:
         self.id, self.goal, self.stamp, self.client = goal_id, goal, stamp, client
-        # an array of numpy is written many times as fast as a list, and the states of many goals are told at once
+        # a numpy array serializes many times faster than a list, and a status message holds many goals
         self.info = {"goal_id": {"uuid": np.frombuffer(goal_id, np.uint8)}, "stamp": stamp}
         self.status = GoalState.ACCEPTED
         self.cancel_wanted = False
         self._server = server
         self._result: Mapping[str, Any] = {}
-        self._asking: list[Answer] = []
+        self._result_requests: list[Answer] = []
         self.ended_at = 0.0
 
     @property
@@ -58,35 +58,35 @@ class Goal:
         return not self.status.ended
 
     def execute(self) -> None:
-        """It is being worked on."""
+        """Mark the goal as executing."""
         self._change(GoalState.EXECUTING)
 
     def feedback(self, feedback: Mapping[str, Any]) -> None:
-        """Tell its clients how far it is."""
+        """Publish feedback to the clients."""
         if self.active:
             self._server.publish_feedback(self.id, feedback)
 
     def succeed(self, result: Mapping[str, Any] | None = None) -> None:
-        """It was reached."""
+        """End the goal as succeeded."""
         self._end(GoalState.SUCCEEDED, result)
 
     def abort(self, result: Mapping[str, Any] | None = None) -> None:
-        """It cannot be reached."""
+        """End the goal as aborted."""
         self._end(GoalState.ABORTED, result)
 
     def canceled(self, result: Mapping[str, Any] | None = None) -> None:
-        """It was given up, as a client asked for."""
+        """End the goal as canceled, at a client's request."""
         self._end(GoalState.CANCELED, result)
 
     def ask(self, answer: Answer) -> None:
-        """Answer with the result, once there is one."""
+        """Respond with the result, as soon as there is one."""
         if self.active:
-            self._asking.append(answer)
+            self._result_requests.append(answer)
         else:
             answer({"status": int(self.status), "result": self._result})
 
     def begin_cancel(self) -> None:
-        """A client's cancellation was taken."""
+        """Accept a client's cancel request."""
         self.cancel_wanted = True
         self._change(GoalState.CANCELING)
 
@@ -97,8 +97,8 @@ class Goal:
         self.ended_at = time.monotonic()
         self._server.ended(self)
         self._change(status)
-        asking, self._asking = self._asking, []
-        for answer in asking:
+        requests, self._result_requests = self._result_requests, []
+        for answer in requests:
             self.ask(answer)
 
     def _change(self, status: GoalState) -> None:
@@ -108,18 +108,18 @@ class Goal:
 
 
 Take = Callable[[Goal], bool]
-"""``take(goal)``: whether a goal is accepted; it may be worked on, or end, at once or later."""
+"""``take(goal)``: returns whether the goal is accepted; it may execute or end immediately or later."""
 
 Cancel = Callable[[Goal], bool]
-"""``cancel(goal)``: whether its cancellation is begun; the goal is then to end by `Goal.canceled`, or otherwise."""
+"""``cancel(goal)``: returns whether cancellation starts; the goal must then end, normally by `Goal.canceled`."""
 
 Brake = Callable[[bytes], None]
-"""``brake(goal_id)``: a cancellation has come, of all goals where the id is zeros. On a thread of the hub, at once: the
-module's own may be busy."""
+"""``brake(goal_id)``: called at once for each cancel request, with zeros for all goals. It runs on a hub thread because
+the module's own may be busy."""
 
 
 class ActionServer:
-    """Serves one action; made by `bridge.modules.host.ModuleNode.action_server`. All runs on the module's thread."""
+    """A server of one action from `bridge.modules.host.ModuleNode.action_server`. It runs on the module's thread."""
 
     def __init__(
         self,
@@ -143,14 +143,14 @@ class ActionServer:
         self._feedback = node.publisher(names.feedback, types.feedback, Qos(depth=100))
         at_once = None if brake is None else lambda request: _brake(brake, request["goal_info"])
         self._others = (
-            node.server(names.get_result, types.get_result, self._asked),
-            node.server(names.cancel_goal, CANCEL, self._cancelled, at_once),
+            node.server(names.get_result, types.get_result, self._on_result_request),
+            node.server(names.cancel_goal, CANCEL, self._on_cancel, at_once),
         )
-        self._sending = node.server(names.send_goal, types.send_goal, self._sent)
+        self._sending = node.server(names.send_goal, types.send_goal, self._on_goal)
         self.accepting = True  # whether new goals are served
         self._clients_of = names.send_goal
-        self.met: Callable[[Goal], object] = lambda _goal: None  # called with each goal as it comes
-        self.tell_status()  # at once: who reads it knows then that there are no goals
+        self.met: Callable[[Goal], object] = lambda _goal: None  # called with each new goal
+        self.tell_status()  # an empty list at the start: subscribers learn that no goal is active
 
     @property
     def active(self) -> list[Goal]:
@@ -158,7 +158,7 @@ class ActionServer:
         return list(self._active.values())
 
     def stop_accepting(self) -> None:
-        """Serve no new goals, for good: another server has the name. The active ones go on to their end."""
+        """Stop accepting goals for good, because another server has the name. Active goals continue until they end."""
         if self.accepting:
             self.accepting = False
             self._node.release(self._sending)
@@ -171,22 +171,22 @@ class ActionServer:
 
     @property
     def clients(self) -> int:
-        """How many there are on the hub who could send goals."""
+        """Number of action clients on the hub."""
         return len(self._node.hub.graph.clients(self._clients_of))
 
     def publish_feedback(self, goal_id: bytes, feedback: Mapping[str, Any]) -> None:
-        """Tell how far a goal is."""
+        """Publish the feedback of a goal."""
         self._feedback.publish({"goal_id": {"uuid": list(goal_id)}, "feedback": feedback})
 
     def tell_status(self) -> None:
-        """Publish the states of all goals that have not ended or did so lately."""
+        """Publish the states of all active and recently ended goals."""
         if self._starting:
             return
         self._expire()
-        told = reversed(list(islice(reversed(self._goals.values()), MAX_TOLD)))
-        self._status.publish({"status_list": [{"goal_info": g.info, "status": int(g.status)} for g in told]})
+        newest = reversed(list(islice(reversed(self._goals.values()), MAX_STATUSES)))
+        self._status.publish({"status_list": [{"goal_info": g.info, "status": int(g.status)} for g in newest]})
 
-    def _sent(self, request: dict[str, Any], answer: Answer) -> None:
+    def _on_goal(self, request: dict[str, Any], answer: Answer) -> None:
         goal_id = bytes(request["goal_id"]["uuid"])
         stamp = self._node.clock.stamp()
         if goal_id in self._goals or len(self._active) >= MAX_GOALS:
@@ -210,31 +210,31 @@ class ActionServer:
         if accepted:
             self.tell_status()
 
-    def _asked(self, request: dict[str, Any], answer: Answer) -> None:
+    def _on_result_request(self, request: dict[str, Any], answer: Answer) -> None:
         goal = self._goals.get(bytes(request["goal_id"]["uuid"]))
         if goal is not None:
             goal.ask(answer)
-        elif self.accepting:  # else another server has the name, and answers
+        elif self.accepting:  # otherwise another server has the name and responds
             answer({"status": int(GoalState.UNKNOWN), "result": {}})
 
-    def _cancelled(self, request: dict[str, Any], answer: Answer) -> None:
+    def _on_cancel(self, request: dict[str, Any], answer: Answer) -> None:
         info = request["goal_info"]
         goal_id, until = bytes(info["goal_id"]["uuid"]), _nanoseconds(info["stamp"])
-        one = self._goals.get(goal_id)
-        wanted = [g for g in self.active if (until and _nanoseconds(g.stamp) <= until) or g is one]
+        goal = self._goals.get(goal_id)
+        wanted = [g for g in self.active if (until and _nanoseconds(g.stamp) <= until) or g is goal]
         if not any(goal_id) and not until:
             wanted = self.active
-        begun = [goal for goal in wanted if goal.cancel_wanted or self._begin_cancel(goal)]
+        begun = [g for g in wanted if g.cancel_wanted or self._begin_cancel(g)]
         code = CancelCode.NONE if begun else CancelCode.REJECTED
         if any(goal_id) and not begun:
             code = (
                 CancelCode.UNKNOWN_GOAL_ID
-                if one is None
+                if goal is None
                 else CancelCode.REJECTED
-                if one.active
+                if goal.active
                 else CancelCode.GOAL_TERMINATED
             )
-        answer({"return_code": code, "goals_canceling": [goal.info for goal in begun]})
+        answer({"return_code": code, "goals_canceling": [g.info for g in begun]})
 
     def _begin_cancel(self, goal: Goal) -> bool:
         if self._cancel is None or not self._cancel(goal):
@@ -244,12 +244,12 @@ class ActionServer:
         return True
 
     def ended(self, goal: Goal) -> None:
-        """A goal has its result."""
+        """Record that a goal has its result."""
         if self._active.pop(goal.id, None) is not None:
             self._ended.append(goal)
 
     def _forget(self, goal: Goal) -> None:
-        """A goal that was not accepted."""
+        """Drop a goal that was not accepted."""
         del self._goals[goal.id]
         self._active.pop(goal.id, None)
 

@@ -1,4 +1,4 @@
-"""What a module calls on the hub: services, and actions, to which it sends goals."""
+"""Service and action clients of a module on the hub."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ Replied = Callable[[dict[str, Any] | CallError], None]
 
 
 class ModuleClient:
-    """Calls one service on the hub; made by `bridge.modules.host.ModuleNode.client`."""
+    """A client of one service on the hub, created by `bridge.modules.host.ModuleNode.client`."""
 
     KIND = "client"
 
@@ -43,7 +43,7 @@ class ModuleClient:
         return self._end.ready
 
     def call(self, request: Mapping[str, Any], replied: Replied) -> Abandon:
-        """Call; ``replied`` gets the reply or an error, once, on the module's thread. Nothing limits how long it takes.
+        """Call the service; ``replied`` receives the reply or an error, once, on the module's thread. No timeout.
 
         Raises `ConversionError` if the request has an unknown field, or a value that does not fit.
         """
@@ -52,7 +52,7 @@ class ModuleClient:
         return self._end.call(payload, lambda result: self._loop.post(lambda: replied(self._decoded(result))))
 
     def close(self) -> None:
-        """Call no more; calls under way end with an error."""
+        """Close the client; pending calls end with an error."""
         self._end.close()
 
     def _decoded(self, result: bytes | CallError) -> dict[str, Any] | CallError:
@@ -63,44 +63,44 @@ class ModuleClient:
             return MessageReader(self._response, self._check(result)).message()
         except ConversionError as err:
             self.counters.failed(str(err))
-            return CallError(f"{self.topic} answered with what is no reply: {err}")
+            return CallError(f"{self.topic} sent a malformed reply: {err}")
 
 
 FEEDBACK_DEPTH = 100
 
 CANCEL_AGAIN = 0.2
-"""Seconds after which a cancel whose call failed is asked for again."""
+"""Seconds after which a failed cancel request is repeated."""
 
 CANCEL_ALL_SECONDS = 5.0
-"""For so long the cancellation of all goals is: whoever gives one later means it."""
+"""Seconds for which a request to cancel all goals is repeated; goals that are sent later are intended."""
 
-Heard = Callable[[dict[str, Any]], None]
+OnMessage = Callable[[dict[str, Any]], None]
 
 
 class SentGoal:
-    """One goal; what it calls runs on the module's thread."""
+    """One sent goal; its callbacks run on the module's thread."""
 
-    def __init__(self, client: ActionClient, goal_id: bytes, feedback: Heard | None, ended: Ended) -> None:
+    def __init__(self, client: ActionClient, goal_id: bytes, feedback: OnMessage | None, ended: Ended) -> None:
         self.id = goal_id  # its 16 bytes
-        self.accepted: bool | None = None  # whether the server took it; None until it has said so
-        self.status = GoalState.UNKNOWN  # what is known of it; a terminal one once it has ended
+        self.accepted: bool | None = None  # whether the server accepted it; None before its response
+        self.status = GoalState.UNKNOWN  # last known status; a terminal one once the goal has ended
         self._client, self._ended = client, ended
         self.feedback = feedback
         self._cancel_wanted = False
 
     @property
     def active(self) -> bool:
-        """Whether it has not ended, and its end would be heard of."""
+        """Whether the goal has not ended, and the client still waits for its result."""
         return self._client.has(self.id)
 
     def cancel(self) -> None:
-        """Ask the server to cancel it, on any thread, once more when it accepts it; the end tells whether it did."""
+        """Request cancellation, from any thread, and again once the server accepts the goal; see the result."""
         self._cancel_wanted = True
         if self.accepted is not False:
             self._client.cancel(self.id)
 
     def answered(self, reply: dict[str, Any] | CallError) -> None:
-        """The server said whether it takes the goal."""
+        """Handle the server's response to the goal request."""
         if isinstance(reply, UnsentCallError):
             self.accepted = False
             self.finish(GoalState.UNKNOWN, None, str(reply))
@@ -116,47 +116,47 @@ class SentGoal:
                 self._client.cancel(self.id)
 
     def resulted(self, reply: dict[str, Any] | CallError) -> None:
-        """The goal ended."""
+        """Handle the server's result response."""
         if isinstance(reply, CallError):
             self.finish(GoalState.ABORTED, None, str(reply))
-        elif reply["status"] == GoalState.UNKNOWN:  # the server has lost the goal, or a bridge has
+        elif reply["status"] == GoalState.UNKNOWN:  # the server or a bridge has lost the goal
             why = str(reply["result"].get("error_msg", "")) or "the server does not know the goal"
             self.finish(GoalState.ABORTED, None, why)
         else:
             self.finish(GoalState(reply["status"]), reply["result"], "")
 
     def finish(self, status: GoalState, result: dict[str, Any] | None, why: str) -> None:
-        """Tell of the end, once."""
+        """Report the end of the goal, once."""
         if self._client.forget(self.id):
             self.status = status
             self._ended(self, result, why)
 
 
 Ended = Callable[[SentGoal, dict[str, Any] | None, str], None]
-"""``ended(goal, result, why)``: once; without a result where ``why`` says what went wrong."""
+"""``ended(goal, result, why)``: called once; on failure ``result`` is None and ``why`` gives the reason."""
 
 
 class CallingNode(Protocol):
-    """What an action's client needs of its node; see `bridge.modules.host.ModuleNode`."""
+    """The node interface that an action client needs; see `bridge.modules.host.ModuleNode`."""
 
     loop: EventLoop
 
     @property
     def hub(self) -> Any:
-        """Its session on the hub; see `bridge.hub.session.Hub`."""
+        """The node's session on the hub; see `bridge.hub.session.Hub`."""
 
     def client(self, name: str, type_name: str) -> ModuleClient:
-        """Call a service."""
+        """Create a service client."""
 
-    def subscription(self, topic: str, type_name: str, heard: Heard, qos: Qos | None = None) -> Any:
-        """Hear a topic."""
+    def subscription(self, topic: str, type_name: str, heard: OnMessage, qos: Qos | None = None) -> Any:
+        """Subscribe to a topic."""
 
     def release(self, end: Any) -> None:
-        """Give one end back."""
+        """Close one endpoint."""
 
 
 class ActionClient:
-    """Sends goals to one action; made by `bridge.modules.host.ModuleNode.action_client`."""
+    """A client of one action, created by `bridge.modules.host.ModuleNode.action_client`."""
 
     def __init__(self, node: CallingNode, name: str, type_name: str) -> None:
         self.name, self.type_name, self._node = name, type_name, node
@@ -165,7 +165,7 @@ class ActionClient:
         self._send = node.client(names.send_goal, types.send_goal)
         self._result = node.client(names.get_result, types.get_result)
         self._cancel = node.client(names.cancel_goal, CANCEL)
-        self._feedback = node.subscription(names.feedback, types.feedback, self._heard, Qos(depth=FEEDBACK_DEPTH))
+        self._feedback = node.subscription(names.feedback, types.feedback, self._on_feedback, Qos(depth=FEEDBACK_DEPTH))
         self._goals: dict[bytes, SentGoal] = {}
         self._sent = 0
 
@@ -176,9 +176,9 @@ class ActionClient:
         return services and all(map(self._node.hub.graph.publishers, self._topics))
 
     def send(
-        self, goal: Mapping[str, Any], ended: Ended, feedback: Heard | None = None, goal_id: bytes = b""
+        self, goal: Mapping[str, Any], ended: Ended, feedback: OnMessage | None = None, goal_id: bytes = b""
     ) -> SentGoal:
-        """Send a goal, under this id of 16 bytes or a new one; raises `ConversionError` if it does not fit its type."""
+        """Send a goal, under a given 16-byte id or a new one; raises `ConversionError` if it does not fit its type."""
         sent = SentGoal(self, goal_id or uuid.uuid4().bytes, feedback, ended)
         self._goals[sent.id] = sent
         self._sent += 1
@@ -190,21 +190,21 @@ class ActionClient:
         return sent
 
     def follow(self, goal: SentGoal) -> None:
-        """Follow a goal again that the server still executes, after contact with it was lost."""
+        """Resume tracking a goal that the server still executes, after the connection was lost."""
         goal.accepted, goal.status = True, GoalState.EXECUTING
         self._goals[goal.id] = goal
         self.ask_result(goal)
 
     def ask_result(self, goal: SentGoal) -> None:
-        """Ask for the result; it comes when the goal has ended."""
+        """Request the result, which the server sends when the goal has ended."""
         self._result.call({"goal_id": {"uuid": list(goal.id)}}, goal.resulted)
 
     def cancel(self, goal_id: bytes = bytes(16)) -> None:
-        """Ask the server to cancel a goal; zeros for all.
+        """Ask the server to cancel a goal; an id of zeros means all goals.
 
-        A stop must not get lost where the server cannot be called for a moment, as while a bridge before it looks who
-        is active: for a goal of its own it is asked until there is an answer, or the goal has ended; for all goals for
-        a while, unless one is sent meanwhile.
+        A stop must not be lost if the server is briefly unreachable, for example while a bridge determines which daemon
+        is active. The request for one of this client's goals is repeated until the server responds or the goal has
+        ended; the request for all goals is repeated for `CANCEL_ALL_SECONDS`, unless a new goal is sent.
         """
         wanted = partial(self.has, goal_id) if any(goal_id) else self._stopping()
 
@@ -218,26 +218,26 @@ class ActionClient:
         ask()
 
     def _stopping(self) -> Callable[[], bool]:
-        """Tells whether all goals are still to end that there were."""
+        """Return a predicate: whether the request to cancel all goals still applies."""
         sent, until = self._sent, time.monotonic() + CANCEL_ALL_SECONDS
         return lambda: self._sent == sent and time.monotonic() < until
 
     def close(self) -> None:
-        """Give its ends back; goals under way go on, and nothing more is heard of them."""
+        """Close the endpoints; active goals continue on the server, without callbacks here."""
         self._goals.clear()
-        self._sent += 1  # nothing is asked for again
+        self._sent += 1  # ends the repetition of cancel requests
         for end in (self._send, self._result, self._cancel, self._feedback):
             self._node.release(end)
 
     def has(self, goal_id: bytes) -> bool:
-        """Whether a goal of its own is under way."""
+        """Whether this client has sent the goal and it has not ended."""
         return goal_id in self._goals
 
     def forget(self, goal_id: bytes) -> bool:
-        """The goal ended; whether it had not before."""
+        """Drop an ended goal; return False if it was dropped before."""
         return self._goals.pop(goal_id, None) is not None
 
-    def _heard(self, message: dict[str, Any]) -> None:
+    def _on_feedback(self, message: dict[str, Any]) -> None:
         goal = self._goals.get(bytes(message["goal_id"]["uuid"]))
         if goal is not None and goal.feedback is not None:
             goal.feedback(message["feedback"])

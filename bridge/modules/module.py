@@ -1,4 +1,4 @@
-"""What a module is to the host that runs it, and the modules that come with Midspan."""
+"""The interface between a module and its host, and the modules that come with Midspan."""
 
 from __future__ import annotations
 
@@ -17,39 +17,39 @@ if TYPE_CHECKING:
 
 
 class Module(ABC):
-    """A hosted node. It opens no socket and imports no middleware: its host hands it all ends.
+    """A hosted node. It opens no socket and imports no middleware: its host provides all endpoints.
 
-    The host makes it anew for each start. Everything here is called on the module's own thread (`Host.loop`), as are
-    the callbacks of its subscriptions, timers and hub servers; the methods that YARP clients call are not.
+    The host creates a new instance for each start. It calls all methods here on the module's own thread (`Host.loop`),
+    together with the callbacks of subscriptions, timers and hub servers, but not the methods that YARP clients call.
     """
 
-    name: ClassVar[str]  #: its section's name in ``modules`` of the configuration, and its hub node's name
+    name: ClassVar[str]  #: key of its section under ``modules`` in the configuration, and name of its hub node
 
     @abstractmethod
     def start(self, host: Host, section: Section) -> None:
-        """Make its endpoints and begin. Raises `RuntimeError` with a plain reason where it cannot."""
+        """Create the endpoints and start. Raises `RuntimeError` with a readable reason if that is impossible."""
 
-    def reload(self, section: Section) -> bool:  # noqa: ARG002 - most are quick to start
-        """Take up another section while it runs; False where it is to be stopped and started with it."""
+    def reload(self, section: Section) -> bool:  # noqa: ARG002 - most modules restart quickly
+        """Apply a new section while running; return False to be restarted with it."""
         return False
 
     def health(self) -> Health:
-        """How it is, in a few words."""
+        """Return the state, with a few words of detail."""
         return Health("running", "")
 
     def status(self) -> dict[str, Any]:
-        """What it tells of itself beyond its ends' counters, for the status document."""
+        """Return additional fields for the status document, beyond the endpoints' counters."""
         return {}
 
     def begin_stop(self, done: Callable[[], None]) -> None:
-        """Wind down what must not end abruptly, such as a robot's motion, while all ends still work.
+        """Wind down what must not end abruptly, such as a robot's motion, while all endpoints still work.
 
-        ``done`` is called once, from any thread; the host waits for it for a short time before `stop`.
+        Call ``done`` once, from any thread; the host waits for it briefly before `stop`.
         """
         done()
 
-    def stop(self) -> None:  # noqa: B027 - the host closes all ends that it gave
-        """End what it began by itself; its ends are closed after it."""
+    def stop(self) -> None:  # noqa: B027 - the host closes all endpoints that it created
+        """Release what the module itself acquired; the host closes the endpoints afterwards."""
 
 
 KINDS: dict[str, str] = {
@@ -64,11 +64,11 @@ KINDS: dict[str, str] = {
     "robot_path_planner": "navigation.robot_path_planner.module:RobotPathPlanner",
     "transform_server": "bridge.tf.server.module:TransformServer",
 }
-"""``package.module:Class`` of each module that comes with Midspan; imported in the process that runs it alone."""
+"""``package.module:Class`` of each module that comes with Midspan; imported only in the process that runs it."""
 
 
 def kind_of(name: str, section: Section) -> type[Module]:
-    """A module's class; raises `RuntimeError` if it cannot be imported, or is none; the text says why."""
+    """Return a module's class; raises `RuntimeError` if the import fails or the object is not a module class."""
     factory = section.factory if isinstance(section, OwnModule) else KINDS[name]
     package, _, class_name = factory.partition(":")
     try:
@@ -76,6 +76,6 @@ def kind_of(name: str, section: Section) -> type[Module]:
     except (ImportError, AttributeError) as err:
         raise RuntimeError(f"modules.{name}: {factory} cannot be imported: {err}") from None
     if not (isinstance(kind, type) and issubclass(kind, Module)):
-        msg = f"modules.{name}: {factory} is no module: it does not derive from bridge.modules.module.Module"
-        raise RuntimeError(msg)  # noqa: TRY004 - the configuration's fault, told as all of these are
+        msg = f"modules.{name}: {factory} is not a subclass of bridge.modules.module.Module"
+        raise RuntimeError(msg)  # noqa: TRY004 - a configuration error, reported like the others
     return kind

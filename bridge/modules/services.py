@@ -94,7 +94,7 @@ class ModuleServer:
             return MessageWriter(self._response).message(reply)
         except ConversionError as err:
             self.counters.failed(str(err))
-            return CallError(f"{self.topic} answered with what is no reply: {err}")
+            return CallError(f"{self.topic} sent a malformed reply: {err}")
 
     def count(self, step: int) -> None:
         """One request more waits, or less."""

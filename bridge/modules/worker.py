@@ -26,15 +26,15 @@ from bridge.stores.store import Store
 from bridge.worker import Health, Worker, costs
 
 _log = logging.getLogger(__name__)
-_START_SECONDS = 30.0  # a module that stands still for longer as it starts has failed: what it waits for does not come
+_START_SECONDS = 30.0  # a start that makes no progress for longer has failed: its dependency is not coming
 WIND_DOWN_SECONDS = 2.0
-"""A module has this time to bring its robot to rest before it is stopped; `bridge.daemon.supervisor` allows 3.3 s."""
+"""Time for a module to bring its robot to rest before it is stopped; `bridge.daemon.supervisor` allows 3.3 s."""
 
-_SILENCE = 60.0  # seconds between two lines in the log that tell of the same
+_SILENCE = 60.0  # seconds before the same failure is logged again
 
 
 class Running:
-    """A module and its host, while its section says that it runs."""
+    """A module that the configuration enables, and its host."""
 
     def __init__(
         self,
@@ -59,20 +59,20 @@ class Running:
 
     @property
     def host(self) -> Host:
-        """The host of this start; raises `RuntimeError` while the module does not run."""
+        """The host of the current run; raises `RuntimeError` if the module is not running."""
         if self._host is None:
             raise RuntimeError(f"{self.name} does not run: {self._trouble or 'stopped'}")
         return self._host
 
     @property
     def module(self) -> Module:
-        """The module of this start; raises `RuntimeError` while it does not run."""
+        """The module object of the current run; raises `RuntimeError` if it is not running."""
         if self._module is None:
             raise RuntimeError(f"{self.name} does not run: {self._trouble or 'stopped'}")
         return self._module
 
     def start(self) -> None:
-        """Start the module; where it fails, it is tried again later (`health`)."""
+        """Start the module; after a failure, `health` retries it later."""
         self._started = time.monotonic()
         working.at(f"starting the module {self.name}")
         try:
@@ -92,13 +92,13 @@ class Running:
             self._trouble = ""
 
     def take_up_releases(self, config: Config) -> None:
-        """Answer YARP programs as another configuration says, whose network is the same; nothing begins anew."""
+        """Apply the YARP generations of a new configuration with the same network, without a restart."""
         self._config = config
         if self._host is not None:
             self._host.yarp.generations.adopt(config.yarp.generations())
 
     def reload(self, section: Section, config: Config) -> None:
-        """Take up another section."""
+        """Apply a new section, by a restart if the module cannot reload."""
         self.section, self._config = section, config
         module, host = self._module, self._host
         if module is not None and host is not None and not self._trouble:
@@ -106,12 +106,12 @@ class Running:
                 if host.loop.work(lambda: module.reload(section)):
                     return
             except Exception:
-                _log.exception("%s cannot take up its new configuration", self.name)
+                _log.exception("%s: reload failed, restarting the module", self.name)
         self.stop()
         self.start()
 
     def health(self) -> Health:
-        """How the module is; starts it again in time where it failed. Raises `TimeoutError` if it hangs."""
+        """Return the module's health; retry a failed start when due. Raises `TimeoutError` if the module hangs."""
         if self._trouble:
             if time.monotonic() >= self._again:
                 self.start()
@@ -120,11 +120,11 @@ class Running:
         if host is None or module is None:
             return Health("waiting", "stopped")
         self._computes = host.loop.computes()
-        health = self._word(module)
+        health = self._module_health(module)
         return Health(health.state, "; ".join(filter(None, (self._computes, health.text, host.yarp.trouble()))))
 
     def stop(self) -> None:
-        """Stop the module and close its ends. Safe to call twice."""
+        """Stop the module and close its endpoints. Safe to call twice."""
         module, self._module = self._module, None
         host, self._host = self._host, None
         if module is not None and host is not None:
@@ -134,32 +134,32 @@ class Running:
                 done.wait(WIND_DOWN_SECONDS)
                 host.loop.call(lambda: _end(module, host), seconds=1.0)
             except Exception:
-                _log.exception("%s did not stop in good order", self.name)
+                _log.exception("%s: error while stopping", self.name)
         if host is not None:
             host.close()
 
-    def _word(self, module: Module) -> Health:
-        """What a module says of itself; one that fails at that keeps no other from being asked."""
+    def _module_health(self, module: Module) -> Health:
+        """Return the health that the module reports; an exception in it must not affect other modules."""
         try:
             return module.health()
         except Exception as err:
             now = time.monotonic()
             if now >= self._silent:
                 self._silent = now + _SILENCE
-                _log.exception("%s cannot say how it is", self.name)
-            return Health("waiting", f"it cannot say how it is: {type(err).__name__}: {err}")
+                _log.exception("%s: health check failed", self.name)
+            return Health("waiting", f"health check failed: {type(err).__name__}: {err}")
 
     def _failed(self, why: str) -> None:
         self.stop()
         pause = self._backoff.pause(time.monotonic() - self._started)
         self._trouble, self._again = why, time.monotonic() + pause
-        _log.error("%s cannot start: %s; tried again in %.0f s", self.name, why, pause)
+        _log.error("%s cannot start: %s; retrying in %.0f s", self.name, why, pause)
 
     def _status(self, _params: dict[str, Any]) -> dict[str, Any]:
         module, host = self._module, self._host
         if module is None or host is None:
             return {"daemon": self._config.name, "worker": self.name, "module": True, "state": "stopped", "routes": []}
-        health = self._word(module)
+        health = self._module_health(module)
         return {
             "daemon": self._config.name,
             "worker": self.name,
@@ -179,7 +179,7 @@ class Running:
 
 
 def _end(module: Module, host: Host) -> None:
-    """In one step: a timer or a goal that came before its ends are closed would go on without the module."""
+    """Stop the module and its loop in one step, so that no timer or goal runs in between."""
     try:
         module.stop()
     finally:
@@ -187,16 +187,16 @@ def _end(module: Module, host: Host) -> None:
 
 
 SWITCH_INTERVAL = 0.0005
-"""Seconds after which a thread that only computes gives way to one that has a message."""
+"""Seconds after which a computing thread yields to one with a message to handle."""
 
 _FIXED = ("name", "state", "hub", "store", "types", "limits")
 
 
 class ModulesWorker(Worker):
-    """Runs the modules that the configuration switches on, or one of them alone.
+    """Runs the modules that the configuration enables, or a single one.
 
     Args:
-        only: the one module that this process runs, "" for all.
+        only: name of the single module that this process runs, "" for all.
     """
 
     def __init__(self, only: str = "") -> None:
@@ -207,7 +207,7 @@ class ModulesWorker(Worker):
         self._running: dict[str, Running] = {}
 
     def start(self, config: Config) -> None:
-        """Start the modules; one that cannot start does not keep the others from it."""
+        """Start the modules; a failure of one does not prevent the others from starting."""
         sys.setswitchinterval(SWITCH_INTERVAL)
         self._config = config
         self._registry = Registry.of(config.types)
@@ -216,7 +216,7 @@ class ModulesWorker(Worker):
             self._start(name, section, config, self._registry, self._shared)
 
     def reload(self, config: Config) -> bool:
-        """Start, stop and change what the configuration says otherwise now."""
+        """Start, stop and reload the modules whose configuration changed."""
         old, registry, shared = self._config, self._registry, self._shared
         if old is None or registry is None or shared is None or not config.yarp.opens_as(old.yarp):
             return False
@@ -238,26 +238,26 @@ class ModulesWorker(Worker):
         return True
 
     def running(self, name: str) -> Running:
-        """A module that is switched on, for who runs the worker in a process of its own; raises `KeyError`."""
+        """Return an enabled module, for programs that host the worker in their process; raises `KeyError`."""
         return self._running[name]
 
     @property
     def store(self) -> Store:
-        """The store of this process, that all its modules share; raises `StoreError` where it cannot be used."""
+        """The store that all modules of this process share; raises `StoreError` if it is unavailable."""
         if self._shared is None:
             raise StoreError("the worker has not started")
         return self._shared.stores.store
 
     def health(self) -> Health:
-        """How the modules are; the worker runs where one of them does."""
-        found = {name: running.health() for name, running in self._running.items()}
+        """Combine the modules' health; the worker is running if any module is."""
+        reports = {name: running.health() for name, running in self._running.items()}
         store = self._store_health()
         if store is not None:
-            found["store"] = store
-        if not found:
-            return Health("waiting", "no module is switched on")
-        best = min(found.values(), key=lambda health: health.state != "running")
-        return Health(best.state, ", ".join(_words(name, health) for name, health in found.items()))
+            reports["store"] = store
+        if not reports:
+            return Health("waiting", "no module is enabled")
+        best = min(reports.values(), key=lambda health: health.state != "running")
+        return Health(best.state, ", ".join(_describe(name, health) for name, health in reports.items()))
 
     def hears_diagnostics(self) -> bool:
         """See `Worker`."""
@@ -271,7 +271,7 @@ class ModulesWorker(Worker):
             self._shared.close()
 
     def _store_health(self) -> Health | None:
-        """Of a store that is there always; modules tell of one that they cannot use."""
+        """Health of a store that is always enabled; otherwise the modules that need the store report its failures."""
         if self._shared is None or self._config is None or self._config.store.enabled is not True or self._only:
             return None
         trouble = self._shared.stores.trouble()
@@ -291,6 +291,6 @@ class ModulesWorker(Worker):
         self._running[name].start()
 
 
-def _words(name: str, health: Health) -> str:
-    words = " ".join(filter(None, ("" if health.state == "running" else health.state, health.text)))
-    return f"{name}: {words}" if words else name
+def _describe(name: str, health: Health) -> str:
+    text = " ".join(filter(None, ("" if health.state == "running" else health.state, health.text)))
+    return f"{name}: {text}" if text else name

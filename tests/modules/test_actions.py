@@ -100,7 +100,7 @@ def test_a_reply_that_is_none_and_a_busy_server_are_told(two: Two, monkeypatch: 
     third = ask(two, client, {})
     assert "is busy" in str(until(lambda: third, "it is refused")[0])
     waiting[0]({"sucess": True})
-    assert "what is no reply" in str(until(lambda: first, "an error")[0])
+    assert "malformed reply" in str(until(lambda: first, "an error")[0])
     waiting[1]({"success": True})
     assert until(lambda: second, "a reply")[0]["success"]
     ask(two, client, {})

@@ -109,7 +109,7 @@ def test_what_comes_to_a_module_that_has_stopped_is_left_undone(place: Place, mo
     assert done == ["stopped"]
 
 
-def test_one_that_cannot_say_how_it_is_ends_no_other(
+def test_a_failing_health_check_does_not_affect_other_modules(
     place: Place, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     place.worker.start(place.config(echo(), echo("other")))
@@ -119,10 +119,10 @@ def test_one_that_cannot_say_how_it_is_ends_no_other(
     for _ in range(2):
         health = place.worker.health()
     assert health.state == "running"
-    assert "echo: waiting it cannot say how it is: IndexError" in health.text
+    assert "echo: waiting health check failed: IndexError" in health.text
     assert "other: heard 0" in health.text
     assert "IndexError" in place.answer("echo")["text"]
-    assert caplog.text.count("echo cannot say how it is") == 1
+    assert caplog.text.count("echo: health check failed") == 1
 
 
 def test_reload_touches_what_changed_alone(place: Place) -> None:
