@@ -204,7 +204,8 @@ class RmwPublisher(_Announced):
         """Withdraw the publisher with the samples it caches."""
         super().close()
         self._matching.undeclare()
-        self._end.undeclare()
+        # Not `undeclare`, which may hold Python's lock for 10 s; dropping the last reference releases it.
+        del self._end
 
 
 class RmwNode:
