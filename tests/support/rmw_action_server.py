@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import itertools
 import time
 from collections.abc import Callable
 from typing import Any
 
 import zenoh
 
-from bridge.hub.graph.tokens import EndpointKind, EndpointToken, NodeToken, endpoint_key, node_key
+from bridge.hub.graph.tokens import EndpointKind, EndpointToken, NodeToken, endpoint_key, gid_of, node_key
 from bridge.hub.wire.keys import pack_attachment, topic_key, unpack_attachment
 from bridge.hub.wire.qos import LATCHED, Qos
 from bridge.messages.actions import CANCEL, STATUSES, GoalState, names, types
@@ -24,16 +25,24 @@ Handler = Callable[[zenoh.Query, dict[str, Any]], None]
 class RmwActionServer:
     """The node with its five endpoints, each with a liveliness token and a queryable or publisher.
 
-    It accepts each goal; `end` ends the last one. `close_part` closes one of the five endpoints by its short name.
+    It accepts goals until the test ends them. Its endpoints can be closed one by one and declared again while its goals
+    are being executed: that is what a killed worker of a planner's side is to the gateway.
 
     Attributes:
         goals: the ids of goals that were accepted, the oldest first.
         canceled: the ids of goals that a client asked to cancel; zeros for all.
+        rejects: whether it rejects goals.
+        cancels: whether it ends a goal that a client asks to cancel.
+        lists: whether it publishes its goal list when it is declared, as Midspan's servers do and those of rcl do not.
     """
 
-    def __init__(self, router: str, domain: int, node: str, action: str, *, cancels: bool = True) -> None:
+    def __init__(
+        self, router: str, domain: int, node: str, action: str, *, cancels: bool = True, lists: bool = False
+    ) -> None:
         self._session = rmw_session(router)
-        self._domain, self._cancels = domain, cancels
+        self._domain, self._action = domain, action
+        self.cancels, self.lists, self.rejects = cancels, lists, False
+        self._ids = itertools.count(1)
         self._owner = NodeToken(domain, str(self._session.zid()), "0", "/", node)
         self._tokens = [self._declare(node_key(self._owner))]
         self._parts: dict[str, list[Any]] = {}
@@ -41,27 +50,65 @@ class RmwActionServer:
         self._statuses: dict[bytes, GoalState] = {}
         self.goals: list[bytes] = []
         self.canceled: list[bytes] = []
-        parts, kinds = names(action), types(NAVIGATE)
+        self.serve()
+
+    def serve(self, *, feedback: bool = True) -> None:
+        """Declare all endpoints, or all except that of the feedback."""
+        parts, kinds = names(self._action), types(NAVIGATE)
         self._kinds = {parts.send_goal: kinds.send_goal, parts.get_result: kinds.get_result, parts.cancel_goal: CANCEL}
         self._serve("send_goal", parts.send_goal, self._accept)
         self._serve("get_result", parts.get_result, self._result)
         self._serve("cancel_goal", parts.cancel_goal, self._cancel)
-        self._publish("feedback", parts.feedback, kinds.feedback, Qos(depth=10))
+        if feedback:
+            self._publish("feedback", parts.feedback, kinds.feedback, Qos(depth=10))
         self._status = self._publish("status", parts.status, STATUSES, LATCHED)
+        if self.lists:
+            self.tell()
+
+    def withdraw(self) -> None:
+        """Close all endpoints; calls that wait for a reply fail, and the goals go on."""
+        for part in list(self._parts):
+            self.close_part(part)
 
     def close_part(self, part: str) -> None:
         """Close one of ``send_goal``, ``get_result``, ``cancel_goal``, ``feedback`` and ``status``."""
+        if part == "get_result":
+            for query in self._waiting.values():
+                query.drop()
+            self._waiting.clear()
         for declared in self._parts.pop(part):
             declared.close() if isinstance(declared, RmwPublisher) else declared.undeclare()
 
     def end(self, status: GoalState, code: int = 0, why: str = "") -> None:
-        """End the last goal."""
+        """End the last goal: publish the list, then answer with the result."""
+        self._statuses[self.goals[-1]] = status
+        self.tell()
+        self.answer(status, code, why)
+
+    def answer(self, status: GoalState, code: int = 0, why: str = "") -> None:
+        """Answer with the result of the last goal, without publishing the list; `GoalState.UNKNOWN`: it is lost."""
         goal = self.goals[-1]
-        self._statuses[goal] = status
-        self._tell()
+        if status.ended:
+            self._statuses[goal] = status
         query = self._waiting.pop(goal, None)
         if query is not None:
             self._answer_result(query, status, code, why)
+
+    def set(self, goal: bytes, status: GoalState = GoalState.EXECUTING) -> None:
+        """Set the state of a goal of any client, without publishing the list."""
+        self._statuses[goal] = status
+
+    def forget(self) -> None:
+        """Forget all goals, as a new process has none."""
+        self._statuses.clear()
+
+    def waits(self, goal: bytes) -> bool:
+        """Whether a client waits for the result of a goal."""
+        return goal in self._waiting
+
+    def executes(self, goal: bytes) -> bool:
+        """Whether a goal has not ended."""
+        return not self._statuses[goal].ended
 
     def close(self) -> None:
         """Leave the hub."""
@@ -84,15 +131,16 @@ class RmwActionServer:
         queryable = self._session.declare_queryable(
             key, zenoh.handlers.Callback(receive, indirect=False), complete=True
         )
-        token = EndpointToken(self._owner, str(len(self._parts) + 1), EndpointKind.SERVER, name, kind, type_hash, Qos())
+        number = str(next(self._ids))
+        token = EndpointToken(self._owner, number, EndpointKind.SERVER, name, kind, type_hash, Qos())
         self._parts[part] = [self._declare(endpoint_key(token)), queryable]
 
     def _publish(self, part: str, topic: str, kind: str, qos: Qos) -> RmwPublisher:
         type_hash = REGISTRY.ros2(kind).type_id
-        publisher = RmwPublisher(self._session, topic_key(self._domain, topic, kind, type_hash), qos)
-        number = str(len(self._parts) + 1)
-        token = EndpointToken(self._owner, number, EndpointKind.PUBLISHER, topic, kind, type_hash, qos)
-        publisher.announce(endpoint_key(token))
+        number = str(next(self._ids))
+        token = endpoint_key(EndpointToken(self._owner, number, EndpointKind.PUBLISHER, topic, kind, type_hash, qos))
+        publisher = RmwPublisher(self._session, topic_key(self._domain, topic, kind, type_hash), qos, gid_of(token))
+        publisher.announce(token)
         self._parts[part] = [publisher]
         return publisher
 
@@ -107,15 +155,16 @@ class RmwActionServer:
 
     def _accept(self, query: zenoh.Query, request: dict[str, Any]) -> None:
         goal = bytes(request["goal_id"]["uuid"])
-        self._statuses[goal] = GoalState.EXECUTING
-        self.goals.append(goal)
-        self._reply(query, f"{NAVIGATE}_SendGoal", {"accepted": True})
-        self._tell()
+        if not self.rejects:
+            self._statuses[goal] = GoalState.EXECUTING
+            self.goals.append(goal)
+        self._reply(query, f"{NAVIGATE}_SendGoal", {"accepted": not self.rejects})
+        self.tell()
 
     def _result(self, query: zenoh.Query, request: dict[str, Any]) -> None:
         goal = bytes(request["goal_id"]["uuid"])
         status = self._statuses.get(goal, GoalState.UNKNOWN)
-        if status is GoalState.EXECUTING:
+        if status is not GoalState.UNKNOWN and not status.ended:
             self._waiting[goal] = query
         else:
             self._answer_result(query, status, 0, "")
@@ -125,12 +174,24 @@ class RmwActionServer:
         self._reply(query, f"{NAVIGATE}_GetResult", {"status": int(status), "result": result})
 
     def _cancel(self, query: zenoh.Query, request: dict[str, Any]) -> None:
-        self.canceled.append(bytes(request["goal_info"]["goal_id"]["uuid"]))
+        wanted = bytes(request["goal_info"]["goal_id"]["uuid"])
+        self.canceled.append(wanted)
         self._reply(query, CANCEL, {"return_code": 0})
-        if self._cancels and self.goals:
-            self.end(GoalState.CANCELED)
+        if self.cancels:
+            self.cancel(wanted)
 
-    def _tell(self) -> None:
+    def cancel(self, wanted: bytes = bytes(16)) -> None:
+        """End a goal as canceled; zeros for all."""
+        for goal in [goal for goal, status in self._statuses.items() if not status.ended]:
+            if goal == wanted or not any(wanted):
+                self._statuses[goal] = GoalState.CANCELED
+                self.tell()
+                waiting = self._waiting.pop(goal, None)
+                if waiting is not None:
+                    self._answer_result(waiting, GoalState.CANCELED, 0, "")
+
+    def tell(self) -> None:
+        """Publish the goal list."""
         entries = [
             {"goal_info": {"goal_id": {"uuid": list(goal)}}, "status": int(status)}
             for goal, status in self._statuses.items()

@@ -1,0 +1,107 @@
+"""A robot that drives for a goal of the gateway, and a planner that can disappear meanwhile."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Any
+
+from navigation.status import State
+from tests.navigation.gateway.odometry import Odometry
+from tests.navigation.gateway.rig import SECONDS, Asked, Rig, pose
+from tests.support.calls import Calling
+from tests.support.rmw_action_server import RmwActionServer
+from tests.support.wait import until
+
+MAY_MOVE = "the robot may still be moving"
+SPEED = 0.3
+
+
+class Scene:
+    """The gateway with a planner on the hub, and the base's odometry.
+
+    Attributes:
+        planner: serves the planner's action as a worker of its side does.
+        base: the base's odometry; `Odometry.speed` is the speed of the base.
+    """
+
+    def __init__(self, rig: Rig, planner: RmwActionServer, base: Odometry) -> None:
+        self.rig, self.planner, self.base = rig, planner, base
+        self._first = len(rig.statuses)
+
+    def goal(self, count: int = 1) -> bytes:
+        """Return the id of the so-many-th goal once the planner executes it and the gateway waits for its result."""
+        until(lambda: len(self.planner.goals) >= count, f"goal {count} is at the planner", SECONDS)
+        goal = self.planner.goals[count - 1]
+        until(lambda: self.planner.waits(goal), "the gateway waits for its result", SECONDS)
+        return goal
+
+    def drive(self, x: float = 5.0, **more: Any) -> Asked:
+        """A client's goal, once the robot drives there."""
+        count = len(self.planner.goals)
+        asked = Asked(self.rig.client, pose(x, **more))
+        self.goal(count + 1)
+        self.rig.state(State.MOVING)
+        return asked
+
+    def moves(self) -> None:
+        """The base moves from now on."""
+        self.base.speed = SPEED
+        until(lambda: self.rig.gateway.motion.stands() is False, "odometry shows that the base moves", SECONDS)
+
+    def stands(self) -> None:
+        """The base stands from now on."""
+        self.base.speed = 0.0
+        until(lambda: self.rig.gateway.motion.stands() is True, "odometry shows that the base stands", SECONDS)
+
+    def begin(self, service: str) -> Calling:
+        """Call a service of the gateway without waiting for its reply."""
+        return self.rig.far.call(f"/navigation/{service}", "std_srvs/Trigger")
+
+    def restart(self) -> int:
+        """Start another gateway, as after a kill of the modules; returns how many statuses there were before."""
+        running = self.rig.worker.running("gateway")
+        running.stop()
+        before = len(self.rig.statuses)
+        running.start()
+        return before
+
+    def reported(self, asked: Asked) -> dict[str, Any]:
+        """Return the first status that was published for a client's goal."""
+
+        def find() -> dict[str, Any] | None:
+            return next((one for one in self.rig.statuses if bytes(one["goal_id"]) == asked.sent.id), None)
+
+        status: dict[str, Any] = until(find, "the goal has a status", SECONDS)
+        return status
+
+    def states(self, begin: int = 0) -> set[str]:
+        """The states that were published since the so-many-th status."""
+        return {status["state"] for status in self.rig.statuses[begin:]}
+
+    def check(self) -> None:
+        """Check that no sentence repeats itself."""
+        for status in self.rig.statuses[self._first :]:
+            assert status["reason"].count("may still be moving") <= 1, status
+            assert status["reason"].count("is not available") <= 1, status
+
+
+@contextmanager
+def scene(rig: Rig, planner: str, *, lists: bool) -> Iterator[Scene]:
+    """A scene with a base that moves; ``lists``: whether the planner's server publishes its list from the start."""
+    action = f"/planner/{planner}/navigate_to_pose"
+    server = RmwActionServer(rig.hubs.endpoint, rig.hubs.domain, planner, action, lists=lists)
+    try:
+        with Odometry(rig.far) as base:
+            made = Scene(rig, server, base)
+            until(lambda: rig.gateway.link.reachable, "the planner is found", SECONDS)
+            made.moves()
+            yield made
+            made.check()
+            base.speed, base.silent = 0.0, False
+            server.cancels = True
+            server.cancel()
+            until(lambda: rig.ask("stop") and not rig.gateway.driving, "nothing drives", SECONDS)
+    finally:
+        server.close()
+        made.restart()

@@ -1,0 +1,384 @@
+"""Nav2 as planner: its other actions that move the base, its servers that vanish one by one, and its error codes."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Iterator
+from typing import Any
+
+import pytest
+
+from bridge.messages.actions import PARTS, GoalState
+from bridge.modules.action_server import Goal
+from navigation.gateway import gateway as gateway_module
+from navigation.gateway.machine import DriveState
+from navigation.status import Fault, State
+from tests.navigation.gateway.driving import MAY_MOVE, SPEED, Scene, scene
+from tests.navigation.gateway.rig import Program, Rig
+from tests.support.calls import Calling
+from tests.support.wait import until
+
+PLANNER = "nav2"
+LONG = 60.0
+TYPES = {"/follow_path": "nav2_msgs/action/FollowPath", "/spin": "nav2_msgs/action/Spin"}
+
+
+@pytest.fixture(scope="module")
+def rig(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Rig]:
+    with Rig(tmp_path_factory.mktemp("nav2"), planner=PLANNER) as made:
+        made.planners.pop("robot_goto").close()
+        yield made
+
+
+@pytest.fixture
+def robot(rig: Rig) -> Iterator[Scene]:
+    with scene(rig, PLANNER, lists=False) as made:
+        yield made
+
+
+# -- other actions that move the base ----------------------------------------------------------------------------------
+
+
+class Controller(Program):
+    """A server of another action that moves the base: controller_server, or behavior_server.
+
+    Attributes:
+        canceled: is set once a client has asked to cancel its goal, which goes on until the test ends it.
+    """
+
+    def __init__(self, rig: Rig, action: str) -> None:
+        super().__init__(rig.hubs.settings(action[1:]))
+        self.goals: list[Goal] = []
+        self.canceled = threading.Event()
+        self.on(lambda: self.node.action_server(action, TYPES[action], self._accept, self._cancel))
+        self.client = self.on(lambda: self.node.action_client(action, TYPES[action]))
+        self._own = Program(rig.hubs.settings("bt_navigator"))
+        client = self._own.on(lambda: self._own.node.action_client(action, TYPES[action]))
+        until(lambda: client.ready, f"{action} is served")
+        self._own.on(lambda: client.send({}, lambda *_end: None))
+        until(lambda: self.goals, "its client's goal is accepted")
+
+    def _accept(self, goal: Goal) -> bool:
+        self.goals.append(goal)
+        goal.execute()
+        return True
+
+    def _cancel(self, _goal: Goal) -> bool:
+        self.canceled.set()
+        return True
+
+    def end(self) -> None:
+        """End its goal as canceled."""
+        self.on(self.goals[0].canceled)
+
+    def close(self) -> None:
+        self._own.close()
+        super().close()
+
+
+@pytest.fixture(params=["/follow_path"])
+def controller(request: pytest.FixtureRequest, robot: Scene) -> Iterator[Controller]:
+    made = Controller(robot.rig, request.param)
+    try:
+        until(lambda: robot.rig.gateway.link.motion == (request.param,), "the gateway has its goal list")
+        yield made
+    finally:
+        made.end()
+        made.close()
+
+
+def answered(calling: Calling) -> bool:
+    return bool(calling.result(0.0)["done"])
+
+
+def confirmed(calling: Calling) -> str:
+    """Wait for the reply to a stop, which has to be ok; returns its message."""
+    reply: dict[str, Any] = calling.result(LONG)["reply"]
+    assert reply["success"], reply
+    return str(reply["message"])
+
+
+@pytest.mark.parametrize("controller", TYPES, indirect=True)
+def test_a_stop_cancels_what_another_client_has_the_base_do(
+    robot: Scene, controller: Controller, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(gateway_module, "ANSWER_SECONDS", LONG)
+    rig, (action,) = robot.rig, robot.rig.gateway.link.motion
+    rig.state(State.MOVING, f"{action} moves the base")
+    stop = robot.begin("stop")
+    assert controller.canceled.wait(20)
+    rig.state(State.MOVING, "stopping: it was stopped")
+    assert not answered(stop)
+    controller.end()
+    until(lambda: not rig.gateway.held, "the controller's goal has ended")
+    assert not answered(stop), "the base still moves"
+    assert rig.gateway.state().state is State.MOVING
+    robot.base.speed = 0.0
+    assert confirmed(stop) == f"the goals of {action} are canceled"
+    rig.state(State.IDLE)
+
+
+def test_a_stop_after_nav2_gave_its_goal_up_cancels_what_its_controller_still_drives(
+    robot: Scene, controller: Controller, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """bt_navigator gives up on a busy machine, and controller_server drives on for seconds."""
+    monkeypatch.setattr(gateway_module, "ANSWER_SECONDS", LONG)
+    rig = robot.rig
+    asked = robot.drive()
+    begin = len(rig.statuses)
+    robot.planner.end(GoalState.ABORTED, 100)
+    assert asked.end()[0] == "ABORTED"
+    stop = robot.begin("stop")
+    assert controller.canceled.wait(20)
+    assert not answered(stop)
+    controller.end()
+    robot.base.speed = 0.0
+    assert confirmed(stop)
+    rig.state(State.ABORTED, "the controller failed (Nav2 100)")
+    states = [status["state"] for status in rig.statuses[begin:]]
+    assert set(states[:-1]) == {State.MOVING}, "no other state before the base stands"
+
+
+def test_a_stop_that_is_late_names_the_action_that_has_not_ended(robot: Scene, controller: Controller) -> None:
+    answer = robot.rig.ask("stop")
+    assert controller.canceled.is_set()
+    assert answer == {"success": False, "message": f"{MAY_MOVE}: /follow_path of {PLANNER} has not ended"}
+    told = robot.rig.state(State.MOVING, f"it was stopped; {MAY_MOVE}: /follow_path of {PLANNER} has not ended")
+    assert told["error_code"] == Fault.MAY_MOVE
+
+
+def test_a_client_that_cancels_its_goal_has_the_controllers_goal_canceled_too(
+    robot: Scene, controller: Controller
+) -> None:
+    asked = robot.drive()
+    asked.cancel()
+    assert controller.canceled.wait(20)
+    controller.end()
+    robot.base.speed = 0.0
+    assert asked.end()[0] == "CANCELED"
+    robot.rig.state(State.IDLE)
+
+
+def test_a_pause_is_not_confirmed_before_the_controllers_goal_has_ended(
+    robot: Scene, controller: Controller, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(gateway_module, "ANSWER_SECONDS", LONG)
+    robot.drive()
+    pause = robot.begin("pause")
+    assert controller.canceled.wait(20)
+    assert not answered(pause)
+    assert robot.rig.gateway.state().state is State.MOVING
+    controller.end()
+    robot.base.speed = 0.0
+    assert confirmed(pause) == ""
+    robot.rig.state(State.PAUSED)
+
+
+def test_without_odometry_a_stop_needs_the_end_of_the_controllers_goal_and_zero_velocity(
+    robot: Scene, controller: Controller, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(gateway_module, "ANSWER_SECONDS", LONG)
+    rig = robot.rig
+    robot.base.silent = True
+    until(lambda: not rig.gateway.motion.known, "odometry is missing")
+    commander = Commander(rig)
+    try:
+        stop = robot.begin("stop")
+        assert controller.canceled.wait(20)
+        controller.end()
+        until(lambda: not rig.gateway.held, "the controller's goal has ended")
+        sent = commander.sent
+        until(lambda: commander.sent > sent + 20, "velocities go on for longer than zeros would have to")
+        assert not answered(stop)
+        commander.speed = 0.0
+        assert confirmed(stop)
+    finally:
+        commander.close()
+
+
+class Commander:
+    """Publishes a velocity twenty times a second."""
+
+    def __init__(self, rig: Rig) -> None:
+        self.speed, self.sent = SPEED, 0
+        self._far, self._out = rig.far, rig.far.advertise("/cmd_vel", "geometry_msgs/Twist")
+        self._end = threading.Event()
+        self._thread = threading.Thread(target=self._run)
+        self._thread.start()
+
+    def _run(self) -> None:
+        while not self._end.wait(0.05):
+            self._far.publish(self._out, {"linear": {"x": self.speed}})
+            self.sent += 1
+
+    def close(self) -> None:
+        self._end.set()
+        self._thread.join()
+        self._far.drop(self._out)
+
+
+# -- contact with the planner ------------------------------------------------------------------------------------------
+
+
+def lost(robot: Scene) -> None:
+    """Wait until the gateway has lost contact with the goal."""
+    until(lambda: robot.rig.gateway.drive.state is DriveState.LOST, "contact is lost")
+
+
+@pytest.mark.parametrize("first", PARTS)
+def test_a_planner_whose_parts_vanish_one_by_one_is_lost_and_has_not_aborted(robot: Scene, first: str) -> None:
+    rig, planner = robot.rig, robot.planner
+    asked = robot.drive()
+    begin = len(rig.statuses)
+    planner.close_part(first)
+    lost(robot)
+    for part in PARTS:
+        if part != first:
+            planner.close_part(part)
+    rig.state(State.MOVING, f"{PLANNER} is not available; waiting for it; {MAY_MOVE}")
+    planner.serve()
+    planner.tell()
+    robot.goal(1)  # it is followed again
+    until(lambda: rig.gateway.drive.state is DriveState.DRIVING, "contact is back")
+    until(lambda: rig.statuses[-1]["reason"] == "", "the status is that of a normal drive")
+    assert robot.states(begin - 1) == {State.MOVING}
+    assert not asked.ended
+    planner.end(GoalState.SUCCEEDED)
+    assert asked.end() == ("SUCCEEDED", "")
+    assert len(planner.goals) == 1, "the goal is not sent twice"
+
+
+def test_a_goal_that_a_bridge_reports_as_lost_has_not_aborted(robot: Scene) -> None:
+    """A worker of a side answers with an unknown state while all parts of the action are still on the hub."""
+    asked = robot.drive()
+    robot.planner.answer(GoalState.UNKNOWN, why="nav2 gave it up")
+    lost(robot)
+    robot.planner.withdraw()
+    robot.rig.state(State.MOVING, f"{PLANNER} is not available")
+    assert not asked.ended
+    robot.planner.serve()
+    robot.planner.tell()
+    robot.goal(1)
+    robot.planner.end(GoalState.SUCCEEDED)
+    assert asked.end() == ("SUCCEEDED", "")
+    assert len(robot.planner.goals) == 1
+
+
+def test_a_planner_that_comes_back_without_the_goal_is_given_it_again(robot: Scene) -> None:
+    rig, planner = robot.rig, robot.planner
+    asked = robot.drive()
+    planner.withdraw()
+    lost(robot)
+    planner.forget()
+    planner.serve()
+    planner.tell()
+    robot.goal(2)
+    planner.end(GoalState.SUCCEEDED)
+    assert asked.end() == ("SUCCEEDED", "")
+    rig.state(State.REACHED)
+
+
+def test_a_goal_is_not_sent_again_before_all_parts_are_back(robot: Scene) -> None:
+    rig, planner = robot.rig, robot.planner
+    asked = robot.drive()
+    planner.withdraw()
+    lost(robot)
+    planner.forget()
+    planner.serve(feedback=False)
+    polls = count_polls(rig)
+    until(lambda: polls() > 5, "the gateway has polled the graph")
+    assert len(planner.goals) == 1
+    planner.withdraw()
+    planner.serve()
+    planner.tell()
+    robot.goal(2)
+    planner.end(GoalState.SUCCEEDED)
+    assert asked.end() == ("SUCCEEDED", "")
+
+
+def count_polls(rig: Rig) -> Any:
+    """Return a function that counts the gateway's polls from now on."""
+    polls: list[None] = []
+    loop = rig.worker.running("gateway").host.loop
+
+    def count() -> int:
+        polls.append(loop.call(rig.gateway.poll))
+        return len(polls)
+
+    return count
+
+
+# -- how the planner ends a goal ---------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("code", [102, 202])
+def test_a_goal_that_fails_for_want_of_a_transform_is_sent_again_within_the_patience(robot: Scene, code: int) -> None:
+    rig, planner = robot.rig, robot.planner
+    asked = robot.drive()
+    begin = len(rig.statuses)
+    planner.end(GoalState.ABORTED, code)
+    told = rig.state(State.MOVING, f"{PLANNER}: a transform is missing or too old (Nav2 {code}); trying again")
+    assert told["error_code"] == Fault.OTHER
+    robot.goal(2)
+    assert not asked.ended
+    planner.end(GoalState.SUCCEEDED)
+    assert asked.end() == ("SUCCEEDED", "")
+    assert State.ABORTED not in robot.states(begin)
+
+
+def test_a_transform_that_stays_missing_ends_the_goal_in_words_after_the_patience(robot: Scene) -> None:
+    rig, planner = robot.rig, robot.planner
+    rig.worker.reload(rig.configured(patience=1.2))
+    try:
+        asked = robot.drive()
+        count = 0
+        while not asked.ended:
+            count += 1
+            planner.end(GoalState.ABORTED, 102)
+            until(lambda: asked.ended or len(planner.goals) > count, "it ends, or is sent again")  # noqa: B023
+            until(lambda: asked.ended or planner.waits(planner.goals[-1]), "its result is awaited")
+        assert count > 1
+        assert asked.end() == ("ABORTED", "a transform is missing or too old (Nav2 102)")
+        assert asked.result is not None
+        assert asked.result["error_code"] == 102
+    finally:
+        rig.worker.reload(rig.configured(patience=60.0))
+
+
+@pytest.mark.parametrize(
+    ("code", "why"), [(204, "the goal is outside the map"), (208, "no path to the goal"), (106, "velocity command")]
+)
+def test_other_codes_of_nav2_end_the_goal_in_words(robot: Scene, code: int, why: str) -> None:
+    asked = robot.drive()
+    robot.planner.end(GoalState.ABORTED, code)
+    status, text = asked.end()
+    assert status == "ABORTED"
+    assert why in text
+    assert f"(Nav2 {code})" in text
+    robot.base.speed = 0.0
+    assert robot.rig.state(State.ABORTED, why)["error_code"] == code
+
+
+@pytest.mark.parametrize("first", ["list", "result"])
+def test_a_goal_that_nav2s_own_client_preempts_is_canceled(robot: Scene, first: str) -> None:
+    """Nav2 ends it as aborted without a code; its list shows why, a moment before or after the result."""
+    rig, planner = robot.rig, robot.planner
+    asked = robot.drive()
+    planner.set(b"a foreign goal..")
+    if first == "list":
+        planner.end(GoalState.ABORTED)
+    else:
+        planner.answer(GoalState.ABORTED)
+        until(lambda: rig.gateway.drive.state is DriveState.JUDGING, "the result is there")
+        planner.tell()
+    status, why = asked.end()
+    assert status == "CANCELED"
+    assert why == f"{PLANNER} canceled the goal for a goal that {PLANNER} received from its own client"
+    rig.state(State.MOVING, "its own client")
+    assert planner.executes(b"a foreign goal.."), "the other client's goal goes on"
+
+
+def test_a_goal_that_nav2_aborts_without_a_code_and_without_another_goal_is_aborted(robot: Scene) -> None:
+    asked = robot.drive()
+    robot.planner.end(GoalState.ABORTED)
+    assert asked.end() == ("ABORTED", f"{PLANNER} aborted the goal")

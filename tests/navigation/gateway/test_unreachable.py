@@ -1,0 +1,277 @@
+"""The worker of the planner's side is killed while the robot drives: no answer claims that it stands before it does."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import pytest
+
+from bridge.messages.actions import GoalState
+from navigation.gateway import gateway as gateway_module
+from navigation.gateway.machine import PlannerState
+from navigation.gateway.planner_link import GoalMark
+from navigation.status import Fault, State
+from tests.navigation.gateway.driving import MAY_MOVE, Scene, scene
+from tests.navigation.gateway.rig import Asked, Rig, pose
+from tests.support.wait import until
+from yarp_compat.dev.client import ServiceClient
+from yarp_compat.dev.inavigation2d import INavigation2DMsgs, NavigationStatusEnum
+
+PLANNER = "move_base"
+PLANNERS_OWN = f"/planner/{PLANNER}/navigate_to_pose"
+
+
+@pytest.fixture(scope="module")
+def rig(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Rig]:
+    with Rig(tmp_path_factory.mktemp("unreachable"), planner=PLANNER) as made:
+        made.planners.pop("robot_goto").close()
+        yield made
+
+
+@pytest.fixture
+def robot(rig: Rig) -> Iterator[Scene]:
+    with scene(rig, PLANNER, lists=True) as made:
+        yield made
+
+
+@pytest.fixture
+def unreachable(robot: Scene) -> Scene:
+    """The robot drives, and its planner has become unreachable."""
+    robot.drive()
+    robot.planner.withdraw()
+    told = robot.rig.state(State.MOVING, f"{PLANNER} is not available; waiting for it; {MAY_MOVE}")
+    assert told["error_code"] == Fault.NO_NAVIGATOR
+    return robot
+
+
+# -- a pause -----------------------------------------------------------------------------------------------------------
+
+
+def test_a_pause_is_confirmed_by_the_base_and_kept_while_the_planner_is_unreachable(unreachable: Scene) -> None:
+    robot, rig = unreachable, unreachable.rig
+    begin = len(rig.statuses)
+    answer = rig.ask("pause")
+    assert not answer["success"]
+    assert f"{MAY_MOVE}: the planner {PLANNER} is not available" in answer["message"]
+    assert rig.state(State.MOVING, f"it was paused; {MAY_MOVE}")["error_code"] == Fault.MAY_MOVE
+    assert State.PAUSED not in robot.states(begin)
+    assert rig.gateway.held, "its velocities are held meanwhile"
+    robot.base.speed = 0.0
+    rig.state(State.PAUSED)
+    assert rig.ask("pause")["success"]
+    robot.moves()  # the planner, which has not been asked yet, ends a recovery and drives on
+    rig.state(State.MOVING, "it was paused")
+    robot.planner.serve()
+    until(lambda: not robot.planner.executes(robot.planner.goals[0]), "the planner is asked to stop once it is back")
+    robot.base.speed = 0.0
+    rig.state(State.PAUSED)
+    assert len(robot.planner.goals) == 1
+    assert rig.ask("resume")["success"]
+    robot.goal(2)
+    rig.state(State.MOVING)
+
+
+def test_yarps_pause_is_not_ok_before_the_base_stands(unreachable: Scene) -> None:
+    with ServiceClient(INavigation2DMsgs, "/navigationServer/rpc", naming=unreachable.rig.names, timeout=20) as made:
+        client = made.remote
+        assert not client.suspend_navigation_RPC(1000.0)
+        assert client.get_navigation_status_RPC()[1] is NavigationStatusEnum.navigation_status_moving
+        unreachable.base.speed = 0.0
+        unreachable.rig.state(State.PAUSED)
+        assert client.suspend_navigation_RPC(1000.0)
+        assert client.get_navigation_status_RPC()[1] is NavigationStatusEnum.navigation_status_paused
+
+
+# -- goals of the planner's own clients --------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("first", ["status", "send_goal"])
+def test_a_goal_of_the_planners_own_client_is_never_idle_while_the_base_moves(robot: Scene, first: str) -> None:
+    """Whichever part of the action leaves the hub first: the list's publisher, or a service."""
+    rig, planner = robot.rig, robot.planner
+    planner.set(b"a foreign goal..")
+    planner.tell()
+    rig.state(State.MOVING, "its own client")
+    begin = len(rig.statuses)
+    planner.close_part(first)
+    rig.state(State.MOVING, MAY_MOVE)
+    planner.withdraw()
+    rig.state(State.MOVING, f"the planner {PLANNER} is not available; {MAY_MOVE}")
+    planner.serve()
+    until(lambda: rig.statuses[-1]["error_code"] == 0, "it is back, and drives on")
+    assert robot.states(begin - 1) == {State.MOVING}
+
+
+def test_a_new_goal_while_the_old_one_may_still_drive_is_no_preparation(unreachable: Scene) -> None:
+    robot, rig = unreachable, unreachable.rig
+    begin = len(rig.statuses)
+    asked = Asked(rig.client, pose(9.0))
+    told = robot.reported(asked)
+    assert told["state"] == State.MOVING
+    assert told["reason"] == f"the planner {PLANNER} is not available; waiting for it; {MAY_MOVE}"
+    assert robot.states(begin) == {State.MOVING}
+    robot.base.speed = 0.0
+    rig.state(State.PREPARING, f"{PLANNER} is not available; waiting for it")
+    robot.moves()
+    rig.state(State.MOVING, MAY_MOVE)
+    robot.planner.serve()
+    robot.goal(2)
+    until(lambda: rig.statuses[-1]["reason"] == "", "the planner has the new goal")
+    assert State.PREPARING not in {status["state"] for status in rig.statuses[-2:]}
+    robot.planner.end(GoalState.SUCCEEDED)
+    assert asked.end() == ("SUCCEEDED", "")
+
+
+def test_a_new_goal_without_odometry_counts_the_old_one_as_driving(unreachable: Scene) -> None:
+    robot, rig = unreachable, unreachable.rig
+    robot.base.silent = True
+    until(lambda: not rig.gateway.motion.known, "odometry is missing")
+    told = robot.reported(Asked(rig.client, pose(9.0)))
+    assert told["state"] == State.MOVING
+    assert MAY_MOVE in told["reason"]
+
+
+# -- another gateway ---------------------------------------------------------------------------------------------------
+
+
+def orphan(robot: Scene) -> bytes:
+    """A goal that an earlier run of the gateway gave the planner, which executes it."""
+    goal = GoalMark("here").new_id()
+    robot.planner.set(goal)
+    return goal
+
+
+def test_a_gateway_that_starts_while_the_planner_is_unreachable_is_not_idle(
+    robot: Scene, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    rig = robot.rig
+    monkeypatch.setattr(gateway_module, "ANSWER_SECONDS", 0.5)
+    robot.planner.withdraw()
+    goal = orphan(robot)
+    robot.restart()
+    told = rig.state(State.MOVING, f"it is not known whether {PLANNER} has a goal: it is not available; {MAY_MOVE}")
+    assert told["error_code"] == Fault.MAY_MOVE
+    until(lambda: rig.gateway.link.state is PlannerState.UNKNOWN, "its side has not reported")
+    answer = rig.ask("stop")
+    assert not answer["success"]
+    assert f"{MAY_MOVE}: the planner {PLANNER} is not available" in answer["message"]
+    robot.planner.lists = robot.planner.cancels = False  # its parts are back before its list
+    robot.planner.serve()
+    until(lambda: rig.gateway.link.state is PlannerState.UNREPORTED, "the planner is found")
+    answer = rig.ask("stop")
+    assert not answer["success"]
+    assert f"{PLANNER} has not reported its goals yet" in answer["message"]
+    begin = len(rig.statuses)
+    robot.planner.cancels = True
+    robot.planner.tell()
+    until(lambda: not robot.planner.executes(goal), "the goal is canceled once it is reported")
+    assert not rig.ask("stop")["success"], "the base still moves"
+    assert robot.states(begin - 1) == {State.MOVING}
+    robot.base.speed = 0.0
+    until(lambda: rig.ask("stop")["success"], "the stop is confirmed")
+
+
+@pytest.mark.xfail(strict=True, reason="the module publishes the initial status before it has read anything")
+def test_the_first_status_of_a_gateway_is_not_idle_while_the_base_moves(robot: Scene) -> None:
+    robot.planner.withdraw()
+    begin = robot.restart()
+    robot.rig.state(State.MOVING, f"it is not known whether {PLANNER} has a goal")
+    assert State.IDLE not in robot.states(begin)
+
+
+def test_a_goal_from_before_a_restart_is_canceled_and_not_called_a_foreign_clients(robot: Scene) -> None:
+    rig = robot.rig
+    robot.planner.cancels = False
+    goal = orphan(robot)
+    robot.planner.tell()
+    told = rig.state(State.MOVING, f"stopping: {PLANNER} still has a goal from before the gateway was restarted")
+    assert told["error_code"] == Fault.MAY_MOVE
+    until(lambda: robot.planner.canceled.count(goal) > 1, "it is canceled until its list shows the end")
+    assert rig.module.status()["goals_of_others"] == 0
+    assert not any("its own client" in status["reason"] for status in rig.statuses if "before" in status["reason"])
+    robot.planner.cancel(goal)
+    robot.base.speed = 0.0
+    rig.state(State.IDLE)
+
+
+def test_a_goal_of_another_daemons_gateway_is_a_foreign_clients(robot: Scene) -> None:
+    goal = GoalMark("there").new_id()
+    robot.planner.set(goal)
+    robot.planner.tell()
+    robot.rig.state(State.MOVING, "its own client")
+    assert robot.planner.executes(goal)
+    assert not robot.planner.canceled
+
+
+# -- words -------------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("restarted", [False, True])
+def test_the_reason_of_a_lost_foreign_goal_is_not_stale_once_the_planner_is_back(robot: Scene, restarted: bool) -> None:
+    rig, planner = robot.rig, robot.planner
+    planner.set(b"a foreign goal..")
+    planner.tell()
+    rig.state(State.MOVING, "its own client")
+    planner.withdraw()
+    robot.base.speed = 0.0
+    rig.state(State.ABORTED, f"the planner {PLANNER} has gone")
+    if restarted:
+        planner.forget()
+    else:
+        planner.set(b"a foreign goal..", GoalState.CANCELED)
+    planner.serve()
+    until(lambda: rig.gateway.link.state is PlannerState.IDLE, "it is back")
+    rig.worker.running("gateway").host.loop.call(rig.gateway.poll)
+    assert "has gone" not in rig.gateway.state().reason
+    assert rig.gateway.state().state is (State.ABORTED if restarted else State.IDLE)
+
+
+def test_an_end_for_want_of_a_planner_names_the_past_once_it_is_back(robot: Scene) -> None:
+    rig = robot.rig
+    rig.worker.reload(rig.configured(patience=0.3))
+    try:
+        asked = robot.drive()
+        robot.planner.withdraw()
+        status, why = asked.end()
+        assert status == "ABORTED"
+        assert why.startswith(f"the planner {PLANNER} was not available for 0.3 s")
+        rig.state(State.MOVING, MAY_MOVE)
+        robot.planner.serve()
+        until(lambda: not robot.planner.executes(robot.planner.goals[0]), "the goal is canceled once it is back")
+        robot.base.speed = 0.0
+        rig.state(State.ABORTED, f"the planner {PLANNER} was not available for 0.3 s")
+        assert "is not available" not in rig.gateway.state().reason
+    finally:
+        rig.worker.reload(rig.configured(patience=60.0))
+
+
+def test_lost_localization_is_named_while_a_foreign_planner_drives(robot: Scene) -> None:
+    rig = robot.rig
+    status = rig.far.advertise("/localization/status", "std_msgs/String", latched=True)
+    reason = rig.far.advertise("/localization/reason", "std_msgs/String", latched=True)
+    try:
+        robot.drive()
+        rig.far.publish(reason, {"data": "amcl is silent"})
+        rig.far.publish(status, {"data": "localized_error"})
+        told = rig.state(State.MOVING, "'localized_error': amcl is silent")
+        assert told["error_code"] == Fault.NOT_LOCALIZED
+        rig.far.publish(status, {"data": "localized_ok"})
+        until(lambda: rig.statuses[-1]["reason"] == "", "it is localized again")
+        assert rig.statuses[-1]["error_code"] == 0
+    finally:
+        rig.far.publish(status, {"data": "localized_ok"})
+        for endpoint in (status, reason):
+            rig.far.drop(endpoint)
+
+
+def test_the_reason_of_a_goal_in_an_unknown_frame_reaches_the_client(robot: Scene) -> None:
+    robot.planner.rejects = True
+    robot.rig.gateway.link.unreachable_at = 0.0  # it has been there for long: its rejection is final
+    asked = Asked(robot.rig.client, pose(1.0, frame="dock"))
+    status, why = asked.end()
+    assert status == "ABORTED"
+    assert why.startswith(f"{PLANNER} rejected the goal: ")
+    assert "dock" in why
+    assert "map" in why
+    robot.base.speed = 0.0
+    assert robot.rig.state(State.ABORTED, "dock")["error_code"] == Fault.BAD_GOAL
