@@ -13,7 +13,7 @@ PROOF_SECONDS = 1.0
 
 
 class Contact:
-    """Contact with one action server, by what its calls show. GIDs of its parts tell one program from another."""
+    """Contact with one action server, as its calls show it; the GIDs of its parts distinguish two programs."""
 
     def __init__(self) -> None:
         self._lost_at: float | None = None  # monotonic; None: contact is not in doubt

@@ -1,4 +1,4 @@
-"""A client's drive: what it asks for, goal by goal, and how it is getting on."""
+"""A client's drive: its targets, and the state of the current one."""
 
 from __future__ import annotations
 

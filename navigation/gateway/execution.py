@@ -68,7 +68,7 @@ class Execution:
         self.drive: ClientDrive | None = None
         self.last, self.ended_at = PlannerStatus(), 0.0  # how the last drive ended, and when (monotonic)
         self._pause: Timer | None = None
-        #: how many drives of clients ended so; refused: what is not a place to drive to
+        #: how many drives of clients ended so; refused: goals without a valid pose
         self.ended = dict.fromkeys(("reached", "failed", "canceled", "replaced", "refused"), 0)
 
     @property

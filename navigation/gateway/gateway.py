@@ -70,7 +70,7 @@ class Gateway:
 
     @property
     def ended(self) -> dict[str, int]:
-        """How many drives of clients ended so; refused: what is not a place to drive to."""
+        """How many drives of clients ended so; refused: goals without a valid pose."""
         return self.execution.ended
 
     @property
@@ -143,16 +143,16 @@ class Gateway:
         self.execution.begin(places, who, name)
 
     def stop(self) -> str:
-        """Stop the robot: cancel all goals of the planner, also those of its own clients. Returns what was done.
+        """Stop the robot: cancel all goals of the planner, also those of clients that bypass the gateway.
 
-        `when_confirmed` reports whether the robot stands.
+        Returns what was done; `when_confirmed` reports whether the robot stands.
         """
         foreign, motion, drive = self.link.foreign, self.link.motion, self.drive
         self.link.end_all()
-        if drive is None:
-            self.execution.last = PlannerStatus()  # how the last drive ended no longer matters
-        else:
+        if drive is not None:
             self.execution.stop_drive("it was stopped")
+        elif self.execution.last.state is not State.IDLE:
+            self.execution.last = PlannerStatus()  # how the last drive ended no longer matters
         self._order.ask("it was stopped")
         self.execution.advance()
         self._changed()

@@ -24,8 +24,7 @@ class GoalList:
 
     def __init__(self, *, always: bool) -> None:
         self._always = always
-        self._publishers: frozenset[bytes] = frozenset()  # GIDs of the topic's publishers on the hub
-        self._appeared = 0.0  # when the first of them appeared (monotonic)
+        self._publishers: dict[bytes, float] = {}  # GIDs of the topic's publishers on the hub: when each appeared
         self._publisher = b""  # whose list it is
         self._received = 0.0  # when it came (monotonic); 0: never
         self._statuses: dict[bytes, GoalState] = {}
@@ -45,6 +44,10 @@ class GoalList:
         """The state of a goal in the newest list; None if the list does not have it."""
         return self._statuses.get(goal)
 
+    def _latest_sign(self) -> float:
+        """Return when a publisher last appeared, or a list arrived (monotonic)."""
+        return max(self._received, *self._publishers.values())
+
     def receive(self, publisher: bytes, statuses: Mapping[bytes, GoalState]) -> bool:
         """Take in a list; whether it differs from the one before."""
         changed = self._statuses != statuses
@@ -55,14 +58,12 @@ class GoalList:
     def refresh(self, publishers: Collection[bytes]) -> None:
         """Note which publishers the topic has now: a list is valid while its publisher is there."""
         now, before = time.monotonic(), self._publishers
-        self._publishers = frozenset(publishers)
-        if not before & self._publishers:
-            self._appeared = now
+        self._publishers = {gid: before.get(gid, now) for gid in publishers}
         if self._publisher in self._publishers:
             self.known = True
         elif self._publishers and self._publisher not in before and now < self._received + EARLY_SECONDS:
             self.known = True  # the graph does not show its publisher yet
-        elif self._publishers and not self._always and now >= self._appeared + EMPTY_SECONDS:
+        elif not self._always and self._publishers and now >= self._latest_sign() + EMPTY_SECONDS:
             self._publisher, self._statuses, self._received, self.known = b"", {}, now, True
         else:
             self.known = False

@@ -69,7 +69,7 @@ class DriveEvent(Enum):
     SEND = "the goal is sent"
     ACCEPTED = "the planner accepts the goal"
     RETRY = "the goal has to be sent again"
-    NEXT = "a place on the way is reached"
+    NEXT = "an intermediate target is reached"
     ABORTED = "the planner ended the goal without a code"
     CONTACT_LOST = "the planner is unreachable, or has lost the goal's client"
     RESUMED_CONTACT = "the planner's goal list still has the goal"

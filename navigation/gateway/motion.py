@@ -1,4 +1,4 @@
-"""What is known of the base: whether it stands, by odometry, or by its velocity commands if there is no odometry."""
+"""What is known of the base: whether it stands, by odometry, or without odometry by its velocity commands."""
 
 from __future__ import annotations
 

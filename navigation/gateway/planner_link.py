@@ -105,7 +105,7 @@ class PlannerLink:
 
     @property
     def ours(self) -> bool:
-        """Whether it is one of Midspan's."""
+        """Whether Midspan hosts it."""
         return self.planner in OURS
 
     @property
@@ -181,7 +181,7 @@ class PlannerLink:
             action.end_all()
 
     def end_motion(self) -> None:
-        """Cancel what moves the base besides the planner's own goals."""
+        """Cancel the goals of the other actions that move the base."""
         for action in self._motion:
             action.end_all()
 
@@ -252,7 +252,7 @@ class PlannerLink:
         before, self._foreign = self._foreign, tuple(goal for goal in goals.active if not self.mark.is_own(goal))
         for goal in goals.active:
             if self.mark.is_orphan(goal):
-                self._goals.end(goal)  # nobody else knows of it, so nobody else could stop the robot
+                self._goals.end(goal)  # its client has lost it: no other program could stop the robot
         for goal in before:
             if goal not in self._foreign and goal != self.doubtful:
                 self.foreign_end = ForeignEnd(goal, _end_of(goals.status(goal)), "")

@@ -26,15 +26,15 @@ _NO_STAMP = {"sec": 0, "nanosec": 0}
 class Target:
     """A pose to drive to."""
 
-    pose: Pose  #: where, metres and rad; a theta that is no number means that any heading will do
-    frame: str  #: what it is in; the name of another map of the store for a place there
+    pose: Pose  #: meters and rad; a theta of NaN: any heading
+    frame: str  #: the frame of the pose; for a place on another map, the name of that map in the store
     tree: str = ""  #: the client's ``behavior_tree``
 
     def goal(self, planner: str, robot: Pose | None) -> dict[str, Any]:
-        """The goal for a planner, without a stamp: those of two machines' clocks would decide what it means.
+        """Return the goal for a planner, with a stamp of 0: two machines' clocks may differ.
 
-        Midspan's own words are for planners of ours, names of behaviour trees for others. Any heading is the one that
-        the robot comes with, where its pose is known.
+        Midspan's constraints are for hosted planners, names of behavior trees for all others. "Any heading" becomes the
+        heading of the direct path from the robot, if the robot's pose is known.
         """
         ours, tree = planner in OURS, self.tree
         if tree.startswith(PREFIX) != ours:
@@ -44,7 +44,7 @@ class Target:
         return {"pose": self.stamped(robot), "behavior_tree": tree}
 
     def stamped(self, robot: Pose | None = None) -> dict[str, Any]:
-        """As a ``geometry_msgs/PoseStamped``."""
+        """Return it as a ``geometry_msgs/PoseStamped``."""
         pose = self.pose
         if math.isnan(pose.theta) and robot is not None:
             pose = pose._replace(theta=math.atan2(pose.y - robot.y, pose.x - robot.x))
@@ -52,35 +52,38 @@ class Target:
 
 
 class TargetError(ValueError):
-    """A goal that no planner could follow; the text says why."""
+    """A goal that no planner could follow; the text gives the reason."""
 
 
 def target_of(message: Mapping[str, Any], tree: str = "") -> Target:
-    """The target of a ``geometry_msgs/PoseStamped``; raises `TargetError` for no frame, no numbers or no rotation."""
+    """Return the target of a ``geometry_msgs/PoseStamped``; raises `TargetError` if it is invalid."""
     frame = str(message["header"]["frame_id"]).lstrip("/")
-    position, turn = message["pose"]["position"], message["pose"]["orientation"]
+    position, orientation = message["pose"]["position"], message["pose"]["orientation"]
     if not frame:
         raise TargetError("the goal's frame is empty; on the map it is 'map'")
-    if not all(map(math.isfinite, (*position.values(), *turn.values()))):
-        raise TargetError("the goal's pose has a number that is none")
-    length = math.sqrt(sum(value * value for value in turn.values()))
+    if not all(map(math.isfinite, (*position.values(), *orientation.values()))):
+        raise TargetError("the goal's pose is not finite")
+    length = math.sqrt(sum(value * value for value in orientation.values()))
     if not 0.9 < length < 1.1:
-        raise TargetError(f"the goal's quaternion is no rotation: its length is {length:.2f}, not 1")
-    return Target(Pose(float(position["x"]), float(position["y"]), yaw_of(turn)), frame, tree)
+        raise TargetError(f"the goal's quaternion is not a rotation: its length is {length:.2f}, not 1")
+    return Target(Pose(float(position["x"]), float(position["y"]), yaw_of(orientation)), frame, tree)
 
 
 _ANY = math.nan
 
 
 class StoredPlaces:
-    """The store's places for goals; ``waits``: whether the planner drives to any map by its name, and waits for one."""
+    """The store's places as goals.
+
+    ``waits`` returns whether the planner drives to places on any map by the map's name, and waits until one is in use.
+    """
 
     def __init__(self, host: Host, frame: str, waits: Callable[[], bool] = lambda: False) -> None:
         self._host, self._frame, self._waits = host, frame, waits
 
     @property
     def store(self) -> Store | None:
-        """The store, where there is one."""
+        """The store; None if it is switched off or cannot be used."""
         try:
             return self._host.store
         except StoreError:
@@ -88,30 +91,30 @@ class StoredPlaces:
 
     @property
     def current(self) -> str:
-        """The map that is in use, "" where none is."""
+        """The name of the map in use, "" for none."""
         return "" if self.store is None else self.store.current_map()
 
     def find(self, name: str) -> Target:
-        """A location's pose, or a point in an area, in any heading; raises `LookupError` with the names there are."""
+        """Return a location's pose, or a point in an area with any heading; raises `LookupError` with the names."""
         store = self.store
         if store is None:
-            raise LookupError("there is no store of locations here; switch on `store`")
-        found = store.get(LOCATION, name)
-        if found is not None:
-            return self.target(found)
+            raise LookupError("the store of locations is switched off; switch on `store`")
+        location = store.get(LOCATION, name)
+        if location is not None:
+            return self.target(location)
         area = store.get(AREA, name)
         middle = None if area is None else area.getCentroid()
         if area is None or middle is None:
             known = ", ".join([*store.names(LOCATION), *store.names(AREA)][:20]) or "none"
-            raise LookupError(f"there is no location or area {name!r}; there are: {known}")
+            raise LookupError(f"unknown location or area {name!r}; known: {known}")
         inside = middle if area.contains(middle.x, middle.y) else area.getRandomLocation() or middle
         inside.theta = _ANY
         return self.target(inside)
 
     def target(self, place: Map2DLocation) -> Target:
-        """A goal at a place; where that is on another map, its frame is that map's name.
+        """Return a goal at a place; if that is on another map, its frame is that map's name.
 
-        While no map is in use it is not known where the place is, so it keeps its map's name for a planner that waits.
+        Without a map in use it keeps its map's name for a planner that waits for one.
         """
         known = self.current or (self._waits() and self.store is not None and place.map_id in self.store.names(MAP))
         elsewhere = place.map_id and known and place.map_id not in (self.current, self._frame)
@@ -119,14 +122,14 @@ class StoredPlaces:
         return Target(Pose(place.x, place.y, math.radians(place.theta)), frame)
 
     def known(self, place: Map2DLocation) -> Target:
-        """A goal at a place; raises `LookupError` if the store has maps, and not the place's."""
+        """Return a goal at a place; raises `LookupError` if the store has maps, but not the place's."""
         target, store = self.target(place), self.store
         if target.frame != self._frame and store is not None and target.frame not in (maps := store.names(MAP)):
-            raise LookupError(f"it is on the map {target.frame}, which is not here; there are: {', '.join(maps[:20])}")
+            raise LookupError(f"the store does not have its map {target.frame}, but {', '.join(maps[:20])}")
         return target
 
     def location(self, message: Mapping[str, Any] | Target) -> Map2DLocation:
-        """A ``geometry_msgs/PoseStamped``, or a target, as a place on a map."""
+        """Return a ``geometry_msgs/PoseStamped``, or a target, as a place on a map."""
         if isinstance(message, Target):
             frame, pose = message.frame, message.pose
         else:
@@ -136,10 +139,10 @@ class StoredPlaces:
         return Map2DLocation(map_id, float(pose.x), float(pose.y), math.degrees(pose.theta))
 
     def map(self) -> MapGrid2D | None:
-        """The map that is in use."""
+        """Return the map in use."""
         store = self.store
         return None if store is None or not self.current else store.get(MAP, self.current)
 
     def grid(self, message: Mapping[str, Any] | None) -> MapGrid2D | None:
-        """A ``nav_msgs/OccupancyGrid`` as YARP has it."""
+        """Return a ``nav_msgs/OccupancyGrid`` as a YARP map."""
         return None if message is None else from_grid(message, self.current or "map")

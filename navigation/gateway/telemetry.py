@@ -1,4 +1,4 @@
-"""What a planner publishes beside its action: its status, path, local map and current goal."""
+"""The topics that a planner publishes in addition to its action: status, path, local map and current goal."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ def local_map_topic(section: NavigationSection, planner: str) -> str:
 
 
 class Telemetry:
-    """What a planner publishes beside its action: status, path, local map, current goal."""
+    """The newest messages on a planner's status, path, local map and current goal topics."""
 
     def __init__(self, host: Host, section: NavigationSection, planner: str, changed: Callable[[], None]) -> None:
         self._host, self._planner, self._changed = host, planner, changed

@@ -25,14 +25,14 @@ class Situation:
     planner_age: float = 0.0  #: seconds since that changed
     base: Base = Base.UNKNOWN
     goals: bool | None = None  #: whether its newest list has active goals, valid or not; None before the first list
-    doubtful: bool = False  #: whether it had a goal of its own client when it became unreachable
+    doubtful: bool = False  #: whether a client that bypasses the gateway had sent it a goal when it became unreachable
     motion: tuple[str, ...] = ()  #: other actions that move the base now, such as Nav2's ``/follow_path``
     foreign: PlannerStatus | None = None  #: how a goal of the planner's own client is getting on
     orphans: bool = False  #: whether the planner drives to a goal from before the gateway was restarted
     drive: DriveState | None = None
     why: str = ""  #: why the drive is being stopped, or waits
     unreleased: bool = False  #: whether the planner may have a goal of the drive
-    reported: PlannerStatus | None = None  #: what the planner itself published about the drive's goal
+    reported: PlannerStatus | None = None  #: the planner's own status of the drive's goal
     silence: float = 0.0  #: seconds without a word from the planner; 0 if that means nothing
     localization: str = ""  #: why the robot's pose is not to be trusted
     stop: StopState = StopState.NONE
@@ -65,7 +65,7 @@ def unconfirmed(now: Situation) -> str:
         why = (
             f"{now.planner} has released its goals, but the base has not come to rest"
             if now.odometry
-            else "there is no odometry, and the velocity commands have not ended"
+            else "odometry is missing, and the velocity commands have not ended"
         )
         return f"{MAY_MOVE}: {why}"
     if not now.planner_state.reachable:

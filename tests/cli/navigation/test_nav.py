@@ -267,7 +267,7 @@ def process(midspan: Midspan, *words: str) -> subprocess.Popen[str]:
 
 @pytest.mark.parametrize(
     ("words", "why"),
-    [(["moon"], "no location or area 'moon'"), (["1", "north"], "X Y [DEGREES]"), (["1", "nan"], "X Y [DEGREES]")],
+    [(["moon"], "unknown location or area 'moon'"), (["1", "north"], "X Y [DEGREES]"), (["1", "nan"], "X Y [DEGREES]")],
 )
 def test_nowhere(midspan: Midspan, words: list[str], why: str) -> None:
     outcome = midspan("goto", *words)

@@ -111,12 +111,7 @@ def test_another_publisher_does_not_make_a_dead_one_valid(clock: Clock) -> None:
     assert goals.active == (GOAL,)
 
 
-OVERLAP = pytest.mark.xfail(
-    strict=True, reason="a publisher that has no list is believed by the time of another one that was there before it"
-)
-
-
-@pytest.mark.parametrize("always", [True, pytest.param(False, marks=OVERLAP)])
+@pytest.mark.parametrize("always", [True, False])
 def test_a_list_may_be_ahead_of_the_graph_for_a_moment(clock: Clock, always: bool) -> None:
     """A new worker's list arrives while the graph still shows the publisher of the worker that was killed."""
     goals = GoalList(always=always)
@@ -142,7 +137,6 @@ def test_a_list_from_a_publisher_that_has_just_left_is_not_ahead_of_the_graph(cl
     assert not goals.known
 
 
-@OVERLAP
 def test_a_new_server_has_its_own_time_also_while_the_graph_still_shows_the_one_before_it(clock: Clock) -> None:
     """A frozen worker's tokens last until its lease is over; the worker in its place has not published a list yet."""
     goals = GoalList(always=False)

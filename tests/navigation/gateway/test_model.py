@@ -23,7 +23,7 @@ def test_what_once_contradicted_the_base(seed: int) -> None:
 def test_no_word_contradicts_the_base() -> None:
     runs = [world.run(seed) for seed in range(BLOCK)]
     assert len({run.planner for run in runs}) == 2
-    assert sum(len(run.answers) for run in runs) > BLOCK, "stops and pauses were answered"
+    assert sum(len(run.answers) for run in runs) > BLOCK // 2, "stops and pauses were answered"
 
 
 @pytest.mark.thorough

@@ -75,8 +75,8 @@ def test_a_reason_without_a_code_is_that_of_a_planner_that_is_there(rig: Rig) ->
 def test_a_goal_that_no_planner_could_follow_says_why(rig: Rig) -> None:
     bad = {
         "frame is empty": pose(1.0, frame=""),
-        "a number that is none": pose(math.nan),
-        "no rotation": {**pose(1.0), "pose": {"orientation": {"w": 0.0}}},
+        "is not finite": pose(math.nan),
+        "is not a rotation": {**pose(1.0), "pose": {"orientation": {"w": 0.0}}},
     }
     for why, message in bad.items():
         status, told = Asked(rig.client, message).end()

@@ -1,4 +1,4 @@
-"""Whether a base stands, by odometry that a test makes up."""
+"""Whether a base stands, by scripted odometry."""
 
 from __future__ import annotations
 
@@ -13,42 +13,42 @@ TENTH = 100_000_000
 
 
 class Odometry:
-    """What `Frames` tells: the next pose each time, or that none is known."""
+    """Stands in for `RobotFrames`: the next pose at each call, or an error."""
 
     def __init__(self) -> None:
         self.x, self.stamp, self.known = 0.0, 0, True
 
     def odometry(self) -> Pose:
         if not self.known:
-            raise FramesError("nobody says where the base is")
+            raise FramesError("odometry is missing")
         return Pose(self.x, 0.0, 0.0, self.stamp)
 
 
-def test_only_odometry_that_goes_on_tells_that_the_base_stands() -> None:
-    said = Odometry()
-    motion = Motion(cast("Any", said), simulated=True)
+def test_only_fresh_odometry_shows_that_the_base_stands() -> None:
+    odometry = Odometry()
+    motion = Motion(cast("Any", odometry), simulated=True)
     assert motion.stands() is None
     for _ in range(6):
-        said.x, said.stamp = said.x + 0.03, said.stamp + TENTH
+        odometry.x, odometry.stamp = odometry.x + 0.03, odometry.stamp + TENTH
         motion.poll()
     assert motion.stands() is False
-    for _ in range(20):  # it falls silent in mid-drive: the last pose says nothing of where the base is now
+    for _ in range(20):  # odometry stops in mid-drive: the last pose is no evidence of the current one
         motion.poll()
     assert motion.stands() is False
     for _ in range(4):
-        said.stamp += TENTH
+        odometry.stamp += TENTH
         motion.poll()
     assert motion.stands() is True
     assert motion.stands(since=float("inf")) is None
-    said.known = False
+    odometry.known = False
     motion.poll()
     assert motion.stands() is None
 
 
-def test_it_is_asked_while_it_looks() -> None:
-    """YARP's threads ask for the status as the module's own looks."""
-    said = Odometry()
-    motion, over, failed = Motion(cast("Any", said)), threading.Event(), list[BaseException]()
+def test_other_threads_read_while_it_polls() -> None:
+    """YARP's threads read the status while the module's own thread polls."""
+    odometry = Odometry()
+    motion, over, failed = Motion(cast("Any", odometry)), threading.Event(), list[BaseException]()
 
     def ask() -> None:
         try:
@@ -60,7 +60,7 @@ def test_it_is_asked_while_it_looks() -> None:
     asking = threading.Thread(target=ask)
     asking.start()
     for _ in range(5_000):
-        said.stamp += TENTH // 1000
+        odometry.stamp += TENTH // 1000
         motion.poll()
     over.set()
     asking.join()

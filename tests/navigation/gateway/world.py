@@ -235,7 +235,7 @@ class PlannerGoal:
 
 
 class World:
-    """All of it. ``planner``: move_base, nav2 (with a controller of its own) or a planner of Midspan's on the hub."""
+    """All of it. ``planner``: move_base, or nav2 with its separate controller."""
 
     def __init__(self, seed: int, clock: Clock) -> None:
         self.random = random.Random(seed)
@@ -576,7 +576,7 @@ class World:
 
     def odometry(self) -> Pose:
         if not self.has_odometry:
-            raise FramesError("there is no odometry")
+            raise FramesError("odometry is missing")
         return Pose(self.x, 0.0, 0.0, int(self.clock.now * 1e9))
 
     def pose(self) -> Pose:
@@ -635,7 +635,7 @@ class World:
     # -- the property --------------------------------------------------------------------------------------------------
 
     def _moved_by_planner(self) -> bool:
-        """Without odometry a base that has been commanded zero counts as standing: nobody can know when it does."""
+        """Without odometry a base that has been commanded zero counts as standing: nothing shows its motion."""
         return self.v > MOVING and (self.has_odometry or self.commanded)
 
     def check(self) -> None:
@@ -707,7 +707,7 @@ def run(seed: int) -> World:
 
 @contextmanager
 def simulated(seed: int) -> Iterator[World]:
-    """A world whose time the gateway's modules take for theirs."""
+    """Run the gateway's modules on a world's simulated time."""
     with pytest.MonkeyPatch.context() as patched:
         clock = Clock()
         for module in _TIMED:
