@@ -1,12 +1,14 @@
-"""Clients of `tests.interop.mix_table`: a program of each side that wants the robot somewhere."""
+"""Clients of `tests.interop.mix`: one program on each side that sends the robot to goals."""
 
 from __future__ import annotations
 
 import math
 import threading
+import time
 from collections.abc import Callable
 from typing import Any, Protocol
 
+from bridge.modules.clients import SentGoal
 from tests.contract.hubside import HubSide
 from tests.navigation.gateway.rig import Asked, Program, pose
 from tests.support.peer import Peer
@@ -15,41 +17,43 @@ from yarp_compat.dev.locations import Map2DLocation
 
 SECONDS = 40.0
 TRIGGER = "std_srvs/Trigger"
+YARP, ROS1, ROS2, ZENOH = "YARP INavigation2D", "ROS 1 actionlib", "ROS 2 action", "zenoh (hub) action"
+SILENT = "no answer"
+"""The status that a client sees if its calls fail."""
+
 _ENDS = {4: "succeeded", 5: "canceled", 6: "aborted"}
 _STATUSES = {0: "unknown", 1: "accepted", 2: "executing", 3: "canceling", **_ENDS}
-SILENT = "no answer"
-"""What a client sees whose calls fail."""
 
-Answer = Callable[[], str | None]
-"""What a stop was answered: "" where it is confirmed, else why not; None while there is no answer."""
+Answer = Callable[[], tuple[float, str] | None]
+"""The answer to a stop or a pause: when it came (monotonic), and "" for success, else the reason. None: not yet."""
 
 
 class Client(Protocol):
-    """A program of a side that wants the robot somewhere."""
+    """A program that sends the robot to goals."""
 
     def goto(self, x: float) -> None:
-        """Drive there."""
+        """Send a goal on the x axis."""
 
     def progress(self) -> int:
-        """How much it has heard of its goal's progress."""
+        """Return how many reports of progress have arrived."""
 
     def cancel(self) -> None:
-        """Give the goal up."""
+        """Cancel the goal."""
 
-    def ask(self, word: str) -> bool:
-        """``pause`` or ``resume``; whether that was done."""
-
-    def stop(self) -> Answer:
-        """Ask for a stop of whatever drives, beside other calls."""
+    def ask(self, word: str) -> Answer:
+        """Ask for ``stop``, ``pause`` or ``resume``, beside other calls."""
 
     def seen(self) -> str:
-        """How its goal gets on: YARP's state, or the status of the action's goal."""
+        """Return YARP's state, or the status of the action's goal."""
 
     def end(self) -> str:
-        """How the goal ended, "" while it has not."""
+        """Return how the goal ended, "" if it has not."""
+
+    def ended_at(self) -> float:
+        """Return when the end arrived (monotonic), 0 if it has not."""
 
     def why(self) -> str | None:
-        """What it heard of the reason; None where its protocol has no words for one."""
+        """Return the reason of the end; None if the protocol has no text for one."""
 
 
 class YarpClient:
@@ -57,38 +61,37 @@ class YarpClient:
 
     def __init__(self, remote: INavigation2DMsgs, another: INavigation2DMsgs) -> None:
         self._remote, self._another = remote, another
-        self._heard = 0
+        self._moving = 0
 
     def goto(self, x: float) -> None:
         assert self._remote.goto_target_by_absolute_location_RPC(Map2DLocation("map", x, 0.0, 0.0))
-        self._heard = 0
+        self._moving = 0
 
     def progress(self) -> int:
-        self._heard += self._state() == "moving"
-        return self._heard
+        self._moving += self._state() == "moving"
+        return self._moving
 
     def cancel(self) -> None:
         assert self._remote.stop_navigation_RPC()
 
-    def ask(self, word: str) -> bool:
+    def ask(self, word: str) -> Answer:
+        """Use a second connection: the answer may take a while, and the status is polled meanwhile."""
         call = {
-            "pause": lambda: self._remote.suspend_navigation_RPC(math.inf),
-            "resume": self._remote.resume_navigation_RPC,
-        }
-        return bool(call[word]())
+            "stop": self._another.stop_navigation_RPC,
+            "pause": lambda: self._another.suspend_navigation_RPC(math.inf),
+            "resume": self._another.resume_navigation_RPC,
+        }[word]
+        answers: list[tuple[float, str]] = []
 
-    def stop(self) -> Answer:
-        """By another connection: the answer may be waited for, and the status is asked for meanwhile."""
-        said: list[str] = []
-
-        def call() -> None:
+        def run() -> None:
             try:
-                said.append("" if self._another.stop_navigation_RPC() else "not ok")
+                answer = "" if call() else "not ok"
             except OSError as err:
-                said.append(f"{SILENT}: {err}")
+                answer = f"{SILENT}: {err}"
+            answers.append((time.monotonic(), answer))
 
-        threading.Thread(target=call, daemon=True).start()
-        return lambda: said[0] if said else None
+        threading.Thread(target=run, daemon=True).start()
+        return lambda: answers[0] if answers else None
 
     def seen(self) -> str:
         try:
@@ -99,6 +102,9 @@ class YarpClient:
     def end(self) -> str:
         ends = {"goal_reached": "succeeded", "idle": "canceled", "aborted": "aborted"}
         return ends.get(self.seen(), "")
+
+    def ended_at(self) -> float:
+        return 0.0  # a state has no time of its own
 
     def why(self) -> None:
         return None
@@ -115,85 +121,116 @@ class RosClient:
         self._goal = 0
 
     def goto(self, x: float, frame: str = "map") -> None:
-        goal = {self._field: pose(x, frame=frame)}
-        sent = self.peer.ask("send_goal", action=self._action, type=self._type, goal=goal, seconds=SECONDS)
-        self._goal = sent["id"]
+        self.send(self._action, self._type, {self._field: pose(x, frame=frame)})
+
+    def send(self, action: str, type_: str, goal: dict[str, Any]) -> None:
+        """Send a goal of any action; the client's other methods refer to it from then on."""
+        self._goal = self.peer.ask("send_goal", action=action, type=type_, goal=goal, seconds=SECONDS)["id"]
 
     def progress(self) -> int:
-        return len(self._told()["feedback"])
+        return len(self._state()["feedback"])
 
     def cancel(self) -> None:
         self.peer.ask("cancel", id=self._goal)
 
-    def ask(self, word: str) -> bool:
+    def ask(self, word: str) -> Answer:
         call = self.peer.ask("call", service=f"/navigation/{word}", type=TRIGGER)["id"]
-        reply = self.peer.ask("result", id=call, seconds=SECONDS)["reply"]
-        return bool(reply and reply["success"])
 
-    def stop(self) -> Answer:
-        call = self.peer.ask("call", service="/navigation/stop", type=TRIGGER)["id"]
-        return lambda: _answer(self.peer.ask("result", id=call, seconds=0.0))
+        def answer() -> tuple[float, str] | None:
+            result = self.peer.ask("result", id=call, seconds=0.0)
+            return (result["at"], _trouble(result)) if result["done"] else None
+
+        return answer
 
     def seen(self) -> str:
-        return _STATUSES[self._told()["status"]]
+        return _STATUSES[self._state()["status"]]
 
     def end(self) -> str:
-        return _ENDS.get(self._told()["status"], "")
+        return _ENDS.get(self._state()["status"], "")
+
+    def ended_at(self) -> float:
+        return float(self._state()["ended_at"])
 
     def why(self) -> str:
-        told = self._told()
-        return str(told["text"] if "text" in told else told["result"]["error_msg"])
+        state = self._state()
+        return str(state["text"] if "text" in state else (state["result"] or {}).get("error_msg", ""))
+
+    def code(self) -> int:
+        """Return the result's error code; actionlib has none."""
+        return int((self._state()["result"] or {}).get("error_code", 0))
 
     def ends(self) -> int:
-        """How often it was told that its goal has ended."""
-        return int(self._told()["ends"])
+        """Return how many ends of its goal were reported."""
+        return int(self._state()["ends"])
 
-    def _told(self) -> dict[str, Any]:
+    def _state(self) -> dict[str, Any]:
         return self.peer.ask("goal", id=self._goal, seconds=0.0)
 
 
+class _TimedGoal(Asked):
+    """A goal on the hub that notes when its end arrived."""
+
+    at = 0.0
+    ends = 0
+
+    def _end(self, goal: SentGoal, result: dict[str, Any] | None, why: str) -> None:
+        self.at, self.ends = time.monotonic(), self.ends + 1
+        super()._end(goal, result, why)
+
+
 class ZenohClient:
-    """A program on the hub itself."""
+    """A program on the hub."""
 
     def __init__(self, program: Program, far: HubSide) -> None:
         self._program, self._far = program, far
-        self._asked: Asked | None = None
+        self._goal: _TimedGoal | None = None
+
+    @property
+    def goal(self) -> _TimedGoal:
+        """The last goal."""
+        assert self._goal is not None
+        return self._goal
 
     def goto(self, x: float) -> None:
-        self._asked = Asked(self._program, pose(x))
+        self._goal = _TimedGoal(self._program, pose(x))
 
     def progress(self) -> int:
-        assert self._asked is not None
-        return len(self._asked.feedback)
+        return len(self.goal.feedback)
 
     def cancel(self) -> None:
-        assert self._asked is not None
-        self._asked.cancel()
+        self.goal.cancel()
 
-    def ask(self, word: str) -> bool:
-        return bool(self._far.call(f"/navigation/{word}", TRIGGER).result(SECONDS)["reply"]["success"])
+    def ask(self, word: str) -> Answer:
+        """Wait on a thread, so that the time of the answer is its own."""
+        answers: list[tuple[float, str]] = []
+        call = self._far.call(f"/navigation/{word}", TRIGGER)
 
-    def stop(self) -> Answer:
-        call = self._far.call("/navigation/stop", TRIGGER)
-        return lambda: _answer(call.result(0.0))
+        def run() -> None:
+            result = call.result(SECONDS)
+            answers.append((time.monotonic(), _trouble(result)))
+
+        threading.Thread(target=run, daemon=True).start()
+        return lambda: answers[0] if answers else None
 
     def seen(self) -> str:
-        assert self._asked is not None
-        return _STATUSES[int(self._asked.sent.status)]
+        return _STATUSES[int(self.goal.sent.status)]
 
     def end(self) -> str:
-        assert self._asked is not None
-        return _ENDS.get(int(self._asked.sent.status), "") if self._asked.ended else ""
+        return _ENDS.get(int(self.goal.sent.status), "") if self.goal.ended else ""
+
+    def ended_at(self) -> float:
+        return self.goal.at
 
     def why(self) -> str:
-        assert self._asked is not None
-        return self._asked.end()[1]
+        return self.goal.end()[1]
+
+    def ends(self) -> int:
+        """Return how many ends of its goal were reported."""
+        return self.goal.ends
 
 
-def _answer(told: dict[str, Any]) -> str | None:
-    if not told["done"]:
-        return None
-    reply = told["reply"]
+def _trouble(result: dict[str, Any]) -> str:
+    reply = result["reply"]
     if reply is None:
-        return f"{SILENT}: {told['error']}"
-    return "" if reply["success"] else str(reply["message"]) or f"{SILENT}: no success, and no words"
+        return f"{SILENT}: {result['error']}"
+    return "" if reply["success"] else str(reply["message"]) or f"{SILENT}: no success, and no message"

@@ -1,84 +1,64 @@
-"""What clients see while a part of the way to ROS 1's move_base fails, and a stop is asked for meanwhile.
+"""What clients see while a part of the path to the planner fails, and stops are asked for meanwhile.
 
-The measure is the base's own program (`tests/support/ros1_base.py`), which goes on whatever becomes of move_base: it
-tells whether the robot moves. No client may be told that the robot stands while it moves.
+The measure is the base's own program (`tests.interop.mix_truth`): no client may receive "ok" to a stop, or a state that
+means an end, while the base moves by the planner's doing.
 """
 
 from __future__ import annotations
 
+import math
 import os
 import signal
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from pathlib import Path
-from typing import TYPE_CHECKING
 
-from tests.interop.mix_clients import SECONDS, SILENT, Client, RosClient
-from tests.support.process import Process, stands_still
-from tests.support.ros1 import ROS1_PYTHON
+from tests.interop.mix import MOVE_BASE, NAV2, Mix
+from tests.interop.mix_clients import ROS1, ROS2, SECONDS, SILENT, YARP, ZENOH, Client, RosClient, ZenohClient
+from tests.interop.mix_truth import JERK_SECONDS, UNTRUE_SECONDS, Word, stood, untrue
+from tests.support.process import stands_still
 from tests.support.wait import until
 
-if TYPE_CHECKING:
-    from tests.interop.mix_table import Mix
-
 AWAY = 800.0
-"""Metres along x: so far that no drive of these comes there."""
+"""Meters along x: farther than any drive of these tests."""
+
+STANDS_SECONDS = 9.0
+"""The base stands within this time after a stop that is sent while the planner can be reached."""
 
 STOP_AFTER = 0.5
 """Seconds after the fault at which a stop is asked for."""
 
-UNTRUE_SECONDS = 2.0
-"""A client that is told for longer, on a busy machine, that the robot stands while it moves, has been told a lie."""
-
 UNCONFIRMED = "may still be moving"
-"""What each stop is answered that is not confirmed."""
+"""Part of the answer to each stop that is not confirmed."""
 
-_ENDS = {"idle", "goal_reached", "succeeded", "canceled", "aborted", "error", "failing"}
-"""What clients take for the end."""
+MAY_MOVE = "aborted, and may still be moving"
+"""An end that does not claim that the robot stands."""
 
-_LOOK = 0.05
-
-
-class Base:
-    """The robot's base: whether it moves, by its own word.
-
-    Args:
-        env: where ROS's master is.
-    """
-
-    def __init__(self, env: Mapping[str, str]) -> None:
-        self._process = Process([ROS1_PYTHON, Path(__file__).parents[1] / "support" / "ros1_base.py"], env)
-        self.stop = self._process.stop
-
-    def changes(self, since: float = 0.0) -> list[tuple[bool, float]]:
-        """Whether it moved from then on, and when that began (monotonic), oldest first."""
-        rows = [line.split() for line in self._process.output().splitlines(keepends=True) if line.endswith("\n")]
-        told = [(row[0] == "moves", float(row[1])) for row in rows if row[:1] in (["moves"], ["stands"])]
-        return [one for one in told if one[1] >= since]
-
-    @property
-    def moves(self) -> bool:
-        """Whether it moves now."""
-        changes = self.changes()
-        return bool(changes) and changes[-1][0]
+_POLL = 0.05
 
 
 @dataclass(frozen=True)
 class Fault:
-    """What fails.
+    """A fault.
 
     Attributes:
         begin: makes it.
-        end: mends it, where the daemon does not.
-        client_dies: whether a goal of move_base's own client is lost by it.
-        gateway_dies: whether there is nobody to answer for a while.
+        end: mends it, if the daemon does not.
+        planner: over which it happens.
+        client_dies: whether a goal of the planner's own client is lost by it.
+        gateway_dies: whether nobody answers for a while.
+        stopped: whether all clients ask for a stop, also of a goal of the planner's own client; else the client that
+            gave the goal does, and the planner's own client cancels its goal later.
+        clients: those that `make mix` tries it with.
     """
 
     begin: Callable[[Mix], None]
     end: Callable[[Mix], None] = lambda _mix: None
+    planner: str = MOVE_BASE
     client_dies: bool = False
     gateway_dies: bool = False
+    stopped: bool = False
+    clients: tuple[str, ...] = (YARP, ROS1, ROS2, ZENOH)
 
 
 def _kill(mix: Mix) -> None:
@@ -91,119 +71,211 @@ def _hang(mix: Mix) -> None:
     until(lambda: stands_still(mix.planner.pid), "the planner hangs")
 
 
+def kill_workers(*workers: str) -> Callable[[Mix], None]:
+    """Return a fault's begin that kills workers of the daemon at once."""
+
+    def kill(mix: Mix) -> None:
+        for pid in [mix.pid(worker) for worker in workers]:
+            os.kill(pid, signal.SIGKILL)
+
+    return kill
+
+
 FAULTS = {
     "planner dies": Fault(_kill, lambda mix: mix.restart(), client_dies=True),
     "planner hangs": Fault(_hang, lambda mix: mix.planner.signal(signal.SIGCONT)),
-    "ros1 worker dies": Fault(lambda mix: os.kill(mix.pid("ros1"), signal.SIGKILL)),
-    "modules die": Fault(lambda mix: os.kill(mix.pid("gateway"), signal.SIGKILL), gateway_dies=True),
+    "ros1 worker dies": Fault(kill_workers("ros1")),
+    "modules die": Fault(kill_workers("gateway"), gateway_dies=True),
+    "master dies": Fault(
+        lambda mix: mix.kill_master(), lambda mix: mix.restart_ros1(), stopped=True, clients=(ROS1, ZENOH)
+    ),
+    "ros1 and modules die": Fault(
+        kill_workers("ros1", "gateway"), gateway_dies=True, stopped=True, clients=(YARP, ROS1)
+    ),
+    "bt_navigator gives up": Fault(
+        lambda mix: mix.planner.give_up(), planner=NAV2, client_dies=True, stopped=True, clients=(YARP, ROS2)
+    ),
+    "bt_navigator dies": Fault(
+        lambda mix: mix.planner.kill("bt_navigator"),
+        lambda mix: mix.planner.start("bt_navigator"),
+        planner=NAV2,
+        client_dies=True,
+        stopped=True,
+        clients=(YARP, ROS2),
+    ),
 }
 
 
 @dataclass
 class Watch:
-    """Follows what a client and everybody are told, beside what the base does. Times are seconds after the fault.
+    """Follows what clients receive, and what the base does. Times are seconds after the fault.
 
     Attributes:
-        told: what was told, and when.
-        untrue: for how long at most the robot was said to stand while it moved.
-        answer: to the stop, and after how long.
+        client: whose goal it is; "" for a goal that no client of the mix follows.
+        own: whether it speaks to the planner itself: the end of its goal is then the planner's word.
+        words: the words that each client received, in order.
+        texts: the gateway's states with their reasons, for people.
+        answers: to the stops, by client: when, and "" or the reason.
+        allowance: seconds that the base may move on after a word of an end.
     """
 
     mix: Mix
-    client: Client
+    client: str
+    own: bool = False
+    allowance: float = UNTRUE_SECONDS
     began: float = field(default_factory=time.monotonic)
-    told: list[tuple[float, str]] = field(default_factory=list)
+    words: dict[str, list[Word]] = field(default_factory=dict)
+    texts: list[Word] = field(default_factory=list)
+    answers: dict[str, tuple[float, str]] = field(default_factory=dict)
     untrue: float = 0.0
-    answer: tuple[float, str] | None = None
-    _since: float | None = None
+    trouble: list[str] = field(default_factory=list)
+    _read: int = 0
 
-    def look(self) -> None:
-        """Note what is told now."""
-        moved = self.mix.base.moves
-        seen, (state, reason) = self.client.seen(), self.mix.said()
-        if seen == "aborted" and UNCONFIRMED in (self.client.why() or reason):
-            seen = "aborted, and may still be moving"
-        now = time.monotonic()
-        said = f"{seen} | {state}: {reason}" if reason else f"{seen} | {state}"
-        if not self.told or self.told[-1][1] != said:
-            self.told.append((now - self.began, said))
-        if not (moved and self.mix.base.moves and {seen, state} & _ENDS):
-            self._since = None
+    def __post_init__(self) -> None:
+        self.base = self.mix.base
+        self._read = len(self.mix.statuses)
+        if self._read:
+            self._note("status", self.began, self.mix.status()[0])
+
+    def poll(self) -> None:
+        """Note what clients received since the last time."""
+        for at, status in self.mix.statuses[self._read :]:
+            self._read += 1
+            state, reason = str(status["state"]), str(status["reason"])
+            if state == "aborted" and UNCONFIRMED in reason:
+                state = MAY_MOVE
+            self._note("status", at, state, f"{state}: {reason}" if reason else state)
+        self._note(YARP, 0.0, self.mix.clients[YARP].seen())
+        if self.client in ("", YARP) or self.own:
             return
-        self._since = now if self._since is None else self._since
-        self.untrue = max(self.untrue, now - self._since)
-        assert self.untrue < UNTRUE_SECONDS, f"it is said to stand ({said}), and moves"
+        client = self.mix.clients[self.client]
+        end = client.end()
+        if end == "aborted" and UNCONFIRMED in (client.why() or ""):
+            end = MAY_MOVE
+        self._note(self.client, client.ended_at() if end else 0.0, end or client.seen())
 
-    def until(self, condition: Callable[[], object], what: str) -> None:
-        """Look on until something is so."""
+    def _note(self, who: str, at: float, word: str, text: str = "") -> None:
+        words = self.words.setdefault(who, [])
+        at = at or time.monotonic()
+        if who == "status":
+            self.texts.append((at, text or word))
+        if not words or words[-1][1] != word:
+            words.append((max(at, self.began), word))
 
-        def so() -> object:
-            self.look()
+    def until(self, condition: Callable[[], object], what: str, seconds: float = SECONDS) -> None:
+        """Poll until a condition holds."""
+
+        def holds() -> object:
+            self.poll()
             return condition()
 
         try:
-            until(so, what, SECONDS, _LOOK)
+            until(holds, what, seconds, _POLL)
         except AssertionError as err:
             raise AssertionError(f"{err}; {self}") from None
 
+    def ask(self, word: str, clients: Sequence[str]) -> None:
+        """Have clients ask for a stop, a pause or a resume, all at once; returns when all have their answers."""
+        asked = {name: self.mix.clients[name].ask(word) for name in clients}
+        self.until(lambda: all(answer() is not None for answer in asked.values()), f"every {word} is answered")
+        self.answers = {name: answer() or (math.inf, "") for name, answer in asked.items()}
+        if word == "resume":
+            return
+        for name, (at, answer) in self.answers.items():
+            wrong = stood(self.base, at) if not answer else ""
+            if wrong:
+                self.trouble.append(f"{name} received ok to a {word}: {wrong}")
+
+    def close(self) -> None:
+        """Check the words so far against what the base did; raises `AssertionError`."""
+        end = time.monotonic()
+        for who, words in self.words.items():
+            seconds = untrue([word for word in words if word[1] != SILENT], self.base, end)
+            self.untrue = max(self.untrue, seconds)
+            if seconds > self.allowance:
+                self.trouble.append(f"{who} received that the robot stands while it moved for {seconds:.2f} s")
+        for name, (at, answer) in self.answers.items():
+            moved = 0.0 if answer else self.base.moved(at, end)
+            if moved > JERK_SECONDS and not stood(self.base, at):
+                self.trouble.append(f"{name} received ok, and the base moved for {moved:.2f} s after it")
+        self.trouble = list(dict.fromkeys(self.trouble))
+        assert not self.trouble, f"{'; '.join(self.trouble)}; {self}"
+
     def __str__(self) -> str:
-        changes = [(moves, at - self.began) for moves, at in self.mix.base.changes(self.began)]
+        changes = [(moves, at - self.began) for moves, at in self.base.changes(self.began)]
         base = ", ".join(f"{'moves' if moves else 'stands'} {at:.1f}" for moves, at in changes)
-        words = [f"base: {base}", f"untrue for {self.untrue:.1f} s"]
-        if self.answer is not None:
-            words.append(f"stop at {STOP_AFTER:g} s answered after {self.answer[0]:.1f} s: {self.answer[1] or 'ok'}")
-        return "; ".join([*words, *(f"{at:.1f} s: {said}" for at, said in self.told)])
+        parts = [f"base: {base}", f"untrue for {self.untrue:.2f} s"]
+        for name, (at, answer) in self.answers.items():
+            parts.append(f"{name} answered at {at - self.began:.1f}: {answer or 'ok'}")
+        for who, words in {**self.words, "status": self.texts}.items():
+            parts.append(f"{who}: {', '.join(f'{at - self.began:.2f} {word}' for at, word in words)}")
+        return "; ".join(parts)
 
 
-def attempt(mix: Mix, fault: Fault, client: Client, watches: list[Watch], *, own: bool) -> str:
-    """One client's drive, with a fault in it; the mark. What the client saw is added to ``watches``."""
+def start_driving(mix: Mix, client: Client) -> None:
+    """Give a client's goal, and wait until the base moves and everybody receives that."""
     client.goto(AWAY)
 
     def drives() -> object:
         if client.end() == "canceled":
             client.goto(AWAY)  # the last stop was of all goals, and reached a planner that was away only now
-        return mix.base.moves and mix.said()[0] == "moving" and client.progress()
+        return mix.base.moves and mix.state() == "moving" and client.progress()
 
-    Watch(mix, client).until(drives, "it moves")
-    watch = Watch(mix, client)
+    until(drives, "it moves", SECONDS, _POLL)
+
+
+def attempt(mix: Mix, fault: Fault, name: str, watches: list[Watch], *, own: bool) -> str:
+    """Have one client drive, with a fault on the way, and return the mark. The watch is added to ``watches``."""
+    client = mix.clients[name]
+    start_driving(mix, client)
+    watch = Watch(mix, name, own=own)
     watches.append(watch)
     fault.begin(mix)
-    watch.until(lambda: time.monotonic() > watch.began + STOP_AFTER, "it fails for a while")
-    (_own if own else _stop)(watch, fault)
+    watch.until(lambda: time.monotonic() > watch.began + STOP_AFTER, "the fault lasts for a while")
+    if own and not fault.stopped:
+        _own(watch, client, fault)
+    else:
+        _stop(watch, client, fault)
     watch.until(mix.back, "everything is back")
-    watch.until(lambda: not mix.driving() and mix.said()[0] in ("idle", "aborted"), "nothing drives")
+    watch.until(lambda: not mix.driving() and mix.state() in ("idle", "aborted"), "nothing drives")
     watch.until(lambda: not mix.base.moves, "it stands")
-    if not own and isinstance(client, RosClient):
+    watch.close()
+    if not own and isinstance(client, RosClient | ZenohClient):
         assert client.ends() == 1, f"its goal had {client.ends()} ends"
-    if fault.gateway_dies:
-        client.goto(AWAY)
-        until(lambda: mix.base.moves, "it drives again", SECONDS)
-        client.cancel()
-        until(lambda: client.end() == "canceled" and not mix.base.moves, "it stands again", SECONDS)
+    if fault.gateway_dies or fault.stopped:
+        _again(mix, client)
     return "own" if own else "yes"
 
 
-def _stop(watch: Watch, fault: Fault) -> None:
-    """A stop is asked for at once; the fault ends after its answer."""
-    asked, began = watch.client.stop(), time.monotonic()
-    watch.until(lambda: asked() is not None, "the stop is answered")
-    answer = asked() or ""
-    watch.answer = time.monotonic() - began, answer
-    if not answer:
-        assert not watch.mix.base.moves, "a stop is answered ok, and it moves"
-    elif answer != "not ok":  # YARP has no words
-        assert UNCONFIRMED in answer or (fault.gateway_dies and SILENT in answer), answer
+def _again(mix: Mix, client: Client) -> None:
+    """Drive and cancel as if nothing had happened."""
+    client.goto(AWAY)
+    until(lambda: mix.base.moves, "it drives again", SECONDS)
+    client.cancel()
+    until(lambda: client.end() == "canceled" and not mix.base.moves, "it stands again", SECONDS)
+
+
+def _stop(watch: Watch, client: Client, fault: Fault) -> None:
+    """Ask for stops at once; the fault ends after their answers."""
+    callers = (YARP, ROS2, ZENOH) if fault.planner == MOVE_BASE else (YARP, ROS1, ROS2, ZENOH)  # who reaches services
+    watch.ask("stop", callers if fault.stopped else [watch.client])
+    for name, (_, answer) in watch.answers.items():
+        if answer and answer != "not ok":  # YARP has no text
+            assert UNCONFIRMED in answer or (fault.gateway_dies and SILENT in answer), f"{name}: {answer}"
+    if fault.stopped:
+        watch.until(lambda: not watch.base.moves, "the stop reaches the planner", STANDS_SECONDS)
     fault.end(watch.mix)
-    watch.until(watch.client.end, "its goal has an end")
+    if not watch.own:
+        watch.until(client.end, "its goal has an end")
 
 
-def _own(watch: Watch, fault: Fault) -> None:
-    """A client of move_base itself sees what it would without Midspan."""
-    assert watch.client.end() == "", "its goal ended"
+def _own(watch: Watch, client: Client, fault: Fault) -> None:
+    """A client of the planner itself sees what it would without Midspan."""
+    assert client.end() == "", "its goal ended"
     fault.end(watch.mix)
     if fault.client_dies:
-        assert watch.client.end() != "succeeded", "its goal ended"
+        assert client.end() != "succeeded", "its goal ended"
         return
     watch.until(watch.mix.back, "everything is back")
-    watch.client.cancel()
-    watch.until(lambda: watch.client.end() == "canceled", "its goal is cancelled")
+    client.cancel()
+    watch.until(lambda: client.end() == "canceled", "its goal is canceled")

@@ -15,11 +15,11 @@ def test_every_client_drives_by_every_planner(
     try:
         cells.extend(mix_table.table(deployment))
     except BaseException:
-        print(mix_table.text(cells))  # what was seen until then
+        print(mix_table.text(cells))  # what was tried until then
         raise
-    found = mix_table.text(cells)
-    record_property("table", found)
-    assert all(cell.good for cell in cells), found
+    table = mix_table.text(cells)
+    record_property("table", table)
+    assert all(cell.good for cell in cells), table
     parts = [cell for cell in cells if cell.part in mix_table.PARTS]
     assert len({(cell.planner, cell.client, cell.part) for cell in parts}) == 3 * 4 * 6
     faults = [(cell.part, cell.client) for cell in cells if cell.part in mix_table.FAULTS]

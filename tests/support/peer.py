@@ -14,13 +14,14 @@ An answer has ``ok``; when false, ``error``.
 Services: ``serve`` service, type, reply (fields of the response), error (a text: it fails with that), held (it answers
 only after ``release`` id) -> id; ``requests`` id, count, seconds -> requests (all so far, after ``count`` have come or
 the time is over); ``call`` service, type, request, persistent (ROS 1) -> id: a call that runs beside other commands;
-``result`` id, seconds -> done, reply (None where there is none), error (its text, "" where there is none).
+``result`` id, seconds -> done, reply (None if it failed), error (its text, else ""), at (``time.monotonic()``).
 ROS 2: ``requests`` of ``call`` makes many at once (``replies`` of ``result``), ``echo`` of ``serve`` copies fields
 of the request into the reply ({to: from}), a server with ``error`` never answers. Actions: ``act`` action, type,
 feedback (a list; ``times`` over, one round each ``period`` seconds), result, outcome (``succeed``, ``abort``,
 ``reject``), held, keeps (it refuses to cancel) -> id;
 ``goals`` id, count, seconds -> goals; ``send_goal`` action, type, goal -> id; ``goal`` id, until (fields that must be
-so), seconds -> accepted, feedback, status, result, cancel ([return_code, goals]), ends (how often its end was told);
+so), seconds -> accepted, feedback, status, result, cancel ([return_code, goals]), ends (how many ends were reported),
+``ended_at`` (``time.monotonic()`` of the last one);
 ``ask_result`` id (ROS 2): ask for it again; ``cancel`` id.
 Types are spelled ``package/Name`` on every side.
 """

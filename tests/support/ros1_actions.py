@@ -92,6 +92,7 @@ class Goal:
     def __init__(self, client, goal, plain):
         self.plain, self.news, self.handle = plain, threading.Condition(), None
         self.state = {"accepted": None, "feedback": [], "status": 0, "result": None, "cancel": None, "ends": 0}
+        self.state["ended_at"] = 0.0
         self.handle = client.send_goal(goal, self.changed, self.heard)
 
     def tell(self, **news):
@@ -110,8 +111,14 @@ class Goal:
             result = handle.get_result()
             known = None if result is None else self.plain(result)
             accepted, ends = status != GoalStatus.REJECTED, self.state["ends"] + 1
-            told = {"text": handle.get_goal_status_text(), "result": known}
-            self.tell(status=STATUSES.get(status, 0), accepted=accepted, ends=ends, **told)
+            self.tell(
+                status=STATUSES.get(status, 0),
+                accepted=accepted,
+                ends=ends,
+                ended_at=time.monotonic(),
+                text=handle.get_goal_status_text(),
+                result=known,
+            )
         elif state in (CommState.PENDING, CommState.ACTIVE) and status != GoalStatus.REJECTED:
             self.tell(accepted=True)
 

@@ -1,65 +1,40 @@
-"""A robot's base on ROS 1 without a body: it goes as ``/cmd_vel`` says, and tells its frames.
+"""A robot's base on ROS 1: it follows ``/cmd_vel`` and publishes ``/tf``; see `base_body.py` for its output.
 
-As a real base's driver it stands where no velocity came for half a second, and its odometry goes on whatever becomes of
-who commands it. ``map`` to ``odom`` is told too, for want of a localiser. It prints ``moves`` and ``stands``, each with
-``time.monotonic()`` and x, as that changes. Runs on the system's Python alone.
+Like the driver of a real base it brakes after half a second without a velocity, and publishes odometry whatever becomes
+of the planner. It also publishes ``map`` to ``odom``, in place of a localizer. Runs on the system's Python.
+Usage: ros1_base.py [--ramp M/S2] [--no-odometry]
 """
-# ruff: noqa: ANN204  # it runs without Midspan
 
-import threading
-import time
+import math
 
 import rospy
+from base_body import PERIOD, Body, arguments  # run as a file, it imports from its own folder
 from geometry_msgs.msg import TransformStamped, Twist
 from tf2_msgs.msg import TFMessage
 
-PERIOD = 0.05
-WATCHDOG = 0.5
 
-
-class Base:
-    """It looks along x all the time, and moves any way."""
-
-    def __init__(self):
-        self.x = self.y = 0.0
-        self.velocity, self.heard, self.moves = (0.0, 0.0), 0.0, False
-        self.lock = threading.Lock()
-        self.frames = rospy.Publisher("tf", TFMessage, queue_size=10)
-        rospy.Subscriber("cmd_vel", Twist, self.hear, queue_size=1, tcp_nodelay=True)
-
-    def hear(self, twist):
-        with self.lock:
-            self.velocity, self.heard = (twist.linear.x, twist.linear.y), time.monotonic()
-            self.tell_moves()
-
-    def tell_moves(self):
-        moves = self.velocity != (0.0, 0.0)
-        if moves != self.moves:
-            self.moves = moves
-            print("moves" if moves else "stands", time.monotonic(), round(self.x, 3), flush=True)
-
-    def step(self):
-        with self.lock:
-            if time.monotonic() > self.heard + WATCHDOG:
-                self.velocity = (0.0, 0.0)
-            self.tell_moves()
-            self.x, self.y = self.x + PERIOD * self.velocity[0], self.y + PERIOD * self.velocity[1]
-            x, y = self.x, self.y
-        self.frames.publish([frame("map", "odom", 0.0, 0.0), frame("odom", "base_link", x, y)])
-
-
-def frame(parent, child, x, y):
-    said = TransformStamped()
-    said.header.frame_id, said.header.stamp, said.child_frame_id = parent, rospy.Time.now(), child
-    said.transform.translation.x, said.transform.translation.y, said.transform.rotation.w = x, y, 1.0
-    return said
+def transform(parent, child, x, y, yaw):
+    message = TransformStamped()
+    message.header.frame_id, message.header.stamp, message.child_frame_id = parent, rospy.Time.now(), child
+    message.transform.translation.x, message.transform.translation.y = x, y
+    message.transform.rotation.z, message.transform.rotation.w = math.sin(yaw / 2), math.cos(yaw / 2)
+    return message
 
 
 def main():
+    options = arguments()
     rospy.init_node("base")
-    base = Base()
+    body = Body(options.ramp)
+    frames = rospy.Publisher("tf", TFMessage, queue_size=10)
+    rospy.Subscriber(
+        "cmd_vel",
+        Twist,
+        lambda twist: body.command(twist.linear.x, twist.linear.y, twist.angular.z),
+        queue_size=1,
+        tcp_nodelay=True,
+    )
     while not rospy.is_shutdown():
-        base.step()
+        frames.publish([transform(*frame) for frame in body.frames(*body.step(), options.odometry)])
         try:
             rospy.sleep(PERIOD)
         except rospy.ROSInterruptException:

@@ -93,8 +93,8 @@ class MoveBase:
 
     def end(self, how, text):
         handle, self.current = self.current, None
-        getattr(handle, how)(MoveBaseResult(), text)
         self.velocity.publish(Twist())
+        getattr(handle, how)(MoveBaseResult(), text)
 
     def step(self):
         """One control cycle."""

@@ -149,7 +149,7 @@ class Calling:
     """A call on a thread."""
 
     def __init__(self, proxy, request):
-        self.reply, self.error = None, ""
+        self.reply, self.error, self.at = None, "", 0.0
         self.thread = threading.Thread(target=self.run, args=(proxy, request), daemon=True)
         self.thread.start()
 
@@ -158,10 +158,11 @@ class Calling:
             self.reply = to_plain(proxy.call(request))
         except Exception as err:
             self.error = str(err) or type(err).__name__
+        self.at = time.monotonic()
 
     def result(self, seconds):
         self.thread.join(seconds)
-        return {"done": not self.thread.is_alive(), "reply": self.reply, "error": self.error}
+        return {"done": not self.thread.is_alive(), "reply": self.reply, "error": self.error, "at": self.at}
 
 
 class Counting:

@@ -74,6 +74,7 @@ class Calling:
     def __init__(self, client: Any, requests: list[Any], plain: Plain) -> None:
         self.plain = plain
         self.done = threading.Event()
+        self.at = 0.0
         self.left = len(requests)
         self.lock = threading.Lock()
         self.futures = [client.call_async(request) for request in requests]
@@ -84,12 +85,13 @@ class Calling:
         with self.lock:
             self.left -= 1
             if not self.left:
+                self.at = time.monotonic()
                 self.done.set()
 
     def result(self, seconds: float) -> dict[str, Any]:
         done = self.done.wait(seconds)
         replies = [self.plain(future.result()) if future.done() else None for future in self.futures]
-        return {"done": done, "reply": replies[0], "replies": replies, "error": ""}
+        return {"done": done, "reply": replies[0], "replies": replies, "error": "", "at": self.at}
 
     def drop(self) -> None:
         """Its client stays."""
@@ -211,7 +213,7 @@ class Goal:
         self.node, self.plain = node, plain
         self.handle: Any = None
         self.state: dict[str, Any] = {"accepted": None, "feedback": [], "status": 0, "result": None, "cancel": None}
-        self.state["ends"] = 0
+        self.state |= {"ends": 0, "ended_at": 0.0}
         self.news = threading.Condition()
 
         def send() -> None:
@@ -239,8 +241,10 @@ class Goal:
 
     def ended(self, future: Any) -> None:
         found = future.result()
-        ends = self.state["ends"] + (found.status != self.state["status"])  # who asks again is told the same
-        self.tell(status=found.status, result=self.plain(found.result), ends=ends)
+        changed = found.status != self.state["status"]  # the same result may be asked for again
+        at = time.monotonic() if changed else self.state["ended_at"]
+        ends = self.state["ends"] + changed
+        self.tell(status=found.status, result=self.plain(found.result), ends=ends, ended_at=at)
 
     def cancel(self) -> None:
         def told(future: Any) -> None:

@@ -1,0 +1,170 @@
+"""The truth about the robot, from its base's own program, and the check of status words and answers against it."""
+
+from __future__ import annotations
+
+import itertools
+import math
+import signal
+import time
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Self
+
+from tests.support.process import Process
+from tests.support.ros1 import ROS1_PYTHON
+from tests.support.ros2 import ros2_environment, ros2_python
+
+SUPPORT = Path(__file__).parents[1] / "support"
+
+UNTRUE_SECONDS = 0.5
+"""The base must stand within this time after a word that means an end: a planner reports its goal's end and zero
+velocity by different connections. An answer "ok" to a stop or a pause has no such allowance."""
+
+JERK_SECONDS = 0.3
+"""A planner that wakes up may command one more velocity before it receives a stop that was confirmed meanwhile."""
+
+ENDS = {"idle", "goal_reached", "succeeded", "canceled", "aborted", "paused", "error", "failing"}
+"""States after which nobody expects the robot to move."""
+
+PREPARING = "preparing_before_move"
+
+Word = tuple[float, str]
+"""When a word was received (monotonic), and the word."""
+
+
+class Base:
+    """The program of a robot's base.
+
+    Args:
+        args: its interpreter, file and options.
+        env: the environment of its side.
+    """
+
+    def __init__(self, args: Sequence[str | Path], env: Mapping[str, str]) -> None:
+        self._process = Process(args, env)
+        self._last: str | None = None
+
+    @classmethod
+    def ros1(cls, env: Mapping[str, str], *options: str) -> Self:
+        """Return a base on ROS 1."""
+        return cls([ROS1_PYTHON, SUPPORT / "ros1_base.py", *options], env)
+
+    @classmethod
+    def ros2(cls, *options: str) -> Self:
+        """Return a base on ROS 2."""
+        return cls([ros2_python(), SUPPORT / "ros2_base.py", *options], ros2_environment())
+
+    def changes(self, since: float = 0.0) -> list[tuple[bool, float]]:
+        """Return whether it moved from then on, and when that began (monotonic), oldest first."""
+        output = self._process.output() if self._last is None else self._last
+        rows = [line.split() for line in output.splitlines(keepends=True) if line.endswith("\n")]
+        changes = [(row[0] == "moves", float(row[1])) for row in rows if row[:1] in (["moves"], ["stands"])]
+        return [change for change in changes if change[1] >= since]
+
+    def stop(self, seconds: float = 6.0) -> None:
+        """Stop the program, which counts as standing from then on."""
+        if self._last is None:
+            self._last = f"{self._process.output()}stands {time.monotonic()} 0\n"
+            self._process.stop(seconds)
+
+    @property
+    def moves(self) -> bool:
+        """Whether it moves now."""
+        return self.moved_at(math.inf)
+
+    def moved_at(self, at: float) -> bool:
+        """Whether it moved at a time."""
+        before = [moves for moves, since in self.changes() if since <= at]
+        return bool(before) and before[-1]
+
+    def stands_after(self, at: float) -> float:
+        """Return when it stood first, from a time on; infinity if it has not since."""
+        if not self.moved_at(at):
+            return at
+        return next((since for moves, since in self.changes(at) if not moves), math.inf)
+
+    def moved(self, begin: float, end: float) -> float:
+        """Return for how many seconds it moved in that time."""
+        times = [begin, *(since for _, since in self.changes() if begin < since < end), end]
+        spans = itertools.pairwise(times)
+        return sum(after - before for before, after in spans if self.moved_at(before))
+
+
+class Nav2:
+    """The stand-ins for Nav2's servers, a process each, as in Nav2.
+
+    Args:
+        speed: of the robot, m/s.
+        patience: seconds until a goal that cannot be reached is given up.
+        navigator: further options of bt_navigator.
+        controller: further options of controller_server.
+        lease: environment with the DDS lease, if other than the default.
+    """
+
+    def __init__(
+        self,
+        speed: float,
+        patience: float,
+        *,
+        navigator: Sequence[str] = (),
+        controller: Sequence[str] = (),
+        lease: Mapping[str, str] | None = None,
+    ) -> None:
+        self._env = {**ros2_environment(), **(lease or {})}
+        servers = SUPPORT / "ros2_controller.py"
+        self._commands: dict[str, list[str | Path]] = {
+            "bt_navigator": [SUPPORT / "ros2_nav2.py", str(speed), str(patience), "--servers", *navigator],
+            "controller_server": [servers, "controller_server", str(speed), *controller],
+            "behavior_server": [servers, "behavior_server", str(speed)],
+        }
+        self.servers: dict[str, Process] = {}
+        for name in self._commands:
+            self.start(name)
+
+    def start(self, name: str) -> None:
+        """Start one of the servers."""
+        self.servers[name] = Process([ros2_python(), *self._commands[name]], self._env)
+
+    def ready(self) -> bool:
+        """Whether all servers are up."""
+        return all("ready" in server.output() for server in self.servers.values())
+
+    def kill(self, name: str) -> None:
+        """Kill one of the servers."""
+        self.servers[name].signal(signal.SIGKILL)
+        self.servers[name].popen.wait()
+
+    def give_up(self) -> None:
+        """Have bt_navigator abort its goal, as after a late acknowledgment: controller_server drives on."""
+        self.servers["bt_navigator"].signal(signal.SIGUSR1)
+
+    def stop(self, seconds: float = 6.0) -> None:
+        """Stop all servers."""
+        for server in self.servers.values():
+            server.signal(signal.SIGCONT)
+            server.stop(seconds)
+
+
+def untrue(words: Sequence[Word], base: Base, end: float) -> float:
+    """Return for how many seconds at most the robot moved on after a word that it stands, until ``end`` (monotonic).
+
+    A word of an end counts until the base stood, even if it was withdrawn at once; `PREPARING` while it lasted.
+    """
+    worst = 0.0
+    for (at, word), until_ in zip(words, [*(at for at, _ in words[1:]), end], strict=True):
+        if word not in ENDS and word != PREPARING:
+            continue
+        began = [at, *(since for moves, since in base.changes(at) if moves and since < until_)]
+        for start in began:
+            stood = min(base.stands_after(start), end)
+            stood = min(stood, until_) if word == PREPARING or start != at else stood
+            worst = max(worst, stood - start)
+    return worst
+
+
+def stood(base: Base, at: float) -> str:
+    """Return what is wrong with an answer "ok" at a time, "" if nothing is."""
+    if not base.moved_at(at):
+        return ""
+    later = base.stands_after(at)
+    return f"the base moved, and stood {later - at:.2f} s later" if math.isfinite(later) else "the base moves on"
