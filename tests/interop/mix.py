@@ -8,14 +8,27 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, Self
 
 from bridge.hub.wire.qos import LATCHED
 from bridge.messages.actions import STATUSES, GoalState, names
 from bridge.modules.endpoints import Subscription
 from navigation.status import STATUS
 from tests.interop.deployment import Deployment
-from tests.interop.mix_clients import ROS1, ROS2, SECONDS, YARP, ZENOH, Client, RosClient, YarpClient, ZenohClient
+from tests.interop.mix_clients import (
+    COMMAND,
+    ROS1,
+    ROS2,
+    SECONDS,
+    YARP,
+    ZENOH,
+    Caller,
+    Client,
+    CommandLine,
+    RosClient,
+    YarpClient,
+    ZenohClient,
+)
 from tests.interop.mix_truth import SUPPORT, Base, Nav2
 from tests.navigation.gateway.rig import Program
 from tests.support.point_robot import PointRobot
@@ -58,6 +71,7 @@ class Mix:
         planner: the first one.
         navigation: further keys of the section ``navigation``.
         base: options of the base's program.
+        base_side: where it is, if not on the planner's side.
         nav2: arguments of `Nav2`.
     """
 
@@ -68,12 +82,14 @@ class Mix:
         *,
         navigation: dict[str, Any] | None = None,
         base: Sequence[str] = (),
+        base_side: str = "",
         nav2: dict[str, Any] | None = None,
     ) -> None:
         self.deployment = deployment
         self._names = Address("127.0.0.1", free_port())
         self._navigation = {"patience": 60.0, **(navigation or {})}
-        self._base_options, self._nav2_options = base, {"lease": SHORT_LEASE, **(nav2 or {})}
+        self._base_options, self._base_side = base, base_side
+        self._nav2_options = {"lease": SHORT_LEASE, **(nav2 or {})}
         self.planner: Any = None
         self.kind = planner
         self._bases: dict[str, Base] = {}
@@ -87,6 +103,16 @@ class Mix:
         deployment.keep(Closing(self._hub))
         self._hub.node.subscription("/navigation/status", STATUS, self._on_status, LATCHED)
         self.clients = self._clients()
+        self.callers: dict[str, Caller] = {**self.clients, COMMAND: CommandLine(deployment)}
+        """Who can ask for a stop."""
+
+    @classmethod
+    def over(cls, deployment: Deployment, planner: str, **options: Any) -> Self:
+        """Return a mix of one planner, once the gateway has it."""
+        mix = cls(deployment, planner, **options)
+        mix.start(planner)
+        mix.choose(planner)
+        return mix
 
     def _sections(self, planner: str) -> dict[str, Any]:
         place = f"{self._names.host}:{self._names.port}"
@@ -137,7 +163,8 @@ class Mix:
         if planner in self._bases:
             return
         env, options = self.deployment.master.env, self._base_options
-        base = Base.ros1(env, *options) if planner == MOVE_BASE else Base.ros2(*options)
+        side = self._base_side or ("ros1" if planner == MOVE_BASE else "ros2")
+        base = Base.ros1(env, *options) if side == "ros1" else Base.ros2(*options)
         self._bases[planner] = self.deployment.keep(base)
 
     def choose(self, planner: str) -> None:

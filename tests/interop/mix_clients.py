@@ -10,6 +10,7 @@ from typing import Any, Protocol
 
 from bridge.modules.clients import SentGoal
 from tests.contract.hubside import HubSide
+from tests.interop.deployment import Deployment
 from tests.navigation.gateway.rig import Asked, Program, pose
 from tests.support.peer import Peer
 from yarp_compat.dev.inavigation2d import INavigation2DMsgs
@@ -18,6 +19,7 @@ from yarp_compat.dev.locations import Map2DLocation
 SECONDS = 40.0
 TRIGGER = "std_srvs/Trigger"
 YARP, ROS1, ROS2, ZENOH = "YARP INavigation2D", "ROS 1 actionlib", "ROS 2 action", "zenoh (hub) action"
+COMMAND = "midspan nav"
 SILENT = "no answer"
 """The status that a client sees if its calls fail."""
 
@@ -28,7 +30,14 @@ Answer = Callable[[], tuple[float, str] | None]
 """The answer to a stop or a pause: when it came (monotonic), and "" for success, else the reason. None: not yet."""
 
 
-class Client(Protocol):
+class Caller(Protocol):
+    """A program that stops the robot."""
+
+    def ask(self, word: str) -> Answer:
+        """Ask for ``stop``, ``pause`` or ``resume``, beside other calls."""
+
+
+class Client(Caller, Protocol):
     """A program that sends the robot to goals."""
 
     def goto(self, x: float) -> None:
@@ -39,9 +48,6 @@ class Client(Protocol):
 
     def cancel(self) -> None:
         """Cancel the goal."""
-
-    def ask(self, word: str) -> Answer:
-        """Ask for ``stop``, ``pause`` or ``resume``, beside other calls."""
 
     def seen(self) -> str:
         """Return YARP's state, or the status of the action's goal."""
@@ -227,6 +233,25 @@ class ZenohClient:
     def ends(self) -> int:
         """Return how many ends of its goal were reported."""
         return self.goal.ends
+
+
+class CommandLine:
+    """The command ``midspan nav``."""
+
+    def __init__(self, deployment: Deployment) -> None:
+        self._deployment = deployment
+
+    def ask(self, word: str) -> Answer:
+        answers: list[tuple[float, str]] = []
+
+        def run() -> None:
+            command = ("halt",) if word == "halt" else ("nav", word)
+            done = self._deployment.command(*command, seconds=60.0)
+            text = f"exit code {done.returncode}: {done.stdout}{done.stderr}".strip()
+            answers.append((time.monotonic(), text if done.returncode else ""))
+
+        threading.Thread(target=run, daemon=True).start()
+        return lambda: answers[0] if answers else None
 
 
 def _trouble(result: dict[str, Any]) -> str:

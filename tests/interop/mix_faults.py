@@ -6,7 +6,6 @@ means an end, while the base moves by the planner's doing.
 
 from __future__ import annotations
 
-import math
 import os
 import signal
 import time
@@ -24,6 +23,9 @@ AWAY = 800.0
 
 STANDS_SECONDS = 9.0
 """The base stands within this time after a stop that is sent while the planner can be reached."""
+
+LOST_SECONDS = 8.0
+"""An answer that has not come after so long was lost with the gateway."""
 
 STOP_AFTER = 0.5
 """Seconds after the fault at which a stop is asked for."""
@@ -174,11 +176,19 @@ class Watch:
         except AssertionError as err:
             raise AssertionError(f"{err}; {self}") from None
 
-    def ask(self, word: str, clients: Sequence[str]) -> None:
-        """Have clients ask for a stop, a pause or a resume, all at once; returns when all have their answers."""
-        asked = {name: self.mix.clients[name].ask(word) for name in clients}
-        self.until(lambda: all(answer() is not None for answer in asked.values()), f"every {word} is answered")
-        self.answers = {name: answer() or (math.inf, "") for name, answer in asked.items()}
+    def ask(self, word: str, clients: Sequence[str], *, lost: bool = False) -> None:
+        """Have clients ask for a stop, a pause or a resume, all at once; returns when all have their answers.
+
+        With ``lost``, an answer may be lost with the gateway: rclpy's client waits for it for ever.
+        """
+        asked = {name: self.mix.callers[name].ask(word) for name in clients}
+        end = time.monotonic() + LOST_SECONDS
+
+        def answered() -> bool:
+            return all(answer() is not None for answer in asked.values()) or (lost and time.monotonic() > end)
+
+        self.until(answered, f"every {word} is answered")
+        self.answers = {name: answer() or (time.monotonic(), SILENT) for name, answer in asked.items()}
         if word == "resume":
             return
         for name, (at, answer) in self.answers.items():
@@ -258,7 +268,7 @@ def _again(mix: Mix, client: Client) -> None:
 def _stop(watch: Watch, client: Client, fault: Fault) -> None:
     """Ask for stops at once; the fault ends after their answers."""
     callers = (YARP, ROS2, ZENOH) if fault.planner == MOVE_BASE else (YARP, ROS1, ROS2, ZENOH)  # who reaches services
-    watch.ask("stop", callers if fault.stopped else [watch.client])
+    watch.ask("stop", callers if fault.stopped else [watch.client], lost=fault.gateway_dies)
     for name, (_, answer) in watch.answers.items():
         if answer and answer != "not ok":  # YARP has no text
             assert UNCONFIRMED in answer or (fault.gateway_dies and SILENT in answer), f"{name}: {answer}"

@@ -1,0 +1,56 @@
+"""The daemon ends while the robot drives: each client's goal ends once, and not before the base stands."""
+
+from __future__ import annotations
+
+import os
+import signal
+
+import pytest
+
+from tests.interop.deployment import Deployment
+from tests.interop.mix import MOVE_BASE, NAV2, Mix
+from tests.interop.mix_clients import ROS1, ROS2, YARP, ZENOH, RosClient, ZenohClient
+from tests.interop.mix_faults import STANDS_SECONDS, Watch, start_driving
+
+STRICT = 0.05
+"""Seconds: the base writes its own time, and the goal's end is written by another process."""
+
+END_SECONDS = 30.0
+thorough = pytest.mark.thorough
+
+
+def ends(mix: Mix, name: str, number: int) -> None:
+    """Drive, end the daemon by a signal, and check the base and the client's goal."""
+    client = mix.clients[name]
+    start_driving(mix, client)
+    watch = Watch(mix, name, allowance=STRICT)
+    daemon = mix.deployment.daemon
+    assert daemon is not None
+    os.kill(daemon.pid, number)
+    watch.until(lambda: not watch.base.moves, "the base stands though the daemon is gone", STANDS_SECONDS)
+    if isinstance(client, RosClient | ZenohClient):
+        watch.until(client.end, "the client's goal has an end", END_SECONDS)
+        watch.until(
+            lambda: mix.deployment.daemon is not None and mix.deployment.daemon.popen.poll() is not None, "gone"
+        )
+        assert client.ends() == 1, f"its goal had {client.ends()} ends; {watch}"
+    watch.close()
+
+
+@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGTERM])
+@pytest.mark.parametrize("client", [ROS2, *(pytest.param(name, marks=thorough) for name in (YARP, ZENOH))])
+def test_over_move_base(deployment: Deployment, client: str, number: int) -> None:
+    ends(Mix.over(deployment, MOVE_BASE), client, number)
+
+
+@pytest.mark.parametrize("number", [pytest.param(signal.SIGKILL, marks=thorough), signal.SIGTERM])
+@pytest.mark.parametrize("client", [ROS1, pytest.param(ZENOH, marks=thorough)])
+def test_over_nav2(deployment: Deployment, client: str, number: int) -> None:
+    ends(Mix.over(deployment, NAV2), client, number)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("run", range(10))
+def test_every_goal_has_an_end(deployment: Deployment, run: int) -> None:
+    """One client of forty waited for its end in vain."""
+    ends(Mix.over(deployment, MOVE_BASE), (ROS2, ZENOH)[run % 2], signal.SIGKILL)

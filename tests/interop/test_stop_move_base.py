@@ -1,0 +1,186 @@
+"""Stops, pauses and goals while the path to ROS 1's move_base fails; the measure is the base's own program."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import replace
+
+import pytest
+
+from tests.interop.deployment import Deployment
+from tests.interop.mix import MOVE_BASE, OWN, Mix
+from tests.interop.mix_clients import COMMAND, ROS1, ROS2, SECONDS, YARP, ZENOH, RosClient, ZenohClient
+from tests.interop.mix_faults import (
+    AWAY,
+    FAULTS,
+    STANDS_SECONDS,
+    UNCONFIRMED,
+    Watch,
+    attempt,
+    kill_workers,
+    start_driving,
+)
+from tests.support.wait import until
+
+GATEWAY = (YARP, ROS2, ZENOH)
+"""Clients whose goals the gateway executes; they also reach its services while ROS 1 is away."""
+
+thorough = pytest.mark.thorough
+
+
+def drive(deployment: Deployment, client: str, **options: object) -> Watch:
+    """Have a client drive over move_base."""
+    mix = Mix.over(deployment, MOVE_BASE, **options)
+    start_driving(mix, mix.clients[client])
+    return Watch(mix, client, own=(MOVE_BASE, client) in OWN)
+
+
+def stands(watch: Watch, what: str = "the base stands") -> None:
+    """Wait until the base stands."""
+    watch.until(lambda: not watch.base.moves, what, STANDS_SECONDS)
+
+
+def wait(watch: Watch, seconds: float) -> None:
+    """Poll until so many seconds after the fault."""
+    watch.until(lambda: time.monotonic() > watch.began + seconds, "the fault lasts for a while")
+
+
+def cancel(watch: Watch) -> None:
+    """Cancel the client's goal as usual; it ends once."""
+    client = watch.mix.clients[watch.client]
+    client.cancel()
+    watch.until(lambda: client.end() == "canceled", "its goal is canceled", STANDS_SECONDS)
+    stands(watch)
+    ends_once(watch)
+
+
+def ends_once(watch: Watch) -> None:
+    client = watch.mix.clients[watch.client]
+    if isinstance(client, RosClient | ZenohClient):
+        assert client.ends() == 1, f"its goal had {client.ends()} ends; {watch}"
+
+
+def refused_or_stands(watch: Watch) -> None:
+    """Check the words of answers that do not confirm."""
+    for name, (_, answer) in watch.answers.items():
+        assert not answer or answer == "not ok" or UNCONFIRMED in answer, f"{name} received {answer!r}; {watch}"
+
+
+@pytest.mark.parametrize("client", [ROS1, pytest.param(YARP, marks=thorough), pytest.param(ROS2, marks=thorough)])
+def test_stop_while_the_master_is_dead(deployment: Deployment, client: str) -> None:
+    watch = drive(deployment, client)
+    watch.mix.kill_master()
+    wait(watch, 1.0)
+    watch.ask("stop", [*GATEWAY, COMMAND])
+    refused_or_stands(watch)
+    stands(watch, "the stop reaches move_base by the connections that still stand")
+    watch.until(lambda: watch.mix.state() in ("idle", "aborted"), "its end is known without a master", STANDS_SECONDS)
+    watch.close()
+    watch.ask("stop", [*GATEWAY, COMMAND])
+    assert not any(answer for _, answer in watch.answers.values()), f"it stands, and a stop is not ok; {watch}"
+    if not watch.own:
+        ends_once(watch)
+
+
+@thorough
+def test_halt_while_the_master_is_dead(deployment: Deployment) -> None:
+    watch = drive(deployment, ROS1)
+    watch.mix.kill_master()
+    wait(watch, 0.5)
+    halted = watch.mix.callers[COMMAND].ask("halt")
+    watch.until(halted, "halt is answered")
+    watch.answers = {COMMAND: halted() or (0.0, "")}
+    stands(watch)
+    watch.close()
+
+
+@thorough
+@pytest.mark.parametrize("client", [ROS1, ROS2])
+def test_a_goal_is_followed_while_the_master_is_dead(deployment: Deployment, client: str) -> None:
+    mix = Mix.over(deployment, MOVE_BASE)
+    mix.clients[client].goto(6.0)
+    until(lambda: mix.base.moves and mix.state() == "moving", "it moves", SECONDS)
+    watch = Watch(mix, client, own=client == ROS1)
+    mix.kill_master()
+    watch.until(lambda: mix.state() == "goal_reached", "the status shows that the goal is reached", STANDS_SECONDS)
+    watch.until(lambda: mix.clients[client].end() == "succeeded", "the client's goal is reached", STANDS_SECONDS)
+    watch.close()
+
+
+@pytest.mark.parametrize("asks", [YARP, pytest.param(COMMAND, marks=thorough), pytest.param(ZENOH, marks=thorough)])
+def test_pause_after_the_ros1_worker_was_killed(deployment: Deployment, asks: str) -> None:
+    watch = drive(deployment, YARP if asks == COMMAND else asks)
+    kill_workers("ros1")(watch.mix)
+    wait(watch, 0.3)
+    watch.ask("pause", [asks])
+    refused_or_stands(watch)
+    stands(watch, "the pause is kept until it reaches move_base")
+    watch.until(lambda: watch.mix.state() == "paused", "it is paused", STANDS_SECONDS)
+    watch.until(watch.mix.back, "everything is back")
+    assert not watch.base.moves, f"the pause is kept; {watch}"
+    watch.close()
+    watch.ask("resume", [asks])
+    watch.until(lambda: watch.base.moves, "it drives on", STANDS_SECONDS)
+    cancel(watch)
+
+
+@thorough
+@pytest.mark.parametrize("fault", ["planner hangs", "ros1 worker dies", "modules die", "ros1 and modules die"])
+def test_stop_of_the_planners_own_goal(deployment: Deployment, fault: str) -> None:
+    mix = Mix.over(deployment, MOVE_BASE)
+    attempt(mix, replace(FAULTS[fault], stopped=True), ROS1, [], own=True)
+
+
+@pytest.mark.parametrize("client", [ZENOH, *(pytest.param(name, marks=thorough) for name in (YARP, ROS1, ROS2))])
+def test_stop_after_ros1_and_modules_were_killed(deployment: Deployment, client: str) -> None:
+    watch = drive(deployment, client)
+    kill_workers("ros1", "gateway")(watch.mix)
+    end = time.monotonic() + 40.0
+    while time.monotonic() < end:
+        watch.ask("stop", GATEWAY, lost=True)  # calls fail at once while there is no gateway
+        if any(not answer for _, answer in watch.answers.values()):
+            break
+    assert any(not answer for _, answer in watch.answers.values()), f"no stop was confirmed; {watch}"
+    watch.until(watch.mix.back, "everything is back")
+    watch.until(lambda: watch.mix.state() in ("idle", "aborted"), "the status shows no goal")
+    watch.close()
+    if not watch.own:
+        ends_once(watch)
+
+
+@pytest.mark.parametrize("other", [YARP, pytest.param(ZENOH, marks=thorough)])
+def test_new_goal_after_the_ros1_worker_was_killed(deployment: Deployment, other: str) -> None:
+    watch = drive(deployment, ROS2)
+    first = watch.mix.clients[ROS2]
+    assert isinstance(first, RosClient)
+    watch.client = other  # the first goal is canceled by the new one, while the robot may drive on
+    kill_workers("ros1")(watch.mix)
+    wait(watch, 0.3)
+    watch.mix.clients[other].goto(AWAY / 2)
+    watch.until(lambda: first.end() == "canceled", "the new goal takes the place of the first one")
+    watch.until(watch.mix.back, "everything is back")
+    progress = watch.mix.clients[other].progress()
+    watch.until(lambda: watch.mix.clients[other].progress() > progress and watch.base.moves, "the new goal is executed")
+    watch.close()
+    cancel(watch)
+    assert first.ends() == 1, f"the first goal had {first.ends()} ends"
+
+
+@pytest.mark.parametrize("client", [YARP, pytest.param(ROS2, marks=thorough)])
+def test_stop_of_a_base_that_brakes(deployment: Deployment, client: str) -> None:
+    watch = drive(deployment, client, base=("--ramp", "2.0"))
+    watch.ask("stop", [*GATEWAY, ROS1])
+    refused_or_stands(watch)
+    stands(watch)
+    watch.allowance = 1.5  # it brakes for a second, and the planner may report its goal's end before
+    watch.close()
+
+
+def test_pause_of_a_base_that_brakes(deployment: Deployment) -> None:
+    watch = drive(deployment, ROS2, base=("--ramp", "2.0"))
+    watch.ask("pause", [ROS2])
+    refused_or_stands(watch)
+    stands(watch)
+    watch.until(lambda: watch.mix.state() == "paused", "it is paused", STANDS_SECONDS)
+    watch.close()
+    cancel(watch)

@@ -1,0 +1,235 @@
+"""Stops and goals while one of Nav2's servers gives up, dies or is cut off; the measure is the base's own program."""
+
+from __future__ import annotations
+
+import os
+import signal
+import time
+
+import pytest
+
+from tests.interop.deployment import Deployment
+from tests.interop.mix import NAV2, OWN, Mix
+from tests.interop.mix_clients import COMMAND, ROS1, ROS2, SECONDS, YARP, ZENOH, RosClient, ZenohClient
+from tests.interop.mix_faults import AWAY, STANDS_SECONDS, UNCONFIRMED, Watch, kill_workers, start_driving
+from tests.navigation.gateway.rig import pose
+from tests.support.wait import until
+
+ALL = (YARP, ROS1, ROS2, ZENOH)
+PATIENCE = 10.0
+NO_NAVIGATOR = 9011
+"""The status's code while the planner is away."""
+
+PATH = {"path": {"header": {"frame_id": "map"}, "poses": [pose(AWAY)]}}
+BACKUP = "nav2_msgs/BackUp", {"target": {"x": -AWAY}, "speed": -0.5}
+BEHAVIORS = {
+    "/spin": ("nav2_msgs/Spin", {"target_yaw": 1.0}),
+    "/drive_on_heading": ("nav2_msgs/DriveOnHeading", {"target": {"x": AWAY}, "speed": 0.5}),
+    "/assisted_teleop": ("nav2_msgs/AssistedTeleop", {"time_allowance": {"sec": 60}}),
+}
+thorough = pytest.mark.thorough
+
+
+def drive(deployment: Deployment, client: str, **options: object) -> Watch:
+    """Have a client drive over Nav2."""
+    mix = Mix.over(deployment, NAV2, **options)
+    start_driving(mix, mix.clients[client])
+    return Watch(mix, client, own=(NAV2, client) in OWN)
+
+
+def wait(watch: Watch, seconds: float) -> None:
+    """Poll until so many seconds after the fault."""
+    watch.until(lambda: time.monotonic() > watch.began + seconds, "the fault lasts for a while")
+
+
+def stop(watch: Watch, *callers: str) -> None:
+    """Have clients ask for a stop, which reaches whatever moves the base."""
+    watch.ask("stop", callers or ALL)
+    for name, (_, answer) in watch.answers.items():
+        assert not answer or answer == "not ok" or UNCONFIRMED in answer, f"{name} received {answer!r}; {watch}"
+    watch.until(lambda: not watch.base.moves, "the base stands", STANDS_SECONDS)
+    wait(watch, time.monotonic() - watch.began + 1.0)
+    watch.until(lambda: watch.mix.state() in ("idle", "aborted"), "the status shows no goal", STANDS_SECONDS)
+    watch.close()
+
+
+def ends_once(watch: Watch) -> None:
+    client = watch.mix.clients[watch.client]
+    if isinstance(client, RosClient | ZenohClient):
+        assert client.ends() == 1, f"its goal had {client.ends()} ends; {watch}"
+
+
+@pytest.mark.parametrize("client", [YARP, *(pytest.param(name, marks=thorough) for name in (ROS1, ROS2, ZENOH))])
+def test_stop_after_bt_navigator_gave_up(deployment: Deployment, client: str) -> None:
+    watch = drive(deployment, client)
+    watch.mix.planner.give_up()
+    wait(watch, 0.5)
+    stop(watch, *ALL, COMMAND)
+    ends_once(watch)
+    start_driving(watch.mix, watch.mix.clients[client])  # as if nothing had happened
+    watch.mix.clients[client].cancel()
+    until(lambda: not watch.base.moves, "it stands", STANDS_SECONDS)
+
+
+def test_nobody_stops_after_bt_navigator_gave_up(deployment: Deployment) -> None:
+    """Whether or not the gateway stops the controller by itself: no end is reported while the base moves."""
+    watch = drive(deployment, ZENOH)
+    watch.mix.planner.give_up()
+    wait(watch, 4.0)
+    watch.close()
+    stop(watch)
+
+
+@pytest.mark.parametrize("base", [(), pytest.param(("--no-odometry",), marks=thorough)])
+def test_stop_of_a_path_of_another_client(deployment: Deployment, base: tuple[str, ...]) -> None:
+    mix = Mix.over(deployment, NAV2, base=base)
+    client = mix.clients[ROS2]
+    assert isinstance(client, RosClient)
+    client.send("/follow_path", "nav2_msgs/FollowPath", PATH)
+    until(lambda: mix.base.moves, "it moves", SECONDS)
+    until(lambda: mix.state() == "moving", "the status shows that it moves", STANDS_SECONDS)
+    watch = Watch(mix, "")
+    wait(watch, 0.5)
+    stop(watch)
+    assert client.seen() == "canceled", client.seen()
+
+
+@pytest.mark.parametrize("action", ["/backup", *(pytest.param(name, marks=thorough) for name in BEHAVIORS)])
+def test_stop_of_a_behavior_of_another_client(deployment: Deployment, action: str) -> None:
+    mix = Mix.over(deployment, NAV2)
+    client = mix.clients[ROS2]
+    assert isinstance(client, RosClient)
+    client.send(action, *BEHAVIORS.get(action, BACKUP))
+    if action == "/assisted_teleop":
+        out = client.peer.advertise("/cmd_vel_teleop", "geometry_msgs/Twist")
+
+        def teleoperated() -> bool:
+            client.peer.publish(out, {"linear": {"x": 0.5}})
+            return mix.base.moves
+
+        until(teleoperated, "it moves", SECONDS, 0.2)
+    until(lambda: mix.base.moves, "it moves", SECONDS)
+    watch = Watch(mix, "")
+    wait(watch, 1.0)
+    stop(watch)
+    assert client.seen() == "canceled", client.seen()
+
+
+@pytest.mark.parametrize(
+    ("base", "controller"),
+    [
+        pytest.param(("--ramp", "2.0"), (), id="the base brakes"),
+        pytest.param((), ("--braking", "1.0"), id="the controller brakes"),
+        pytest.param(("--no-odometry",), ("--braking", "1.0"), id="without odometry", marks=thorough),
+    ],
+)
+@pytest.mark.parametrize("client", [YARP, pytest.param(ROS2, marks=thorough)])
+def test_stop_while_it_brakes(
+    deployment: Deployment, client: str, base: tuple[str, ...], controller: tuple[str, ...]
+) -> None:
+    """bt_navigator reports its goal's end 50 ms after the cancel, whether or not the robot stands."""
+    watch = drive(deployment, client, base=base, nav2={"controller": controller})
+    watch.allowance = 1.5
+    stop(watch)
+    assert watch.mix.clients[client].end() == "canceled", watch.mix.clients[client].end()
+    ends_once(watch)
+
+
+def test_pause_while_the_controller_brakes(deployment: Deployment) -> None:
+    watch = drive(deployment, YARP, nav2={"controller": ("--braking", "1.0")})
+    watch.allowance = 1.5
+    watch.ask("pause", [YARP])
+    watch.until(lambda: not watch.base.moves, "it stands", STANDS_SECONDS)
+    watch.until(lambda: watch.mix.state() == "paused", "it is paused", STANDS_SECONDS)
+    watch.close()
+
+
+@pytest.mark.parametrize("server", ["bt_navigator", pytest.param("controller_server", marks=thorough)])
+def test_stop_after_a_server_was_killed(deployment: Deployment, server: str) -> None:
+    watch = drive(deployment, ZENOH)
+    watch.mix.planner.kill(server)
+    wait(watch, 0.5)
+    stop(watch)
+
+
+@pytest.mark.parametrize("client", [ZENOH, *(pytest.param(name, marks=thorough) for name in (YARP, ROS1))])
+@pytest.mark.parametrize("lease", [pytest.param("short", marks=thorough), "default"])
+def test_bt_navigator_is_killed_and_comes_back(deployment: Deployment, client: str, lease: str) -> None:
+    options = {} if lease == "short" else {"nav2": {"lease": {}}}
+    watch = drive(deployment, client, navigation={"patience": PATIENCE}, **options)
+    watch.mix.planner.kill("bt_navigator")
+    gateway = watch.mix.clients[client]
+    watch.until(lambda: watch.mix.statuses[-1][1]["error_code"] == NO_NAVIGATOR, "the planner is away", STANDS_SECONDS)
+    assert watch.mix.state() == "moving", watch
+    wait(watch, PATIENCE - 3.0)
+    assert gateway.end() == "", f"its goal ended; {watch}"
+    assert watch.mix.state() == "moving", watch
+    watch.mix.planner.start("bt_navigator")
+    progress = gateway.progress()
+    watch.until(lambda: gateway.progress() > progress and watch.mix.driving(), "its goal goes on")
+    watch.close()
+    gateway.cancel()
+    watch.until(lambda: gateway.end() == "canceled", "its goal is canceled", STANDS_SECONDS)
+    ends_once(watch)
+
+
+def test_bt_navigator_stays_away(deployment: Deployment) -> None:
+    watch = drive(deployment, ZENOH, navigation={"patience": PATIENCE})
+    watch.mix.planner.kill("bt_navigator")
+    client = watch.mix.clients[ZENOH]
+    watch.until(client.end, "the patience ends")
+    assert client.ended_at() - watch.began > PATIENCE - 1.0, watch
+    watch.close()
+    stop(watch)
+
+
+@pytest.mark.parametrize(
+    ("navigator", "controller"),
+    [
+        pytest.param((), ("--tf-tolerance", "0.5"), id="102"),
+        pytest.param(("--tf-tolerance", "0.5"), ("--tf-tolerance", "inf"), id="202", marks=thorough),
+    ],
+)
+@pytest.mark.parametrize("client", [ZENOH, *(pytest.param(name, marks=thorough) for name in (YARP, ROS1))])
+def test_the_ros2_worker_is_killed_and_transforms_are_missing(
+    deployment: Deployment, client: str, navigator: tuple[str, ...], controller: tuple[str, ...]
+) -> None:
+    """The base is on ROS 1: transforms reach Nav2 by the worker that was killed."""
+    nav2 = {"navigator": navigator, "controller": controller}
+    goes_on(drive(deployment, client, base_side="ros1", nav2=nav2, navigation={"patience": 30.0}))
+
+
+@pytest.mark.parametrize("client", [YARP, pytest.param(ZENOH, marks=thorough)])
+def test_the_ros2_worker_is_killed(deployment: Deployment, client: str) -> None:
+    goes_on(drive(deployment, client, navigation={"patience": 30.0}))
+
+
+def goes_on(watch: Watch) -> None:
+    """Kill the ros2 worker; the client's goal goes on when it is back."""
+    client, mix = watch.mix.clients[watch.client], watch.mix
+    os.kill(mix.pid("ros2"), signal.SIGKILL)
+    watch.until(lambda: not watch.base.moves or time.monotonic() > watch.began + 3.0, "it is cut off")
+    progress = client.progress()
+    watch.until(mix.back, "everything is back")
+
+    def drives() -> object:
+        return client.progress() > progress and mix.driving() and watch.base.moves
+
+    watch.until(lambda: client.end() or drives(), "it goes on")
+    assert client.end() == "", f"its goal ended: {client.end()} ({client.why()}); {watch}"
+    wait(watch, time.monotonic() - watch.began + 1.5)
+    assert watch.base.moves, f"it drives; {watch}"
+    assert client.end() == "", f"its goal ended: {client.end()} ({client.why()}); {watch}"
+    watch.close()
+    client.cancel()
+    watch.until(lambda: client.end() == "canceled", "its goal is canceled", STANDS_SECONDS)
+    ends_once(watch)
+
+
+@thorough
+def test_stop_after_the_ros2_worker_was_killed(deployment: Deployment) -> None:
+    watch = drive(deployment, ZENOH)
+    kill_workers("ros2")(watch.mix)
+    wait(watch, 0.3)
+    stop(watch, YARP, ZENOH)
+    ends_once(watch)
