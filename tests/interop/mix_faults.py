@@ -28,7 +28,7 @@ LOST_SECONDS = 8.0
 """An answer that has not come after so long was lost with the gateway."""
 
 STOP_AFTER = 0.5
-"""Seconds after the fault at which a stop is asked for."""
+"""Seconds after a fault at which a stop is asked for."""
 
 UNCONFIRMED = "may still be moving"
 """Part of the answer to each stop that is not confirmed."""
@@ -47,6 +47,7 @@ class Fault:
         begin: makes it.
         end: mends it, if the daemon does not.
         planner: over which it happens.
+        stop_after: seconds until a stop is asked for.
         client_dies: whether a goal of the planner's own client is lost by it.
         gateway_dies: whether nobody answers for a while.
         stopped: whether all clients ask for a stop, also of a goal of the planner's own client; else the client that
@@ -57,6 +58,7 @@ class Fault:
     begin: Callable[[Mix], None]
     end: Callable[[Mix], None] = lambda _mix: None
     planner: str = MOVE_BASE
+    stop_after: float = STOP_AFTER
     client_dies: bool = False
     gateway_dies: bool = False
     stopped: bool = False
@@ -95,7 +97,12 @@ FAULTS = {
         kill_workers("ros1", "gateway"), gateway_dies=True, stopped=True, clients=(YARP, ROS1)
     ),
     "bt_navigator gives up": Fault(
-        lambda mix: mix.planner.give_up(), planner=NAV2, client_dies=True, stopped=True, clients=(YARP, ROS2)
+        lambda mix: mix.planner.give_up(),
+        planner=NAV2,
+        stop_after=1.0,
+        client_dies=True,
+        stopped=True,
+        clients=(YARP, ROS2),
     ),
     "bt_navigator dies": Fault(
         lambda mix: mix.planner.kill("bt_navigator"),
@@ -241,7 +248,7 @@ def attempt(mix: Mix, fault: Fault, name: str, watches: list[Watch], *, own: boo
     watch = Watch(mix, name, own=own)
     watches.append(watch)
     fault.begin(mix)
-    watch.until(lambda: time.monotonic() > watch.began + STOP_AFTER, "the fault lasts for a while")
+    watch.until(lambda: time.monotonic() > watch.began + fault.stop_after, "the fault lasts for a while")
     if own and not fault.stopped:
         _own(watch, client, fault)
     else:

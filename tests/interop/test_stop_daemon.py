@@ -43,8 +43,8 @@ def test_over_move_base(deployment: Deployment, client: str, number: int) -> Non
     ends(Mix.over(deployment, MOVE_BASE), client, number)
 
 
-@pytest.mark.parametrize("number", [pytest.param(signal.SIGKILL, marks=thorough), signal.SIGTERM])
-@pytest.mark.parametrize("client", [ROS1, pytest.param(ZENOH, marks=thorough)])
+@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGTERM])
+@pytest.mark.parametrize("client", [pytest.param(ROS1, marks=thorough), pytest.param(ZENOH, marks=thorough)])
 def test_over_nav2(deployment: Deployment, client: str, number: int) -> None:
     ends(Mix.over(deployment, NAV2), client, number)
 

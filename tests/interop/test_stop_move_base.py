@@ -66,7 +66,8 @@ def refused_or_stands(watch: Watch) -> None:
         assert not answer or answer == "not ok" or UNCONFIRMED in answer, f"{name} received {answer!r}; {watch}"
 
 
-@pytest.mark.parametrize("client", [ROS1, pytest.param(YARP, marks=thorough), pytest.param(ROS2, marks=thorough)])
+@thorough
+@pytest.mark.parametrize("client", [ROS1, YARP, ROS2])
 def test_stop_while_the_master_is_dead(deployment: Deployment, client: str) -> None:
     watch = drive(deployment, client)
     watch.mix.kill_master()
@@ -131,7 +132,8 @@ def test_stop_of_the_planners_own_goal(deployment: Deployment, fault: str) -> No
     attempt(mix, replace(FAULTS[fault], stopped=True), ROS1, [], own=True)
 
 
-@pytest.mark.parametrize("client", [ZENOH, *(pytest.param(name, marks=thorough) for name in (YARP, ROS1, ROS2))])
+@thorough
+@pytest.mark.parametrize("client", [ZENOH, YARP, ROS1, ROS2])
 def test_stop_after_ros1_and_modules_were_killed(deployment: Deployment, client: str) -> None:
     watch = drive(deployment, client)
     kill_workers("ros1", "gateway")(watch.mix)
@@ -176,6 +178,7 @@ def test_stop_of_a_base_that_brakes(deployment: Deployment, client: str) -> None
     watch.close()
 
 
+@thorough
 def test_pause_of_a_base_that_brakes(deployment: Deployment) -> None:
     watch = drive(deployment, ROS2, base=("--ramp", "2.0"))
     watch.ask("pause", [ROS2])

@@ -59,7 +59,8 @@ def ends_once(watch: Watch) -> None:
         assert client.ends() == 1, f"its goal had {client.ends()} ends; {watch}"
 
 
-@pytest.mark.parametrize("client", [YARP, *(pytest.param(name, marks=thorough) for name in (ROS1, ROS2, ZENOH))])
+@thorough
+@pytest.mark.parametrize("client", ALL)
 def test_stop_after_bt_navigator_gave_up(deployment: Deployment, client: str) -> None:
     watch = drive(deployment, client)
     watch.mix.planner.give_up()
@@ -118,7 +119,7 @@ def test_stop_of_a_behavior_of_another_client(deployment: Deployment, action: st
 @pytest.mark.parametrize(
     ("base", "controller"),
     [
-        pytest.param(("--ramp", "2.0"), (), id="the base brakes"),
+        pytest.param(("--ramp", "2.0"), (), id="the base brakes", marks=thorough),
         pytest.param((), ("--braking", "1.0"), id="the controller brakes"),
         pytest.param(("--no-odometry",), ("--braking", "1.0"), id="without odometry", marks=thorough),
     ],
@@ -135,6 +136,7 @@ def test_stop_while_it_brakes(
     ends_once(watch)
 
 
+@thorough
 def test_pause_while_the_controller_brakes(deployment: Deployment) -> None:
     watch = drive(deployment, YARP, nav2={"controller": ("--braking", "1.0")})
     watch.allowance = 1.5
@@ -144,7 +146,8 @@ def test_pause_while_the_controller_brakes(deployment: Deployment) -> None:
     watch.close()
 
 
-@pytest.mark.parametrize("server", ["bt_navigator", pytest.param("controller_server", marks=thorough)])
+@thorough
+@pytest.mark.parametrize("server", ["bt_navigator", "controller_server"])
 def test_stop_after_a_server_was_killed(deployment: Deployment, server: str) -> None:
     watch = drive(deployment, ZENOH)
     watch.mix.planner.kill(server)
@@ -173,6 +176,7 @@ def test_bt_navigator_is_killed_and_comes_back(deployment: Deployment, client: s
     ends_once(watch)
 
 
+@thorough
 def test_bt_navigator_stays_away(deployment: Deployment) -> None:
     watch = drive(deployment, ZENOH, navigation={"patience": PATIENCE})
     watch.mix.planner.kill("bt_navigator")
@@ -199,7 +203,8 @@ def test_the_ros2_worker_is_killed_and_transforms_are_missing(
     goes_on(drive(deployment, client, base_side="ros1", nav2=nav2, navigation={"patience": 30.0}))
 
 
-@pytest.mark.parametrize("client", [YARP, pytest.param(ZENOH, marks=thorough)])
+@thorough
+@pytest.mark.parametrize("client", [YARP, ZENOH])
 def test_the_ros2_worker_is_killed(deployment: Deployment, client: str) -> None:
     goes_on(drive(deployment, client, navigation={"patience": 30.0}))
 
