@@ -71,7 +71,7 @@ class Mix:
         planner: the first one.
         navigation: further keys of the section ``navigation``.
         base: options of the base's program.
-        base_side: where it is, if not on the planner's side.
+        base_side: its side, if not the planner's.
         nav2: arguments of `Nav2`.
     """
 
@@ -188,7 +188,7 @@ class Mix:
             self._bases.pop(self.kind).stop()
 
     def recover(self) -> None:
-        """Start the planner anew after a fault that went wrong, with nobody's goal in it."""
+        """Restart the planner after a fault that went wrong, without goals."""
         if self._masterless:
             self.restart_ros1()
             return
@@ -206,7 +206,7 @@ class Mix:
         until(lambda: "ready" in self.planner.output(), "move_base is up again", SECONDS)
 
     def restart_ros1(self) -> None:
-        """Start roscore again, and all nodes anew: rospy registers a node only once."""
+        """Restart roscore and all nodes: rospy registers a node only once."""
         self.deployment.master.start()
         self._masterless = False
         self.planner.stop(0)

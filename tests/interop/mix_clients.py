@@ -34,7 +34,7 @@ class Caller(Protocol):
     """A program that stops the robot."""
 
     def ask(self, word: str) -> Answer:
-        """Ask for ``stop``, ``pause`` or ``resume``, beside other calls."""
+        """Ask for ``stop``, ``pause`` or ``resume`` without waiting for the answer."""
 
 
 class Client(Caller, Protocol):
@@ -110,7 +110,7 @@ class YarpClient:
         return ends.get(self.seen(), "")
 
     def ended_at(self) -> float:
-        return 0.0  # a state has no time of its own
+        return 0.0  # YARP reports states, and no times
 
     def why(self) -> None:
         return None

@@ -49,7 +49,7 @@ class Fault:
         planner: over which it happens.
         stop_after: seconds until a stop is asked for.
         client_dies: whether a goal of the planner's own client is lost by it.
-        gateway_dies: whether nobody answers for a while.
+        gateway_dies: whether calls fail for a while.
         stopped: whether all clients ask for a stop, also of a goal of the planner's own client; else the client that
             gave the goal does, and the planner's own client cancels its goal later.
         clients: those that `make mix` tries it with.
@@ -121,7 +121,7 @@ class Watch:
 
     Attributes:
         client: whose goal it is; "" for a goal that no client of the mix follows.
-        own: whether it speaks to the planner itself: the end of its goal is then the planner's word.
+        own: whether it is the planner's own client: the end of its goal is then the planner's word.
         words: the words that each client received, in order.
         texts: the gateway's states with their reasons, for people.
         answers: to the stops, by client: when, and "" or the reason.
@@ -242,7 +242,7 @@ def start_driving(mix: Mix, client: Client) -> None:
 
 
 def attempt(mix: Mix, fault: Fault, name: str, watches: list[Watch], *, own: bool) -> str:
-    """Have one client drive, with a fault on the way, and return the mark. The watch is added to ``watches``."""
+    """Have one client drive until a fault, and return the mark. The watch is added to ``watches``."""
     client = mix.clients[name]
     start_driving(mix, client)
     watch = Watch(mix, name, own=own)

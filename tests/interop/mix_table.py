@@ -48,7 +48,7 @@ class Cell:
     """One part of a client's use, over one planner.
 
     Attributes:
-        seen: ``yes``, ``own`` (the client speaks to the planner itself), or what failed.
+        seen: ``yes``, ``own`` (it is the planner's own client), or what failed.
         seconds: its duration; of a fault, how long at most the robot moved on after a word that it stands.
         note: what clients received of a fault.
     """
@@ -89,7 +89,7 @@ class Trials:
             yield _tried(planner, name, part, tries[part])
 
     def others(self, planner: str) -> Iterator[Cell]:
-        """Goals on topics, a frame that does not exist, and programs that are killed on the way."""
+        """Goals on topics, a frame that does not exist, and programs that are killed while the robot drives."""
         tries: dict[str, list[tuple[str, str, Callable[[str, Client], str]]]] = {
             OURS: [
                 ("a goal on /move_base_simple/goal", ROS1, partial(self._publish, "/move_base_simple/goal")),
@@ -106,7 +106,7 @@ class Trials:
             yield _tried(planner, name, part, partial(attempt, planner, self.mix.clients[name]))
 
     def faults(self, planner: str, *, every: bool) -> Iterator[Cell]:
-        """The faults on the way to a planner, each for several clients, or for one."""
+        """The faults between clients and a planner, each for several clients, or for one."""
         for part, fault in FAULTS.items():
             if fault.planner != planner:
                 continue
@@ -134,7 +134,7 @@ class Trials:
             self.mix.clients[YARP].cancel()
             return not self.mix.driving() and self.mix.state() == "idle"
 
-        until(stands, "it was stopped", SECONDS, 0.3)  # the newest of the goals may still be on its way
+        until(stands, "it was stopped", SECONDS, 0.3)  # the newest of the goals may arrive later
         return "yes"
 
     def _unknown_frame(self, _planner: str, client: Client) -> str:
@@ -201,7 +201,7 @@ class Trials:
 
     def _resume(self, client: Client, *, own: bool) -> str:
         if own:
-            assert not self._ask(client, "resume"), "what was never paused was resumed"
+            assert not self._ask(client, "resume"), "a goal was resumed without a pause"
             return "own"
         goals, progress = set(self.mix.listed), client.progress()
         assert self._ask(client, "resume"), "the drive was not resumed"
@@ -219,7 +219,7 @@ class Trials:
         client.goto(NOWHERE)
         self._ends(client, "aborted", "aborted")
         why, status = client.why(), self.mix.status()[1]
-        no_text = why is None or (own and planner == NAV2)  # Nav2 itself sends a code alone
+        no_text = why is None or (own and planner == NAV2)  # Nav2 itself sends only a code
         assert no_text or reason in (why or ""), f"the client received {why!r}, not {reason!r}"
         assert own or reason in status, f"/navigation/status gives {status!r}, not {reason!r}"
         return "yes"
@@ -271,7 +271,7 @@ def text(cells: list[Cell]) -> str:
     rows += [f"{c.part} ({c.planner}; {c.client}): {_mark(c)}" for c in cells if c.part not in (*PARTS, *FAULTS)]
     rows += [f"{c.part} ({c.client}): {c.note}" for c in cells if c.note]
     rows += [
-        "own: the client speaks to the planner itself, whose protocol has no pause; -: not tried",
+        "own: the planner's own client, whose protocol has no pause; -: not tried",
         "seconds of a fault: how long at most the robot moved on after a word that it stands",
     ]
     return "\n".join([*rows, *(f"{c.planner}, {c.client}, {c.part}: {c.seen}" for c in cells if not c.good)])

@@ -1,4 +1,4 @@
-"""The stand-ins for Nav2 behave as its sources say, and as it was measured to; see `tests/support/ros2_nav2.py`."""
+"""The stand-ins for Nav2 behave like its sources, and like measurements of it; see `tests/support/ros2_nav2.py`."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ BEHAVIORS = {
 
 
 class Direct:
-    """A client of all of Nav2's actions, and the robot."""
+    """A client of all actions, and the robot."""
 
     def __init__(self, **options: Any) -> None:
         self.base = Base.ros2()

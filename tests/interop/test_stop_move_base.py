@@ -41,7 +41,7 @@ def stands(watch: Watch, what: str = "the base stands") -> None:
 
 
 def wait(watch: Watch, seconds: float) -> None:
-    """Poll until so many seconds after the fault."""
+    """Poll until this time after the fault."""
     watch.until(lambda: time.monotonic() > watch.began + seconds, "the fault lasts for a while")
 
 
@@ -139,7 +139,7 @@ def test_stop_after_ros1_and_modules_were_killed(deployment: Deployment, client:
     kill_workers("ros1", "gateway")(watch.mix)
     end = time.monotonic() + 40.0
     while time.monotonic() < end:
-        watch.ask("stop", GATEWAY, lost=True)  # calls fail at once while there is no gateway
+        watch.ask("stop", GATEWAY, lost=True)  # without a gateway, calls fail at once
         if any(not answer for _, answer in watch.answers.values()):
             break
     assert any(not answer for _, answer in watch.answers.values()), f"no stop was confirmed; {watch}"

@@ -1,4 +1,4 @@
-"""Stops and goals while one of Nav2's servers gives up, dies or is cut off; the measure is the base's own program."""
+"""Stops and goals while a server of Nav2 gives up, dies or is cut off; the measure is the base's own program."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def drive(deployment: Deployment, client: str, **options: object) -> Watch:
 
 
 def wait(watch: Watch, seconds: float) -> None:
-    """Poll until so many seconds after the fault."""
+    """Poll until this time after the fault."""
     watch.until(lambda: time.monotonic() > watch.began + seconds, "the fault lasts for a while")
 
 

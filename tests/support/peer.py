@@ -6,14 +6,14 @@ One command a line, one answer a line, in order. Commands (``do``):
 ``subscribe`` topic, type, latched, best_effort, depth -> id; ``wait`` id, count, seconds, since -> messages (all so
 far but ``since`` first ones, after ``count`` have come or the time is over); ``drop`` id; ``graph`` -> topics {name:
 [types]}, publishers {topic: [nodes]}, subscriptions {topic: [nodes]}; ``count`` id, first, count, rate: publish
-so many ``std_msgs/String`` that hold numbers from ``first`` on, per second ``rate``, beside other commands;
+``count`` ``std_msgs/String`` with numbers from ``first`` on, ``rate`` a second, on a thread;
 ``counted`` id, now: wait for its end (or end it now) -> sent; ``tally`` id, since -> received, distinct numbers,
 ``last``: ``time.monotonic()`` at the last arrival, ``silence``: the longest time between two arrivals from ``since``
 on; ``exit``.
 An answer has ``ok``; when false, ``error``.
 Services: ``serve`` service, type, reply (fields of the response), error (a text: it fails with that), held (it answers
 only after ``release`` id) -> id; ``requests`` id, count, seconds -> requests (all so far, after ``count`` have come or
-the time is over); ``call`` service, type, request, persistent (ROS 1) -> id: a call that runs beside other commands;
+the time is over); ``call`` service, type, request, persistent (ROS 1) -> id: a call that runs on a thread;
 ``result`` id, seconds -> done, reply (None if it failed), error (its text, else ""), at (``time.monotonic()``).
 ROS 2: ``requests`` of ``call`` makes many at once (``replies`` of ``result``), ``echo`` of ``serve`` copies fields
 of the request into the reply ({to: from}), a server with ``error`` never answers. Actions: ``act`` action, type,

@@ -1,6 +1,6 @@
 """Actions of the rospy program `tests.support.ros1_peer`; see `tests.support.peer` for the commands.
 
-Runs on the system's Python alone. A goal's ``status`` and ``cancel`` are as ROS 2's: see docs/sides/actions.md.
+Runs on the system's Python. A goal's ``status`` and ``cancel`` are as ROS 2's: see docs/sides/actions.md.
 """
 # ruff: noqa: ANN003, ANN202, ANN204  # it runs without Midspan
 
@@ -24,7 +24,7 @@ def part(type_, name):
 
 
 class Acting:
-    """An action server: each goal gives its feedback, waits where it is held, and ends as it was told."""
+    """An action server: each goal gives its feedback, waits if it is held, and ends with the given outcome."""
 
     def __init__(self, params, fill, plain):
         self.fill, self.plain, self.type = fill, plain, params["type"]
@@ -87,31 +87,31 @@ class Acting:
 
 
 class Goal:
-    """A goal of an action client, and what it heard of it."""
+    """A goal of an action client, and what arrived for it."""
 
     def __init__(self, client, goal, plain):
         self.plain, self.news, self.handle = plain, threading.Condition(), None
         self.state = {"accepted": None, "feedback": [], "status": 0, "result": None, "cancel": None, "ends": 0}
         self.state["ended_at"] = 0.0
-        self.handle = client.send_goal(goal, self.changed, self.heard)
+        self.handle = client.send_goal(goal, self.changed, self.on_feedback)
 
-    def tell(self, **news):
+    def update(self, **news):
         with self.news:
             self.state.update(news)
             self.news.notify_all()
 
-    def heard(self, _handle, feedback):
-        self.tell(feedback=[*self.state["feedback"], self.plain(feedback)])
+    def on_feedback(self, _handle, feedback):
+        self.update(feedback=[*self.state["feedback"], self.plain(feedback)])
 
     def changed(self, handle):
         state, status = handle.get_comm_state(), handle.get_goal_status()
         if state in (CommState.RECALLING, CommState.PREEMPTING):
-            self.tell(cancel=[0, 1])
+            self.update(cancel=[0, 1])
         if state == CommState.DONE:
             result = handle.get_result()
             known = None if result is None else self.plain(result)
             accepted, ends = status != GoalStatus.REJECTED, self.state["ends"] + 1
-            self.tell(
+            self.update(
                 status=STATUSES.get(status, 0),
                 accepted=accepted,
                 ends=ends,
@@ -120,20 +120,20 @@ class Goal:
                 result=known,
             )
         elif state in (CommState.PENDING, CommState.ACTIVE) and status != GoalStatus.REJECTED:
-            self.tell(accepted=True)
+            self.update(accepted=True)
 
     def cancel(self):
         self.handle.cancel()
 
     def wait(self, until, seconds):
-        """What is known, once each field of ``until`` is as it says (of feedback: at least so many)."""
+        """Return the state, once each field of ``until`` has its value (feedback: at least that many)."""
 
-        def there():
+        def reached():
             state = {**self.state, "feedback": len(self.state["feedback"])}
             return all(state[k] >= v if k == "feedback" else state[k] == v for k, v in until.items())
 
         with self.news:
-            self.news.wait_for(there, seconds)
+            self.news.wait_for(reached, seconds)
             return dict(self.state)
 
     def unregister(self):

@@ -2,11 +2,11 @@
 
 It behaves as a real move_base was measured to (navigation 1.17, Noetic): an unknown frame, or one with a slash, stays
 ACTIVE for ever; a new goal preempts the old one; ``/move_base_simple/goal`` becomes a goal on ``/move_base/goal``; the
-texts are move_base's; it comes up once it knows where the base is. What actionlib's server does (RECALLED by stamps,
-repeated ids, cancel-all, a list of many statuses, results that are not latched) is its own.
+texts are move_base's; it comes up once it has the pose of the base. RECALLED by stamps, repeated ids, cancel-all, long
+lists of statuses and results that are not latched come from actionlib's server.
 
-Goals with x of 900 and more are unreachable. Runs on the system's Python alone. It starts the base as a process of its
-own, but where the base is said to be there already: that one goes on when the stand-in is killed or stopped.
+Goals with x of 900 and more are unreachable. Runs on the system's Python. It starts the base as a process, unless the
+argument ``there`` is given: that base goes on when the stand-in is killed or stopped.
 Usage: ros1_move_base.py SPEED PATIENCE [there]
 """
 # ruff: noqa: ANN204  # it runs without Midspan
@@ -44,18 +44,20 @@ class MoveBase:
         self.velocity = rospy.Publisher("cmd_vel", Twist, queue_size=1)
         self.target = rospy.Publisher("move_base/current_goal", PoseStamped, queue_size=10)
         self.goals = rospy.Publisher("move_base/goal", MoveBaseActionGoal, queue_size=10)
-        rospy.Subscriber("tf", TFMessage, self.see, queue_size=10, tcp_nodelay=True)
-        rospy.Subscriber("move_base_simple/goal", PoseStamped, self.simple, queue_size=1)
+        rospy.Subscriber("tf", TFMessage, self.on_transforms, queue_size=10, tcp_nodelay=True)
+        rospy.Subscriber("move_base_simple/goal", PoseStamped, self.on_pose, queue_size=1)
         rospy.Service("move_base/make_plan", GetPlan, self.plan)
-        self.server = actionlib.ActionServer("move_base", MoveBaseAction, self.take, self.cancel, auto_start=False)
+        self.server = actionlib.ActionServer(
+            "move_base", MoveBaseAction, self.on_goal, self.on_cancel, auto_start=False
+        )
         self.lock = self.server.lock  # it calls us under its own: a second one would be taken in both orders
 
-    def see(self, told):
-        for frame in told.transforms:
+    def on_transforms(self, message):
+        for frame in message.transforms:
             if frame.child_frame_id == "base_link":
                 self.place = frame.transform.translation
 
-    def simple(self, pose):
+    def on_pose(self, pose):
         goal = MoveBaseActionGoal()
         goal.header.stamp = rospy.Time.now()
         goal.goal.target_pose = pose
@@ -68,7 +70,7 @@ class MoveBase:
         answer.plan.poses = [request.start, request.goal]  # its header's frame stays empty
         return answer
 
-    def take(self, handle):
+    def on_goal(self, handle):
         """A goal came; actionlib has looked at its id and stamp already."""
         with self.lock:
             before = self.current
@@ -85,7 +87,7 @@ class MoveBase:
                 return
             self.target.publish(handle.get_goal().target_pose)
 
-    def cancel(self, handle):
+    def on_cancel(self, handle):
         """It is given up at the next control cycle."""
         with self.lock:
             if handle == self.current:

@@ -4,9 +4,9 @@ Beyond the common commands: ``define`` type, definition (full text: own fields, 
 ``=`` and ``MSG: name``; a service's request and response with a line ``---`` between) makes a type known that is not
 installed; ``advertise`` and ``subscribe`` take ``queue``
 (rospy's queue_size); ``header`` id -> headers of the last message of each publisher; ``parameters`` -> names;
-``now`` -> seconds: the node's time, 0 where it waits for /clock;
+``now`` -> seconds: the node's time, 0 until /clock arrives;
 ``log`` text: to /rosout; ``await_service`` service, seconds: rospy's wait_for_service; ``count``, ``counted`` and
-``tally`` as `tests.support.peer` says.
+``tally``: see `tests.support.peer`.
 
 Messages are dicts of their fields; arrays of bytes are lists of integers, times are ``{"secs": .., "nsecs": ..}``.
 Usage: ros1_peer.py NODE
@@ -334,7 +334,7 @@ def main():
 
 
 def serve(answers):
-    """Carry out commands until there are no more."""
+    """Carry out commands until the input ends."""
     peer = Peer()
     for line in sys.stdin:
         command = json.loads(line)

@@ -16,7 +16,7 @@ Fill = Callable[[Any, dict[str, Any]], Any]
 Plain = Callable[[Any], Any]
 
 
-def found(name: str, folder: str) -> Any:
+def type_class(name: str, folder: str) -> Any:
     """The class of a service or action spelled ``package/Name``."""
     package, _, short = name.rpartition("/")
     return getattr(importlib.import_module(f"{package}.{folder}"), short)
@@ -37,7 +37,7 @@ class Serving:
         if self.error:
             self.held = Future()
         self.handle = node.create_service(
-            found(params["type"], "srv"),
+            type_class(params["type"], "srv"),
             params["service"],
             self.asked,
             qos_profile=profile,
@@ -103,11 +103,11 @@ def depths(profile: Any, *parts: str) -> dict[str, Any]:
 
 
 class Acting:
-    """An action server: each goal gives its feedback, waits where it is held, and ends as it was told."""
+    """An action server: each goal gives its feedback, waits if it is held, and ends with the given outcome."""
 
     def __init__(self, node: Any, params: dict[str, Any], profile: Any, fill: Fill, plain: Plain) -> None:
         self.node, self.fill, self.plain = node, fill, plain
-        self.type = found(params["type"], "action")
+        self.type = type_class(params["type"], "action")
         self.feedback, self.result = params.get("feedback") or [], params.get("result") or {}
         self.outcome, self.held, self.keeps = params.get("outcome", "succeed"), params.get("held"), params.get("keeps")
         self.times, self.period = params.get("times", 1), params.get("period", 0.0)
@@ -155,7 +155,7 @@ class Acting:
             self.end(bytes(handle.goal_id.uuid))
 
     def _matched(self) -> None:
-        """Wait until somebody hears feedback: a goal can come before its client's subscription is known here."""
+        """Wait for a subscriber to feedback: a goal can arrive before its client's subscription is discovered."""
         end = time.monotonic() + 5.0
         feedback = self.node.resolve_topic_name(self.name) + "/_action/feedback"
         while self.feedback and not self.node.count_subscribers(feedback) and time.monotonic() < end:
@@ -207,7 +207,7 @@ def on_executor(node: Any, work: Callable[[], None]) -> None:
 
 
 class Goal:
-    """A goal of an action client, and what it heard of it."""
+    """A goal of an action client, and what arrived for it."""
 
     def __init__(self, node: Any, client: ActionClient, goal: Any, plain: Plain) -> None:
         self.node, self.plain = node, plain
@@ -217,21 +217,21 @@ class Goal:
         self.news = threading.Condition()
 
         def send() -> None:
-            client.send_goal_async(goal, feedback_callback=self.heard).add_done_callback(self.answered)
+            client.send_goal_async(goal, feedback_callback=self.on_feedback).add_done_callback(self.answered)
 
         on_executor(node, send)
 
-    def tell(self, **news: Any) -> None:
+    def update(self, **news: Any) -> None:
         with self.news:
             self.state.update(news)
             self.news.notify_all()
 
-    def heard(self, message: Any) -> None:
-        self.tell(feedback=[*self.state["feedback"], self.plain(message.feedback)])
+    def on_feedback(self, message: Any) -> None:
+        self.update(feedback=[*self.state["feedback"], self.plain(message.feedback)])
 
     def answered(self, future: Any) -> None:
         self.handle = future.result()
-        self.tell(accepted=self.handle.accepted)
+        self.update(accepted=self.handle.accepted)
         if self.handle.accepted:
             self.ask()
 
@@ -240,28 +240,28 @@ class Goal:
         self.handle.get_result_async().add_done_callback(self.ended)
 
     def ended(self, future: Any) -> None:
-        found = future.result()
-        changed = found.status != self.state["status"]  # the same result may be asked for again
+        answer = future.result()
+        changed = answer.status != self.state["status"]  # the same result may be asked for again
         at = time.monotonic() if changed else self.state["ended_at"]
         ends = self.state["ends"] + changed
-        self.tell(status=found.status, result=self.plain(found.result), ends=ends, ended_at=at)
+        self.update(status=answer.status, result=self.plain(answer.result), ends=ends, ended_at=at)
 
     def cancel(self) -> None:
-        def told(future: Any) -> None:
+        def on_answer(future: Any) -> None:
             answer = future.result()
-            self.tell(cancel=[answer.return_code, len(answer.goals_canceling)])
+            self.update(cancel=[answer.return_code, len(answer.goals_canceling)])
 
-        on_executor(self.node, lambda: self.handle.cancel_goal_async().add_done_callback(told))
+        on_executor(self.node, lambda: self.handle.cancel_goal_async().add_done_callback(on_answer))
 
     def wait(self, until: dict[str, Any], seconds: float) -> dict[str, Any]:
-        """What is known, once each field of ``until`` is as it says (of feedback: at least so many)."""
+        """Return the state, once each field of ``until`` has its value (feedback: at least that many)."""
 
-        def there() -> bool:
+        def reached() -> bool:
             state = {**self.state, "feedback": len(self.state["feedback"])}
             return all(state[k] >= v if k == "feedback" else state[k] == v for k, v in until.items())
 
         with self.news:
-            self.news.wait_for(there, seconds)
+            self.news.wait_for(reached, seconds)
             return dict(self.state)
 
     def drop(self) -> None:
@@ -283,11 +283,11 @@ class Calls:
         key = params["service"], params["type"]
         if key not in self.clients:
             profile = self.profile(params)
-            self.clients[key] = self.node.create_client(found(key[1], "srv"), key[0], qos_profile=profile)
+            self.clients[key] = self.node.create_client(type_class(key[1], "srv"), key[0], qos_profile=profile)
         return self.clients[key]
 
     def call(self, params: dict[str, Any]) -> Calling:
-        type_ = found(params["type"], "srv")
+        type_ = type_class(params["type"], "srv")
         requests = params.get("requests") or [params.get("request") or {}]
         client = self.client(params)
         assert client.wait_for_service(params.get("seconds", 40.0)), f"no server of {params['service']}"
@@ -295,7 +295,7 @@ class Calls:
 
     def send_goal(self, params: dict[str, Any]) -> Goal:
         key = params["action"], params["type"]
-        type_ = found(key[1], "action")
+        type_ = type_class(key[1], "action")
         if key not in self.action_clients:
             parts = depths(self.profile(params), "goal_service", "result_service", "cancel_service", "feedback_sub")
             self.action_clients[key] = ActionClient(self.node, type_, key[0], **parts)

@@ -1,6 +1,6 @@
 """Stand-ins for Nav2's controller_server (FollowPath) and behavior_server (Jazzy), action servers on rclpy.
 
-They behave as the public sources say (ros-navigation/navigation2, branch jazzy: controller_server.cpp,
+They follow the public sources (ros-navigation/navigation2, branch jazzy: controller_server.cpp,
 simple_action_server.hpp, timed_behavior.hpp and the behavior plugins):
 
 - A new path replaces the old one without a stop; the old goal ends ABORTED without a code.

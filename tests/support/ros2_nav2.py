@@ -1,17 +1,17 @@
 """A stand-in for Nav2's bt_navigator (Jazzy), an action server of NavigateToPose on rclpy.
 
-It behaves as the public sources say (ros-navigation/navigation2, branch jazzy: bt_action_node.hpp,
-simple_action_server.hpp, navigate_to_pose.cpp) and as Nav2 1.3.13 was measured to:
+It follows the public sources (ros-navigation/navigation2, branch jazzy: bt_action_node.hpp,
+simple_action_server.hpp, navigate_to_pose.cpp) and measurements of Nav2 1.3.13:
 
 - One goal at a time: a new one has the old one ABORTED without a code, and the robot drives on.
 - ``/goal_pose`` becomes a goal. An abort has a code and no text.
 - It only plans; controller_server (`ros2_controller.py`) drives, by a FollowPath goal that is sent again each second.
-- If controller_server acknowledges a path late, the goal is ABORTED with code 0, and nobody cancels the path: the
+- If controller_server acknowledges a path late, the goal is ABORTED with code 0, and the path is not canceled: the
   robot drives to its end. SIGUSR1 makes the next acknowledgment late.
 - If another client cancels the path, the tree counts it as done, and the goal ends SUCCEEDED.
 - A canceled goal ends after `CANCEL_SECONDS` even if controller_server has not stopped.
 
-Goals with x of 900 and more are unreachable. Without ``--servers`` it is alone: the robot is a point that it moves.
+Goals with x of 900 and more are unreachable. Without ``--servers``, the robot is a point that it moves itself.
 Usage: ros2_nav2.py SPEED PATIENCE [--servers] [--tf-tolerance S]
 """
 
@@ -67,7 +67,7 @@ class Following:
             pass
 
     def send(self, path: Path, seconds: float) -> bool:
-        """Send a path; return whether it was acknowledged in time. If not, nobody cancels it."""
+        """Send a path; return whether it was acknowledged in time. If not, it is never canceled."""
         acknowledged = threading.Event()
         number = object()
         with self.lock:
