@@ -72,6 +72,7 @@ class Mix:
         navigation: further keys of the section ``navigation``.
         base: options of the base's program.
         base_side: its side, if not the planner's.
+        cycle: seconds between two control cycles of move_base.
         nav2: arguments of `Nav2`.
     """
 
@@ -83,12 +84,13 @@ class Mix:
         navigation: dict[str, Any] | None = None,
         base: Sequence[str] = (),
         base_side: str = "",
+        cycle: float = 0.1,
         nav2: dict[str, Any] | None = None,
     ) -> None:
         self.deployment = deployment
         self._names = Address("127.0.0.1", free_port())
         self._navigation = {"patience": 60.0, **(navigation or {})}
-        self._base_options, self._base_side = base, base_side
+        self._base_options, self._base_side, self._cycle = base, base_side, cycle
         self._nav2_options = {"lease": SHORT_LEASE, **(nav2 or {})}
         self.planner: Any = None
         self.kind = planner
@@ -152,7 +154,8 @@ class Mix:
         elif planner == MOVE_BASE:
             self._have_base(planner)
             program = SUPPORT / "ros1_move_base.py"
-            self.planner = Process([ROS1_PYTHON, program, speed, patience, "there"], self.deployment.master.env)
+            arguments = [speed, patience, "there", str(self._cycle)]
+            self.planner = Process([ROS1_PYTHON, program, *arguments], self.deployment.master.env)
         else:
             self._have_base(planner)
             self.planner = Nav2(SPEED, PATIENCE, **self._nav2_options)

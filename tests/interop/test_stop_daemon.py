@@ -15,6 +15,9 @@ from tests.interop.mix_faults import STANDS_SECONDS, Watch, start_driving
 STRICT = 0.05
 """Seconds: the base writes its own time, and the goal's end is written by another process."""
 
+CYCLE = 0.4
+"""Seconds: the planner lets go of its goal, and stops the robot, at its next control cycle."""
+
 END_SECONDS = 30.0
 thorough = pytest.mark.thorough
 
@@ -40,7 +43,7 @@ def ends(mix: Mix, name: str, number: int) -> None:
 @pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGTERM])
 @pytest.mark.parametrize("client", [ROS2, *(pytest.param(name, marks=thorough) for name in (YARP, ZENOH))])
 def test_over_move_base(deployment: Deployment, client: str, number: int) -> None:
-    ends(Mix.over(deployment, MOVE_BASE), client, number)
+    ends(Mix.over(deployment, MOVE_BASE, cycle=CYCLE), client, number)
 
 
 @pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGTERM])
@@ -53,4 +56,4 @@ def test_over_nav2(deployment: Deployment, client: str, number: int) -> None:
 @pytest.mark.parametrize("run", range(10))
 def test_every_goal_has_an_end(deployment: Deployment, run: int) -> None:
     """One client of forty waited for its end in vain."""
-    ends(Mix.over(deployment, MOVE_BASE), (ROS2, ZENOH)[run % 2], signal.SIGKILL)
+    ends(Mix.over(deployment, MOVE_BASE, cycle=CYCLE), (ROS2, ZENOH)[run % 2], signal.SIGKILL)

@@ -171,6 +171,7 @@ def test_new_goal_after_the_ros1_worker_was_killed(deployment: Deployment, other
 @pytest.mark.parametrize("client", [YARP, pytest.param(ROS2, marks=thorough)])
 def test_stop_of_a_base_that_brakes(deployment: Deployment, client: str) -> None:
     watch = drive(deployment, client, base=("--ramp", "2.0"))
+    wait(watch, 1.5)  # until it is at full speed
     watch.ask("stop", [*GATEWAY, ROS1])
     refused_or_stands(watch)
     stands(watch)
@@ -181,6 +182,7 @@ def test_stop_of_a_base_that_brakes(deployment: Deployment, client: str) -> None
 @thorough
 def test_pause_of_a_base_that_brakes(deployment: Deployment) -> None:
     watch = drive(deployment, ROS2, base=("--ramp", "2.0"))
+    wait(watch, 1.5)
     watch.ask("pause", [ROS2])
     refused_or_stands(watch)
     stands(watch)

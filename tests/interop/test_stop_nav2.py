@@ -110,8 +110,9 @@ def test_stop_of_a_behavior_of_another_client(deployment: Deployment, action: st
 
         until(teleoperated, "it moves", SECONDS, 0.2)
     until(lambda: mix.base.moves, "it moves", SECONDS)
+    until(lambda: mix.state() == "moving", "the status shows that it moves", STANDS_SECONDS)
     watch = Watch(mix, "")
-    wait(watch, 1.0)
+    wait(watch, 0.5)
     stop(watch)
     assert client.seen() == "canceled", client.seen()
 
@@ -130,6 +131,7 @@ def test_stop_while_it_brakes(
 ) -> None:
     """bt_navigator reports its goal's end 50 ms after the cancel, whether or not the robot stands."""
     watch = drive(deployment, client, base=base, nav2={"controller": controller})
+    wait(watch, 1.5)  # until it is at full speed
     watch.allowance = 1.5
     stop(watch)
     assert watch.mix.clients[client].end() == "canceled", watch.mix.clients[client].end()

@@ -7,7 +7,7 @@ lists of statuses and results that are not latched come from actionlib's server.
 
 Goals with x of 900 and more are unreachable. Runs on the system's Python. It starts the base as a process, unless the
 argument ``there`` is given: that base goes on when the stand-in is killed or stopped.
-Usage: ros1_move_base.py SPEED PATIENCE [there]
+Usage: ros1_move_base.py SPEED PATIENCE [there [CYCLE]], CYCLE: seconds between two control cycles
 """
 # ruff: noqa: ANN204  # it runs without Midspan
 
@@ -23,7 +23,7 @@ from move_base_msgs.msg import MoveBaseAction, MoveBaseActionGoal, MoveBaseFeedb
 from nav_msgs.srv import GetPlan, GetPlanResponse
 from tf2_msgs.msg import TFMessage
 
-PERIOD = 0.1
+PERIOD = float(sys.argv[4]) if len(sys.argv) > 4 else 0.1
 NEAR, GAIN = 0.05, 5.0
 """It is there within so many metres; before that it goes so many m/s slower for each metre less."""
 UNREACHABLE = 900.0
@@ -134,7 +134,7 @@ class MoveBase:
 
 
 def main():
-    if sys.argv[3:] != ["there"]:
+    if "there" not in sys.argv[3:4]:
         subprocess.Popen([sys.executable, str(Path(__file__).with_name("ros1_base.py"))])
     rospy.init_node("move_base")
     planner = MoveBase(float(sys.argv[1]), float(sys.argv[2]))
