@@ -29,7 +29,7 @@ from tests.interop.mix_clients import (
     YarpClient,
     ZenohClient,
 )
-from tests.interop.mix_truth import SUPPORT, Base, Nav2
+from tests.interop.mix_truth import SUPPORT, Base, Nav2, released
 from tests.navigation.gateway.rig import Program
 from tests.support.point_robot import PointRobot
 from tests.support.ports import free_port
@@ -219,6 +219,11 @@ class Mix:
         client.peer.stop(0)
         self.restart()
         client.peer = self.deployment.ros1("client1")
+
+    def released(self, since: float) -> float:
+        """Return when the planner released its goal, from a time on (monotonic); infinity if it has not."""
+        planner = self.planner.servers["bt_navigator"] if self.kind == NAV2 else self.planner
+        return released(planner.output(), since)
 
     @property
     def base(self) -> Base:

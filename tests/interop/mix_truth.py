@@ -151,7 +151,7 @@ def untrue(words: Sequence[Word], base: Base, end: float) -> float:
     A word of an end counts until the base stood, even if it was withdrawn at once; `PREPARING` while it lasted.
     """
     worst = 0.0
-    for (at, word), until_ in zip(words, [*(at for at, _ in words[1:]), end], strict=True):
+    for (at, word), (until_, _) in itertools.pairwise([*words, (end, "")]):
         if word not in ENDS and word != PREPARING:
             continue
         began = [at, *(since for moves, since in base.changes(at) if moves and since < until_)]
@@ -160,6 +160,12 @@ def untrue(words: Sequence[Word], base: Base, end: float) -> float:
             stood = min(stood, until_) if word == PREPARING or start != at else stood
             worst = max(worst, stood - start)
     return worst
+
+
+def released(output: str, since: float) -> float:
+    """Return when a planner's stand-in released its goal, from a time on (monotonic); infinity if it has not."""
+    rows = [line.split() for line in output.splitlines()]
+    return min((float(row[1]) for row in rows if row[:1] == ["ended"] and float(row[1]) >= since), default=math.inf)
 
 
 def stood(base: Base, at: float) -> str:

@@ -12,8 +12,8 @@ from tests.interop.mix import MOVE_BASE, NAV2, Mix
 from tests.interop.mix_clients import ROS1, ROS2, YARP, ZENOH, RosClient, ZenohClient
 from tests.interop.mix_faults import STANDS_SECONDS, Watch, start_driving
 
-STRICT = 0.05
-"""Seconds: the base writes its own time, and the goal's end is written by another process."""
+STRICT = 0.01
+"""Seconds: the processes note their times after the event."""
 
 CYCLE = 0.4
 """Seconds: the planner lets go of its goal, and stops the robot, at its next control cycle."""
@@ -26,7 +26,7 @@ def ends(mix: Mix, name: str, number: int) -> None:
     """Drive, end the daemon by a signal, and check the base and the client's goal."""
     client = mix.clients[name]
     start_driving(mix, client)
-    watch = Watch(mix, name, allowance=STRICT)
+    watch = Watch(mix, name)
     daemon = mix.deployment.daemon
     assert daemon is not None
     os.kill(daemon.pid, number)
@@ -37,6 +37,11 @@ def ends(mix: Mix, name: str, number: int) -> None:
             lambda: mix.deployment.daemon is not None and mix.deployment.daemon.popen.poll() is not None, "gone"
         )
         assert client.ends() == 1, f"its goal had {client.ends()} ends; {watch}"
+        known = min(watch.base.stands_after(watch.began), mix.released(watch.began))
+        early = known - client.ended_at()
+        assert early < STRICT, (
+            f"its goal ended {early:.2f} s before the planner released it, or the base stood; {watch}"
+        )
     watch.close()
 
 

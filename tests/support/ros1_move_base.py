@@ -7,6 +7,7 @@ lists of statuses and results that are not latched come from actionlib's server.
 
 Goals with x of 900 and more are unreachable. Runs on the system's Python. It starts the base as a process, unless the
 argument ``there`` is given: that base goes on when the stand-in is killed or stopped.
+It prints ``ended`` and ``time.monotonic()`` when it ends a goal by itself.
 Usage: ros1_move_base.py SPEED PATIENCE [there [CYCLE]], CYCLE: seconds between two control cycles
 """
 # ruff: noqa: ANN204  # it runs without Midspan
@@ -14,6 +15,7 @@ Usage: ros1_move_base.py SPEED PATIENCE [there [CYCLE]], CYCLE: seconds between 
 import math
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import actionlib
@@ -96,6 +98,7 @@ class MoveBase:
     def end(self, how, text):
         handle, self.current = self.current, None
         self.velocity.publish(Twist())
+        print("ended", time.monotonic(), flush=True)
         getattr(handle, how)(MoveBaseResult(), text)
 
     def step(self):

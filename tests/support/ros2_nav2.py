@@ -12,6 +12,7 @@ simple_action_server.hpp, navigate_to_pose.cpp) and measurements of Nav2 1.3.13:
 - A canceled goal ends after `CANCEL_SECONDS` even if controller_server has not stopped.
 
 Goals with x of 900 and more are unreachable. Without ``--servers``, the robot is a point that it moves itself.
+It prints ``ended`` and ``time.monotonic()`` when it cancels a goal.
 Usage: ros2_nav2.py SPEED PATIENCE [--servers] [--tf-tolerance S]
 """
 
@@ -150,6 +151,7 @@ class Navigator(Node):
             if handle.is_cancel_requested:
                 if self.following is not None:
                     self.following.halt()
+                print("ended", time.monotonic(), flush=True)
                 handle.canceled()
                 return NavigateToPose.Result()
             if self.newest is not handle:
