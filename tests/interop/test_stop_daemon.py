@@ -39,9 +39,7 @@ def ends(mix: Mix, name: str, number: int) -> None:
         assert client.ends() == 1, f"its goal had {client.ends()} ends; {watch}"
         known = min(watch.base.stands_after(watch.began), mix.released(watch.began))
         early = known - client.ended_at()
-        assert early < STRICT, (
-            f"its goal ended {early:.2f} s before the planner released it, or the base stood; {watch}"
-        )
+        assert early < STRICT, f"its goal ended {early:.2f} s before its release, or before the base stood; {watch}"
     watch.close()
 
 
