@@ -155,10 +155,11 @@ def test_new_goal_after_the_ros1_worker_was_killed(deployment: Deployment, other
     watch = drive(deployment, ROS2)
     first = watch.mix.clients[ROS2]
     assert isinstance(first, RosClient)
-    watch.client = other  # the first goal is canceled by the new one, while the robot may drive on
+    watch.client = ""  # the first goal is canceled by the new one, while the robot may drive on
     kill_workers("ros1")(watch.mix)
     wait(watch, 0.3)
     watch.mix.clients[other].goto(AWAY / 2)
+    watch.client = other
     watch.until(lambda: first.end() == "canceled", "the new goal takes the place of the first one")
     watch.until(watch.mix.back, "everything is back")
     progress = watch.mix.clients[other].progress()

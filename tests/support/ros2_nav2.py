@@ -3,7 +3,8 @@
 It follows the public sources (ros-navigation/navigation2, branch jazzy: bt_action_node.hpp,
 simple_action_server.hpp, navigate_to_pose.cpp) and measurements of Nav2 1.3.13:
 
-- One goal at a time: a new one has the old one ABORTED without a code, and the robot drives on.
+- One goal at a time: a new one has the old one ABORTED without a code, even if that was canceled, and the robot drives
+  on.
 - ``/goal_pose`` becomes a goal. An abort has a code and no text.
 - It only plans; controller_server (`ros2_controller.py`) drives, by a FollowPath goal that is sent again each second.
 - If controller_server acknowledges a path late, the goal is ABORTED with code 0, and the path is not canceled: the
@@ -148,14 +149,14 @@ class Navigator(Node):
             self.newest = handle
         began, planned = time.monotonic(), -math.inf
         while True:
+            if self.newest is not handle:
+                handle.abort()
+                return NavigateToPose.Result()
             if handle.is_cancel_requested:
                 if self.following is not None:
                     self.following.halt()
                 print("ended", time.monotonic(), flush=True)
                 handle.canceled()
-                return NavigateToPose.Result()
-            if self.newest is not handle:
-                handle.abort()
                 return NavigateToPose.Result()
             plans = time.monotonic() - planned > PLAN_SECONDS or self.gives_up
             planned = time.monotonic() if plans else planned
