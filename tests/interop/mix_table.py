@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 import argparse
+import contextlib
 import json
 import sys
 import tempfile
@@ -131,7 +132,8 @@ class Trials:
         client.peer.drop(out)
 
         def stands() -> bool:
-            self.mix.clients[YARP].cancel()
+            with contextlib.suppress(AssertionError):  # no "ok" if a goal arrives after the stop
+                self.mix.clients[YARP].cancel()
             return not self.mix.driving() and self.mix.state() == "idle"
 
         until(stands, "it was stopped", SECONDS, 0.3)  # the newest of the goals may arrive later
@@ -155,7 +157,7 @@ class Trials:
         client.goto(FAR)
         until(client.progress, "progress is reported", SECONDS)
         mix.planner.stop(0)
-        until(lambda: "not there; it is waited for" in mix.status()[1], "the status gives the reason", SECONDS)
+        until(lambda: "not available; waiting for it" in mix.status()[1], "the status gives the reason", SECONDS)
         assert mix.state() in ("moving", "preparing_before_move"), mix.state()  # no end: it goes on by itself
         assert client.end() == "", f"the client's goal ended: {client.end()}"
         mix.start(planner)
