@@ -208,6 +208,12 @@ class Mix:
         self.start(MOVE_BASE)
         until(lambda: "ready" in self.planner.output(), "move_base is up again", SECONDS)
 
+    def restart_navigator(self) -> None:
+        """Start bt_navigator again; a server of ROS 2 publishes no list before its first goal."""
+        self.planner.start("bt_navigator")
+        until(self.planner.ready, "bt_navigator is up again", SECONDS)
+        self.listed = {}
+
     def restart_ros1(self) -> None:
         """Restart roscore and all nodes: rospy registers a node only once."""
         self.deployment.master.start()

@@ -106,7 +106,7 @@ FAULTS = {
     ),
     "bt_navigator dies": Fault(
         lambda mix: mix.planner.kill("bt_navigator"),
-        lambda mix: mix.planner.start("bt_navigator"),
+        lambda mix: mix.restart_navigator(),
         planner=NAV2,
         client_dies=True,
         stopped=True,

@@ -169,7 +169,7 @@ def test_bt_navigator_is_killed_and_comes_back(deployment: Deployment, client: s
     wait(watch, PATIENCE - 3.0)
     assert gateway.end() == "", f"its goal ended; {watch}"
     assert watch.mix.state() == "moving", watch
-    watch.mix.planner.start("bt_navigator")
+    watch.mix.restart_navigator()
     progress = gateway.progress()
     watch.until(lambda: gateway.progress() > progress and watch.mix.driving(), "its goal goes on")
     watch.close()
