@@ -229,14 +229,14 @@ class Watch:
         return "; ".join(parts)
 
 
-def start_driving(mix: Mix, client: Client) -> None:
-    """Give a client's goal, and wait until the base moves and everybody receives that."""
+def start_driving(mix: Mix, client: Client, progress: int = 5) -> None:
+    """Give a client's goal, and wait until the base moves and this many reports of progress have arrived."""
     client.goto(AWAY)
 
     def drives() -> object:
         if client.end() == "canceled":
             client.goto(AWAY)  # the last stop was of all goals, and reached a planner that was away only now
-        return mix.base.moves and mix.state() == "moving" and client.progress()
+        return mix.base.moves and mix.state() == "moving" and client.progress() >= progress
 
     until(drives, "it moves", SECONDS, _POLL)
 

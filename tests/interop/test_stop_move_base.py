@@ -125,6 +125,19 @@ def test_pause_after_the_ros1_worker_was_killed(deployment: Deployment, asks: st
     cancel(watch)
 
 
+@pytest.mark.parametrize("client", [ZENOH, pytest.param(ROS2, marks=thorough)])
+def test_the_ros1_worker_is_killed_as_the_robot_starts(deployment: Deployment, client: str) -> None:
+    """Odometry that ended before the robot moved does not show that it stands."""
+    mix = Mix.over(deployment, MOVE_BASE)
+    start_driving(mix, mix.clients[client], progress=1)
+    watch = Watch(mix, client)
+    kill_workers("ros1")(mix)
+    wait(watch, 1.5)
+    watch.close()
+    watch.until(mix.back, "everything is back")
+    cancel(watch)
+
+
 @thorough
 @pytest.mark.parametrize("fault", ["planner hangs", "ros1 worker dies", "modules die", "ros1 and modules die"])
 def test_stop_of_the_planners_own_goal(deployment: Deployment, fault: str) -> None:
