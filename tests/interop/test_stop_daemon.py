@@ -22,7 +22,7 @@ END_SECONDS = 30.0
 thorough = pytest.mark.thorough
 
 
-def ends(mix: Mix, name: str, number: int) -> None:
+def assert_ends(mix: Mix, name: str, number: int) -> None:
     """Drive, end the daemon by a signal, and check the base and the client's goal."""
     client = mix.clients[name]
     start_driving(mix, client)
@@ -46,17 +46,17 @@ def ends(mix: Mix, name: str, number: int) -> None:
 @pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGTERM])
 @pytest.mark.parametrize("client", [ROS2, *(pytest.param(name, marks=thorough) for name in (YARP, ZENOH))])
 def test_over_move_base(deployment: Deployment, client: str, number: int) -> None:
-    ends(Mix.over(deployment, MOVE_BASE, cycle=CYCLE), client, number)
+    assert_ends(Mix.over(deployment, MOVE_BASE, cycle=CYCLE), client, number)
 
 
 @pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGTERM])
 @pytest.mark.parametrize("client", [pytest.param(ROS1, marks=thorough), pytest.param(ZENOH, marks=thorough)])
 def test_over_nav2(deployment: Deployment, client: str, number: int) -> None:
-    ends(Mix.over(deployment, NAV2), client, number)
+    assert_ends(Mix.over(deployment, NAV2), client, number)
 
 
 @pytest.mark.long
 @pytest.mark.parametrize("run", range(10))
 def test_every_goal_has_an_end(deployment: Deployment, run: int) -> None:
     """One client of forty waited for its end in vain."""
-    ends(Mix.over(deployment, MOVE_BASE, cycle=CYCLE), (ROS2, ZENOH)[run % 2], signal.SIGKILL)
+    assert_ends(Mix.over(deployment, MOVE_BASE, cycle=CYCLE), (ROS2, ZENOH)[run % 2], signal.SIGKILL)

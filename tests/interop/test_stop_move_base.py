@@ -51,16 +51,16 @@ def cancel(watch: Watch) -> None:
     client.cancel()
     watch.until(lambda: client.end() == "canceled", "its goal is canceled", STANDS_SECONDS)
     stands(watch)
-    ends_once(watch)
+    assert_ends_once(watch)
 
 
-def ends_once(watch: Watch) -> None:
+def assert_ends_once(watch: Watch) -> None:
     client = watch.mix.clients[watch.client]
     if isinstance(client, RosClient | ZenohClient):
         assert client.ends() == 1, f"its goal had {client.ends()} ends; {watch}"
 
 
-def refused_or_stands(watch: Watch) -> None:
+def assert_refused_or_stands(watch: Watch) -> None:
     """Check the words of answers that do not confirm."""
     for name, (_, answer) in watch.answers.items():
         assert not answer or answer == "not ok" or UNCONFIRMED in answer, f"{name} received {answer!r}; {watch}"
@@ -73,14 +73,14 @@ def test_stop_while_the_master_is_dead(deployment: Deployment, client: str) -> N
     watch.mix.kill_master()
     wait(watch, 1.0)
     watch.ask("stop", [*GATEWAY, COMMAND])
-    refused_or_stands(watch)
+    assert_refused_or_stands(watch)
     stands(watch, "the stop reaches move_base by the connections that still stand")
     watch.until(lambda: watch.mix.state() in ("idle", "aborted"), "its end is known without a master", STANDS_SECONDS)
     watch.close()
     watch.ask("stop", [*GATEWAY, COMMAND])
     assert not any(answer for _, answer in watch.answers.values()), f"it stands, and a stop is not ok; {watch}"
     if not watch.own:
-        ends_once(watch)
+        assert_ends_once(watch)
 
 
 @thorough
@@ -114,7 +114,7 @@ def test_pause_after_the_ros1_worker_was_killed(deployment: Deployment, asks: st
     kill_workers("ros1")(watch.mix)
     wait(watch, 0.3)
     watch.ask("pause", [asks])
-    refused_or_stands(watch)
+    assert_refused_or_stands(watch)
     stands(watch, "the pause is kept until it reaches move_base")
     watch.until(lambda: watch.mix.state() == "paused", "it is paused", STANDS_SECONDS)
     watch.until(watch.mix.back, "everything is back")
@@ -129,7 +129,7 @@ def test_pause_after_the_ros1_worker_was_killed(deployment: Deployment, asks: st
 @pytest.mark.parametrize("fault", ["planner hangs", "ros1 worker dies", "modules die"])
 def test_stop_of_the_planners_own_goal(deployment: Deployment, fault: str) -> None:
     mix = Mix.over(deployment, MOVE_BASE)
-    attempt(mix, replace(FAULTS[fault], stopped=True), ROS1, [], own=True)
+    assert attempt(mix, replace(FAULTS[fault], stopped=True), ROS1, [], own=True) == "own"
 
 
 @pytest.mark.parametrize("other", [YARP, pytest.param(ZENOH, marks=thorough)])
@@ -156,7 +156,7 @@ def test_stop_of_a_base_that_brakes(deployment: Deployment, client: str) -> None
     watch = drive(deployment, client, base=("--ramp", "2.0"))
     wait(watch, 1.5)  # until it is at full speed
     watch.ask("stop", [*GATEWAY, ROS1])
-    refused_or_stands(watch)
+    assert_refused_or_stands(watch)
     stands(watch)
     watch.allowance = 1.5  # it brakes for a second, and the planner may report its goal's end before
     watch.close()
@@ -167,7 +167,7 @@ def test_pause_of_a_base_that_brakes(deployment: Deployment) -> None:
     watch = drive(deployment, ROS2, base=("--ramp", "2.0"))
     wait(watch, 1.5)
     watch.ask("pause", [ROS2])
-    refused_or_stands(watch)
+    assert_refused_or_stands(watch)
     stands(watch)
     watch.until(lambda: watch.mix.state() == "paused", "it is paused", STANDS_SECONDS)
     watch.close()

@@ -42,7 +42,7 @@ def wait(watch: Watch, seconds: float) -> None:
     watch.until(lambda: time.monotonic() > watch.began + seconds, "the fault lasts for a while")
 
 
-def stop(watch: Watch, *callers: str) -> None:
+def assert_stops(watch: Watch, *callers: str) -> None:
     """Have clients ask for a stop, which reaches whatever moves the base."""
     watch.ask("stop", callers or ALL)
     for name, (_, answer) in watch.answers.items():
@@ -53,7 +53,7 @@ def stop(watch: Watch, *callers: str) -> None:
     watch.close()
 
 
-def ends_once(watch: Watch) -> None:
+def assert_ends_once(watch: Watch) -> None:
     client = watch.mix.clients[watch.client]
     if isinstance(client, RosClient | ZenohClient):
         assert client.ends() == 1, f"its goal had {client.ends()} ends; {watch}"
@@ -65,8 +65,8 @@ def test_stop_after_bt_navigator_gave_up(deployment: Deployment, client: str) ->
     watch = drive(deployment, client)
     watch.mix.planner.give_up()
     wait(watch, 0.5)
-    stop(watch, *ALL, COMMAND)
-    ends_once(watch)
+    assert_stops(watch, *ALL, COMMAND)
+    assert_ends_once(watch)
     start_driving(watch.mix, watch.mix.clients[client])  # as if nothing had happened
     watch.mix.clients[client].cancel()
     until(lambda: not watch.base.moves, "it stands", STANDS_SECONDS)
@@ -82,7 +82,7 @@ def test_stop_of_a_path_of_another_client(deployment: Deployment, base: tuple[st
     until(lambda: mix.state() == "moving", "the status shows that it moves", STANDS_SECONDS)
     watch = Watch(mix, "")
     wait(watch, 0.5)
-    stop(watch)
+    assert_stops(watch)
     assert client.seen() == "canceled", client.seen()
 
 
@@ -104,7 +104,7 @@ def test_stop_of_a_behavior_of_another_client(deployment: Deployment, action: st
     until(lambda: mix.state() == "moving", "the status shows that it moves", STANDS_SECONDS)
     watch = Watch(mix, "")
     wait(watch, 0.5)
-    stop(watch)
+    assert_stops(watch)
     assert client.seen() == "canceled", client.seen()
 
 
@@ -124,9 +124,9 @@ def test_stop_while_it_brakes(
     watch = drive(deployment, client, base=base, nav2={"controller": controller})
     wait(watch, 1.5)  # until it is at full speed
     watch.allowance = 1.5
-    stop(watch)
+    assert_stops(watch)
     assert watch.mix.clients[client].end() == "canceled", watch.mix.clients[client].end()
-    ends_once(watch)
+    assert_ends_once(watch)
 
 
 @thorough
@@ -145,7 +145,7 @@ def test_stop_after_a_server_was_killed(deployment: Deployment, server: str) -> 
     watch = drive(deployment, ZENOH)
     watch.mix.planner.kill(server)
     wait(watch, 0.5)
-    stop(watch)
+    assert_stops(watch)
 
 
 @pytest.mark.parametrize("client", [ZENOH, *(pytest.param(name, marks=thorough) for name in (YARP, ROS1))])
@@ -166,7 +166,7 @@ def test_bt_navigator_is_killed_and_comes_back(deployment: Deployment, client: s
     watch.close()
     gateway.cancel()
     watch.until(lambda: gateway.end() == "canceled", "its goal is canceled", STANDS_SECONDS)
-    ends_once(watch)
+    assert_ends_once(watch)
 
 
 @thorough
@@ -177,7 +177,7 @@ def test_bt_navigator_stays_away(deployment: Deployment) -> None:
     watch.until(client.end, "the patience ends")
     assert client.ended_at() - watch.began > PATIENCE - 1.0, watch
     watch.close()
-    stop(watch)
+    assert_stops(watch)
 
 
 @pytest.mark.parametrize(
@@ -193,16 +193,16 @@ def test_the_ros2_worker_is_killed_and_transforms_are_missing(
 ) -> None:
     """The base is on ROS 1: transforms reach Nav2 by the worker that was killed."""
     nav2 = {"navigator": navigator, "controller": controller}
-    goes_on(drive(deployment, client, base_side="ros1", nav2=nav2, navigation={"patience": 30.0}))
+    assert_goes_on(drive(deployment, client, base_side="ros1", nav2=nav2, navigation={"patience": 30.0}))
 
 
 @thorough
 @pytest.mark.parametrize("client", [YARP, ZENOH])
 def test_the_ros2_worker_is_killed(deployment: Deployment, client: str) -> None:
-    goes_on(drive(deployment, client, navigation={"patience": 30.0}))
+    assert_goes_on(drive(deployment, client, navigation={"patience": 30.0}))
 
 
-def goes_on(watch: Watch) -> None:
+def assert_goes_on(watch: Watch) -> None:
     """Kill the ros2 worker; the client's goal goes on when it is back."""
     client, mix = watch.mix.clients[watch.client], watch.mix
     os.kill(mix.pid("ros2"), signal.SIGKILL)
@@ -221,7 +221,7 @@ def goes_on(watch: Watch) -> None:
     watch.close()
     client.cancel()
     watch.until(lambda: client.end() == "canceled", "its goal is canceled", STANDS_SECONDS)
-    ends_once(watch)
+    assert_ends_once(watch)
 
 
 @thorough
@@ -229,5 +229,5 @@ def test_stop_after_the_ros2_worker_was_killed(deployment: Deployment) -> None:
     watch = drive(deployment, ZENOH)
     kill_workers("ros2")(watch.mix)
     wait(watch, 0.3)
-    stop(watch, YARP, ZENOH)
-    ends_once(watch)
+    assert_stops(watch, YARP, ZENOH)
+    assert_ends_once(watch)
