@@ -48,7 +48,8 @@ class Server:
     """One action of Nav2: a goal is executed on a thread, a newer one preempts it."""
 
     def __init__(self, node: Driving, type_: Any, action: str) -> None:
-        self.node, self.type, self.newest = node, type_, None
+        self.node, self.type = node, type_
+        self.newest: Any = None
         self.lock = threading.Lock()
         self.handle = ActionServer(
             node,
