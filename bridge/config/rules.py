@@ -1,4 +1,4 @@
-"""The rules that follow from the section ``navigation``, and which messages the rules make commands."""
+"""Routing rules derived from the section ``navigation``, and the message types that rules mark as commands."""
 
 from __future__ import annotations
 
@@ -15,30 +15,30 @@ PATH, GRID = "nav_msgs/msg/Path", "nav_msgs/msg/OccupancyGrid"
 
 
 class MadeRule(Rule):
-    """A rule that is in no file; ``of`` says in words what it follows from."""
+    """A rule derived from a section; ``of`` names the section for people."""
 
     of: str
 
 
 def with_navigation(routing: RoutingSection, navigation: NavigationSection) -> RoutingSection:
-    """The rules of the file, after those that follow from ``navigation``; a ``deny`` of either wins.
+    """Return the rules of the file, preceded by those derived from ``navigation``; a ``deny`` of either wins.
 
-    What planners tell besides comes last: where the file limits its rate, so it is.
+    The rules for planners' paths, local maps and goals come last, so that the file can limit their rates.
     """
     if not navigation.planner:
         return routing
-    rules = *made_rules(navigation), *routing.rules, *_told(navigation)
+    rules = *made_rules(navigation), *routing.rules, *_telemetry_rules(navigation)
     return routing.model_copy(update={"rules": rules})
 
 
 def made_rules(section: NavigationSection) -> Iterator[MadeRule]:
-    """The rules of a section that names a planner."""
+    """Yield the rules of a section that names a planner."""
     doors = section.doors
     for planner in section.others.values():
         of = f"navigation (planner {planner.name})"
         if planner.side != "zenoh":
             yield _rule(of, kind="action", topic=planner.action, from_=planner.side, rename=planner.on_hub)
-        if planner.side != "zenoh":  # a stop cancels these, too, whatever the file says of other actions
+        if planner.side != "zenoh":  # a stop must cancel these actions too, even if the file denies actions by default
             for action in planner.motion:
                 yield _rule(of, kind="action", topic=action, from_=planner.side)
         if planner.velocity and section.velocity and planner.velocity != section.velocity:
@@ -46,29 +46,29 @@ def made_rules(section: NavigationSection) -> Iterator[MadeRule]:
                 of, kind="topic", topic=planner.velocity, type=TWIST, from_=planner.side, rename=section.velocity,
                 priority="command",
             )  # fmt: skip
-    taken: dict[tuple[str, str], str] = {
+    owners: dict[tuple[str, str], str] = {
         (planner.side, planner.action): planner.name for planner in section.others.values()
     }
     for side, action, goal in (("ros1", doors.ros1, doors.ros1_goal), ("ros2", doors.ros2, doors.ros2_goal)):
-        yield from _door(side, action, goal, taken.get((side, action), ""))
+        yield from _entry_rules(side, action, goal, owners.get((side, action), ""))
     yield _rule("navigation", topic="/navigation/**")
     if section.velocity:
         yield _rule("navigation.velocity", kind="topic", topic=section.velocity, type=TWIST, priority="command")
 
 
-def _told(section: NavigationSection) -> Iterator[MadeRule]:
-    """The rules of the topics on which planners tell their ways, local maps and goals."""
+def _telemetry_rules(section: NavigationSection) -> Iterator[MadeRule]:
+    """Yield the rules of the topics on which planners publish their paths, local maps and goals."""
     for planner in section.others.values():
-        told = (planner.path, PATH), (planner.local_map, GRID), (planner.current_goal, POSE)
-        for topic, kind in told:
+        topics = (planner.path, PATH), (planner.local_map, GRID), (planner.current_goal, POSE)
+        for topic, kind in topics:
             if topic and planner.side != "zenoh":
                 yield _rule(
                     f"navigation (planner {planner.name})", kind="topic", topic=topic, type=kind, from_=planner.side
                 )
 
 
-def _door(side: str, action: str, goal: str, owner: str) -> Iterator[MadeRule]:
-    """The rules of one side's door; where a planner has its name, what is said there is the planner's alone."""
+def _entry_rules(side: str, action: str, goal: str, owner: str) -> Iterator[MadeRule]:
+    """Yield the rules of one side's entry point; a planner that uses the same name keeps it for itself."""
     of = f"navigation ({owner} has {action} there itself)" if owner else f"navigation.doors.{side}"
     if owner or not action:
         yield _rule(of, kind="action", topic=ACTION, to=side, deny=True)
@@ -76,7 +76,7 @@ def _door(side: str, action: str, goal: str, owner: str) -> Iterator[MadeRule]:
         yield _rule(of, kind="action", topic=ACTION, to=side, rename=action)
     if not goal:
         return
-    if owner:  # the planner hears it there; what others say there must not reach it either
+    if owner:  # the planner subscribes to it itself, and must not receive goals from other sides there
         yield _rule(of, kind="topic", topic=goal, type=POSE, from_=side, to="zenoh", deny=True)
         yield _rule(of, kind="topic", topic=goal, type=POSE, to=side, deny=True)
     else:
@@ -87,16 +87,16 @@ def _rule(of: str, **values: Any) -> MadeRule:
     return MadeRule.model_validate({"of": of, **values})
 
 
-EVERY = "*"  # in place of the last part of a name: topics of any name
+EVERY = "*"  # as the last part of a name: topics of any name
 ALWAYS: Mapping[str, str] = {
     "geometry_msgs/msg/Twist": EVERY,
     "geometry_msgs/msg/TwistStamped": EVERY,
-    # ROS 1's actionlib cancels with it; its goals, and ROS 2's goals and cancels, are known by the end of their types
+    # ROS 1's actionlib cancels with it; all other goals and cancels are recognized by the suffix of their type
     "actionlib_msgs/msg/GoalID": EVERY,
     # /move_base_simple/goal, /goal_pose, /goal_update
     "geometry_msgs/msg/PoseStamped": "goal*",
 }
-"""Types that command whatever the rules say, and of which topics."""
+"""Types that are commands under any rules, and the last parts of their topics' names."""
 
 _PART = re.compile(r"[A-Za-z0-9_]+\*?")
 _TYPE = re.compile(r"[A-Za-z]\w*/(?:msg|srv|action)/[A-Za-z]\w*", re.ASCII)
@@ -104,28 +104,28 @@ _TYPE = re.compile(r"[A-Za-z]\w*/(?:msg|srv|action)/[A-Za-z]\w*", re.ASCII)
 
 @dataclass(frozen=True, slots=True)
 class Untyped:
-    """A command rule of which the door cannot tell the type."""
+    """A command rule without an exact type, which the external listener cannot enforce."""
 
     index: int
     text: str
 
 
 def commands(routing: RoutingSection) -> dict[str, frozenset[str]]:
-    """Types that command, each with the last parts of its topics' names: words, with ``*`` at the end at most."""
-    found: dict[str, set[str]] = {type_name: {part} for type_name, part in ALWAYS.items()}
+    """Return the command types, each with the last parts of its topics' names, which may end with ``*``."""
+    last_parts: dict[str, set[str]] = {type_name: {part} for type_name, part in ALWAYS.items()}
     for rule in routing.rules:
         if rule.priority == "command" and rule.type is not None:
-            found.setdefault(rule.type, set()).update(_last_parts(rule))
-    return {name: frozenset({EVERY}) if EVERY in parts else frozenset(parts) for name, parts in found.items()}
+            last_parts.setdefault(rule.type, set()).update(_last_parts(rule))
+    return {name: frozenset({EVERY}) if EVERY in parts else frozenset(parts) for name, parts in last_parts.items()}
 
 
 def untyped(routing: RoutingSection) -> list[Untyped]:
-    """The command rules whose type is not told exactly."""
+    """Return the command rules without an exact type."""
     return [
         Untyped(
             index,
-            "with hub.open a command rule says its type, for example 'type: geometry_msgs/msg/Twist': the door tells"
-            " commands by their types",
+            "with hub.open a command rule needs an exact type, for example 'type: geometry_msgs/msg/Twist': the"
+            " external listener recognizes commands by their types",
         )
         for index, rule in enumerate(routing.rules)
         if rule.priority == "command" and not (rule.type and _TYPE.fullmatch(rule.type))
@@ -133,7 +133,7 @@ def untyped(routing: RoutingSection) -> list[Untyped]:
 
 
 def _last_parts(rule: Rule) -> set[str]:
-    """What the topics' names end with, on the way in and after a renaming."""
+    """Return the last parts of the topics' names, before and after renaming."""
     if rule.topic is None:
         return {EVERY}
     names = [rule.topic, *([rule.rename] if rule.rename else [])]

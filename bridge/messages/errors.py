@@ -4,7 +4,7 @@
 
     MessageError
      +-- MessageTypeError     a type is unknown, has no pair, or cannot be built
-     +-- ConversionError      the bytes of one message are not what its type says
+     +-- ConversionError      the bytes of one message do not match its type
 """
 
 from __future__ import annotations

@@ -29,7 +29,7 @@ class RouteKey(NamedTuple):
 
 @dataclass(slots=True)
 class RouteDecision:
-    """The decision on one topic or service (``of``); refused: rules allow it, but something stands in the way."""
+    """The decision on one topic or service (``of``); refused: rules allow it, but it cannot cross."""
 
     direction: str
     topic: str
@@ -46,9 +46,9 @@ class RouteDecision:
 
     @classmethod
     def not_native(cls, endpoint: Endpoint) -> Self:
-        """An endpoint on the side that a Midspan made, or whose maker is not known yet."""
+        """Decide on a side's endpoint that a Midspan made, or whose maker is not known yet."""
         if endpoint.made_by is MadeBy.MIDSPAN:
-            why = f"{endpoint.node or endpoint.id} was made by a Midspan and is never taken up again"
+            why = f"{endpoint.node or endpoint.id} was made by a Midspan and is never routed again"
         else:
             why = f"it is not known yet who made {endpoint.node or endpoint.id}"
         of = "service" if endpoint.kind in (Kind.SERVER, Kind.CLIENT) else "topic"
@@ -58,37 +58,37 @@ class RouteDecision:
     def unrouted(
         cls, direction: str, topic: str, type_name: str, why: str, of: str = "topic", hub_topic: str = ""
     ) -> Self:
-        """Something that no rule can carry: it comes from this very network, or the side has no place for it."""
+        """Decide on a topic or service without a route: it comes from this network, or the side cannot have it."""
         policy = RoutePolicy(allowed=False, why=why, name=topic)
         return cls(direction, topic, hub_topic or topic, type_name, policy, own=why, of=of)
 
     @classmethod
     def resting(cls, direction: str, topic: str, type_name: str, why: str, of: str = "topic") -> Self:
-        """Something that another daemon carries instead, or whose carrier is not agreed yet."""
+        """Decide on a topic or service that another daemon carries instead, or whose carrier is not agreed yet."""
         policy = RoutePolicy(allowed=False, why=why, name=topic)
         return cls(direction, topic, topic, type_name, policy, rests=True, of=of)
 
     @classmethod
     def carried_by(cls, daemon: str, topic: str, type_name: str, of: str = "topic") -> Self:
-        """Something on the hub that another daemon puts on the side's network; "" while that is not agreed."""
+        """Decide on a hub topic or service that another daemon puts on the side's network; "" while not agreed."""
         why = f"standing by: {daemon} puts it on this network" if daemon else "not agreed yet who puts it here"
         return cls.resting("out", topic, type_name, why, of)
 
     @classmethod
     def one_ended(cls, topic: str, type_name: str, why: str, of: str = "topic") -> Self:
-        """Something with nothing to cross: it has only subscriptions, or only clients."""
+        """Decide on a name with nothing to cross: it has only subscriptions, or only clients."""
         return cls("out", topic, topic, type_name, RoutePolicy(allowed=True, why=why, name=topic), own=why, of=of)
 
     def refuse(self, reason: str, cure: str) -> None:
-        """Say that something stands in the way."""
+        """Refuse the route, with the reason and the cure."""
         self.refused, self.reason, self.cure = True, reason, cure
 
     def bar(self, obstacle: Obstacle) -> None:
-        """Refuse the calls of a service whose route stays, so that its callers get the reason."""
+        """Refuse the calls of a service but keep its route, so that clients receive the reason."""
         self.barred, self.reason, self.cure = True, obstacle.reason, obstacle.cure
 
     def convert(self, make: Callable[[], Converts]) -> Converts | None:
-        """Make the route's conversion; None, and the decision is refused, where its type cannot cross."""
+        """Create the route's conversion; if its type cannot cross, refuse the route and return None."""
         try:
             return make()
         except MessageTypeError as err:
@@ -97,7 +97,7 @@ class RouteDecision:
 
     @property
     def kind(self) -> str:
-        """One word: bridged, denied, private, refused, unseen, own or standby."""
+        """The decision in one word: bridged, denied, private, refused, unseen, own or standby."""
         if self.rests:
             return "standby"
         if self.own or self.policy.settled:
@@ -109,7 +109,7 @@ class RouteDecision:
         return "private" if self.policy.private else "denied"
 
     def as_dict(self) -> dict[str, Any]:
-        """As it stands in the answers to ``explain`` and ``status``."""
+        """Return the decision as shown by ``explain`` and ``status``."""
         cure = self.cure
         if self.kind == "private":
             cure = "name it in a rule that allows it, or set routing.private: false"
@@ -132,7 +132,7 @@ class RouteDecision:
 def native_groups(
     endpoints: Sequence[Endpoint], kind: Kind, decisions: list[RouteDecision]
 ) -> dict[RouteKey, list[Endpoint]]:
-    """The native endpoints of a kind on the side, by the route that they need; the others get their decision."""
+    """Group a side's native endpoints of one kind by the route that they need; append decisions on the others."""
     groups: dict[RouteKey, list[Endpoint]] = defaultdict(list)
     for endpoint in endpoints:
         if endpoint.kind is kind and endpoint.made_by is MadeBy.NATIVE:
@@ -143,7 +143,7 @@ def native_groups(
 
 
 def hub_groups(endpoints: Sequence[HubEndpoint]) -> dict[RouteKey, list[HubEndpoint]]:
-    """The endpoints of others on the hub, by the route that they need."""
+    """Group the hub endpoints of other sessions by the route that they need."""
     groups: dict[RouteKey, list[HubEndpoint]] = defaultdict(list)
     for endpoint in endpoints:
         if not endpoint.own:

@@ -1,7 +1,7 @@
-"""The engine of one side: follows both graphs, keeps the routes between them, and reports.
+"""The engine of one side: follows both graphs, maintains the routes between them, and reports.
 
-One loop thread owns the routes. It wakes when a graph changes, compares what should be with what is, and touches only
-what differs.
+One loop thread owns the routes. When a graph changes, it compares the wanted routes with the existing ones and updates
+only the differences.
 """
 
 from __future__ import annotations
@@ -39,22 +39,22 @@ from bridge.routing.type_exchange import TypeExchange
 _log = logging.getLogger(__name__)
 
 _TICK = 1.0
-_LOOK = 10.0  # a look without being woken, should a change ever go untold
+_POLL = 10.0  # a check without a wake-up, in case a notification is missed
 _SHARE, _LONGEST = 1000, 60.0  # the pause is at least 1000 times the last cost: 0.1 % of a core
-_RETRY = 2.0  # what was refused may work by now
+_RETRY = 2.0  # refused routes may work by now
 _SETTLE = 0.02
-_TURN_SECONDS = 3.0  # a turn that stands still for longer hangs
+_STEP_SECONDS = 3.0  # a loop step without progress for longer hangs
 _ENDS = {
-    Kind.SUBSCRIPTION: ("topic", "nobody publishes it; {} would listen"),
-    Kind.CLIENT: ("service", "nobody serves it; {} would call"),
+    Kind.SUBSCRIPTION: ("topic", "it has no publisher; subscribed by {}"),
+    Kind.CLIENT: ("service", "it has no server; clients: {}"),
 }
 
 
 @dataclass(frozen=True, slots=True)
 class Summary:
-    """How an engine is; ``network`` is None while away, ``rate`` messages and calls a second over all routes.
+    """State of an engine; ``network`` is None while away, ``rate`` messages and calls a second over all routes.
 
-    ``standing_by`` names the daemons that are active in our stead, ``waiting`` is why nothing crosses yet; else "".
+    ``standing_by`` names the daemons that are active instead, ``waiting`` is why nothing crosses yet; otherwise "".
     """
 
     network: str | None
@@ -98,7 +98,7 @@ class Engine:
         self._lock = threading.Lock()
         self._stall_detector = StallDetector(edge.went_on)
         self._beat = time.monotonic()
-        self._step = StepWatch(_TURN_SECONDS)
+        self._step = StepWatch(_STEP_SECONDS)
         self._decisions: list[RouteDecision] = []
         self._refused = 0
         self._rate = 0.0
@@ -132,7 +132,7 @@ class Engine:
         self._thread.start()
 
     def stop(self) -> None:
-        """Give back every endpoint on both networks."""
+        """Close every endpoint on both networks."""
         self._stopping.set()
         self._wake.set()
         if self._thread.is_alive():
@@ -150,38 +150,38 @@ class Engine:
         self.edge.stop()
 
     def reload(self, routing: RoutingSection) -> None:
-        """Apply other rules; only routes whose policy changed are touched."""
+        """Apply new rules; only routes whose policy changed are updated."""
         self._rules = RuleSet(routing)
         self._wake.set()
 
     def graph_changed(self) -> None:
-        """A graph changed: look again soon. Only wakes; may be called from any thread."""
+        """Schedule a check after a graph change. Only wakes; may be called from any thread."""
         self._wake.set()
         self._peers.wake()
 
     def presence_changed(self) -> None:
-        """Another Midspan worker came, went or announced something. Only wakes; may be called from any thread."""
+        """Handle a change of other Midspan workers. Only wakes; may be called from any thread."""
         self._peers.wake()
 
     def message_refused(self, topic: str, reason: str, why: str) -> None:
-        """Count a message that the edge took off the wire and refused."""
+        """Count a message that the edge received and refused."""
         for route in self._topics_to_hub.routes():
             if route.side_topic == topic:
                 route.bad(why, reason)
 
     def edge_failed(self, reason: str) -> None:
-        """The edge cannot go on: the worker fails."""
+        """Fail the worker: the edge cannot continue."""
         self._on_failure(reason)
 
     # -- the loop ------------------------------------------------------------------------------------------------------
 
     def _run(self) -> None:
         self._step.begin()
-        tick = look = 0.0
+        tick = check = 0.0
         while not self._stopping.is_set():
-            woken = self._wake.wait(max(0.0, min(tick, look) - time.monotonic()))
+            woken = self._wake.wait(max(0.0, min(tick, check) - time.monotonic()))
             now = time.monotonic()
-            if woken or now >= look:
+            if woken or now >= check:
                 self._wake.clear()
                 cost = time.thread_time()
                 try:
@@ -191,8 +191,8 @@ class Engine:
                     self._on_failure(f"following the graphs failed: {err}")
                     return
                 cost = time.thread_time() - cost
-                pause = _RETRY if self._refused else max(_LOOK, min(_SHARE * cost, _LONGEST))
-                look = now + pause
+                pause = _RETRY if self._refused else max(_POLL, min(_SHARE * cost, _LONGEST))
+                check = now + pause
                 self._stopping.wait(_SETTLE)
             if now >= tick:
                 tick = now + _TICK
@@ -238,7 +238,7 @@ class Engine:
             self._services_to_side.follow(leaving, endpoints, decisions, outcome)
 
     def _announce_members(self, members: frozenset[str]) -> None:
-        """Announce the members of our network on the hub, before any endpoint of ours and as long as one may exist."""
+        """Announce the network's members on the hub before any endpoint of this engine, and until none can exist."""
         for member in members - self._members.keys():
             self._members[member] = self.hub.graph.announce_member(member)
         for member in self._members.keys() - members:
@@ -260,19 +260,19 @@ class Engine:
 
     def alive(self) -> str:
         """Raise `TimeoutError` if the loop or a dispatcher hangs; return a text about a busy loop, or ""."""
-        said = [
+        reports = [
             self._step.judge(f"the {self.edge.side} engine's loop", self._beat),
             self._peers.alive(),
             *(d.alive(f"publishing to {self.edge.side}") for d in (self._context.small, self._context.bulk)),
         ]
-        return next(filter(None, said), "")
+        return next(filter(None, reports), "")
 
     def routes(self) -> Sequence[Route]:
-        """All routes now."""
+        """Return all current routes."""
         return [route for routes in self._route_sets for route in routes.routes()]
 
     def decisions(self) -> list[RouteDecision]:
-        """The decisions on each topic and service at the last look."""
+        """Return the decisions on each topic and service at the last check."""
         with self._lock:
             return list(self._decisions)
 
@@ -282,7 +282,7 @@ class Engine:
         return Summary(self._network, routes, self._refused, self._rate, outcome.standing_by, outcome.waiting)
 
     def status(self) -> dict[str, Any]:
-        """Routes, refusals and warnings as they stand in the status document."""
+        """Return routes, refusals and warnings for the status document."""
         outcome = self._peers.outcome
         lease = {"active": outcome.active, "changes": self._peers.changes, "members": len(outcome.members)}
         return {
@@ -310,23 +310,23 @@ class Engine:
         })  # fmt: skip
 
     def explain(self, topic: str) -> list[dict[str, Any]]:
-        """Everything that was decided of a topic, a service or an action; of all for ``""``.
+        """Return all decisions on a topic, service or action; on everything for ``""``.
 
-        It goes by the name on the side and by that on the hub; an action's is that of its five parts.
+        The name on the side and the one on the hub both match; an action's name matches its five parts.
         """
         name = topic if topic.startswith("/") or not topic else "/" + topic
 
         def wanted(*names: str) -> bool:
-            return not name or any(name in (each, split(each)[0]) for each in names)
+            return not name or any(name in (candidate, split(candidate)[0]) for candidate in names)
 
-        found = [v.as_dict() for v in self.decisions() if wanted(v.topic, v.hub_topic)]
-        told = {str(entry[key]) for entry in found for key in ("topic", "hub_topic")}
+        decisions = [v.as_dict() for v in self.decisions() if wanted(v.topic, v.hub_topic)]
+        decided = {str(entry[key]) for entry in decisions for key in ("topic", "hub_topic")}
         ends: dict[tuple[Kind, str], list[Endpoint]] = defaultdict(list)
         for endpoint in self.edge.endpoints():
-            if endpoint.kind in _ENDS and wanted(endpoint.topic) and endpoint.topic not in told:
+            if endpoint.kind in _ENDS and wanted(endpoint.topic) and endpoint.topic not in decided:
                 ends[endpoint.kind, endpoint.topic].append(endpoint)
-        for (kind, name_heard), endpoints in ends.items():
+        for (kind, topic_name), endpoints in ends.items():
             of, text = _ENDS[kind]
             why = text.format(", ".join(sorted({e.node for e in endpoints})))
-            found.append(RouteDecision.one_ended(name_heard, endpoints[0].type, why, of).as_dict())
-        return found
+            decisions.append(RouteDecision.one_ended(topic_name, endpoints[0].type, why, of).as_dict())
+        return decisions

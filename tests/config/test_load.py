@@ -123,8 +123,8 @@ CASES = [
         "hub: {open: {connect: ['tls/a:7448']}}\nrouting:\n  rules:\n  - {topic: /drive, priority: command}",
         [
             (
-                "4:5: routing.rules[0]: with hub.open a command rule says its type, for example 'type:"
-                " geometry_msgs/msg/Twist': the door tells commands by their types"
+                "4:5: routing.rules[0]: with hub.open a command rule needs an exact type, for example 'type:"
+                " geometry_msgs/msg/Twist': the external listener recognizes commands by their types"
             )
         ],
     ),

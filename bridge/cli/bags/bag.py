@@ -296,7 +296,7 @@ def _tell(args: argparse.Namespace, done: Copied, seconds: float) -> None:
     for reason in done.unknown.values():
         print(f"left out: {clean(reason)}")
     for name, count in done.refused.items():
-        print(f"left out: {plural(count, 'message')} of {clean(name)} that are not what their type says")
+        print(f"left out: {plural(count, 'message')} of {clean(name)} that do not match their type")
     for name, fields in done.lost.items():
         print(f"ROS 2 has no place for {clean(', '.join(fields))} of {clean(name)}")
     for err in done.damage:

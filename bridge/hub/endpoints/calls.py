@@ -1,6 +1,6 @@
-"""Calls as zenoh queries on one key: those that are asked, and those that are answered.
+"""Service calls as zenoh queries on one key: clients and servers.
 
-Each call ends once: by a reply, by zenoh's error reply, or because its server left.
+Each call ends once: with a reply, with zenoh's error reply, or because its server left.
 """
 
 from __future__ import annotations
@@ -20,57 +20,57 @@ from bridge.hub.zenoh_compat import answer, keep_thread_state, undeclare
 
 
 class CallError(Exception):
-    """A call without a reply; the text tells the caller why."""
+    """A call without a reply; the text is the reason for the client."""
 
 
 class UnsentCallError(CallError):
     """A call that was refused before any server received it.
 
-    ``reply`` is the reply by which the service's type refuses, for clients of rmw_zenoh, which get no errors; b"" if it
-    has none.
+    ``reply`` is a reply of the service's type that means refusal, for clients of rmw_zenoh, which receive no errors;
+    b"" if the type has none.
     """
 
     reply = b""
 
 
 Done = Callable[[bytes | CallError], None]
-"""Gets a call's end, once, on any thread; it only appends and wakes, or sends."""
+"""Receives the result of a call, once, on any thread; must only append and wake, or send."""
 
 Abandon = Callable[[], None]
-"""The caller is gone: nobody waits for the reply. Safe to call twice, and after the end."""
+"""Cancels a call whose client is gone. Safe to call twice, and after the end."""
 
 Call = Callable[[bytes, Done], Abandon]
-"""``call(request, done)``: begins a call and returns at once; nothing limits how long it takes."""
+"""``call(request, done)``: starts a call and returns at once; there is no timeout."""
 
 
 def nothing() -> None:
-    """Abandons a call that is over, or not begun."""
+    """Do nothing: the `Abandon` of a call that has ended or never started."""
 
 
 _log = logging.getLogger(__name__)
 
 LEFT = "the server of {name} left before it answered"
 PRIORITY = zenoh.Priority.INTERACTIVE_LOW
-"""Before topics, so that no call waits behind an image; the replies have their query's."""
+"""Higher than topics, so that calls do not queue after images; replies inherit the priority of their query."""
 
 MAX_ERROR = 4096
-"""Bytes of an error's text."""
+"""Maximum size of an error text, in bytes."""
 
 _CLOSED = "the call of {name} was ended: its client was closed"
 _REFUSED = "; or a door between the machines refuses this call (hub.open.trusted)"
 _AT_ONCE = 0.2
-"""Seconds within which a query that no server took has ended; a longer one was with a server."""
+"""Seconds within which zenoh ends a query that no server received; a longer one did reach a server."""
 
 _SETTLING = 1.0
-"""Seconds from a server's coming in which zenoh's routers may not have the way to it yet, though they announce it."""
+"""Seconds after a server's announcement in which zenoh's routers may have no route to it yet."""
 
 _AGAIN = 0.02
 _NO_SERVER = "no server of {name} is on {where}"
 _REFUSED_ENCODING = zenoh.Encoding("text/plain;refused")
-"""Of the text of a `UnsentCallError`."""
+"""Encoding of the text of an `UnsentCallError`."""
 
 _FOR_EVER = 1e9
-"""Seconds after which zenoh ends a query, ten by default: no call has a limit of ours."""
+"""Timeout of zenoh queries in seconds, instead of the default of ten: calls have no timeout."""
 
 
 class _PendingCall:
@@ -88,15 +88,15 @@ class _PendingCall:
 
 
 class CallClient:
-    """Calls the queryables of one key. Safe to use from any thread.
+    """A client of the queryables on one key. Safe to use from any thread.
 
     Args:
-        limit: bytes of a request or a reply at most.
-        executor: runs what may wait for zenoh.
-        target: which of several queryables are asked.
+        limit: maximum size of a request or reply, in bytes.
+        executor: runs operations that may block in zenoh.
+        target: which of several queryables receive the query.
         closed: called once with the client when it has closed.
-        changed: called when the first server came, or the last one went.
-        reach: which sessions' queryables are asked, by default those of others.
+        changed: called when the first server appears or the last one leaves.
+        reach: which sessions' queryables receive the query, by default those of other sessions.
     """
 
     where = "the hub"
@@ -141,7 +141,7 @@ class CallClient:
         return None
 
     def _abandoned(self, attached: bytes | None) -> None:
-        """The caller of the request with this attachment left."""
+        """Handle a client's cancellation of the request with this attachment."""
 
     @property
     def ready(self) -> bool:
@@ -149,13 +149,13 @@ class CallClient:
         querier = self._querier
         try:
             return querier is not None and _matching(querier.matching_status)
-        except (zenoh.ZError, RuntimeError):  # it is being closed
+        except (zenoh.ZError, RuntimeError):  # the client is being closed
             return False
 
     def call(self, request: bytes, done: Done) -> Abandon:
-        """Begin a call with a request in the key's wire bytes; see `bridge.hub.endpoints.calls.Call`.
+        """Start a call with a serialized request; see `bridge.hub.endpoints.calls.Call`.
 
-        A large request waits where the link to the server is congested.
+        A large request blocks while the link to the server is congested.
         """
         if len(request) > self._limit:
             done(CallError(f"the request has {len(request)} bytes, limits.message allows {self._limit}"))
@@ -186,13 +186,13 @@ class CallClient:
                 attachment=asking.attached,
                 cancellation_token=asking.token,
             )
-        except (zenoh.ZError, RuntimeError) as err:  # it is being closed
+        except (zenoh.ZError, RuntimeError) as err:  # the client is being closed
             self._end(asking.number, CallError(f"{self.name} cannot be called: {zenoh_reason(err)}"))
-        if not self.ready:  # zenoh may never end a query that finds nobody
+        if not self.ready:  # zenoh may never end a query without a server
             over()
 
     def close(self) -> None:
-        """End every call that is under way with an error, and withdraw the client. Safe to call twice."""
+        """End every pending call with an error, and undeclare the client. Safe to call twice."""
         with self._lock:
             querier, self._querier = self._querier, None
         if querier is not None:
@@ -203,7 +203,7 @@ class CallClient:
             self._on_close(self)
 
     def _match_changed(self, status: object) -> None:
-        """The first server came, or the last one went; runs on a thread of zenoh."""
+        """Handle the first server or the loss of the last one; runs on a zenoh thread."""
         keep_thread_state()
         self._since = time.monotonic()
         if not _matching(status):
@@ -212,7 +212,7 @@ class CallClient:
             self._changed()
 
     def _came(self, number: int, reply: zenoh.Reply) -> None:
-        """A reply; runs on zenoh's receiving thread."""
+        """Handle a reply; runs on zenoh's receiving thread."""
         keep_thread_state()
         if reply.ok is None:
             error = b"" if reply.err is None else reply.err.payload.to_bytes()[:MAX_ERROR]
@@ -226,7 +226,7 @@ class CallClient:
             self._end(number, reply.ok.payload.to_bytes())
 
     def _over(self, number: int) -> None:
-        """No reply will come any more; runs on a thread of zenoh."""
+        """Handle the end of a query without a further reply; runs on a zenoh thread."""
         keep_thread_state()
         text, now = LEFT.format(name=self.name), time.monotonic()
         with self._lock:
@@ -241,7 +241,7 @@ class CallClient:
         self._end(number, CallError(text))
 
     def _later(self, asking: _PendingCall) -> None:
-        """Ask again soon: there was no way to the server yet."""
+        """Repeat a call soon: zenoh had no route to the server yet."""
         with self._lock:
             self._again.append(asking)
             first = len(self._again) == 1
@@ -272,7 +272,7 @@ class CallClient:
         with self._lock:
             waited = self._waiting.pop(asking.number, None) is not None
         if waited:
-            # both may wait: the one for a callback that runs, the other for a congested link
+            # both may block: the former on a running callback, the latter on a congested link
             self._executor.submit(asking.token.cancel)
             self._abandoned(asking.attached)
 
@@ -280,7 +280,7 @@ class CallClient:
 def reply_error(
     query: zenoh.Query, error: CallError, refuse: Callable[[zenoh.Query, bytes], None] | None = None
 ) -> None:
-    """Answer a query with zenoh's error reply, and a refused one by ``refuse`` too; then end it."""
+    """Answer a query with zenoh's error reply, a refused one also with ``refuse``; then end it."""
     refused = isinstance(error, UnsentCallError)
     try:
         with query:
@@ -288,13 +288,13 @@ def reply_error(
             if isinstance(error, UnsentCallError) and error.reply and refuse is not None:
                 refuse(query, error.reply)
     except zenoh.ZError as err:
-        _log.debug("nobody waits for the reply: %s", err)
+        _log.debug("the client no longer waits for the reply: %s", err)
 
 
 def _undeclare_querier(querier: zenoh.Querier) -> None:
-    """Undeclare what another thread may be using in this moment, for which the wheel raises `RuntimeError`.
+    """Undeclare a querier; zenoh-python raises `RuntimeError` while another thread is using it.
 
-    Leaving it to the last reference would hold Python's lock, which a thread of zenoh may wait for.
+    Dropping the last reference instead would hold the GIL, for which a zenoh thread may be waiting.
     """
     for _ in range(1000):
         try:
@@ -306,15 +306,15 @@ def _undeclare_querier(querier: zenoh.Querier) -> None:
 
 
 def _matching(status: object) -> bool:
-    # the wheel returns a MatchingStatus (always true) where its stubs say bool
+    # zenoh-python returns a MatchingStatus (always true) although its stubs declare bool
     return bool(getattr(status, "matching", status))
 
 
 class PendingRequest:
-    """One request that waits for its reply, which ends it.
+    """One request that waits for its reply.
 
     Attributes:
-        caller: GID of who asks; empty where it does not say.
+        caller: GID of the service client; empty if unknown.
     """
 
     caller = b""
@@ -330,13 +330,13 @@ class PendingRequest:
 
 
 class CallServer:
-    """Serves one key by a queryable. Safe to use from any thread.
+    """A server with a queryable on one key. Safe to use from any thread.
 
     Args:
-        limit: bytes of a request or a reply at most.
+        limit: maximum size of a request or reply, in bytes.
         closed: called once with the server when it has closed.
-        complete: whether the queryable says that it has all there is.
-        reach: of which sessions calls are taken, by default of others.
+        complete: whether the queryable is declared complete.
+        reach: which sessions' calls are accepted, by default those of other sessions.
     """
 
     encoding: zenoh.Encoding | None = None
@@ -363,19 +363,19 @@ class CallServer:
         self._declared.append(answer(session, key, self._asked, complete=complete, origin=reach))
 
     def _heard_beside(self, session: zenoh.Session, reach: zenoh.Locality) -> list[Any]:  # noqa: ARG002
-        """What is heard besides requests, declared before them: who knows of the server knows of this, too."""
+        """Declare additional endpoints, before the queryable, so that a client that sees the server can use them."""
         return []
 
     def _takes(self, query: zenoh.Query) -> bool:  # noqa: ARG002
-        """Whether a query is a call at all; it ends without an answer where it is none."""
+        """Whether a query is a call; other queries end without a reply."""
         return True
 
     def _pending(self, query: zenoh.Query) -> PendingRequest:
-        """The pending request of a query; raises `CallError` where it is malformed."""
+        """Return the pending request of a query; raises `CallError` if it is malformed."""
         return PendingRequest(query, self._answer)
 
     def _request(self, payload: bytes) -> bytes:
-        """The request in the bytes of a query, of none where it has none; raises `CallError`."""
+        """Return the request in the payload of a query, which may be empty; raises `CallError`."""
         return payload
 
     def _attached(self, asked: PendingRequest) -> bytes | None:  # noqa: ARG002
@@ -383,13 +383,13 @@ class CallServer:
         return None
 
     def _remembered(self, asked: PendingRequest) -> None:
-        """A request waits now; called with the lock held."""
+        """Handle a new pending request; called with the lock held."""
 
     def _forgotten(self, asked: PendingRequest) -> None:
-        """A request waits no more."""
+        """Handle a request that is no longer pending."""
 
     def close(self) -> None:
-        """Tell all who wait that the server left, and withdraw the server. Safe to call twice."""
+        """Answer all pending requests with an error, and undeclare the server. Safe to call twice."""
         with self._lock:
             closed, self._closed = self._closed, True
             waiting = list(self._waiting)
@@ -402,7 +402,7 @@ class CallServer:
             self._on_close(self)
 
     def _asked(self, query: zenoh.Query) -> None:
-        """Begin a call; runs on zenoh's receiving thread."""
+        """Start a call; runs on zenoh's receiving thread."""
         keep_thread_state()
         if not self._takes(query):
             query.drop()  # type: ignore[no-untyped-call]
@@ -435,7 +435,7 @@ class CallServer:
         return self._request(b"" if payload is None else payload.to_bytes())
 
     def _forget(self, asked: PendingRequest) -> bool:
-        """Whether the request was still waiting."""
+        """Drop a request; return whether it was still pending."""
         with self._lock:
             waited = asked in self._waiting
             self._waiting.pop(asked, None)
@@ -459,10 +459,10 @@ class CallServer:
             with asked.query as query:
                 reply(query, result)
         except zenoh.ZError as err:
-            _log.debug("%s: nobody waits for the reply: %s", self.name, err)
+            _log.debug("%s: the client no longer waits for the reply: %s", self.name, err)
 
     def _abandoned(self, asked: PendingRequest) -> None:
-        """A caller left."""
+        """Handle the cancellation by a client."""
         if self._forget(asked):
             asked.query.drop()  # type: ignore[no-untyped-call]
             self._leave(asked)

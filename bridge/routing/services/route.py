@@ -1,4 +1,4 @@
-"""The route of a service, and its calls: the server is on one network, the callers are on the other."""
+"""The route of a service and its calls, with the server on one network and the clients on the other."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ Convert = Callable[[bytes], bytes] | None
 
 
 class BridgedCall:
-    """A call between the caller on the one network and the server on the other. It ends once."""
+    """A call from a client on one network to the server on the other. It ends once."""
 
     __slots__ = ("_abandon_far", "_began", "_done", "_lock", "_over", "_route")
 
@@ -39,14 +39,14 @@ class BridgedCall:
         self._abandon_far: Abandon | None = None
 
     def begin(self, request: bytes) -> None:
-        """Convert the request and ask the far server, on a thread of the edge or of zenoh."""
+        """Convert the request and call the far server, on a thread of the edge or of zenoh."""
         if self._over:
             return
         try:
             data = request if self._route.request is None else self._route.request(request)
         except (MessageError, ValueError) as err:
             self._route.bad(str(err))
-            self.end(CallError(f"the request is not what its type says: {err}"))
+            self.end(CallError(f"the request does not match its type: {err}"))
             return
         try:
             abandon = self._route.ask(data, self._came)
@@ -57,7 +57,7 @@ class BridgedCall:
         with self._lock:
             self._abandon_far, over = abandon, self._over
         if over:
-            abandon()  # the caller left meanwhile; after an end it does nothing
+            abandon()  # the client left meanwhile; a no-op after the end
 
     def _came(self, result: bytes | CallError) -> None:
         if isinstance(result, CallError):
@@ -70,7 +70,7 @@ class BridgedCall:
             data = reply if self._route.reply is None else self._route.reply(reply)
         except (MessageError, ValueError) as err:
             self._route.bad(str(err))
-            self.end(CallError(f"the reply is not what its type says: {err}"))
+            self.end(CallError(f"the reply does not match its type: {err}"))
             return
         self.end(data)
 
@@ -81,13 +81,13 @@ class BridgedCall:
             self._done(result)
 
     def abandon(self) -> None:
-        """The caller left: the far server's reply is dropped."""
+        """Cancel the call after its client left; the far server's reply is dropped."""
         if self._end():
             self._route.over(self, None, 0)
             self.leave()
 
     def leave(self) -> None:
-        """Have the far side forget the call."""
+        """Cancel the call on the far network."""
         with self._lock:
             abandon = self._abandon_far
         if abandon is not None:
@@ -100,10 +100,10 @@ class BridgedCall:
 
 
 class CallCounters(Counters):
-    """Counts how calls end: with a reply, an error or abandoned; and those that are pending.
+    """Counts pending calls and results: replies, errors and abandoned calls.
 
-    ``messages`` counts the calls, and the latencies are those of whole calls. Calls that were refused are among the
-    errors, and counted by reason among the drops: ``queue`` (too many at once), ``bad``, ``large``, ``standby``.
+    ``messages`` counts the calls, and latencies are those of whole calls. Refused calls count as errors, and as drops
+    by reason: ``queue`` (too many at once), ``bad``, ``large``, ``standby``.
     """
 
     __slots__ = ("abandoned", "errors", "pending", "replies")
@@ -113,20 +113,20 @@ class CallCounters(Counters):
         self.replies = self.errors = self.abandoned = self.pending = 0
 
     def as_dict(self) -> dict[str, Any]:
-        """The counters as they stand in the status document."""
+        """Return the counters for the status document."""
         calls = {name: getattr(self, name) for name in ("replies", "errors", "abandoned", "pending")}
         return {**super().as_dict(), "calls": self.messages, **calls}
 
 
 MAX_CALLS = 1000
-"""Calls of one route that are under way at most; the next ones get an error at once."""
+"""Maximum number of pending calls of one route; further ones end with an error at once."""
 
 MAX_RESULTS = 10_000
-"""The same for the results of an action's goals, which are asked for while the goals are under way."""
+"""The same for result requests of an action, which stay pending while the goals are active."""
 
 
 class ServiceRoute(Route):
-    """One service, offered in its ``direction`` and called against it. No call is kept: without a server it fails."""
+    """One service, offered in its ``direction``. Calls are never queued for a missing server: they fail."""
 
     kind = "service"
     request: Convert = None
@@ -152,15 +152,15 @@ class ServiceRoute(Route):
 
     @abstractmethod
     def open(self) -> None:
-        """Open the missing ends; called only by the engine's loop."""
+        """Open the missing endpoints; called only by the engine's loop."""
 
     @property
     def offered(self) -> bool:
-        """Whether callers can see the service."""
+        """Whether clients can see the service."""
         return self._near is not None
 
     def call(self, request: bytes, done: Done) -> Abandon:
-        """A caller on the near network asks; see `bridge.hub.endpoints.calls.Call`."""
+        """Start a call of a client on the near network; see `bridge.hub.endpoints.calls.Call`."""
         call = BridgedCall(self, done)
         trouble = ""
         with self._lock:
@@ -192,14 +192,14 @@ class ServiceRoute(Route):
         return far.call(request, done)
 
     def carry(self, work: Callable[[], None], size: int) -> bool:
-        """Do a piece of work, at once if it has few bytes: a congested link makes large ones wait."""
+        """Run ``work`` at once if it has few bytes; large ones are queued, as a congested link may block them."""
         if size > BULK or self._large.busy:
             return self._large.offer(work, size)
         work()
         return True
 
     def over(self, call: BridgedCall, result: bytes | CallError | None, nanoseconds: int) -> None:
-        """A call ended, or was abandoned with None."""
+        """Count the end of a call; a result of None means abandoned."""
         with self._lock:
             self._calls.pop(call, None)
             counters = self.counters
@@ -217,7 +217,7 @@ class ServiceRoute(Route):
                 counters.latency(nanoseconds)
 
     def close(self, why: str = "") -> None:
-        """End every call, and give back both ends."""
+        """End every call, and close both endpoints."""
         with self._lock:
             far, self._far = self._far, None
             near, self._near = self._near, None
@@ -225,7 +225,7 @@ class ServiceRoute(Route):
         if isinstance(far, HubClient):
             self._end_calls(error)
         if far is not None:
-            far.close()  # an edge may still send a better end than an error, for example of a goal
+            far.close()  # an edge may still send a better result than an error, for example of a goal
         self._end_calls(error)
         if near is not None:
             near.close()
@@ -239,5 +239,5 @@ class ServiceRoute(Route):
             call.leave()
 
     def status(self) -> dict[str, Any]:
-        """The route as it stands in the status document."""
+        """Return the route for the status document."""
         return {**self.row(active=self.offered, sources=self.servers), "priority": "", "qos": ""}

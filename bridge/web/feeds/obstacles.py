@@ -1,4 +1,4 @@
-"""The feed of what the chosen planner takes for obstacles: people, chairs, what its local map has about the robot."""
+"""The feed of obstacles in the local map of the chosen planner, such as people and chairs near the robot."""
 
 from __future__ import annotations
 
@@ -21,14 +21,14 @@ from navigation.pose import Pose
 
 SECONDS = 0.25
 MOST_CELLS = 1 << 20
-"""Of a local map; a larger one is not shown."""
+"""Maximum number of cells of a local map; a larger one is not shown."""
 
 OCCUPIED = 100
-"""What the robot cannot be on; less is the room about it (Nav2's costmap_2d_publisher: lethal 100, inscribed 99)."""
+"""Value of an occupied cell; lower values are inflation (Nav2's costmap_2d_publisher: lethal 100, inscribed 99)."""
 
 
 class ObstaclesFeed(TopicsFeed):
-    """``obstacles``: the occupied cells of the planner's local map, on the map, at most four times a second."""
+    """``obstacles``: the occupied cells of the planner's local map, in the map frame, at most four times a second."""
 
     def __init__(self, host: Host, config: Config, follower: FrameFollower, driving: DrivingFeed) -> None:
         super().__init__(host, "obstacles")
@@ -39,13 +39,13 @@ class ObstaclesFeed(TopicsFeed):
         driving.on_change(self._choose)
 
     def open(self) -> None:
-        """Follow the planner that is chosen, and the frames."""
+        """Follow the chosen planner and the frames."""
         self._follower.begin()
-        self._timer = self._host.loop.every(SECONDS, self._look)
+        self._timer = self._host.loop.every(SECONDS, self._refresh)
         self._choose()
 
     def close(self) -> None:
-        """Rest."""
+        """Unsubscribe."""
         super().close()
         self._topic, self._newest = "", None
         if self._timer is not None:
@@ -62,14 +62,14 @@ class ObstaclesFeed(TopicsFeed):
             super().close()
             self._topic = topic
             if topic:
-                self.follow(topic, GRID, self._take, LATCHED)
+                self.follow(topic, GRID, self._on_grid, LATCHED)
         if not self._driving.drives or not topic:
-            self.put({"points": [], "size": 0.0})  # what was there when it last drove need not be there now
+            self.put({"points": [], "size": 0.0})  # obstacles of the last drive may be outdated
 
-    def _take(self, grid: dict[str, Any]) -> None:
+    def _on_grid(self, grid: dict[str, Any]) -> None:
         self._newest = grid
 
-    def _look(self) -> None:
+    def _refresh(self) -> None:
         grid, self._newest = self._newest, None
         if grid is None or not self._driving.drives:
             return
@@ -86,7 +86,7 @@ class ObstaclesFeed(TopicsFeed):
 
 
 def cells_on_map(grid: dict[str, Any], frame: Pose) -> list[float]:
-    """The middles of the occupied cells, x, y, x, y ...; ``frame``: where the grid's frame is on the map."""
+    """Return the centers of the occupied cells as x, y, x, y ...; ``frame``: pose of the grid's frame on the map."""
     info, cells = grid["info"], np.asarray(grid["data"], np.int8)
     width, height = int(info["width"]), int(info["height"])
     if cells.size != width * height or not cells.size:
@@ -94,9 +94,9 @@ def cells_on_map(grid: dict[str, Any], frame: Pose) -> list[float]:
     rows, columns = np.nonzero(cells.reshape(height, width) >= OCCUPIED)
     step = max(1, math.ceil(len(rows) / MOST_POINTS))
     x, y = ((part[::step] + 0.5) * float(info["resolution"]) for part in (columns, rows))
-    place, turn = info["origin"]["position"], info["origin"]["orientation"]
-    origin = frame @ Pose(float(place["x"]), float(place["y"]), yaw_of(turn))
+    position, orientation = info["origin"]["position"], info["origin"]["orientation"]
+    origin = frame @ Pose(float(position["x"]), float(position["y"]), yaw_of(orientation))
     cos, sin = math.cos(origin.theta), math.sin(origin.theta)
-    ends = np.stack([origin.x + cos * x - sin * y, origin.y + sin * x + cos * y], axis=1)
-    found: list[float] = np.round(ends, 2).reshape(-1).tolist()
-    return found
+    centers = np.stack([origin.x + cos * x - sin * y, origin.y + sin * x + cos * y], axis=1)
+    points: list[float] = np.round(centers, 2).reshape(-1).tolist()
+    return points

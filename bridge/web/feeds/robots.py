@@ -1,4 +1,4 @@
-"""Other robots of the hub, each where its frames say that it is: by the feed ``robots``."""
+"""The feed ``robots``: poses of the other robots on the hub, from their frames."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from navigation.frames import FramesError
 from navigation.gateway.telemetry import PATH
 
 AGE = 3.0
-"""Seconds after which a robot of which nothing new is said is not drawn."""
+"""Seconds without a new pose after which a robot is hidden."""
 
 
 class RobotsFeed(FrameFeed):
@@ -26,44 +26,44 @@ class RobotsFeed(FrameFeed):
         super().__init__(host, follower, "robots", ROBOT_SECONDS)
         self._robots = robots
         self._paths: dict[str, list[float]] = {}
-        self._ends: list[Subscription] = []
+        self._subscriptions: list[Subscription] = []
 
     def open(self) -> None:
-        """Follow the frames and the paths."""
+        """Subscribe to the frames and the paths."""
         if not self._robots:
             self.put([])
             return
         for robot in self._robots:
             if robot.path:
-                take = partial(self._take, robot.name)
-                self._ends.append(self._host.node.subscription(robot.path, PATH, take, LATCHED))
+                on_path = partial(self._on_path, robot.name)
+                self._subscriptions.append(self._host.node.subscription(robot.path, PATH, on_path, LATCHED))
         super().open()
 
     def close(self) -> None:
-        """Rest."""
+        """Unsubscribe."""
         if not self._robots:
             return
         super().close()
-        ends, self._ends = self._ends, []
-        for end in ends:
-            self._host.node.release(end)
+        subscriptions, self._subscriptions = self._subscriptions, []
+        for subscription in subscriptions:
+            self._host.node.release(subscription)
         self._paths.clear()
 
     def look(self) -> None:
-        """Put where they are."""
-        self.put([self._seen(robot) for robot in self._robots])
+        """Publish the robots' current poses."""
+        self.put([self._snapshot(robot) for robot in self._robots])
 
-    def _seen(self, robot: OtherRobot) -> dict[str, Any]:
+    def _snapshot(self, robot: OtherRobot) -> dict[str, Any]:
         frames = self._follower.frames
         try:
             pose = frames.transform(frames.map_frame, robot.base_frame, LATEST)
         except FramesError as err:
             return {"name": robot.name, "pose": None, "why": str(err)}
-        late = (self._host.clock.now_ns() - pose.stamp_ns) / 1e9 if pose.stamp_ns else 0.0
-        if late > AGE:
-            return {"name": robot.name, "pose": None, "why": f"nothing new is said of {robot.base_frame}"}
+        age = (self._host.clock.now_ns() - pose.stamp_ns) / 1e9 if pose.stamp_ns else 0.0
+        if age > AGE:
+            return {"name": robot.name, "pose": None, "why": f"no recent transform of {robot.base_frame}"}
         path = self._paths.get(robot.name, [])
         return {"name": robot.name, "pose": place(pose), "footprint": disc(robot.radius), "path": path}
 
-    def _take(self, name: str, path: dict[str, Any]) -> None:
+    def _on_path(self, name: str, path: dict[str, Any]) -> None:
         self._paths[name] = points_of_path(path)

@@ -276,7 +276,7 @@ def test_services_byte_for_byte(place: Place) -> None:
         assert reply.ok.payload.to_bytes() == b"\1" + HI
     assert serving.requests(2) == [{"data": True}] * 2
     for bad in (b"", b"\1\1"):
-        assert "is not what its type says" in bridge.call("/out", set_bool, bad).result()["error"]
+        assert "does not match its type" in bridge.call("/out", set_bool, bad).result()["error"]
     bridge.drop(served)
     until(lambda: not place.far.hub.graph.servers("/in"), "it is gone")
 

@@ -64,7 +64,7 @@ def test_requests_that_are_none(place: Place) -> None:
     serving = place.far.serve("/do", SET, reply=YES)
     until_called(bridge, "/do")
     for bad in (b"\0", b"\0\1\0\0", b"\0\0\0\0\1", TRUE + b"more of it", b"\xff" * 100_000):
-        assert "is not what its type says" in bridge.call("/do", SET, bad).result()["error"]
+        assert "does not match its type" in bridge.call("/do", SET, bad).result()["error"]
     assert serving.requests(0) == [{"data": True}]
     assert bridge.call("/do", SET, {"data": True}).result()["reply"] == YES
     route = place.route(SIDE, "/do", "out")
@@ -107,7 +107,7 @@ def test_replies_that_are_none_and_errors(place: Place) -> None:
     place.bridge({"dialect": "ros2dds"})
     assert place.far.call("/do", SET).result()["error"] == "the arm is stuck"
     for _ in range(2):
-        assert "the reply is not what its type says" in place.far.call("/do", SET).result()["error"]
+        assert "the reply does not match its type" in place.far.call("/do", SET).result()["error"]
     assert place.far.call("/do", SET).result()["reply"] == YES
     queryable.undeclare()  # the token lives
     # until zenoh has told that the queryable is gone, the call finds it so by itself

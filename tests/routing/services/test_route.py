@@ -166,8 +166,8 @@ def test_what_is_not_of_its_type_is_refused_both_ways(place: Place) -> None:
     ended = threading.Event()
     place.client().call(b"\0\1\0\0", lambda end: (ends.append(end), ended.set()))
     assert ended.wait(20)
-    assert str(ends[0]).startswith("the request is not what its type says")
-    assert ask(place.client("/odd")).result()["error"].startswith("the reply is not what its type says")
+    assert str(ends[0]).startswith("the request does not match its type")
+    assert ask(place.client("/odd")).result()["error"].startswith("the reply does not match its type")
     assert [place.row(name)["drops"]["bad"] for name in ("/do", "/odd")] == [1, 1]
     assert place.counts("/odd") == (1, 0, 1, 0, 0)
 
