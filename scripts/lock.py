@@ -1,13 +1,13 @@
-"""Writes the lock files: the exact versions that `make` installs.
+"""Write the lock files: the exact versions that `make` installs.
 
 Run it on Linux, in the virtual environment, with Python 3.11.
 
-requirements.lock has what Midspan and its tests need, requirements-ros2.lock the ROS 2 wheels besides (not installed
-where a ROS 2 installation is sourced). What the oldest supported Python takes, the newer ones take as well; the
-continuous integration shows it. The files name versions only: pip finds them at whatever index it is set up for.
+requirements.lock lists the packages that Midspan and its tests need, requirements-ros2.lock the additional ROS 2 wheels
+(not installed if a ROS 2 installation is sourced). Newer Pythons use the versions of the oldest supported one; the
+continuous integration verifies that. The files contain versions only; pip uses its configured index.
 
-Both serve every system in SYSTEMS: a line that is not for all of them says by a marker for which. What has no wheel at
-all on one of them carries a marker in pyproject.toml, by which it is left out there and `midspan doctor` names it.
+Both serve every system in SYSTEMS: a line for only some of them has a marker. A package without a wheel for one of them
+needs a marker in pyproject.toml, which leaves it out on that system; `midspan doctor` reports it there.
 """
 
 from __future__ import annotations
@@ -35,9 +35,9 @@ class System:
     """A system that the lock files serve.
 
     Attributes:
-        tag: pip's name of the platform; "" for the system that this runs on.
-        environment: what markers see there (https://packaging.python.org/en/latest/specifications/dependency-specifiers/).
-        marker: matches this one of all systems.
+        tag: pip's name of the platform; "" for the current system.
+        environment: values for markers (https://packaging.python.org/en/latest/specifications/dependency-specifiers/).
+        marker: a marker that only this system matches.
     """
 
     tag: str
@@ -45,7 +45,7 @@ class System:
     marker: str
 
     def takes(self, requirement: Requirement, extras: Iterable[str] = ()) -> bool:
-        """Whether the requirement's marker holds there, for one of the extras that were asked for."""
+        """Whether the requirement's marker matches this system, with one of the requested extras."""
         marker = requirement.marker
         return marker is None or any(marker.evaluate({**self.environment, "extra": e}) for e in ("", *extras))
 
@@ -71,11 +71,11 @@ SYSTEMS = (
     System("macosx_14_0_x86_64", _environment("darwin", "Darwin", "posix", "x86_64"), f'{_DARWIN} == "x86_64"'),
 )
 Versions = dict[str, str]
-"""Version by name."""
+"""Versions by package name."""
 
 
 def ask_pip(requirements: Iterable[str], system: System, wheels: Path) -> dict[str, dict[str, Any]]:
-    """Let pip choose versions for all requirements and what they need: what they are published with, by plain name."""
+    """Let pip choose versions for all requirements and dependencies; return their metadata by canonical name."""
     command = [sys.executable, "-m", "pip", "install", "--quiet", "--dry-run", "--ignore-installed"]
     if system.tag:
         command += ["--platform", system.tag, "--python-version", PYTHON, "--only-binary", ":all:"]
@@ -83,15 +83,15 @@ def ask_pip(requirements: Iterable[str], system: System, wheels: Path) -> dict[s
     with tempfile.NamedTemporaryFile(suffix=".json") as report:
         done = subprocess.run([*command, "--report", report.name, *requirements], check=False)
         if done.returncode:
-            sys.exit(f"no wheels for {system.tag or 'this system'}: what has none carries a marker in pyproject.toml")
-        found: dict[str, Any] = json.load(report)
+            sys.exit(f"no wheels for {system.tag or 'this system'}: add markers to pyproject.toml for packages without")
+        chosen: dict[str, Any] = json.load(report)
     if not system.tag:
-        build_sources(found["install"], wheels)
-    return {canonicalize_name(entry["metadata"]["name"]): entry["metadata"] for entry in found["install"]}
+        build_sources(chosen["install"], wheels)
+    return {canonicalize_name(entry["metadata"]["name"]): entry["metadata"] for entry in chosen["install"]}
 
 
 def build_sources(chosen: Iterable[Mapping[str, Any]], wheels: Path) -> None:
-    """Make wheels of what is published as source alone: pip takes nothing else for other systems."""
+    """Build wheels of packages published only as source, as pip needs wheels to resolve for other systems."""
     named = [
         f"{e['metadata']['name']}=={e['metadata']['version']}"
         for e in chosen
@@ -103,9 +103,9 @@ def build_sources(chosen: Iterable[Mapping[str, Any]], wheels: Path) -> None:
 
 
 def reached(
-    requirements: Iterable[str], found: Mapping[str, Mapping[str, Any]], system: System
+    requirements: Iterable[str], metadata: Mapping[str, Mapping[str, Any]], system: System
 ) -> tuple[Versions, list[str]]:
-    """What the requirements need there, and of it what pip, going by its own system's markers, did not find."""
+    """Return all dependencies on a system, and those that pip skipped because it evaluates its own system's markers."""
     versions: Versions = {}
     missing: list[str] = []
     todo = [(Requirement(text), frozenset[str]()) for text in requirements]
@@ -113,26 +113,26 @@ def reached(
     while todo:
         requirement, extras = todo.pop()
         name = canonicalize_name(requirement.name)
-        asked = (name, frozenset(requirement.extras))
-        if asked in seen or not system.takes(requirement, extras):
+        wanted = (name, frozenset(requirement.extras))
+        if wanted in seen or not system.takes(requirement, extras):
             continue
-        if name not in found:
+        if name not in metadata:
             missing.append(f"{requirement.name}{requirement.specifier}")
             continue
-        seen.add(asked)
-        versions[found[name]["name"]] = found[name]["version"]
-        needed = found[name].get("requires_dist", ())
+        seen.add(wanted)
+        versions[metadata[name]["name"]] = metadata[name]["version"]
+        needed = metadata[name].get("requires_dist", ())
         todo += [(Requirement(text), frozenset(requirement.extras)) for text in needed]
     return versions, missing
 
 
 def resolve(requirements: list[str], system: System, wheels: Path) -> Versions:
-    """The versions for all requirements and what they need, on one system."""
+    """Return the versions of all requirements and dependencies on one system."""
     wanted = [text for text in requirements if system.takes(Requirement(text))]
     more: list[str] = []
     while True:
-        found = ask_pip([_without_marker(text) for text in (*wanted, *more)], system, wheels)
-        versions, missing = reached(wanted, found, system)
+        metadata = ask_pip([_without_marker(text) for text in (*wanted, *more)], system, wheels)
+        versions, missing = reached(wanted, metadata, system)
         if not missing:
             return versions
         more += missing
@@ -143,7 +143,7 @@ def _without_marker(text: str) -> str:
 
 
 def write(file: str, of_systems: Mapping[System, Versions], own: Mapping[str, str]) -> None:
-    """Write one lock file, sorted by name; ``own`` are markers that packages keep, by name, as newer Pythons need."""
+    """Write one lock file, sorted by name; ``own``: markers by package name to keep, as newer Pythons need them."""
     systems_of: dict[tuple[str, str], list[System]] = {}
     for system, versions in of_systems.items():
         for pin in versions.items():
@@ -157,7 +157,7 @@ def write(file: str, of_systems: Mapping[System, Versions], own: Mapping[str, st
 
 
 def main() -> None:
-    """Resolve everything at once for each system, then find out which part needs no ROS 2 wheels."""
+    """Resolve everything together for each system, then separate the part without ROS 2 wheels."""
     project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
     extras = project["optional-dependencies"]
     base = [*project["dependencies"], *extras["sim"], *extras["web"], *extras["foxglove"], *extras["dev"]]
@@ -168,8 +168,8 @@ def main() -> None:
             whole = resolve([*base, *extras["ros2"]], system, Path(folder))
             plain[system] = whole
             if any(system.takes(Requirement(text)) for text in extras["ros2"]):
-                alone = resolve(base, system, Path(folder))
-                same = [f"{name}=={whole[name]}" for name in alone if name in whole]
+                without_ros2 = resolve(base, system, Path(folder))
+                same = [f"{name}=={whole[name]}" for name in without_ros2 if name in whole]
                 plain[system] = resolve([*base, *same], system, Path(folder))
             ros2[system] = {name: version for name, version in whole.items() if name not in plain[system]}
     own = {

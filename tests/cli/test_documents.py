@@ -1,4 +1,4 @@
-"""The workers' status documents for people: routes and YARP ports."""
+"""Human-readable output of the workers' status documents: routes and YARP ports."""
 
 from __future__ import annotations
 
@@ -28,13 +28,13 @@ ROW: dict[str, Any] = {
 
 
 def shown(**row: Any) -> str:
-    """The table's last line for one route of the ROS 1 worker."""
+    """Return the table's last line for one route of the ROS 1 worker."""
     console = Console(width=200, file=io.StringIO(), record=True)
     console.print(routes_table([{"daemon": "d", "side": "ros1", "routes": [{**ROW, **row}]}]))
     return " ".join(console.export_text().strip().splitlines()[-1].split())
 
 
-def test_a_service_tells_what_became_of_its_calls() -> None:
+def test_a_service_shows_the_results_of_its_calls() -> None:
     calls = {"calls": 7, "replies": 3, "errors": 2, "abandoned": 1, "pending": 1}
     names = {"kind": "service", "action": "", "topic": "/do", "hub_topic": "/do", "priority": "", "type": "a/srv/B"}
     text = "- - 0.50 2.00 7 pending 1, errors 2, abandoned 1, queue 2 - active"
@@ -43,7 +43,7 @@ def test_a_service_tells_what_became_of_its_calls() -> None:
     assert " action " in shown(**names | part, **calls)
 
 
-def test_a_topic_tells_its_class() -> None:
+def test_a_topic_shows_its_priority() -> None:
     names = {"kind": "topic", "topic": "/scan", "hub_topic": "/scan", "priority": "stream", "type": "a/msg/B"}
     assert shown(**names, way="lane") == "ROS 1 -> hub /scan a/msg/B stream lane - 0.50 2.00 7 queue 2 - active"
 
@@ -57,7 +57,7 @@ def test_a_topic_tells_its_class() -> None:
         ("", "", ""),
     ],
 )
-def test_the_way_over_the_hub_in_words(way: str, why: str, text: str) -> None:
+def test_the_transport_on_the_hub_is_described(way: str, why: str, text: str) -> None:
     assert way_text({"way": way, "why": why}) == text
 
 
@@ -72,11 +72,11 @@ PEERS = {"release": "3.12", "peers": [{"port": "/old/*", "release": "3.9"}]}
 
 @pytest.fixture
 def place(tmp_path: Path) -> Iterator[Place]:
-    made = Place(tmp_path)
+    place = Place(tmp_path)
     try:
-        yield made
+        yield place
     finally:
-        made.close()
+        place.close()
 
 
 @pytest.fixture
@@ -87,17 +87,17 @@ def midspan(place: Place, tmp_path: Path, capsys: pytest.CaptureFixture[str]) ->
 
 
 def port(midspan: Midspan, name: str, peers: int) -> Any:
-    """The output of explain for a port, once a number of peers is connected."""
+    """Return what explain shows of a port, once this number of peers is connected."""
 
-    def found() -> Any:
-        told = midspan("explain", name, "--json")
-        ports = [p for p in told.json()["ports"] if p["port"] == name] if told.code == 0 else []
+    def connected() -> Any:
+        output = midspan("explain", name, "--json")
+        ports = [p for p in output.json()["ports"] if p["port"] == name] if output.code == 0 else []
         return next((p for p in ports if len(p["peers"]) == peers), None)
 
-    return until(found, f"{peers} at {name}")
+    return until(connected, f"{peers} at {name}")
 
 
-def test_layout_profile_and_generation_are_told_with_their_reasons(place: Place, midspan: Midspan) -> None:
+def test_layout_and_profile_are_reported_with_their_reasons(place: Place, midspan: Midspan) -> None:
     place.bridge(*RULES, yarp=PEERS)
     place.far.advertise("/cmd_vel", TWIST)
     place.far.advertise("/scan", SCAN)
@@ -110,15 +110,15 @@ def test_layout_profile_and_generation_are_told_with_their_reasons(place: Place,
     assert (command["topic"], command["type"]) == ("/cmd_vel", "geometry_msgs/msg/Twist")
     assert (command["carries"], command["profile"]) == ("fields linear.x angular.z", "yarp3")
     newer, older = command["peers"]
-    assert (newer["port"], newer["profile"], newer["profile_why"]) == ("/modern", "yarp4", "it told so")
+    assert (newer["port"], newer["profile"], newer["profile_why"]) == ("/modern", "yarp4", "announced by the peer")
     assert (older["port"], older["profile"]) == ("/reader", "yarp3")
     scan = port(midspan, "/midspan/scan:o", 0)
     assert (scan["carries"], scan["profile"]) == ("natural", "yarp4")
     (ruled,) = port(midspan, "/midspan/words/from/old/writer:i", 1)["peers"]
-    assert (ruled["profile"], ruled["profile_why"]) == ("yarp3", "the rule for it says so")
+    assert (ruled["profile"], ruled["profile_why"]) == ("yarp3", "set by its rule")
 
 
-def test_they_are_told_in_words(place: Place, midspan: Midspan) -> None:
+def test_layout_and_profile_are_described_in_words(place: Place, midspan: Midspan) -> None:
     place.bridge(*RULES, yarp=PEERS)
     place.far.advertise("/cmd_vel", TWIST)
     place.far.advertise("/plain", STRING)
@@ -126,16 +126,16 @@ def test_they_are_told_in_words(place: Place, midspan: Midspan) -> None:
     reader.listen_to("/midspan/cmd_vel:o")
     port(midspan, "/midspan/cmd_vel:o", 1)
     port(midspan, "/midspan/plain:o", 0)
-    said = midspan("explain", "/cmd_vel").out
+    output = midspan("explain", "/cmd_vel").out
     start = (
         "YARP port /midspan/cmd_vel:o writes it: geometry_msgs/msg/Twist as a Bottle of the fields linear.x angular.z"
     )
-    assert f"{start}, YARP 3's bytes; 1 port connected." in said
-    assert "    /reader over tcp: YARP 3's bytes (it told so)" in said
-    assert "YARP port /midspan/cmd_vel:i reads it: " in said
-    said = midspan("explain", "/plain").out
-    assert "std_msgs/msg/String as nested lists, as YARP's own converter of ROS messages writes them" in said
-    assert "YARP 3's bytes; no connection." in said
+    assert f"{start}, YARP 3's bytes; 1 port connected." in output
+    assert "    /reader over tcp: YARP 3's bytes (announced by the peer)" in output
+    assert "YARP port /midspan/cmd_vel:i reads it: " in output
+    output = midspan("explain", "/plain").out
+    assert "std_msgs/msg/String as nested lists, as YARP's own converter of ROS messages writes them" in output
+    assert "YARP 3's bytes; no connection." in output
     status = midspan("status").out.replace("\n", " ")
     assert "/midspan/cmd_vel:o: geometry_msgs/msg/Twist as a Bottle" in status
     assert "-> /reader over tcp" in status
@@ -143,7 +143,7 @@ def test_they_are_told_in_words(place: Place, midspan: Midspan) -> None:
     assert main(["explain", "/no/such:o", "--config", str(midspan.config)]) == 1
 
 
-def test_a_port_of_a_service_tells_what_it_is_asked_and_what_it_answers() -> None:
+def test_a_service_port_shows_the_layout_of_requests_and_replies() -> None:
     served = {"port": "/lamp/rpc", "direction": "rpc", "type": "std_srvs/srv/SetBool", "profile": "yarp3", "peers": []}
     (line,) = port_lines({**served, "carries": "fields 'set' data", "replies": "bottle"})
     assert line.startswith(

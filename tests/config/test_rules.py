@@ -1,4 +1,4 @@
-"""The rules that follow from the section ``navigation``."""
+"""Routing rules derived from the section ``navigation``."""
 
 from __future__ import annotations
 
@@ -23,8 +23,8 @@ def rules(planner: str = "robot_path_planner", *, default: str = "deny", **more:
     return RuleSet(Config.model_validate(sections).rules)
 
 
-def door(found: RuleSet, side: str) -> RoutePolicy:
-    return found.leave("zenoh", side, "/navigate_to_pose", GOAL, "action")
+def door(rule_set: RuleSet, side: str) -> RoutePolicy:
+    return rule_set.leave("zenoh", side, "/navigate_to_pose", GOAL, "action")
 
 
 def test_without_a_planner_there_are_no_rules() -> None:
@@ -33,15 +33,15 @@ def test_without_a_planner_there_are_no_rules() -> None:
     assert "gateway" not in config.hosted
 
 
-def test_a_planner_of_ours_has_all_doors() -> None:
-    found = rules()
-    assert (door(found, "ros1").allowed, door(found, "ros1").name) == (True, "/move_base")
-    assert (door(found, "ros2").allowed, door(found, "ros2").name) == (True, "/navigate_to_pose")
+def test_a_built_in_planner_has_all_entry_points() -> None:
+    rule_set = rules()
+    assert (door(rule_set, "ros1").allowed, door(rule_set, "ros1").name) == (True, "/move_base")
+    assert (door(rule_set, "ros2").allowed, door(rule_set, "ros2").name) == (True, "/navigate_to_pose")
     for side, topic in (("ros1", "/move_base_simple/goal"), ("ros2", "/goal_pose")):
-        into = found.enter(side, topic, POSE)
+        into = rule_set.enter(side, topic, POSE)
         assert (into.allowed, into.name) == (True, "/goal_pose")
-    assert found.leave("zenoh", "ros1", "/navigation/status", "midspan_msgs/msg/NavigationStatus").allowed
-    assert found.leave("zenoh", "ros2", "/navigation/stop", "std_srvs/srv/Trigger", "service").allowed
+    assert rule_set.leave("zenoh", "ros1", "/navigation/status", "midspan_msgs/msg/NavigationStatus").allowed
+    assert rule_set.leave("zenoh", "ros2", "/navigation/stop", "std_srvs/srv/Trigger", "service").allowed
 
 
 @pytest.mark.parametrize(
@@ -51,107 +51,108 @@ def test_a_planner_of_ours_has_all_doors() -> None:
         ("nav2", "ros2", "ros1", "/navigate_to_pose", "/goal_pose"),
     ],
 )
-def test_a_planner_that_has_the_doors_name_keeps_it(
+def test_a_planner_with_the_name_of_an_entry_point_keeps_it(
     planner: str, side: str, other: str, action: str, goal: str
 ) -> None:
-    found = rules(planner)
-    into = found.enter(side, action, MOVE if side == "ros1" else GOAL, "action")
+    rule_set = rules(planner)
+    into = rule_set.enter(side, action, MOVE if side == "ros1" else GOAL, "action")
     assert (into.allowed, into.name) == (True, f"/planner/{planner}/navigate_to_pose")
-    closed = door(found, side)
+    closed = door(rule_set, side)
     assert not closed.allowed
     assert f"{planner} has {action} there itself" in closed.why
-    assert door(found, other).allowed
-    # whoever hears the goal there would drive to it twice, were it taken up or put there
-    assert not found.enter(side, goal, POSE).allowed
-    assert not found.leave(other, side, goal, POSE).allowed
-    assert found.enter(other, "/goal_pose" if other == "ros2" else "/move_base_simple/goal", POSE).name == "/goal_pose"
+    assert door(rule_set, other).allowed
+    # otherwise the planner, which subscribes to this topic itself, would receive each goal twice
+    assert not rule_set.enter(side, goal, POSE).allowed
+    assert not rule_set.leave(other, side, goal, POSE).allowed
+    open_topic = "/goal_pose" if other == "ros2" else "/move_base_simple/goal"
+    assert rule_set.enter(other, open_topic, POSE).name == "/goal_pose"
 
 
-def test_a_planner_under_another_name_leaves_the_door_open() -> None:
+def test_a_planner_with_another_name_leaves_the_entry_point_open() -> None:
     mine = {"name": "mine", "side": "ros1", "action": "/robot/nav/move_base", "velocity": "/robot/nav/cmd_vel"}
-    found = rules("robot_goto", planners=[mine])
-    assert found.enter("ros1", "/robot/nav/move_base", MOVE, "action").name == "/planner/mine/navigate_to_pose"
-    assert door(found, "ros1").name == "/move_base"
-    velocity = found.enter("ros1", "/robot/nav/cmd_vel", TWIST)
+    rule_set = rules("robot_goto", planners=[mine])
+    assert rule_set.enter("ros1", "/robot/nav/move_base", MOVE, "action").name == "/planner/mine/navigate_to_pose"
+    assert door(rule_set, "ros1").name == "/move_base"
+    velocity = rule_set.enter("ros1", "/robot/nav/cmd_vel", TWIST)
     assert (velocity.name, velocity.priority) == ("/cmd_vel", "command")
 
 
-def test_doors_are_named_and_closed_in_the_file() -> None:
-    found = rules(doors={"ros1": "/robot/move_base", "ros2": "", "ros2_goal": ""}, default="allow")
-    assert door(found, "ros1").name == "/robot/move_base"
-    assert not door(found, "ros2").allowed
+def test_the_file_renames_and_closes_entry_points() -> None:
+    rule_set = rules(doors={"ros1": "/robot/move_base", "ros2": "", "ros2_goal": ""}, default="allow")
+    assert door(rule_set, "ros1").name == "/robot/move_base"
+    assert not door(rule_set, "ros2").allowed
 
 
-def test_what_a_planner_tells_crosses_as_the_file_has_it() -> None:
+def test_the_files_rules_limit_a_planners_path_and_costmap() -> None:
     path = ("ros1", "/move_base/NavfnROS/plan", "nav_msgs/msg/Path")
     assert rules("move_base").enter(*path).allowed
     assert not rules("nav2").enter(*path).allowed
     assert rules("nav2").enter("ros2", "/local_costmap/costmap", "nav_msgs/msg/OccupancyGrid").allowed
     slow = {"rules": [{"topic": "/move_base/**", "rate": 1.0}]}
     config = Config.model_validate({"navigation": {"planner": "move_base"}, "routing": slow})
-    found = RuleSet(config.rules).enter(*path)
-    assert (found.why, found.rate) == ("rule 1 allows it", 1.0)
+    policy = RuleSet(config.rules).enter(*path)
+    assert (policy.why, policy.rate) == ("rule 1 allows it", 1.0)
 
 
-def test_the_files_own_rules_keep_their_numbers_and_may_deny() -> None:
+def test_rules_of_the_file_keep_their_numbers_and_may_deny() -> None:
     routing = {
         "rules": [{"topic": "/else"}, {"kind": "action", "topic": "/navigate_to_pose", "to": "ros1", "deny": True}]
     }
     config = Config.model_validate({"navigation": {"planner": "robot_goto"}, "routing": routing})
-    found = RuleSet(config.rules)
-    assert door(found, "ros1").why == "rule 2 denies it"
-    assert door(found, "ros2").why == "the section navigation.doors.ros2 allows it"
+    rule_set = RuleSet(config.rules)
+    assert door(rule_set, "ros1").why == "rule 2 denies it"
+    assert door(rule_set, "ros2").why == "the section navigation.doors.ros2 allows it"
     assert [getattr(rule, "of", "file") for rule in config.rules.rules][-2:] == ["file", "file"]
 
 
-def test_goals_and_velocities_are_commands_by_any_of_the_names() -> None:
+def test_goals_and_velocities_are_commands_under_each_of_their_names() -> None:
     mine = {"name": "mine", "side": "ros1", "action": "/nav", "velocity": "/nav/speed"}
     config = Config.model_validate({"navigation": {"planner": "mine", "planners": [mine], "velocity": "/drive"}})
-    harmless = [KeyExpr(one) for one in harmless_keys(commands(config.rules))]
+    harmless = [KeyExpr(text) for text in harmless_keys(commands(config.rules))]
 
-    def said(topic: str, type_name: str) -> bool:
+    def is_harmless(topic: str, type_name: str) -> bool:
         key = KeyExpr(f"0/{topic}/{type_name}/RIHS01_x")
-        return any(one.intersects(key) for one in harmless)
+        return any(pattern.intersects(key) for pattern in harmless)
 
     for topic in ("drive", "nav/speed", "cmd_vel"):
-        assert not said(topic, "geometry_msgs::msg::dds_::Twist_")
+        assert not is_harmless(topic, "geometry_msgs::msg::dds_::Twist_")
     for topic in ("goal_pose", "move_base_simple/goal"):
-        assert not said(topic, "geometry_msgs::msg::dds_::PoseStamped_")
-    assert said("initialpose", "geometry_msgs::msg::dds_::PoseWithCovarianceStamped_")
-    asked = [KeyExpr(one) for one in QUESTIONS]
+        assert not is_harmless(topic, "geometry_msgs::msg::dds_::PoseStamped_")
+    assert is_harmless("initialpose", "geometry_msgs::msg::dds_::PoseWithCovarianceStamped_")
+    questions = [KeyExpr(text) for text in QUESTIONS]
     location = KeyExpr("0/navigation/get_location/midspan_msgs::srv::dds_::GetLocation_/RIHS01_x")
     send = KeyExpr(
         "0/planner/nav2/navigate_to_pose/_action/send_goal/nav2_msgs::action::dds_::NavigateToPose_SendGoal_/RIHS01_x"
     )
     stop = KeyExpr("0/navigation/stop/std_srvs::srv::dds_::Trigger_/RIHS01_x")
-    assert any(one.intersects(location) for one in asked)
-    assert not any(one.intersects(key) for one in asked for key in (send, stop))
+    assert any(pattern.intersects(location) for pattern in questions)
+    assert not any(pattern.intersects(key) for pattern in questions for key in (send, stop))
 
 
 @pytest.mark.parametrize(
-    ("section", "said"),
+    ("section", "error"),
     [
         ({"planner": "moovebase"}, "no planner is named 'moovebase'"),
         ({"planners": [{"name": "x", "side": "zenoh", "action": "/navigate_to_pose"}]}, "is the gateway's on the hub"),
-        ({"planners": [{"name": "robot_goto", "side": "ros1", "action": "/x"}]}, "is one of Midspan's own planners"),
+        ({"planners": [{"name": "robot_goto", "side": "ros1", "action": "/x"}]}, "is the name of a built-in planner"),
         ({"planners": [{"name": "x", "side": "ros1", "action": "x"}]}, "begin it with a slash"),
         ({"planners": [{"name": "x", "side": "ros1", "action": "/x"}] * 2}, "two planners have the name x"),
         ({"doors": {"yarp": ["navigation"]}}, "is not a name of a YARP port"),
     ],
 )
-def test_what_cannot_be_is_told(section: dict[str, Any], said: str) -> None:
-    with pytest.raises(ValidationError, match=said):
+def test_invalid_sections_are_rejected(section: dict[str, Any], error: str) -> None:
+    with pytest.raises(ValidationError, match=error):
         Config.model_validate({"navigation": section})
 
 
-def test_what_modules_leave_open_is_as_the_section_says() -> None:
-    for own, said in (({}, "/map"), ({"map": "/mine"}, "/mine")):
+def test_modules_inherit_the_map_of_the_section() -> None:
+    for own, expected in (({}, "/map"), ({"map": "/mine"}, "/mine")):
         modules = {"robot_path_planner": {"enabled": True, **own}}
         config = Config.model_validate({"navigation": {"map": "/map"}, "modules": modules})
-        assert config.hosted["robot_path_planner"].model_dump()["map"] == said
+        assert config.hosted["robot_path_planner"].model_dump()["map"] == expected
 
 
-def test_the_choice_is_of_what_is_there() -> None:
+def test_the_choices_are_the_built_in_and_the_configured_planners() -> None:
     section = Config.model_validate({"navigation": {"planner": "move_base"}}).navigation
     assert section.choices == (*OURS, "move_base")
     assert section.at("move_base") == "/planner/move_base/navigate_to_pose"
@@ -159,8 +160,8 @@ def test_the_choice_is_of_what_is_there() -> None:
     assert Config.model_validate({"navigation": {"planners": [native]}}).navigation.at("far") == "/far/navigate_to_pose"
 
 
-def test_a_map_of_a_topic_has_the_name_under_which_it_is_taken_into_the_store() -> None:
-    """It comes to planner and localiser before the store has it, and starts are told on the map of that name."""
+def test_a_map_from_a_topic_has_the_name_of_its_copy_in_the_store() -> None:
+    """Planner and localizer receive it before the store does, and start poses refer to the map by this name."""
     section = {"enabled": True, "take": [{"topic": "/other", "name": "other"}, {"topic": "/map", "name": "apartment"}]}
     server = Config.model_validate({"modules": {"map2d_server": section}}).modules.map2d_server
     assert server.taken_as("/map") == "apartment"
@@ -168,7 +169,7 @@ def test_a_map_of_a_topic_has_the_name_under_which_it_is_taken_into_the_store() 
     assert server.model_copy(update={"enabled": False}).taken_as("/map") == ""
 
 
-def test_without_a_topic_of_velocities_no_rule_is_made_of_it() -> None:
+def test_an_empty_velocity_topic_yields_no_rule() -> None:
     tug = {"name": "tug", "side": "ros1", "action": "/tug", "velocity": "/tug/cmd"}
     config = Config.model_validate({"navigation": {"planner": "tug", "planners": [tug], "velocity": ""}})
     topics = [rule.topic for rule in config.rules.rules]

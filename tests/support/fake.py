@@ -131,7 +131,7 @@ class FakeNetwork:
             ]
         if servers:
             return servers[-1].call(request, done)
-        done(CallError(f"nobody serves {name}"))
+        done(CallError(f"{name} has no server"))
         return lambda: None
 
     def remove(self, thing: Writer | Reader | Server) -> None:

@@ -211,7 +211,7 @@ class Ros1Edge(SideEdge):
         turned_away = self._node.turned_away() if self._node is not None else {}
         for (topic, node), why in sorted(turned_away.items()):
             if (topic, node) in heard:
-                warnings.append(f"{topic}: {node} does not hear us: {why}")
+                warnings.append(f"{topic}: {node} does not receive it: {why}")
         parameters = [] if self._parameters is None else self._parameters.warnings()
         return [*warnings, *self._services.warnings(), *self._actions.warnings(), *parameters]
 

@@ -299,7 +299,7 @@ class Ros2Edge(SideEdge):
             if endpoint.kind is Kind.SUBSCRIPTION and endpoint.made_by is MadeBy.NATIVE:
                 reasons = {mismatch(qos, endpoint.qos) for qos in offers.get(endpoint.topic, ())} - {""}
                 node = endpoint.node or "a node"
-                found += [f"{endpoint.topic}: {node} does not hear us: {why}" for why in sorted(reasons)]
+                found += [f"{endpoint.topic}: {node} does not receive it: {why}" for why in sorted(reasons)]
         return found
 
 

@@ -165,9 +165,9 @@ def _dropped(counted: Counter[str]) -> dict[str, Any]:
 def _peer(name: str, carrier: str, known: Profile | None, plan: PortPlan) -> dict[str, str]:
     link = plan.links.get(name)
     if link is not None and link.profile is not None:
-        profile, why = link.profile, "the rule for it says so"
+        profile, why = link.profile, "set by its rule"
     elif known is not None:
-        profile, why = known, "it told so"
+        profile, why = known, "announced by the peer"
     else:
         profile, why = plan.content.profile, "as yarp.profile says; bytes that tell another are read as such"
     return {"port": name, "carrier": carrier, "profile": profile.value, "profile_why": why}

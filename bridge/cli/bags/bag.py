@@ -1,4 +1,4 @@
-"""``midspan bag``: look at bags, convert them, cut them, mend them. No daemon is asked."""
+"""``midspan bag``: inspect, convert, cut and repair bags, without a daemon."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 _NS = 1_000_000_000
 _UNIX = 1e8
-"""Seconds from here on are a time of the clock, below it one of the bag."""
+"""Seconds from this value on are Unix time, smaller ones are relative to the bag's start."""
 
 
 def register(parser: argparse.ArgumentParser) -> None:
@@ -78,7 +78,7 @@ def register(parser: argparse.ArgumentParser) -> None:
 
 
 def _moment(text: str) -> tuple[bool, int]:
-    """Whether it is a time of the clock, and nanoseconds: since 1970, or since the bag's start."""
+    """Parse a time: whether it is absolute, and nanoseconds since 1970 or since the bag's start."""
     with suppress(argparse.ArgumentTypeError):
         return (value := span(text)) >= _UNIX, round(value * _NS)
     try:
@@ -89,27 +89,27 @@ def _moment(text: str) -> tuple[bool, int]:
 
 
 _ended: list[int] = []
-"""Signals that came: what one raises is lost where it meets a callback of Python's own, as of an import."""
+"""Received signals: an exception raised during a callback of Python itself, as in an import, is lost."""
 
 
 def _end(number: int, _frame: object) -> None:
     _ended.append(number)
-    if len(_ended) == 1:  # what a second one raised would break off what the first one has cleaned up
-        # a KeyboardInterrupt in an `eval`, as of an import, would be the exit code's, too
+    if len(_ended) == 1:  # the exception of a second signal would interrupt the cleanup of the first
+        # a KeyboardInterrupt inside an `eval`, as in an import, would also set the exit code
         raise SystemExit(128 + number)
 
 
 @contextmanager
 def _opened(path: Path) -> Iterator[Bag]:
-    """The bag; its errors are the command's. SIGTERM ends it as Ctrl-C does: half-written files are removed.
+    """Open a bag and report its errors as the command's. SIGTERM, like Ctrl-C, removes half-written files.
 
-    Ignored signals stay ignored: Ctrl-C in a shell script does not end a command that runs in the background.
+    Ignored signals stay ignored: Ctrl-C in a shell script does not end a background command.
     """
     from bridge.bags.reader import BagError, open_bag
 
     _ended.clear()
-    taken = [n for n in (signal.SIGINT, signal.SIGTERM) if signal.getsignal(n) is not signal.SIG_IGN]
-    before = {number: signal.signal(number, _end) for number in taken}
+    handled = [n for n in (signal.SIGINT, signal.SIGTERM) if signal.getsignal(n) is not signal.SIG_IGN]
+    before = {number: signal.signal(number, _end) for number in handled}
     try:
         with open_bag(path) as bag:
             yield bag
@@ -135,16 +135,16 @@ def _choice(args: argparse.Namespace, bag: Bag) -> BagSelection:
 
 def _info(args: argparse.Namespace) -> int:
     with _opened(args.bag) as bag:
-        told = describe(bag)
+        info = describe(bag)
     if args.json:
-        print_json(told)
+        print_json(info)
     else:
-        _print_info(told)
+        _print_info(info)
     return 0
 
 
 def describe(bag: Bag) -> dict[str, Any]:
-    """The output of ``midspan bag info``."""
+    """Return the output of ``midspan bag info``."""
     lasted = (bag.end_ns - bag.start_ns) / _NS
     return {
         "file": str(bag.path),
@@ -178,27 +178,27 @@ def _describe_topic(topic: BagTopic, lasted: float) -> dict[str, Any]:
     }
 
 
-def _print_info(told: dict[str, Any]) -> None:
+def _print_info(info: dict[str, Any]) -> None:
     from rich.table import Table
 
-    when = [datetime.fromtimestamp(told[name]).isoformat(" ", "milliseconds") for name in ("start", "end")]
-    print(f"{clean(told['file'])}: {told['format']}, {size(told['bytes'])}, compression {clean(told['compression'])}")
-    if told["messages"]:
-        print(f"{when[0]} to {when[1]}, {duration(told['seconds'])}, {plural(told['messages'], 'message')}")
+    when = [datetime.fromtimestamp(info[name]).isoformat(" ", "milliseconds") for name in ("start", "end")]
+    print(f"{clean(info['file'])}: {info['format']}, {size(info['bytes'])}, compression {clean(info['compression'])}")
+    if info["messages"]:
+        print(f"{when[0]} to {when[1]}, {duration(info['seconds'])}, {plural(info['messages'], 'message')}")
     else:
         print("no messages")
-    if told["unfinished"]:
+    if info["unfinished"]:
         print("unfinished: its writer never closed it, or its end is lost")
-    if told["trouble"]:
-        print(clean(told["trouble"]))
-    for name, values in told["about"].items():
+    if info["trouble"]:
+        print(clean(info["trouble"]))
+    for name, values in info["about"].items():
         print(clean(f"{name}: " + ", ".join(f"{key} {value}" for key, value in values.items())))
-    for name in told["not_read"]:
+    for name in info["not_read"]:
         print(f"not read: {clean(name)}")
     table = Table(box=None, pad_edge=False)
     for name in ("topic", "type", "messages", "msg/s", "side", ""):
         table.add_column(name, justify="right" if name in ("messages", "msg/s") else "left")
-    for topic in told["topics"]:
+    for topic in info["topics"]:
         more = topic["metadata"]
         origin = " of ".join(clean(more[key]) for key in ("side", "daemon") if more.get(key)) or topic["world"]
         table.add_row(
@@ -219,14 +219,14 @@ def _convert(args: argparse.Namespace) -> int:
         kind = kind_of(args.out)
         choice = _choice(args, bag)
         begun = time.monotonic()
-        with _progress(bag) as told:
+        with _progress(bag) as on_progress:
             done = convert(
                 bag, args.out, kind, registry, choice, args.compression or "",
-                skip_unknown=args.skip_unknown, skip_bad=args.skip_bad, told=told,
+                skip_unknown=args.skip_unknown, skip_bad=args.skip_bad, told=on_progress,
             )  # fmt: skip
         if bag.trouble is not None:
             done.damage.append(bag.trouble)
-    _tell(args, done, time.monotonic() - begun)
+    _report(args, done, time.monotonic() - begun)
     return 0
 
 
@@ -248,17 +248,17 @@ def _cut_or_mend(args: argparse.Namespace, *, mend: bool) -> int:
             raise CliError(f"{args.bag} is {bag.kind}, and {other}: use 'midspan bag convert'")
         choice = BagSelection() if mend else _choice(args, bag)
         begun = time.monotonic()
-        with _progress(bag) as told:
-            done = cut(bag, args.out, choice, args.compression or "", mend=mend, told=told)
+        with _progress(bag) as on_progress:
+            done = cut(bag, args.out, choice, args.compression or "", mend=mend, told=on_progress)
         if bag.trouble is not None and not mend:
             done.damage.append(bag.trouble)
-    _tell(args, done, time.monotonic() - begun)
+    _report(args, done, time.monotonic() - begun)
     return 0
 
 
 @contextmanager
 def _progress(bag: Bag) -> Iterator[Told]:
-    """A bar on the standard error, if that is a terminal."""
+    """Show a progress bar on standard error, if that is a terminal."""
     from rich.console import Console
     from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
 
@@ -269,17 +269,17 @@ def _progress(bag: Bag) -> Iterator[Told]:
         task = bar.add_task("", total=total, speed="")
         begun = time.monotonic()
 
-        def told(messages: int, data: int) -> None:
+        def on_progress(messages: int, data: int) -> None:
             if _ended:
                 raise SystemExit(128 + _ended[0])
             speed = f"{size(data)}, {size(data / max(time.monotonic() - begun, 1e-3))}/s"
             bar.update(task, completed=messages, speed=speed)
 
-        yield told
+        yield on_progress
 
 
-def _tell(args: argparse.Namespace, done: Copied, seconds: float) -> None:
-    told = {
+def _report(args: argparse.Namespace, done: Copied, seconds: float) -> None:
+    document = {
         "file": str(args.out),
         "messages": done.messages,
         "bytes": done.data,
@@ -290,7 +290,7 @@ def _tell(args: argparse.Namespace, done: Copied, seconds: float) -> None:
         "damage": [str(err) for err in done.damage],
     }
     if args.json:
-        print_json(told)
+        print_json(document)
         return
     print(f"{clean(args.out)}: {plural(done.messages, 'message')}, {size(done.data)}, {duration(seconds)}")
     for reason in done.unknown.values():

@@ -56,7 +56,7 @@ class Planner(Section):
     @classmethod
     def _name_is_one(cls, value: str) -> str:
         if value in OURS:
-            raise ValueError(f"{value} is one of Midspan's own planners; give yours another name")
+            raise ValueError(f"{value} is the name of a built-in planner; choose another one")
         return value
 
     @model_validator(mode="after")

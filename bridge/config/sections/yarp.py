@@ -41,7 +41,7 @@ _Field = Annotated[
 
 _OPENS = ("address", "namespace", "ports", "ip", "profile")  # what the ports of modules and the simulator are opened by
 _SAY_THE_RELEASE = (
-    "say its release, which 'yarp version' tells there: yarp.peers: [{{port: {peer}, release: '3.9'}}] for this port,"
+    "set its release, which 'yarp version' prints there: yarp.peers: [{{port: {peer}, release: '3.9'}}] for this port,"
     " or yarp.release: '3.9' for all"
 )
 

@@ -175,7 +175,7 @@ def test_a_subscriber_with_another_definition_is_named(master, edge):
         md5 = peer.ask("define", type="std_msgs/String", definition="string data\nint32 extra\n")["md5"]
         peer.subscribe("/version", "std_msgs/String")
         (warning,) = until(warnings, "it is named")
-        assert "/old_version does not hear us" in warning
+        assert "/old_version does not receive it" in warning
         assert md5 in warning
         assert STRING_MD5 in warning
     until(lambda: not warnings(), "it is gone")

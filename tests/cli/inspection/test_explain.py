@@ -1,4 +1,4 @@
-"""``midspan explain`` on a real hub, with prepared answers and with a real engine."""
+"""``midspan explain`` on a real hub, with canned responses and with a real engine."""
 
 from __future__ import annotations
 
@@ -22,21 +22,21 @@ RULES = [{"topic": "/secret", "deny": True}, {"topic": "/old", "rename": "/new"}
 
 
 def engine(network: HubNetwork, registry: Registry, closing: list[Any]) -> EngineWorker:
-    """An engine with one topic of each fate."""
+    """An engine with one topic for each kind of decision."""
     worker = EngineWorker(network, registry, rules=RULES)
     closing.append(worker)
     for topic in ("/secret", "/old", "/rosout", "/fine"):
         worker.advertise(topic, STRING)
     worker.advertise("/odd", "odd_msgs/msg/Odd")
-    until(lambda: len(worker.engine.decisions()) == 5 and len(worker.engine.routes()) == 2, "all is decided")
+    until(lambda: len(worker.engine.decisions()) == 5 and len(worker.engine.routes()) == 2, "all are decided")
     return worker
 
 
-def test_each_fate_is_said_with_its_cure(
+def test_each_decision_is_explained_with_its_cure(
     midspan: Midspan, network: HubNetwork, registry: Registry, closing: list[Any]
 ) -> None:
     engine(network, registry, closing)
-    fates = {
+    decisions = {
         "/fine": ("bridged", "ROS 1 -> hub: /fine (std_msgs/msg/String) crosses: everything crosses by default"),
         "/old": ("bridged", "/old (std_msgs/msg/String) crosses as /new: rule 2 allows it"),
         "/new": ("bridged", "/old (std_msgs/msg/String) crosses as /new: rule 2 allows it"),
@@ -44,7 +44,7 @@ def test_each_fate_is_said_with_its_cure(
         "/rosout": ("private", "private to its side: ROS 1's own log"),
         "/odd": ("refused", "/odd (odd_msgs/msg/Odd) cannot cross: "),
     }
-    for topic, (decision, words) in fates.items():
+    for topic, (decision, words) in decisions.items():
         done = midspan("explain", topic)
         assert (done.code, words in done.out) == (0, True), done
         document = midspan("explain", topic, "--json").json()
@@ -57,8 +57,15 @@ def test_a_topic_of_another_name_on_the_hub_is_followed_there(
     midspan: Midspan, network: HubNetwork, registry: Registry, closing: list[Any]
 ) -> None:
     engine(network, registry, closing)
-    told = {"decision": "bridged", "direction": "out", "topic": "/new", "hub_topic": "/new", "type": STRING, "why": "x"}
-    closing.append(FakeWorker(network, "ros2", explain=[told], status=status("ros2")))
+    bridged = {
+        "decision": "bridged",
+        "direction": "out",
+        "topic": "/new",
+        "hub_topic": "/new",
+        "type": STRING,
+        "why": "x",
+    }
+    closing.append(FakeWorker(network, "ros2", explain=[bridged], status=status("ros2")))
     decisions = midspan("explain", "/old", "--json").json()["decisions"]
     assert [(d["direction"], d["hub_topic"]) for d in decisions] == [("in", "/new"), ("out", "/new")]
 
@@ -73,7 +80,7 @@ def test_an_unknown_topic_has_its_nearest_names(
     assert "/secret" in done.err
 
 
-def test_a_name_that_nobody_has_yet_is_explained_by_the_rules(
+def test_an_unused_name_is_explained_by_the_rules(
     network: HubNetwork, closing: list[Any], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     rules = [
@@ -101,7 +108,7 @@ def test_a_name_that_nobody_has_yet_is_explained_by_the_rules(
     assert midspan("explain", "/nobody").code == 1
 
 
-def test_the_flow_of_a_route_is_told(midspan: Midspan, network: HubNetwork, closing: list[Any]) -> None:
+def test_the_traffic_of_a_route_is_shown(midspan: Midspan, network: HubNetwork, closing: list[Any]) -> None:
     decision = {
         "direction": "out",
         "topic": "/scan",
@@ -110,7 +117,7 @@ def test_the_flow_of_a_route_is_told(midspan: Midspan, network: HubNetwork, clos
         "decision": "bridged",
         "why": "w",
     }
-    odd = "/scan: /viewer does not hear us: volatile is offered, transient local is asked for"
+    odd = "/scan: /viewer does not receive it: volatile is offered, transient local is asked for"
     document = status("ros2", routes=[route("/scan", "out", error="too short")], warnings=[odd, "/other: x"])
     closing.append(FakeWorker(network, "ros2", status=document, explain=[decision]))
     closing.append(FakeWorker(network, "ros1", status=status("ros1", state="waiting", network=None), explain=[]))
@@ -126,34 +133,36 @@ def test_the_flow_of_a_route_is_told(midspan: Midspan, network: HubNetwork, clos
     assert "/other" not in words
 
 
-def test_what_the_hub_shows_of_a_mismatch(midspan: Midspan, network: HubNetwork, closing: list[Any]) -> None:
+def test_a_mismatch_on_the_hub_is_shown(midspan: Midspan, network: HubNetwork, closing: list[Any]) -> None:
     del closing
-    with Hub.open(network.settings("one")) as one, Hub.open(network.settings("two")) as two:
+    with Hub.open(network.settings("a")) as a, Hub.open(network.settings("b")) as b:
         latched = Qos(durability=Durability.TRANSIENT_LOCAL)
-        first = one.publisher("/map", "nav_msgs/msg/OccupancyGrid", "RIHS01_" + "1" * 64, Qos())
-        second = two.subscription("/map", "nav_msgs/msg/OccupancyGrid", "RIHS01_" + "2" * 64, latched, lambda _s: None)
+        publisher = a.publisher("/map", "nav_msgs/msg/OccupancyGrid", "RIHS01_" + "1" * 64, Qos())
+        subscriber = b.subscription(
+            "/map", "nav_msgs/msg/OccupancyGrid", "RIHS01_" + "2" * 64, latched, lambda _s: None
+        )
         done = midspan("explain", "/map")
-        first.close()
-        second.close()
+        publisher.close()
+        subscriber.close()
     assert done.code == 0
     for text in ("1 publisher, 1 subscription", "definitions of nav_msgs/msg/OccupancyGrid differ", "transient local"):
         assert text in done.out
     assert "no worker answers" in done.out
 
 
-def test_all_is_asked_at_once(midspan: Midspan, network: HubNetwork, closing: list[Any]) -> None:
-    """Each question waits for the slowest worker: one after another they took longer than a person waits."""
-    name, asked = "/navigation2D_nws_yarp/rpc", threading.Event()
+def test_all_workers_are_queried_in_parallel(midspan: Midspan, network: HubNetwork, closing: list[Any]) -> None:
+    """Each query waits for the slowest worker, so sequential queries would keep a person waiting too long."""
+    name, queried = "/navigation2D_nws_yarp/rpc", threading.Event()
     decision = {"decision": "denied", "direction": "in", "topic": name, "hub_topic": name, "type": STRING, "why": "w"}
     module = status("gateway", side=None, module=True, ports=[{"port": name, "peers": []}])
 
-    def tell(_params: dict[str, Any]) -> dict[str, Any]:
-        asked.set()
+    def status_of_module(_params: dict[str, Any]) -> dict[str, Any]:
+        queried.set()
         return module
 
-    closing.append(FakeWorker(network, "yarp", explain=lambda _params: [decision] if asked.wait(10) else []))
-    closing.append(FakeWorker(network, "gateway", status=tell))
-    asked.clear()
+    closing.append(FakeWorker(network, "yarp", explain=lambda _params: [decision] if queried.wait(10) else []))
+    closing.append(FakeWorker(network, "gateway", status=status_of_module))
+    queried.clear()
     done = midspan("explain", name)
     assert f"YARP port {name} answers calls: no connection." in done.out
     assert f"{name} ({STRING}) does not cross: w." in done.out
@@ -161,22 +170,22 @@ def test_all_is_asked_at_once(midspan: Midspan, network: HubNetwork, closing: li
 
 
 def test_a_worker_that_hangs_is_named(midspan: Midspan, network: HubNetwork, closing: list[Any]) -> None:
-    goes_on = threading.Event()
+    resume = threading.Event()
     guess = {"port": "/nav/rpc", "carrier": "tcp", "generation": "3.12", "generation_why": "a guess"}
-    port = {"port": "/navigation2D_nws_yarp/rpc", "peers": [{**guess, "generation_cure": "say its release"}]}
+    port = {"port": "/navigation2D_nws_yarp/rpc", "peers": [{**guess, "generation_cure": "set its release"}]}
     module = status("gateway", side=None, module=True, ports=[port])
     closing.append(FakeWorker(network, "gateway", status=module))
-    closing.append(hanging := FakeWorker(network, "yarp", status=lambda _params: goes_on.wait(30)))
+    closing.append(hanging := FakeWorker(network, "yarp", status=lambda _params: resume.wait(30)))
     hanging.hub.set_origin(Origin("yarp", "net", "robot1"))
     try:
         done = midspan("explain", "/navigation2D_nws_yarp/rpc")
         assert done.code == 0
         assert "    /nav/rpc over tcp: its calls are answered as YARP 3.12 does (a guess)" in done.out
-        assert "        cure: say its release" in done.out
+        assert "        cure: set its release" in done.out
         assert "On the hub" not in done.out, "it is a port's name"
         assert "YARP (daemon robot1) did not answer within 2 s, so what it knows is missing" in done.out
         done = midspan("explain", "/nowhere")
         assert done.code == 1
         assert "YARP (daemon robot1) did not answer within 2 s" in done.err
     finally:
-        goes_on.set()
+        resume.set()

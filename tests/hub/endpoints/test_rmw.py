@@ -1,4 +1,4 @@
-"""What publishers and subscriptions of rmw_zenoh, which are zenoh's advanced ones, exchange with the hub."""
+"""Topics between the hub and rmw_zenoh, whose publishers and subscriptions are zenoh's advanced ones."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def key(network: HubNetwork, topic: str) -> str:
 @EACH_QOS
 @pytest.mark.parametrize("priority", ["command", "state", "stream"])
 def test_a_subscription_receives_every_message(network: HubNetwork, qos: Qos, priority: str) -> None:
-    """A node received the first message of a volatile topic only: all had one source number."""
+    """Nodes once received only the first message of a volatile topic, as all had the same source number."""
     with Hub.open(network.settings("a")) as a, network.rmw_session() as rmw:
         received = RmwSubscription(rmw, key(network, "/cmd_vel"), qos)
         publisher = talk(a, "/cmd_vel", qos, priority=priority)
@@ -54,7 +54,7 @@ def test_a_subscription_receives_every_message(network: HubNetwork, qos: Qos, pr
         received.expect(*sent)
 
 
-def test_messages_that_nobody_received_leave_no_gap(network: HubNetwork) -> None:
+def test_messages_without_a_subscription_leave_no_gap(network: HubNetwork) -> None:
     with Hub.open(network.settings("a")) as a, network.rmw_session() as rmw:
         publisher = talk(a, "/chatter")
         assert [publisher.pass_over() for _ in range(3)] == [True] * 3
@@ -67,7 +67,7 @@ def test_messages_that_nobody_received_leave_no_gap(network: HubNetwork) -> None
 
 
 def test_all_messages_arrive_around_one_that_is_too_large_for_the_shared_memory(network: HubNetwork) -> None:
-    """From the large message on the publisher puts with a second zenoh publisher, of another priority."""
+    """From the large message on, the hub publisher uses a second zenoh publisher with another priority."""
     with Hub.open(network.settings("a")) as a, network.rmw_session() as rmw:
         received = RmwSubscription(rmw, key(network, "/map"), STREAM)
         publisher = talk(a, "/map")
@@ -96,13 +96,13 @@ def test_source_numbers_go_on_past_the_last_one(network: HubNetwork, qos: Qos) -
 def test_two_publishers_of_one_session_are_two_sources(network: HubNetwork) -> None:
     with Hub.open(network.settings("a")) as a, network.rmw_session() as rmw:
         received = RmwSubscription(rmw, key(network, "/tf"), STREAM)
-        one, two = talk(a, "/tf"), talk(a, "/tf")
-        matched(one)
-        matched(two)
+        first, second = talk(a, "/tf"), talk(a, "/tf")
+        matched(first)
+        matched(second)
         for number in range(5):
-            one.put(b"one %d" % number)
-            two.put(b"two %d" % number)
-        received.expect(*(f"{name} {number}" for number in range(5) for name in ("one", "two")))
+            first.put(b"first %d" % number)
+            second.put(b"second %d" % number)
+        received.expect(*(f"{name} {number}" for number in range(5) for name in ("first", "second")))
 
 
 def test_the_messages_of_a_standby_that_takes_over_arrive_from_the_first_on(network: HubNetwork) -> None:
@@ -119,9 +119,9 @@ def test_the_messages_of_a_standby_that_takes_over_arrive_from_the_first_on(netw
 
 
 @EACH_LATCHED
-@pytest.mark.parametrize(("published", "asked", "expected"), [(5, 5, 5), (5, 2, 2), (2, 5, 2), (1, 1, 1)])
+@pytest.mark.parametrize(("published", "requested", "expected"), [(5, 5, 5), (5, 2, 2), (2, 5, 2), (1, 1, 1)])
 def test_a_late_subscription_receives_the_cached_messages(
-    network: HubNetwork, qos: Qos, published: int, asked: int, expected: int
+    network: HubNetwork, qos: Qos, published: int, requested: int, expected: int
 ) -> None:
     with Hub.open(network.settings("a")) as a, network.rmw_session() as rmw:
         early = RmwSubscription(rmw, key(network, "/map"), replace(qos, depth=10))
@@ -129,7 +129,7 @@ def test_a_late_subscription_receives_the_cached_messages(
         publisher = talk(a, "/map", replace(qos, depth=published), *sent)
         until(lambda: early.texts()[-1:] == sent[-1:], "all messages have arrived, so that none arrives live below")
         early.close()
-        received = RmwSubscription(rmw, key(network, "/map"), replace(qos, depth=asked))
+        received = RmwSubscription(rmw, key(network, "/map"), replace(qos, depth=requested))
         received.expect(*sent[-expected:])
         matched(publisher)
         publisher.put(b"live")
@@ -137,7 +137,7 @@ def test_a_late_subscription_receives_the_cached_messages(
 
 
 def test_values_of_a_store_arrive_in_any_order_of_their_times(network: HubNetwork) -> None:
-    """Without source numbers zenoh's advanced subscriber drops a value that is older than its writer's last one."""
+    """Without source numbers, zenoh's advanced subscriber drops values older than the last one of the same writer."""
     received: list[tuple[str, str]] = []
 
     def add(sample: zenoh.Sample) -> None:
@@ -152,7 +152,7 @@ def test_values_of_a_store_arrive_in_any_order_of_their_times(network: HubNetwor
             space.send(KeyItem(f"location/{name}", body, ns=now - age * 1000, writer="aa" * 8))
         expected = [("new", "PUT"), ("older", "PUT"), ("deleted", "DELETE"), ("last", "PUT")]
         until(lambda: received[-1:] == expected[-1:], "the last one arrives")
-        assert [each for each in received if each[0] != "probe"] == expected
+        assert [change for change in received if change[0] != "probe"] == expected
         end.undeclare()
 
 
@@ -209,7 +209,7 @@ def test_a_node_that_restarts_is_received_from_its_first_message_on(network: Hub
 
 
 def test_messages_that_a_link_dropped_are_recovered_both_ways() -> None:
-    """The router passes no live message of /map; only what is asked of the publishers arrives."""
+    """The router drops all live messages of /map; only those requested from the publishers arrive."""
     deny = {"id": "deny", "permission": "deny", "messages": ["put"], "flows": ["egress"], "key_exprs": ["*/map/**"]}
     policy = {"subjects": [{"id": "all"}], "policies": [{"rules": ["deny"], "subjects": ["all"]}]}
     access: Any = {"enabled": True, "default_permission": "allow", "rules": [deny], **policy}
@@ -237,7 +237,7 @@ def test_messages_that_a_link_dropped_are_recovered_both_ways() -> None:
 
 
 def test_a_frozen_node_leaves_after_the_lease_of_its_own_session(network: HubNetwork) -> None:
-    """A node of rmw_zenoh has 60 s by default, whatever the lease of Midspan's sessions, which is 3 s."""
+    """The default lease of an rmw_zenoh node is 60 s; Midspan uses 3 s for its sessions."""
     leases = {"short": 1.0, "long": 8.0}
 
     def present() -> set[str]:

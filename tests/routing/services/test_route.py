@@ -1,4 +1,4 @@
-"""A service's route: one end for each call, despite all disturbances; and its counters."""
+"""Service routes: each call ends exactly once, despite all disturbances; and the counters."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ class Place:
         self.engine = self.another("test")
 
     def another(self, daemon: str) -> Engine:
-        """An engine on the network."""
+        """Start another engine on the network."""
         hub = Hub.open(self.hubs.settings("midspan_fake"))
         engine = Engine(FakeEdge(self.network, REGISTRY), hub, RoutingSection(), daemon, self._failed, REGISTRY)
         engine.start()
@@ -54,7 +54,7 @@ class Place:
         raise AssertionError(reason)
 
     def serve(self, name: str = "/do", type_name: str = SET, **params: Any) -> Serving:
-        """A native server of the side."""
+        """Start a native server on the side."""
         serving = Serving(REGISTRY, type_name, params)
         self.network.serve(name, type_name, MadeBy.NATIVE, "/native", serving.call)
         return serving
@@ -81,11 +81,11 @@ class Place:
 @pytest.fixture
 def place() -> Iterator[Place]:
     with QuickHub() as hubs:
-        made = Place(hubs)
+        place = Place(hubs)
         try:
-            yield made
+            yield place
         finally:
-            made.close()
+            place.close()
 
 
 def ask(client: HubClient, **request: Any) -> Calling:
@@ -110,7 +110,7 @@ def test_too_many_calls_get_an_error_at_once(place: Place, monkeypatch: pytest.M
 def test_one_cause_is_logged_once_however_often_it_is_called(
     place: Place, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
-    """As the cancellation of a goal, which is repeated until it has an answer."""
+    """A cancel request, for example, is repeated until the server responds."""
     caplog.set_level(logging.INFO, "bridge.routing.services.route")
     answer: list[bytes | CallError] = [CallError("no server of /do is on ROS 2")]
     works = from_json(REGISTRY, f"{SET}_Response", {})
@@ -138,12 +138,12 @@ def test_one_cause_is_logged_once_however_often_it_is_called(
     answer[0] = works
     assert logged(2) == 0
     answer[0] = CallError("the server of /do left before it answered")
-    assert logged(5) == 1, "it had worked meanwhile"
+    assert logged(5) == 1, "it had worked in between"
     clock += 100.0
     assert logged(5) == 1, "after a pause"
 
 
-def test_a_caller_that_gives_up_is_forgotten_on_the_side(place: Place) -> None:
+def test_a_cancelled_call_is_cancelled_on_the_side(place: Place) -> None:
     serving = place.serve(held=True)
     call = ask(place.client())
     serving.requests(1)
@@ -154,7 +154,7 @@ def test_a_caller_that_gives_up_is_forgotten_on_the_side(place: Place) -> None:
     assert not call.result(0)["done"]
 
 
-def test_what_is_not_of_its_type_is_refused_both_ways(place: Place) -> None:
+def test_malformed_requests_and_replies_are_refused(place: Place) -> None:
     place.serve()
 
     def nonsense(_request: bytes, done: Done) -> Abandon:
@@ -172,7 +172,7 @@ def test_what_is_not_of_its_type_is_refused_both_ways(place: Place) -> None:
     assert place.counts("/odd") == (1, 0, 1, 0, 0)
 
 
-def test_a_large_reply_passes_whole_and_delays_no_small_one(place: Place) -> None:
+def test_a_large_reply_arrives_complete_and_delays_no_small_one(place: Place) -> None:
     place.serve("/large", reply={"message": "x" * 1_000_000})
     place.serve(reply={"message": "small"})
     large, small = place.client("/large"), place.client()
@@ -205,15 +205,15 @@ def test_the_end_of_the_network_ends_its_calls(place: Place) -> None:
 
 
 @pytest.mark.parametrize(
-    ("part", "type_name", "said"),
+    ("part", "type_name", "refusal"),
     [
         ("send_goal", f"{GO}_SendGoal", {"accepted": False}),
         ("get_result", f"{GO}_GetResult", {"status": 0}),
         ("cancel_goal", "action_msgs/srv/CancelGoal", {"return_code": 1}),
     ],
 )
-def test_an_error_of_an_actions_service_is_the_reply_that_says_no(
-    place: Place, part: str, type_name: str, said: dict[str, int]
+def test_an_error_of_an_actions_service_becomes_a_refusing_reply(
+    place: Place, part: str, type_name: str, refusal: dict[str, int]
 ) -> None:
     """A client of rmw_zenoh receives no errors."""
     place.serve(f"/go/_action/{part}", type_name, error="the planner fell over")
@@ -223,12 +223,12 @@ def test_an_error_of_an_actions_service_is_the_reply_that_says_no(
     ended = Calling(REGISTRY, type_name, {}, client.call).result()
     assert ended["reply"], ended
     reply = ended["reply"]
-    assert {name: reply[name] for name in said} == said
+    assert {name: reply[name] for name in refusal} == refusal
     row = place.row(f"/go/_action/{part}")
     assert (row["action"], row["errors"], row["error"]) == ("/go", 1, "the planner fell over")
 
 
-def test_explain_tells_an_action_by_its_parts(place: Place) -> None:
+def test_explain_lists_the_parts_of_an_action(place: Place) -> None:
     place.serve("/go/_action/send_goal", f"{GO}_SendGoal")
     place.serve("/go/_action/cancel_goal", "action_msgs/srv/CancelGoal")
     place.client("/go/_action/send_goal", f"{GO}_SendGoal")
@@ -259,11 +259,11 @@ def test_a_server_of_the_hub_is_called_from_the_side(place: Place) -> None:
     assert Calling(REGISTRY, SET, {"data": True}, ask_side).result()["reply"]["success"] is True
     server.close()
     until(lambda: not served(), "taken back")
-    assert Calling(REGISTRY, SET, {}, ask_side).result()["error"] == "nobody serves /do"
+    assert Calling(REGISTRY, SET, {}, ask_side).result()["error"] == "/do has no server"
 
 
 def test_one_worker_of_a_network_offers_a_service_and_another_takes_over(place: Place) -> None:
-    """The call that is under way ends with an error; the next one is served by way of the other worker."""
+    """The pending call ends with an error; the next one is served through the other worker."""
     serving = place.serve(held=True, reply={"success": True})
     client = place.client()
     call = ask(client)
@@ -278,23 +278,26 @@ def test_one_worker_of_a_network_offers_a_service_and_another_takes_over(place: 
     until(lambda: second.summary().state == "running", "the second one is active")
     again = place.client()
     until(lambda: (ask(again).result()["reply"] or {}).get("success"), "the next call is served")
-    until(lambda: len(place.far.graph.servers("/do")) == 1, "by one alone")
+    until(lambda: len(place.far.graph.servers("/do")) == 1, "by exactly one worker")
 
 
-def test_a_planners_goal_is_cancelled_whose_client_has_gone_and_no_other_actions(place: Place) -> None:
+def test_a_planners_goal_is_cancelled_when_its_client_dies_but_no_other_action(place: Place) -> None:
     """The gateway's process is killed: no other program knows the goal, so none could stop the robot."""
     hub = Hub.open(place.hubs.settings("gateway"))
     cancels = {action: _goal(place, hub, action) for action in ("/planner/nav2/navigate_to_pose", "/arm/move")}
     hub.close()
-    (asked,) = cancels["/planner/nav2/navigate_to_pose"].requests(1)
-    assert b64decode(asked["goal_info"]["goal_id"]["uuid"]) == bytes(range(16))
-    assert asked["goal_info"]["stamp"] == {"sec": 0, "nanosec": 0}
-    until(lambda: place.row("/arm/move/_action/get_result")["abandoned"] == 1, "the other one is forgotten")
+    (request,) = cancels["/planner/nav2/navigate_to_pose"].requests(1)
+    assert b64decode(request["goal_info"]["goal_id"]["uuid"]) == bytes(range(16))
+    assert request["goal_info"]["stamp"] == {"sec": 0, "nanosec": 0}
+    until(
+        lambda: place.row("/arm/move/_action/get_result")["abandoned"] == 1,
+        "the other result request is cancelled",
+    )
     assert cancels["/arm/move"].requests(1, 0) == []
 
 
 def _goal(place: Place, hub: Hub, action: str) -> Serving:
-    """Wait for a goal's result on the hub; returns the side's server of cancellations."""
+    """Request a goal's result on the hub; return the side's cancel server."""
     result = f"{action}/_action/get_result"
     place.serve(result, f"{GO}_GetResult", held=True)
     cancels = place.serve(f"{action}/_action/cancel_goal", "action_msgs/srv/CancelGoal")
@@ -302,5 +305,5 @@ def _goal(place: Place, hub: Hub, action: str) -> Serving:
     until(lambda: client.ready, "the service is on the hub")
     place.client(f"{action}/_action/cancel_goal", "action_msgs/srv/CancelGoal")
     Calling(REGISTRY, f"{GO}_GetResult", {"goal_id": {"uuid": list(range(16))}}, client.call)
-    until(lambda: place.row(result)["pending"] == 1, "the result is waited for")
+    until(lambda: place.row(result)["pending"] == 1, "the result request is pending")
     return cancels
