@@ -61,7 +61,11 @@ def other(rig: Rig) -> Iterator[RmwActionServer]:
 
 def parts(rig: Rig, worker: ModulesWorker | None = None) -> set[str]:
     """The parts of the action that a gateway serves, as another session sees them."""
-    zid = (worker or rig.worker).running("gateway").host.node.hub.zid
+    return parts_of(rig, (worker or rig.worker).running("gateway").host.node.hub.zid)
+
+
+def parts_of(rig: Rig, zid: str) -> set[str]:
+    """The same of a session on the hub."""
     endpoints = rig.client.node.hub.graph.endpoints()
     return {end.topic for end in endpoints if end.zid == zid and end.kind in ("server", "publisher")} & set(PARTS)
 
@@ -89,11 +93,13 @@ def test_the_gateway_withdraws_all_parts_while_another_node_serves_the_name(rig:
 
 
 def test_a_node_that_was_there_before_the_gateway_keeps_the_name(rig: Rig) -> None:
+    graph, zid = rig.client.node.hub.graph, rig.worker.running("gateway").host.node.hub.zid
     rig.worker.running("gateway").stop()
-    other = nav2(rig)
+    until(lambda: not parts_of(rig, zid), "the gateway has left")
+    other, seen = nav2(rig), set[str]()
     try:
-        far = rig.client.node.hub.graph
-        until(lambda: far.servers(PARTS.send_goal), "it is on the hub")
+        until(lambda: graph.servers(PARTS.send_goal), "it is on the hub")
+        unwatch = graph.watch(lambda: seen.update(parts_of(rig, zid)))
         rig.worker.running("gateway").start()
         until(lambda: rig.module.status()["served_by"] == NODE, "the gateway finds it")
         until(lambda: not parts(rig), "the gateway has no part of the action")
@@ -101,6 +107,8 @@ def test_a_node_that_was_there_before_the_gateway_keeps_the_name(rig: Rig) -> No
         until(lambda: other.goals == [asked.sent.id], "the goal is at that node")
         assert not rig.planner.goals
         assert rig.gateway.drive is None
+        unwatch()
+        assert not seen, "not even for a moment"
     finally:
         other.close()
     until(lambda: parts(rig) == set(PARTS), "the gateway serves the name once the node has left")

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Iterator
 
 import pytest
 
 from bridge.messages.actions import GoalState
+from bridge.modules import worker as modules_worker
 from navigation.gateway import gateway as gateway_module
 from navigation.gateway.machine import PlannerState
 from navigation.gateway.planner_link import GoalMark
@@ -201,6 +203,65 @@ def test_a_goal_of_another_daemons_gateway_is_a_foreign_clients(robot: Scene) ->
     robot.rig.state(State.MOVING, "its own client")
     assert robot.planner.executes(goal)
     assert not robot.planner.canceled
+
+
+# -- the end of the gateway --------------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def stopping(robot: Scene) -> Iterator[threading.Thread]:
+    """Stops the gateway once it is started, on a thread; it runs again afterwards."""
+    running = robot.rig.worker.running("gateway")
+    thread = threading.Thread(target=running.stop)
+    yield thread
+    thread.join()
+    running.start()
+
+
+def test_a_gateway_that_is_stopped_ends_its_goal_once_the_base_stands(
+    robot: Scene, stopping: threading.Thread, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """SIGTERM to the daemon: a goal that has ended would let its client take the robot for standing."""
+    monkeypatch.setattr(modules_worker, "WIND_DOWN_SECONDS", 60.0)
+    asked = robot.drive()
+    robot.planner.cancels = False
+    stopping.start()
+    until(lambda: robot.planner.canceled, "the planner is asked to cancel it")
+    told = robot.rig.state(State.MOVING, f"the gateway is shutting down; {MAY_MOVE}")
+    assert told["error_code"] == Fault.MAY_MOVE
+    assert not asked.ended
+    robot.base.speed = 0.0
+    status, why = asked.end()
+    assert status == "CANCELED"
+    assert "the gateway is shutting down" in why
+    assert "the base stands" in why
+
+
+def test_a_gateway_that_is_stopped_with_a_moving_base_ends_its_goal_as_aborted(
+    robot: Scene, stopping: threading.Thread, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(modules_worker, "WIND_DOWN_SECONDS", 0.2)
+    asked = robot.drive()
+    robot.planner.cancels = False
+    stopping.start()
+    status, why = asked.end()
+    assert status == "ABORTED"
+    assert why.startswith(f"the gateway is shutting down; {MAY_MOVE}")
+    assert asked.result is not None
+    assert asked.result["error_code"] == Fault.MAY_MOVE
+
+
+def test_a_new_goal_answers_a_stop_that_is_not_confirmed(robot: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(gateway_module, "ANSWER_SECONDS", 60.0)
+    first = robot.drive()
+    robot.planner.cancels = False
+    stop = robot.begin("stop")
+    robot.rig.state(State.MOVING, "it was stopped")
+    Asked(robot.rig.client, pose(9.0))
+    reply = stop.result()["reply"]
+    assert reply == {"success": False, "message": f"{MAY_MOVE}: a client of the action gave another goal"}
+    assert first.end()[0] == "CANCELED"
+    robot.rig.state(State.MOVING)
 
 
 # -- words -------------------------------------------------------------------------------------------------------------
