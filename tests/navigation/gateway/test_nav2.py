@@ -108,6 +108,9 @@ def test_a_stop_cancels_what_another_client_has_the_base_do(
     stop = robot.begin("stop")
     assert controller.canceled.wait(20)
     rig.state(State.MOVING, "stopping: it was stopped")
+    polls = count_polls(rig)
+    until(lambda: polls() > 5, "the gateway has polled what it knows")
+    assert rig.gateway.held, "the controller's velocities are held, although Nav2 itself has no goal"
     assert not answered(stop)
     controller.end()
     until(lambda: not rig.gateway.held, "the controller's goal has ended")

@@ -124,6 +124,18 @@ def test_a_new_goal_while_the_old_one_may_still_drive_is_no_preparation(unreacha
     assert asked.end() == ("SUCCEEDED", "")
 
 
+def test_a_new_goal_that_is_canceled_while_the_old_one_may_drive_ends_when_the_base_stands(unreachable: Scene) -> None:
+    robot, rig = unreachable, unreachable.rig
+    asked = Asked(rig.client, pose(9.0))
+    robot.reported(asked)
+    asked.cancel()
+    rig.state(State.MOVING, MAY_MOVE)
+    until(lambda: rig.gateway.state().fault == Fault.MAY_MOVE, "the stop is late")
+    assert not asked.ended
+    robot.base.speed = 0.0
+    assert asked.end()[0] == "CANCELED"
+
+
 def test_a_new_goal_without_odometry_counts_the_old_one_as_driving(unreachable: Scene) -> None:
     robot, rig = unreachable, unreachable.rig
     robot.base.silent = True
@@ -143,13 +155,15 @@ def orphan(robot: Scene) -> bytes:
     return goal
 
 
+@pytest.mark.parametrize("whose", ["own", "foreign"])
 def test_a_gateway_that_starts_while_the_planner_is_unreachable_is_not_idle(
-    robot: Scene, monkeypatch: pytest.MonkeyPatch
+    robot: Scene, monkeypatch: pytest.MonkeyPatch, whose: str
 ) -> None:
     rig = robot.rig
     monkeypatch.setattr(gateway_module, "ANSWER_SECONDS", 0.5)
     robot.planner.withdraw()
-    goal = orphan(robot)
+    goal = orphan(robot) if whose == "own" else b"a foreign goal.."
+    robot.planner.set(goal)
     robot.restart()
     told = rig.state(State.MOVING, f"it is not known whether {PLANNER} has a goal: it is not available; {MAY_MOVE}")
     assert told["error_code"] == Fault.MAY_MOVE
