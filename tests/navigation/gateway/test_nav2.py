@@ -80,6 +80,8 @@ class Controller(Program):
 def controller(request: pytest.FixtureRequest, robot: Scene) -> Iterator[Controller]:
     made = Controller(robot.rig, request.param)
     try:
+        robot.planner.tell()  # bt_navigator has no goal
+        until(lambda: robot.rig.gateway.link.state.reported, "the gateway has the planner's goal list")
         until(lambda: robot.rig.gateway.link.motion == (request.param,), "the gateway has its goal list")
         yield made
     finally:
