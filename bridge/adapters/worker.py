@@ -205,8 +205,8 @@ class Crossing:
             "time": lambda _params: {"time_ns": time.time_ns()},
         }
         self._closers = [self._hub.serve(verb, handler) for verb, handler in verbs.items()]
-        who = f"midspan {config.name}/{name}"
-        self._diagnostics = Diagnostics(edge, registry, self._engine, who, counters=diagnostics)
+        source = f"midspan {config.name}/{name}"
+        self._diagnostics = Diagnostics(edge, registry, self._engine, source, counters=diagnostics)
         self._process.cpu_percent()
 
     def reload(self, config: Config) -> None:

@@ -231,16 +231,16 @@ class Slot:
         now = time.monotonic()
         holder = lock.holder()
         self._blocked_since = self._blocked_since or now
-        what = f"waits for the end of process {holder.pid} of {holder.machine}" if holder else "waits for its lock"
+        state = f"waits for the end of process {holder.pid} of {holder.machine}" if holder else "waits for its lock"
         pause = self._timing.end
         if holder is not None and holder.owner == "service":
-            what, pause = f"is run by process {holder.pid}, not by this daemon", self._timing.look
+            state, pause = f"is run by process {holder.pid}, not by this daemon", self._timing.look
         elif holder is not None and holder.is_here and now - self._blocked_since > self._timing.stop:
             if _is_worker(holder.pid, self.name):
                 logger.warning("%s: process %d of an earlier daemon does not end; killed", self.name, holder.pid)
                 kill_group(holder.pid, signal.SIGKILL)
             self._blocked_since = now
-        self._wait(what, pause)
+        self._wait(state, pause)
 
     def _wait(self, text: str, seconds: float) -> None:
         if text != self._waited_for:

@@ -126,9 +126,9 @@ class Supervisor:
             return lock
         holder = lock.holder()
         lock.close()
-        who = f"process {holder.pid} of {holder.machine}" if holder else "another process"
-        what = f"a daemon named '{self._config.name}' already runs ({who}) with the state folder {self._config.state}"
-        raise RuntimeError(f"{what}; stop it, or give this one another 'name' or 'state'")
+        user = f"process {holder.pid} of {holder.machine}" if holder else "another process"
+        fault = f"a daemon named '{self._config.name}' already runs ({user}) with the state folder {self._config.state}"
+        raise RuntimeError(f"{fault}; stop it, or give this one another 'name' or 'state'")
 
     def _begin(self, config: Config) -> None:
         self._announced = False

@@ -206,7 +206,7 @@ class Engine:
         rules, decisions, outcome = self._rules, list[RouteDecision](), self._peers.outcome
         if not outcome.active or outcome.term != self._term:
             why = f"standing by: {outcome.holder} is active on this network" if outcome.holder else outcome.waiting
-            self._rest(decisions, why)
+            self._stand_by(decisions, why)
             self._term = outcome.term
         self._announce_members(outcome.members if outcome.active else frozenset())
         if outcome.active:
@@ -216,7 +216,7 @@ class Engine:
             self._decisions = decisions
         self._refused = sum(1 for decision in decisions if decision.refused)
 
-    def _rest(self, decisions: list[RouteDecision], why: str) -> None:
+    def _stand_by(self, decisions: list[RouteDecision], why: str) -> None:
         endpoints = self.edge.endpoints()
         for routes in self._route_sets:
             if self.edge.services or routes.kind == "topic":

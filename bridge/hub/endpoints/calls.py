@@ -165,29 +165,29 @@ class CallClient:
             return nothing
         with self._lock:
             self._number += 1
-            asking = _PendingCall(self._number, request, self._attached(self._number), done)
-            self._waiting[self._number] = asking
-        self._ask(asking)
-        return partial(self._abandon, asking)
+            pending = _PendingCall(self._number, request, self._attached(self._number), done)
+            self._waiting[self._number] = pending
+        self._ask(pending)
+        return partial(self._abandon, pending)
 
-    def _ask(self, asking: _PendingCall) -> None:
+    def _ask(self, pending: _PendingCall) -> None:
         querier = self._querier
         if querier is None:
-            self._end(asking.number, CallError(_CLOSED.format(name=self.name)))
+            self._end(pending.number, CallError(_CLOSED.format(name=self.name)))
             return
-        over = partial(self._over, asking.number)
-        handler = zenoh.handlers.Callback(partial(self._came, asking.number), over, indirect=False)
-        asking.sent = time.monotonic()
+        over = partial(self._over, pending.number)
+        handler = zenoh.handlers.Callback(partial(self._on_reply, pending.number), over, indirect=False)
+        pending.sent = time.monotonic()
         try:
             querier.get(
                 handler,
-                payload=asking.request,
+                payload=pending.request,
                 encoding=self.encoding,
-                attachment=asking.attached,
-                cancellation_token=asking.token,
+                attachment=pending.attached,
+                cancellation_token=pending.token,
             )
         except (zenoh.ZError, RuntimeError) as err:  # the client is being closed
-            self._end(asking.number, CallError(f"{self.name} cannot be called: {zenoh_reason(err)}"))
+            self._end(pending.number, CallError(f"{self.name} cannot be called: {zenoh_reason(err)}"))
         if not self.ready:  # zenoh may never end a query without a server
             over()
 
@@ -211,7 +211,7 @@ class CallClient:
         if self._changed is not None:
             self._changed()
 
-    def _came(self, number: int, reply: zenoh.Reply) -> None:
+    def _on_reply(self, number: int, reply: zenoh.Reply) -> None:
         """Handle a reply; runs on zenoh's receiving thread."""
         keep_thread_state()
         if reply.ok is None:
@@ -230,20 +230,20 @@ class CallClient:
         keep_thread_state()
         text, now = LEFT.format(name=self.name), time.monotonic()
         with self._lock:
-            asking = self._waiting.get(number)
-        if asking is None:
+            pending = self._waiting.get(number)
+        if pending is None:
             return
-        if self.ready and now - asking.sent < _AT_ONCE:
+        if self.ready and now - pending.sent < _AT_ONCE:
             if now - self._since < _SETTLING:
-                self._later(asking)
+                self._later(pending)
                 return
             text += _REFUSED
         self._end(number, CallError(text))
 
-    def _later(self, asking: _PendingCall) -> None:
+    def _later(self, pending: _PendingCall) -> None:
         """Repeat a call soon: zenoh had no route to the server yet."""
         with self._lock:
-            self._again.append(asking)
+            self._again.append(pending)
             first = len(self._again) == 1
         if first:
             self._executor.submit(self._ask_again)
@@ -252,29 +252,29 @@ class CallClient:
         time.sleep(_AGAIN)
         with self._lock:
             again, self._again = self._again, []
-            again = [asking for asking in again if asking.number in self._waiting]
-        for asking in again:
-            self._ask(asking)
+            again = [pending for pending in again if pending.number in self._waiting]
+        for pending in again:
+            self._ask(pending)
 
     def _end(self, number: int, result: bytes | CallError) -> None:
         with self._lock:
-            asking = self._waiting.pop(number, None)
-        if asking is not None:
-            asking.done(result)
+            pending = self._waiting.pop(number, None)
+        if pending is not None:
+            pending.done(result)
 
     def _end_all(self, error: CallError) -> None:
         with self._lock:
             waiting, self._waiting = self._waiting, {}
-        for asking in waiting.values():
-            asking.done(error)
+        for pending in waiting.values():
+            pending.done(error)
 
-    def _abandon(self, asking: _PendingCall) -> None:
+    def _abandon(self, pending: _PendingCall) -> None:
         with self._lock:
-            waited = self._waiting.pop(asking.number, None) is not None
+            waited = self._waiting.pop(pending.number, None) is not None
         if waited:
             # both may block: the former on a running callback, the latter on a congested link
-            self._executor.submit(asking.token.cancel)
-            self._abandoned(asking.attached)
+            self._executor.submit(pending.token.cancel)
+            self._abandoned(pending.attached)
 
 
 def reply_error(
@@ -360,7 +360,7 @@ class CallServer:
         self._waiting: dict[PendingRequest, None] = {}
         self._closed = False
         self._declared: list[Any] = self._heard_beside(session, reach)
-        self._declared.append(answer(session, key, self._asked, complete=complete, origin=reach))
+        self._declared.append(answer(session, key, self._on_query, complete=complete, origin=reach))
 
     def _heard_beside(self, session: zenoh.Session, reach: zenoh.Locality) -> list[Any]:  # noqa: ARG002
         """Declare additional endpoints, before the queryable, so that a client that sees the server can use them."""
@@ -395,13 +395,13 @@ class CallServer:
             waiting = list(self._waiting)
         if not closed:
             self._withdraw()
-            for asked in waiting:
-                self._leave(asked)
-                self._answer(asked, CallError(LEFT.format(name=self.name)))
+            for pending in waiting:
+                self._leave(pending)
+                self._answer(pending, CallError(LEFT.format(name=self.name)))
             undeclare(*self._declared)
             self._on_close(self)
 
-    def _asked(self, query: zenoh.Query) -> None:
+    def _on_query(self, query: zenoh.Query) -> None:
         """Start a call; runs on zenoh's receiving thread."""
         keep_thread_state()
         if not self._takes(query):
@@ -409,22 +409,22 @@ class CallServer:
             return
         try:
             request = self._read(query)
-            asked = self._pending(query)
+            pending = self._pending(query)
         except CallError as err:
             reply_error(query, err)
             return
         with self._lock:
             closed = self._closed
             if not closed:
-                self._waiting[asked] = None
-                self._remembered(asked)
+                self._waiting[pending] = None
+                self._remembered(pending)
         if closed:
             reply_error(query, CallError(LEFT.format(name=self.name)))
             return
-        abandon = self._call(request, asked)
+        abandon = self._call(request, pending)
         with self._lock:
-            asked.abandon = abandon
-            left = asked.left
+            pending.abandon = abandon
+            left = pending.left
         if left:
             abandon()
 

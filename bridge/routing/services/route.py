@@ -49,7 +49,7 @@ class BridgedCall:
             self.end(CallError(f"the request does not match its type: {err}"))
             return
         try:
-            abandon = self._route.ask(data, self._came)
+            abandon = self._route.ask(data, self._on_result)
         except Exception as err:
             _log.exception("a call could not be made")
             self.end(CallError(f"the call could not be made: {type(err).__name__}: {err}"))
@@ -59,7 +59,7 @@ class BridgedCall:
         if over:
             abandon()  # the client left meanwhile; a no-op after the end
 
-    def _came(self, result: bytes | CallError) -> None:
+    def _on_result(self, result: bytes | CallError) -> None:
         if isinstance(result, CallError):
             self.end(result)
         elif not self._route.carry(lambda: self._finish(result), len(result)):
