@@ -57,6 +57,7 @@ def test_a_pause_is_confirmed_by_the_base_and_kept_while_the_planner_is_unreacha
     assert f"{MAY_MOVE}: the planner {PLANNER} is not available" in answer["message"]
     assert rig.state(State.MOVING, f"it was paused; {MAY_MOVE}")["error_code"] == Fault.MAY_MOVE
     assert State.PAUSED not in robot.states(begin)
+    assert all("it was paused" in status["reason"] for status in rig.statuses[begin:])
     assert rig.gateway.held, "its velocities are held meanwhile"
     robot.base.speed = 0.0
     rig.state(State.PAUSED)
