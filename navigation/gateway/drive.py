@@ -37,6 +37,7 @@ class ClientDrive:
     sent_at: float = 0.0  #: when it was sent (monotonic)
     released: bool = True  #: whether the planner is known to have none of its goals
     why: str = ""  #: why it is being stopped, or waits
+    aborted: tuple[int, str] | None = None  #: code and reason of an abort that is reported when the base stands
     pause_seconds: float = math.inf  #: how long it is paused for
     due: float = 0.0  #: it is not sent again before then (monotonic)
     transform_missing_at: float = 0.0  #: since when the planner lacks a transform (monotonic); 0: it does not

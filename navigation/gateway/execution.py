@@ -246,7 +246,13 @@ class Execution:
 
     def _end_stopped(self, drive: ClientDrive) -> None:
         order, why = self._order, drive.why
-        if drive.released:
+        if drive.aborted is not None:
+            code, why = drive.aborted
+            if order.confirmed or not order.state.open:
+                self.finish(drive, GoalState.ABORTED, code, why)
+            elif order.age > GIVE_UP_SECONDS:
+                self.finish(drive, GoalState.ABORTED, code, f"{why}; {self._unconfirmed()}")
+        elif drive.released:
             self.finish(drive, GoalState.CANCELED, Fault.OTHER, why)
         elif order.confirmed:
             text = f"{why}; {self._planner} has not answered, and the base stands"
@@ -322,7 +328,7 @@ class Execution:
             drive.due = time.monotonic() + RETRY_SECONDS
             drive.machine.on(DriveEvent.RETRY)
         elif code:
-            self.finish(drive, GoalState.ABORTED, code, reason or self._without_reason("aborted"))
+            self._abort(drive, code, reason or self._without_reason("aborted"))
         else:
             drive.why = reason
             drive.machine.on(DriveEvent.ABORTED)
@@ -369,7 +375,17 @@ class Execution:
             why = drive.why or self._without_reason("canceled")
             self.finish(drive, GoalState.CANCELED, Fault.OTHER, why)
         elif drive.machine.age > JUDGING_SECONDS:
-            self.finish(drive, GoalState.ABORTED, Fault.OTHER, drive.why or self._without_reason("aborted"))
+            self._abort(drive, Fault.OTHER, drive.why or self._without_reason("aborted"))
+
+    def _abort(self, drive: ClientDrive, code: int, why: str) -> None:
+        """End a drive that the planner gave up, after what still moves the base for it, such as Nav2's controller."""
+        if self._motion.base() is Base.STANDING or self._link.foreign or not self._link.motion:
+            self.finish(drive, GoalState.ABORTED, code, why)
+            return
+        drive.aborted, drive.why, drive.released = (code, why), why, False
+        drive.machine.on(DriveEvent.STOP)
+        self.cancel(drive)
+        self._order.ask(why)
 
     def _without_reason(self, what: str) -> str:
         return f"{self._planner} {what} the goal" + (f" for {own_client(self._planner)}" if self._link.foreign else "")

@@ -61,6 +61,7 @@ class Gateway:
         self._reported: tuple[Any, ...] = ()
         self._status = PlannerStatus()
         self.held = False  # whether the planner's velocities must not reach the base
+        self._status = derive(self._situation())  # nothing is known yet, which is not idle
         host.loop.every(_POLL_SECONDS, self.poll)
 
     @property

@@ -26,6 +26,9 @@ SILENCE_SECONDS = 1.0
 ZERO_SECONDS = 0.3
 """A base that receives zero velocities and no others for this time stands."""
 
+FRESH_SECONDS = 0.35
+"""The last pose shows for this time whether the base stands: odometry may end just before the base begins to move."""
+
 _HISTORY_SECONDS = 3.0
 """Poses are kept for this time, for `Motion.speed`."""
 
@@ -63,7 +66,7 @@ class Motion:
             self._poses = (*(entry for entry in before if entry[0] >= now - _HISTORY_SECONDS), (now, pose))
 
     def stands(self, since: float = 0.0) -> bool | None:
-        """Return whether the base has stood for `STANDING_SECONDS`, by three poses or more; None without odometry.
+        """Return whether the base has stood for `STANDING_SECONDS`, by three or more poses; None without odometry.
 
         In simulated time the stamps count, otherwise the times of arrival, too. Poses that arrived before ``since``
         (monotonic seconds) do not count.
@@ -82,7 +85,8 @@ class Motion:
             if not self._simulated:
                 passed = min(passed, poses[-1][0] - arrival)  # a step of the odometry's clock is not time that passed
             if passed >= STANDING_SECONDS and count >= 2:
-                return True
+                fresh = self._simulated or time.monotonic() < poses[-1][0] + FRESH_SECONDS
+                return True if fresh else None
         return None
 
     def base(self, since: float = 0.0) -> Base:

@@ -3,10 +3,14 @@
 from __future__ import annotations
 
 import threading
+from types import SimpleNamespace
 from typing import Any, cast
 
+import pytest
+
 from navigation.frames import FramesError
-from navigation.gateway.motion import Motion
+from navigation.gateway import motion as motion_module
+from navigation.gateway.motion import FRESH_SECONDS, Motion
 from navigation.pose import Pose
 
 TENTH = 100_000_000
@@ -74,4 +78,18 @@ def test_a_step_of_the_odometrys_clock_is_not_time_that_passed() -> None:
     for _ in range(3):
         odometry.x, odometry.stamp = odometry.x + 0.0004, odometry.stamp + 5 * TENTH
         motion.poll()
+    assert motion.stands() is None
+
+
+def test_odometry_that_has_ended_does_not_show_that_the_base_stands(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The worker that carries odometry is killed as the robot is about to start."""
+    odometry, now = Odometry(), 100.0
+    motion = Motion(cast("Any", odometry))
+    monkeypatch.setattr(motion_module, "time", SimpleNamespace(monotonic=lambda: now))
+    for _ in range(6):
+        odometry.stamp, now = odometry.stamp + TENTH, now + 0.1
+        motion.poll()
+    assert motion.stands() is True
+    now += FRESH_SECONDS
+    motion.poll()
     assert motion.stands() is None

@@ -123,23 +123,23 @@ def test_a_stop_cancels_what_another_client_has_the_base_do(
     rig.state(State.IDLE)
 
 
-def test_a_stop_after_nav2_gave_its_goal_up_cancels_what_its_controller_still_drives(
-    robot: Scene, controller: Controller, monkeypatch: pytest.MonkeyPatch
+def test_an_abort_is_reported_when_the_controller_has_ended_and_the_base_stands(
+    robot: Scene, controller: Controller
 ) -> None:
     """bt_navigator gives up on a busy machine, and controller_server drives on for seconds."""
-    monkeypatch.setattr(gateway_module, "ANSWER_SECONDS", LONG)
     rig = robot.rig
     asked = robot.drive()
     begin = len(rig.statuses)
     robot.planner.end(GoalState.ABORTED, 100)
-    assert asked.end()[0] == "ABORTED"
-    stop = robot.begin("stop")
     assert controller.canceled.wait(20)
-    assert not answered(stop)
+    rig.state(State.MOVING, "the controller failed (Nav2 100)")
+    assert not asked.ended
     controller.end()
+    until(lambda: not rig.gateway.held, "the controller's goal has ended")
+    assert not asked.ended, "the base still moves"
     robot.base.speed = 0.0
-    assert confirmed(stop)
-    rig.state(State.IDLE)
+    assert asked.end() == ("ABORTED", "the controller failed (Nav2 100)")
+    rig.state(State.ABORTED, "the controller failed (Nav2 100)")
     states = [status["state"] for status in rig.statuses[begin:]]
     assert set(states[:-1]) == {State.MOVING}, "no other state before the base stands"
 

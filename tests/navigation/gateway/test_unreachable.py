@@ -188,7 +188,6 @@ def test_a_gateway_that_starts_while_the_planner_is_unreachable_is_not_idle(
     until(lambda: rig.ask("stop")["success"], "the stop is confirmed")
 
 
-@pytest.mark.xfail(strict=True, reason="the module publishes the initial status before it has read anything")
 def test_the_first_status_of_a_gateway_is_not_idle_while_the_base_moves(robot: Scene) -> None:
     robot.planner.withdraw()
     begin = robot.restart()
