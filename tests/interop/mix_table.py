@@ -37,7 +37,7 @@ ONE_EACH = {
     "ros1 worker dies": (ZENOH,),
     "modules die": (YARP,),
     "master dies": (ROS1,),
-    "ros1 and modules die": (),
+    "ros1 and modules die": (ROS1,),
     "bt_navigator gives up": (ROS2,),
     "bt_navigator dies": (YARP,),
 }

@@ -125,11 +125,42 @@ def test_pause_after_the_ros1_worker_was_killed(deployment: Deployment, asks: st
     cancel(watch)
 
 
+@pytest.mark.parametrize("client", [ZENOH, pytest.param(ROS2, marks=thorough)])
+def test_the_ros1_worker_is_killed_as_the_robot_starts(deployment: Deployment, client: str) -> None:
+    """Odometry that ended before the robot moved does not show that it stands."""
+    mix = Mix.over(deployment, MOVE_BASE)
+    start_driving(mix, mix.clients[client], progress=1)
+    watch = Watch(mix, client)
+    kill_workers("ros1")(mix)
+    wait(watch, 1.5)
+    watch.close()
+    watch.until(mix.back, "everything is back")
+    cancel(watch)
+
+
 @thorough
-@pytest.mark.parametrize("fault", ["planner hangs", "ros1 worker dies", "modules die"])
+@pytest.mark.parametrize("fault", ["planner hangs", "ros1 worker dies", "modules die", "ros1 and modules die"])
 def test_stop_of_the_planners_own_goal(deployment: Deployment, fault: str) -> None:
     mix = Mix.over(deployment, MOVE_BASE)
     assert attempt(mix, replace(FAULTS[fault], stopped=True), ROS1, [], own=True) == "own"
+
+
+@thorough
+@pytest.mark.parametrize("client", [ZENOH, YARP, ROS1, ROS2])
+def test_stop_after_ros1_and_modules_were_killed(deployment: Deployment, client: str) -> None:
+    watch = drive(deployment, client)
+    kill_workers("ros1", "gateway")(watch.mix)
+    end = time.monotonic() + 40.0
+    while time.monotonic() < end:
+        watch.ask("stop", GATEWAY, lost=True)  # without a gateway, calls fail at once
+        if any(not answer for _, answer in watch.answers.values()):
+            break
+    assert any(not answer for _, answer in watch.answers.values()), f"no stop was confirmed; {watch}"
+    watch.until(watch.mix.back, "everything is back")
+    watch.until(lambda: watch.mix.state() in ("idle", "aborted"), "the status shows no goal")
+    watch.close()
+    if not watch.own:
+        assert_ends_once(watch)
 
 
 @pytest.mark.parametrize("other", [YARP, pytest.param(ZENOH, marks=thorough)])

@@ -72,6 +72,15 @@ def test_stop_after_bt_navigator_gave_up(deployment: Deployment, client: str) ->
     until(lambda: not watch.base.moves, "it stands", STANDS_SECONDS)
 
 
+def test_nobody_stops_after_bt_navigator_gave_up(deployment: Deployment) -> None:
+    """Whether or not the gateway stops the controller by itself: no end is reported while the base moves."""
+    watch = drive(deployment, ZENOH)
+    watch.mix.planner.give_up()
+    wait(watch, 4.0)
+    watch.close()
+    assert_stops(watch)
+
+
 @pytest.mark.parametrize("base", [(), pytest.param(("--no-odometry",), marks=thorough)])
 def test_stop_of_a_path_of_another_client(deployment: Deployment, base: tuple[str, ...]) -> None:
     mix = Mix.over(deployment, NAV2, base=base)
