@@ -16,7 +16,7 @@ from bridge.modules.services import Answer
 from navigation.gateway.choice import RequestError
 from navigation.gateway.entry import STOP_SERVICE
 from navigation.gateway.gateway import Gateway
-from navigation.gateway.stop import StopAnswer, wait_for
+from navigation.gateway.stop import OVERRIDE_SECONDS, StopAnswer, wait_for
 from navigation.gateway.targets import StoredPlaces, Target
 from navigation.messages import TWIST
 from navigation.pose import Pose
@@ -70,8 +70,8 @@ class VelocityCommander:
             self._send(YarpVelocity())
 
     def halt(self) -> None:
-        """Command zero for `LONGEST_SECONDS`, against any other commander."""
-        self.command(YarpVelocity(), LONGEST_SECONDS)
+        """Command zero for `OVERRIDE_SECONDS`, against any other commander."""
+        self.command(YarpVelocity(), OVERRIDE_SECONDS)
 
     def _repeat(self) -> None:
         if self.last is None:

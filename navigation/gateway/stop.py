@@ -10,7 +10,7 @@ from navigation.gateway.machine import STOP, Machine, StopEvent, StopState
 from navigation.gateway.motion import Motion, VelocityWatch
 
 LATE_SECONDS = 1.0
-"""A planner that has not released its goals after this time is late: a standing base confirms the stop alone."""
+"""A stop that is not confirmed after this time is reported as such: the robot may still be moving."""
 
 GIVE_UP_SECONDS = 10.0
 """After this time without a confirmation the client's goal ends ABORTED: the robot may still be moving."""
@@ -20,6 +20,12 @@ SETTLING_SECONDS = 5.0
 
 HELD_SECONDS = 60.0
 """The velocities of an unreachable planner are held for this time if the base stands."""
+
+OVERRIDE_SECONDS = 1.0
+"""The gateway commands zero for this time against a planner that has not released its goals.
+
+A base that stands after it confirms the stop without the planner.
+"""
 
 ANSWER_SECONDS = 2.5
 """The longest time until a client that asks for a stop is answered: a base may take a second to come to rest."""
@@ -84,14 +90,9 @@ class StopOrder:
         return time.monotonic() - self.asked_at
 
     @property
-    def late(self) -> bool:
-        """Whether the planner had the time to release its goals."""
-        return self.age > LATE_SECONDS
-
-    @property
     def confirmed(self) -> bool:
-        """Whether the robot stands, for all that is known: the planner has released its goals, or is late."""
-        return self.state is StopState.CONFIRMED or (self.state is StopState.RESTING and self.late)
+        """Whether the robot stands, with the planner's release or, after its time to answer, without."""
+        return self.state in (StopState.CONFIRMED, StopState.RESTING)
 
     def ask(self, why: str) -> None:
         """A stop or pause is asked for; one that is still to be confirmed goes on, and keeps its time."""
@@ -126,7 +127,9 @@ class StopOrder:
         """Whether the base stands: by odometry, or without any by its velocity commands once its planner has let go."""
         if self._motion.known:
             self._velocity.close()
-            return self._motion.stands(self.asked_at) is True
+            # a base that stands while it is commanded zero may move on with the planner's next velocity
+            since = self.asked_at if released else self.asked_at + OVERRIDE_SECONDS
+            return self._motion.stands(since) is True
         self._velocity.open()
         # before that, silence means nothing: velocities of an unreachable planner do not come to the hub
         self._released_at = (self._released_at or time.monotonic()) if released else 0.0

@@ -50,11 +50,8 @@ def derive(now: Situation) -> PlannerStatus:
 
 def trouble(now: Situation) -> str:
     """Return why a stop or pause is not confirmed; "" if it is, or none is asked for."""
-    if now.stop in (StopState.NONE, StopState.CONFIRMED):
-        return ""
-    if now.stop is StopState.RESTING and now.stop_age > LATE_SECONDS:
-        return ""
-    return unconfirmed(now)
+    confirmed = now.stop in (StopState.NONE, StopState.CONFIRMED, StopState.RESTING)
+    return "" if confirmed else unconfirmed(now)
 
 
 def unconfirmed(now: Situation) -> str:

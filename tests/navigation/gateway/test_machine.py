@@ -126,8 +126,7 @@ def test_what_is_not_known_is_not_idle() -> None:
 def test_a_stop_is_ok_only_if_it_is_confirmed() -> None:
     for now in SITUATIONS:
         ok = not trouble(now)
-        late = now.stop is StopState.RESTING and now.stop_age > 1.0
-        assert ok == (now.stop in (StopState.NONE, StopState.CONFIRMED) or late), now
+        assert ok == (now.stop in (StopState.NONE, StopState.CONFIRMED, StopState.RESTING)), now
         assert ok or MAY_MOVE in trouble(now)
 
 

@@ -14,7 +14,13 @@ from navigation.frames import FramesError
 from navigation.gateway import machine, motion, stop
 from navigation.gateway.machine import StopState
 from navigation.gateway.motion import SILENCE_SECONDS, STANDING_SECONDS, ZERO_SECONDS, Motion, VelocityWatch
-from navigation.gateway.stop import HELD_SECONDS, LATE_SECONDS, SETTLING_SECONDS, StopOrder, StopWaiters
+from navigation.gateway.stop import (
+    HELD_SECONDS,
+    OVERRIDE_SECONDS,
+    SETTLING_SECONDS,
+    StopOrder,
+    StopWaiters,
+)
 from navigation.pose import Pose
 from tests.navigation.gateway.world import Clock
 
@@ -119,8 +125,9 @@ def test_a_planner_that_releases_its_goals_first_does_not_confirm_that_the_base_
 def test_a_base_that_stands_first_does_not_confirm_that_the_planner_has_released_its_goals(base: Base) -> None:
     base.order.ask("it was stopped")
     base.speed = 0.0
-    base.until(StopState.RESTING, 2.0)
+    assert base.run(OVERRIDE_SECONDS) is StopState.ASKED
     assert not base.order.confirmed, "the planner has its time"
+    base.until(StopState.RESTING, 2.0)
     base.released = True
     assert base.step() is StopState.CONFIRMED
 
@@ -137,10 +144,10 @@ def test_a_base_that_stood_before_the_stop_was_asked_for_does_not_confirm_it(bas
 def test_a_standing_base_confirms_the_stop_alone_once_the_planner_is_late(base: Base) -> None:
     base.order.ask("it was stopped")
     base.speed = 0.0
-    base.run(LATE_SECONDS - 2 * TICK)
+    base.run(OVERRIDE_SECONDS + STANDING_SECONDS - 2 * TICK)
+    assert base.order.state is StopState.ASKED, "the base may stand only because the gateway commands zero"
+    base.run(5 * TICK)
     assert base.order.state is StopState.RESTING
-    assert not base.order.confirmed
-    base.run(3 * TICK)
     assert base.order.confirmed
     assert base.order.state.held, "the planner may still drive: its velocities stay out of the hub"
 
