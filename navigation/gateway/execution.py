@@ -141,7 +141,7 @@ class Execution:
     def recompute(self) -> None:
         """Have the planner plan again, by sending the goal again; raises `RequestError` if it is not driving."""
         drive = self.drive
-        if drive is None or drive.state in (DriveState.PAUSING, DriveState.PAUSED, DriveState.STOPPING):
+        if drive is None or drive.state not in (*_ACTIVE, DriveState.WAITING):
             raise RequestError("it is not driving")
         self._send(drive, drive.sent)
 
@@ -317,8 +317,8 @@ class Execution:
         reason = nav2_errors.reason_text(str(result.get("error_msg", "")) or why, code)
         if sent.status is GoalState.SUCCEEDED:
             self._on_reached(drive)
-        elif drive.state in (DriveState.STOPPING, DriveState.PAUSING, DriveState.PAUSED):
-            return  # as asked for: the stop or pause is confirmed by `_advance`
+        elif drive.state in _STOPPING:
+            return  # as asked for: `advance` confirms the stop or pause
         elif sent.accepted is False:
             self._on_rejected(drive)
         elif sent.status is GoalState.CANCELED:
@@ -409,7 +409,8 @@ class Execution:
         self._unpause()
         if not drive.released:
             self.cancel(drive)
-        moves = status is not GoalState.SUCCEEDED and self._motion.base() is Base.MOVING
+        settles = status is not GoalState.SUCCEEDED and not self._link.foreign
+        moves = settles and self._motion.base() is Base.MOVING
         if (moves or not drive.released) and not self._order.state.open:
             self._order.ask(why)
         self.last = {
