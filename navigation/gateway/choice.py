@@ -7,8 +7,9 @@ from collections.abc import Callable
 
 from bridge.config.sections.navigation import NavigationSection
 from bridge.modules.host import Host
+from navigation.gateway.foreign import GoalMark
 from navigation.gateway.machine import StopState
-from navigation.gateway.planner_link import GoalMark, PlannerLink
+from navigation.gateway.planner_link import PlannerLink
 
 RELEASE_SECONDS = 30.0
 """Another planner waits this long for one that does not release a goal that has ended here."""

@@ -206,8 +206,8 @@ class Execution:
         if self._link.reachable:
             return
         patience = self._choice.section.patience
-        over = time.monotonic() - max(self._link.seen_at, drive.asked_at) - patience
-        if over >= (COMING_SECONDS if self._link.coming_up else 0.0):
+        over = time.monotonic() - max(self._link.presence.seen_at, drive.asked_at) - patience
+        if over >= (COMING_SECONDS if self._link.presence.coming_up else 0.0):
             why = f"the planner {self._planner} was not available for {patience:g} s"
             if not drive.begun:
                 why += ": ask again when it is"
@@ -226,7 +226,7 @@ class Execution:
         if drive is not None and not drive.released and drive.state in _STOPPING:
             drive.released = link.state.reported and not link.left and not _still_listed(link, drive.sent)
         released = link.released and (drive is None or drive.released)
-        order.update(released=released, seen_at=link.seen_at)
+        order.update(released=released, seen_at=link.presence.seen_at)
         if not order.state.open:
             link.end_no_more()
         if drive is None:
@@ -276,7 +276,7 @@ class Execution:
         link, sent = self._link, drive.sent
         if not link.reachable or sent is None:
             self._give_up_waiting(drive)
-        elif time.monotonic() > drive.due and (link.state.reported or link.machine.age > SETTLING_SECONDS):
+        elif time.monotonic() > drive.due and (link.state.reported or link.presence.machine.age > SETTLING_SECONDS):
             if link.lists(sent) is not None:
                 link.follow(sent)
                 drive.due = time.monotonic() + RETRY_SECONDS
@@ -342,7 +342,7 @@ class Execution:
 
     def _on_rejected(self, drive: ClientDrive) -> None:
         """A planner that is starting rejects goals: they are sent again."""
-        if time.monotonic() < self._link.unreachable_at + SETTLING_SECONDS:
+        if time.monotonic() < self._link.presence.unreachable_at + SETTLING_SECONDS:
             drive.why = f"{self._planner} has just started and rejected the goal; trying again"
             drive.due = time.monotonic() + RETRY_SECONDS
             drive.machine.on(DriveEvent.RETRY)
@@ -417,7 +417,7 @@ class Execution:
             GoalState.SUCCEEDED: PlannerStatus(State.REACHED),
             GoalState.CANCELED: PlannerStatus(State.IDLE, why),
         }.get(status, PlannerStatus(State.ABORTED, why, int(code)))
-        self._link.foreign_end = None
+        self._link.foreign_goals.end = None
         if status is GoalState.ABORTED:
             self._host.log.warning("the goal of %s is aborted: %s", drive.who, why)
         drive.end(status, code, why)

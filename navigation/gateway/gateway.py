@@ -227,10 +227,10 @@ class Gateway:
         return Situation(
             planner=self.planner,
             planner_state=link.state,
-            planner_age=link.machine.age,
+            planner_age=link.presence.machine.age,
             base=self.motion.base(),
             goals=link.goals,
-            doubtful=link.doubtful is not None,
+            doubtful=link.foreign_goals.doubtful is not None,
             motion=link.motion,
             foreign=self._of_foreign(foreign[-1]) if foreign else None,
             orphans=link.orphans,
@@ -280,14 +280,14 @@ class Gateway:
 
     def _changed(self) -> None:
         """Publish the status if it has changed, and answer those who wait for a stop."""
-        end, drive = self.link.foreign_end, self.drive
+        end, drive = self.link.foreign_goals.end, self.drive
         if drive is not None and drive.sent is not None and drive.sent.active and drive.sent.accepted:
             drive.machine.on(DriveEvent.ACCEPTED)
         if drive is None and end is not None and not self.link.foreign:
             reported = self.link.telemetry.reported(end.goal)
             reason = end.reason or (reported[1] if reported else "") or own_client(self.planner)
             self.execution.last = PlannerStatus(end.state, reason, self.link.telemetry.code(end.goal))
-            self.link.foreign_end = None
+            self.link.foreign_goals.end = None
         situation = self._situation()
         self._status = derive(situation)
         goal = None if drive is not None else self.link.foreign[-1:]

@@ -2,65 +2,20 @@
 
 from __future__ import annotations
 
-import hashlib
-import os
-import time
 from collections.abc import Callable, Mapping
-from typing import Any, NamedTuple
+from typing import Any
 
 from bridge.config.sections.navigation import OURS, NavigationSection
-from bridge.messages.actions import GoalState, names
+from bridge.messages.actions import GoalState
 from bridge.modules.clients import ActionClient, Ended, SentGoal
 from bridge.modules.host import Host
 from navigation.gateway.action_goals import ActionGoals
-from navigation.gateway.contact import Contact
-from navigation.gateway.goal_list import GoalList
-from navigation.gateway.machine import PLANNER, Machine, PlannerEvent, PlannerState
+from navigation.gateway.foreign import ForeignGoals, GoalMark
+from navigation.gateway.machine import PlannerEvent, PlannerState
 from navigation.gateway.motion import Base, Motion
+from navigation.gateway.presence import Presence
 from navigation.gateway.telemetry import Telemetry
 from navigation.messages import NAVIGATE, Message
-from navigation.status import State
-
-ABSENT_SECONDS = 2.0
-"""A planner that does not appear for this time after its side's worker has joined is not running there."""
-
-UNSEEN_SECONDS = 10.0
-"""The same while the base moves: the worker of a busy machine may take this long to find the planner."""
-
-
-class GoalMark:
-    """Makes goal ids by which the gateway recognizes its own goals, also those from before it was restarted."""
-
-    def __init__(self, daemon: str) -> None:
-        self._mark = hashlib.blake2b(f"midspan gateway {daemon}".encode(), digest_size=6).digest()
-        self._run = os.urandom(4)
-
-    def new_id(self) -> bytes:
-        """Return a new goal id, 16 bytes."""
-        return self._mark + self._run + os.urandom(6)
-
-    def is_own(self, goal: bytes) -> bool:
-        """Whether a gateway of this daemon made the id."""
-        return goal.startswith(self._mark)
-
-    def is_orphan(self, goal: bytes) -> bool:
-        """Whether an earlier run of this gateway made the id."""
-        return self.is_own(goal) and not goal.startswith(self._mark + self._run)
-
-
-class ForeignEnd(NamedTuple):
-    """How a goal ended that the planner's own client gave it."""
-
-    goal: bytes
-    state: State
-    reason: str
-
-
-def _end_of(status: GoalState | None) -> State:
-    """Return how a goal ended: aborted if the list does not have it, or has not shown its end."""
-    return {GoalState.SUCCEEDED: State.REACHED, GoalState.CANCELED: State.IDLE}.get(
-        status or GoalState.ABORTED, State.ABORTED
-    )
 
 
 class PlannerLink:
@@ -69,39 +24,31 @@ class PlannerLink:
     def __init__(
         self, host: Host, section: NavigationSection, planner: str, changed: Callable[[], None], mark: GoalMark
     ) -> None:
-        self.planner, self._host, self._changed, self.mark = planner, host, changed, mark
-        other = section.others.get(planner)
-        self._side = other.side if other else ""
-        self.machine: Machine[PlannerState, PlannerEvent] = Machine(PLANNER, PlannerState.UNKNOWN)
-        self.seen_at = time.monotonic()  # when it was last reachable; before that, when this began
-        self.unreachable_at = time.monotonic()  # when it was last seen to be unreachable
-        self._side_since: float | None = None
-        action = section.at(planner)
+        self.planner, self._changed, self.mark = planner, changed, mark
+        other, action = section.others.get(planner), section.at(planner)
+        side = other.side if other else ""
         self._client = ActionClient(host.node, action, NAVIGATE)
-        self._goals = ActionGoals(host, action, always=self._side in ("", "ros1"), changed=self._on_list)
+        self._goals = ActionGoals(host, action, always=side in ("", "ros1"), changed=self._on_list)
         self._motion = [
             ActionGoals(host, name, always=False, changed=lambda _differs: changed())
             for name in (other.motion if other is not None else ())
         ]
-        self._foreign: tuple[bytes, ...] = ()
-        self.foreign_end: ForeignEnd | None = None  # the last end of a goal of the planner's own clients
-        self.doubtful: bytes | None = None  # such a goal, while the planner is out of reach
-        self._parts_before: set[bytes] = set()
+        self.foreign_goals = ForeignGoals(mark, f"the planner {planner} has gone")
         self.telemetry = Telemetry(host, section, planner, changed)
-        self._names, self._contact = names(action), Contact()
-        self._topics = [self._names.status, self._names.feedback, *self.telemetry.topics]
+        hosted = not side and planner in host.config.hosted
+        self.presence = Presence(host, action, side, hosted=hosted, topics=self.telemetry.topics)
 
     # -- what is known -------------------------------------------------------------------------------------------------
 
     @property
     def state(self) -> PlannerState:
         """What is known of it."""
-        return self.machine.state
+        return self.presence.machine.state
 
     @property
     def reachable(self) -> bool:
         """Whether all parts of its action are on the hub."""
-        return self.machine.state.reachable
+        return self.state.reachable
 
     @property
     def ours(self) -> bool:
@@ -111,7 +58,7 @@ class PlannerLink:
     @property
     def foreign(self) -> tuple[bytes, ...]:
         """The active goals that its own clients gave it, the oldest first, while its list is valid."""
-        return self._foreign if self.machine.state.reported else ()
+        return self.foreign_goals.active if self.state.reported else ()
 
     @property
     def motion(self) -> tuple[str, ...]:
@@ -136,26 +83,17 @@ class PlannerLink:
 
     def lists(self, sent: SentGoal) -> GoalState | None:
         """Return the state of a goal in a valid list; None if the list does not have it, or is not valid."""
-        return self._goals.list.status(sent.id) if self.machine.state.reported else None
-
-    @property
-    def coming_up(self) -> bool:
-        """Whether parts of it have come to the hub while it is not reachable as a whole."""
-        return not self.reachable and bool(self._parts() - self._parts_before)
-
-    def _parts(self) -> set[bytes]:
-        graph = self._host.node.hub.graph
-        return {one.gid for topic in self._topics for one in graph.publishers(topic)}
+        return self._goals.list.status(sent.id) if self.state.reported else None
 
     # -- goals ---------------------------------------------------------------------------------------------------------
 
     def send(self, goal: Mapping[str, Any], ended: Ended, feedback: Callable[[Message], None]) -> SentGoal:
         """Send a goal, under a new id."""
         self.telemetry.begin()
-        self.doubtful = None
+        self.foreign_goals.doubtful = None
 
         def on_feedback(message: Message) -> None:
-            self._contact.prove()
+            self.presence.contact.prove()
             self.telemetry.beat()
             feedback(message)
 
@@ -194,101 +132,45 @@ class PlannerLink:
 
     def refresh(self, motion: Motion) -> None:
         """Read the hub's graph and the lists again; called about ten times a second."""
-        now = time.monotonic()
         for action in (self._goals, *self._motion):
             action.refresh()
-        if self._client.ready and self._contact.answers(self._action_parts()):
-            if self._contact.proven:
-                self.seen_at = now
-            self._side_since = None
-            self.machine.on(PlannerEvent.FOUND)
-        else:
-            if self.reachable:
-                self._parts_before = self._parts()
-            self._doubt()
-            self.machine.on(PlannerEvent.LOST)
-            self.unreachable_at = now
-            if self._side_reported(moving=motion.base() is Base.MOVING):
-                self.machine.on(PlannerEvent.SIDE_REPORTED)
-        self._update()
-        if not self.reachable and motion.stands(self.machine.since):
-            self._close_doubt()
+        reported = self.state.reported
+        self.presence.refresh(complete=self._client.ready, moving=motion.base() is Base.MOVING)
+        self._update(reported=reported)
+        if not self.reachable and motion.stands(self.presence.machine.since):
+            self.foreign_goals.settle()
 
     def lose_contact(self) -> None:
         """A call of the planner failed: it is out of reach until its parts or its goal list show the contrary."""
-        self._contact.lose(self._action_parts())
-        self._doubt()
-        self.machine.on(PlannerEvent.LOST)
-        self.unreachable_at = time.monotonic()
+        reported = self.state.reported
+        self.presence.lose_contact()
+        self._update(reported=reported)
 
-    def _action_parts(self) -> set[bytes]:
-        """The GIDs of all servers and publishers of its action."""
-        graph, parts = self._host.node.hub.graph, self._names
-        servers = (parts.send_goal, parts.get_result, parts.cancel_goal)
-        return {
-            endpoint.gid
-            for endpoints in (*map(graph.servers, servers), *map(graph.publishers, (parts.feedback, parts.status)))
-            for endpoint in endpoints
-        }
+    def _update(self, *, reported: bool) -> None:
+        """Derive the planner's state, and the foreign goals, from the newest list: both in one step.
 
-    def _update(self) -> None:
-        """Derive the planner's state, and the foreign goals, from the newest list: both in one step."""
-        goals = self._goals.list
-        if not self.reachable:
-            return
-        if goals.known:
-            self.machine.on(PlannerEvent.GOALS if goals.active else PlannerEvent.NO_GOALS)
-            self._update_foreign(goals)
-        else:
-            self._doubt()
-            self.machine.on(PlannerEvent.UNREPORTED)
-
-    def _doubt(self) -> None:
-        """The list is no longer valid: what becomes of a goal of the planner's own clients is not known for now."""
-        if self.machine.state.reported and self._foreign:
-            self.doubtful = self._foreign[-1]
-
-    def _update_foreign(self, goals: GoalList) -> None:
-        before, self._foreign = self._foreign, tuple(goal for goal in goals.active if not self.mark.is_own(goal))
-        for goal in goals.active:
-            if self.mark.is_orphan(goal):
+        ``reported``: whether its goals were known before.
+        """
+        goals, machine = self._goals.list, self.presence.machine
+        if self.reachable and goals.known:
+            machine.on(PlannerEvent.GOALS if goals.active else PlannerEvent.NO_GOALS)
+            self.foreign_goals.update(goals)
+            for goal in filter(self.mark.is_orphan, goals.active):
                 self._goals.end(goal)  # its client has lost it: no other program could stop the robot
-        for goal in before:
-            if goal not in self._foreign and goal != self.doubtful:
-                self.foreign_end = ForeignEnd(goal, _end_of(goals.status(goal)), "")
-        if self.doubtful is not None:
-            self._close_doubt()
-
-    def _close_doubt(self) -> None:
-        """It is known again how the planner's own goal does, or the base stands."""
-        goal, self.doubtful = self.doubtful, None
-        if goal is None or (goal in self._foreign and self.machine.state.reported):
             return
-        status = self._goals.list.status(goal) if self.machine.state.reported else None
-        why = "" if status is not None and status.ended else f"the planner {self.planner} has gone"
-        self.foreign_end = ForeignEnd(goal, _end_of(status), why)
+        machine.on(PlannerEvent.UNREPORTED)
+        if reported:
+            self.foreign_goals.doubt()
 
     @property
     def orphans(self) -> bool:
         """Whether it drives to a goal that this gateway gave it before it was restarted."""
         return any(self.mark.is_orphan(goal) for goal in self._goals.list.active)
 
-    def _side_reported(self, *, moving: bool) -> bool:
-        """Whether the planner's side had the time to show it: its worker has joined, and it is not there."""
-        now = time.monotonic()
-        origins = self._host.node.hub.graph.origins().values()
-        here = self._side == "" and self.planner in self._host.config.hosted
-        if not here and self._side not in {origin.side for origin in origins} | {"zenoh"}:
-            self._side_since = None
-            return False
-        if self._side_since is None:
-            self._side_since = now
-        return now > self._side_since + (UNSEEN_SECONDS if moving else ABSENT_SECONDS)
-
     def _on_list(self, differs: bool) -> None:
-        self._contact.prove()
+        self.presence.contact.prove()
         self.telemetry.beat(counts=not differs)
-        self._update()
+        self._update(reported=self.state.reported)
         self._changed()
 
     def close(self) -> None:

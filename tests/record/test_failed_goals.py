@@ -31,7 +31,7 @@ def test_each_goal_that_the_planner_rejects_or_gives_up_writes_the_ring(
                 folders = sorted((tmp_path / "robot1" / "recordings").glob(f"{PREFIX}*/metadata.yaml"))
                 return [read(max(each.parent.glob("*.mcap"))).metadata["midspan.end"]["trigger"] for each in folders]
 
-            rig.gateway.link.unreachable_at = 0.0  # it has been there for a while: a rejection is believed
+            rig.gateway.link.presence.unreachable_at = 0.0  # it has been there for a while: a rejection is believed
             for count in (1, 2):
                 rig.planner.rejects = 1
                 status, why = Asked(rig.client, pose(1.0)).end()

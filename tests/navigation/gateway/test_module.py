@@ -183,12 +183,12 @@ def test_a_planner_that_stays_away_ends_the_goal_with_the_reason(rig: Rig) -> No
 
 def test_a_rejection_is_believed_of_a_planner_that_has_been_there_for_a_while(rig: Rig) -> None:
     rig.planner.rejects = 1
-    rig.gateway.link.unreachable_at = math.inf  # it came this moment: its bridge may be about to find it
+    rig.gateway.link.presence.unreachable_at = math.inf  # it came this moment: its bridge may be about to find it
     asked = Asked(rig.client, pose(1.0))
     rig.planner.reach(rig.planner.until(1))
     assert asked.end() == ("SUCCEEDED", "")
     rig.planner.rejects = 1
-    rig.gateway.link.unreachable_at = 0.0
+    rig.gateway.link.presence.unreachable_at = 0.0
     assert Asked(rig.client, pose(1.0)).end() == ("ABORTED", "robot_goto rejected the goal")
 
 

@@ -149,6 +149,7 @@ def test_yarps_client_hears_no_ok_of_a_stop_that_is_not_confirmed(rig: Rig, odom
         assert "the base stands" not in last["reason"], "what was seen before the goal ended counts after it"
         assert client.stop_navigation_RPC()
         assert client.get_navigation_status_RPC()[1] is NavigationStatusEnum.navigation_status_idle
+        rig.state(State.IDLE)  # the status topic has it, too
         odometry.speed = 0.3  # it goes on, as move_base does on SIGCONT where it turned in a recovery
         assert rig.state(State.MOVING, "may still be moving")["error_code"] == Fault.MAY_MOVE
         assert client.get_navigation_status_RPC()[1] is NavigationStatusEnum.navigation_status_moving

@@ -10,8 +10,8 @@ import pytest
 from bridge.messages.actions import GoalState
 from bridge.modules import worker as modules_worker
 from navigation.gateway import gateway as gateway_module
+from navigation.gateway.foreign import GoalMark
 from navigation.gateway.machine import PlannerState
-from navigation.gateway.planner_link import GoalMark
 from navigation.status import Fault, State
 from tests.navigation.gateway.driving import MAY_MOVE, Scene, scene
 from tests.navigation.gateway.rig import Asked, Rig, pose
@@ -341,7 +341,7 @@ def test_lost_localization_is_named_while_a_foreign_planner_drives(robot: Scene)
 
 def test_the_reason_of_a_goal_in_an_unknown_frame_reaches_the_client(robot: Scene) -> None:
     robot.planner.rejects = True
-    robot.rig.gateway.link.unreachable_at = 0.0  # it has been there for long: its rejection is final
+    robot.rig.gateway.link.presence.unreachable_at = 0.0  # it has been there for long: its rejection is final
     asked = Asked(robot.rig.client, pose(1.0, frame="dock"))
     status, why = asked.end()
     assert status == "ABORTED"

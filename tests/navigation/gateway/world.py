@@ -26,14 +26,26 @@ from bridge.hub.endpoints.calls import CallError
 from bridge.messages.actions import GoalState, names
 from bridge.modules import clients
 from navigation.frames import FramesError
-from navigation.gateway import action_goals, drive, execution, gateway, goal_list, machine, motion, planner_link, stop
+from navigation.gateway import (
+    action_goals,
+    contact,
+    drive,
+    execution,
+    gateway,
+    goal_list,
+    machine,
+    motion,
+    presence,
+    stop,
+)
 from navigation.gateway import telemetry as telemetry_module
 from navigation.gateway.gateway import Gateway
 from navigation.pose import Pose
 from navigation.status import State
 
 _TIMED = (
-    action_goals, clients, drive, execution, gateway, goal_list, machine, motion, planner_link, stop, telemetry_module,
+    action_goals, clients, contact, drive, execution, gateway, goal_list, machine, motion, presence, stop,
+    telemetry_module,
 )  # fmt: skip
 
 SPEED, BRAKE = 0.5, 0.6  # m/s, m/s²

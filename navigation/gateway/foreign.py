@@ -1,0 +1,84 @@
+"""The goals that a planner received from clients that bypass the gateway, and what became of them."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import platform
+from typing import NamedTuple
+
+from bridge.messages.actions import GoalState
+from navigation.gateway.goal_list import GoalList
+from navigation.status import State
+
+
+class GoalMark:
+    """Makes goal ids by which the gateway recognizes its own goals, also those from before it was restarted.
+
+    Args:
+        daemon: the daemon's name; the machine's is part of the mark as well.
+    """
+
+    def __init__(self, daemon: str) -> None:
+        text = f"midspan gateway {platform.node()} {daemon}"
+        self._mark = hashlib.blake2b(text.encode(), digest_size=6).digest()
+        self._run = os.urandom(4)
+
+    def new_id(self) -> bytes:
+        """Return a new goal id, 16 bytes."""
+        return self._mark + self._run + os.urandom(6)
+
+    def is_own(self, goal: bytes) -> bool:
+        """Whether a gateway of this daemon made the id."""
+        return goal.startswith(self._mark)
+
+    def is_orphan(self, goal: bytes) -> bool:
+        """Whether an earlier run of this gateway made the id."""
+        return self.is_own(goal) and not goal.startswith(self._mark + self._run)
+
+
+class ForeignEnd(NamedTuple):
+    """How a foreign goal ended."""
+
+    goal: bytes
+    state: State
+    reason: str
+
+
+class ForeignGoals:
+    """The foreign goals in a planner's list; ``lost`` is the reason for one that is missing in a new list."""
+
+    def __init__(self, mark: GoalMark, lost: str) -> None:
+        self._mark, self._lost = mark, lost
+        self.active: tuple[bytes, ...] = ()  # the oldest first
+        self.end: ForeignEnd | None = None  # the last end
+        self.doubtful: bytes | None = None  # the newest one, since the list is no longer valid
+
+    def doubt(self) -> None:
+        """The list is no longer valid: the goal may end, or go on, unseen."""
+        if self.active:
+            self.doubtful = self.active[-1]
+
+    def update(self, goals: GoalList) -> None:
+        """Read a valid list."""
+        before, self.active = self.active, tuple(goal for goal in goals.active if not self._mark.is_own(goal))
+        for goal in before:
+            if goal not in self.active and goal != self.doubtful:
+                self.end = ForeignEnd(goal, _end_of(goals.status(goal)), "")
+        doubtful, self.doubtful = self.doubtful, None
+        if doubtful is not None and doubtful not in self.active:
+            status = goals.status(doubtful)
+            known = status is not None and status.ended
+            self.end = ForeignEnd(doubtful, _end_of(status), "" if known else self._lost)
+
+    def settle(self) -> None:
+        """The base stands while the list is not valid: the goal counts as ended."""
+        if self.doubtful is not None:
+            self.end = ForeignEnd(self.doubtful, State.ABORTED, self._lost)
+            self.doubtful = None
+
+
+def _end_of(status: GoalState | None) -> State:
+    """Return how a goal ended: aborted if the list does not have it, or has not shown its end."""
+    ends = {GoalState.SUCCEEDED: State.REACHED, GoalState.CANCELED: State.IDLE}
+    return ends.get(status or GoalState.ABORTED, State.ABORTED)

@@ -1,0 +1,87 @@
+"""Whether a planner is there: the parts of its action on the hub, its answers, and the report of its side."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+
+from bridge.messages.actions import names
+from bridge.modules.host import Host
+from navigation.gateway.contact import Contact
+from navigation.gateway.machine import PLANNER, Machine, PlannerEvent, PlannerState
+
+ABSENT_SECONDS = 2.0
+"""A planner that does not appear for this time after its side's worker has joined is not running there."""
+
+UNSEEN_SECONDS = 10.0
+"""The same while the base moves: the worker of a busy machine may take this long to find the planner."""
+
+
+class Presence:
+    """What is known of a planner, as its machine.
+
+    Args:
+        action: its action on the hub.
+        side: the side that it runs on; "" for one that Midspan hosts.
+        hosted: whether this process hosts it.
+        topics: the topics by which its first parts are noticed.
+    """
+
+    def __init__(self, host: Host, action: str, side: str, *, hosted: bool, topics: Sequence[str]) -> None:
+        self._graph, self._names, self._side, self._hosted = host.node.hub.graph, names(action), side, hosted
+        self._topics = (self._names.status, self._names.feedback, *topics)
+        self.contact = Contact()
+        self.machine: Machine[PlannerState, PlannerEvent] = Machine(PLANNER, PlannerState.UNKNOWN)
+        self.seen_at = time.monotonic()  # when it was last reachable; before that, when this began
+        self.unreachable_at = time.monotonic()  # when it was last seen to be unreachable
+        self._side_since: float | None = None  # since when its side has had the time to show it
+        self._first_parts: set[bytes] = set()  # those that were there when it became unreachable
+
+    @property
+    def coming_up(self) -> bool:
+        """Whether parts of it have come to the hub while it is not reachable as a whole."""
+        return not self.machine.state.reachable and bool(self._published() - self._first_parts)
+
+    def refresh(self, *, complete: bool, moving: bool) -> None:
+        """Read the graph again; ``complete``: all parts of its action are there, ``moving``: the base moves."""
+        if complete and self.contact.answers(self._parts()):
+            if self.contact.proven:
+                self.seen_at = time.monotonic()
+            self._side_since = None
+            self.machine.on(PlannerEvent.FOUND)
+        else:
+            self._lose()
+            if self._side_reported(moving=moving):
+                self.machine.on(PlannerEvent.SIDE_REPORTED)
+
+    def lose_contact(self) -> None:
+        """A call failed: the planner is out of reach until its parts or its goal list show the contrary."""
+        self.contact.lose(self._parts())
+        self._lose()
+
+    def _lose(self) -> None:
+        if self.machine.state.reachable:
+            self._first_parts = self._published()
+        self.machine.on(PlannerEvent.LOST)
+        self.unreachable_at = time.monotonic()
+
+    def _published(self) -> set[bytes]:
+        return {publisher.gid for topic in self._topics for publisher in self._graph.publishers(topic)}
+
+    def _parts(self) -> set[bytes]:
+        """The GIDs of all servers and publishers of the action."""
+        parts = self._names
+        servers = map(self._graph.servers, (parts.send_goal, parts.get_result, parts.cancel_goal))
+        publishers = map(self._graph.publishers, (parts.feedback, parts.status))
+        return {endpoint.gid for endpoints in (*servers, *publishers) for endpoint in endpoints}
+
+    def _side_reported(self, *, moving: bool) -> bool:
+        """Whether the planner's side had the time to show it: its worker has joined, and it is not there."""
+        now = time.monotonic()
+        joined = {origin.side for origin in self._graph.origins().values()} | {"zenoh"}
+        if not self._hosted and self._side not in joined:
+            self._side_since = None
+            return False
+        if self._side_since is None:
+            self._side_since = now
+        return now > self._side_since + (UNSEEN_SECONDS if moving else ABSENT_SECONDS)
