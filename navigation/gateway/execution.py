@@ -128,6 +128,7 @@ class Execution:
                 self._on_paused(drive)
         elif drive.state is DriveState.PAUSED:
             self._on_paused(drive)
+            self._order.ask(drive.why)  # a client that bypasses the gateway may have moved the robot since
         self.advance()
         self._changed()
 

@@ -28,12 +28,13 @@ class GoalList:
         self._publisher = b""  # whose list it is
         self._received = 0.0  # when it came (monotonic); 0: never
         self._statuses: dict[bytes, GoalState] = {}
+        self._empty = False  # no list has come from these publishers for long: they have no goals
         self.known = False  # whether the list is that of a server that is there
 
     @property
     def any(self) -> bool:
         """Whether there has been a list at all, or a server that needs none."""
-        return self._received > 0.0
+        return self._received > 0.0 or self._empty
 
     @property
     def active(self) -> tuple[bytes, ...]:
@@ -52,18 +53,20 @@ class GoalList:
         """Take in a list; whether it differs from the one before."""
         changed = self._statuses != statuses
         self._publisher, self._statuses, self._received = publisher, dict(statuses), time.monotonic()
-        self.known = True
+        self.known, self._empty = True, False
         return changed
 
     def refresh(self, publishers: Collection[bytes]) -> None:
         """Note which publishers the topic has now: a list is valid while its publisher is there."""
         now, before = time.monotonic(), self._publishers
         self._publishers = {gid: before.get(gid, now) for gid in publishers}
+        self._empty = self._empty and bool(self._publishers) and self._publishers.keys() <= before.keys()
         if self._publisher in self._publishers:
             self.known = True
         elif self._publishers and self._publisher not in before and now < self._received + EARLY_SECONDS:
             self.known = True  # the graph does not show its publisher yet
         elif not self._always and self._publishers and now >= self._latest_sign() + EMPTY_SECONDS:
-            self._publisher, self._statuses, self._received, self.known = b"", {}, now, True
+            self._publisher, self._statuses, self._empty = b"", {}, True
+            self.known = True
         else:
-            self.known = False
+            self.known = self._empty

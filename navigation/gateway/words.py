@@ -127,7 +127,7 @@ _COASTING = PlannerStatus(State.MOVING, "the base has not come to rest yet")
 def _coasting(now: Situation) -> bool:
     """Whether the base still moves for a goal that has just ended."""
     ended = now.planner_state is PlannerState.IDLE and now.planner_age < SETTLING_SECONDS
-    return ended and now.base is Base.MOVING and now.last.state is not State.REACHED
+    return ended and now.base is Base.MOVING
 
 
 def _ended(now: Situation) -> PlannerStatus:
@@ -170,7 +170,7 @@ def _of_nobody(now: Situation) -> PlannerStatus:
     lists_agree = now.base is Base.MOVING or now.since_end > _LIST_LAG
     if now.motion and now.base is not Base.STANDING and lists_agree:
         return PlannerStatus(State.MOVING, f"{', '.join(now.motion)} moves the base")
-    if _coasting(now):
+    if _coasting(now) and now.last.state is not State.REACHED:
         return _COASTING
     if not now.planner_state.reported and now.planner_state is not PlannerState.ABSENT:
         return _unknown(now)

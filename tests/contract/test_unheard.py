@@ -29,7 +29,7 @@ def _route(far: HubSide, topic: str) -> dict[str, Any]:
 @pytest.fixture(autouse=True)
 def _soon(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(hub_to_side, "UNHEARD", SOON)
-    monkeypatch.setattr(engine, "_LOOK", SOON)
+    monkeypatch.setattr(engine, "_POLL", SOON)
 
 
 def test_a_quick_stream_is_taken_up_with_its_first_listener(side: Side, bridge: Bridge, far: HubSide) -> None:

@@ -180,7 +180,7 @@ def test_a_full_disk_from_the_start(deployment: Deployment, tmp_path: Path) -> N
         until(deployment.joined, "both workers have joined", 60, every=0.2)
         flow = Flow(deployment)
         said = deployment.command("status").stdout
-        assert f"warning: the state folder {disk / 'state'} has 0 kB of room left; make room" in said
+        assert f": the state folder {disk / 'state'} has 0 kB of room left; make room" in said
         flow.check()
         assert log.read_text() == ""
         litter.unlink()
@@ -206,7 +206,7 @@ def test_a_disk_that_fills_up_and_turns_read_only(deployment: Deployment, tmp_pa
         subprocess.run(["mount", "--bind", str(disk), str(disk)], check=True)
         subprocess.run(["mount", "-o", "remount,bind,ro", str(disk)], check=True)
         until(lambda: "Read-only file system; make it writable" in daemon.output(), "it is told", 20)
-        warning = f"warning: the state folder {disk / 'state'}: Read-only file system; make it writable, or set 'state'"
+        warning = f": the state folder {disk / 'state'}: Read-only file system; make it writable, or set 'state'"
         assert warning in deployment.command("status").stdout
         doctor = deployment.command("doctor", "--only", "state-folder")
         assert doctor.returncode == 1

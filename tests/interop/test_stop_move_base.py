@@ -146,8 +146,9 @@ def test_stop_of_the_planners_own_goal(deployment: Deployment, fault: str) -> No
 
 
 @thorough
-@pytest.mark.parametrize("client", [ZENOH, YARP, ROS1, ROS2])
+@pytest.mark.parametrize("client", [YARP, ROS1])
 def test_stop_after_ros1_and_modules_were_killed(deployment: Deployment, client: str) -> None:
+    """Without the clients of the gateway's action: their goals end with their server, whatever the robot does."""
     watch = drive(deployment, client)
     kill_workers("ros1", "gateway")(watch.mix)
     end = time.monotonic() + 40.0

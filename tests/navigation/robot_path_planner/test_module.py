@@ -275,8 +275,8 @@ def test_a_cancel_that_stops_the_navigator_late_stops_no_later_goal(
         ((2.5, 2.5), "map", Fault.GOAL_OCCUPIED, "in a wall"),
         ((1.0, 1.0), "moon", Fault.UNKNOWN_FRAME, "moon"),
         ((99.0, 1.0), "map", Fault.OFF_THE_MAP, "off the map"),
-        ((math.nan, 1.0), "map", Fault.BAD_GOAL, "numbers"),
-        ((1e308, 1.0), "map", Fault.BAD_GOAL, "within 1e+06 m"),
+        ((math.nan, 1.0), "map", Fault.BAD_GOAL, "finite"),
+        ((1e308, 1.0), "map", Fault.BAD_GOAL, "farther than 1e+06 m"),
     ],
 )
 def test_a_goal_that_cannot_be_says_why(
