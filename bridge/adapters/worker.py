@@ -177,7 +177,7 @@ class Crossing:
         self._started = time.monotonic()
         self._process = psutil.Process()
         self._stopped = False
-        self._drained = threading.Event()  # never set: a pause that signals do not shorten
+        self._never = threading.Event()  # never set: waiting for it is a pause
         self._hub = Hub.open(
             HubSettings(
                 domain=config.hub.domain,
@@ -243,9 +243,9 @@ class Crossing:
         """
         pending = any(map(_navigates, self._engine.routes()))
         while any(map(_navigates, self._engine.routes())) and time.monotonic() < deadline:
-            self._drained.wait(_DRAIN_PERIOD)
+            self._never.wait(_DRAIN_PERIOD)
         if pending:
-            self._drained.wait(_LAST_SECONDS)  # for the replies that were sent last
+            self._never.wait(_LAST_SECONDS)  # for the replies that were sent last
 
     def stop(self) -> None:
         """Close all endpoints and the session."""

@@ -380,7 +380,7 @@ class Execution:
 
     def _abort(self, drive: ClientDrive, code: int, why: str) -> None:
         """End a drive that the planner gave up, after what still moves the base for it, such as Nav2's controller."""
-        if self._motion.base() is Base.STANDING or self._link.foreign or not self._link.motion:
+        if self._motion.base() is Base.STANDING or self._link.foreign or not self._link.may_move:
             self.finish(drive, GoalState.ABORTED, code, why)
             return
         drive.aborted, drive.why, drive.released = (code, why), why, False

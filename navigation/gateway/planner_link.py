@@ -66,6 +66,11 @@ class PlannerLink:
         return tuple(one.action for one in self._motion if one.list.known and one.list.active)
 
     @property
+    def may_move(self) -> bool:
+        """Whether another action moves the base, or is not known to have no goals."""
+        return any(one.there and (one.list.active or not one.list.known) for one in self._motion)
+
+    @property
     def goals(self) -> bool | None:
         """Whether its newest list has active goals, valid or not; None before the first list."""
         return bool(self._goals.list.active) if self._goals.list.any else None
