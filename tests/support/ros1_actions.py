@@ -8,9 +8,9 @@ import threading
 import time
 
 import actionlib
-import roslib.message
 from actionlib.action_client import CommState
 from actionlib_msgs.msg import GoalStatus
+from ros1_types import message_class
 from rospy import Duration
 
 STATUSES = {
@@ -20,7 +20,7 @@ STATUSES = {
 
 def part(type_, name):
     """One of an action's message classes."""
-    return roslib.message.get_message_class(type_ + name)
+    return message_class(type_ + name)
 
 
 class Acting:

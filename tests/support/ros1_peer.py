@@ -24,11 +24,10 @@ import time
 import genpy
 import genpy.message
 import rosgraph
-import roslib.message
 import rospy
 from ros1_actions import Actions
 from ros1_leave import leave
-from ros1_types import message_classes, service_class
+from ros1_types import define, message_class, service_type
 
 
 def to_plain(value):
@@ -73,22 +72,6 @@ def to_field(slot, value, default):
 def full(name):
     """A type's full name."""
     return "std_msgs/Header" if name == "Header" else name
-
-
-DEFINED = {}
-
-
-def message_class(name):
-    """A type's class: a defined one, else an installed one."""
-    cls = DEFINED.get(name) or roslib.message.get_message_class(name)
-    if cls is None:
-        raise ValueError(f"no type {name}: install its package, or define it")
-    return cls
-
-
-def service_type(name):
-    """A service's class: a defined one, else an installed one."""
-    return DEFINED.get(name) or roslib.message.get_service_class(name)
 
 
 class Subscriber:
@@ -201,9 +184,7 @@ class Peer:
         return {"id": self.next_id}
 
     def do_define(self, type, definition, **_):
-        made = {type: service_class(type, definition)} if "\n---\n" in definition else message_classes(type, definition)
-        DEFINED.update(made)
-        return {"md5": DEFINED[type]._md5sum}
+        return {"md5": define(type, definition)._md5sum}
 
     def do_advertise(self, topic, type, latched=False, queue=100, **_):
         return self.add(rospy.Publisher(topic, message_class(type), latch=latched, queue_size=queue, tcp_nodelay=True))

@@ -8,7 +8,30 @@ from unittest import mock
 
 import genmsg
 import genpy.dynamic
+import roslib.message
 from genmsg.gentools import compute_md5_text
+
+DEFINED = {}
+
+
+def define(name, definition):
+    """Make a type's class from its full definition, and remember it with all that it nests; a service has a ``---``."""
+    made = {name: service_class(name, definition)} if "\n---\n" in definition else message_classes(name, definition)
+    DEFINED.update(made)
+    return made[name]
+
+
+def message_class(name):
+    """Return a message's class: a defined one, else an installed one."""
+    cls = DEFINED.get(name) or roslib.message.get_message_class(name)
+    if cls is None:
+        raise ValueError(f"no type {name}: install its package, or define it")
+    return cls
+
+
+def service_type(name):
+    """Return a service's class: a defined one, else an installed one."""
+    return DEFINED.get(name) or roslib.message.get_service_class(name)
 
 
 def message_classes(name, definition):

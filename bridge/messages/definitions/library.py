@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 from bridge.messages.definitions.hashes import md5_sum, rihs01
 from bridge.messages.definitions.parts import parse_announced
 from bridge.messages.definitions.schema import Definition, Schema, World
 from bridge.messages.definitions.sources import DefinitionSource, find_first
-from bridge.messages.definitions.text import closure
+from bridge.messages.definitions.text import MAX_DEPTH, closure
 from bridge.messages.errors import MessageTypeError
 
 MAX_VARIANTS = 16  # different definitions that are kept of one learned name; the oldest goes first
@@ -22,6 +22,9 @@ class DefinitionLibrary:
 
     def __init__(self, world: World, sources: Sequence[DefinitionSource]) -> None:
         self.world = world
+        self.derive: Callable[[str], Schema | None] = lambda _name: None
+        """Derives a type that only the other world's definitions have; None if they do not have it."""
+        self._deriving: list[str] = []
         self._sources = sources
         self._learned: dict[str, dict[str, Schema]] = {}
         self._nested: dict[str, Definition] = {}
@@ -120,7 +123,21 @@ class DefinitionLibrary:
                 if definition is not None:
                     types[nested] = definition
                     waiting.append(definition)
+                elif (derived := self._derived(nested)) is not None:
+                    types = {**derived.types, **types}
         return closure(types[name], types)
+
+    def _derived(self, name: str) -> Schema | None:
+        """Return a nested type that only the other world's definitions have, with all that it nests."""
+        if name in self._deriving or len(self._deriving) > MAX_DEPTH:
+            raise MessageTypeError(
+                f"{name} cannot be used: its definitions for ROS 1 and ROS 2 nest each other without an end"
+            )
+        self._deriving.append(name)
+        try:
+            return self.derive(name)
+        finally:
+            self._deriving.pop()
 
     def _own_definition(self, name: str) -> Definition | None:
         if name in self._found:

@@ -73,6 +73,17 @@ def is_legal_field(name: str) -> bool:
     return _LEGAL_PACKAGE.fullmatch(name) is not None
 
 
+def is_legal_constant(name: str) -> bool:
+    """Whether ROS 2 allows a constant of this name."""
+    return _LEGAL_CONSTANT.fullmatch(name) is not None
+
+
+def is_legal_type(name: str) -> bool:
+    """Whether ROS 2 allows a message's package and short name: ``my_msgs/msg/Thing``, not ``MyMsgs/msg/a_thing``."""
+    package, _, short = name.split("/")
+    return _LEGAL_PACKAGE.fullmatch(package) is not None and is_legal_message(short)
+
+
 def is_legal_message(name: str) -> bool:
     """Whether ROS 2 allows a message of this short name."""
     return _LEGAL_MESSAGE.fullmatch(name) is not None
@@ -85,7 +96,7 @@ def legal_fields(names: Iterable[str]) -> dict[str, str]:
 
 def legal_constants(names: Iterable[str]) -> dict[str, str]:
     """ROS 2's name for each ROS 1 constant of one message."""
-    return _distinct(names, lambda name: name if _LEGAL_CONSTANT.fullmatch(name) else _snake(name.lower()).upper())
+    return _distinct(names, lambda name: name if is_legal_constant(name) else _snake(name.lower()).upper())
 
 
 def _distinct(names: Iterable[str], change: Callable[[str], str]) -> dict[str, str]:

@@ -22,10 +22,10 @@ from pathlib import Path
 from typing import Any, Protocol
 
 from bridge.messages.definitions.hashes import EMPTY_MEMBER
-from bridge.messages.definitions.names import is_legal_message, is_ros1_name, is_ros2_name
+from bridge.messages.definitions.names import is_legal_type, is_ros1_name, is_ros2_name
 from bridge.messages.definitions.parts import CONTENTS, actionlib_names, base_of, find_actionlib, find_part, with_made
 from bridge.messages.definitions.schema import Constant, Definition, Field, FieldType, Shape, World
-from bridge.messages.definitions.text import MAX_TEXT, parse_definition, parse_full, spell
+from bridge.messages.definitions.text import MAX_TEXT, parse_definition, parse_full, spell, split_parts
 from bridge.messages.errors import MessageTypeError
 
 Found = dict[str, Definition]
@@ -69,7 +69,7 @@ class DefinitionFolder:
     def find(self, name: str) -> Found | None:
         parts = name.split("/")
         package, kind, short = parts if len(parts) == 3 else (parts[0], "msg", parts[1])
-        if self.world is World.ROS2 and kind == "msg" and not is_legal_message(short):
+        if self.world is World.ROS2 and kind == "msg" and not is_legal_type(name):
             return None
         for folder in self.folders(package, kind):
             if kind != "msg":
@@ -78,28 +78,42 @@ class DefinitionFolder:
                     return found
                 continue
             if (path := folder / f"{short}.msg").is_file():
-                return self._native({name: parse_definition(read_text(path), name, self.world)})
+                return self._native({name: parse_definition(read_text(path), name, self.world)}, path)
             if self.world is World.ROS2 and (path := folder / f"{short}.idl").is_file():
                 return parse_idl(read_text(path), name)
         if self.world is World.ROS1 and kind == "msg":
             for folder in self.folders(package, "action"):
                 found = find_actionlib(folder, name)
                 if found is not None:
-                    return self._native(found)
+                    stem = next(iter(found)).rpartition("/")[2].removesuffix("Goal")
+                    return self._native(found, folder / f"{stem}.action")
         return None
 
     def _part(self, folder: Path, name: str) -> Found | None:
         found = find_part(folder, name, self.world)
+        stem = base_of(name, self.world).rpartition("/")[2]
         if found is not None:
-            return self._native(found)
-        path = folder / f"{base_of(name, self.world).rpartition('/')[2]}.idl"
+            return self._native(found, folder / f"{stem}.{name.split('/')[1]}")
+        path = folder / f"{stem}.idl"
         if self.world is World.ROS2 and path.is_file():
             return with_made(parse_idl(read_text(path), _first_part(name)), name, self.world)
         return None
 
-    def _native(self, found: Found) -> Found | None:
-        """What is found; None where it is written for the other world, as it is derived from there."""
-        return found if all(definition.text or not definition.fields for definition in found.values()) else None
+    def _native(self, found: Found, path: Path) -> Found | None:
+        """Return the definitions of a file; None if it is written for the other world, from which they are derived.
+
+        Raises `MessageTypeError` if the file is written for neither.
+        """
+        if all(map(_is_native, found.values())):
+            return found
+        other = World.ROS1 if self.world is World.ROS2 else World.ROS2
+        if all(_is_native(parse_definition(part, "any/msg/Any", other)) for part in split_parts(read_text(path))):
+            return None
+        raise MessageTypeError(
+            f"{path} mixes what only ROS 1 writes with what only ROS 2 writes",
+            "if it has bounds, default values or types of ROS 2, write std_msgs/Header, builtin_interfaces/Time and"
+            " builtin_interfaces/Duration instead of Header, time and duration",
+        )
 
     def files(self, package: str) -> dict[str, str]:
         """Text of the package's definition files by their path within it."""
@@ -107,7 +121,8 @@ class DefinitionFolder:
         for kind in ("msg", "srv", "action"):
             for folder in self.folders(package, kind):
                 for path in sorted(folder.glob(f"*.{kind}")):
-                    if kind != "msg" or self.find(f"{package}/msg/{path.stem}") is not None:
+                    name = f"{package}/{kind}/{path.stem}"
+                    if self.find(name if kind == "msg" else _first_part(name)) is not None:
                         found.setdefault(f"{kind}/{path.name}", read_text(path))
         return found
 
@@ -116,6 +131,8 @@ class DefinitionFolder:
         stems = self._stems(package, kind)
         if self.world is World.ROS1 and kind == "msg":
             stems |= set(actionlib_names(self._stems(package, "action")))
+        if self.world is World.ROS2:
+            stems = {stem for stem in stems if is_legal_type(f"{package}/{kind}/{stem}")}
         return [f"{package}/{middle}{stem}" for stem in sorted(stems)]
 
     def _stems(self, package: str, kind: str) -> set[str]:
@@ -210,6 +227,11 @@ def ros2_sources(folders: Sequence[Path], prefixes: Sequence[Path]) -> list[Defi
     ]
 
 
+def _is_native(definition: Definition) -> bool:
+    """Whether the definition's world would write its text so; see `parse_definition`."""
+    return bool(definition.text or not (definition.fields or definition.constants))
+
+
 def _first_part(name: str) -> str:
     """What the file of a service or action defines first."""
     return f"{base_of(name, World.ROS2)}_{CONTENTS[name.split('/')[1]][0]}"
@@ -239,6 +261,7 @@ def _split(paths: str | None) -> list[Path]:
 
 _MODULES = {World.ROS1: "rosbags.typesys.stores.ros1_noetic", World.ROS2: "rosbags.typesys.stores.ros2_jazzy"}
 _TIMES = {"builtin_interfaces/msg/Time": "time", "builtin_interfaces/msg/Duration": "duration"}
+_IDL_BASES = {"octet": "byte", "boolean": "bool"}
 _BASE, _NAME, _ARRAY, _SEQUENCE = 1, 2, 3, 4  # rosbags.interfaces.Nodetype
 
 
@@ -290,7 +313,7 @@ def _definition(key: str, value: Any, world: World) -> Definition:
         name,
         world,
         tuple(Field(f, _type(desc, name, world)) for f, desc in fields if f != EMPTY_MEMBER),
-        tuple(Constant(c, base, str(v)) for c, base, v in constants),
+        tuple(Constant(c, _IDL_BASES.get(base, base), str(v)) for c, base, v in constants),
     )
 
 
@@ -305,4 +328,4 @@ def _type(desc: Any, owner: str, world: World) -> FieldType:
             return FieldType(_TIMES[content])
         return FieldType(spell(content, owner, world))
     base, bound = content
-    return FieldType({"octet": "byte"}.get(base, base), string_bound=bound)
+    return FieldType(_IDL_BASES.get(base, base), string_bound=bound)

@@ -12,7 +12,8 @@ import ast
 import re
 from collections.abc import Iterator
 
-from bridge.messages.definitions.names import is_legal_field, legal_constants
+from bridge.messages.definitions.constants import constant_value, is_readable
+from bridge.messages.definitions.names import is_legal_constant, is_legal_field, is_legal_type
 from bridge.messages.definitions.schema import (
     PRIMITIVE_SIZES,
     STRING_TYPES,
@@ -82,10 +83,13 @@ def parse_full(text: str, name: str, world: World) -> dict[str, Definition]:
 
 
 def split_parts(text: str) -> list[str]:
-    """The parts of a ``.srv`` (request, response) or ``.action`` (goal, result, feedback) file."""
+    """Return the parts of a ``.srv`` (request, response) or ``.action`` (goal, result, feedback) file.
+
+    A separator is any line that begins with ``---``, as for genmsg and genaction: also ``----`` and ``--- # reply``.
+    """
     parts: list[list[str]] = [[]]
     for line in text.replace("\r\n", "\n").split("\n"):
-        if line.strip() == "---":
+        if line.strip().startswith("---"):
             parts.append([])
         else:
             parts[-1].append(line)
@@ -168,16 +172,18 @@ def _read_line(line: str, bare: str, owner: str, world: World, fields: list[Fiel
             # A string constant of ROS 1 is everything after the '=', '#' included.
             rest = "=" + line.split("=", 1)[1]
         constant = Constant(name, parse_type(type_text, owner, world).base, rest[1:].strip())
-        if constant.base == "byte":
-            int(constant.text, 0)  # the only ones whose value differs between the worlds
         constants.append(constant)
-        return True
+        other = World.ROS2 if world is World.ROS1 else World.ROS1
+        if not is_readable(constant, other):
+            constant_value(constant, world)
+        return is_readable(constant, world) and (world is World.ROS1 or is_legal_constant(name))
     field_type = parse_type(type_text, owner, world)
     if world is World.ROS1:
         fields.append(Field(name, field_type))
         return not rest and _FOREIGN_TO_ROS1.search(type_text) is None
     fields.append(Field(name, field_type, parse_default(rest, field_type) if rest else None))
-    return is_legal_field(name) and _FOREIGN_TO_ROS2.match(type_text) is None
+    native = is_legal_field(name) and _FOREIGN_TO_ROS2.match(type_text) is None
+    return native and ("/msg/" not in field_type.base or is_legal_type(field_type.base))
 
 
 def parse_default(text: str, field_type: FieldType) -> DefaultValue:
@@ -253,18 +259,6 @@ def full_text(schema: Schema) -> str:
     parts = [own_text(schema.root)]
     parts += [f"{_NESTED_LINE}\nMSG: {_short(n)}\n{own_text(schema.types[n])}" for n in schema.nested_order()]
     return "\n".join(part.rstrip("\n") for part in parts) + "\n"
-
-
-def ros2_constants(constants: tuple[Constant, ...]) -> tuple[Constant, ...]:
-    """ROS 1 constants as ROS 2 allows them: names in upper case, text in quotes, octets not negative."""
-    names = legal_constants(constant.name for constant in constants)
-    return tuple(_ros2_constant(names[constant.name], constant) for constant in constants)
-
-
-def _ros2_constant(name: str, constant: Constant) -> Constant:
-    if constant.base == "byte":
-        return Constant(name, "byte", str(int(constant.text, 0) & 0xFF))
-    return Constant(name, constant.base, constant.text)
 
 
 def _constant(constant: Constant, world: World) -> str:

@@ -7,10 +7,11 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 
+from bridge.messages.definitions.constants import ros1_constants, ros2_constants
 from bridge.messages.definitions.library import DefinitionLibrary
 from bridge.messages.definitions.names import is_ros1_name, is_ros2_name, legal_fields, legal_type
-from bridge.messages.definitions.schema import TIME_TYPES, Constant, Definition, Field, FieldType, Schema, World
-from bridge.messages.definitions.text import full_text, ros2_constants
+from bridge.messages.definitions.schema import TIME_TYPES, Definition, Field, FieldType, Schema, World
+from bridge.messages.definitions.text import full_text
 from bridge.messages.errors import MessageTypeError
 from bridge.messages.mapping.fields import left_out, pair_types, says_the_same
 from bridge.messages.mapping.rules import Rules
@@ -56,8 +57,7 @@ def derive_ros1(ros2: Schema, counterpart: Counterpart, name: str = "") -> Schem
         base = _TIMES_BACK.get(field.type.base) or _nested(ros2, field.type, counterpart, types)
         length = field.type.length if field.type.shape.value == "array" else 0
         fields.append(Field(field.name, FieldType(base, field.type.shape, length)))
-    constants = tuple(_ros1_constant(c) for c in ros2.root.constants if c.base != "wstring")
-    root = Definition(name or f"{package}/{short}", World.ROS1, tuple(fields), constants)
+    root = Definition(name or f"{package}/{short}", World.ROS1, tuple(fields), ros1_constants(ros2.root.constants))
     return Schema(root, {**types, root.name: root})
 
 
@@ -78,15 +78,6 @@ def _nested(schema: Schema, kind: FieldType, counterpart: Counterpart, types: di
     found = counterpart(schema.sub(kind.base))
     types.update({name: found.types[name] for name in (found.name, *found.nested_order())})
     return found.name
-
-
-def _ros1_constant(constant: Constant) -> Constant:
-    text = constant.text
-    if constant.base == "string" and text[:1] in ("'", '"') and text[-1:] == text[:1]:
-        text = text[1:-1]
-    if constant.base == "byte" and int(text, 0) > 127:
-        text = str(int(text, 0) - 256)
-    return Constant(constant.name, constant.base, text)
 
 
 def unknown_type(name: str, world: World, wanted: str = "", known: str = "", kind: str = "srv") -> MessageTypeError:
@@ -117,6 +108,7 @@ class MessageMapping:
         self._converters: dict[tuple[str, ...], Conversion] = {}
         self._counterparts: dict[tuple[str, str], Schema] = {}
         self._sides: dict[tuple[World, str], tuple[Schema, SideType]] = {}
+        ros1.derive, ros2.derive = self._installed_as_ros1, self._installed_as_ros2
 
     def forget(self) -> None:
         """A new definition may change what stands for what."""
@@ -172,15 +164,36 @@ class MessageMapping:
                     return ros2
         raise unknown_type(name, World.ROS2, type_hash, " or ".join(self.ros2.fingerprints(name)), "msg")
 
+    def _installed_as_ros1(self, name: str) -> Schema | None:
+        """Derive a ROS 1 message from the installed ROS 2 message of the same name; None if there is none."""
+        for candidate in self.rules.ros2_names(name):
+            ros2 = self.ros2.installed(candidate)
+            derived = None if ros2 is None else derive_ros1(ros2, self.to_ros1)
+            if derived is not None and derived.name == name:
+                return derived
+        return None
+
+    def _installed_as_ros2(self, name: str) -> Schema | None:
+        """Derive a ROS 2 message from the installed ROS 1 message that becomes it; None if there is none."""
+        for candidate in self._ros1_names(name):
+            ros1 = self.ros1.installed(candidate)
+            derived = None if ros1 is None else derive_ros2(ros1, self.to_ros2)
+            if derived is not None and derived.name == name:
+                return derived
+        return None
+
     def _ros1_variants(self, ros2_name: str) -> Iterator[Schema]:
         """All ROS 1 definitions that may stand for a ROS 2 name, the likeliest first."""
-        package = ros2_name.split("/", 1)[0]
-        names = self.rules.ros1_names(ros2_name)
-        for name in names:
+        for name in self._ros1_names(ros2_name):
             yield from self.ros1.variants(name)
-        for name in self.ros1.names(package):
+
+    def _ros1_names(self, ros2_name: str) -> Iterator[str]:
+        """The ROS 1 names that may stand for a ROS 2 name, the likeliest first."""
+        names = self.rules.ros1_names(ros2_name)
+        yield from names
+        for name in self.ros1.names(ros2_name.split("/", 1)[0]):
             if name not in names and legal_type(name) == ros2_name:
-                yield from self.ros1.variants(name)
+                yield name
 
     def to_ros2(self, ros1: Schema) -> Schema:
         """The ROS 2 type for one of ROS 1: installed; else on the hub and the same, field for field; else derived."""

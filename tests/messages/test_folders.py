@@ -1,0 +1,124 @@
+"""Folders whose files nest types that only one of the worlds can write."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from bridge.interfaces.definition import read_package
+from bridge.messages.errors import MessageTypeError
+from bridge.messages.json import from_json, to_json
+from bridge.messages.registry import Registry
+from tests.messages.samples import sample
+
+ROS1_FORM = "Header header\ntime when\n"
+ROS2_FORM = "builtin_interfaces/Duration length\nstring<=8 name\nint32 level 5\n"
+
+NESTS = [
+    {"Outer": "Inner[] items\n", "Inner": ROS1_FORM},
+    {"Outer": "Inner[] items\n", "Inner": ROS2_FORM},
+    {"Outer": "Middle[2] items\n", "Middle": "my_robot/Inner one\n", "Inner": ROS1_FORM},
+    {"Outer": "Middle[2] items\n", "Middle": "my_robot/Inner one\n", "Inner": ROS2_FORM},
+    {"Outer": "Inner a\nNote b\nInner[] c\n", "Inner": ROS1_FORM, "Note": ROS2_FORM},
+    {"Outer": "Inner a\n", "Inner": f"{ROS1_FORM}Note note\n", "Note": ROS2_FORM},
+    {"Outer": "Note a\n", "Note": f"{ROS2_FORM}Inner inner\n", "Inner": ROS1_FORM},
+    {"Outer": "Note a\nTwo b\n", "Note": f"{ROS2_FORM}Two two\n", "Two": "Inner inner\n", "Inner": ROS1_FORM},
+    {"Outer": "Inner a\n", "Inner": "int32 Value\nbyte low=-1\n"},
+    {"Outer": "Inner a\n", "Inner": "bool ON=true\n"},
+    {"Outer": "an_inner a\n", "an_inner": "int32 a\n"},
+]
+
+
+def registry(tmp_path: Path, files: dict[str, str]) -> Registry:
+    """A registry with the messages, services and actions of one package; a service has one separator, an action two."""
+    for name, text in files.items():
+        kind = ("msg", "srv", "action")[text.count("---\n")]
+        file = tmp_path / "my_robot" / kind / f"{name}.{kind}"
+        file.parent.mkdir(parents=True, exist_ok=True)
+        file.write_text(text)
+    return Registry(folders=[tmp_path], ros1_packages=Path("/nonexistent"))
+
+
+@pytest.mark.parametrize("files", NESTS)
+def test_each_world_has_all_that_it_nests(tmp_path: Path, files: dict[str, str]) -> None:
+    found = registry(tmp_path, files)
+    there, back = found.hub_to_ros1("my_robot/msg/Outer"), found.ros1_to_hub("my_robot/Outer")
+    assert (there.source, there.target) == (back.target, back.source)
+    cdr = from_json(found, "my_robot/msg/Outer", sample(found.schema("my_robot/msg/Outer"), 2))
+    assert there.convert is not None
+    assert back.convert is not None
+    assert back.convert(there.convert(cdr)) == cdr
+    assert to_json(found, "my_robot/msg/Outer", cdr)
+
+
+@pytest.mark.parametrize("first", ["ros1", "ros2", "service", "action"])
+@pytest.mark.parametrize("files", NESTS)
+def test_services_and_actions_nest_them_too(tmp_path: Path, files: dict[str, str], first: str) -> None:
+    """Whatever is asked for first: the other answers stay the same."""
+    found = registry(
+        tmp_path, {**files, "Ask": "Outer wanted\n---\nOuter[] had\n", "Go": "Outer a\n---\nOuter b\n---\nOuter c\n"}
+    )
+    asked = {
+        "ros1": lambda: found.ros1_action("my_robot/Go").goal.name,
+        "ros2": lambda: found.service_hub_to_ros1("my_robot/srv/Ask").side.name,
+        "service": lambda: found.service_ros1_to_hub("my_robot/Ask").hub.name,
+        "action": lambda: found.service_ros1_to_hub("my_robot/action/Go_SendGoal").hub.name,
+    }
+    assert asked.pop(first)()
+    assert [ask() for ask in asked.values()]
+    assert found.service_ros1_to_hub("my_robot/Ask").hub == found.service_hub_to_ros1("my_robot/srv/Ask").hub
+    feedback = found.hub_to_ros1("my_robot/action/Go_FeedbackMessage")
+    assert feedback.target.name == "my_robot/action/Go_FeedbackMessage"
+
+
+@pytest.mark.parametrize("files", NESTS)
+def test_the_package_can_be_built_for_ros2(tmp_path: Path, files: dict[str, str]) -> None:
+    """Every file of it is as rosidl takes it, whichever world's spelling its author used."""
+    found = registry(tmp_path, {**files, "Ask": f"{ROS1_FORM}---\nOuter[] had\n"})
+    sources = found.ros2_package_sources("my_robot")
+    assert {file.path for file in read_package("my_robot", sources)} >= {"msg/Outer.msg", "srv/Ask.srv"}
+    assert "std_msgs/Header header" in sources["srv/Ask.srv"]
+
+
+def test_a_file_that_mixes_both_spellings_is_named(tmp_path: Path) -> None:
+    """Neither genmsg nor rosidl reads it."""
+    found = registry(tmp_path, {"Mixed": "Header header\nstring<=8 name\n", "Ask": "time a\n---\nint32 b 5\n"})
+    for ask in (found.ros1_to_hub, found.ros1, found.service_ros1_to_hub):
+        name = "Ask" if ask == found.service_ros1_to_hub else "Mixed"
+        with pytest.raises(MessageTypeError, match=rf"{name}\.\w+ mixes what only ROS 1 writes") as caught:
+            ask(f"my_robot/{name}")
+        assert "std_msgs/Header" in caught.value.cure
+
+
+def test_types_that_nest_each_other_across_the_worlds_are_refused(tmp_path: Path) -> None:
+    found = registry(tmp_path, {"One": "Header header\nTwo two\n", "Two": f"{ROS2_FORM}One one\n"})
+    for name in ("my_robot/One", "my_robot/Two"):
+        with pytest.raises(MessageTypeError, match="nest each other without an end"):
+            found.ros1_to_hub(name)
+
+
+def test_many_types_that_change_the_world_each_time_are_refused(tmp_path: Path) -> None:
+    files = {f"T{n}": ("time" if n % 2 else "string<=3") + f" a\nT{n + 1} b\n" for n in range(300)}
+    found = registry(tmp_path, {**files, "T300": "int32 a\n"})
+    with pytest.raises(MessageTypeError, match=r"nest each other|more than 64 deep"):
+        found.ros1_to_hub("my_robot/T0")
+
+
+def test_a_type_that_ros1_cannot_have_is_still_named(tmp_path: Path) -> None:
+    found = registry(tmp_path, {"Outer": "Inner a\n", "Inner": "wstring text\n"})
+    with pytest.raises(MessageTypeError, match="field text is a wstring"):
+        found.hub_to_ros1("my_robot/msg/Outer")
+    assert found.ros2("my_robot/msg/Outer").definition.startswith("Inner a\n")
+
+
+def test_a_type_of_an_installed_ros1_package_is_nested_in_ros2(tmp_path: Path) -> None:
+    packages = tmp_path / "python" / "old_msgs" / "msg"
+    packages.mkdir(parents=True)
+    (packages / "_Mark.py").write_text('class Mark:\n  _full_text = """int32 Number\n"""\n')
+    folder = tmp_path / "types" / "my_robot"
+    folder.mkdir(parents=True)
+    (folder / "Outer.msg").write_text("old_msgs/Mark[] marks\nstring<=4 name\n")
+    found = Registry(folders=[folder.parent], ros1_packages=packages.parents[1])
+    assert "int32 number" in found.ros2("my_robot/msg/Outer").definition
+    assert found.hub_to_ros1("my_robot/msg/Outer").target.definition.startswith("old_msgs/Mark[] marks\n")
