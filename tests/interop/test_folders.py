@@ -1,7 +1,7 @@
 """A package of ``types.folders`` with files that only one of the worlds can write, between real programs.
 
-The programs have the package as their own world writes it, independently of Midspan's registry: ROS 1's classes are
-made by genpy, ROS 2's package is built by rosidl.
+Each program has the package as its own world writes it, independently of Midspan's registry: genpy makes the classes
+of ROS 1, rosidl builds the package of ROS 2.
 """
 
 from __future__ import annotations

@@ -55,7 +55,7 @@ def test_each_world_has_all_that_it_nests(tmp_path: Path, files: dict[str, str])
 @pytest.mark.parametrize("first", ["ros1", "ros2", "service", "action"])
 @pytest.mark.parametrize("files", NESTS)
 def test_services_and_actions_nest_them_too(tmp_path: Path, files: dict[str, str], first: str) -> None:
-    """Whatever is asked for first: the other answers stay the same."""
+    """The order of the questions does not matter."""
     found = registry(
         tmp_path, {**files, "Ask": "Outer wanted\n---\nOuter[] had\n", "Go": "Outer a\n---\nOuter b\n---\nOuter c\n"}
     )

@@ -37,7 +37,7 @@ def service_type(name):
 def message_classes(name, definition):
     """Of a message and all that it nests, by name; of a full text as connection headers have it.
 
-    The folder of what genpy writes is gone at once, not only where the program ends by itself.
+    The folder that genpy writes is deleted at once, not only if the program ends by itself.
     """
     with tempfile.TemporaryDirectory() as folder, mock.patch.object(tempfile, "tempdir", folder):
         made = genpy.dynamic.generate_dynamic(name, definition)

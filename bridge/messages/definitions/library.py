@@ -18,7 +18,7 @@ MAX_NESTED = 2_000  # types that one definition may nest
 
 
 class DefinitionLibrary:
-    """Schemas by name and by fingerprint (md5 in ROS 1, RIHS01 in ROS 2). Not safe for threads: its owner locks."""
+    """Schemas by name and by fingerprint (md5 in ROS 1, RIHS01 in ROS 2). Not thread-safe: the registry locks."""
 
     def __init__(self, world: World, sources: Sequence[DefinitionSource]) -> None:
         self.world = world
@@ -32,7 +32,7 @@ class DefinitionLibrary:
         self._room = MAX_LEARNED
 
     def fingerprint(self, schema: Schema) -> str:
-        """The schema's md5 or RIHS01 hash."""
+        """Return the schema's md5 or RIHS01 hash."""
         return md5_sum(schema) if self.world is World.ROS1 else rihs01(schema)
 
     def learn(self, name: str, text: str, announced: str = "") -> None:
@@ -49,7 +49,7 @@ class DefinitionLibrary:
             self._learned[name][fingerprint] = self._learned[name].pop(fingerprint)
             return
         if len(self._learned) >= MAX_NAMES or len(text) > self._room:
-            msg = f"{name} is not taken up: too many definitions were learned already"
+            msg = f"the definition of {name} is not stored: too many definitions were learned already"
             raise MessageTypeError(msg, "restart the worker if the network's types are meant to change so often")
         self._room -= len(text)
         variants = self._learned.setdefault(name, {})
@@ -60,9 +60,9 @@ class DefinitionLibrary:
             self._nested.update(found)
 
     def find(self, name: str, fingerprint: str = "", *, newest: bool = False) -> Schema | None:
-        """The schema of ``name``, None where no definition is known, or none with that fingerprint ("" for any).
+        """Return the schema of ``name`` with a fingerprint ("" for any); None if no such definition is known.
 
-        With ``newest`` and no fingerprint, what was learned last is preferred to what is installed.
+        With ``newest`` and no fingerprint, the definition learned last is preferred to the installed one.
         """
         variants = self._learned.get(name, {})
         if fingerprint:
@@ -76,7 +76,7 @@ class DefinitionLibrary:
         return self.installed(name) or last or self._from_nested(name)
 
     def fingerprints(self, name: str) -> list[str]:
-        """Fingerprints of all definitions known of ``name``."""
+        """Return the fingerprints of all known definitions of ``name``."""
         found = list(self._learned.get(name, {}))
         schema = self.installed(name)
         if schema is not None and (own := self.fingerprint(schema)) not in found:
@@ -84,20 +84,20 @@ class DefinitionLibrary:
         return found
 
     def names(self, package: str, kind: str = "msg") -> list[str]:
-        """Names of the messages, services (``srv``) or actions that are known of a package."""
+        """Return the names of a package's known messages, services (``srv``) or actions."""
         known = [name for source in self._sources for name in source.names(package, kind)]
         start = f"{package}/" if self.world is World.ROS1 and kind == "msg" else f"{package}/{kind}/"
         known += [name for name in self._learned if name.startswith(start)]
         return list(dict.fromkeys(known))
 
     def variants(self, name: str) -> list[Schema]:
-        """All definitions known of ``name``: what was learned, the newest first, then what is installed."""
+        """Return all definitions of ``name``: the learned ones, the newest first, then the installed one."""
         found = list(reversed(self._learned.get(name, {}).values()))
         rest = self.installed(name) or (None if found else self._from_nested(name))
         return found if rest is None else [*found, rest]
 
     def installed(self, name: str) -> Schema | None:
-        """The schema of ``name`` as this machine's packages and folders have it."""
+        """Return the schema of ``name`` as this machine's packages and folders define it."""
         if name not in self._found:
             found = find_first(self._sources, name, self.world)
             if found is None:
@@ -110,7 +110,7 @@ class DefinitionLibrary:
         return None if definition is None else self._close(name, {name: definition})
 
     def _close(self, name: str, found: dict[str, Definition]) -> Schema:
-        """The schema of ``name``; what its own place does not hold is looked up like any other type."""
+        """Return the schema of ``name``; nested types that ``found`` lacks are searched like any other type."""
         types = dict(found)
         waiting = [types[name]]
         seen = {name}

@@ -1,7 +1,7 @@
 """Names of message types and fields in ROS 1 and ROS 2, and how one world's become legal in the other.
 
-ROS 2's rules are those of rosidl_adapter's parser (jazzy, ``rosidl_adapter/parser.py``): packages and fields are lower
-case with single underscores and none at the end, messages are CamelCase, constants UPPER_CASE.
+The rules for ROS 2 are from rosidl_adapter (jazzy, ``rosidl_adapter/parser.py``): packages and fields are lower case
+with single underscores and none at the end, messages are CamelCase, constants UPPER_CASE.
 """
 
 from __future__ import annotations

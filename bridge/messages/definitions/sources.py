@@ -1,11 +1,11 @@
-"""Where definitions are found on this machine. Nothing is read before it is asked for.
+"""Places of definitions on this machine. Nothing is read before it is needed.
 
-A source answers with a type's own definition, and with those of nested types where it holds them in the same place.
+A source returns a type's own definition, and those of nested types if the same file holds them.
 Names are checked against ROS's grammar before they become paths. The standard types of Noetic and Jazzy and the reader
 of IDL are those that rosbags ships.
 """
 
-# ruff: noqa: D102 - `DefinitionSource` says what each finds
+# ruff: noqa: D102 - `DefinitionSource` documents the methods
 
 from __future__ import annotations
 
@@ -39,10 +39,10 @@ class DefinitionSource(Protocol):
     """One place that holds definitions of one world."""
 
     def find(self, name: str) -> Found | None:
-        """The definition of ``name`` first, then what it nests where that is at hand; None where it is not here."""
+        """Return the definition of ``name``, then those of nested types in the same file; None if it is missing."""
 
     def names(self, package: str, kind: str = "msg") -> list[str]:
-        """Names of the package's messages, services (``srv``) or actions in this place; of ROS 1, no actions."""
+        """Return the names of the package's messages, services (``srv``) or actions here; of ROS 1, no actions."""
 
 
 class DefinitionFolder:
@@ -141,7 +141,7 @@ class DefinitionFolder:
 
 
 class GenpyPackages:
-    """ROS 1 Python packages, read as text: they cannot be imported beside ROS 2's, which have the same names."""
+    """ROS 1 Python packages, read as text: ROS 2's have the same names, so one process cannot import both."""
 
     def __init__(self, root: Path) -> None:
         self.root = root
@@ -159,7 +159,7 @@ class GenpyPackages:
         return [f"{package}/{middle}{path.stem[1:]}" for path in sorted(files)]
 
     def _service(self, name: str) -> Found | None:
-        """The request or response of a service: their texts are in one file, in this order."""
+        """Return the request or response of a service: one file holds both texts, in this order."""
         package, kind, short = name.split("/")
         base, _, part = short.rpartition("_")
         texts = self._texts(self.root / package / "srv" / f"_{base}.py") if kind == "srv" else []
@@ -189,7 +189,7 @@ class RosbagsTypes:
 
 
 def find_first(sources: Iterable[DefinitionSource], name: str, world: World) -> Found | None:
-    """The first source's answer; None where no source knows ``name`` or it is no legal type name."""
+    """Return the first source's definitions; None if no source has ``name`` or the name is invalid."""
     # The parts of ROS 1's services have names as ROS 2's.
     if not is_ros2_name(name) and (world is World.ROS2 or not is_ros1_name(name)):
         return None
@@ -201,7 +201,7 @@ def find_first(sources: Iterable[DefinitionSource], name: str, world: World) -> 
 
 
 def ros1_sources(folders: Sequence[Path], packages: Path | None) -> list[DefinitionSource]:
-    """Places of ROS 1 definitions, the most particular first."""
+    """Return the places of ROS 1 definitions, the most specific first."""
     python = [packages] if packages is not None else _ros1_python_folders()
     shares = [*_split(os.environ.get("ROS_PACKAGE_PATH")), Path("/opt/ros/noetic/share"), Path("/usr/share")]
     return [
@@ -214,7 +214,7 @@ def ros1_sources(folders: Sequence[Path], packages: Path | None) -> list[Definit
 
 
 def ros2_sources(folders: Sequence[Path], prefixes: Sequence[Path]) -> list[DefinitionSource]:
-    """Places of ROS 2 definitions, the most particular first."""
+    """Return the places of ROS 2 definitions, the most specific first."""
     own = Path(__file__).parents[2] / "interfaces" / "definitions"
     roots = [*prefixes, *_split(os.environ.get("AMENT_PREFIX_PATH")), Path(sys.prefix), Path("/opt/ros/jazzy")]
     shares = dict.fromkeys(root / "share" for root in roots)
@@ -233,12 +233,12 @@ def _is_native(definition: Definition) -> bool:
 
 
 def _first_part(name: str) -> str:
-    """What the file of a service or action defines first."""
+    """Return the name of the first part of a service or action."""
     return f"{base_of(name, World.ROS2)}_{CONTENTS[name.split('/')[1]][0]}"
 
 
 def read_text(path: Path) -> str:
-    """A definition file's text; `MessageTypeError` where it cannot be read."""
+    """Return a definition file's text; raises `MessageTypeError` if it cannot be read."""
     try:
         if path.stat().st_size > MAX_TEXT:
             raise MessageTypeError(f"{path} is larger than {MAX_TEXT} bytes")
@@ -266,7 +266,7 @@ _BASE, _NAME, _ARRAY, _SEQUENCE = 1, 2, 3, 4  # rosbags.interfaces.Nodetype
 
 
 def find_in_store(name: str, world: World) -> Definition | None:
-    """The definition of a standard type of Noetic or Jazzy, None where rosbags has none."""
+    """Return the definition of a standard type of Noetic or Jazzy; None if rosbags lacks it."""
     store = _store(world)
     key = name if world is World.ROS2 else name.replace("/", "/msg/", 1)
     if world is World.ROS1 and key in _TIMES:
@@ -296,11 +296,11 @@ def parse_idl(text: str, name: str) -> dict[str, Definition]:
 
 @cache
 def _store(world: World) -> Mapping[str, Any]:
-    """The definitions, without the class of each message that rosbags makes beside them: 3 MB in each worker."""
+    """Return the definitions, without the message classes that rosbags also makes: 3 MB in each worker."""
     definitions: Mapping[str, Any] = importlib.import_module(_MODULES[world]).FIELDDEFS
     stores = sys.modules[_MODULES[world].rpartition(".")[0]]
     for name in [name for name in sys.modules if name.startswith(f"{stores.__name__}.ros")]:
-        del sys.modules[name]  # who wants the classes imports it again
+        del sys.modules[name]  # another import makes the classes again
         vars(stores).pop(name.rpartition(".")[2], None)
     gc.collect()
     return definitions

@@ -43,9 +43,9 @@ _BUILTIN_TIMES = {"builtin_interfaces/Time": "time", "builtin_interfaces/Duratio
 
 
 def parse_definition(text: str, name: str, world: World) -> Definition:
-    """Read one type's own definition; raises `MessageTypeError`, naming the type and the line that cannot be read.
+    """Read one type's own definition; raises `MessageTypeError` with the type and the line that cannot be read.
 
-    It is without text where it is written as only the other world would write it.
+    The definition has no text if only the other world would write it so.
     """
     if len(text) > MAX_TEXT:
         raise MessageTypeError(f"the definition of {name} is longer than {MAX_TEXT} characters")
@@ -134,7 +134,7 @@ def closure(root: Definition, types: dict[str, Definition]) -> Schema:
 
 
 def parse_type(text: str, owner: str, world: World) -> FieldType:
-    """Read a field's type; `ValueError` says what is wrong with it."""
+    """Read a field's type; raises `ValueError` with the reason."""
     match = _TYPE.fullmatch(text)
     if match is None:
         raise ValueError(f"{text!r} is not a type")
@@ -162,7 +162,7 @@ def _base_name(base: str, owner: str, world: World) -> str:
 
 
 def _read_line(line: str, bare: str, owner: str, world: World, fields: list[Field], constants: list[Constant]) -> bool:
-    """Read one line; whether ``world`` itself would write it so."""
+    """Read one line; returns whether ``world`` itself would write it so."""
     match = _LINE.fullmatch(bare) if len(bare) <= MAX_LINE else None
     if match is None:
         raise ValueError("expected '<type> <name>'" if len(bare) <= MAX_LINE else f"longer than {MAX_LINE} characters")
@@ -187,7 +187,7 @@ def _read_line(line: str, bare: str, owner: str, world: World, fields: list[Fiel
 
 
 def parse_default(text: str, field_type: FieldType) -> DefaultValue:
-    """Read a ROS 2 default value; `ValueError` says what is wrong with it."""
+    """Read a ROS 2 default value; raises `ValueError` with the reason."""
     if field_type.nested:
         raise ValueError(f"a field of type {field_type.base} cannot have a default value")
     if field_type.shape is Shape.SINGLE:
@@ -214,7 +214,7 @@ def _scalar(text: str, base: str) -> DefaultValue:
 
 
 def _unquoted(text: str) -> str:
-    """A text without its quotes, its escapes resolved as Python's; `ValueError` where there is no such escape."""
+    """Return a text without its quotes, with its escapes resolved as in Python; raises `ValueError`."""
     try:
         return str(ast.literal_eval(text))
     except SyntaxError as err:
@@ -227,7 +227,7 @@ def _split_list(text: str) -> Iterator[str]:
 
 
 def _strip_comment(line: str) -> str:
-    """The line without its comment; a ``#`` within quotes is no comment."""
+    """Return the line without its comment; a ``#`` within quotes belongs to the value."""
     if "#" not in line:
         return line.strip()
     quote = ""

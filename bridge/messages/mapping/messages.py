@@ -50,7 +50,7 @@ def derive_ros1(ros2: Schema, counterpart: Counterpart, name: str = "") -> Schem
     fields: list[Field] = []
     for field in ros2.root.fields:
         if field.type.base == "wstring":
-            msg = f"{ros2.name} cannot be said in ROS 1: field {field.name} is a wstring"
+            msg = f"{ros2.name} has no counterpart in ROS 1: field {field.name} is a wstring"
             raise MessageTypeError(
                 msg, "map it by a rule to a ROS 1 message that leaves the field out (types.mapping_rules)"
             )
@@ -81,7 +81,7 @@ def _nested(schema: Schema, kind: FieldType, counterpart: Counterpart, types: di
 
 
 def unknown_type(name: str, world: World, wanted: str = "", known: str = "", kind: str = "srv") -> MessageTypeError:
-    """What to say of a message (``msg``), a service or an action that cannot be used, and the cure."""
+    """Return the error, with its cure, for a message (``msg``), a service or an action that cannot be used."""
     package, kind = name.split("/")[0], "action" if "/action/" in name and kind == "srv" else kind
     if wanted and known:
         word = "md5" if world is World.ROS1 else "hash"
@@ -90,9 +90,9 @@ def unknown_type(name: str, world: World, wanted: str = "", known: str = "", kin
             f"use the same version of {package} on both sides",
         )
     what = {"msg": "type", "srv": "service", "action": "action"}[kind]
-    heard = "" if kind == "msg" else ", and no connection announces one"
+    announced = "" if kind == "msg" else ", and no connection announces one"
     return MessageTypeError(
-        f"no definition of the {world.value} {what} {name} is known{heard}",
+        f"no definition of the {world.value} {what} {name} is known{announced}",
         f"install {package}, or put its .{kind} files into a folder that types.folders names",
     )
 
@@ -139,7 +139,7 @@ class MessageMapping:
         return self._converters[key]
 
     def find_ros1(self, name: str, md5: str = "") -> Schema:
-        """The ROS 1 message ``name``; where ROS 2 alone has it, the one derived from there."""
+        """Return the ROS 1 message ``name``, derived from ROS 2's if only ROS 2 has it."""
         wanted = "" if md5 in ANY_MD5 else md5
         found = self.ros1.find(name, wanted, newest=True)
         if found is not None:
@@ -153,7 +153,7 @@ class MessageMapping:
         raise unknown_type(name, World.ROS1, wanted, " or ".join(self.ros1.fingerprints(name)), "msg")
 
     def find_ros2(self, name: str, type_hash: str = "") -> Schema:
-        """The ROS 2 message ``name``; where ROS 1 alone has it, the one derived from there."""
+        """Return the ROS 2 message ``name``, derived from ROS 1's if only ROS 1 has it."""
         found = self.ros2.find(name, type_hash)
         if found is not None:
             return found
@@ -165,7 +165,7 @@ class MessageMapping:
         raise unknown_type(name, World.ROS2, type_hash, " or ".join(self.ros2.fingerprints(name)), "msg")
 
     def _installed_as_ros1(self, name: str) -> Schema | None:
-        """Derive a ROS 1 message from the installed ROS 2 message of the same name; None if there is none."""
+        """Derive a ROS 1 message from the installed ROS 2 message of the same name; None if ROS 2 lacks it."""
         for candidate in self.rules.ros2_names(name):
             ros2 = self.ros2.installed(candidate)
             derived = None if ros2 is None else derive_ros1(ros2, self.to_ros1)
@@ -174,7 +174,7 @@ class MessageMapping:
         return None
 
     def _installed_as_ros2(self, name: str) -> Schema | None:
-        """Derive a ROS 2 message from the installed ROS 1 message that becomes it; None if there is none."""
+        """Derive a ROS 2 message from the installed ROS 1 message that becomes it; None if ROS 1 lacks it."""
         for candidate in self._ros1_names(name):
             ros1 = self.ros1.installed(candidate)
             derived = None if ros1 is None else derive_ros2(ros1, self.to_ros2)

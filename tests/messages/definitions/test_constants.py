@@ -71,7 +71,7 @@ def test_ros1_constants_are_read_as_genmsg_reads_them() -> None:
 @needs(ROS2)
 def test_ros2_constants_are_read_as_rosidl_reads_them() -> None:
     for base, text in CONSTANTS:
-        if base != "time":  # rosidl_adapter has no values of it, and says so by an assertion
+        if base != "time":  # rosidl_adapter fails by an assertion
             assert own_value(base, text, World.ROS2) == rosidl_value(base, text), (base, text)
 
 
