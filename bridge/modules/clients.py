@@ -119,9 +119,12 @@ class SentGoal:
         """Handle the server's result response."""
         if isinstance(reply, CallError):
             self.finish(GoalState.ABORTED, None, str(reply))
-        elif reply["status"] == GoalState.UNKNOWN:  # the server or a bridge has lost the goal
-            why = str(reply["result"].get("error_msg", "")) or "the server does not know the goal"
-            self.finish(GoalState.ABORTED, None, why)
+        elif reply["status"] == GoalState.UNKNOWN:
+            why = str(reply["result"].get("error_msg", ""))
+            if why:  # of a bridge that cannot reach the server
+                self.finish(GoalState.ABORTED, None, why)
+            else:
+                self.finish(GoalState.UNKNOWN, None, "the server does not know the goal")
         else:
             self.finish(GoalState(reply["status"]), reply["result"], "")
 

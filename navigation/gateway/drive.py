@@ -34,6 +34,7 @@ class ClientDrive:
     at: int = 0  #: index of the current target
     machine: Machine[DriveState, DriveEvent] = field(default_factory=_machine)
     sent: SentGoal | None = None  #: the goal that the planner has now, or had last
+    followed: SentGoal | None = None  #: the one whose result was asked for again, after contact was lost
     sent_at: float = 0.0  #: when it was sent (monotonic)
     released: bool = True  #: whether the planner is known to have none of its goals
     why: str = ""  #: why it is being stopped, or waits
@@ -64,6 +65,11 @@ class ClientDrive:
     def begun(self) -> bool:
         """Whether a planner may have accepted any of its goals, for example one that vanished before it answered."""
         return not self.released or (self.sent is not None and self.sent.accepted is not False)
+
+    @property
+    def forgotten(self) -> bool:
+        """Whether the planner does not know its goal any more, whatever the list of its predecessor shows."""
+        return self.sent is not None and self.sent is self.followed and self.sent.status is GoalState.UNKNOWN
 
     def end(self, status: GoalState, code: int, why: str) -> None:
         """End the client's own goal."""

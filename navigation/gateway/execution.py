@@ -278,7 +278,8 @@ class Execution:
         if not link.reachable or sent is None:
             self._give_up_waiting(drive)
         elif time.monotonic() > drive.due and (link.state.reported or link.presence.machine.age > SETTLING_SECONDS):
-            if link.lists(sent) is not None:
+            if link.lists(sent) is not None and not drive.forgotten:
+                drive.followed = sent
                 link.follow(sent)
                 drive.due = time.monotonic() + RETRY_SECONDS
                 drive.machine.on(DriveEvent.RESUMED_CONTACT)

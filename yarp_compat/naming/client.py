@@ -59,6 +59,7 @@ class NameClient:
         self._registered: dict[str, _Registered] = {}
         self._left: set[str] = set()
         self._asking: weakref.WeakSet[LineSocket] = weakref.WeakSet()
+        self._asking_lock = threading.Lock()
         self._hurried = self._given_up = False
 
     @property
@@ -90,7 +91,9 @@ class NameClient:
     def hurry(self, seconds: float) -> None:
         """Limit every command to so many seconds, those under way too; after one that takes longer, all fail."""
         self._timeout, self._hurried = seconds, True
-        for peer in list(self._asking):
+        with self._asking_lock:
+            pending = list(self._asking)
+        for peer in pending:
             peer.hurry(seconds)
 
     def register(self, name: str, host: str = "", port: int = 0, *, carrier: str = "") -> PortContact:
@@ -228,7 +231,8 @@ class NameClient:
             if self._given_up:
                 raise TimeoutError
             peer = LineSocket(address.host, address.port, self._timeout, limit=MAX_ANSWER)
-            self._asking.add(peer)
+            with self._asking_lock:
+                self._asking.add(peer)
             peer.send(data)
         except OSError as err:
             self._found = None  # the file may say another place by now

@@ -332,6 +332,6 @@ def _owner(file: Path) -> str:
     except OSError:
         known = ""
     if len(known) != 12 or not known.isalnum():
-        known = uuid.uuid4().hex[:12]
+        known = "m" + uuid.uuid4().hex[:11]  # with a letter first: YARP's text would take 123456789e12 for a number
         keep(file, known + "\n", "ports that a killed worker leaves at the name server will stay there for a while")
     return known

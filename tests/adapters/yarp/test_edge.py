@@ -27,6 +27,7 @@ from yarp_compat.naming import connections
 from yarp_compat.naming.client import NameClient
 from yarp_compat.wire.binary import encode
 from yarp_compat.wire.profile import Profile
+from yarp_compat.wire.text import from_text
 
 REGISTRY = Registry()
 STRING = REGISTRY.ros2("std_msgs/msg/String")
@@ -222,3 +223,13 @@ def test_a_service_may_go_as_ports_are_planned(
     edge.start(LISTENER)
     assert ended.wait(20)
     assert "following the network failed" not in caplog.text
+
+
+def test_the_id_of_the_worker_is_never_a_number_in_yarps_text(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A name server reads an id such as 715758e2 as a number, unless it is quoted."""
+    monkeypatch.setattr(edge_module.uuid, "uuid4", lambda: SimpleNamespace(hex="123456789e12" + 20 * "0"))
+    yarp = {"nameserver": "site", "address": "127.0.0.1:10000"}
+    edge = YarpEdge(Config.model_validate({"name": "here", "state": tmp_path, "yarp": yarp}), REGISTRY, tmp_path)
+    owner = (tmp_path / "yarp_owner").read_text().strip()
+    assert from_text(owner) == [owner]
+    edge.stop()

@@ -283,6 +283,20 @@ def test_a_planner_that_comes_back_without_the_goal_is_given_it_again(robot: Sce
     rig.state(State.REACHED)
 
 
+def test_a_goal_that_only_the_list_of_a_killed_planner_has_is_sent_again(robot: Scene) -> None:
+    """The parts of a killed bt_navigator, and its last list, stay for its DDS lease beside those of the next one."""
+    rig, planner = robot.rig, robot.planner
+    asked = robot.drive()
+    planner.tell()
+    until(lambda: rig.gateway.link.state.reported, "the gateway has the planner's goal list")
+    planner.forget()
+    planner.answer(GoalState.UNKNOWN)
+    lost(robot)
+    robot.goal(2)
+    planner.end(GoalState.SUCCEEDED)
+    assert asked.end() == ("SUCCEEDED", "")
+
+
 def test_a_goal_is_not_sent_again_before_all_parts_are_back(robot: Scene) -> None:
     rig, planner = robot.rig, robot.planner
     asked = robot.drive()
