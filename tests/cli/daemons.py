@@ -17,6 +17,7 @@ from bridge.daemon.query import ask_daemon
 from tests.support.forks import DAEMON
 from tests.support.ports import free_port
 from tests.support.process import Process
+from tests.support.routers import end_router
 from tests.support.wait import until
 
 OFF = {side: {"enabled": False} for side in ("ros1", "ros2", "yarp", "zenoh")}
@@ -96,11 +97,10 @@ class RobotDaemon:
         workers = [
             psutil.Process(process.pid).children() for process in self._processes if process.popen.poll() is None
         ]
-        lock = self.folder / "state" / "robot.router.lock"
-        router = json.loads(lock.read_text())["pid"] if lock.exists() and lock.read_text() else 0
         for process in self._processes:
             process.signal(signal.SIGCONT)
             process.stop()
-        for pid in {router, *(child.pid for children in workers for child in children)} - {0}:
+        for pid in {child.pid for children in workers for child in children}:
             if psutil.pid_exists(pid):
                 os.kill(pid, signal.SIGKILL)
+        end_router(self.folder / "state")

@@ -28,6 +28,7 @@ from tests.support.ports import free_port
 from tests.support.process import Process
 from tests.support.ros1 import RosMaster
 from tests.support.ros2 import ROS2_PEER, ros2_domain, ros2_environment, ros2_python
+from tests.support.routers import end_router
 from tests.support.wait import until
 
 MIDSPAN = [sys.executable, "-m", "bridge.cli.main"]
@@ -193,6 +194,7 @@ class Deployment:
             if kind is not None:
                 print(self.daemon.output()[-8000:])
             self.daemon.stop()
+            end_router(self.folder / "state")
         self.master.close()
 
 
