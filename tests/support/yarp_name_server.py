@@ -12,6 +12,7 @@ What it copies of that one (``NameServiceOnTriples.cpp``, ``AllocatorOnTriples.c
 
 from __future__ import annotations
 
+import contextlib
 import socketserver
 import threading
 from typing import Any, Self
@@ -44,8 +45,18 @@ class RealNameServer:
         class Handler(socketserver.StreamRequestHandler):
             def handle(self) -> None:
                 for line in self.rfile:
-                    words = from_text(line.decode().partition("NAME_SERVER")[2])
-                    self.wfile.write("".join(f"{one}\r\n" for one in outer.answer(words)).encode())
+                    with contextlib.suppress(ConnectionError):  # who has its answer leaves
+                        self.wfile.write("".join(f"{one}\r\n" for one in self._reply(line.decode())).encode())
+
+            def _reply(self, line: str) -> list[str]:
+                """Reply in the carrier of the name server, or in that of a port, ``CONNACK``."""
+                carrier, _, rest = line.strip().partition(" ")
+                if carrier == "CONNACK":
+                    return [f"Welcome {rest}"]
+                if carrier == "d":
+                    return []
+                answer = outer.answer(from_text(rest.replace('"', "") if carrier == "NAME_SERVER" else line))
+                return answer if carrier == "NAME_SERVER" else [*answer[:-1], "<ACK>"]
 
         class Server(socketserver.ThreadingTCPServer):
             daemon_threads = True

@@ -8,7 +8,6 @@ from __future__ import annotations
 import logging
 import threading
 import time
-import uuid
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, ClassVar
@@ -17,7 +16,7 @@ from bridge.adapters.side_edge import SideEdge
 from bridge.adapters.yarp.contents import Contents
 from bridge.adapters.yarp.endpoints import PortEndpoints
 from bridge.adapters.yarp.graph import Ros1Ports, YarpContext, YarpGraph
-from bridge.adapters.yarp.network import PRESENCE, PortNames, YarpNetwork
+from bridge.adapters.yarp.network import PRESENCE, PortNames, YarpNetwork, new_id
 from bridge.adapters.yarp.plan import Wanted, make_plan
 from bridge.adapters.yarp.ports import OwnPorts
 from bridge.adapters.yarp.presence import WorkerPresence
@@ -332,6 +331,6 @@ def _owner(file: Path) -> str:
     except OSError:
         known = ""
     if len(known) != 12 or not known.isalnum():
-        known = "m" + uuid.uuid4().hex[:11]  # with a letter first: YARP's text would take 123456789e12 for a number
+        known = new_id(12)
         keep(file, known + "\n", "ports that a killed worker leaves at the name server will stay there for a while")
     return known

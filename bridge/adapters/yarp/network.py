@@ -29,6 +29,11 @@ DAEMON = "midspan"
 """The property that names the daemon: on its port of presence, and on ports of topics that it carries."""
 
 
+def new_id(length: int = 32) -> str:
+    """Return a new id, a letter and hexadecimal digits: YARP's text would read ``75e5e286e164`` as a number."""
+    return "m" + uuid.uuid4().hex[: length - 1]
+
+
 @dataclass(frozen=True, slots=True)
 class PortNames:
     """The configured scheme, ``{topic}`` being the topic's name; ``daemon`` is for names that another daemon has."""
@@ -156,7 +161,7 @@ class YarpNetwork:
         root = self.naming.contact.name
         values = [str(value) for value in self.naming.get_property(root, IDENTITY)]
         if not values:
-            self.naming.set_property(root, IDENTITY, self.identity or uuid.uuid4().hex)
+            self.naming.set_property(root, IDENTITY, self.identity or new_id())
             values = [str(value) for value in self.naming.get_property(root, IDENTITY)]
         self.identity = values[0] if values else f"{self.naming.address.host}:{self.naming.address.port}{root}"
 

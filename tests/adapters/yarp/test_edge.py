@@ -11,8 +11,9 @@ from typing import Any
 import pytest
 
 from bridge.adapters.yarp import edge as edge_module
+from bridge.adapters.yarp import network as network_module
 from bridge.adapters.yarp.edge import YarpEdge
-from bridge.adapters.yarp.network import OWNER
+from bridge.adapters.yarp.network import OWNER, new_id
 from bridge.adapters.yarp.plan import PortPlan
 from bridge.adapters.yarp.ports import OwnPorts
 from bridge.adapters.yarp.services import YarpServices
@@ -227,9 +228,10 @@ def test_a_service_may_go_as_ports_are_planned(
 
 def test_the_id_of_the_worker_is_never_a_number_in_yarps_text(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A name server reads an id such as 715758e2 as a number, unless it is quoted."""
-    monkeypatch.setattr(edge_module.uuid, "uuid4", lambda: SimpleNamespace(hex="123456789e12" + 20 * "0"))
+    monkeypatch.setattr(network_module.uuid, "uuid4", lambda: SimpleNamespace(hex="123456789e12" + 20 * "0"))
     yarp = {"nameserver": "site", "address": "127.0.0.1:10000"}
     edge = YarpEdge(Config.model_validate({"name": "here", "state": tmp_path, "yarp": yarp}), REGISTRY, tmp_path)
     owner = (tmp_path / "yarp_owner").read_text().strip()
     assert from_text(owner) == [owner]
+    assert from_text(new_id()) == [new_id()]
     edge.stop()
