@@ -13,7 +13,7 @@ from bridge.modules.loop import EventLoop
 from navigation.constraints import Constraints
 from navigation.frames import FramesError, RobotFrames
 from navigation.maps.grid import yaw_of
-from navigation.pose import Pose
+from navigation.pose import Pose, check_rotation
 from navigation.status import NO_GOAL, Fault, PlanError, PlannerStatus, State
 
 _FARTHEST = 1e6  # meters; no map is as large, and sums of far larger numbers lose their precision
@@ -45,6 +45,11 @@ def goal_of(
     theta = yaw_of(turn)
     if not all(map(math.isfinite, (place["x"], place["y"], theta))):
         raise PlanError(Fault.BAD_GOAL, f"the goal's x, y and heading must be finite, not {place} and {turn}")
+    if wanted.heading:
+        try:
+            check_rotation(turn, "the goal's")
+        except ValueError as err:
+            raise PlanError(Fault.BAD_GOAL, str(err)) from None
     if max(abs(place["x"]), abs(place["y"])) > _FARTHEST:
         raise PlanError(Fault.BAD_GOAL, f"the goal is farther than {_FARTHEST:g} m: {place['x']:g}, {place['y']:g}")
     pose, frame = Pose(place["x"], place["y"], theta), stamped["header"]["frame_id"].lstrip("/")

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from typing import NamedTuple
 
 
 class Pose(NamedTuple):
-    """Where something is in a frame: metres, radians; and when, ns (0 where it holds for all times)."""
+    """A pose in a frame, in meters and radians, and its time, ns (0 if it holds for all times)."""
 
     x: float
     y: float
@@ -33,6 +34,13 @@ class Pose(NamedTuple):
     def distance(self, other: Pose) -> float:
         """Metres to another."""
         return math.hypot(self.x - other.x, self.y - other.y)
+
+
+def check_rotation(orientation: Mapping[str, float], whose: str) -> None:
+    """Raise `ValueError` if a quaternion is not a rotation, such as one of zeros; its length may differ by a tenth."""
+    length = math.sqrt(sum(value * value for value in orientation.values()))
+    if not 0.9 < length < 1.1:
+        raise ValueError(f"{whose} quaternion is not a rotation: its length is {length:.2f}, not 1")
 
 
 def wrapped(angle: float) -> float:

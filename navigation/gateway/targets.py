@@ -15,7 +15,7 @@ from bridge.stores.store import Store
 from navigation.constraints import PREFIX, Constraints
 from navigation.maps.grid import from_grid, yaw_of
 from navigation.messages import pose_message
-from navigation.pose import Pose
+from navigation.pose import Pose, check_rotation
 from yarp_compat.dev.locations import Map2DLocation
 from yarp_compat.dev.mapgrid import MapGrid2D
 
@@ -63,9 +63,10 @@ def target_of(message: Mapping[str, Any], tree: str = "") -> Target:
         raise TargetError("the goal's frame is empty; on the map it is 'map'")
     if not all(map(math.isfinite, (*position.values(), *orientation.values()))):
         raise TargetError("the goal's pose is not finite")
-    length = math.sqrt(sum(value * value for value in orientation.values()))
-    if not 0.9 < length < 1.1:
-        raise TargetError(f"the goal's quaternion is not a rotation: its length is {length:.2f}, not 1")
+    try:
+        check_rotation(orientation, "the goal's")
+    except ValueError as err:
+        raise TargetError(str(err)) from None
     return Target(Pose(float(position["x"]), float(position["y"]), yaw_of(orientation)), frame, tree)
 
 

@@ -1,10 +1,10 @@
-"""LocalizationServer: where the robot is, for YARP's clients and for all sides.
+"""LocalizationServer: the robot's pose on the map, for YARP clients and for all sides.
 
-What YARP's ``localization2D_nws_yarp`` with a localiser below is to a YARP robot. Who says where the robot is, our own
-localiser or somebody else's, is a line of the configuration.
+It replaces YARP's ``localization2D_nws_yarp`` and the localizer that it attaches. The configuration selects the source
+of the pose: Midspan's own localizer or another one.
 """
 
-# ruff: noqa: N802, D102 - YARP's names, and `yarp_compat.dev.localization2d` says what each does
+# ruff: noqa: N802, D102 - the names are YARP's; `yarp_compat.dev.localization2d` documents them
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ from navigation.localization_server.ports import PosePublisher
 from navigation.localization_server.sources import AmclSource, FrameSource, PortSource, PoseSource, Start, TopicSource
 from navigation.map_in_use import MapInUse
 from navigation.maps.grid import same_walls
-from navigation.pose import Pose
+from navigation.pose import Pose, check_rotation
 from navigation.yarp import Calls, location_of
 from yarp_compat.dev.basecontrol import OdometryData
 from yarp_compat.dev.localization2d import Localization2DServer
@@ -44,16 +44,16 @@ from yarp_compat.dev.returnvalue import CallFailed, ReturnCode
 
 _RESTS = "the localisation was stopped; startLocalizationService begins it again"
 
-_MOST_POSES = 500  # particles that an answer has at most: each is a whole location with its map's name
+_MOST_POSES = 500  # particles in a reply: each is a whole location with its map's name
 
 
 class LocalizationServer(Module):
-    """Says where the robot is."""
+    """Publishes the robot's pose on the map."""
 
     name = "localization_server"
 
     def start(self, host: Host, section: Section) -> None:
-        """Open what the section names."""
+        """Open the section's source, topics and ports."""
         assert isinstance(section, LocalizationServerSection)
         self._host, self._section = host, section
         self._frames = RobotFrames(host, section.map_frame, section.base_frame, section.odom_frame)
@@ -61,7 +61,7 @@ class LocalizationServer(Module):
         self._start: tuple[str, Start] | None = None
         self._resting = False
         self._motion = OdometryEstimator()
-        self.source = self._made()  # who knows it: our own localiser, or whom the section names
+        self.source = self._made()  # Midspan's own localizer, or the one that the section names
         self._told = PosePublisher(
             host,
             self._frames,
@@ -81,7 +81,7 @@ class LocalizationServer(Module):
         host.every(section.particles_period, lambda: self._told.tell_particles(self.cloud()))
 
     def reload(self, section: Section) -> bool:
-        """Take maps from elsewhere: whoever says where the robot is goes on, and is given the map that comes."""
+        """Follow another source of maps; the source of the pose continues, and gets the new map."""
         assert isinstance(section, LocalizationServerSection)
         if self._section.model_copy(update={"map": section.map}) != section or section.source == "server":
             return False
@@ -111,31 +111,31 @@ class LocalizationServer(Module):
             case _:
                 return OwnLocalizer(*given, self._tell)
 
-    # what is asked
+    # requests
 
     @property
     def map_name(self) -> str:
-        """The map in use; "" for none."""
+        """The name of the map in use; "" for none."""
         return self._grid.name if self._grid is not None else ""
 
     def estimate(self) -> PoseEstimate:
-        """Where the robot is."""
+        """Return the estimate of the robot's pose."""
         found = self.source.estimate()
         if self._resting:
             return PoseEstimate(found.pose, found.covariance, found.quality, LocalizationStatus.NOT_YET, _RESTS)
         return found
 
     def cloud(self) -> Floats:
-        """Where it may be."""
+        """Return the particles, (n, 3) in meters and radians."""
         return self.source.cloud()
 
     def odometry(self) -> OdometryData | None:
-        """The robot's pose on the map and its velocity, if known."""
+        """Return the robot's pose on the map and its velocity, if known."""
         pose = self.source.estimate().pose
         return None if pose is None else self._motion.data(pose)
 
     def begin(self, pose: Pose, covariance: Floats | None, map_name: str) -> None:
-        """Begin there, on that map (empty: the one in use); raises `RuntimeError` with why it cannot."""
+        """Start at a pose on a map ("": the one in use); raises `RuntimeError` with the reason if it cannot."""
         if map_name in ("", self.map_name):
             self.source.initial(pose, covariance)
             return
@@ -153,18 +153,20 @@ class LocalizationServer(Module):
             raise RuntimeError(self._maps.trouble or f"the map {map_name!r} is not in use")
 
     def rest(self, *, on: bool) -> None:
-        """Work no more, or again."""
+        """Pause or resume the localization."""
         self._resting = on
         self.source.rest(on=on)
 
     def _start_told(self, message: dict[str, Any]) -> None:
-        """Take a start from the topic that rviz publishes."""
+        """Accept a start from the topic that rviz publishes."""
         frame = message["header"]["frame_id"].lstrip("/")
         if frame not in ("", self._frames.map_frame):
             self._refuse_start(f"the start is in the frame {frame!r}, not in {self._frames.map_frame!r}")
             return
+        start = message["pose"]
         try:
-            self.source.initial(pose_of(message["pose"]["pose"]), plane_of(message["pose"]["covariance"]))
+            check_rotation(start["pose"]["orientation"], "the start's")
+            self.source.initial(pose_of(start["pose"]), plane_of(start["covariance"]))
         except (RuntimeError, ValueError) as err:
             self._refuse_start(str(err))
 
@@ -173,12 +175,12 @@ class LocalizationServer(Module):
 
     def _use(self, grid: MapGrid2D | None) -> None:
         if grid is None or (self._grid is not None and same_walls(grid, self._grid)):
-            return  # told again: who is localised on it stays so
+            return  # the same map again: the estimate stays valid
         self._grid = grid
         told, self._start = self._start, None
         self.source.use_map(grid, told[1] if told is not None and told[0] == grid.name else None)
 
-    # what happens
+    # events
 
     def _tell(self) -> None:
         try:
@@ -191,7 +193,7 @@ class LocalizationServer(Module):
         self._told.tell(found, correction, odometry, self.map_name)
 
     def _look(self) -> PoseEstimate:
-        """The estimate, kept for the threads that report health: asking the source would change it."""
+        """Return the estimate, and store it for the threads that report health: a query would change the source."""
         self._found, self._particles = self.estimate(), len(self.cloud())
         return self._found
 
@@ -199,17 +201,17 @@ class LocalizationServer(Module):
         self._motion.forget()
         self.source.forget()
 
-    # how it is
+    # state
 
     def health(self) -> Health:
-        """Whether it knows where the robot is, and why not."""
+        """Return the state of the localization with its reason."""
         if self._grid is None and self._section.source in (None, "own"):
             return Health("waiting", self._maps.trouble)
         found = self._found
         return Health("running", f"{found.status.value}: {found.reason}" if found.reason else found.status.value)
 
     def status(self) -> dict[str, Any]:
-        """The pose, and how sure it is."""
+        """Return the pose, its quality and the state of the source."""
         found = self._found
         return {
             "source": self._section.source or "own",
@@ -224,14 +226,14 @@ class LocalizationServer(Module):
         }
 
     def stop(self) -> None:
-        """Publish that the pose is estimates.unknown, so that planners stand at once, and end all subscriptions."""
+        """Publish that the pose is unknown, so that planners stop at once, and end all subscriptions."""
         self._told.tell(estimates.unknown("the localisation has ended"), None, None, self.map_name)
         self.source.close()
         self._maps.close()
 
 
 class LocalizationDevice:
-    """Methods run on threads of connections, work on the module's. Covariances: metres, radians, as ROS has them."""
+    """YARP's methods: called on the connections' threads, executed on the module's. Covariances as in ROS: m, rad."""
 
     def __init__(self, server: LocalizationServer, calls: Calls) -> None:
         self._server, self._call = server, calls.do
@@ -259,12 +261,12 @@ class LocalizationDevice:
     def getEstimatedOdometry(self) -> OdometryData:
         found = self._call(self._server.odometry)
         if found is None:
-            raise CallFailed(ReturnCode.METHOD_FAILED, "it is not known where the robot is")
+            raise CallFailed(ReturnCode.METHOD_FAILED, "the robot's pose is unknown")
         return found
 
     def setInitialPose(self, loc: Map2DLocation, cov: Floats | None) -> None:
         pose = Pose(loc.x, loc.y, math.radians(loc.theta))
-        given = cov if cov is not None and cov.any() else None  # nobody is as sure as zeros say
+        given = cov if cov is not None and cov.any() else None  # zeros would mean certainty
         try:
             self._call(lambda: self._server.begin(pose, given, loc.map_id))
         except RuntimeError as err:

@@ -25,7 +25,7 @@ from navigation.mapper2d.poses import COVARIANT, Poses, of_message, sent
 from navigation.mapper2d.settings import read_file
 from navigation.maps.grid import to_cdr
 from navigation.messages import GRID, stamp_ns
-from navigation.pose import Pose
+from navigation.pose import Pose, check_rotation
 from navigation.scan import SCAN, ScanError, believed, of_ros, of_yarp
 from navigation.yarp import PortConnection
 from yarp_compat.dev.rangefinder import LaserScan2D
@@ -34,7 +34,7 @@ from yarp_compat.wire.errors import WireError
 
 TRIGGER = "std_srvs/srv/Trigger"
 
-_WAITING = 20  # scans that may wait until it is known where they were made
+_WAITING = 20  # scans that may wait for their poses
 _PATIENCE_NS = 1_000_000_000
 _BEAT = 0.05
 _SILENT_NS = 2_000_000_000
@@ -49,12 +49,12 @@ class _Scan(NamedTuple):
 
 
 class Mapper2D(Module):
-    """Makes a map while the robot is driven about."""
+    """Builds a map while the robot is driven around."""
 
     name = "mapper2d"
 
     def start(self, host: Host, section: Section) -> None:
-        """Open what the section names, and begin to map."""
+        """Open the section's topics and ports, and begin to map."""
         assert isinstance(section, Mapper2DSection)
         self._section, self._notes = laid_under(section, section.ini, read_file)
         section = self._section
@@ -96,10 +96,15 @@ class Mapper2D(Module):
         host.node.server(f"/{self.name}/save", TRIGGER, self._save)
 
     def _placed(self, message: dict[str, Any]) -> None:
-        """Somebody says where the robot is."""
+        """Accept the robot's pose from a topic."""
         frame, place = message["header"]["frame_id"].lstrip("/"), Pose(*of_message(message))
         if frame not in ("", self._section.map_frame.lstrip("/")) or not all(map(math.isfinite, place[:3])):
             self._host.log.warning("%s: refused: %s in the frame %r", self._section.initial_pose, place[:3], frame)
+            return
+        try:
+            check_rotation(message["pose"]["pose"]["orientation"], "the pose's")
+        except ValueError as err:
+            self._host.log.warning("%s: refused: %s", self._section.initial_pose, err)
         else:
             self._poses.set(place)
 
@@ -113,7 +118,7 @@ class Mapper2D(Module):
             self._drop(str(err))
 
     def _hear_yarp(self, received: Received) -> None:
-        """On the thread of the connection."""
+        """Receive a scan, on the thread of the connection."""
         clock = self._host.clock
         try:
             turn = of_yarp(received.to(LaserScan2D), sent(received.envelope) or clock.now_ns())
@@ -162,7 +167,7 @@ class Mapper2D(Module):
         self._trouble = why
 
     def _tell(self) -> None:
-        """Publish and show the map, where it is another now."""
+        """Publish and show the map if it has changed."""
         if self._changed and self._map is not None:
             self._map.publish_cdr(bytes(to_cdr(self.mapper.grid(), self._section.map_frame, self._host.clock.now_ns())))
         self._changed = False
@@ -183,7 +188,7 @@ class Mapper2D(Module):
         try:
             self._host.loop.call(lambda: self._canvas.clicked(values))
         except ValueError as err:
-            raise WireError(str(err)) from None  # the port counts it, and tells of it now and then
+            raise WireError(str(err)) from None  # the port counts and logs it
         self._changed = True
 
     def _trigger(self, word: str, done: str) -> Callable[[dict[str, Any], Answer], None]:
@@ -200,7 +205,7 @@ class Mapper2D(Module):
             answer({"success": False, "message": str(err)})
 
     def health(self) -> Health:
-        """Whether it maps, and what of."""
+        """Return the state, and the reason if it does not map."""
         if not self.mapper.mapping:
             return Health("running", "stopped: it takes no scans until 'start'")
         heard = self._heard
@@ -208,7 +213,7 @@ class Mapper2D(Module):
             troubles = [each.trouble for each in self._connected if each.trouble]
             ends = [self._section.scan, f"{self._section.prefix}/laser:i"]
             where = " or ".join(ends[not ends[0] :])
-            return Health("waiting", "; ".join((f"no scan is heard on {where}", *troubles)))
+            return Health("waiting", "; ".join((f"no scan arrives on {where}", *troubles)))
         if self._trouble:
             return Health("waiting", self._trouble)
         width, height = self.mapper.size
@@ -216,7 +221,7 @@ class Mapper2D(Module):
         return Health("running", f"map {self.mapper.name}: {width:g} x {height:g} m{full}")
 
     def status(self) -> dict[str, Any]:
-        """The map, and what was left out."""
+        """Return the state of the map, and how many scans were dropped."""
         return {
             "map": self.mapper.name,
             "mapping": self.mapper.mapping,
@@ -229,6 +234,6 @@ class Mapper2D(Module):
         }
 
     def stop(self) -> None:
-        """Connect no more."""
+        """Close the connections."""
         for each in self._connected:
             each.close()

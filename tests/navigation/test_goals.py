@@ -7,7 +7,10 @@ from typing import Any
 
 import pytest
 
-from navigation.goals import FarClients
+from navigation.constraints import Constraints
+from navigation.goals import FarClients, goal_of
+from navigation.pose import check_rotation
+from navigation.status import Fault, PlanError
 
 
 class World:
@@ -74,3 +77,24 @@ def test_all_others_goals_go_on(why: str) -> None:
     elif why == "ended":
         world.goals = []
     assert world.look(5) == []
+
+
+def goal(turn: dict[str, float], tree: str = "") -> Any:
+    """What `goal_of` returns for a ``NavigateToPose`` goal with this orientation."""
+    pose = {"position": {"x": 1.0, "y": 2.0, "z": 0.0}, "orientation": {**dict.fromkeys("xyzw", 0.0), **turn}}
+    frames: Any = SimpleNamespace(map_frame="map")
+    return goal_of({"pose": {"header": {"frame_id": "map"}, "pose": pose}, "behavior_tree": tree}, frames, list)
+
+
+@pytest.mark.parametrize("turn", [{}, {"w": 3.0}, {"z": 1e-9}, {"x": 0.5, "w": 0.5}])
+def test_a_planner_refuses_a_goal_whose_quaternion_is_not_a_rotation(turn: dict[str, float]) -> None:
+    with pytest.raises(PlanError, match="the goal's quaternion is not a rotation: its length is") as caught:
+        goal(turn)
+    assert caught.value.fault is Fault.BAD_GOAL
+    any_heading, _ = goal(turn, Constraints(heading=False).to_text())
+    assert any_heading.pose[:2] == (1.0, 2.0)
+
+
+@pytest.mark.parametrize("turn", [(0.0, 0.0, 0.0, 1.0), (0.0, 0.0, 0.707, 0.707), (0.0, 0.0, -1.0, 0.0)])
+def test_rounded_quaternions_are_rotations(turn: tuple[float, ...]) -> None:
+    check_rotation(dict(zip("xyzw", turn, strict=True)), "its")

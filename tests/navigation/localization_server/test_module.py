@@ -95,6 +95,23 @@ def tell_start(place: Place, pose: Pose, covariance: Any = None, frame: str = "m
     return lambda: place.far.publish(out, message)
 
 
+@pytest.mark.parametrize("turn", [(0.0, 0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 2.0), (math.nan, 0.0, 0.0, 1.0)])
+def test_a_start_whose_quaternion_is_not_a_rotation_is_refused(
+    place: Place, robot: Robot, caplog: pytest.LogCaptureFixture, turn: tuple[float, ...]
+) -> None:
+    """As a goal's, which a zero quaternion would turn to yaw 0."""
+    started(place, robot)
+    until(says(place, "not_yet_localized", "no start was given"), "it waits for a start", 20)
+    pose = {**pose_message(robot.pose), "orientation": dict(zip("xyzw", turn, strict=True))}
+    start = {"header": {"frame_id": "map"}, "pose": {"pose": pose, "covariance": [0.0] * 36}}
+    out = place.far.advertise("/initialpose", POSE_COVARIANCE.replace("/msg", ""))
+    why = "/initialpose: refused: the start's quaternion is not a rotation: its length is"
+    until(lambda: why in caplog.text or place.far.publish(out, start), "the start is refused", 20, every=0.2)
+    assert said(place)["localization"] == "not_yet_localized"
+    tell = tell_start(place, robot.pose)
+    until(lambda: says(place, OK)() or tell(), "the next start is accepted", 20, every=0.5)
+
+
 def test_our_own_localiser_for_all_sides(place: Place, robot: Robot) -> None:
     poses = place.far.subscribe("/localization/pose", "geometry_msgs/PoseWithCovarianceStamped")
     statuses = place.far.subscribe("/localization/status", "std_msgs/String", latched=True)

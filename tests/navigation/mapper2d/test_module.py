@@ -173,6 +173,17 @@ def test_a_map_is_saved_to_a_file_and_loaded(place: Place) -> None:
     assert all(any(word in line for line in help_) for word in ("save_to_file", "initLoc", "set_pixel_type"))
 
 
+def test_a_pose_whose_quaternion_is_not_a_rotation_is_refused(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    section = {"enabled": True, "map_frame": "odom", "initial_pose": "/initialpose"}
+    with Place(tmp_path) as place:
+        place.worker.start(place.config(modules={"mapper2d": section}))
+        out = place.far.advertise("/initialpose", "geometry_msgs/PoseWithCovarianceStamped")
+        pose = {"position": {"x": 1.0}, "orientation": dict.fromkeys("xyzw", 0.0)}
+        message = {"header": {"frame_id": "odom"}, "pose": {"pose": pose}}
+        why = "/initialpose: refused: the pose's quaternion is not a rotation: its length is 0.00, not 1"
+        until(lambda: why in caplog.text or place.far.publish(out, message), "the pose is refused", 20, every=0.2)
+
+
 @pytest.mark.parametrize("by", ["tf", "topic"])
 def test_poses_of_frames_and_of_topics(tmp_path: Path, by: str) -> None:
     """The robot drives along x while a beam straight ahead sees a wall at x = 3 m, the laser 0.5 m before its base.
@@ -245,7 +256,7 @@ def test_a_clock_that_is_set_back_makes_no_old_scan_new(untouched: Place, monkey
 
     def heard() -> bool:
         assert running.module is not None
-        return "no scan is heard" not in running.module.health().text
+        return "no scan arrives" not in running.module.health().text
 
     def counts() -> list[int]:
         host.loop.call(lambda: None)
