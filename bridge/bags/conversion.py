@@ -1,32 +1,52 @@
-"""How a bag's messages become the hub's, and ROS 1's: by the conversions that the bridge itself uses.
+"""Conversion of a bag's topics to the hub's types or to ROS 1's, by the conversions that the bridge itself uses.
 
-A type is taken from the bag's own definition where it is not installed, or installed in another version.
+A type that is not installed, or only in another version, comes from the bag's own definition.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
+from bridge.adapters.ros1.actions.states import TO_ROS1, Ros1State, text_of
+from bridge.adapters.ros1.actions.wire import (
+    ZERO,
+    GoalId,
+    GoalStatus,
+    action_outcome,
+    read_goal_states,
+    read_with_uuid,
+    statuses,
+)
+from bridge.adapters.ros1.names import hub_name
 from bridge.bags.bag import BagError, BagTopic
+from bridge.bags.definitions import full_schema, without_char
+from bridge.messages import actions
+from bridge.messages.actions import GoalState
+from bridge.messages.definitions.names import is_ros1_name, is_ros2_name
 from bridge.messages.definitions.schema import World
+from bridge.messages.definitions.text import full_text
 from bridge.messages.errors import MessageTypeError
 from bridge.messages.registry import Registry
 from bridge.messages.transcode.conversion import Conversion, SideType
 
+_STATUSES = "actionlib_msgs/GoalStatusArray"
+_FEEDBACK = actions.ENDINGS[actions.FEEDBACK]
+
 
 @dataclass(frozen=True, slots=True)
 class TopicForm:
-    """How a topic's messages look elsewhere.
+    """A topic in the format of another file.
 
     Attributes:
         type_name: as that world spells it.
-        type_hash: ``RIHS01_...`` or md5; "" where nobody knows it.
-        definition: the full definition, "" where nobody knows it.
-        convert: makes a message's bytes; None where they are the same. Raises `ConversionError` for bad bytes.
-        left_out: fields of ROS 1 that get lost.
+        type_hash: ``RIHS01_...`` or md5; "" if unknown.
+        definition: the full definition, "" if unknown.
+        convert: converts a message's bytes; None if they stay the same. Raises `ConversionError` for invalid bytes.
+        left_out: ROS 1 fields that have no counterpart.
+        name: the topic's name, "" if it stays the same.
     """
 
     type_name: str
@@ -34,36 +54,97 @@ class TopicForm:
     definition: str
     convert: Callable[[bytes], bytes] | None
     left_out: tuple[str, ...] = ()
+    name: str = ""
 
 
 def to_hub(registry: Registry, topic: BagTopic, path: Path = Path("bag")) -> TopicForm:
-    """A topic's messages as the hub and ROS 2 have them; raises `BagError` naming a type that nothing stands for."""
+    """Return a topic in the form of the hub and ROS 2; raises `BagError` for a type without a counterpart.
+
+    A name that ROS 2 forbids becomes the name that the ROS 1 side uses on the hub (`bridge.adapters.ros1.names`).
+    """
+    topic = _typed(topic, path)
+    name = hub_name(topic.name)
     if topic.world is World.ROS1:
         try:
             conversion = registry.ros1_to_hub(topic.type_name, topic.type_hash, topic.definition)
         except MessageTypeError as err:
             raise _refusal(path, topic, err) from None
-        return _form(conversion)
+        return replace(_form(conversion), name=name)
     known = _learn(registry, topic)
-    if known is None:  # CDR can be handed on by who does not know it
-        return TopicForm(topic.type_name, topic.type_hash, topic.definition, None)
-    return TopicForm(topic.type_name, topic.type_hash or known.type_id, topic.definition or known.definition, None)
+    if known is None:  # CDR is copied without knowing its type
+        return TopicForm(topic.type_name, topic.type_hash, topic.definition, None, name=name)
+    return TopicForm(
+        topic.type_name, topic.type_hash or known.type_id, _full_text(registry, known) or topic.definition, None,
+        name=name,
+    )  # fmt: skip
 
 
 def to_ros1(registry: Registry, topic: BagTopic, path: Path = Path("bag")) -> TopicForm:
-    """A topic's messages as ROS 1 has them; raises `BagError` naming a type that nothing stands for."""
+    """Return a topic in the form of ROS 1; raises `BagError` for a type without a counterpart.
+
+    Feedback and status of a ROS 2 action become those of actionlib, as the ROS 1 side publishes them.
+    """
+    topic = _typed(topic, path)
+    if topic.world is World.ROS2 and "/msg/" not in topic.type_name and not topic.type_name.endswith(_FEEDBACK):
+        err = MessageTypeError("it is part of a service, and ROS 1 has no messages for the calls of services")
+        raise _refusal(path, topic, err)
     try:
         if topic.world is World.ROS1:
-            registry.ros1_to_hub(topic.type_name, topic.type_hash, topic.definition)
-            return TopicForm(topic.type_name, topic.type_hash, topic.definition, None)
+            source = registry.ros1_to_hub(topic.type_name, topic.type_hash, topic.definition).source
+            return TopicForm(
+                topic.type_name, topic.type_hash or source.type_id, topic.definition or source.definition, None
+            )
         known = _learn(registry, topic)
-        return _form(registry.hub_to_ros1(topic.type_name, "" if known is None else known.type_id))
+        type_hash = "" if known is None else known.type_id
+        if topic.type_name == actions.STATUSES:
+            return _statuses(registry, topic.name, type_hash)
+        if topic.type_name.endswith(_FEEDBACK):
+            return _feedback(registry, topic, type_hash)
+        return _form(registry.hub_to_ros1(topic.type_name, type_hash))
     except MessageTypeError as err:
         raise _refusal(path, topic, err) from None
 
 
+class FileTopics:
+    """The topics and types of one file of ROS 2, whose readers know one definition of each type."""
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        self._names: dict[str, str] = {}
+        self._types: dict[str, tuple[object, str]] = {}
+
+    def add(self, topic: BagTopic, form: TopicForm) -> None:
+        """Add a topic; raises `BagError` if its name or the definition of one of its types differs from an earlier one.
+
+        A name that two topics would get goes to the first, as on the hub.
+        """
+        if (other := self._names.get(form.name, topic.name)) != topic.name:
+            what = f"{topic.name} would become {form.name}, as {other} does"
+            raise BagError(self._path, what, None, "-x leaves one of them out")
+        types = _members(form)
+        for name, members in types.items():
+            known, other = self._types.get(name, (members, ""))
+            if known != members:
+                what = f"{topic.name} has another definition of {name.split()[0]} than {other}; ROS 2 knows one a file"
+                cure = "" if other == topic.name else "--topics and -x convert the topics into several files"
+                raise BagError(self._path, what, None, cure)
+        self._names[form.name] = topic.name
+        for name, members in types.items():
+            self._types.setdefault(name, (members, topic.name))
+
+
+def _members(form: TopicForm) -> dict[str, object]:
+    """Return the fields of each type of a topic, and the hash of its own type."""
+    found: dict[str, object] = {f"{form.type_name} (hash)": form.type_hash} if form.type_hash else {}
+    if form.definition:
+        with suppress(MessageTypeError):
+            types = without_char(full_schema(form.type_name, form.definition)).types
+            found |= {name: [(field.name, field.type) for field in types[name].fields] for name in types}
+    return found
+
+
 def _learn(registry: Registry, topic: BagTopic) -> SideType | None:
-    """The ROS 2 type as the bag has it, None where it cannot be known."""
+    """Return the ROS 2 type as the bag defines it, None if it is unknown."""
     with suppress(MessageTypeError):
         if topic.type_hash:
             registry.schema(topic.type_name, topic.type_hash)
@@ -79,9 +160,60 @@ def _learn(registry: Registry, topic: BagTopic) -> SideType | None:
     return None
 
 
+def _full_text(registry: Registry, known: SideType) -> str:
+    with suppress(MessageTypeError):
+        return full_text(registry.schema(known.name, known.type_id))
+    return ""
+
+
 def _form(conversion: Conversion) -> TopicForm:
     target = conversion.target
     return TopicForm(target.name, target.type_id, target.definition, conversion.convert, conversion.left_out)
+
+
+def _feedback(registry: Registry, topic: BagTopic, type_hash: str) -> TopicForm:
+    """Return actionlib's feedback for that of a ROS 2 action. ROS 2's has no stamp, so the stamps are zero."""
+    convert = registry.hub_to_ros1(topic.type_name, type_hash).convert or bytes
+    target = registry.ros1_action_feedback(registry.action_to_ros1(topic.type_name.removesuffix(_FEEDBACK)))
+
+    def to_actionlib(data: bytes) -> bytes:
+        goal, body = read_with_uuid(convert(data))
+        status = GoalStatus(GoalId(ZERO, text_of(goal)), Ros1State.ACTIVE, "")
+        return action_outcome(0, ZERO, status, body)
+
+    return TopicForm(target.name, target.type_id, target.definition, to_actionlib, name=_actionlib_name(topic.name))
+
+
+def _statuses(registry: Registry, name: str, type_hash: str) -> TopicForm:
+    """Return actionlib's status list for that of a ROS 2 action."""
+    convert = registry.hub_to_ros1(actions.STATUSES, type_hash).convert or bytes
+    target = registry.ros1(_STATUSES)
+
+    def to_actionlib(data: bytes) -> bytes:
+        goals = [
+            GoalStatus(GoalId(info.stamp, text_of(info.uuid)), TO_ROS1[GoalState.parse(state)], "")
+            for info, state in read_goal_states(convert(data))
+        ]
+        return statuses(0, ZERO, goals)
+
+    return TopicForm(target.name, target.type_id, target.definition, to_actionlib, name=_actionlib_name(name))
+
+
+def _actionlib_name(name: str) -> str:
+    action, part = actions.split(name)
+    return f"{action}/{part}" if part else name
+
+
+def _typed(topic: BagTopic, path: Path) -> BagTopic:
+    """Return the topic with its type as its world spells it; some writers of MCAP leave ``/msg/`` out."""
+    if not topic.type_name:
+        raise BagError(path, f"{topic.name} has no type: its channel has no schema")
+    is_name = is_ros1_name if topic.world is World.ROS1 else is_ros2_name
+    if is_name(topic.type_name):
+        return topic
+    if topic.world is World.ROS2 and is_ros1_name(topic.type_name):
+        return replace(topic, type_name=topic.type_name.replace("/", "/msg/"))
+    raise BagError(path, f"{topic.name} has type {topic.type_name!r}, which is not a type of {topic.world.value}")
 
 
 def _refusal(path: Path, topic: BagTopic, err: MessageTypeError) -> BagError:

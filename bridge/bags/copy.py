@@ -10,7 +10,7 @@ from operator import attrgetter
 from pathlib import Path
 
 from bridge.bags.bag import Bag, BagError, BagMessage, BagTopic, Columns, Kind, in_columns
-from bridge.bags.conversion import TopicForm, to_hub, to_ros1
+from bridge.bags.conversion import FileTopics, TopicForm, to_hub, to_ros1
 from bridge.bags.mcap_copy import McapCopy, Ros2Mcap
 from bridge.bags.mcap_reader import McapBag
 from bridge.bags.writers import COMPRESSIONS, BagWriter, check_compression, open_writer, written_whole
@@ -66,6 +66,7 @@ class Copied:
     refused: dict[str, int] = field(default_factory=dict)
     lost: dict[str, tuple[str, ...]] = field(default_factory=dict)
     damage: list[BagError] = field(default_factory=list)
+    renamed: dict[str, str] = field(default_factory=dict)
 
 
 Convert = Callable[[bytes], bytes]
@@ -90,17 +91,23 @@ def convert(
     done = Copied()
     _check_sound(bag)
     forms: dict[BagTopic, TopicForm] = {}
+    topics = FileTopics(bag.path)
     for topic in choice.chosen(bag):
         try:
-            forms[topic] = (to_ros1 if kind == "bag" else to_hub)(registry, topic, bag.path)
+            form = (to_ros1 if kind == "bag" else to_hub)(registry, topic, bag.path)
+            if kind != "bag":
+                topics.add(topic, form)
         except BagError as err:
             if not skip_unknown:
                 more = "; " if err.cure else ""
                 raise BagError(bag.path, err.what, None, f"{err.cure}{more}--skip-unknown leaves it out") from None
             done.unknown[topic.name] = err.what
         else:
-            if forms[topic].left_out:
-                done.lost[topic.type_name] = forms[topic].left_out
+            forms[topic] = form
+            if form.left_out:
+                done.lost[topic.type_name] = form.left_out
+            if form.name not in ("", topic.name):
+                done.renamed[topic.name] = form.name
     check_compression(target, kind, compression or COMPRESSIONS[kind][0])
     with written_whole(target, kind) as making:
         usual = compression or COMPRESSIONS[kind][0]

@@ -14,6 +14,7 @@ from typing import Any, Literal
 from urllib.parse import quote
 
 from bridge.bags.bag import MAX_CHUNK, MAX_TOPICS, Bag, BagError, BagMessage, BagTopic, Kind, reading
+from bridge.bags.definitions import full_definition
 from bridge.bags.qos import merged_qos, parse_qos
 from bridge.messages.definitions.schema import World
 
@@ -72,8 +73,9 @@ class Db3Bag(Bag):
         return found
 
     def _read_definitions(self) -> dict[str, str]:
-        query = "SELECT topic_type, encoded_message_definition FROM message_definitions WHERE encoding = 'ros2msg'"
-        return {_text(name): _text(text) for name, text in self._file.execute(query)}
+        query = "SELECT topic_type, encoding, encoded_message_definition FROM message_definitions"
+        rows = [tuple(map(_text, row)) for row in self._file.execute(query)]
+        return {name: full_definition(name, encoding, text) for name, encoding, text in rows}
 
     def messages(
         self, topics: Collection[BagTopic] | None = None, start_ns: int | None = None, end_ns: int | None = None

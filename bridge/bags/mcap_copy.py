@@ -36,8 +36,9 @@ from numpy.typing import NDArray
 from bridge import __version__
 from bridge.bags.bag import BagTopic
 from bridge.bags.conversion import TopicForm
+from bridge.bags.definitions import stored_definition
 from bridge.bags.mcap_reader import MAGIC, McapBag, WholeChunk
-from bridge.bags.mcap_writer import CHUNK_BYTES, PROFILE, ChannelInfo, ros2msg
+from bridge.bags.mcap_writer import CHUNK_BYTES, PROFILE, ChannelInfo
 from bridge.bags.writers import BagWriter
 
 _HEAD = np.dtype(
@@ -241,16 +242,12 @@ class Ros2Mcap(ChunkedMcap):
 
     def add(self, topic: BagTopic, form: TopicForm) -> int:
         """See `BagWriter.add`."""
-        text = ros2msg(form.definition)
-        new = Schema(
-            id=len(self._known) + 1, name=form.type_name, encoding="ros2msg" if text else "", data=text.encode()
-        )
+        name, (encoding, text) = form.name or topic.name, stored_definition(form.type_name, form.definition)
+        new = Schema(id=len(self._known) + 1, name=form.type_name, encoding=encoding, data=text.encode())
         schema = self._known.setdefault((form.type_name, text), new)
-        info = ChannelInfo(topic.name, form.type_name, form.type_hash, qos=topic.profiles, more=dict(topic.metadata))
+        info = ChannelInfo(name, form.type_name, form.type_hash, qos=topic.profiles, more=dict(topic.metadata))
         number = len(self._channels)
-        channel = Channel(
-            id=number, topic=topic.name, message_encoding="cdr", metadata=info.metadata(), schema_id=schema.id
-        )
+        channel = Channel(id=number, topic=name, message_encoding="cdr", metadata=info.metadata(), schema_id=schema.id)
         self.add_channel(channel, schema)
         return number
 

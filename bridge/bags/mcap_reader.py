@@ -21,6 +21,7 @@ from mcap.opcode import Opcode
 from mcap.records import Channel, Header, Metadata, Schema, Statistics
 
 from bridge.bags.bag import MAX_TOPICS, BagError, BagTopic, Kind, reading
+from bridge.bags.definitions import full_definition
 from bridge.bags.qos import merged_qos, parse_qos
 from bridge.bags.rows import Rows
 from bridge.bags.spans import FileSpan, SpanBag, count_rows, unpack
@@ -38,7 +39,6 @@ _RUN = 1 << 20
 """Bytes of messages outside of chunks that are read at once."""
 
 _WORLDS = {"cdr": World.ROS2, "ros1": World.ROS1}
-_DEFINITIONS = {"ros2msg", "ros1msg"}
 _TABLES = {Opcode.HEADER, Opcode.SCHEMA, Opcode.CHANNEL, Opcode.STATISTICS}
 _MOST_METADATA, _LARGEST_METADATA = 1000, 1 << 16
 
@@ -243,12 +243,14 @@ class McapBag(SpanBag):
             qos = merged_qos(offered)
         for name in ("topic", "type", "message_definition"):
             more.pop(name, None)
-        encoding = "" if schema is None else schema.encoding
+        definition = "" if schema is None else schema.data.decode(errors="replace")
+        if schema is not None and schema.encoding != "ros1msg":
+            definition = full_definition(schema.name, schema.encoding, definition)
         self.topic_of[number] = BagTopic(
             channel.topic,
             "" if schema is None else schema.name,
             world,
-            schema.data.decode(errors="replace") if schema is not None and encoding in _DEFINITIONS else "",
+            definition,
             md5 if world is World.ROS1 else more.pop("topic_type_hash", ""),
             qos,
             count,

@@ -8,13 +8,13 @@ Facts from the format (https://mcap.dev/spec, https://mcap.dev/spec/registry): p
 
 from __future__ import annotations
 
-import re
 from dataclasses import dataclass, field
 from typing import BinaryIO, Literal
 
 from mcap.writer import CompressionType, Writer
 
 from bridge import __version__
+from bridge.bags.definitions import MSG, stored_definition
 from bridge.bags.qos import qos_yaml
 from bridge.hub.graph.tokens import Origin
 from bridge.hub.wire.qos import Qos
@@ -26,7 +26,6 @@ CHUNK_BYTES = 1 << 20
 """Uncompressed bytes from which a chunk is closed; one larger message makes a chunk of its own."""
 
 _COMPRESSIONS = {"zstd": CompressionType.ZSTD, "lz4": CompressionType.LZ4, "none": CompressionType.NONE}
-_NESTED = re.compile(r"(?m)^((?:MSG: )?\w+)/(?:action|srv)/(\w+)")
 _UNBOUNDED = 1 << 62
 _RECORD = 31
 """Bytes of a message record beside its data: opcode, length, channel, sequence and two times."""
@@ -88,10 +87,11 @@ class McapWriter:
 
     def channel(self, info: ChannelInfo) -> int:
         """A new channel; its number is for `write`. A file has at most 65,535."""
-        text = ros2msg(info.definition or "")
+        encoding, text = stored_definition(info.type_name, info.definition or "")
+        if info.definition == "":
+            encoding = MSG
         schema = self._schemas.get((info.type_name, text))
         if schema is None:
-            encoding = "" if info.definition is None else "ros2msg"
             schema = self._writer.register_schema(info.type_name, encoding, text.encode())
             self._schemas[info.type_name, text] = schema
         self.pending += len(text)
@@ -129,11 +129,3 @@ class McapWriter:
         self._writer.finish()  # type: ignore[no-untyped-call]
         self._writer.flush()  # type: ignore[no-untyped-call]  # of the stream; there is no chunk any more
         self.pending = 0
-
-
-def ros2msg(definition: str) -> str:
-    """A full definition as readers of bags take it: nested types have two words, those of actions and services, too.
-
-    The hash of such a type is not that of the text any more; it stands in the channel's metadata.
-    """
-    return _NESTED.sub(r"\1/\2", definition)

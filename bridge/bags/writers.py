@@ -15,6 +15,7 @@ from typing import Any
 
 from bridge.bags.bag import BagError, BagTopic, Kind
 from bridge.bags.conversion import TopicForm
+from bridge.bags.definitions import rosbags_reads, stored_definition
 from bridge.bags.qos import rosbag2_time
 from bridge.hub.wire.qos import Qos
 from yarp_compat.file_names import forbidden
@@ -77,10 +78,11 @@ class Ros1(BagWriter):
         caller = topic.metadata.get("callerid") or topic.metadata.get("origin") or "/midspan"
         package, _, name = form.type_name.partition("/")
         latching = int(topic.qos.latched)
-        key = (topic.name, form.type_name, form.type_hash, caller, latching)
+        topic_name = form.name or topic.name
+        key = (topic_name, form.type_name, form.type_hash, caller, latching)
         if key not in self._known:
             self._known[key] = self._writer.add_connection(
-                topic.name, f"{package}/msg/{name}", msgdef=form.definition, md5sum=form.type_hash or "*",
+                topic_name, f"{package}/msg/{name}", msgdef=form.definition, md5sum=form.type_hash or "*",
                 callerid=caller, latching=latching,
             )  # fmt: skip
         return self._known[key]
@@ -117,7 +119,7 @@ class Db3(BagWriter):
 
     def add(self, topic: BagTopic, form: TopicForm) -> Any:
         """See `BagWriter.add`: a topic is one connection, with what each of its publishers offered."""
-        key = topic.name, form.type_name
+        key = form.name or topic.name, form.type_name
         self._topics.setdefault(key, (form, {}))[1].update(dict.fromkeys(topic.profiles))
         return key
 
@@ -131,9 +133,16 @@ class Db3(BagWriter):
             self._writer.write(self._connections[place], time_ns, message)
 
     def _connect(self) -> None:
+        stored: dict[str, tuple[str, str]] = {}
+        for form, _ in self._topics.values():
+            if form.type_name not in stored and rosbags_reads(form.type_name, form.definition, form.type_hash):
+                stored[form.type_name] = stored_definition(form.type_name, form.definition).text, form.type_hash
         for (name, type_name), (form, offered) in self._topics.items():
+            text, type_hash = stored.get(type_name, ("", form.type_hash))
+            if not text:  # an empty text would be read as a message without fields
+                self._writer.added_types.add(type_name)
             self._connections[name, type_name] = self._writer.add_connection(
-                name, type_name, msgdef=form.definition, rihs01=form.type_hash or _UNKNOWN_HASH,
+                name, type_name, msgdef=text, rihs01=type_hash or _UNKNOWN_HASH,
                 offered_qos_profiles=list(map(_profile, offered)),
             )  # fmt: skip
 

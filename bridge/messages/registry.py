@@ -207,6 +207,11 @@ class Registry:
         with self._lock:
             return self._actions.topics(name)
 
+    def ros1_action_feedback(self, name: str) -> SideType:
+        """Return the type of a ROS 1 action's feedback topic; the action's goal and result may be unknown."""
+        with self._lock:
+            return self._actions.topic(name, "Feedback")
+
     def ros2_package_sources(self, package: str) -> dict[str, str]:
         """The files that a ROS 2 package is built from: text by path (``msg/Name.msg``)."""
         with self._lock:

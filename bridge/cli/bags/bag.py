@@ -200,7 +200,9 @@ def _print_info(info: dict[str, Any]) -> None:
         table.add_column(name, justify="right" if name in ("messages", "msg/s") else "left")
     for topic in info["topics"]:
         more = topic["metadata"]
-        origin = " of ".join(clean(more[key]) for key in ("side", "daemon") if more.get(key)) or topic["world"]
+        # recordings name the side "zenoh" of what is published on the hub itself, which has no origin
+        side = "hub" if more.get("side") == "zenoh" and not more.get("origin") else more.get("side")
+        origin = " of ".join(clean(name) for name in (side, more.get("daemon")) if name) or topic["world"]
         table.add_row(
             clean(topic["name"]), clean(topic["type"]), str(topic["messages"]), rate(topic["rate"]), origin,
             "latched" if topic["latched"] else "",
@@ -286,6 +288,7 @@ def _report(args: argparse.Namespace, done: Copied, seconds: float) -> None:
         "seconds": round(seconds, 3),
         "unknown": done.unknown,
         "bad": done.refused,
+        "renamed": done.renamed,
         "fields_lost": {name: list(fields) for name, fields in done.lost.items()},
         "damage": [str(err) for err in done.damage],
     }
@@ -293,6 +296,8 @@ def _report(args: argparse.Namespace, done: Copied, seconds: float) -> None:
         print_json(document)
         return
     print(f"{clean(args.out)}: {plural(done.messages, 'message')}, {size(done.data)}, {duration(seconds)}")
+    for old, new in done.renamed.items():
+        print(f"renamed: {clean(old)} is {clean(new)} in the new file")
     for reason in done.unknown.values():
         print(f"left out: {clean(reason)}")
     for name, count in done.refused.items():

@@ -64,8 +64,12 @@ class ActionMapping:
 
     def topics(self, action: str) -> ActionTopicTypes:
         """What a ROS 1 action's topics carry."""
-        found = [self._wrapper(action, content) for content in CONTENTS["action"]]
-        return ActionTopicTypes(*(SideType(one.name, md5_sum(one), full_text(one)) for one in found))
+        return ActionTopicTypes(*(self.topic(action, content) for content in CONTENTS["action"]))
+
+    def topic(self, action: str, content: str) -> SideType:
+        """Return the message of one of a ROS 1 action's topics; ``content`` is ``Goal``, ``Result`` or ``Feedback``."""
+        wrapper = self._wrapper(action, content)
+        return SideType(wrapper.name, md5_sum(wrapper), full_text(wrapper))
 
     def of_ros1(self, name: str) -> tuple[str, Types, Types]:
         """A part of a ROS 1 action, ``pkg/action/Name_SendGoal``: ROS 2's name, definitions in ROS 1 and in ROS 2."""

@@ -1,0 +1,207 @@
+"""Message definitions as bags store them: in the encodings that rosbags, rosbag2 and Foxglove parse.
+
+Encodings (https://mcap.dev/spec/registry): ``ros2msg`` is the full ``.msg`` text. ``ros2idl`` is IDL, where each type
+follows a line of ``=`` and ``IDL: package/kind/Name``.
+
+Facts about rosbags 0.11 (typesys/msg.py and store.py, highlevel/anyreader.py):
+
+- In ``ros2msg`` it reads each name without ``/msg/`` or ``/action/`` as a message, so a type of a service, such as
+  ``my_robot/srv/Ask_Event``, can only be decoded from ``ros2idl``.
+- It hashes ``char`` under a type id of its own, whereas rosidl hashes a ``.msg`` file's ``char`` as ``uint8``.
+- It refuses a whole ``.db3`` if the hash of one stored definition differs from the type's hash.
+
+rosbag2 stores the text of the ``.srv`` file as the definition of a service event (rosbag2_cpp,
+local_message_definition_source.cpp).
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from dataclasses import replace
+from typing import Any, NamedTuple
+
+from bridge.messages.definitions.hashes import EMPTY_MEMBER
+from bridge.messages.definitions.names import is_ros2_name, split_part
+from bridge.messages.definitions.parts import CONTENTS, made_parts
+from bridge.messages.definitions.schema import Definition, Schema, Shape, World
+from bridge.messages.definitions.text import closure, full_text, own_text, parse_full, split_parts
+from bridge.messages.errors import MessageTypeError
+
+MSG, IDL = "ros2msg", "ros2idl"
+_LINE = "=" * 80
+_IDL_NAMES = {
+    "bool": "boolean", "byte": "octet", "char": "uint8", "float32": "float", "float64": "double",
+}  # fmt: skip
+"""Primitives that rosidl spells differently in IDL (rosidl_adapter, msg/__init__.py)."""
+
+
+class StoredDefinition(NamedTuple):
+    """A definition as a file has it; ``encoding`` and ``text`` are empty if no definition is known."""
+
+    encoding: str = ""
+    text: str = ""
+
+
+def stored_definition(type_name: str, definition: str) -> StoredDefinition:
+    """Return a full definition in the encoding that other readers decode; a text that is no definition stays as is."""
+    if not definition:
+        return StoredDefinition()
+    try:
+        schema = full_schema(type_name, definition)
+    except MessageTypeError:
+        return StoredDefinition(MSG, definition)
+    if any("/srv/" in name for name in schema.types):
+        return StoredDefinition(IDL, _idl_text(schema))
+    return StoredDefinition(MSG, full_text(without_char(schema)))
+
+
+def rosbags_reads(type_name: str, definition: str, type_hash: str) -> bool:
+    """Whether rosbags parses the stored definition, and computes the hash from it that is stored beside it."""
+    from rosbags.typesys import Stores, get_types_from_idl, get_types_from_msg, get_typestore
+
+    encoding, text = stored_definition(type_name, definition)
+    if not text:
+        return False
+    store = get_typestore(Stores.EMPTY)
+    try:
+        if encoding == MSG:
+            store.register(get_types_from_msg(text, type_name))
+        else:
+            sections = (section.partition("\n")[2] for section in text.split(f"{_LINE}\n")[1:])
+            store.register({name: kind for section in sections for name, kind in get_types_from_idl(section).items()})
+        return store.hash_rihs01(type_name) == type_hash
+    except Exception:  # a type that it does not support ends in a KeyError
+        return False
+
+
+def full_schema(type_name: str, definition: str) -> Schema:
+    """Parse a full definition of a ROS 2 type; raises `MessageTypeError` if it is invalid or incomplete."""
+    types = parse_full(definition, type_name, World.ROS2)
+    return closure(types[type_name], types)
+
+
+def full_definition(type_name: str, encoding: str, text: str) -> str:
+    """Return the definition that a bag stores for a ROS 2 type as full ``.msg`` text, "" if it cannot be parsed.
+
+    The text of a ``.srv`` or ``.action`` file becomes the definition of the one type of it that the bag contains.
+    """
+    if encoding == IDL:
+        return _text_of_idl(type_name, text)
+    if encoding != MSG:
+        return ""
+    if not is_ros2_name(type_name) or "/msg/" in type_name:
+        return text
+    package, kind, _ = type_name.split("/")
+    base = split_part(type_name)[0]
+    # Midspan up to 0.1.0 stored the parts of actions and services without their second word
+    text = re.sub(rf"(?m)^((?:MSG: )?{package})/({base.rpartition('/')[2]}_\w+)", rf"\1/{kind}/\2", text)
+    sections = split_parts(text)
+    return text if len(sections) == 1 else _part_of_file(type_name, base, CONTENTS[kind], sections)
+
+
+def _part_of_file(type_name: str, base: str, contents: tuple[str, ...], sections: list[str]) -> str:
+    """Return the definition of a part of a service or action, from its file's sections."""
+    if len(sections) != len(contents):
+        return ""
+    try:
+        types = made_parts(base, World.ROS2)
+        for content, section in zip(contents, sections, strict=True):
+            types |= parse_full(section, f"{base}_{content}", World.ROS2)
+    except MessageTypeError:
+        return ""
+    if type_name not in types:
+        return ""
+    rest = (f"{_LINE}\nMSG: {name}\n{own_text(types[name])}" for name in types if name != type_name)
+    return "".join((own_text(types[type_name]), *rest))
+
+
+def without_char(schema: Schema) -> Schema:
+    """Return the same types with ``uint8`` for ``char``, which ROS 2 serializes and hashes alike.
+
+    An author's text that names a type in three words is generated again, since ``.msg`` files have two.
+    """
+    types = {name: _plain(definition) for name, definition in schema.types.items()}
+    return Schema(types[schema.name], types)
+
+
+def _plain(definition: Definition) -> Definition:
+    fields = tuple(
+        replace(field, type=replace(field.type, base="uint8")) if field.type.base == "char" else field
+        for field in definition.fields
+    )
+    if fields == definition.fields and "/msg/" not in definition.text:
+        return definition
+    return replace(definition, fields=fields, text="")
+
+
+def _idl_text(schema: Schema) -> str:
+    """Return a type and all types that it nests in IDL, without constants and default values."""
+    return "".join(
+        f"{_LINE}\nIDL: {name}\n{_idl(schema.types[name])}" for name in (schema.name, *schema.nested_order())
+    )
+
+
+def _idl(definition: Definition) -> str:
+    package, kind, name = definition.name.split("/")
+    lines = [f"      {_idl_field(field.name, field.type)};\n" for field in definition.fields]
+    members = "".join(lines) or f"      uint8 {EMPTY_MEMBER};\n"
+    return f"module {package} {{\n  module {kind} {{\n    struct {name} {{\n{members}    }};\n  }};\n}};\n"
+
+
+def _idl_field(name: str, kind: Any) -> str:
+    base = kind.base.replace("/", "::") if kind.nested else _IDL_NAMES.get(kind.base, kind.base)
+    if kind.string_bound:
+        base = f"{base}<{kind.string_bound}>"
+    match kind.shape:
+        case Shape.SINGLE:
+            return f"{base} {name}"
+        case Shape.ARRAY:
+            return f"{base} {name}[{kind.length}]"
+        case _:
+            bound = f", {kind.length}" if kind.length else ""
+            return f"sequence<{base}{bound}> {name}"
+
+
+def _text_of_idl(type_name: str, text: str) -> str:
+    """Return the ``.msg`` text of types in IDL, "" if rosbags cannot parse them or the type is missing."""
+    from rosbags.typesys import get_types_from_idl
+
+    types: dict[str, tuple[Any, Any]] = {}
+    try:
+        for section in text.split(f"{_LINE}\n"):
+            body = section.partition("\n")[2] if section.startswith("IDL:") else section
+            body = re.sub(r"(?m)^\s*#.*$", "", body)  # rosbags does not parse #include
+            if body.strip():
+                types.update(get_types_from_idl(body))
+        constants, fields = types.pop(type_name)
+        rest = (
+            f"{_LINE}\nMSG: {name.replace('/msg/', '/')}\n{''.join(_msg_lines(*members))}"
+            for name, members in types.items()
+        )
+        return "".join((*_msg_lines(constants, fields), *rest))
+    except Exception:  # whatever rosbags' parser raises for bad input, which is not limited to its own error
+        return ""
+
+
+def _msg_lines(constants: Any, fields: Any) -> Iterator[str]:
+    for name, base, value in constants:
+        yield f"{base} {name}={repr(value) if isinstance(value, str) else value}\n"
+    for name, kind in fields:
+        if name != EMPTY_MEMBER:
+            yield f"{_msg_type(kind)} {name}\n"
+
+
+def _msg_type(kind: Any) -> str:
+    """Return a field's type from the description of rosbags (interfaces/typing.py)."""
+    from rosbags.interfaces import Nodetype
+
+    node, about = kind
+    if node == Nodetype.BASE:
+        base, bound = about
+        return f"{base}<={bound}" if bound else str(base)
+    if node == Nodetype.NAME:
+        return str(about).replace("/msg/", "/")
+    inner, count = about
+    length = "" if not count else str(count) if node == Nodetype.ARRAY else f"<={count}"
+    return f"{_msg_type(inner)}[{length}]"
