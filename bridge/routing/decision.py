@@ -110,11 +110,7 @@ class RouteDecision:
 
     def as_dict(self) -> dict[str, Any]:
         """Return the decision as shown by ``explain`` and ``status``."""
-        cure = self.cure
-        if self.kind == "private":
-            cure = "name it in a rule that allows it, or set routing.private: false"
-        elif self.kind == "denied":
-            cure = "change the rule, or add one that allows it"
+        cure = self.policy.cure if self.kind in ("private", "denied") else self.cure
         return {
             "kind": self.of,
             "action": split(self.hub_topic)[0],

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import functools
 import re
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from typing import Literal, NamedTuple
@@ -115,6 +115,7 @@ class RoutePolicy:
     Attributes:
         why: the rule or default that decided.
         name: the name beyond the gate.
+        cure: the change of the configuration that lets it cross; "" if it crosses or if no change does.
         private: withheld as private to its side.
         settled: no rule could change the decision.
         rate: messages per second, None without a limit.
@@ -126,6 +127,7 @@ class RoutePolicy:
     allowed: bool
     why: str
     name: str
+    cure: str = ""
     private: bool = False
     settled: bool = False
     rate: float | None = None
@@ -203,24 +205,24 @@ class RuleSet:
         native = origin == ENTRY
         denied = _denied(here + general, topic)
         if denied or here:
-            return denied or _allowed(here, topic) or self._default(topic)
+            return denied or _allowed(here, topic) or self._default(topic, side)
         if general:
-            policy = _allowed(general, topic) or self._default(topic)
+            policy = _allowed(general, topic) or self._default(topic, side)
             return policy if native else replace(policy, name=topic, rate=None)
         if matches and self.section.default == "deny":
-            return RoutePolicy(allowed=False, why="rules allow it to other sides only", name=topic)
+            return RoutePolicy(False, "rules allow it to other sides only", topic, f"add a rule that {_allows(side)}")
         # a rule for another side may have let in what is private
         passed = not native and (elsewhere or not matches or any(m.rule.to == ENTRY for m in matches))
-        private = None if passed else self._private(origin, topic, type_name, kind)
+        private = None if passed else self._private(origin, topic, type_name, kind, side)
         if private is not None and not private.allowed:
             return private
         if self._withheld(side, topic, type_name, kind):
-            return RoutePolicy(allowed=False, why="routing.parameters shares parameters", name=topic, private=True)
+            return self._withhold(topic, "routing.parameters shares parameters", side)
         if self._shares(origin, topic, type_name, kind):
             return RoutePolicy(allowed=True, why=_NAMED, name=topic)
         if native or (elsewhere and self.section.default == "deny"):
-            return self._default(topic)
-        return RoutePolicy(allowed=True, why="allowed where it entered the hub", name=topic)
+            return self._default(topic, side)
+        return RoutePolicy(allowed=True, why="allowed at its entry into the hub", name=topic)
 
     def _matches(self, origin: str, topic: str, type_name: str, kind: Kind) -> Iterator[_Match]:
         for name, rule, pattern in zip(self._names, self.section.rules, self._patterns, strict=True):
@@ -252,15 +254,20 @@ class RuleSet:
             kind == "service" and type_name in _PARAMETERS and name.rpartition("/")[0] in self._owners
         )
 
-    def _private(self, side: str, topic: str, type_name: str, kind: Kind) -> RoutePolicy | None:
+    def _private(self, side: str, topic: str, type_name: str, kind: Kind, to: str = ENTRY) -> RoutePolicy | None:
         if self._shares(side, topic, type_name, kind):
             return RoutePolicy(allowed=True, why=_NAMED, name=topic)
         why = why_private(side, topic, type_name, kind) if self.section.private else ""
-        return RoutePolicy(allowed=False, why=f"private to its side: {why}", name=topic, private=True) if why else None
+        return self._withhold(topic, f"private to its side: {why}", to) if why else None
 
-    def _default(self, topic: str) -> RoutePolicy:
+    def _withhold(self, topic: str, why: str, to: str) -> RoutePolicy:
+        more = "" if self.section.default == "deny" else ", or set routing.private: false"
+        return RoutePolicy(False, why, topic, f"name it in a rule that {_allows(to)}{more}", private=True)
+
+    def _default(self, topic: str, to: str = ENTRY) -> RoutePolicy:
         if self.section.default == "deny":
-            return RoutePolicy(allowed=False, why="no rule allows it and routing.default is deny", name=topic)
+            cure = f"add a rule that {_allows(to)}, or set routing.default: allow"
+            return RoutePolicy(False, "no rule allows it and routing.default is deny", topic, cure)
         return RoutePolicy(allowed=True, why="everything crosses by default", name=topic)
 
 
@@ -271,10 +278,28 @@ class _Match(NamedTuple):
 
 
 def _denied(matches: list[_Match], topic: str) -> RoutePolicy | None:
-    for name, rule, _ in matches:
-        if rule.deny:
-            return RoutePolicy(allowed=False, why=f"{name} denies it", name=topic)
-    return None
+    denying = [m for m in matches if m.rule.deny]
+    if not denying:
+        return None
+    names, changes = (list(dict.fromkeys(words)) for words in ((m.name for m in denying), map(_change, denying)))
+    why = f"{_listed(names)} {'deny' if len(names) > 1 else 'denies'} it"
+    return RoutePolicy(False, why, topic, f"{_listed(changes)}; a rule that denies overrides all rules that allow")
+
+
+def _change(match: _Match) -> str:
+    """Return what to do with a rule that denies."""
+    if isinstance(match.rule, MadeRule):
+        return f"change {match.rule.of.partition(' (')[0]}, which makes that rule"
+    return f"remove or narrow {match.name}"
+
+
+def _allows(to: str) -> str:
+    return "allows it" if to == ENTRY else f"allows it, with 'to: {to}' or without 'to'"
+
+
+def _listed(items: Sequence[str]) -> str:
+    *others, last = items
+    return f"{', '.join(others)} and {last}" if others else last
 
 
 def _allowed(matches: list[_Match], topic: str) -> RoutePolicy | None:

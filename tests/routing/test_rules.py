@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from bridge.config.sections.routing import RoutingSection
+from bridge.config.rules import MadeRule
+from bridge.config.sections.routing import RoutingSection, Rule
 from bridge.hub.wire.qos import Durability, Qos, Reliability
 from bridge.routing.rules import NameFilter, RuleSet
 
@@ -60,6 +61,66 @@ def test_entering(entries: list[dict], section: dict, side: str, topic: str, all
 )
 def test_leaving_to_ros2(entries: list[dict], section: dict, origin: str, allowed: bool) -> None:
     assert rules(*entries, **section).leave(origin, "ros2", "/scan", STRING).allowed is allowed
+
+
+DENY = {"topic": "/scan", "deny": True}
+
+
+@pytest.mark.parametrize(
+    ("entries", "why", "cure"),
+    [
+        ([DENY], "rule 1 denies it", "remove or narrow rule 1"),
+        ([{"topic": "/scan"}, {"type": "std_msgs/**", "deny": True}], "rule 2 denies it", "remove or narrow rule 2"),
+        ([DENY, {"topic": "/scan"}, {"regex": "/s.*", "deny": True}], "rule 1 and rule 3 deny it", "remove or narrow"),
+    ],
+)
+def test_the_cure_of_a_denied_topic_names_each_rule_that_denies(entries: list[dict], why: str, cure: str) -> None:
+    policy = rules(*entries).enter("ros1", "/scan", STRING)
+    assert policy.why == why
+    assert policy.cure.startswith(cure)
+    assert policy.cure.endswith("; a rule that denies overrides all rules that allow")
+    assert (
+        not rules({"topic": "/scan"}, *entries, {"topic": "/scan", "to": "zenoh"})
+        .enter("ros1", "/scan", STRING)
+        .allowed
+    )
+    kept = [rule for rule in entries if not rule.get("deny")]
+    assert rules(*kept).enter("ros1", "/scan", STRING).allowed
+
+
+def test_the_cure_of_a_rule_that_a_section_makes_names_the_section() -> None:
+    made = MadeRule.model_validate({"of": "navigation (move_base has /move_base there itself)", **DENY})
+    section = RoutingSection().model_copy(update={"rules": (made, Rule.model_validate(DENY))})
+    policy = RuleSet(section).enter("ros1", "/scan", STRING)
+    assert policy.why == "the section navigation (move_base has /move_base there itself) and rule 1 deny it"
+    assert policy.cure.startswith("change navigation, which makes that rule and remove or narrow rule 1")
+
+
+@pytest.mark.parametrize(
+    ("entries", "section", "origin"),
+    [
+        ([], {"default": "deny"}, "zenoh"),
+        ([{"topic": "/scan", "to": "yarp"}], {"default": "deny"}, "ros1"),
+        ([], {}, "zenoh"),
+        ([{"topic": "/rosout", "to": "yarp"}], {}, "zenoh"),
+        ([], {"default": "deny"}, "ros1"),
+    ],
+)
+def test_the_cure_of_what_no_rule_denies_is_a_rule_that_allows_it(
+    entries: list[dict], section: dict, origin: str
+) -> None:
+    for topic in ("/scan", "/rosout"):
+        denied = rules(*entries, **section).leave(origin, "ros2", topic, STRING, elsewhere=True)
+        if denied.allowed:
+            continue
+        assert "a rule that allows it, with 'to: ros2' or without 'to'" in denied.cure
+        for rule in ({"topic": topic}, {"topic": topic, "to": "ros2"}):
+            assert rules(*entries, rule, **section).leave(origin, "ros2", topic, STRING, elsewhere=True).allowed
+        for key, value in (("routing.private: false", {"private": False}), ("default: allow", {"default": "allow"})):
+            if key in denied.cure:
+                assert (
+                    rules(*entries, **{**section, **value}).leave(origin, "ros2", topic, STRING, elsewhere=True).allowed
+                )
 
 
 def test_what_another_daemon_let_in_needs_a_rule_of_an_allow_list() -> None:

@@ -10,6 +10,7 @@ from bridge.cli.client import CliClient
 from bridge.cli.documents import arrow, route_list
 from bridge.cli.messages import ros2_spelling
 from bridge.cli.output import CliError, clean, near, side_name
+from bridge.hub.control import WorkerAnswer
 from bridge.hub.graph import HubEndpoint, origin_side
 from bridge.hub.graph.tokens import TAPS, EndpointKind
 from bridge.messages.actions import split
@@ -103,8 +104,13 @@ def absolute(topic: str) -> str:
 
 def ask_decisions(client: CliClient, topic: str, kind: str | None = "topic") -> list[Decision]:
     """What every worker decided about a topic or service (None: either); an empty name asks for all of them."""
+    return decisions_in(client.ask("explain", {"topic": topic}), kind)
+
+
+def decisions_in(answers: Iterable[WorkerAnswer], kind: str | None = None) -> list[Decision]:
+    """Return the decisions on topics or services (None: on both) in the workers' answers to ``explain``."""
     found: list[Decision] = []
-    for answer in client.ask("explain", {"topic": topic}):
+    for answer in answers:
         for entry in answer.value if isinstance(answer.value, list) else ():
             if isinstance(entry, dict) and kind in (None, entry.get("kind", "topic")):
                 words = {name: str(entry.get(name, "")) for name in Decision.__slots__[2:]}

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 import dataclasses
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Collection, Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import Any
@@ -12,16 +12,17 @@ from typing import Any
 from bridge.cli.arguments import add_hub_arguments
 from bridge.cli.client import ASK_SECONDS, CliClient, open_client
 from bridge.cli.documents import Document, arrow, drops_text, port_lines, port_list, route_list, texts, way_text
-from bridge.cli.graph.view import Decision, absolute, ask_decisions, endpoint_json, endpoint_text, known_names, unknown
+from bridge.cli.graph.view import Decision, absolute, decisions_in, endpoint_json, endpoint_text, known_names, unknown
 from bridge.cli.inspection.refusals import refusals
 from bridge.cli.output import CliError, clean, duration, plural, print_json, rate, side_name
 from bridge.config.model import Config
 from bridge.config.sections.routing import Rule
 from bridge.doctor import hub_problems
 from bridge.doctor.hub_problems import Note, absence
+from bridge.hub.control import WorkerAnswer
 from bridge.hub.graph import HubEndpoint
 from bridge.messages.actions import split
-from bridge.routing.rules import RuleSet
+from bridge.routing.rules import ENTRY, RuleSet
 
 _WORDS = {
     "bridged": "crosses",
@@ -70,7 +71,8 @@ def run(args: argparse.Namespace) -> int:
 
 def explain(client: CliClient, topic: str) -> Explanation:
     """Gather what is known of a topic; raises `CliError` where nobody knows it."""
-    everything, documents = _asked(client)
+    answers, documents = _asked(client)
+    everything = decisions_in(answers)
     decisions = _decisions(everything, topic)
     names = {topic} | {d.hub_topic for d in decisions if d.decision == "bridged"}
     endpoints = [e for e in client.hub.graph.endpoints() if not e.own and names & {e.topic, split(e.topic)[0]}]
@@ -90,18 +92,23 @@ def explain(client: CliClient, topic: str) -> Explanation:
     names |= {d.topic for d in decisions}
     notes = [*silent, *_hub_notes(topic, endpoints), *_warnings(names, documents)]
     if decisions or endpoints:  # nothing is decided of a port, such as a module's
-        notes += _worker_notes(decisions, documents)
+        notes += _worker_notes(decisions, documents, {(answer.daemon, answer.worker) for answer in answers})
     notes += [Note(refusal.text, refusal.cure) for refusal in refusals(client, documents) if refusal.topic in names]
     return Explanation(topic, paired, endpoints, [*planner, *notes], ports)
 
 
-def _asked(client: CliClient) -> tuple[list[Decision], list[Document]]:
-    """All that the workers decided, and how they are: asked at once, for one that hangs keeps each answer waiting."""
+def _asked(client: CliClient) -> tuple[list[WorkerAnswer], list[Document]]:
+    """Return the sides' answers to ``explain`` and all status documents; a worker that hangs delays both."""
     with ThreadPoolExecutor(2) as pool:
-        decisions = pool.submit(ask_decisions, client, "", None)
+        decisions = pool.submit(client.ask, "explain", {"topic": ""})
         status = pool.submit(client.ask, "status")
         client.settle()
-        return decisions.result(), [a.value for a in status.result() if isinstance(a.value, dict)]
+        documents: list[Document] = [
+            {**answer.value, "daemon": answer.daemon, "worker": answer.worker}
+            for answer in status.result()
+            if isinstance(answer.value, dict)
+        ]
+        return decisions.result(), documents
 
 
 def _decisions(everything: Sequence[Decision], topic: str) -> list[Decision]:
@@ -169,21 +176,24 @@ def _warnings(names: set[str], documents: Sequence[Document]) -> list[Note]:
     ]
 
 
-def _worker_notes(decisions: Sequence[Decision], documents: Sequence[Document]) -> list[Note]:
+def _worker_notes(
+    decisions: Sequence[Decision], documents: Sequence[Document], sides: Collection[tuple[str, str]]
+) -> list[Note]:
+    """Return notes on the sides that decided nothing; ``sides``: daemon and worker of each that decides on topics."""
     if not documents:
         return [Note("no worker answers, so nothing is bridged now", "start the daemon: midspan run")]
     notes: list[Note] = []
-    told = {(d.daemon, d.worker) for d in decisions}
+    decided = {(d.daemon, d.worker) for d in decisions}
     for document in documents:
-        if document.get("module"):
-            continue  # it decides of no topic
-        side, who = document.get("side"), (document.get("daemon"), document.get("worker"))
-        name = f"{side_name(side)} (daemon {clean(who[0])})"
+        who = (str(document["daemon"]), str(document["worker"]))
+        if who not in sides:
+            continue  # a module, the router, the console: they decide on no topic
+        name = f"{side_name(document.get('side') or who[1])} (daemon {clean(who[0])})"
         if document.get("state") == "waiting":
             notes.append(Note(f"{name} is away: nothing crosses to or from it now"))
         elif document.get("state") == "standby":
             notes.append(Note(f"{name} stands by: another daemon is active on that network"))
-        elif side != "router" and who not in told:
+        elif who not in decided:
             notes.append(Note(f"{name} has decided nothing of it: it is not published there, and nothing leads there"))
     return notes
 
@@ -285,13 +295,20 @@ def planner_note(
 
 
 def by_rules(config: Config, name: str) -> Iterator[str]:
-    """A sentence for each rule that names it, or gives something this name; rules of everything name nothing."""
-    rules = RuleSet(config.rules)
-    for of, rule, matches in rules.naming(name):
+    """Yield a sentence for each rule that names it or renames something to it, without rules on everything."""
+    rules = list(RuleSet(config.rules).naming(name))
+    denying = [of for of, rule, matches in rules if matches and _denies_all(rule)]
+    for of, rule, matches in rules:
         if matches and (rule.regex or rule.topic not in _EVERYTHING):
-            yield f"{of}: {_what(rule)} with this name {_fate(rule)}"
+            fate = f"does not cross, as {denying[0]} denies it" if denying and not rule.deny else _fate(rule)
+            yield f"{of}: {_what(rule)} with this name {fate}"
         elif rule.rename == name:
             yield f"{of}: {_what(rule)} {rule.topic or rule.regex} gets this name"
+
+
+def _denies_all(rule: Rule) -> bool:
+    """Return whether a rule lets nothing of its name into the hub, whatever its kind, side and type."""
+    return rule.deny and rule.to in (None, ENTRY) and (rule.kind, rule.from_, rule.type) == (None, None, None)
 
 
 def _what(rule: Rule) -> str:

@@ -53,6 +53,37 @@ def test_each_decision_is_explained_with_its_cure(
         assert len(document["hub"]) == (1 if decision == "bridged" else 0), topic
 
 
+def test_the_cure_of_a_denied_topic_is_not_another_rule(
+    midspan: Midspan, network: HubNetwork, registry: Registry, closing: list[Any]
+) -> None:
+    """A rule that denies wins over each rule that allows, wherever it stands."""
+    worker = EngineWorker(network, registry, rules=[{"topic": "/secret"}, {"topic": "/s*", "deny": True}])
+    closing.append(worker)
+    worker.advertise("/secret", STRING)
+    until(lambda: len(worker.engine.decisions()) == 1, "it is decided")
+    done = midspan("explain", "/secret")
+    assert "does not cross: rule 2 denies it." in done.out
+    assert "    cure: remove or narrow rule 2; a rule that denies overrides all rules that allow" in done.out
+    assert "add one that allows it" not in done.out
+
+
+def test_workers_that_decide_on_no_topic_are_not_mentioned(
+    midspan: Midspan, network: HubNetwork, registry: Registry, closing: list[Any]
+) -> None:
+    """The console, metrics, the recorder and the Foxglove server have no daemon in their status documents."""
+    engine(network, registry, closing)
+    for name, state in (("web", "running"), ("metrics", "running"), ("record", "waiting"), ("foxglove", "running")):
+        closing.append(FakeWorker(network, name, status={"side": name, "state": state, "text": "x"}))
+    closing.append(FakeWorker(network, "store", status=status("store", side=None)))
+    closing.append(FakeWorker(network, "yarp", explain=[], status={"side": "yarp", "state": "running"}))
+    out = midspan("explain", "/fine").out
+    assert "None" not in out
+    notes = [line for line in out.splitlines() if line.startswith("Note:") and "did not answer" not in line]
+    assert notes == [
+        "Note: YARP (daemon robot1) has decided nothing of it: it is not published there, and nothing leads there."
+    ]
+
+
 def test_a_topic_of_another_name_on_the_hub_is_followed_there(
     midspan: Midspan, network: HubNetwork, registry: Registry, closing: list[Any]
 ) -> None:
@@ -106,6 +137,17 @@ def test_an_unused_name_is_explained_by_the_rules(
         planner = "the planner move_base is not there: no node serves its action /move_base on ROS 1" in done.out
         assert planner == ("move_base" in name), done
     assert midspan("explain", "/nobody").code == 1
+
+
+def test_an_unused_name_that_one_rule_allows_and_another_denies(
+    network: HubNetwork, closing: list[Any], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    rules = [{"topic": "/old", "rename": "/new"}, {"topic": "/o*", "deny": True}]
+    midspan = Midspan(config_file(tmp_path, network, routing={"rules": rules}), capsys)
+    closing.append(FakeWorker(network, "ros1", status=status("ros1"), explain=[]))
+    out = midspan("explain", "/old").out
+    assert "rule 1: a topic, service or action with this name does not cross, as rule 2 denies it." in out
+    assert "rule 2: a topic, service or action with this name does not cross." in out
 
 
 def test_the_traffic_of_a_route_is_shown(midspan: Midspan, network: HubNetwork, closing: list[Any]) -> None:
