@@ -18,6 +18,7 @@ from bridge.cli.client import CliClient, open_client
 from bridge.cli.graph import listing
 from bridge.cli.graph.feed import Arrival, TopicFeed, add_feed_arguments
 from bridge.cli.graph.view import absolute, all_topics, ask_decisions
+from bridge.cli.inspection.refusals import warn_of_refusals
 from bridge.cli.messages import Types, message_text, yaml_fields
 from bridge.cli.output import CliError, clean, json_line, print_json, side_name, size
 from bridge.hub.endpoints.publisher import HubPublisher
@@ -114,7 +115,7 @@ def _register_pub(verbs: Any) -> None:
     parser = add_verb(
         verbs, "pub", _pub, "publish messages",
         "Publishes messages on the hub; the rules decide which sides they reach. Checks the message against its"
-        " type; missing fields are zero or empty.",
+        " type; missing fields are zero or empty. Exit code 1 if another machine refuses them (hub.open.trusted).",
         example="midspan topic pub /cmd_vel geometry_msgs/Twist '{linear: {x: 0.2}}' --rate 10",
     )  # fmt: skip
     parser.add_argument("topic", help="the topic's name")
@@ -151,14 +152,16 @@ def _pub(args: argparse.Namespace) -> int:
         priority = default_priority(topic, name, latched=args.latch)
         qos = Qos(durability=durability, depth=1 if args.latch else 10)
         publisher = client.hub.publisher(topic, name, type_hash, qos, priority=priority.value)
+        refused = False
         try:
             _await_listeners(client, publisher, topic, args.settle)
+            refused = warn_of_refusals(client, [(topic, name, type_hash)])
             _publish(args, publisher, cdr)
         except KeyboardInterrupt:
             pass
         finally:
             publisher.close()
-    return 0
+    return 1 if refused else 0
 
 
 def _publish(args: argparse.Namespace, publisher: HubPublisher, cdr: bytes) -> None:

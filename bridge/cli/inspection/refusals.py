@@ -6,6 +6,7 @@ which sessions are theirs, and what those publish and call.
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
@@ -13,7 +14,7 @@ import zenoh
 
 from bridge.cli.client import CliClient
 from bridge.cli.documents import Document, dicts, route_list
-from bridge.cli.output import plural
+from bridge.cli.output import clean, plural
 from bridge.config.rules import commands
 from bridge.config.sections.routing import RoutingSection
 from bridge.doctor import hub_problems
@@ -52,7 +53,7 @@ class Refusal:
 
     @property
     def cure(self) -> str:
-        """What to do where they are meant to be obeyed."""
+        """What to do if they are meant to be obeyed."""
         name = f"name {self.machine!r}" if self.machine else "give it a certificate (midspan keys), and name that"
         return f"where that is not meant, {name} in hub.open.trusted of {self.daemon} and reload"
 
@@ -72,10 +73,32 @@ def refusals(client: CliClient, documents: Iterable[Document]) -> list[Refusal]:
             served = {server.topic for server in graph.servers() if server.zid not in theirs}
             for endpoints, allowed in ((graph.publishers(), harmless), (graph.clients(), _QUESTIONS)):
                 groups = _by_topic(e for e in endpoints if e.zid in theirs)
-                refused = [group for group in groups if not _is_among(allowed, group[0], client.hub.domain)]
+                refused = [group for group in groups if not _is_among(allowed, _key(group[0], client.hub.domain))]
                 told = (_refusal(router, machine, group, documents) for group in refused)
                 found += [one for one in told if not one.is_service or (one.topic in served and one.messages != 0)]
     return found
+
+
+def warn_of_refusals(client: CliClient, published: Iterable[tuple[str, str, str]]) -> bool:
+    """Report on stderr which machines refuse what this program publishes: name, type and type hash of each topic.
+
+    Return whether a machine refuses any of it.
+    """
+    answers = client.ask("status", worker="router")
+    routers = [answer.value for answer in answers if isinstance(answer.value, dict)]
+    topics, refused = list(published), list[Refusal]()
+    for router in routers:
+        harmless = _harmless(router.get("commands"))
+        for machine in dicts(router.get("machines")):
+            if machine.get("trusted") or client.hub.zid not in _sessions(str(machine.get("zid")), routers):
+                continue
+            daemon, name = str(router.get("daemon")), str(machine.get("name") or "")
+            for topic, type_name, type_hash in topics:
+                if not _is_among(harmless, topic_key(client.hub.domain, topic, type_name, type_hash)):
+                    refused.append(Refusal(daemon, name, topic, type_name, "this command", None, is_service=False))
+    for refusal in refused:
+        print(f"midspan: warning: {clean(refusal.text)}; {clean(refusal.cure)}", file=sys.stderr)
+    return bool(refused)
 
 
 def _refusal(
@@ -127,6 +150,9 @@ def _harmless(commanding: object) -> list[zenoh.KeyExpr]:
         return [zenoh.KeyExpr(key) for key in harmless_keys(usual)]
 
 
-def _is_among(keys: Iterable[zenoh.KeyExpr], endpoint: HubEndpoint, domain: int) -> bool:
-    key = zenoh.KeyExpr(topic_key(domain, endpoint.topic, endpoint.type_name, endpoint.type_hash))
-    return any(each.includes(key) for each in keys)
+def _key(endpoint: HubEndpoint, domain: int) -> str:
+    return topic_key(domain, endpoint.topic, endpoint.type_name, endpoint.type_hash)
+
+
+def _is_among(allowed: Iterable[zenoh.KeyExpr], key: str) -> bool:
+    return any(expression.includes(zenoh.KeyExpr(key)) for expression in allowed)

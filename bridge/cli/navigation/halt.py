@@ -6,12 +6,13 @@ import argparse
 import threading
 import time
 from collections.abc import Collection, Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 from bridge.cli.arguments import add_hub_arguments
 from bridge.cli.client import CliClient, open_client, warn_of_daemon
 from bridge.cli.graph.caller import ServiceCaller
+from bridge.cli.inspection.refusals import warn_of_refusals
 from bridge.cli.messages import Types
 from bridge.cli.output import CliError, clean, plural, print_json
 from bridge.config.sections.navigation import NavigationSection
@@ -65,12 +66,14 @@ class Halted:
         cancels: the result for each action's goals.
         bases: the modules that were asked to halt, and why they may not stand; "" if they do.
         trouble: why the configured planner may drive on; "" if it does not.
+        published: name, type and type hash of each topic of velocities.
     """
 
     topics: dict[str, int]
     cancels: list[GoalCancellation]
     bases: dict[str, str]
     trouble: str
+    published: list[tuple[str, str, str]] = field(default_factory=list)
 
     @property
     def failed(self) -> list[GoalCancellation]:
@@ -83,6 +86,7 @@ def run(args: argparse.Namespace) -> int:
     with open_client(args, warn=False) as client:
         client.settle()
         found = halt(client, Types(client), args.seconds)
+        refused = warn_of_refusals(client, found.published)
         warn_of_daemon(args, client.config, workers=False)  # not before: a daemon that hangs takes a second to ask
     if args.json:
         errors = {cancel.name: cancel.error for cancel in found.failed}
@@ -97,7 +101,7 @@ def run(args: argparse.Namespace) -> int:
         raise CliError(found.trouble)
     if not (found.topics or found.cancels or found.bases):
         raise CliError("nothing to halt: the hub has no topic of velocities, no action and no BaseControl")
-    return 1 if found.failed or any(found.bases.values()) else 0
+    return 1 if found.failed or any(found.bases.values()) or refused else 0
 
 
 def halt(client: CliClient, types: Types, seconds: float = DEFAULT_SECONDS) -> Halted:
@@ -117,7 +121,7 @@ def halt(client: CliClient, types: Types, seconds: float = DEFAULT_SECONDS) -> H
     topics = {topic: zeros.listeners(topic) for topic in zeros.topics}
     zeros.close()
     trouble = unreached(client.config.navigation, bases, [cancel.name for cancel in cancels])
-    return Halted(topics, cancels, bases, trouble)
+    return Halted(topics, cancels, bases, trouble, zeros.published)
 
 
 def unreached(section: NavigationSection, asked: Iterable[str], cancelled: Collection[str]) -> str:
@@ -144,6 +148,7 @@ class ZeroVelocities:
         self._graph = graph
         ends = [*graph.publishers(), *graph.subscriptions()]
         found = sorted({(e.topic, e.type_name, e.type_hash) for e in ends if e.type_name in VELOCITIES})
+        self.published = found
         self.topics = [topic for topic, _, _ in found]
         self._publishers: list[tuple[HubPublisher, bytes]] = []
         for topic, name, type_hash in found:

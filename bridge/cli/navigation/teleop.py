@@ -10,6 +10,7 @@ from typing import Any, NamedTuple
 from bridge.cli.arguments import add_hub_arguments
 from bridge.cli.client import open_client
 from bridge.cli.graph.view import absolute
+from bridge.cli.inspection.refusals import warn_of_refusals
 from bridge.cli.keyboard import AVAILABLE, pressed, raw
 from bridge.cli.messages import Types
 from bridge.cli.output import CliError
@@ -104,7 +105,9 @@ def run(args: argparse.Namespace) -> int:
     topic = absolute(args.topic)
     with open_client(args) as client:
         types = Types(client)
-        publisher = client.hub.publisher(topic, TWIST, types.hash_of(TWIST), Qos(depth=1), priority="command")
+        type_hash = types.hash_of(TWIST)
+        publisher = client.hub.publisher(topic, TWIST, type_hash, Qos(depth=1), priority="command")
+        warn_of_refusals(client, [(topic, TWIST, type_hash)])
         print(f"{HELP}\n{topic}:", flush=True)
         keys = Keys(args.speed, args.turn)
         try:

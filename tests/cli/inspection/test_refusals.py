@@ -2,15 +2,21 @@
 
 from __future__ import annotations
 
+import json
+from collections.abc import Callable, Iterator
+from pathlib import Path
 from typing import Any
 
 import pytest
 
 from bridge.config.rules import ALWAYS
+from bridge.hub.session import Hub
 from bridge.hub.wire.qos import Qos
-from tests.cli.conftest import Midspan
-from tests.cli.workers import FakeWorker, route, status
+from tests.cli.conftest import Midspan, Outcome
+from tests.cli.workers import FakeWorker, config_file, route, status
+from tests.hub.machines import Machines, make_keys
 from tests.support.hub import HubNetwork
+from tests.support.wait import until
 
 SET_BOOL, GET_PLAN = "std_srvs/srv/SetBool", "nav_msgs/srv/GetPlan"
 TWIST, LASER = "geometry_msgs/msg/Twist", "sensor_msgs/msg/LaserScan"
@@ -102,3 +108,78 @@ def test_a_router_that_does_not_tell_its_commands_has_the_usual_ones(
     closing.append(FakeWorker(network, "router", daemon="robot2", status=robot))
     assert "robot2 refuses the commands of operator1 on /cmd_vel" in " ".join(midspan("status").out.split())
     assert "robot2 refuses the commands of operator1 on /scan" not in midspan("status").out
+
+
+@pytest.fixture(scope="module")
+def door(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Machines]:
+    """A robot whose door trusts ``friend`` only."""
+    machines = Machines(make_keys(tmp_path_factory.mktemp("keys")))
+    with machines.network:
+        machines.network.start_router()
+        yield machines
+        machines.close()
+
+
+def commander(door: Machines, name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> Callable[..., Outcome]:
+    """The command line of a machine with a certificate of this name."""
+    file = tmp_path / "midspan.yaml"
+    file.write_text(json.dumps({"name": name, "hub": {"zenoh": door.zenoh_config(name)}}))
+    midspan = Midspan(file, capsys)
+    return lambda *words: midspan(*words, "--router", door.place)
+
+
+@pytest.mark.parametrize(
+    ("topic", "type_name"),
+    [
+        ("/cmd_vel", "geometry_msgs/Twist"),
+        ("/base/drive", "geometry_msgs/msg/TwistStamped"),
+        ("/goal_pose", "geometry_msgs/PoseStamped"),
+        ("/arm/drive", "std_msgs/Float64"),
+    ],
+)
+def test_commands_published_by_a_machine_that_is_not_trusted_are_reported(
+    door: Machines, tmp_path: Path, capsys: pytest.CaptureFixture[str], topic: str, type_name: str
+) -> None:
+    quick = ("--once", "--settle", "0")
+    done = commander(door, "guest", tmp_path, capsys)("topic", "pub", topic, type_name, *quick)
+    assert done.code == 1
+    assert f"midspan: warning: test refuses the commands of guest on {topic} (this command)" in done.err
+    assert "name 'guest' in hub.open.trusted of test and reload" in done.err
+    done = commander(door, "friend", tmp_path, capsys)("topic", "pub", topic, type_name, *quick)
+    assert (done.code, "refuses" in done.err) == (0, False)
+
+
+def test_what_a_machine_that_is_not_trusted_may_publish_is_not_reported(
+    door: Machines, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    guest = commander(door, "guest", tmp_path, capsys)
+    for topic, type_name in (("/scan", "sensor_msgs/LaserScan"), ("/arm/angle", "std_msgs/Float64")):
+        done = guest("topic", "pub", topic, type_name, "--once", "--settle", "0")
+        assert (done.code, "refuses" in done.err) == (0, False), done
+
+
+def test_halt_reports_a_machine_that_refuses_its_zeros(
+    door: Machines, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with Hub.open(door.network.settings("base")) as base:
+        subscription = base.subscription("/cmd_vel", TWIST, "*", Qos(), lambda _sample: None)
+        done = commander(door, "guest", tmp_path, capsys)("halt", "--seconds", "0.1")
+        subscription.close()
+    assert done.code == 1
+    assert "test refuses the commands of guest on /cmd_vel (this command)" in done.err
+
+
+def test_commands_through_the_router_of_a_machine_that_is_not_trusted(
+    door: Machines, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The verb joins the hub of its own machine, whose door is connected to the robot's."""
+    hub = {"connect": [door.place], "keys": str(door.folder), "certificate": str(door.folder / "guest.pem")}
+    with HubNetwork(run=False, door={**hub, "key": str(door.folder / "guest.key")}) as own:
+        own.start_router()
+        midspan = Midspan(config_file(tmp_path, own), capsys)
+
+        def refused() -> bool:
+            done = midspan("topic", "pub", "/cmd_vel", "geometry_msgs/Twist", "--once", "--settle", "0")
+            return done.code == 1 and "test refuses the commands of guest on /cmd_vel (this command)" in done.err
+
+        until(refused, "the doors are linked, and the robot's refusal is reported", 30)
