@@ -15,9 +15,10 @@ from typing import TYPE_CHECKING, Any
 import zenoh
 
 from bridge.cli.output import CliError
+from bridge.config.document import ConfigError
 from bridge.config.load import load
 from bridge.config.model import Config
-from bridge.doctor.daemon_state import DaemonState, daemon_state
+from bridge.doctor.daemon_state import DaemonState, Life, daemon_state, describe
 from bridge.hub.control import WorkerAnswer
 from bridge.hub.errors import HubError
 from bridge.hub.session import Hub, HubSession, HubSettings
@@ -32,6 +33,14 @@ CONNECT_SECONDS = 2.0
 ASK_SECONDS = 2.0
 _QUIET = 0.1
 _SETTLE_SECONDS = 1.5
+
+
+class UnreachableHubError(CliError):
+    """No router answers at the hub's endpoint; ``hint`` names the likely cause and the cure."""
+
+    def __init__(self, text: str, hint: str) -> None:
+        super().__init__(f"{text}\n{hint}")
+        self.text, self.hint = text, hint
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,8 +92,19 @@ class CliClient:
 
 
 def client_config(args: argparse.Namespace) -> Config:
-    """Return the configuration, overridden by the command line."""
-    config = load(args.config)
+    """Return the configuration, overridden by the command line.
+
+    A broken file that the command line does not name is ignored, with a warning, if ``--router`` names the hub.
+    """
+    try:
+        config = load(args.config)
+    except ConfigError as err:
+        if args.config is not None or args.router is None:
+            raise
+        more = f" (and {len(err.problems) - 1} more)" if len(err.problems) > 1 else ""
+        ignored = "the file is ignored, as --router names the hub"
+        print(f"midspan: warning: {err.problems[0]}{more}; {ignored}", file=sys.stderr)
+        config = Config()
     hub = config.hub
     if args.router is not None:
         hub = hub.model_copy(update={"listen": args.router})
@@ -122,14 +142,23 @@ def _connected(args: argparse.Namespace, config: Config) -> Iterator[CliClient]:
     with ExitStack() as stack:
         try:
             client = stack.enter_context(connect(config))
-        except CliError as err:
+        except UnreachableHubError as err:
             state = daemon_state(config) if of_this_machine(args) else DaemonState("")
-            missing = state.why_missing("router", config)
+            missing = state.why_missing("router", config) or _report(state)
             if not missing:
                 raise
-            line = str(err).splitlines()[0]
-            raise CliError("\n".join(filter(None, (line, missing, state.cure)))) from None
+            held = err.hint if _HELD in err.hint and "is held by" not in missing else ""
+            raise CliError("\n".join(filter(None, (err.text, missing, state.cure, held)))) from None
         yield client
+
+
+def _report(state: DaemonState) -> str:
+    """Return how the router of a running daemon gets on; "" if the daemon does not run."""
+    if state.life is not Life.RUNNING:
+        return ""
+    (router,) = [worker for worker in state.workers if worker["worker"] == "router"] or [{"phase": "missing"}]
+    how = ": ".join(filter(None, (router["phase"], describe(router))))
+    return f"the daemon {state.name} is running (process {state.pid}); its worker 'router' is {how}"
 
 
 def warn_of_daemon(args: argparse.Namespace, config: Config, *, workers: bool = True) -> list[str]:
@@ -156,10 +185,8 @@ def connect(config: Config, seconds: float = CONNECT_SECONDS) -> Iterator[CliCli
     try:
         session = zenoh.open(client_session_config(config.hub.listen, config.hub.zenoh, seconds))
     except zenoh.ZError as err:
-        raise CliError(
-            f"no zenoh router answers for {where}: {_short(err)}\n"
-            "Is the daemon running? Start it with 'midspan run', or name another router with --router."
-        ) from None
+        text = f"no zenoh router answers for {where}: {_short(err)}"
+        raise UnreachableHubError(text, _hint(config.hub.listen)) from None
     except HubError as err:
         raise CliError(f"hub.zenoh: {err}") from None
     try:
@@ -174,6 +201,21 @@ def connect(config: Config, seconds: float = CONNECT_SECONDS) -> Iterator[CliCli
         yield CliClient(hub, config, where)
     finally:
         hub.close()
+
+
+_HELD = "Another program holds"
+
+
+def _hint(endpoint: str) -> str:
+    """Return why no router may answer at an endpoint, and what to do."""
+    from bridge.hub.router import port_held  # needed only here
+
+    if not port_held(endpoint):
+        return "Is the daemon running? Start it with 'midspan run', or name another router with --router."
+    place = connect_endpoint(endpoint)
+    tls = ", or it refuses this machine's certificate" if place.startswith(("tls/", "quic/")) else ""
+    cure = "Stop it, set hub.listen to a free port, or name another router with --router."
+    return f"{_HELD} {place}: it is not a zenoh router{tls}. {cure}"
 
 
 def _short(err: zenoh.ZError) -> str:

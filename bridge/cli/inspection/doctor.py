@@ -73,7 +73,8 @@ def _look_around(args: argparse.Namespace) -> CheckContext:
     state = daemon_state(config, hub.documents) if of_this_machine(args) else DaemonState("")
     documents = with_silent(hub.documents, absent(state.document, looping=True))
     hub = dataclasses.replace(hub, documents=documents)
-    return CheckContext(config, _good(args.config or find()), environ=environ, hub=hub, daemon=state)
+    text, good = _checked(args.config)
+    return CheckContext(config, text, config_good=good, environ=environ, hub=hub, daemon=state)
 
 
 def look_from(client: CliClient, file: Path | None) -> CheckContext:
@@ -81,15 +82,18 @@ def look_from(client: CliClient, file: Path | None) -> CheckContext:
     environ, hub, state = dict(os.environ), snapshot(client), daemon_state(client.config)
     documents = with_silent(hub.documents, absent(state.document, looping=True))
     hub = dataclasses.replace(hub, documents=documents)
+    text, good = _checked(file)
+    return CheckContext(client.config, text, config_good=good, environ=environ, hub=hub, daemon=state)
+
+
+def _checked(file: Path | None) -> tuple[str, bool]:
+    """Return what is known of a file, by default of the one that `find` finds, and whether it is good."""
     try:
         load(file)
     except ConfigError as err:
-        return CheckContext(client.config, str(err), config_good=False, environ=environ, hub=hub, daemon=state)
-    return CheckContext(client.config, _good(file), environ=environ, hub=hub, daemon=state)
-
-
-def _good(file: Path | None) -> str:
-    return f"{file} is good" if file is not None else "no configuration file: all defaults"
+        return str(err), False
+    file = file or find()
+    return (f"{file} is good" if file is not None else "no configuration file: all defaults"), True
 
 
 def _look_at_hub(config: Config) -> HubSnapshot:

@@ -26,6 +26,7 @@ from bridge.hub.control import WorkerAnswer
 _STYLES = {"running": "green", "waiting": "yellow", "standby": "cyan", "starting": "yellow", "queued": "yellow"}
 DAEMON = "daemon"
 _ABSENT = {phase.value for phase in (Phase.QUEUED, Phase.STARTING, Phase.PAUSED, Phase.FAILED)}
+_ENABLED = {*_ABSENT, Phase.UP.value, Phase.STOPPING.value}
 
 
 def register_status(parser: argparse.ArgumentParser) -> None:
@@ -44,15 +45,19 @@ def run_status(args: argparse.Namespace) -> int:
     """Show the status once."""
     documents, refused = list[Document](), list[Refusal]()
     state = daemon_state(client_config(args)) if of_this_machine(args) else DaemonState("")
-    silent = absent(state.document, looping=True)
+    silent, joined = absent(state.document, looping=True), False
     try:
         with open_client(args, warn=False) as client:
+            joined = True
             documents = ask_status(client)
             client.settle()
             refused = refusals(client, documents)
-    except CliError:
-        if not silent:
+    except CliError as err:
+        if state.life is not Life.RUNNING:
             raise
+        silent = absent(state.document, _ENABLED, looping=True)
+        if not joined:
+            print(f"midspan: warning: {err}", file=sys.stderr)
     if state.life is Life.UNKNOWN and of_this_machine(args):
         state = daemon_state(client_config(args), documents)
     documents = [*with_silent(documents, silent), *of_daemon(state)]
@@ -70,10 +75,11 @@ def ask_status(client: CliClient) -> list[Document]:
     """Return the status documents of all workers; raises `CliError` if none answers."""
     answers = client.ask("status")
     if not answers:
-        raise CliError(
-            f"a router answers, but no worker of Midspan does on {client.where}.\n"
-            "Is the daemon running ('midspan run'), and is this its domain (hub.domain)?"
-        )
+        state = client.daemon()
+        hint = "Is the daemon running ('midspan run'), and is this its domain (hub.domain)?"
+        if state.life is Life.RUNNING:
+            hint = f"The daemon {state.name} is running (process {state.pid}): 'midspan status' lists its workers."
+        raise CliError(f"a router answers, but no worker of Midspan does on {client.where}.\n{hint}")
     return [document_of(answer) for answer in answers]
 
 

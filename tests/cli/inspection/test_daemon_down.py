@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+import zenoh
 
 from tests.cli.daemons import RobotDaemon
 from tests.support.ports import free_port
@@ -222,3 +223,73 @@ def test_a_configuration_that_the_daemon_has_not_loaded(start: Start) -> None:
     for words in (["nav", "status"], ["map", "list"]):
         done = robot(*words)
         assert (done.returncode, "it has not loaded this configuration" in done.stderr) == (1, True), done
+
+
+def other_state(robot: RobotDaemon, folder: Path) -> None:
+    """Let the commands read a configuration with another state folder, as those of another user do."""
+    file = folder / "other.yaml"
+    file.write_text(json.dumps({**json.loads(robot.file.read_text()), "state": str(folder / "none")}))
+    robot.file = file
+
+
+@pytest.mark.parametrize("words", [["run"], ["run", "--adopt", "router"]], ids=" ".join)
+def test_status_while_another_program_holds_the_port(tmp_path: Path, words: list[str]) -> None:
+    with socket.create_server(("127.0.0.1", 0)) as other:
+        place = f"tcp/127.0.0.1:{other.getsockname()[1]}"
+        robot = RobotDaemon(tmp_path, hub={"listen": place}, navigation={}, modules={})
+        try:
+            robot.process(*words)
+            robot.until_phase("router", "restarting" if "--adopt" in words else "cannot work")
+            done = robot("status")
+            assert done.returncode == 0, done
+            assert "router   restarting" in done.stdout or "router   cannot work" in done.stdout
+            assert "held by a program" in done.stderr or f"Another program holds {place}" in done.stderr
+            other_state(robot, tmp_path)
+            for verb in (["status"], ["topic", "list"], ["top", "--once"]):
+                done = robot(*verb)
+                assert done.returncode == 1
+                assert (
+                    f"Another program holds {place}: it is not a zenoh router. Stop it, set hub.listen" in done.stderr
+                )
+                assert "Is the daemon running?" not in done.stderr
+        finally:
+            robot.close()
+
+
+def test_status_beside_a_router_of_another_project(tmp_path: Path) -> None:
+    """The daemon uses it, and may have no worker that answers on the hub."""
+    config = zenoh.Config()
+    place = f"tcp/127.0.0.1:{free_port()}"
+    for key, value in (("mode", "router"), ("listen/endpoints", [place]), ("scouting/multicast/enabled", False)):
+        config.insert_json5(key, json.dumps(value))
+    robot = RobotDaemon(tmp_path, hub={"listen": place}, navigation={}, modules={})
+    with zenoh.open(config):
+        try:
+            robot.start()
+            robot.until_phase("router", "running")
+            done = robot("status")
+            assert (done.returncode, done.stderr) == (0, "")
+            assert "router   running  standby, a zenoh router that is not Midspan's" in " ".join(
+                done.stdout.splitlines()
+            )
+            done = robot("top", "--once")
+            assert done.returncode == 1
+            assert "Is the daemon running" not in done.stderr
+            assert "The daemon robot is running" in done.stderr
+        finally:
+            robot.close()
+
+
+def test_status_of_a_daemon_without_a_router(tmp_path: Path) -> None:
+    """`hub.router: false`: the configured router is elsewhere, and down."""
+    robot = RobotDaemon(tmp_path, navigation={}, hub={"listen": f"tcp/127.0.0.1:{free_port()}", "router": False})
+    try:
+        robot.start()
+        robot.until_phase("modules", "running")
+        for words in (["status"], ["topic", "list"]):
+            done = robot(*words)
+            assert (done.returncode == 0) == (words == ["status"]), done
+            assert "the daemon robot is running" in done.stderr
+            assert "Is the daemon running?" not in done.stderr
+    finally:
+        robot.close()

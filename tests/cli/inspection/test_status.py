@@ -7,6 +7,7 @@ from typing import Any
 
 import pytest
 
+from bridge.cli.main import main
 from tests.cli.conftest import Midspan
 from tests.cli.workers import EngineWorker, FakeWorker, config_file, route, status
 from tests.support.hub import HubNetwork
@@ -122,3 +123,31 @@ def test_routes_of_two_daemons_say_whose(midspan: Midspan, network: HubNetwork, 
         closing.append(FakeWorker(network, "ros1", daemon=daemon, status=document))
     lines = midspan("top", "--once").out.splitlines()
     assert [line.split()[0] for line in lines if "/scan" in line] == ["robot1", "robot2"]
+
+
+@pytest.mark.parametrize(
+    "text",
+    ["name: a\nros1: {masterr: x}\nzzz: 1\n", "name: [", "hub: {listen: 7}\n", "types: {folders: [/nowhere]}\n"],
+    ids=["unknown keys", "no YAML", "wrong type", "missing folder"],
+)
+@pytest.mark.parametrize("words", [["status"], ["topic", "list"], ["status", "--json"]], ids=" ".join)
+def test_a_broken_file_does_not_keep_from_a_hub_that_is_named(
+    network: HubNetwork, closing: list[Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str], text: str, words: list[str],
+) -> None:  # fmt: skip
+    closing.append(FakeWorker(network, "ros1", status=status("ros1"), explain=[]))
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.delenv("MIDSPAN_CONFIG", raising=False)
+    (tmp_path / "midspan.yaml").write_text(text)
+    hub = ["--router", network.endpoint, "--hub-domain", str(network.domain)]
+    assert main([*words, *hub]) == 0
+    printed = capsys.readouterr()
+    assert "robot1" in printed.out or words[0] == "topic"
+    assert printed.err.startswith("midspan: warning: midspan.yaml:")
+    assert printed.err.endswith("; the file is ignored, as --router names the hub\n")
+    assert len(printed.err.splitlines()) == 1
+    assert main(["doctor", "--only", "config", *hub]) == 1
+    assert "midspan.yaml is good" not in capsys.readouterr().out
+    for named in ([], ["--config", "midspan.yaml", *hub], hub[2:]):
+        assert main([*words, *named]) == 1
+        assert "is ignored" not in capsys.readouterr().err
